@@ -21,8 +21,14 @@ from tools.markers import DOCS, ROOT, fill
 
 PROGRAMS = ("box", "orbit", "survey")
 HEADINGS = (
-    "program", "calls", "simulated (s)", "wall (s)", "CPU (s)", "simulated / wall", "simulated / CPU",
-)  # fmt: skip
+    "program",
+    "calls",
+    "simulated (s)",
+    "wall (s)",
+    "CPU (s)",
+    "simulated / wall",
+    "simulated / CPU",
+)
 Run = tuple[Ended, float, float]
 
 

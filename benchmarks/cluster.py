@@ -45,10 +45,17 @@ def stand_in(mission: MissionPlan) -> Iterator[Planned | Flown]:
     campaign, (environment, seed) = mission.campaign, mission.world
     first = (campaign.environments.index(environment) * campaign.missions + seed - campaign.first_seed) * RUNS
     rows = [
-        Row(f"{environment}-{seed}-{place}", first + place, "golden" if place == 0 else "injected",
-            "fi" if place else "golden", environment, seed, SPEC)
+        Row(
+            f"{environment}-{seed}-{place}",
+            first + place,
+            "golden" if place == 0 else "injected",
+            "fi" if place else "golden",
+            environment,
+            seed,
+            SPEC,
+        )
         for place in range(RUNS)
-    ]  # fmt: skip
+    ]
     yield Planned(tuple(rows[:1]), last=False)
     yield Flown(rows[0].run_id, RECORD, success=True)
     yield Planned(tuple(rows[1:]), last=True)
@@ -86,9 +93,12 @@ def cluster() -> Iterator[tuple[str, int]]:
         processes = []
         for command in (start, *[work] * WORKERS):
             process = subprocess.Popen(
-                [*command, "--host", LOOPBACK, "--dashboard-address", f"{LOOPBACK}:0"], stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ, "PYTHONPATH": os.getcwd()},
-            )  # fmt: skip
+                [*command, "--host", LOOPBACK, "--dashboard-address", f"{LOOPBACK}:0"],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                env={**os.environ, "PYTHONPATH": os.getcwd()},
+            )
             processes.append(process)
             stack.callback(process.wait)
             stack.callback(process.terminate)
@@ -139,9 +149,15 @@ HEAD = """\
 def measure(name: str, missions: int) -> Cost:
     """Run stand-ins in this process and its workers."""
     each = missions // len(ENVIRONMENTS)
-    campaign = Campaign.model_validate({
-        "name": "stand-ins", "environments": ENVIRONMENTS, "missions": each, "faults": 2 * each, "null_runs": 0,
-    })  # fmt: skip
+    campaign = Campaign.model_validate(
+        {
+            "name": "stand-ins",
+            "environments": ENVIRONMENTS,
+            "missions": each,
+            "faults": 2 * each,
+            "null_runs": 0,
+        }
+    )
     dask._AHEAD = 50  # emulates 50 times as many workers: a stand-in is shorter than the scheduler's round trip
     with ExitStack() as stack:
         address, pid = stack.enter_context(cluster()) if name == "dask" else ("", 0)

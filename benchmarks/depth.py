@@ -74,9 +74,19 @@ class TheirCamera:
     def cast(self, pose: np.ndarray, count: int) -> np.ndarray:
         """Cast the first rays of the image, in the orientation of the last `capture`."""
         mujoco.mj_multiRay(
-            self._model, self._data, pose[:3], self._turned[:count].reshape(-1), None, True, _BODY,
-            self._geoms[:count], self._distances[:count], None, count, 1e6,
-        )  # fmt: skip
+            self._model,
+            self._data,
+            pose[:3],
+            self._turned[:count].reshape(-1),
+            None,
+            True,
+            _BODY,
+            self._geoms[:count],
+            self._distances[:count],
+            None,
+            count,
+            1e6,
+        )
         return self._distances
 
 
@@ -95,7 +105,11 @@ def depth_rows() -> list[Row]:
             f"binding included: {1e3 * binding:.3f} ms)"
         )
         rows.append(
-            Row(f"depth image, {count} boxes, {len(camera.directions)} rays", text, other / own,
-                TARGET if count == TARGET_BOXES else None)
-        )  # fmt: skip
+            Row(
+                f"depth image, {count} boxes, {len(camera.directions)} rays",
+                text,
+                other / own,
+                TARGET if count == TARGET_BOXES else None,
+            )
+        )
     return rows

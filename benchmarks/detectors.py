@@ -27,12 +27,18 @@ from tools.processors import with_others
 PAGE = DOCS / "models.md"
 ENVIRONMENTS, AUTOPILOTS = ("dense", "factory"), ("published", "hardened")
 DETECTORS = (
-    ("recommended", "paper", 2.0), ("acceptance", "paper", 2.0), ("gaussian", "paper", 6.0),
-    ("autoencoder", "paper", 6.0), ("gaussian", "tuned", 6.0), ("autoencoder", "tuned", 6.0),
-    ("limits", "paper", None), ("autoencoder_all", "paper", None), ("checksum", "paper", None),
+    ("recommended", "paper", 2.0),
+    ("acceptance", "paper", 2.0),
+    ("gaussian", "paper", 6.0),
+    ("autoencoder", "paper", 6.0),
+    ("gaussian", "tuned", 6.0),
+    ("autoencoder", "tuned", 6.0),
+    ("limits", "paper", None),
+    ("autoencoder_all", "paper", None),
+    ("checksum", "paper", None),
     ("duplicate", "paper", None),
     *((name, "paper", None) for name in BASELINES),
-)  # fmt: skip
+)
 """Detector, profile, and the largest share of the kernels' time that is wanted (%); None = none is."""
 Key = tuple[str, str, str]
 """Autopilot profile, detector and its profile."""
@@ -122,9 +128,11 @@ def main() -> None:
     folder = Path(models) if models else None
     missions = [(environment, seed) for environment in ENVIRONMENTS for seed in range(seeds)]
     every = [
-        (autopilot, name, profile) for autopilot in AUTOPILOTS for name, profile, _ in DETECTORS
+        (autopilot, name, profile)
+        for autopilot in AUTOPILOTS
+        for name, profile, _ in DETECTORS
         if not only or name in only
-    ]  # fmt: skip
+    ]
     left_out = unmeasured(every, folder)
     costs: dict[Key, list[Cost]] = {key: [] for key in every if key not in left_out}
     for repeat in range(-1, repeats):  # repeat -1 compiles, or loads the cache

@@ -14,9 +14,17 @@ from mavfi.numerics.jit import kernel_jit
 NUMBERS = 200_000
 REPEATS = 7
 RANGES = {
-    "sin": (-4.0, 4.0), "cos": (-4.0, 4.0), "tan": (-1.5, 1.5), "asin": (-1.0, 1.0), "acos": (-1.0, 1.0),
-    "exp": (-5.0, 0.0), "tanh": (-3.0, 3.0), "log": (0.01, 100.0), "cbrt": (0.001, 1.0), "atan2": (-5.0, 5.0),
-}  # fmt: skip
+    "sin": (-4.0, 4.0),
+    "cos": (-4.0, 4.0),
+    "tan": (-1.5, 1.5),
+    "asin": (-1.0, 1.0),
+    "acos": (-1.0, 1.0),
+    "exp": (-5.0, 0.0),
+    "tanh": (-3.0, 3.0),
+    "log": (0.01, 100.0),
+    "cbrt": (0.001, 1.0),
+    "atan2": (-5.0, 5.0),
+}
 
 
 def _looped(function: Any) -> Callable[[np.ndarray, np.ndarray, np.ndarray], None]:

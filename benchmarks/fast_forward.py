@@ -98,10 +98,14 @@ def report(campaign: Campaign, missions: int, account: Account) -> str:
         f"{', '.join(campaign.environments)}",
         f"{'runs':<22} {runs:>5}, of which {len(account.differing)} have another record with fast-forward",
     ]
-    lines += [f"CPU {way:<18} {account.total(way):8.1f} s, {account.total(way) / runs:.4f} s per run"
-              for way in (TAKE_OFF, FAST)]  # fmt: skip
-    lines += [f"gain {account.total(TAKE_OFF) / account.total(FAST):.2f} x",
-              f"{'setting':<22} {'runs':>5} {'take-off':>9} {'fast':>9} {'gain':>7}"]  # fmt: skip
+    lines += [
+        f"CPU {way:<18} {account.total(way):8.1f} s, {account.total(way) / runs:.4f} s per run"
+        for way in (TAKE_OFF, FAST)
+    ]
+    lines += [
+        f"gain {account.total(TAKE_OFF) / account.total(FAST):.2f} x",
+        f"{'setting':<22} {'runs':>5} {'take-off':>9} {'fast':>9} {'gain':>7}",
+    ]
     for setting, count in account.runs.items():
         slow, fast = (account.seconds[way, setting] / count for way in (TAKE_OFF, FAST))
         lines.append(f"{setting:<22} {count:>5} {slow:>8.3f}s {fast:>8.3f}s {slow / max(fast, 1e-9):>6.1f}x")

@@ -64,8 +64,10 @@ def recorded() -> dict[str, tuple[Any, ...]]:
     """Arguments of the longest call of each injectable function, from three flights."""
     found: dict[str, tuple[Any, ...]] = {}
     for planner, autopilot, kind in (
-        ("rrt_connect", "hardened", "dense"), ("rrt", "published", "octree"), ("rrt_star", "hardened", "dense")
-    ):  # fmt: skip
+        ("rrt_connect", "hardened", "dense"),
+        ("rrt", "published", "octree"),
+        ("rrt_star", "hardened", "dense"),
+    ):
         recorders = {name: Recorder(getattr(PLAIN, name)) for name in PLAIN.__dataclass_fields__}
         scenario = resolve(MissionSpec(environment="sparse", seed=7, planner=planner, autopilot=autopilot, map=kind))
         fly(scenario)  # compiles, or loads the cache

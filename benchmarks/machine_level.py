@@ -232,15 +232,17 @@ def table(studies: list[Study]) -> str:
 def judged(studies: list[Study]) -> str:
     """The table written to the page of hardening: silent corruptions and crashes in plain and in protected code."""
     lines = [
-        f"{date.today()}", "",
+        f"{date.today()}",
+        "",
         "| kernel | function | n | sdc | sdc, protected | ≤ 4 % | removed per call | crash | crash, protected |",
         "|---|---|---|---|---|---|---|---|---|",
-    ]  # fmt: skip
+    ]
     for made in studies:
         rates = [
             wilson(made.outcomes[level][how], made.outcomes[level].total())
-            for how in ("sdc", "crash") for level in ("machine", PROTECTED)
-        ]  # fmt: skip
+            for how in ("sdc", "crash")
+            for level in ("machine", PROTECTED)
+        ]
         removed = coverage(rates[0], rates[1], made.protected / made.injectable)
         met = "yes" if (rates[1].high or 0.0) <= MOST_SILENT else "no"
         cells = [*map(rate_text, rates[:2]), met, rate_text(removed), *map(rate_text, rates[2:])]

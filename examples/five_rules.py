@@ -83,9 +83,15 @@ def wrong_path(  # noqa: PLR0913 - each limit has its own name
 
 
 def wrong_step(  # noqa: PLR0913 - each limit has its own name
-    point: Point, velocity: Point, before: Point, velocity_before: Point, duration: float, speed: float, change: float,
+    point: Point,
+    velocity: Point,
+    before: Point,
+    velocity_before: Point,
+    duration: float,
+    speed: float,
+    change: float,
     slip: float,
-) -> str:  # fmt: skip
+) -> str:
     """Rule 3, in the consumer of a trajectory: each point follows from the one before it.
 
     Args:

@@ -57,19 +57,32 @@ def _heap_in_large_pages():
 
 
 _ALONE = (
-    "tests/extras/registers", "tests/extras/ros/node/test_attach", "tests/extras/ros/node/test_node_campaign",
+    "tests/extras/registers",
+    "tests/extras/ros/node/test_attach",
+    "tests/extras/ros/node/test_node_campaign",
     "tests/extras/ros/ros1/test_processes.py",
-)  # fmt: skip
+)
 """Other processes take part in these tests, and keep the time of the wall: they want the processors for themselves.
 Most wait most of the time, so two files run at once."""
 
 
 _SLOW = (
-    "tests/core/flights", "tests/core/golden", "tests/core/unit/campaign/test_log.py",
-    "tests/core/unit/campaign/test_training.py", "tests/core/unit/detectors", "tests/core/unit/faults/instruction",
-    "tests/core/unit/report", "tests/extras/airsim", "tests/extras/bench", "tests/extras/dask", "tests/extras/firmware",
-    "tests/extras/hardening", "tests/extras/mavlink", "tests/extras/ros", "tests/nightly",
-)  # fmt: skip
+    "tests/core/flights",
+    "tests/core/golden",
+    "tests/core/unit/campaign/test_log.py",
+    "tests/core/unit/campaign/test_training.py",
+    "tests/core/unit/detectors",
+    "tests/core/unit/faults/instruction",
+    "tests/core/unit/report",
+    "tests/extras/airsim",
+    "tests/extras/bench",
+    "tests/extras/dask",
+    "tests/extras/firmware",
+    "tests/extras/hardening",
+    "tests/extras/mavlink",
+    "tests/extras/ros",
+    "tests/nightly",
+)
 """Missions fly in these tests, or instrumented kernels are compiled: `make check` leaves them to `make test`."""
 
 
@@ -102,7 +115,7 @@ _PLACES = {  # that of the first prefix counts
     "tests/extras/ros/ros1": 4,  # finds compiled what eight nodes would compile at once
     "tests/core/flights": 2,
     "tests/extras/airsim": 2,
-}  # fmt: skip
+}
 
 
 def _place(path):

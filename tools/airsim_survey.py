@@ -22,9 +22,10 @@ from tools.markers import DOCS, fill
 DATA = Path(__file__).with_suffix(".csv")
 PAGE = DOCS / "airsim.md"
 BY_CLIENT: dict[str, tuple[str, ...]] = {
-    "confirmConnection": ("ping", "getServerVersion", "getMinRequiredClientVersion"), "getClientVersion": (),
+    "confirmConnection": ("ping", "getServerVersion", "getMinRequiredClientVersion"),
+    "getClientVersion": (),
     "getPitchRollYaw": ("getOrientation",),
-}  # fmt: skip
+}
 """Methods of the client that are no calls of the server: the calls that they make."""
 
 
@@ -61,10 +62,16 @@ def summary(found: Sequence[Pair]) -> str:
         by_repository[pair.read, pair.repository, pair.commit].append(pair.call)
     first, fresh = ([pair for pair in found if pair.read == read] for read in ("before", "after"))
     rows = [
-        [name, commit[:8], read, str(len(calls)), str(sum(map(is_served, calls))),
-         ", ".join(f"`{call}`" for call in calls if not is_served(call))]
+        [
+            name,
+            commit[:8],
+            read,
+            str(len(calls)),
+            str(sum(map(is_served, calls))),
+            ", ".join(f"`{call}`" for call in calls if not is_served(call)),
+        ]
         for (read, name, commit), calls in by_repository.items()
-    ]  # fmt: skip
+    ]
     count, fresh_count = (len({pair.repository for pair in own}) for own in (first, fresh))
     often = Counter(pair.call for pair in found).most_common(12)
     return (

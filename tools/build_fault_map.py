@@ -18,9 +18,11 @@ from tools.markers import ROOT
 
 PAGE = "fault-map"
 COLUMNS = (
-    Column("target", "injected"), Column("fails", "missions that fail, %", RATE),
-    Column("hurt", "that fail or take > 5 % longer, %", RATE), Column("worst", "worst time", SIGNED),
-)  # fmt: skip
+    Column("target", "injected"),
+    Column("fails", "missions that fail, %", RATE),
+    Column("hurt", "that fail or take > 5 % longer, %", RATE),
+    Column("worst", "worst time", SIGNED),
+)
 TEXT = (
     "A flag, its counter and the epochs of trajectories lose most missions, and no detector of the paper watches the "
     "epochs; way-points and path vertices cost time and some missions while they are in force; clouds, voxels and "

@@ -56,9 +56,13 @@ PLAN = ROOT / "configs" / "protections" / "ten_percent.yaml"
 CERTIFICATE = PLAN.with_suffix(".certificate.json")
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
 MOST_TIME = {
-    "plan_rrt_connect": 1.2, "time_to_collision": 1.2, "track": 1.3, "apply_updates": 1.3, "back_project": 1.5,
+    "plan_rrt_connect": 1.2,
+    "time_to_collision": 1.2,
+    "track": 1.3,
+    "apply_updates": 1.3,
+    "back_project": 1.5,
     "insert_scan": 1.5,
-}  # fmt: skip
+}
 """Functions of which the largest step within a time ratio is certified as well."""
 ENOUGH = 300
 """Silent corruptions from which a choice for such a function is made: fewer leave open which of its last instructions
@@ -182,12 +186,18 @@ def curve_table(curves: Sequence[Curve], certified: Mapping[tuple[str, str, floa
         certified: Certificates by function, signature and fraction.
     """
     columns = (
-        Column("function", "function"), Column("kernel", "kernel"), Column("step", "step", "number g"),
-        Column("instructions", "instr. ×", "number .2f"), Column("time", "time ×", "number .2f"),
-        Column("predicted", "SDCs removed, predicted", INTERVAL), Column("n", "n", NUMBER),
-        Column("before", "SDC before", INTERVAL), Column("after", "SDC after", INTERVAL),
-        Column("removed", "SDCs removed", INTERVAL), Column("verdict", "prediction"),
-    )  # fmt: skip
+        Column("function", "function"),
+        Column("kernel", "kernel"),
+        Column("step", "step", "number g"),
+        Column("instructions", "instr. ×", "number .2f"),
+        Column("time", "time ×", "number .2f"),
+        Column("predicted", "SDCs removed, predicted", INTERVAL),
+        Column("n", "n", NUMBER),
+        Column("before", "SDC before", INTERVAL),
+        Column("after", "SDC after", INTERVAL),
+        Column("removed", "SDCs removed", INTERVAL),
+        Column("verdict", "prediction"),
+    )
     rows: list[tuple[Any, ...]] = []
     for curve in curves:
         for step in curve.steps[1:]:
@@ -265,9 +275,14 @@ def main() -> None:
     study = Study.open(LEDGER)
     records = Records(LEDGER / "hardening.jsonl", options.learn)
     advices = advise(
-        study, options.budget, lambda text: print(text, flush=True), learn=records.learn, workers=os.cpu_count() or 1,
-        seconds=options.seconds, choices=choices,
-    )  # fmt: skip
+        study,
+        options.budget,
+        lambda text: print(text, flush=True),
+        learn=records.learn,
+        workers=os.cpu_count() or 1,
+        seconds=options.seconds,
+        choices=choices,
+    )
     advice = summary(study, advices, harm_of(study.runs))
     plan = plan_of(study, advices)
     save_plan(plan, PLAN)

@@ -32,9 +32,13 @@ NAME, PAGE = "mavfi-bench-1", "leaderboard"
 PUBLISHED = "paper"
 """The scale that has a page."""
 RULES = {
-    "collision flag": 1, "collision counter": 1, "path epoch": 2, "trajectory epochs": 2, "path vertices": 3,
+    "collision flag": 1,
+    "collision counter": 1,
+    "path epoch": 2,
+    "trajectory epochs": 2,
+    "path vertices": 3,
     "way-point": 4,
-}  # fmt: skip
+}
 """Rule of docs/engineers.md that protects each site of the part `sites`."""
 LEVELS = {
     "state": "a value between kernels, every stage alike",
@@ -47,9 +51,18 @@ LEVELS = {
 PAPERS, OURS = "gaussian", "recommended"
 PAPERS_OTHER = "autoencoder"
 SHOWN = (
-    OURS, "acceptance", "limits", "autoencoder all", "pca", PAPERS, "gaussian tuned", PAPERS_OTHER, "autoencoder tuned",
-    "readback", "random",
-)  # fmt: skip
+    OURS,
+    "acceptance",
+    "limits",
+    "autoencoder all",
+    "pca",
+    PAPERS,
+    "gaussian tuned",
+    PAPERS_OTHER,
+    "autoencoder tuned",
+    "readback",
+    "random",
+)
 """Schemes on the page; the table has all."""
 GROUPS = ("state", "message", "instruction", "memory")
 OBSERVER = "coupling observer"
@@ -225,16 +238,26 @@ def summary(bench: Bench, rows: Mapping[str, Sequence[Row]]) -> dict[str, Table]
     """Tables of what each scheme brings back, and of what it loses alone, summed over the parts."""
     alarms = {f"false alarms/h, {profile}": own for profile, own in false_alarms(bench, rows).items()}
     back = _sums(
-        "summary", "Missions brought back, of those lost to the fault", brought_back(bench, rows), alarms,
-        ["brought back / lost, over the parts that were flown with every detector; per cent, [95 % interval: Wilson, "
-         "flights in one world taken as independent]; false alarms: per hour of flight without a fault, by autopilot "
-         "profile, all environments"],
-    )  # fmt: skip
+        "summary",
+        "Missions brought back, of those lost to the fault",
+        brought_back(bench, rows),
+        alarms,
+        [
+            "brought back / lost, over the parts that were flown with every detector; per cent, [95 % interval: Wilson, "
+            "flights in one world taken as independent]; false alarms: per hour of flight without a fault, by autopilot "
+            "profile, all environments"
+        ],
+    )
     alone = _sums(
-        "lost_alone", "Missions lost by the scheme alone, of those with a fault", lost_alone(bench, rows), {},
-        ["lost alone: success without the scheme, failure with it, over all parts; golden flights lost by the scheme "
-         "alone count as lost; at level instruction only faults in the same value are compared"],
-    )  # fmt: skip
+        "lost_alone",
+        "Missions lost by the scheme alone, of those with a fault",
+        lost_alone(bench, rows),
+        {},
+        [
+            "lost alone: success without the scheme, failure with it, over all parts; golden flights lost by the scheme "
+            "alone count as lost; at level instruction only faults in the same value are compared"
+        ],
+    )
     return {"summary": back, "lost_alone": alone}
 
 
@@ -284,14 +307,18 @@ def headline(bench: Path) -> str:
     if len(lines) == 2:
         raise BadInputError(f"{bench}: no part was flown with {PAPERS}, {PAPERS_OTHER} and {OURS}; needed: one")
     moved = _MOVED if any(map(_OF.search, lines)) else ""
-    return "\n".join([
-        "**And what brings them back?** Missions in `dense` and `factory` lost to one flipped bit, and how many of "
-        "them a detector saves:",
-        "", *lines, "",
-        f"{_alarms(bench)}{moved}`recommended` consists of rules of physics and protocol; nothing is trained. "
-        f"[Leaderboard](docs/results/{PAGE}.md), with intervals; [five rules](docs/engineers.md) for a stack of your "
-        "own.",
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            "**And what brings them back?** Missions in `dense` and `factory` lost to one flipped bit, and how many of "
+            "them a detector saves:",
+            "",
+            *lines,
+            "",
+            f"{_alarms(bench)}{moved}`recommended` consists of rules of physics and protocol; nothing is trained. "
+            f"[Leaderboard](docs/results/{PAGE}.md), with intervals; [five rules](docs/engineers.md) for a stack of your "
+            "own.",
+        ]
+    )
 
 
 def _alarms(bench: Path) -> str:

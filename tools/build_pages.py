@@ -125,15 +125,20 @@ def sensor_table() -> str:
         "`ros1`": lambda unit: _executed(unit, "ros1"),
         "`ros1`, estimator": lambda unit: _executed(unit, "ros1", localization="estimator"),
         "`node`": lambda unit: _executed(unit, "node"),
-    }  # fmt: skip
+    }
     absent = [kind for kind in TYPES if kind not in MAVLINK_TYPES.values()]
     rows = [
-        "| unit | what changes | `wrong` | `garbage` |", "|---|---|---|---|",
-        *(unit_text(name, unit) for name, unit in UNITS.items()), "",
-        "| type | readers receive |", "|---|---|",
-        *(f"| `{kind}` | {text} |" for kind, text in TYPES.items() if kind != NULL), "",
-        "| executed by | " + " | ".join(columns) + " |", "|---|" + "---|" * len(columns),
-    ]  # fmt: skip
+        "| unit | what changes | `wrong` | `garbage` |",
+        "|---|---|---|---|",
+        *(unit_text(name, unit) for name, unit in UNITS.items()),
+        "",
+        "| type | readers receive |",
+        "|---|---|",
+        *(f"| `{kind}` | {text} |" for kind, text in TYPES.items() if kind != NULL),
+        "",
+        "| executed by | " + " | ".join(columns) + " |",
+        "|---|" + "---|" * len(columns),
+    ]
     for unit in UNITS:
         rows.append(f"| `{unit}` | " + " | ".join("yes" if of(unit) else "no" for of in columns.values()) + " |")
     rows += ["", f"MAVLink has no command for {', '.join(f'`{kind}`' for kind in absent)}; `ok` ends failures there."]

@@ -82,19 +82,30 @@ SECTIONS: dict[str, tuple[str, tuple[type[BaseModel], ...]]] = {
     "campaign-keys.md": (
         CAMPAIGN,
         (
-            campaigns.Campaign, *(find_level(name).sampling for name in level_names()),
-            *(host.config for host in extensions(GROUP).values() if host.config is not None), Study,
+            campaigns.Campaign,
+            *(find_level(name).sampling for name in level_names()),
+            *(host.config for host in extensions(GROUP).values() if host.config is not None),
+            Study,
         ),
     ),
     "config-keys.md": (
         CONFIGS,
         (
-            config.VehicleConfig, config.PlatformConfig, config.AutopilotConfig, config.PlannerConfig,
-            config.EnvironmentConfig, config.CameraConfig, config.MapConfig, config.WindConfig,
-            config.LocalizationConfig, DetectorConfig, DesignConfig, UpsetConfig,
+            config.VehicleConfig,
+            config.PlatformConfig,
+            config.AutopilotConfig,
+            config.PlannerConfig,
+            config.EnvironmentConfig,
+            config.CameraConfig,
+            config.MapConfig,
+            config.WindConfig,
+            config.LocalizationConfig,
+            DetectorConfig,
+            DesignConfig,
+            UpsetConfig,
         ),
     ),
-}  # fmt: skip
+}
 """Introduction and models of each page; nested models receive a section as well."""
 
 

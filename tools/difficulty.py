@@ -134,12 +134,14 @@ def effect_table(cells: list[Cell]) -> Table:
     """A row for each cell: golden flights, and the effect of one fault, by kind."""
     targets = [ALL, *dict.fromkeys(target for cell in cells for target in cell.runs.injected.values("target"))]
     columns = [
-        Column("autopilot", "autopilot"), Column("v_max", "v_max (m/s)", "number g"),
-        Column("density", "density", "number g"), Column("golden", "golden flights arrive, %", RATE),
+        Column("autopilot", "autopilot"),
+        Column("v_max", "v_max (m/s)", "number g"),
+        Column("density", "density", "number g"),
+        Column("golden", "golden flights arrive, %", RATE),
         Column("time", "median time (s)", "number .1f"),
         *(Column(f"fails_{target}", f"fail, {target}, %", RATE) for target in targets),
         *(Column(f"hurt_{target}", f"{SLOW}, {target}, %", RATE) for target in targets),
-    ]  # fmt: skip
+    ]
     rows = []
     for cell in cells:
         fails = (cell.effect(FAILS, target) for target in targets)
@@ -199,9 +201,19 @@ def _panel(axes: Any, cells: list[Cell], rates: list[Rate]) -> None:
             continue
         x, rate, low, high = (np.array(column, float) for column in zip(*shown, strict=True))
         axes.errorbar(
-            x, rate, np.clip([rate - low, high - rate], 0.0, None), color=colour, marker=marker, linestyle=dashes,
-            markersize=5, linewidth=1.4, elinewidth=1.0, capsize=2, label=f"v_max {speed:g} m/s", clip_on=False,
-        )  # fmt: skip
+            x,
+            rate,
+            np.clip([rate - low, high - rate], 0.0, None),
+            color=colour,
+            marker=marker,
+            linestyle=dashes,
+            markersize=5,
+            linewidth=1.4,
+            elinewidth=1.0,
+            capsize=2,
+            label=f"v_max {speed:g} m/s",
+            clip_on=False,
+        )
     axes.grid(True)
 
 

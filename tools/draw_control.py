@@ -84,8 +84,11 @@ def draw_pid() -> None:
     left.plot(found[:, 0], found[:, 1], color=style.INK, linewidth=0.9, label="reference")
     left.set(title="a step of 2 m", xlabel="time (s)", ylabel="x (m)")
     first, last = RAMP
-    right.set(title=f"reference at {RAMP_SPEED:g} m/s from {first:g} to {last:g} s", xlabel="time (s)",
-              ylabel="behind the reference (m)")  # fmt: skip
+    right.set(
+        title=f"reference at {RAMP_SPEED:g} m/s from {first:g} to {last:g} s",
+        xlabel="time (s)",
+        ylabel="behind the reference (m)",
+    )
     for axes in (left, right):
         axes.grid(True)
     left.legend(loc="lower right", fontsize=8.5)

@@ -66,10 +66,12 @@ def draw_moment(axes: Axes) -> None:
 def legend() -> list[Line2D | Patch]:
     """Legend entries of the colours."""
     lines: tuple[tuple[str, str, LineStyleType, float], ...] = (
-        ("flown", style.INK, "-", 2.0), ("tree from the start", style.SKY, "-", 1.3),
-        ("tree from the goal", style.AMBER, "-", 1.3), ("path", style.ORANGE, "--", 1.3),
+        ("flown", style.INK, "-", 2.0),
+        ("tree from the start", style.SKY, "-", 1.3),
+        ("tree from the goal", style.AMBER, "-", 1.3),
+        ("path", style.ORANGE, "--", 1.3),
         ("trajectory", style.GREEN, "-", 2.6),
-    )  # fmt: skip
+    )
     patches = (("obstacle", drawing.SOLID), ("map: occupied", OCCUPIED), (f"map: free at {HEIGHT:g} m", FREE))
     return [
         *(Line2D([], [], label=name, color=c, linestyle=d, linewidth=w) for name, c, d, w in lines),

@@ -55,8 +55,18 @@ def draw(axes: Axes, name: str, steps: list[Step]) -> None:
     axes.plot(times, rate, "o", color=style.BLUE, markersize=3.5)
     certified = np.array([step.certified for step in steps])
     lower, upper = certified[:, 0] - np.maximum(certified[:, 1], 0.0), certified[:, 2] - certified[:, 0]
-    axes.errorbar(times[1:], certified[:, 0], (lower, upper), fmt="s", color=style.ORANGE, markersize=6, capsize=3,
-                  markeredgecolor="white", linewidth=1.2, zorder=5)  # fmt: skip
+    axes.errorbar(
+        times[1:],
+        certified[:, 0],
+        (lower, upper),
+        fmt="s",
+        color=style.ORANGE,
+        markersize=6,
+        capsize=3,
+        markeredgecolor="white",
+        linewidth=1.2,
+        zorder=5,
+    )
     function, _, kernel = name.partition(" (")
     axes.set_title(f"{function}\n({kernel}", fontsize=9)
     axes.grid(visible=True)

@@ -96,9 +96,11 @@ def _point_at(waypoint: State, elements: np.ndarray, tape: drawing.Tape, time_us
 
 def _legend(resolution: float) -> list[Line2D | Patch]:
     marks: tuple[tuple[str, str, MarkerType], ...] = (
-        ("vehicle", style.INK, (3, 0, -90)), ("point in force", style.BLUE, "o"),
-        ("trajectory, a point per 0.5 s", style.GREEN, "."), ("the segment from here on collides", style.ORANGE, "X"),
-    )  # fmt: skip
+        ("vehicle", style.INK, (3, 0, -90)),
+        ("point in force", style.BLUE, "o"),
+        ("trajectory, a point per 0.5 s", style.GREEN, "."),
+        ("the segment from here on collides", style.ORANGE, "X"),
+    )
     return [
         *(Line2D([], [], label=name, color=colour, marker=marker, linestyle="") for name, colour, marker in marks),
         Patch(facecolor=SOLID, label=f"occupied voxel ({resolution:g} m)"),

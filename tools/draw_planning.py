@@ -131,8 +131,11 @@ def draw_shortcut() -> None:
     count = paths.shortcut_random(clearance.wide, clearance.grid, work, count, 80, seed_generator(1, 2), buffer)
     figure, axes = plt.subplots(figsize=(7.6, 4.6), layout="constrained")
     background(axes)
-    looks = (("from RRT-Connect", raw, style.SKY, "-"), ("greedy shortcuts", greedy, style.PURPLE, "--"),
-             ("then random ones", work[:count], style.ORANGE, "-"))  # fmt: skip
+    looks = (
+        ("from RRT-Connect", raw, style.SKY, "-"),
+        ("greedy shortcuts", greedy, style.PURPLE, "--"),
+        ("then random ones", work[:count], style.ORANGE, "-"),
+    )
     for name, path, colour, dashes in looks:
         label = f"{name}: {len(path)} vertices, {paths.path_length(path, len(path)):.0f} m"
         axes.plot(*path[:, :2].T, dashes, marker=".", color=colour, linewidth=1.7, label=label, zorder=5)

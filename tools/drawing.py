@@ -118,9 +118,14 @@ def shade(axes: Axes, grid: Grid, cells: np.ndarray, colour: str, *, alpha: floa
     """Colour the cells (nx, ny) that are true, seen from above."""
     x1, y1 = grid.x0 + grid.nx * grid.resolution, grid.y0 + grid.ny * grid.resolution
     axes.imshow(
-        np.where(cells, 1.0, np.nan).T, origin="lower", extent=(grid.x0, x1, grid.y0, y1), zorder=order, alpha=alpha,
-        cmap=ListedColormap([colour]), interpolation="nearest",
-    )  # fmt: skip
+        np.where(cells, 1.0, np.nan).T,
+        origin="lower",
+        extent=(grid.x0, x1, grid.y0, y1),
+        zorder=order,
+        alpha=alpha,
+        cmap=ListedColormap([colour]),
+        interpolation="nearest",
+    )
 
 
 def occupied_from_above(clearance: ClearanceMap, height: tuple[float, float] = (1.0, 9.0)) -> np.ndarray:

@@ -41,9 +41,13 @@ ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
 _FIRST_MISSION = 10_000
 _OTHER_NOISE = 100_000
 _VIEWS = (
-    "firmware_control", "firmware_control_phases", "firmware_classes", "firmware_faults", "firmware_phases",
+    "firmware_control",
+    "firmware_control_phases",
+    "firmware_classes",
+    "firmware_faults",
+    "firmware_phases",
     "firmware_functions",
-)  # fmt: skip
+)
 Row = dict[str, Any]
 
 
@@ -203,10 +207,12 @@ def pattern_table() -> Table:
 def golden_table() -> Table:
     """Golden missions by environment, with their times and those whose second flight had the same digest."""
     columns = (
-        Column("environment", "environment"), Column("success", "success", RATE),
+        Column("environment", "environment"),
+        Column("success", "success", RATE),
         Column("flight_s", "flight time, median (s)", "number .1f"),
-        Column("wall_s", "wall time, median (s)", "number .1f"), Column("same", "flown twice, same digest", NUMBER),
-    )  # fmt: skip
+        Column("wall_s", "wall time, median (s)", "number .1f"),
+        Column("same", "flown twice, same digest", NUMBER),
+    )
     cells = []
     for environment in ENVIRONMENTS:
         own = [row for row in rows_of("golden") if row["environment"] == environment]
@@ -220,12 +226,14 @@ def healthy_table() -> Table:
     """Classes, distances and largest errors of missions without a fault and with other gyro noise."""
     errors = ("tilt", "attitude", "velocity", "yaw_rate")
     columns = (
-        Column("seeds", "seeds"), Column("flights", "flights", NUMBER),
+        Column("seeds", "seeds"),
+        Column("flights", "flights", NUMBER),
         *(Column(one.value.replace(" ", "_"), one.value, NUMBER) for one in Control),
         Column("apart_m", "from the golden run, max (m)", "number .1f"),
-        Column("time", "longer, max", SIGNED), Column("energy", "more energy, max", SIGNED),
+        Column("time", "longer, max", SIGNED),
+        Column("energy", "more energy, max", SIGNED),
         *(Column(name, f"{name} error, max (rad, m/s, rad/s)", "number .2f") for name in errors),
-    )  # fmt: skip
+    )
     parts: dict[str, list[Row]] = {"evaluation": [], "design, from which the limits are": []}
     for row in rows_of("healthy"):
         parts[list(parts)[row["mission"] < _FIRST_MISSION]].append(row)

@@ -80,10 +80,13 @@ def fly(pattern: str, fault: RegisterFault | None = None) -> PatternFlight:
     up = 1.0 - 2.0 * (rows[:, 7] ** 2 + rows[:, 8] ** 2)  # z component of the body's z axis
     tilt = float(np.arccos(np.clip(np.nan_to_num(up, nan=-1.0), -1.0, 1.0)).max())
     return PatternFlight(
-        rows[:, :3], tilt, plant.collided or not np.isfinite(rows).all(),
-        ("", "") if lost is None else (lost.effect, lost.detail), hashlib.sha256(rows.tobytes()).hexdigest(),
+        rows[:, :3],
+        tilt,
+        plant.collided or not np.isfinite(rows).all(),
+        ("", "") if lost is None else (lost.effect, lost.detail),
+        hashlib.sha256(rows.tobytes()).hexdigest(),
         None if injector is None else injector.finish()[0],
-    )  # fmt: skip
+    )
 
 
 def _states(plant: Simulator, pattern: str) -> Iterator[np.ndarray]:
@@ -128,9 +131,15 @@ def to_json(pattern: str, golden: PatternFlight, flight: PatternFlight) -> dict[
     assert flight.injection is not None  # a flight with a fault
     one = flight.injection
     return {
-        "pattern": pattern, "outcome": outcome(golden, flight), "activated": one.activated,
-        "distance_m": distance(golden, flight), "tilt_deg": math.degrees(flight.largest_tilt), "lost": flight.lost,
-        "digest": flight.digest, "register_class": class_of(one.site),
+        "pattern": pattern,
+        "outcome": outcome(golden, flight),
+        "activated": one.activated,
+        "distance_m": distance(golden, flight),
+        "tilt_deg": math.degrees(flight.largest_tilt),
+        "lost": flight.lost,
+        "digest": flight.digest,
+        "register_class": class_of(one.site),
         "function": function_of(str(one.details.get("symbol", ""))),
-        "phase": phase(pattern, one), "injection": asdict(one),
-    }  # fmt: skip
+        "phase": phase(pattern, one),
+        "injection": asdict(one),
+    }

@@ -24,6 +24,10 @@ def full_plan(kernel: str, function: Any, signature: tuple[Any, ...]) -> Functio
     source = cached_source(function, signature)
     module = parse_module(source.text, source.kernel)
     return FunctionPlan(
-        kernel=kernel, function=source.kernel, signature=signature_text(signature), ir_sha256=digest_of(module),
-        addresses=True, sites=tuple(candidates(module)),
-    )  # fmt: skip
+        kernel=kernel,
+        function=source.kernel,
+        signature=signature_text(signature),
+        ir_sha256=digest_of(module),
+        addresses=True,
+        sites=tuple(candidates(module)),
+    )

@@ -37,23 +37,40 @@ TEXT = (
     "reference, `published` within 2.1 m; of the harder settings only `clutter` at 5 m/s is lost now and then."
 )
 COLUMNS = (
-    Column("environment", "environment"), Column("autopilot", "autopilot"), Column("planner", "planner"),
-    Column("platform", "platform"), Column("v_max", "v_max", "number g"), Column("arrived", "arrived, %", RATE),
-    Column("time_median", "flight time (s), median", "number .1f"), Column("time_p95", "p95", "number .1f"),
-    Column("time_max", "max", "number .1f"), Column("closest", "closest (m)", "number .2f"),
-    Column("replans_median", "replans, median", "number g"), Column("replans_max", "replans, max", NUMBER),
-    Column("failed_plans", "failed plans", NUMBER), Column("alarms", "alarms, median", "number g"),
-    Column("off_reference", "off reference (m)", "number .2f"), Column("speed", "speed / v_max", "number .3f"),
-    Column("warnings", "warnings", NUMBER), Column("lost_seeds", "seeds that did not arrive"),
-)  # fmt: skip
+    Column("environment", "environment"),
+    Column("autopilot", "autopilot"),
+    Column("planner", "planner"),
+    Column("platform", "platform"),
+    Column("v_max", "v_max", "number g"),
+    Column("arrived", "arrived, %", RATE),
+    Column("time_median", "flight time (s), median", "number .1f"),
+    Column("time_p95", "p95", "number .1f"),
+    Column("time_max", "max", "number .1f"),
+    Column("closest", "closest (m)", "number .2f"),
+    Column("replans_median", "replans, median", "number g"),
+    Column("replans_max", "replans, max", NUMBER),
+    Column("failed_plans", "failed plans", NUMBER),
+    Column("alarms", "alarms, median", "number g"),
+    Column("off_reference", "off reference (m)", "number .2f"),
+    Column("speed", "speed / v_max", "number .3f"),
+    Column("warnings", "warnings", NUMBER),
+    Column("lost_seeds", "seeds that did not arrive"),
+)
 NOTES = (
     "closest: smallest distance between the vehicle (collision radius 0.35 m) and the nearest true obstacle or the "
     "ground, over all flights; below 0 is a contact",
     "replans: plans after the first; alarms: collisions that the check predicted; off reference: largest distance "
     "between vehicle and reference; flight times: of flights that arrived; 95 % intervals: Wilson",
 )
-SHOWN = ("environment", "autopilot", "v_max", "arrived, %", "flight time (s), median", "closest (m)",
-         "off reference (m)")  # fmt: skip
+SHOWN = (
+    "environment",
+    "autopilot",
+    "v_max",
+    "arrived, %",
+    "flight time (s), median",
+    "closest (m)",
+    "off reference (m)",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,12 +133,17 @@ def measure(mission: MissionSpec) -> GoldenFlight:
     reference = log.columns("reference_x", "reference_y", "reference_z")
     speed = np.linalg.norm(log.columns("vx", "vy", "vz"), axis=1)
     return GoldenFlight(
-        seed=mission.seed, arrived=log.status is MissionStatus.SUCCESS, time_s=float(log.column("time")[-1]),
+        seed=mission.seed,
+        arrived=log.status is MissionStatus.SUCCESS,
+        time_s=float(log.column("time")[-1]),
         clearance_m=float(flight.world.clearance(position).min()) - scenario.vehicle.collision_radius,
         tracking_m=float(np.linalg.norm(position - reference, axis=1).max()),
-        speed_share=float(speed.max()) / scenario.v_max, plans=log.count("plan"),
-        failed_plans=log.count("plan_failed"), alarms=log.count("collision_predicted"), warnings=log.count("warning"),
-    )  # fmt: skip
+        speed_share=float(speed.max()) / scenario.v_max,
+        plans=log.count("plan"),
+        failed_plans=log.count("plan_failed"),
+        alarms=log.count("collision_predicted"),
+        warnings=log.count("warning"),
+    )
 
 
 def row(mission: MissionSpec, flights: Sequence[GoldenFlight]) -> tuple[Any, ...]:
@@ -130,14 +152,23 @@ def row(mission: MissionSpec, flights: Sequence[GoldenFlight]) -> tuple[Any, ...
     lost = [flight.seed for flight in flights if not flight.arrived]
     replans = [max(flight.plans - 1, 0) for flight in flights]
     return (
-        name_of(mission), mission.autopilot, mission.planner, mission.platform, mission.v_max,
+        name_of(mission),
+        mission.autopilot,
+        mission.planner,
+        mission.platform,
+        mission.v_max,
         wilson(len(times), len(flights)),
         *((float(np.median(times)), float(np.percentile(times, 95)), max(times)) if times else (None, None, None)),
-        min(flight.clearance_m for flight in flights), float(np.median(replans)), max(replans),
-        sum(flight.failed_plans for flight in flights), float(np.median([flight.alarms for flight in flights])),
-        max(flight.tracking_m for flight in flights), max(flight.speed_share for flight in flights),
-        sum(flight.warnings for flight in flights), " ".join(map(str, lost)),
-    )  # fmt: skip
+        min(flight.clearance_m for flight in flights),
+        float(np.median(replans)),
+        max(replans),
+        sum(flight.failed_plans for flight in flights),
+        float(np.median([flight.alarms for flight in flights])),
+        max(flight.tracking_m for flight in flights),
+        max(flight.speed_share for flight in flights),
+        sum(flight.warnings for flight in flights),
+        " ".join(map(str, lost)),
+    )
 
 
 def write_page(rows: Sequence[tuple[Any, ...]], about: Sequence[str]) -> None:

@@ -10,9 +10,22 @@ from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.ros.ros1 import finder
 
 _PYTHON = (
-    "rosmaster", "rospy", "rosbag", "rostopic", "rosnode", "rosmsg", "rosservice", "rosparam", "std-msgs",
-    "sensor-msgs", "tf2-msgs", "std-srvs", "rosgraph-msgs", "genpy", "genmsg",
-)  # fmt: skip
+    "rosmaster",
+    "rospy",
+    "rosbag",
+    "rostopic",
+    "rosnode",
+    "rosmsg",
+    "rosservice",
+    "rosparam",
+    "std-msgs",
+    "sensor-msgs",
+    "tf2-msgs",
+    "std-srvs",
+    "rosgraph-msgs",
+    "genpy",
+    "genmsg",
+)
 _DEFINITIONS = ("std-msgs", "sensor-msgs", "tf2-msgs", "rosgraph-msgs", "robot-state-publisher")
 PACKAGES = ("topic-tools", *map("python3-{}".format, _PYTHON), *map("ros-{}".format, _DEFINITIONS))
 """Nodes and tools; `robot_state_publisher` is the example of a node of others."""
@@ -52,9 +65,18 @@ def unpack(folder: Path, status: Path = Path("/var/lib/dpkg/status")) -> int:
     for place in (state / "lists" / "partial", cache / "archives" / "partial"):
         place.mkdir(parents=True, exist_ok=True)
     options = [
-        "-qq", "-o", f"Dir::State={state}", "-o", f"Dir::State::status={status}", "-o", f"Dir::Cache={cache}",
-        "-o", "Debug::NoLocking=1", "-o", "APT::Sandbox::User=",
-    ]  # fmt: skip
+        "-qq",
+        "-o",
+        f"Dir::State={state}",
+        "-o",
+        f"Dir::State::status={status}",
+        "-o",
+        f"Dir::Cache={cache}",
+        "-o",
+        "Debug::NoLocking=1",
+        "-o",
+        "APT::Sandbox::User=",
+    ]
     _run(["apt-get", *options, "update"])
     planned = _run(["apt-get", *options, "install", "--simulate", "--no-install-recommends", *PACKAGES])
     wanted = [line.split()[1] for line in planned.splitlines() if line.startswith("Inst ")]

@@ -33,15 +33,25 @@ FLIPS = 300
 SETTINGS = [(kind, profile) for kind in ("gaussian", "autoencoder") for profile in ("tuned", "paper")]
 SETS = {
     "PX4": ("px4_sample.ulg", "one multicopter flight: trained on its first half, judged on the second"),
-    "RflyMAD": ("rflymad_*.ulg", "motor fault at a known time: trained on the part before the fault of the other "
-                "flights, judged on the part before the fault of each; then the fault"),
+    "RflyMAD": (
+        "rflymad_*.ulg",
+        "motor fault at a known time: trained on the part before the fault of the other "
+        "flights, judged on the part before the fault of each; then the fault",
+    ),
     "EuRoC": ("euroc_*.csv", "ground truth of indoor flights, 200 Hz: trained on the other flights, judged on each"),
-}  # fmt: skip
+}
 
 HEADINGS = (
-    "logs", "detector", "exposure", "false alarm events", "per hour [95 %]", "messages with an alarm",
-    *(f"flips detected, {bits} (%)" for bits in BIT_CLASSES), "faults with an alarm (%)", "delays (s)",
-)  # fmt: skip
+    "logs",
+    "detector",
+    "exposure",
+    "false alarm events",
+    "per hour [95 %]",
+    "messages with an alarm",
+    *(f"flips detected, {bits} (%)" for bits in BIT_CLASSES),
+    "faults with an alarm (%)",
+    "delays (s)",
+)
 TEXT = (
     "On flights that mavfi neither flew nor simulated, GAD and AAD find every motor fault within 0.2 s, a third to "
     "four fifths of flipped signs and exponents, and a flipped mantissa hardly ever. **The exposure is minutes, not "
@@ -76,11 +86,16 @@ def rows(name: str, recordings: Sequence[Recording]) -> list[tuple[str, ...]]:
     for kind, profile in SETTINGS:
         rates = Rates(judge_apart(recordings, kind, profile))
         cells = (
-            name, f"{kind}, {profile}", f"{rates.exposure_s / 60:.1f} min", str(rates.alarms.events),
-            rate_text(rates.alarms), f"{rates.alarm_percent:.2g} %",
-            *(rate(rates.flips.get(bits)) for bits in BIT_CLASSES), rate(rates.faults),
+            name,
+            f"{kind}, {profile}",
+            f"{rates.exposure_s / 60:.1f} min",
+            str(rates.alarms.events),
+            rate_text(rates.alarms),
+            f"{rates.alarm_percent:.2g} %",
+            *(rate(rates.flips.get(bits)) for bits in BIT_CLASSES),
+            rate(rates.faults),
             ", ".join(f"{delay:.2f}" for delay in rates.delays_s) or ABSENT,
-        )  # fmt: skip
+        )
         found.append(cells)
     return found
 

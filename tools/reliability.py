@@ -84,10 +84,14 @@ def row_of(test: Long, share: float) -> Row:
     output, code, seconds = run(test, share)
     lines = [line.strip() for line in output.rstrip().splitlines() if "Done." not in line]
     return {
-        "test": test.name, "asks": test.asks, "tries": f"{tries:,} {test.unit}",
-        "result": "passed" if code == 0 else "FAILED", "minutes": f"{seconds / 60:.1f}", "date": str(date.today()),
+        "test": test.name,
+        "asks": test.asks,
+        "tries": f"{tries:,} {test.unit}",
+        "result": "passed" if code == 0 else "FAILED",
+        "minutes": f"{seconds / 60:.1f}",
+        "date": str(date.today()),
         "last line": lines[-1] if lines else "",
-    }  # fmt: skip
+    }
 
 
 def _written() -> dict[str, Row]:

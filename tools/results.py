@@ -61,9 +61,14 @@ class Excerpt:
 
 
 def write(
-    name: str, title: str, text: str, tables: Mapping[str, Table], excerpts: Sequence[Excerpt],
-    about: Sequence[str] = (), keep: Sequence[str] = (),
-) -> Path:  # fmt: skip
+    name: str,
+    title: str,
+    text: str,
+    tables: Mapping[str, Table],
+    excerpts: Sequence[Excerpt],
+    about: Sequence[str] = (),
+    keep: Sequence[str] = (),
+) -> Path:
     """Write the tables of a page as CSV, and the page.
 
     Args:
@@ -124,8 +129,11 @@ CAMPAIGNS = {
         {"lasting": ("schemes", "schemes_by_duration", "schemes_by_target")},
         (
             Excerpt("schemes", columns=("scheme", "faults", *SUMMARY)),
-            Excerpt("schemes_by_duration", lambda row: row["scheme"] in ("recommended", "hold"),
-                    ("fault", "scheme", "lost", "brought back", "vehicle saved")),
+            Excerpt(
+                "schemes_by_duration",
+                lambda row: row["scheme"] in ("recommended", "hold"),
+                ("fault", "scheme", "lost", "brought back", "vehicle saved"),
+            ),
         ),
     ),
     "protected": CampaignPage(
@@ -137,9 +145,11 @@ CAMPAIGNS = {
         {"protected": ("kernel_effects_by_setting", "schemes_instructions", "failures_per_hour")},
         (
             Excerpt("schemes_instructions", columns=("scheme", "faults", "lost", "brought back", "lost under it")),
-            Excerpt("kernel_effects_by_setting",
-                    lambda row: row["kernel"] in ("pid", "rrt_connect") and row["setting"].startswith("fi"),
-                    ("kernel", "setting", "n", "masked", "sdc", "due", "detected")),
+            Excerpt(
+                "kernel_effects_by_setting",
+                lambda row: row["kernel"] in ("pid", "rrt_connect") and row["setting"].startswith("fi"),
+                ("kernel", "setting", "n", "masked", "sdc", "due", "detected"),
+            ),
         ),
     ),
     "sensors": CampaignPage(
@@ -170,13 +180,20 @@ CAMPAIGNS = {
             Excerpt("detector_memory_others-by_target"),
         ),
     ),
-}  # fmt: skip
+}
 MODULES = {
-    "leaderboard": "tools.build_leaderboard", "five-rules": "tools.build_rules", "hardening": "tools.build_hardening",
-    "golden-rates": "tools.golden_rates", "difficulty": "tools.difficulty", "fault-map": "tools.build_fault_map",
-    "firmware": "tools.firmware_faults", "real-logs": "tools.real_logs", "reliability": "tools.reliability",
-    "speed": "benchmarks.run", "study": "tools.build_readme",
-}  # fmt: skip
+    "leaderboard": "tools.build_leaderboard",
+    "five-rules": "tools.build_rules",
+    "hardening": "tools.build_hardening",
+    "golden-rates": "tools.golden_rates",
+    "difficulty": "tools.difficulty",
+    "fault-map": "tools.build_fault_map",
+    "firmware": "tools.firmware_faults",
+    "real-logs": "tools.real_logs",
+    "reliability": "tools.reliability",
+    "speed": "benchmarks.run",
+    "study": "tools.build_readme",
+}
 """Modules that measure and write a page, by its name; each reads further options from the environment."""
 
 

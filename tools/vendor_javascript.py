@@ -54,11 +54,18 @@ def main() -> None:
         packages = {name: fetch(name, version, folder) for name, version in VERSIONS.items()}
         (folder / "entry.js").write_text(ENTRY, encoding="utf-8")
         command: list[str | Path] = [
-            packages["@esbuild/linux-x64"] / "bin" / "esbuild", "entry.js", "--bundle", "--minify", "--format=iife",
-            "--global-name=THREE", "--target=es2020", "--legal-comments=none", "--log-level=warning",
+            packages["@esbuild/linux-x64"] / "bin" / "esbuild",
+            "entry.js",
+            "--bundle",
+            "--minify",
+            "--format=iife",
+            "--global-name=THREE",
+            "--target=es2020",
+            "--legal-comments=none",
+            "--log-level=warning",
             f"--alias:three={packages['three'] / 'build' / 'three.module.js'}",
             f"--alias:three/addons={packages['three'] / 'examples' / 'jsm'}",
-        ]  # fmt: skip
+        ]
         bundle = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout
         uplot = (packages["uplot"] / "dist" / "uPlot.iife.min.js").read_text(encoding="utf-8")
         style = (packages["uplot"] / "dist" / "uPlot.min.css").read_text(encoding="utf-8")

@@ -39,10 +39,16 @@ if TYPE_CHECKING:
 
 
 def fly(
-    mission: MissionSpec | None = None, *, fault: Fault | str | None = None, fault_seed: int = 0,
-    detector: Detector | str | None = None, profile: str = "paper", models: Path | str | None = None,
-    detector_options: Mapping[str, Any] | None = None, **options: Any,
-) -> FlightResult:  # fmt: skip
+    mission: MissionSpec | None = None,
+    *,
+    fault: Fault | str | None = None,
+    fault_seed: int = 0,
+    detector: Detector | str | None = None,
+    profile: str = "paper",
+    models: Path | str | None = None,
+    detector_options: Mapping[str, Any] | None = None,
+    **options: Any,
+) -> FlightResult:
     """Fly one mission; with a fault, also its golden run; with a fault and a detector, also the fault without detector.
 
     Args:
@@ -92,9 +98,14 @@ def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **opt
 
 
 def run(
-    campaign: "Campaign | str | Path", directory: Path | str, *, workers: int = 2, models: Path | str | None = None,
-    executor: "Executor | None" = None, progress: "Callable[[Progress], None] | None" = None,
-) -> "Runs":  # fmt: skip
+    campaign: "Campaign | str | Path",
+    directory: Path | str,
+    *,
+    workers: int = 2,
+    models: Path | str | None = None,
+    executor: "Executor | None" = None,
+    progress: "Callable[[Progress], None] | None" = None,
+) -> "Runs":
     """Fly a campaign or its remaining runs, and load its ledger.
 
     Args:
@@ -117,9 +128,12 @@ def run(
     if chosen is not campaign:
         check_names(chosen, str(campaign))
     run_campaign(
-        chosen, Path(directory), executor=executor or LocalExecutor(workers),
-        models_dir=None if models is None else Path(models), progress=progress,
-    )  # fmt: skip
+        chosen,
+        Path(directory),
+        executor=executor or LocalExecutor(workers),
+        models_dir=None if models is None else Path(models),
+        progress=progress,
+    )
     return load(directory)
 
 
@@ -166,7 +180,7 @@ def figure(runs: "Runs", name: str) -> "Figure":
 
 def fly_request(
     setup: ArmSetup, fault: Request | Fault | None, seed: int, label: str, bare: Scenario, own_host: Host | None = None
-) -> FlightResult:  # fmt: skip
+) -> FlightResult:
     """Fly the golden run and a fault; a requested fault is drawn first, from the golden run.
 
     Args:
@@ -198,7 +212,7 @@ def fly_request(
 
 def _flown(
     host: Host, setup: ArmSetup, fault: Fault | None, golden: Flight | None = None
-) -> tuple[Flight, Flight | None]:  # fmt: skip
+) -> tuple[Flight, Flight | None]:
     """Return the flight and its golden run, which may be known; without a fault, the golden run and None."""
     arms = {"": setup, "golden": replace(setup, observers=())}  # observers see the flight with the fault only
     flights: Any = host.mission(arms, fast_forward=False)  # each host has its own type

@@ -121,9 +121,12 @@ class VehicleConfig(Config):
     inertia: Vector = Field(description="kg m^2, principal, body frame")
     arm_length: float = Field(gt=0, le=100, description="m, rotor axis to centre")
     collision_radius: float = Field(
-        gt=0, le=5, validation_alias=AliasChoices("collision_radius", "hull_radius"), serialization_alias="hull_radius",
+        gt=0,
+        le=5,
+        validation_alias=AliasChoices("collision_radius", "hull_radius"),
+        serialization_alias="hull_radius",
         description="m, of the sphere that counts as the vehicle",
-    )  # fmt: skip
+    )
     max_rotor_thrust: float = Field(gt=0, le=1e6, description="N, one rotor")
     rotor_torque_ratio: float = Field(gt=0, le=100, description="m, torque / thrust")
     rotor_time_constant: float = Field(ge=0, le=10, description="s")

@@ -10,12 +10,24 @@ from pathlib import Path
 
 _MOST_SHOWN = 12
 _MACHINE = {
-    errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EIO, errno.EROFS,
-}  # fmt: skip
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EMFILE,
+    errno.ENFILE,
+    errno.ENOMEM,
+    errno.EAGAIN,
+    errno.EIO,
+    errno.EROFS,
+}
 _MACHINE_OF_SQLITE = {
-    sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_NOMEM,
-    sqlite3.SQLITE_PROTOCOL, sqlite3.SQLITE_CORRUPT,  # EIO while reading a ledger that was sound when opened
-}  # fmt: skip
+    sqlite3.SQLITE_FULL,
+    sqlite3.SQLITE_IOERR,
+    sqlite3.SQLITE_CANTOPEN,
+    sqlite3.SQLITE_READONLY,
+    sqlite3.SQLITE_NOMEM,
+    sqlite3.SQLITE_PROTOCOL,
+    sqlite3.SQLITE_CORRUPT,  # EIO while reading a ledger that was sound when opened
+}
 _NO_MEMORY = "could not allocate"
 """MuJoCo's message; it raises no MemoryError."""
 

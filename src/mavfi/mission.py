@@ -168,9 +168,19 @@ RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded")
 OF_A_DETECTOR = (*RECOVERY, "trained_for")
 """Mission keys without effect on a flight without a detector."""
 OF_THE_PIPELINE = (
-    "autopilot", "planner", "platform", "map", "map_resolution", "depth_noise", "localization", "dead_node", "alarm",
-    "epoch_liveness", "protection", *OF_A_DETECTOR,
-)  # fmt: skip
+    "autopilot",
+    "planner",
+    "platform",
+    "map",
+    "map_resolution",
+    "depth_noise",
+    "localization",
+    "dead_node",
+    "alarm",
+    "epoch_liveness",
+    "protection",
+    *OF_A_DETECTOR,
+)
 """Mission keys without effect where another program flies the vehicle."""
 _OPTIONS = ("wind", "localization", "dead_node", "flight_controller", "protection")
 _AUTOPILOT_OPTIONS = ("alarm",)

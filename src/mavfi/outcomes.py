@@ -91,9 +91,11 @@ class ControlErrors:
     def beyond(self, limits: "ControlErrors") -> bool:
         """Whether any of them is not within its limit; NaN is not."""
         return not (
-            self.tilt <= limits.tilt and self.attitude <= limits.attitude and self.velocity <= limits.velocity
+            self.tilt <= limits.tilt
+            and self.attitude <= limits.attitude
+            and self.velocity <= limits.velocity
             and self.yaw_rate <= limits.yaw_rate
-        )  # fmt: skip
+        )
 
 
 LASTING_S = 0.5

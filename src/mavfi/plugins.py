@@ -220,8 +220,12 @@ def build(
 
 
 def _taken(
-    what: str, name: str, factory: Any, of_mission: Mapping[str, object], options: Mapping[str, object]  # noqa: ANN401
-) -> dict[str, object]:  # fmt: skip
+    what: str,
+    name: str,
+    factory: Any,
+    of_mission: Mapping[str, object],
+    options: Mapping[str, object],  # noqa: ANN401
+) -> dict[str, object]:
     """Arguments by name: what a class takes from the mission, and options, all of which it must have."""
     parameters = parameters_of(what, name, factory)
     taken = {key: value for key, value in of_mission.items() if key in parameters}

@@ -20,9 +20,28 @@ from mavfi.files import read_file
 from mavfi.mission import MissionStatus
 
 COLUMNS = (
-    "time", "x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "wx", "wy", "wz",
-    "command_vx", "command_vy", "command_vz", "command_yaw_rate", "reference_x", "reference_y", "reference_z",
-)  # fmt: skip
+    "time",
+    "x",
+    "y",
+    "z",
+    "vx",
+    "vy",
+    "vz",
+    "qw",
+    "qx",
+    "qy",
+    "qz",
+    "wx",
+    "wy",
+    "wz",
+    "command_vx",
+    "command_vy",
+    "command_vz",
+    "command_yaw_rate",
+    "reference_x",
+    "reference_y",
+    "reference_z",
+)
 """Columns of `FlightLog.rows`: s, m, m/s, unit quaternion, rad/s (body), m/s and rad/s, m."""
 LATEST_S = 1e9
 """Latest instant of a flight (s)."""
@@ -219,9 +238,10 @@ class FlightLog:
             "status": self.status.name,
             "events": [[e.time_us, e.kind, e.data] for e in self.events],
             "injections": [injection.to_json() for injection in self.injections],
-            "alarms": [alarm.to_json() for alarm in self.alarms], "meta": self.meta,
+            "alarms": [alarm.to_json() for alarm in self.alarms],
+            "meta": self.meta,
             "kernel": None if self.kernel is None else asdict(self.kernel),
-        }  # fmt: skip
+        }
         buffer = io.BytesIO()
         columns: dict[str, Any] = dict(zip(COLUMNS, self.rows.T, strict=True))
         np.savez_compressed(buffer, **columns, record=np.array(json.dumps(data)))
@@ -458,13 +478,26 @@ def record_of(log: FlightLog) -> FlightRecord:
     events = Counter(event.kind for event in log.events)
     end = End.DUE if events[CONTROLLER_LOST] else End.FLOWN
     return FlightRecord(
-        end, log.status.label, log.digest(), duration, distance, energy, meta.get("course_m", 0.0),
-        meta.get("time_limit_s", 0.0), tuple(log.injections), tuple(kept_alarms(log.injections, log.alarms)),
-        len(log.alarms), dict(Counter(f"{a.source}/{a.action}/{a.outcome}" for a in log.alarms)),
-        dict(events), dict(meta.get("compute_us", {})),
-        dict(meta.get("recompute_us", {})), dict(meta.get("publications", {})), {},
-        meta.get("rejected_commands", 0), log.kernel,
-    )  # fmt: skip
+        end,
+        log.status.label,
+        log.digest(),
+        duration,
+        distance,
+        energy,
+        meta.get("course_m", 0.0),
+        meta.get("time_limit_s", 0.0),
+        tuple(log.injections),
+        tuple(kept_alarms(log.injections, log.alarms)),
+        len(log.alarms),
+        dict(Counter(f"{a.source}/{a.action}/{a.outcome}" for a in log.alarms)),
+        dict(events),
+        dict(meta.get("compute_us", {})),
+        dict(meta.get("recompute_us", {})),
+        dict(meta.get("publications", {})),
+        {},
+        meta.get("rejected_commands", 0),
+        log.kernel,
+    )
 
 
 def kept_alarms(injections: Sequence[Injection], alarms: Sequence[AlarmRecord]) -> list[AlarmRecord]:
@@ -492,9 +525,14 @@ def _motion(log: FlightLog) -> tuple[float, float, EnergyTerms]:
     speed_xy, acceleration_xy = (np.sqrt(v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1]) for v in (mean, acceleration))
     speed_z, acceleration_z = np.abs(mean[:, 2]), np.abs(acceleration[:, 2])
     terms = (
-        np.ones(len(interval)), speed_xy, acceleration_xy, speed_xy * acceleration_xy, speed_z, acceleration_z,
+        np.ones(len(interval)),
+        speed_xy,
+        acceleration_xy,
+        speed_xy * acceleration_xy,
+        speed_z,
+        acceleration_z,
         speed_z * acceleration_z,
-    )  # fmt: skip
+    )
     distance = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
     return float(time[-1] - time[0]), distance, EnergyTerms(*(float((term * interval).sum()) for term in terms))
 

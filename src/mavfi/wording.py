@@ -11,16 +11,23 @@ from mavfi.dropped import dropped_key, dropped_value
 from mavfi.errors import hint
 
 _ALLOWED = {
-    "greater_than": "above {gt:g}", "greater_than_equal": "{ge:g} or more",
-    "less_than": "below {lt:g}", "less_than_equal": "{le:g} or less", "multiple_of": "multiples of {multiple_of:g}",
-    "finite_number": "a finite number", "float_type": "a number", "float_parsing": "a number",
+    "greater_than": "above {gt:g}",
+    "greater_than_equal": "{ge:g} or more",
+    "less_than": "below {lt:g}",
+    "less_than_equal": "{le:g} or less",
+    "multiple_of": "multiples of {multiple_of:g}",
+    "finite_number": "a finite number",
+    "float_type": "a number",
+    "float_parsing": "a number",
     **dict.fromkeys(("int_type", "int_parsing", "int_from_float", "int_parsing_size"), "a whole number"),
-    **dict.fromkeys(("bool_type", "bool_parsing"), "true, false"), "string_type": "text",
+    **dict.fromkeys(("bool_type", "bool_parsing"), "true, false"),
+    "string_type": "text",
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type", "mapping_type"), "keys with values"),
     **dict.fromkeys(("list_type", "tuple_type"), "a list"),
-    "too_short": "a list of {min_length} or more", "too_long": "a list of {max_length} or fewer",
+    "too_short": "a list of {min_length} or more",
+    "too_long": "a list of {max_length} or fewer",
     "string_pattern_mismatch": "text of the form {pattern}",
-}  # fmt: skip
+}
 """What is allowed, by pydantic's type of error."""
 _LONGEST = 60
 """Longest list that is shown (characters)."""
@@ -106,8 +113,10 @@ def _members(annotation: Any) -> tuple[Any, ...]:  # noqa: ANN401
 
 
 def _place(
-    owner: type[BaseModel], annotation: Any, location: tuple[int | str, ...]  # noqa: ANN401
-) -> tuple[type[BaseModel], tuple[int | str, ...]]:  # fmt: skip
+    owner: type[BaseModel],
+    annotation: Any,
+    location: tuple[int | str, ...],  # noqa: ANN401
+) -> tuple[type[BaseModel], tuple[int | str, ...]]:
     """The model in which a location's last key stands, and the location in the file: without marks of pydantic."""
     if not location or location[0] == _KEY:
         return owner, ()

@@ -26,12 +26,13 @@ SHORT = {"start": [2.0, 0.0, 3.0], "goal": [9.0, 0.0, 3.0]}
 CAMPAIGNS = {
     "state": {"sampling": {"level": "state"}, "missions": 4, "faults": 6, "null_runs": 1},
     "instruction": {
-        "sampling": {"level": "instruction", "kernels": ["pid", "point_cloud", "rrt_connect"]}, "missions": 4,
+        "sampling": {"level": "instruction", "kernels": ["pid", "point_cloud", "rrt_connect"]},
+        "missions": 4,
         "faults": 4,
     },
     "dask": {"sampling": {"level": "state"}, "missions": 4, "faults": 6, "null_runs": 1},
     "ros": {"host": "ros1", "sampling": {"level": "state"}, "missions": 1, "faults": 1, "null_runs": 0},
-}  # fmt: skip
+}
 OPTIONS = {"dask": ["--executor", "dask"]}
 ROLES = ("command", "worker", "flight")
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGSTOP)
@@ -54,14 +55,27 @@ class Campaign:
     def begin(self):
         """Start or resume it."""
         command = [
-            sys.executable, "-m", "mavfi", "campaign", "run", str(self.folder / "campaign.yaml"), "--out",
-            str(self.ledger), "--workers", "2", *OPTIONS.get(self.level, []),
-        ]  # fmt: skip
+            sys.executable,
+            "-m",
+            "mavfi",
+            "campaign",
+            "run",
+            str(self.folder / "campaign.yaml"),
+            "--out",
+            str(self.ledger),
+            "--workers",
+            "2",
+            *OPTIONS.get(self.level, []),
+        ]
         with (self.folder / "log").open("ab") as log:
             self.process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True,
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
                 env={**os.environ, "TMPDIR": str(self.scratch)},
-            )  # fmt: skip
+            )
 
     def look(self):
         """Living processes by role; the command's children are workers, theirs are flights."""
@@ -253,9 +267,13 @@ def main():
             level = levels[number % len(levels)]
             place = Path(folder) / str(number)
             found = disturbed(
-                level, place, references[level], min(KILLS_PER_CAMPAIGN, kills - hits.total()), draw,
+                level,
+                place,
+                references[level],
+                min(KILLS_PER_CAMPAIGN, kills - hits.total()),
+                draw,
                 lambda hit: hits.update([hit]),
-            )  # fmt: skip
+            )
             for line in found:
                 wrong.append(f"{level} {number}: {line}")
                 say(wrong[-1])

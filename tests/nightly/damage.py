@@ -28,9 +28,12 @@ from tests.core.unit.campaign.fakes import small
 from tests.nightly.chaos import say
 
 VERBS = (
-    ("campaign", "status", "{}"), ("campaign", "digest", "{}"), ("campaign", "verify", "{}", "--share", "0.02"),
-    ("report", "{}"), ("runs", "{}"),
-)  # fmt: skip
+    ("campaign", "status", "{}"),
+    ("campaign", "digest", "{}"),
+    ("campaign", "verify", "{}", "--share", "0.02"),
+    ("report", "{}"),
+    ("runs", "{}"),
+)
 CUTS = 300
 _HALF = 40
 _EVERY = 20
@@ -58,10 +61,12 @@ def _fly(folder, runs=None, **changes):
 def ledgers(folder):
     """By name: complete, half done, killed, and complete ones of other seeds and of other faults."""
     return {
-        "complete": _fly(folder / "complete"), "half": _fly(folder / "half", runs=_HALF),
-        "killed": _fly(folder / "killed", runs=-_HALF), "foreign": _fly(folder / "foreign", first_seed=20_000),
+        "complete": _fly(folder / "complete"),
+        "half": _fly(folder / "half", runs=_HALF),
+        "killed": _fly(folder / "killed", runs=-_HALF),
+        "foreign": _fly(folder / "foreign", first_seed=20_000),
         "sibling": _fly(folder / "sibling", faults=9),
-    }  # fmt: skip
+    }
 
 
 def content(folder):
@@ -197,17 +202,29 @@ def journals(bench):
 
 
 STATEMENTS = (
-    "DROP TABLE runs", "DROP TABLE missions", "DROP TABLE meta", "DELETE FROM meta WHERE key = 'identity'",
-    "DELETE FROM meta WHERE key = 'missions'", "DELETE FROM missions", "DELETE FROM runs",
-    "DELETE FROM missions WHERE rowid = 2", "DELETE FROM runs WHERE position = (SELECT MAX(position) FROM runs)",
-    "DELETE FROM runs WHERE position = 3", "DELETE FROM runs WHERE seed = 10001", "ALTER TABLE runs ADD COLUMN more",
-    "ALTER TABLE runs RENAME TO flights", "UPDATE runs SET position = position + 1000 WHERE position = 3",
+    "DROP TABLE runs",
+    "DROP TABLE missions",
+    "DROP TABLE meta",
+    "DELETE FROM meta WHERE key = 'identity'",
+    "DELETE FROM meta WHERE key = 'missions'",
+    "DELETE FROM missions",
+    "DELETE FROM runs",
+    "DELETE FROM missions WHERE rowid = 2",
+    "DELETE FROM runs WHERE position = (SELECT MAX(position) FROM runs)",
+    "DELETE FROM runs WHERE position = 3",
+    "DELETE FROM runs WHERE seed = 10001",
+    "ALTER TABLE runs ADD COLUMN more",
+    "ALTER TABLE runs RENAME TO flights",
+    "UPDATE runs SET position = position + 1000 WHERE position = 3",
     "UPDATE runs SET record = (SELECT record FROM runs WHERE position = 5) WHERE position = 3",
-    "UPDATE runs SET record = NULL WHERE position = 3", "UPDATE runs SET record = x'00' WHERE position = 3",
-    "UPDATE runs SET checksum = '' WHERE position = 3", "UPDATE runs SET spec = '{}' WHERE position = 3",
-    "UPDATE missions SET seed = seed + 1000 WHERE rowid = 1", "PRAGMA user_version = 99",
+    "UPDATE runs SET record = NULL WHERE position = 3",
+    "UPDATE runs SET record = x'00' WHERE position = 3",
+    "UPDATE runs SET checksum = '' WHERE position = 3",
+    "UPDATE runs SET spec = '{}' WHERE position = 3",
+    "UPDATE missions SET seed = seed + 1000 WHERE rowid = 1",
+    "PRAGMA user_version = 99",
     "INSERT INTO missions SELECT environment, seed + 500, checksum FROM missions LIMIT 1",
-)  # fmt: skip
+)
 
 
 _MISSIONS = {"DELETE FROM meta WHERE key = 'missions'", "DELETE FROM missions", "DELETE FROM missions WHERE rowid = 2"}
@@ -239,7 +256,7 @@ MOVES = {
     ),
     "identity of another campaign": ("INSERT OR REPLACE INTO meta SELECT * FROM other.meta WHERE key = 'identity'",),
     "size of another campaign": ("INSERT OR REPLACE INTO meta SELECT * FROM other.meta WHERE key = 'missions'",),
-}  # fmt: skip
+}
 """What is taken from another ledger."""
 
 

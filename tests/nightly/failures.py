@@ -29,17 +29,33 @@ from tests.nightly.syscalls import Supervised, heap_end, why_not
 
 CAMPAIGNS = {
     "state": {"sampling": {"level": "state"}, "missions": 2, "faults": 3, "null_runs": 1},
-    "instruction": {"sampling": {"level": "instruction", "kernels": ["pid", "point_cloud"]}, "missions": 2,
-                    "faults": 3},
-}  # fmt: skip
+    "instruction": {
+        "sampling": {"level": "instruction", "kernels": ["pid", "point_cloud"]},
+        "missions": 2,
+        "faults": 3,
+    },
+}
 ROLES = ("command", "worker", "flight")
 _MEMORY, _HANDLES, _DISK = (errno.ENOMEM,), (errno.EMFILE, errno.ENFILE), (errno.ENOSPC, errno.EIO)
 ERRORS = {
-    "read": (errno.EIO,), "write": _DISK, "memory": _MEMORY, "pipe": _MEMORY,
-    "socketpair": _HANDLES, "pipe2": _HANDLES, "pidfd_open": _HANDLES, "clone": (errno.EAGAIN, errno.ENOMEM),
-    "clone3": (errno.EAGAIN,), "fsync": _DISK, "fdatasync": _DISK, "ftruncate": _DISK, "fallocate": _DISK,
-    "rename": _DISK, "mkdir": _DISK, "unlink": (errno.EIO,), "openat": (*_HANDLES, errno.ENOMEM, errno.EIO),
-}  # fmt: skip
+    "read": (errno.EIO,),
+    "write": _DISK,
+    "memory": _MEMORY,
+    "pipe": _MEMORY,
+    "socketpair": _HANDLES,
+    "pipe2": _HANDLES,
+    "pidfd_open": _HANDLES,
+    "clone": (errno.EAGAIN, errno.ENOMEM),
+    "clone3": (errno.EAGAIN,),
+    "fsync": _DISK,
+    "fdatasync": _DISK,
+    "ftruncate": _DISK,
+    "fallocate": _DISK,
+    "rename": _DISK,
+    "mkdir": _DISK,
+    "unlink": (errno.EIO,),
+    "openat": (*_HANDLES, errno.ENOMEM, errno.EIO),
+}
 """How each call can fail (the manual pages of section 2); "memory" is more of it, "pipe" a write to one."""
 LENGTHS = ("once", "thrice", "process", "role")
 _OF_FILES = {"read": "read", "pread64": "read", "write": "write", "pwrite64": "write"}
@@ -47,10 +63,17 @@ _STDERR = 2
 _COMMON = 10
 """Kinds of calls that come more often than this are drawn alike."""
 _CAUSES = (
-    *(os.strerror(number) for number in (*_DISK, *_HANDLES, *_MEMORY, errno.EAGAIN)), "out of memory",
-    "disk I/O error", "disk is full", "the ledger cannot be read or written", "campaign.sqlite: cannot be written",
-    "unable to open database file", "its worker died", "could not send", "could not report",
-)  # fmt: skip
+    *(os.strerror(number) for number in (*_DISK, *_HANDLES, *_MEMORY, errno.EAGAIN)),
+    "out of memory",
+    "disk I/O error",
+    "disk is full",
+    "the ledger cannot be read or written",
+    "campaign.sqlite: cannot be written",
+    "unable to open database file",
+    "its worker died",
+    "could not send",
+    "could not report",
+)
 
 
 @dataclass(frozen=True)

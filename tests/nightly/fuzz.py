@@ -37,9 +37,17 @@ COMMANDS = 2000
 _COMMAND_S = 120
 _GRACE_S = 20
 _NAMED = (
-    "environment ", "generator ", "planner ", "platform ", "autopilot ", "parameter ", "detector ", "host ",
-    "campaign ", "model ",
-)  # fmt: skip
+    "environment ",
+    "generator ",
+    "planner ",
+    "platform ",
+    "autopilot ",
+    "parameter ",
+    "detector ",
+    "host ",
+    "campaign ",
+    "model ",
+)
 """What a line names instead of the file: names of files in a file, and things that have a name in their file."""
 ACCEPTED, REFUSED = "accepted", "refused"
 
@@ -213,9 +221,14 @@ def commanded(reader, path):
     ]
     try:
         done = subprocess.run(
-            [sys.executable, "-m", "mavfi", *command], capture_output=True, cwd=path.parent, timeout=_COMMAND_S,
-            stdin=subprocess.DEVNULL, check=False, env={**os.environ, "MAVFI_ALLOW_PLUGINS": ""},
-        )  # fmt: skip
+            [sys.executable, "-m", "mavfi", *command],
+            capture_output=True,
+            cwd=path.parent,
+            timeout=_COMMAND_S,
+            stdin=subprocess.DEVNULL,
+            check=False,
+            env={**os.environ, "MAVFI_ALLOW_PLUGINS": ""},
+        )
     except subprocess.TimeoutExpired:
         return f"mavfi {command[0]} does not end"
     stderr = done.stderr.decode(errors="replace")

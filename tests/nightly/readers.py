@@ -153,12 +153,16 @@ def read_study(path):
 
 # ---- text on the command line --------------------------------------------------------------------------------------
 FAULTS = (
-    "null", "state:planning.waypoint.x", "state:planning.trajectory.x[3]:bit=62@5.0",
+    "null",
+    "state:planning.waypoint.x",
+    "state:planning.trajectory.x[3]:bit=62@5.0",
     "state:planning.waypoint",
-    "instruction:pid", "instruction:rrt_connect:which=opcode:fadd",
+    "instruction:pid",
+    "instruction:rrt_connect:which=opcode:fadd",
     "instruction:octomap:which=floating_point:model=zero",
-    "instruction:pid:which=line:pid.py:10-20", "state:perception.collision_status.time_to_collision:bit=3@1e1",
-)  # fmt: skip
+    "instruction:pid:which=line:pid.py:10-20",
+    "state:perception.collision_status.time_to_collision:bit=3@1e1",
+)
 
 
 def mutate_fault(draw, seeds):
@@ -192,9 +196,7 @@ def maps():
     half, header = 1 << 15, b"id OcTree\nsize 1\nres 0.5\ndata\n"
     voxels = {(half + i, half + j, half + k): i == 13 and j < 4 for i in range(16) for j in range(8) for k in range(8)}
     tree = tree_of(voxels)
-    return [
-        b"# Octomap OcTree binary file\n" + header + bits(tree), b"# Octomap OcTree file\n" + header + values(tree)
-    ]  # fmt: skip
+    return [b"# Octomap OcTree binary file\n" + header + bits(tree), b"# Octomap OcTree file\n" + header + values(tree)]
 
 
 def mutate_map(draw, seeds):
@@ -279,11 +281,14 @@ def flights():
     rows[:, 0], rows[:, 1], rows[:, 7] = np.arange(6) * 0.1, np.arange(6), 1.0
     scenario = resolve(MissionSpec(environment="sparse", seed=7))
     log = FlightLog(
-        rows, MissionStatus.SUCCESS, [Event(0, "plan", {"vertices": 3}), Event(5, "end")],
+        rows,
+        MissionStatus.SUCCESS,
+        [Event(0, "plan", {"vertices": 3}), Event(5, "end")],
         [Injection("state", "planning.waypoint.x", 0.2, 62, 1.0, 2.0, activated=True)],
         [AlarmRecord(0.2, "gaussian", "planning.waypoint", "planning", 2.0, ("planning.waypoint.x",))],
-        {"scenario": scenario.to_json(), "course_m": 5.0}, KernelEffect("sdc"),
-    )  # fmt: skip
+        {"scenario": scenario.to_json(), "course_m": 5.0},
+        KernelEffect("sdc"),
+    )
     with tempfile.TemporaryDirectory() as folder:
         log.save(Path(folder) / "flight.npz")
         with np.load(Path(folder) / "flight.npz") as archive:
@@ -338,11 +343,15 @@ _TYPES = ("f2", "f4", ">f8", "i1", "u8", "c16", "U8", "S3", "?", "M8[s]", "m8[us
 def _others(array, draw):
     """What may stand in an array's place."""
     found = [
-        np.array([Trap()], dtype=object), np.zeros(0, array.dtype), np.stack([array, array]),
-        np.array(draw.choice(NUMBERS)), np.array(draw.choice(("", "{}", "[]", "null", "{", '{"status": 3}', "\x00"))),
-        np.zeros(3, [("a", "f8"), ("b", "i4")]), np.repeat(array, draw.choice((2, 3))),
+        np.array([Trap()], dtype=object),
+        np.zeros(0, array.dtype),
+        np.stack([array, array]),
+        np.array(draw.choice(NUMBERS)),
+        np.array(draw.choice(("", "{}", "[]", "null", "{", '{"status": 3}', "\x00"))),
+        np.zeros(3, [("a", "f8"), ("b", "i4")]),
+        np.repeat(array, draw.choice((2, 3))),
         np.full(draw.choice((1, 5, 7, 100_000)), draw.choice((0.0, np.nan, -1.0))),
-    ]  # fmt: skip
+    ]
     if array.dtype.kind in "fiu":
         found.append(array.astype(draw.choice(_TYPES)))
     if array.dtype.kind == "f":
@@ -445,13 +454,18 @@ _ENDLESS = "WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n) SELE
 _TRICKS = (
     f"DROP TABLE meta; CREATE VIEW meta AS {_ENDLESS} x AS key, x AS value, x AS checksum FROM n;",
     f"ALTER TABLE runs RENAME TO old; CREATE VIEW runs AS SELECT old.* FROM old, ({_ENDLESS} x FROM n);",
-    "DROP TABLE missions;", "DROP TABLE runs; CREATE TABLE runs (run_id);", "DELETE FROM meta;",
-    "PRAGMA user_version = 2;", "PRAGMA user_version = 99;", "CREATE TABLE more (x);", "DELETE FROM runs;",
+    "DROP TABLE missions;",
+    "DROP TABLE runs; CREATE TABLE runs (run_id);",
+    "DELETE FROM meta;",
+    "PRAGMA user_version = 2;",
+    "PRAGMA user_version = 99;",
+    "CREATE TABLE more (x);",
+    "DELETE FROM runs;",
     "ALTER TABLE meta ADD COLUMN x TEXT GENERATED ALWAYS AS (hex(zeroblob(900000000))) VIRTUAL;",
     "DROP TABLE meta; CREATE TABLE meta (key, value AS (hex(zeroblob(900000000))), checksum);",
     "CREATE TRIGGER t AFTER INSERT ON meta BEGIN DELETE FROM runs; END;",
     "DROP TABLE missions; CREATE TABLE missions (environment, seed, checksum, more);",
-)  # fmt: skip
+)
 
 
 def ledger_of(content, trick=""):
@@ -622,7 +636,7 @@ _XML = (
     b'<mujoco><extension><plugin plugin="mujoco.sdf.torus"/></extension></mujoco>',
     b'<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]><mujoco model="&b;"/>',
     b"<robot name='r'><link name='base'/></robot>",
-)  # fmt: skip
+)
 
 
 def read_body(path):
@@ -644,9 +658,15 @@ _FOLDERS = {"study": "studies"}
 def of_yaml(name, read, share, command=(), more=()):
     """A reader of YAML files like the shipped ones."""
     return Reader(
-        name, "x.yaml", lambda: [*shipped(f"configs/{_FOLDERS.get(name, name + 's')}/*.yaml"), *more], to_yaml,
-        mutate_yaml, read, share, command,
-    )  # fmt: skip
+        name,
+        "x.yaml",
+        lambda: [*shipped(f"configs/{_FOLDERS.get(name, name + 's')}/*.yaml"), *more],
+        to_yaml,
+        mutate_yaml,
+        read,
+        share,
+        command,
+    )
 
 
 def of_option(name, option, share, find, more=()):

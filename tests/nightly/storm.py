@@ -14,10 +14,19 @@ import time
 from collections import Counter
 
 BUDGETS = {
-    "point_cloud": 50_000, "octomap": 20_000_000, "collision_check": 1_000_000, "planner": 100_000_000,
-    "trajectory": 30_000_000, "waypoint": 100_000, "pid": 100, "state_estimation": 20_000,
-    "acceptance": 50_000, "gaussian": 2_000, "autoencoder": 20_000, "physics_gate": 2_000,
-}  # fmt: skip
+    "point_cloud": 50_000,
+    "octomap": 20_000_000,
+    "collision_check": 1_000_000,
+    "planner": 100_000_000,
+    "trajectory": 30_000_000,
+    "waypoint": 100_000,
+    "pid": 100,
+    "state_estimation": 20_000,
+    "acceptance": 50_000,
+    "gaussian": 2_000,
+    "autoencoder": 20_000,
+    "physics_gate": 2_000,
+}
 """Loop passes of one step, with the inputs that it received before it.
 
 The trajectory's follows from its limits: 10,000 knots solved at 850 passes each, and a curve of 1,500 s looked up

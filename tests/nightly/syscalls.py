@@ -17,10 +17,27 @@ import time
 from pathlib import Path
 
 CALLS = {
-    "read": 0, "write": 1, "mmap": 9, "brk": 12, "pread64": 17, "pwrite64": 18, "mremap": 25, "socketpair": 53,
-    "clone": 56, "fsync": 74, "fdatasync": 75, "ftruncate": 77, "rename": 82, "mkdir": 83, "unlink": 87,
-    "openat": 257, "fallocate": 285, "pipe2": 293, "pidfd_open": 434, "clone3": 435,
-}  # fmt: skip
+    "read": 0,
+    "write": 1,
+    "mmap": 9,
+    "brk": 12,
+    "pread64": 17,
+    "pwrite64": 18,
+    "mremap": 25,
+    "socketpair": 53,
+    "clone": 56,
+    "fsync": 74,
+    "fdatasync": 75,
+    "ftruncate": 77,
+    "rename": 82,
+    "mkdir": 83,
+    "unlink": 87,
+    "openat": 257,
+    "fallocate": 285,
+    "pipe2": 293,
+    "pidfd_open": 434,
+    "clone3": 435,
+}
 NAMES = {number: name for name, number in CALLS.items()}
 _SYS_SECCOMP, _SYS_PIDFD_GETFD = 317, 438
 _SET_FILTER, _NEW_LISTENER = 1, 1 << 3

@@ -35,9 +35,14 @@ def yard(seed, start=None, goal=None):
     upper = np.column_stack([corner + random.uniform(0.8, 2.5, (9, 2)), random.uniform(3.0, 8.0, 9)])
     ends = [np.array(end, float) for end in (start or (3.0, 0.0, 3.0), goal or (25.0, 0.0, 3.0))]
     return World(
-        *ends, np.array([0.0, -8.0, 0.0]), np.array([28.0, 8.0, 8.0]), np.array([1.0, -7.0, 1.6]),
-        np.array([27.0, 7.0, 6.5]), lower, upper,
-    )  # fmt: skip
+        *ends,
+        np.array([0.0, -8.0, 0.0]),
+        np.array([28.0, 8.0, 8.0]),
+        np.array([1.0, -7.0, 1.6]),
+        np.array([27.0, 7.0, 6.5]),
+        lower,
+        upper,
+    )
 
 
 @dataclass
@@ -174,8 +179,9 @@ def _state(state, where):
     parts = {name: getattr(state, name) for name in ("header", "elements")}
     return [
         (f"{where}.{name}", lambda random, array=array: flip_record(array, random))
-        for name, array in parts.items() if array.size
-    ]  # fmt: skip
+        for name, array in parts.items()
+        if array.size
+    ]
 
 
 def _attributes(owner):

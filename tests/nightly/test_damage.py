@@ -37,5 +37,6 @@ def test_checksums_that_do_not_cover_the_campaign_are_noticed(tmp_path, monkeypa
     bench = damage.Bench(tmp_path, random.Random(2))
     damage.moves(bench, 4)
     assert {line.partition(", ")[2] for line in bench.wrong} >= {
-        "identity of another campaign: silent", "row of another campaign: silent",
-    }  # fmt: skip
+        "identity of another campaign: silent",
+        "row of another campaign: silent",
+    }

@@ -43,8 +43,12 @@ def test_a_failure_that_is_stored_as_a_result_is_noticed(reference, tmp_path):
 def test_a_traceback_and_a_wrong_exit_code_are_noticed():
     assert failures._words(1, "mavfi: ledger: disk I/O error\n") == []
     for code, text in (
-        (2, "mavfi: ledger: disk I/O error\n"), (1, "Traceback ..."), (1, "mavfi: no\n"), (-11, ""), (None, ""),
-    ):  # fmt: skip
+        (2, "mavfi: ledger: disk I/O error\n"),
+        (1, "Traceback ..."),
+        (1, "mavfi: no\n"),
+        (-11, ""),
+        (None, ""),
+    ):
         assert failures._words(code, text)
 
 

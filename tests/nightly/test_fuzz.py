@@ -202,10 +202,15 @@ def screams(path):
 @pytest.mark.parametrize(
     ("read", "message"),
     (
-        (raises, "KeyError"), (sleeps, "hangs"), (eats, "MemoryError"), (prints, "prints"), (litters, "leaves left"),
-        (dies, "dies of SIGXCPU"), (mumbles, "does not name the file"),
+        (raises, "KeyError"),
+        (sleeps, "hangs"),
+        (eats, "MemoryError"),
+        (prints, "prints"),
+        (litters, "leaves left"),
+        (dies, "dies of SIGXCPU"),
+        (mumbles, "does not name the file"),
     ),
-)  # fmt: skip
+)
 def test_a_bad_reader_is_noticed_and_the_next_input_is_read(outcomes, tmp_path, monkeypatch, read, message):
     monkeypatch.setattr(fuzz, "LONGEST_S", 1)
     reader = replace(READERS["vehicle"], read=lambda path: read(path) if path.read_bytes() == b"bad" else None)

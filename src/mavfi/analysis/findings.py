@@ -100,8 +100,10 @@ def _recovery(runs: Runs) -> list[str]:
     for (setting,), own in paired.where(pl.col("population").is_in(leads)).groups("setting").items():
         test, found = m.discordant(own), m.recovery_of(own)
         back, lost = (0, 0) if found is None else (found.regained, found.lost)
-        parts.append(f"{own.first('arm') or setting} brings back {back} of {lost} lost missions and newly loses "
-                    f"{test.first_only}")  # fmt: skip
+        parts.append(
+            f"{own.first('arm') or setting} brings back {back} of {lost} lost missions and newly loses "
+            f"{test.first_only}"
+        )
     return [f"{'; '.join(parts)}."] if parts else []
 
 
@@ -128,5 +130,11 @@ def _flight_time(runs: Runs) -> list[str]:
 
 
 _SENTENCES: tuple[Callable[[Runs], list[str]], ...] = (
-    _success, _deaths, _effects, _recovery, _worst_stage, _false_alarms, _flight_time,
-)  # fmt: skip
+    _success,
+    _deaths,
+    _effects,
+    _recovery,
+    _worst_stage,
+    _false_alarms,
+    _flight_time,
+)

@@ -98,40 +98,71 @@ def of_missions(runs: Runs) -> Runs:
 def faulty_and_bare(runs: Runs) -> Runs:
     """Golden runs without a detector and all injected runs, labelled with the row names of the paper's table."""
     own = of_missions(runs).where((pl.col("kind") == "injected") | (pl.col("arm") == ""))
-    names = {"golden": "Golden run", "fi": "Injection run", "dr_gaussian": "Gaussian-based",
-             "dr_autoencoder": "Autoencoder-based"}  # fmt: skip
+    names = {
+        "golden": "Golden run",
+        "fi": "Injection run",
+        "dr_gaussian": "Gaussian-based",
+        "dr_autoencoder": "Autoencoder-based",
+    }
     return own.adding(row=pl.col("setting").replace(names))
 
 
 _SUCCESS = (
     View(
-        "success_as_in_the_paper", "State level: success rates, one fault per mission", ("row",),
+        "success_as_in_the_paper",
+        "State level: success rates, one fault per mission",
+        ("row",),
         (
-            Measure("here", "here", RATE, lambda own: m.leading(own, m.population_names(own, ()), "success"),
-                    counted=lambda own: m.in_leading(own, m.population_names(own, ()))),
+            Measure(
+                "here",
+                "here",
+                RATE,
+                lambda own: m.leading(own, m.population_names(own, ()), "success"),
+                counted=lambda own: m.in_leading(own, m.population_names(own, ())),
+            ),
             paper.column(paper.success),
         ),
-        where=faulty_and_bare, across="environment", headings=("",),
+        where=faulty_and_bare,
+        across="environment",
+        headings=("",),
         notes=lambda runs: (
-            paper.STATE_LEVEL, ONE_FAULT, "per cent, [95 % interval: Wilson, n reduced by the design effect of "
-            "worlds], successes / n; faults in sign and exponent bits", *separable_note(runs),
-        ), leads=True, applies=_by_stages,
+            paper.STATE_LEVEL,
+            ONE_FAULT,
+            "per cent, [95 % interval: Wilson, n reduced by the design effect of "
+            "worlds], successes / n; faults in sign and exponent bits",
+            *separable_note(runs),
+        ),
+        leads=True,
+        applies=_by_stages,
     ),
     View(
-        "success", "Success of missions", SETTING, (m.leading_success, paper.column(paper.success), m.other_success),
+        "success",
+        "Success of missions",
+        SETTING,
+        (m.leading_success, paper.column(paper.success), m.other_success),
         where=of_missions,
         notes=lambda runs: (
-            paper.STATE_LEVEL, ONE_FAULT, _SETTINGS, _STRATA_INTERVALS,
-            "paper: instruction level, 100 golden flights, 300 with a fault", *unknown_note(of_missions(runs)),
-        ), leads=True, applies=of_states,
+            paper.STATE_LEVEL,
+            ONE_FAULT,
+            _SETTINGS,
+            _STRATA_INTERVALS,
+            "paper: instruction level, 100 golden flights, 300 with a fault",
+            *unknown_note(of_missions(runs)),
+        ),
+        leads=True,
+        applies=of_states,
     ),
     View(
-        "memory_success", "Success of missions, faults in memory", SETTING, (m.leading_success, m.other_success),
+        "memory_success",
+        "Success of missions, faults in memory",
+        SETTING,
+        (m.leading_success, m.other_success),
         where=of_missions,
-        notes=lambda runs: (ONE_FAULT, _SETTINGS, _STRATA_INTERVALS, *unknown_note(of_missions(runs))), leads=True,
+        notes=lambda runs: (ONE_FAULT, _SETTINGS, _STRATA_INTERVALS, *unknown_note(of_missions(runs))),
+        leads=True,
         applies=lambda runs: has(runs.injected, level=MEMORY),
     ),
-)  # fmt: skip
+)
 
 
 # ---- recovery ----------------------------------------------------------------------------------------------------
@@ -167,7 +198,9 @@ def named_populations(runs: Runs) -> Runs:
 
 _RECOVERY = (
     View(
-        "recovery", "Recovery", ("environment", "bits", "setting"),
+        "recovery",
+        "Recovery",
+        ("environment", "bits", "setting"),
         (
             m.count("pairs", "pairs"),
             Measure("lost", "lost", NUMBER, _recovery(lambda _, found: found.lost)),
@@ -177,10 +210,15 @@ _RECOVERY = (
             Measure("p", "p", "number .3g", lambda own: m.discordant(own).p_value),
             Measure("recovery", "recovery", "percent with interval", _recovery(_recovery_rate)),
             Measure("paper", "paper", PERCENT, _papers_recovery),
-            Measure("loss", "golden – fault (points)", POINTS, _recovery(
-                lambda own, found: Rate(len(own), found.loss, found.loss_low, found.loss_high))),
+            Measure(
+                "loss",
+                "golden – fault (points)",
+                POINTS,
+                _recovery(lambda own, found: Rate(len(own), found.loss, found.loss_low, found.loss_high)),
+            ),
         ),
-        where=lambda runs: named_populations(m.against_fi(runs)), total=TOTAL,
+        where=lambda runs: named_populations(m.against_fi(runs)),
+        total=TOTAL,
         notes=lambda runs: (
             "lost: missions that succeed without the fault and fail with it; brought back: of these, those that "
             "succeed with the detector on; newly lost / saved: missions that fail / succeed only with the detector on",
@@ -189,10 +227,12 @@ _RECOVERY = (
             "golden – fi contains 0; below 0 where more missions are newly lost than brought back",
             *((HEALS,) if of_states(runs) else (_HEALS_WITH_MEMORY,)),
             *((_SHIFTED,) if has(runs.injected, level=INSTRUCTION) else ()),
-            "golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds", ONE_FAULT,
-        ), applies=_compared,
+            "golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds",
+            ONE_FAULT,
+        ),
+        applies=_compared,
     ),
-)  # fmt: skip
+)
 
 
 # ---- success by properties of the fault --------------------------------------------------------------------------
@@ -203,8 +243,9 @@ def _slow_note(runs: Runs) -> tuple[str, ...]:
     return (
         f"success, hurt: {_STRATA_INTERVALS}",
         "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes; both for the first "
-        "column's bits", ONE_FAULT,
-    )  # fmt: skip
+        "column's bits",
+        ONE_FAULT,
+    )
 
 
 def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> View:
@@ -225,21 +266,27 @@ _OF_FAILURES: dict[str, Any] = {
     "measures": (Measure("success", "success %", RATE, lambda own: m.rate_of(own, "success")), m.hurt),
     "notes": lambda _: (
         f"success, hurt: {INTERVALS}",
-        "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes", ONE_FAULT,
+        "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes",
+        ONE_FAULT,
     ),
-}  # fmt: skip
+}
 _UNIT = "Success by failing sensor or motor"
 _BY_PROPERTY = (
     _by("by_stage", "Success by stage of the fault", ("stage",), applies=_by_stages),
     _by("by_target", "Success by group of fields", ("target",), applies=_by_groups),
     _by("by_state", "Success by inter-kernel state", ("state",)),
     _by("by_unit", _UNIT, ("state",), **_OF_FAILURES, headings=("unit", "setting")),
-    _by("by_unit_and_environment", f"{_UNIT}, each environment", ("environment", "state"),
-        **{**_OF_FAILURES, "applies": _of_sensors_in_several}, headings=("environment", "unit", "setting")),
+    _by(
+        "by_unit_and_environment",
+        f"{_UNIT}, each environment",
+        ("environment", "state"),
+        **{**_OF_FAILURES, "applies": _of_sensors_in_several},
+        headings=("environment", "unit", "setting"),
+    ),
     _by("by_failure", "Success by type of failure", ("field",), **_OF_FAILURES, headings=("type", "setting")),
     _by("by_bits", "Success by class of the flipped bit", ("bit_class",), applies=of_values),
     _by("by_field", f"Success by field, {FEWEST} flights or more", ("state", "field"), least=FEWEST),
-)  # fmt: skip
+)
 
 
 # ---- effects and endings -----------------------------------------------------------------------------------------
@@ -272,14 +319,23 @@ def _statuses(runs: Runs, _: tuple[str, ...]) -> Any:
 
 _ENDS = (
     View(
-        "outcomes", "Effects of faults", SETTING, _EFFECTS, where=lambda runs: runs.injected, notes=_effect_notes,
+        "outcomes",
+        "Effects of faults",
+        SETTING,
+        _EFFECTS,
+        where=lambda runs: runs.injected,
+        notes=_effect_notes,
         applies=of_values,
     ),
     View(
-        "endings", "How missions ended", SETTING, (m.count("n", "n"), _statuses), where=of_missions,
+        "endings",
+        "How missions ended",
+        SETTING,
+        (m.count("n", "n"), _statuses),
+        where=of_missions,
         applies=of_values,
     ),
-)  # fmt: skip
+)
 
 
 # ---- flight time -------------------------------------------------------------------------------------------------
@@ -328,40 +384,53 @@ def _detected(runs: Runs) -> Runs:
     return named_populations(own).adding(in_monitored_set=in_set)
 
 
-ALARMS = Chapter(30, (
-    View(
-        "false_alarms", "False alarms", SETTING,
-        (
-            m.count("flights", "flights"), m.count("with_alarm", "with alarm", pl.col("alarms_total") > 0),
-            Measure("alarms", "alarms", NUMBER, lambda own: sum(own["alarms_total"])),
-            Measure("systematic", "systematic", NUMBER, lambda own: sum(n for _, _, n in m.systematic(own))),
-            Measure("hours", "exposure", "number .2f h", lambda own: sum(own["flight_time_s"]) / 3600),
-            Measure("per_hour", "per hour", PER_HOUR, m.alarm_rate),
-            Measure("upper", "upper bound", "number .1f", lambda own: m.alarm_rate(own).upper),
-            Measure("kinds", "kinds", TEXT, _kinds),
+ALARMS = Chapter(
+    30,
+    (
+        View(
+            "false_alarms",
+            "False alarms",
+            SETTING,
+            (
+                m.count("flights", "flights"),
+                m.count("with_alarm", "with alarm", pl.col("alarms_total") > 0),
+                Measure("alarms", "alarms", NUMBER, lambda own: sum(own["alarms_total"])),
+                Measure("systematic", "systematic", NUMBER, lambda own: sum(n for _, _, n in m.systematic(own))),
+                Measure("hours", "exposure", "number .2f h", lambda own: sum(own["flight_time_s"]) / 3600),
+                Measure("per_hour", "per hour", PER_HOUR, m.alarm_rate),
+                Measure("upper", "upper bound", "number .1f", lambda own: m.alarm_rate(own).upper),
+                Measure("kinds", "kinds", TEXT, _kinds),
+            ),
+            where=_golden_watched,
+            total=TOTAL,
+            notes=lambda runs: (
+                "golden flights; per hour of flight, 95 % interval: bootstrap of flights, at least as wide as Poisson's, "
+                "which alone is left where there is no alarm; upper bound: one-sided 95 %",
+                _systematic_note(runs),
+            ),
+            applies=watched,
         ),
-        where=_golden_watched, total=TOTAL,
-        notes=lambda runs: (
-            "golden flights; per hour of flight, 95 % interval: bootstrap of flights, at least as wide as Poisson's, "
-            "which alone is left where there is no alarm; upper bound: one-sided 95 %", _systematic_note(runs),
-        ), applies=watched,
-    ),
-    View(
-        "detections", "Detection of activated faults", ("environment", "setting", "bits", "in_monitored_set"),
-        (
-            m.rate("detected", "detected", "detected_at_site"),
-            m.rate("downstream", "detected downstream", "detected_downstream"),
+        View(
+            "detections",
+            "Detection of activated faults",
+            ("environment", "setting", "bits", "in_monitored_set"),
+            (
+                m.rate("detected", "detected", "detected_at_site"),
+                m.rate("downstream", "detected downstream", "detected_downstream"),
+            ),
+            where=_detected,
+            notes=lambda runs: (
+                HEALS,
+                _monitored_note(runs),
+                "detected: alarm on the corrupted publication; with coupling inline before it is seen, so the latency is 0 "
+                "by construction",
+                "detected downstream: within 1 s, an alarm of a state and instant that the golden flight with the same "
+                "detector has not; false alarms that the fault has shifted are among them",
+            ),
+            applies=lambda runs: of_states(runs) and watched(runs),
         ),
-        where=_detected,
-        notes=lambda runs: (
-            HEALS, _monitored_note(runs),
-            "detected: alarm on the corrupted publication; with coupling inline before it is seen, so the latency is 0 "
-            "by construction",
-            "detected downstream: within 1 s, an alarm of a state and instant that the golden flight with the same "
-            "detector has not; false alarms that the fault has shifted are among them",
-        ), applies=lambda runs: of_states(runs) and watched(runs),
     ),
-))  # fmt: skip
+)
 
 
 _DYING = (
@@ -418,7 +487,8 @@ def _missed(own: Runs) -> int:
 
 _KERNEL_SUCCESS = (
     View(
-        "instructions_as_in_the_paper", "Instruction level, the paper's Table I: success rates, one fault per mission",
+        "instructions_as_in_the_paper",
+        "Instruction level, the paper's Table I: success rates, one fault per mission",
         ("row",),
         (
             Measure("here", "here", RATE, _success_of("golden", "success")),
@@ -426,13 +496,23 @@ _KERNEL_SUCCESS = (
             Measure("end", "here, mission ends", RATE, _success_of("injected", "success_if_ended")),
             paper.column(paper.success),
         ),
-        where=faulty_and_bare, across="environment", headings=("",),
+        where=faulty_and_bare,
+        across="environment",
+        headings=("",),
         notes=lambda runs: (
-            paper.INSTRUCTION_LEVEL, ONE_FAULT, _estimand(runs), _RATES, _DYING, _missed_note(runs),
-            *unknown_note(faulty_and_bare(runs)), *separable_note(runs),
-        ), leads=True, applies=_calls_by_stages,
+            paper.INSTRUCTION_LEVEL,
+            ONE_FAULT,
+            _estimand(runs),
+            _RATES,
+            _DYING,
+            _missed_note(runs),
+            *unknown_note(faulty_and_bare(runs)),
+            *separable_note(runs),
+        ),
+        leads=True,
+        applies=_calls_by_stages,
     ),
-)  # fmt: skip
+)
 
 
 # ---- effects on kernels ------------------------------------------------------------------------------------------
@@ -463,36 +543,52 @@ def _replayable_note(runs: Runs) -> str:
     own = kernel_runs(runs)
     again = len(own.where("replayable"))
     note = f"{again} of {len(own)} flights can be replayed bit for bit"
-    return note if again == len(own) else (
-        f"{note}: not those with a corrupted address or branch in a kernel whose memory belongs to a library"
-    )  # fmt: skip
+    return (
+        note
+        if again == len(own)
+        else (f"{note}: not those with a corrupted address or branch in a kernel whose memory belongs to a library")
+    )
 
 
 _KERNEL_EFFECTS = (
     View(
-        "kernel_effects", "One fault in one instruction: what the kernel did", ("environment", "kernel"),
+        "kernel_effects",
+        "One fault in one instruction: what the kernel did",
+        ("environment", "kernel"),
         (
-            m.count("n", "n"), *_THREE,
-            Measure("due_kinds", "crash / hang / exc.", TEXT,
-                    lambda own: " / ".join(str(len(own.where(kernel_effect=name))) for name in KERNEL_DUE)),
+            m.count("n", "n"),
+            *_THREE,
+            Measure(
+                "due_kinds",
+                "crash / hang / exc.",
+                TEXT,
+                lambda own: " / ".join(str(len(own.where(kernel_effect=name))) for name in KERNEL_DUE),
+            ),
         ),
-        where=kernel_runs, notes=lambda runs: (_EFFECT_NOTE, _LEVEL, _replayable_note(runs)),
+        where=kernel_runs,
+        notes=lambda runs: (_EFFECT_NOTE, _LEVEL, _replayable_note(runs)),
         applies=_of_instructions,
     ),
     View(
-        "kernel_effects_by_setting", "One fault in one instruction of a kernel, plain and protected",
+        "kernel_effects_by_setting",
+        "One fault in one instruction of a kernel, plain and protected",
         ("environment", "kernel", "setting"),
         (
-            m.count("n", "n"), *_THREE, m.rate("found", "detected", _FOUND),
+            m.count("n", "n"),
+            *_THREE,
+            m.rate("found", "detected", _FOUND),
             m.rate("success", "success", "success"),
             m.rate("success_due", "success | due", "success", _effect(*KERNEL_DUE)),
         ),
         where=lambda runs: _all_settings(runs).where(site_outcome=ACTIVATED),
         notes=lambda _: (
-            _EFFECT_NOTE, "detected: by protected code, whose call is computed again; due: crash, hang or exception",
+            _EFFECT_NOTE,
+            "detected: by protected code, whose call is computed again; due: crash, hang or exception",
             "n: faults that were activated; protected kernels take longer, so that the same call number meets other "
-            "values, or none: settings are compared as samples, not in pairs", _LEVEL,
-        ), applies=lambda runs: _of_instructions(runs) and len(_all_settings(runs).where(_FOUND)) > 0,
+            "values, or none: settings are compared as samples, not in pairs",
+            _LEVEL,
+        ),
+        applies=lambda runs: _of_instructions(runs) and len(_all_settings(runs).where(_FOUND)) > 0,
     ),
-)  # fmt: skip
+)
 KERNELS = Chapter(70, (*_KERNEL_SUCCESS, *_KERNEL_EFFECTS))

@@ -14,11 +14,18 @@ from mavfi.campaign.store import Store
 from mavfi.record import End
 
 _COLUMNS = (
-    Column("run_id", "run"), Column("status", "status"), Column("flight_time_s", "flight time", "number .1f s"),
-    Column("inflation", "against golden", SIGNED), Column("effect", "effect"),
-    Column("alarms_total", "alarms", NUMBER), Column("bit", "bit", NUMBER), Column("site", "site"),
-    Column("site_outcome", "injection"), Column("kernel_effect", "kernel"), Column("reason", "reason", TEXT),
-)  # fmt: skip
+    Column("run_id", "run"),
+    Column("status", "status"),
+    Column("flight_time_s", "flight time", "number .1f s"),
+    Column("inflation", "against golden", SIGNED),
+    Column("effect", "effect"),
+    Column("alarms_total", "alarms", NUMBER),
+    Column("bit", "bit", NUMBER),
+    Column("site", "site"),
+    Column("site_outcome", "injection"),
+    Column("kernel_effect", "kernel"),
+    Column("reason", "reason", TEXT),
+)
 _USUAL = {"kernel_effect": {""}, "site_outcome": {"", ACTIVATED}, "reason": {""}}
 """Values of columns that are hidden if they have no others."""
 

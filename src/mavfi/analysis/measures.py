@@ -65,9 +65,12 @@ Spread = Callable[[Runs, tuple[str, ...]], Iterable[Measure]]
 def count(key: str, heading: str, *tests: pl.Expr | str, **values: Any) -> Measure:
     """Number of rows that pass all tests."""
     return Measure(
-        key, heading, NUMBER, lambda own: len(own.where(*tests, **values)),
+        key,
+        heading,
+        NUMBER,
+        lambda own: len(own.where(*tests, **values)),
         counted=lambda own: own.where(*tests, **values),
-    )  # fmt: skip
+    )
 
 
 def first(column: str, heading: str) -> Measure:
@@ -94,9 +97,12 @@ def quantile_of(values: Iterable[float | None], share: float) -> float | None:
 def rate(key: str, heading: str, test: pl.Expr | str, *where: pl.Expr | str) -> Measure:
     """Share of rows that pass a test, among those that pass `where`, with a cluster-adjusted Wilson interval."""
     return Measure(
-        key, heading, RATE, lambda own: rate_of(own.where(*where), test),
+        key,
+        heading,
+        RATE,
+        lambda own: rate_of(own.where(*where), test),
         counted=lambda own: own.where(*where),
-    )  # fmt: skip
+    )
 
 
 def wilson_rate(key: str, heading: str, test: pl.Expr, *where: pl.Expr) -> Measure:
@@ -181,8 +187,9 @@ def leading_success(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     """Success in the leading population; golden runs share the column."""
     names = population_names(runs, by)
     heading = f"success %, {POPULATIONS.get(names[0], names[0])}" if names else "success %"
-    yield Measure("success", heading, RATE, lambda own: leading(own, names, "success"),
-                  counted=lambda own: in_leading(own, names))  # fmt: skip
+    yield Measure(
+        "success", heading, RATE, lambda own: leading(own, names, "success"), counted=lambda own: in_leading(own, names)
+    )
 
 
 def other_success(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:

@@ -160,9 +160,18 @@ class Runs:
 # ---- description of a campaign as plain data, for the headers and notes of tables ----------------------------------
 
 _NAMED = (
-    "vehicle", "map", "flight_controller", "grain", "same_twice", "answer_s", "degraded", "dead_node",
-    "alarm", "epoch_liveness", "protection",
-)  # fmt: skip
+    "vehicle",
+    "map",
+    "flight_controller",
+    "grain",
+    "same_twice",
+    "answer_s",
+    "degraded",
+    "dead_node",
+    "alarm",
+    "epoch_liveness",
+    "protection",
+)
 """Keys of a mission that are listed when they differ from their defaults."""
 
 
@@ -175,16 +184,24 @@ def describe(store: Store) -> dict[str, Any]:
     """
     campaign, progress = stored_campaign(store), status(store.directory)
     return {
-        "name": campaign.name, "environments": [label_of(name) for name in campaign.environments],
-        "seeds": [campaign.seeds.start, campaign.seeds.stop - 1], "on_design_seeds": campaign.on_design_seeds,
-        "missions": campaign.missions, "faults": campaign.faults, "monitored_set": campaign.monitored_set,
+        "name": campaign.name,
+        "environments": [label_of(name) for name in campaign.environments],
+        "seeds": [campaign.seeds.start, campaign.seeds.stop - 1],
+        "on_design_seeds": campaign.on_design_seeds,
+        "missions": campaign.missions,
+        "faults": campaign.faults,
+        "monitored_set": campaign.monitored_set,
         "parts": {name: part.model_dump(exclude_none=True) for name, part in campaign.parts.items()},
         "arms": {name: arm.model_dump(mode="json") for name, arm in campaign.arms.items()},
-        "models": store.meta("identity")["models"], "confidence": CONFIDENCE, "versions": store.meta("versions") or {},
+        "models": store.meta("identity")["models"],
+        "confidence": CONFIDENCE,
+        "versions": store.meta("versions") or {},
         **{name: read(store.directory) for name, read in extensions("mavfi.descriptions").items()},
-        "digest": store.digest(), "done": progress.done,
-        "total": progress.total, **drawn(campaign),
-    }  # fmt: skip
+        "digest": store.digest(),
+        "done": progress.done,
+        "total": progress.total,
+        **drawn(campaign),
+    }
 
 
 def drawn(campaign: Campaign) -> dict[str, Any]:

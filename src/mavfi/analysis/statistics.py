@@ -147,8 +147,9 @@ def quantiles(values: np.ndarray, counts: np.ndarray, share: float) -> np.ndarra
     """
     upto = counts.cumsum(axis=1)
     place = share * np.maximum(upto[:, -1] - 1, 0)
-    low, high = (values[np.minimum((upto <= one(place)[:, None]).sum(axis=1), len(values) - 1)]
-                 for one in (np.floor, np.ceil))  # fmt: skip
+    low, high = (
+        values[np.minimum((upto <= one(place)[:, None]).sum(axis=1), len(values) - 1)] for one in (np.floor, np.ceil)
+    )
     found: np.ndarray = np.where(upto[:, -1] > 0, low + (place - np.floor(place)) * (high - low), np.nan)
     return found
 

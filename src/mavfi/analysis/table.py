@@ -13,8 +13,16 @@ import polars as pl
 from mavfi.record import plain
 
 RATE, PERCENT, SIGNED, SMALL, PER_HOUR, POINTS, ESTIMATE, NUMBER, TEXT = (
-    "rate", "percent", "signed percent", "small percent", "per hour", "points", "estimate", "number", "text",
-)  # fmt: skip
+    "rate",
+    "percent",
+    "signed percent",
+    "small percent",
+    "per hour",
+    "points",
+    "estimate",
+    "number",
+    "text",
+)
 """Display formats of a cell; a number may have a format specification and a unit: "number .1f s"."""
 POINTS_TEST, PERCENT_TEST, TIMES_TEST = "points with test", "percent with test", "times with test"
 """Formats of a `worlds.Contrast`: with interval and p."""

@@ -57,9 +57,14 @@ class View:
         notes = [*(self.notes(runs) if rows else ()), *(f"{name}: unknown ({why})" for name, why in raised.items())]
         ordered = self._ordered(columns, rows)
         return Table(
-            self.name, self.title, tuple(columns), [row.cells for row in ordered], max(1, len(self.by)),
-            (*notes, *_flown_with(chosen)), [row.behind for row in ordered],
-        )  # fmt: skip
+            self.name,
+            self.title,
+            tuple(columns),
+            [row.cells for row in ordered],
+            max(1, len(self.by)),
+            (*notes, *_flown_with(chosen)),
+            [row.behind for row in ordered],
+        )
 
     def _measures(self, chosen: Runs) -> list[Measure]:
         found: list[Measure] = []

@@ -18,7 +18,7 @@ LONGEST_ALONE = 180.0
 
 def fly_alone(
     specs: Sequence[RunSpec], fly: Callable[[RunSpec], Flown], fly_golden: Callable[[str], None]
-) -> Iterator[Flown]:  # fmt: skip
+) -> Iterator[Flown]:
     """Runs, each in a separate child process: `due` if every attempt dies, `unknown` if one exceeds the time limit.
 
     A process that dies without its fault, too, dies of the machine: before a `due`, `fly_golden` flies the golden run

@@ -30,11 +30,18 @@ TRAINING_SEED = 1_000_000  # first seed of the training flights of detectors; ne
 MOST_FAULTS = 100_000  # per environment and target
 
 _RENAMED = {
-    "law": "sampling.scheme", "strata": "sampling.strata", "groups": "sampling.groups", "sites": "sampling.sites",
-    "kernels": "sampling.kernels (with level: instruction)", "detectors": "arms", "flights": "missions",
+    "law": "sampling.scheme",
+    "strata": "sampling.strata",
+    "groups": "sampling.groups",
+    "sites": "sampling.sites",
+    "kernels": "sampling.kernels (with level: instruction)",
+    "detectors": "arms",
+    "flights": "missions",
     **{name: f"mission.{name}" for name in ("platform", "planner", "map", "vehicle", "v_max")},
-    "kind": "host", "trials": "faults", "command": "node.command",
-}  # fmt: skip
+    "kind": "host",
+    "trials": "faults",
+    "command": "node.command",
+}
 """Keys of campaign schema 1, with their replacements."""
 _SETTINGS = ("golden", "fi", "dr", "null")
 """Settings, and the beginnings of their names."""

@@ -56,9 +56,12 @@ def fingerprint() -> Mapping[str, str]:
     All x86-64 processors give the same bits; other architectures are untested.
     """
     return {
-        **versions(), "python": python(), "architecture": platform.machine(), "code": code(),
+        **versions(),
+        "python": python(),
+        "architecture": platform.machine(),
+        "code": code(),
         "configs": _hash(config_root(), "*.yaml"),
-    }  # fmt: skip
+    }
 
 
 def difference(wanted: Mapping[str, str], here: Mapping[str, str]) -> str:

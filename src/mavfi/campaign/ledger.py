@@ -145,10 +145,13 @@ def merge(sources: Sequence[Path], out: Path) -> Status:
             if target.meta(ORDERED) not in (None, source.meta(ORDERED)):
                 raise BadInputError(f"{directory}: holds the campaign with its keys in another order than {out}")
             models = source.models_dir
-            target.write_meta({
-                ORDERED: source.meta(ORDERED), "models_dir": models and str(models.absolute()),
-                "missions": stored_campaign(source).total_missions,
-            })  # fmt: skip
+            target.write_meta(
+                {
+                    ORDERED: source.meta(ORDERED),
+                    "models_dir": models and str(models.absolute()),
+                    "missions": stored_campaign(source).total_missions,
+                }
+            )
             _copy(source, target)
     return status(out)
 

@@ -65,7 +65,7 @@ def host_of(campaign: Campaign) -> Host:
 
 def scenarios_of(
     campaign: Campaign, arms: Sequence[Arm], environments: Sequence[str] = ()
-) -> dict[tuple[str, str], Scenario]:  # fmt: skip
+) -> dict[tuple[str, str], Scenario]:
     """Scenario with the campaign's first seed, by environment (empty = all of the campaign's) and arm.
 
     Raises:
@@ -109,13 +109,21 @@ def flights_of(plan: Plan, environment: str) -> dict[str, str]:
     """What determines the golden flights of a plan's missions in an environment but their seed, as text by arm."""
     campaign = plan.campaign
     return {
-        arm.name: json.dumps([
-            campaign.host, str(campaign.under_test), arm.detector, arm.profile, dict(arm.options),
-            model_of(plan.models, environment, arm.name), plan.scenarios[environment, arm.name],
-            campaign.spec(environment, campaign.first_seed, arm.overrides).model_dump_json(),
-        ], sort_keys=True)
+        arm.name: json.dumps(
+            [
+                campaign.host,
+                str(campaign.under_test),
+                arm.detector,
+                arm.profile,
+                dict(arm.options),
+                model_of(plan.models, environment, arm.name),
+                plan.scenarios[environment, arm.name],
+                campaign.spec(environment, campaign.first_seed, arm.overrides).model_dump_json(),
+            ],
+            sort_keys=True,
+        )
         for arm in plan.arms
-    }  # fmt: skip
+    }
 
 
 def share(flights: Mapping[str, str], others: Mapping[str, str]) -> bool:
@@ -173,9 +181,7 @@ class _Ready:
     def of(mission: MissionPlan) -> "_Ready":
         """Resolve the scenarios."""
         campaign = mission.campaign
-        plan = plan_of(
-            campaign, mission.models, scenarios_of(campaign, arms_of(campaign), [mission.environment])
-        )  # fmt: skip
+        plan = plan_of(campaign, mission.models, scenarios_of(campaign, arms_of(campaign), [mission.environment]))
         _check_scenarios(mission, plan)
         host = host_of(campaign)
         return _Ready(mission, plan, host, {arm.name: setup_of(mission, arm, host) for arm in plan.arms})

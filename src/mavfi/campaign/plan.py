@@ -240,11 +240,18 @@ class Plan:
             settings = settings if variant.detector else [(variant, FI), *settings]
         return [
             self._run(
-                kind, setting, environment, draw.seed, arm, target=draw.target, index=draw.index, fault=fault,
+                kind,
+                setting,
+                environment,
+                draw.seed,
+                arm,
+                target=draw.target,
+                index=draw.index,
+                fault=fault,
                 position=self.golden_count() + place + number,
             )
             for number, (arm, setting) in enumerate(settings)
-        ]  # fmt: skip
+        ]
 
     def count(self, shard: Shard = WHOLE) -> int:
         """Maximum number of runs of the campaign or a shard; faults that cannot be drawn have no runs."""
@@ -272,9 +279,17 @@ class Plan:
 
     def _run(self, kind: Kind, setting: str, environment: str, seed: int, arm: Arm, **more: Any) -> RunSpec:
         return RunSpec(
-            kind, setting, environment, seed, self.scenarios[environment, arm.name], arm.name, arm.detector,
-            arm.profile, model_of(self.models, environment, arm.name), **more,
-        )  # fmt: skip
+            kind,
+            setting,
+            environment,
+            seed,
+            self.scenarios[environment, arm.name],
+            arm.name,
+            arm.detector,
+            arm.profile,
+            model_of(self.models, environment, arm.name),
+            **more,
+        )
 
 
 def model_of(models: Mapping[str, str], environment: str, arm: str) -> str:

@@ -232,7 +232,7 @@ class Verification:
 
 def verify(
     directory: Path, share: float, seed: int = 0, progress: Callable[[int, int], None] | None = None
-) -> Verification:  # fmt: skip
+) -> Verification:
     """Replay a random sample of the runs, at least one, and compare every field of their records.
 
     Runs without a flight, and runs marked as not replayable, are excluded.

@@ -83,9 +83,14 @@ class Session:
         """A mission without its runs in the ledger."""
         plan = self.plan
         return MissionPlan(
-            plan.campaign, *world, self.models_dir, plan.models, plan.keys(world[0]), self.fast_forward,
+            plan.campaign,
+            *world,
+            self.models_dir,
+            plan.models,
+            plan.keys(world[0]),
+            self.fast_forward,
             self.store.done(world),
-        )  # fmt: skip
+        )
 
     def take(self, mission: MissionPlan, items: Sequence[Planned | Flown], last: Done | Lost | None) -> None:
         """Store and log new items of a mission, and its end."""
@@ -133,9 +138,13 @@ class Session:
     def logged(self, executor: Executor) -> Iterator[None]:
         """Log start and end of the session."""
         self.log.note(
-            "begin", campaign=self.plan.campaign.name, versions=versions(), pid=os.getpid(),
-            workers=executor.workers, runs_left=self.total - self._done,
-        )  # fmt: skip
+            "begin",
+            campaign=self.plan.campaign.name,
+            versions=versions(),
+            pid=os.getpid(),
+            workers=executor.workers,
+            runs_left=self.total - self._done,
+        )
         try:
             yield
         except BaseException as error:
@@ -264,9 +273,15 @@ class Flying:
 
 
 def run_campaign(
-    campaign: Campaign, directory: Path, *, executor: Executor | None = None, models_dir: Path | None = None,
-    fast_forward: bool = True, shard: Shard = WHOLE, progress: Callable[[Progress], None] | None = None,
-) -> Status:  # fmt: skip
+    campaign: Campaign,
+    directory: Path,
+    *,
+    executor: Executor | None = None,
+    models_dir: Path | None = None,
+    fast_forward: bool = True,
+    shard: Shard = WHOLE,
+    progress: Callable[[Progress], None] | None = None,
+) -> Status:
     """Fly the missing runs of a campaign; a stop at any time loses only the flights in progress.
 
     Args:
@@ -283,15 +298,24 @@ def run_campaign(
             match, or versions differ from those with which the ledger was started.
     """
     return run_campaigns(
-        {directory: campaign}, executor=executor, models_dir=models_dir, fast_forward=fast_forward, shard=shard,
+        {directory: campaign},
+        executor=executor,
+        models_dir=models_dir,
+        fast_forward=fast_forward,
+        shard=shard,
         progress=None if progress is None else lambda _, now: progress(now),
-    )[directory]  # fmt: skip
+    )[directory]
 
 
 def run_campaigns(
-    campaigns: Mapping[Path, Campaign], *, executor: Executor | None = None, models_dir: Path | None = None,
-    fast_forward: bool = True, shard: Shard = WHOLE, progress: Callable[[Path, Progress], None] | None = None,
-) -> dict[Path, Status]:  # fmt: skip
+    campaigns: Mapping[Path, Campaign],
+    *,
+    executor: Executor | None = None,
+    models_dir: Path | None = None,
+    fast_forward: bool = True,
+    shard: Shard = WHOLE,
+    progress: Callable[[Path, Progress], None] | None = None,
+) -> dict[Path, Status]:
     """As `run_campaign`, for several campaigns by folder: those that fly the same missions share their golden flights.
 
     The ledgers are those of campaigns that are flown one after the other.
@@ -315,9 +339,14 @@ def _ignore(_: Progress) -> None:
 
 
 def _session(  # noqa: PLR0913 - what `run_campaigns` is given
-    stack: ExitStack, campaign: Campaign, directory: Path, models_dir: Path | None, fast_forward: bool, shard: Shard,
+    stack: ExitStack,
+    campaign: Campaign,
+    directory: Path,
+    models_dir: Path | None,
+    fast_forward: bool,
+    shard: Shard,
     tell: Callable[[Progress], None],
-) -> Session:  # fmt: skip
+) -> Session:
     """The session of a campaign; its ledger is closed with `stack`."""
     campaign, models_dir = _as_begun(campaign, directory), models_dir or _models_dir(directory)
     require_level(host_of(campaign), campaign.sampling.level)
@@ -327,15 +356,24 @@ def _session(  # noqa: PLR0913 - what `run_campaigns` is given
     store = stack.enter_context(Store.create(directory, identity_of(campaign, scenarios, models)))
     check_versions(store, {**versions(), **plan.sampler.versions})
     check_shard(store, shard)
-    store.write_meta({
-        ORDERED: campaign.model_dump_json(),
-        "models_dir": None if models_dir is None else _as_held(models_dir, directory),
-        "missions": shard.missions(campaign),
-    })  # fmt: skip
+    store.write_meta(
+        {
+            ORDERED: campaign.model_dump_json(),
+            "models_dir": None if models_dir is None else _as_held(models_dir, directory),
+            "missions": shard.missions(campaign),
+        }
+    )
     return Session(
-        plan, store, models_dir, fast_forward, shard, tell, Log(directory), plan.count(shard),
+        plan,
+        store,
+        models_dir,
+        fast_forward,
+        shard,
+        tell,
+        Log(directory),
+        plan.count(shard),
         counts=store.counts(),
-    )  # fmt: skip
+    )
 
 
 def _prepare(session: Session, executor: Executor) -> None:

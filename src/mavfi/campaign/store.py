@@ -100,9 +100,17 @@ CREATE INDEX {INDEX};
 """
 PLANNED = "run_id, position, kind, setting, environment, seed, spec"
 _TYPES = {
-    "run_id": "text", "position": "integer", "kind": "text", "setting": "text", "environment": "text",
-    "seed": "integer", "spec": "text", "record": "text null", "note": "text", "wall_s": "real null",
-}  # fmt: skip
+    "run_id": "text",
+    "position": "integer",
+    "kind": "text",
+    "setting": "text",
+    "environment": "text",
+    "seed": "integer",
+    "spec": "text",
+    "record": "text null",
+    "note": "text",
+    "wall_s": "real null",
+}
 
 
 @dataclass(frozen=True, slots=True)

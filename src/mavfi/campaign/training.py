@@ -140,9 +140,13 @@ def record_flight(task: _Task) -> Recorded | None:
 
 
 def record_flights(
-    scenario: Scenario, count: int, workers: int, progress: Progress | None = None,
-    disk: KeptRecordings | None = None, trainings: Sequence[Training] = (MONITORED_FIELDS,),
-) -> dict[int, Recorded]:  # fmt: skip
+    scenario: Scenario,
+    count: int,
+    workers: int,
+    progress: Progress | None = None,
+    disk: KeptRecordings | None = None,
+    trainings: Sequence[Training] = (MONITORED_FIELDS,),
+) -> dict[int, Recorded]:
     """Fly missions with consecutive seeds, starting with the scenario's, until `count` have reached their goals.
 
     Recordings are stored on `disk`, if given, so that a stop loses only the flights in progress; `progress` is called
@@ -219,9 +223,10 @@ class RecordedFlights:
             environments = list(self.flights) if self.alike else training.environments
             flown = [self.flights[name] for name in environments]
             origin = self.provenance | {
-                "environment": ", ".join(environments), "flights": sum(map(len, flown)),
+                "environment": ", ".join(environments),
+                "flights": sum(map(len, flown)),
                 "seeds": [seed for by_seed in flown for seed in by_seed],
-            }  # fmt: skip
+            }
             recordings = [recorded[number] for by_seed in flown for recorded in by_seed.values()]
             models |= fit(training, recordings, origin, self.extras, self.only)
         files = [model.save(self.folder) for model in models.values()]
@@ -231,9 +236,12 @@ class RecordedFlights:
 
 
 def fit(
-    training: Training, recordings: Sequence[Any], provenance: Mapping[str, Any], extras: Collection[str] = (),
+    training: Training,
+    recordings: Sequence[Any],
+    provenance: Mapping[str, Any],
+    extras: Collection[str] = (),
     only: Collection[tuple[str, str]] | None = None,
-) -> dict[str, Model]:  # fmt: skip
+) -> dict[str, Model]:
     """Fit the detectors of a kind of training.
 
     Args:
@@ -266,10 +274,16 @@ def fit(
 
 
 def record(
-    folder: Path, flights: int = 100, mission: MissionSpec | None = None, *, workers: int = 2,
-    progress: Progress | None = None, environments: Sequence[str] = (), extras: Sequence[str] = (),
+    folder: Path,
+    flights: int = 100,
+    mission: MissionSpec | None = None,
+    *,
+    workers: int = 2,
+    progress: Progress | None = None,
+    environments: Sequence[str] = (),
+    extras: Sequence[str] = (),
     only: Collection[tuple[str, str]] | None = None,
-) -> RecordedFlights:  # fmt: skip
+) -> RecordedFlights:
     """Fly error-free missions to train detectors on.
 
     Recordings are kept in the folder until the models are written: the same call resumes an interrupted training.
@@ -317,9 +331,14 @@ def train(folder: Path, flights: int = 100, mission: MissionSpec | None = None, 
 
 
 def count_false_alarms(
-    models: Sequence[Model], folder: Path, flights: int, mission: MissionSpec, workers: int, progress: Progress,
+    models: Sequence[Model],
+    folder: Path,
+    flights: int,
+    mission: MissionSpec,
+    workers: int,
+    progress: Progress,
     environments: Sequence[str] = ("training",),
-) -> list[dict[str, list[tuple[int, float]]]]:  # fmt: skip
+) -> list[dict[str, list[tuple[int, float]]]]:
     """Alarms and flight hours by flight of each model in the folder by environment, on error-free missions.
 
     The missions have other seeds than those of the training.

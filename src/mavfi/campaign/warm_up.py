@@ -66,9 +66,7 @@ class _Detector:
 
     def compile(self) -> None:
         with suppress(BadInputError):
-            detector_for(
-                self.scenario, self.name, self.profile, trained_for=self.trained_for, options=self.options
-            )  # fmt: skip
+            detector_for(self.scenario, self.name, self.profile, trained_for=self.trained_for, options=self.options)
 
 
 @dataclass(frozen=True, slots=True)

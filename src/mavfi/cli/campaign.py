@@ -78,9 +78,14 @@ def run(  # noqa: PLR0913 - options
     kept = f"Stopped. What is done is kept in {ledger}; the same command resumes."
     with stoppable(kept), Bar(f"campaign {campaign.name}", "runs") as bar:
         status = run_campaign(
-            campaign, ledger, executor=chosen_executor, models_dir=models, fast_forward=fast_forward, shard=part,
+            campaign,
+            ledger,
+            executor=chosen_executor,
+            models_dir=models,
+            fast_forward=fast_forward,
+            shard=part,
             progress=bar.show_campaign,
-        )  # fmt: skip
+        )
     if status.unknown and not allow_unknown:
         raise MavfiError(
             f"{ledger}: {status.unknown} of {status.total} runs have status unknown{_most_frequent_reason(ledger)}: "

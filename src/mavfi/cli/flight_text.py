@@ -42,11 +42,19 @@ def panel(result: FlightResult) -> Panel:
     title = Text.assemble((scenario.environment.name, "bold"), seed, (scenario.autopilot.name, "bold"), watched)
     below = f"{scenario.platform.name} · {scenario.planner.name} · {scenario.v_max:g} m/s"
     parts: list[RenderableType] = [
-        title, Text(below, style="dim"), Text(),
-        Text.assemble(_verdict(result.status), style="bold"), *_given_up(result), *_unwatched(result), Text(),
-        _figures(result), *_fault(result), *_alarms(result), Text(),
+        title,
+        Text(below, style="dim"),
+        Text(),
+        Text.assemble(_verdict(result.status), style="bold"),
+        *_given_up(result),
+        *_unwatched(result),
+        Text(),
+        _figures(result),
+        *_fault(result),
+        *_alarms(result),
+        Text(),
         Text(f"digest {result.record.digest[:16]}…", style="dim"),
-    ]  # fmt: skip
+    ]
     return Panel(Group(*parts), box=box.ROUNDED, border_style=colour, padding=(0, 2), expand=False)
 
 

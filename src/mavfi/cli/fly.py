@@ -144,9 +144,13 @@ def _draw(picture: Path, result: FlightResult) -> None:
 
 
 def check_company(
-    mission: MissionSpec, fault: str | None, fault_seed: int | None, detector: str, profile: str | None,
+    mission: MissionSpec,
+    fault: str | None,
+    fault_seed: int | None,
+    detector: str,
+    profile: str | None,
     models: Path | None,
-) -> None:  # fmt: skip
+) -> None:
     """Reject options that have no effect without another one."""
     if fault_seed is not None:
         check_seed("--fault-seed", fault_seed)

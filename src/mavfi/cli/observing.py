@@ -42,9 +42,7 @@ def chosen_observers(values: Mapping[str, Any], pace: float, fault: str | None) 
 
 
 @contextmanager
-def observing(
-    chosen: list[Any], values: Mapping[str, Any], pace: float
-) -> Iterator[tuple[Attached, ...]]:  # fmt: skip
+def observing(chosen: list[Any], values: Mapping[str, Any], pace: float) -> Iterator[tuple[Attached, ...]]:
     """Observers of a flight, for `ArmSetup.observers`, until the end of the context."""
     if not chosen:
         yield ()

@@ -34,9 +34,12 @@ class Bar:
         self._unit = unit
         self._console = console(error=True)
         self._bar = Progress(
-            TextColumn("[bold]{task.description}"), BarColumn(bar_width=40), TextColumn("{task.fields[counts]}"),
-            TextColumn("{task.fields[pace]}"), console=self._console,
-        )  # fmt: skip
+            TextColumn("[bold]{task.description}"),
+            BarColumn(bar_width=40),
+            TextColumn("{task.fields[counts]}"),
+            TextColumn("{task.fields[pace]}"),
+            console=self._console,
+        )
         self._task = self._bar.add_task(label, total=None, counts="", pace="")
         self._live = Live(self._bar, console=self._console, refresh_per_second=5)
         self._printed = time.perf_counter()

@@ -56,12 +56,18 @@ def replay(directory: options.Ledger, run_id: options.RunId, as_json: options.As
     replayable = all(injection.details.get("replayable", True) for injection in injections)
     ended = record.status.replace("_", " ") or record.error
     if as_json:
-        write_json({
-            "run_id": found.run.spec.run_id, "same": found.same, "digest": record.digest,
-            "stored_digest": None if stored is None else stored.digest, "status": record.status,
-            "stored_status": None if stored is None else stored.status, "replayable": replayable,
-            "flight_time_s": record.flight_time_s,
-        })  # fmt: skip
+        write_json(
+            {
+                "run_id": found.run.spec.run_id,
+                "same": found.same,
+                "digest": record.digest,
+                "stored_digest": None if stored is None else stored.digest,
+                "status": record.status,
+                "stored_status": None if stored is None else stored.status,
+                "replayable": replayable,
+                "flight_time_s": record.flight_time_s,
+            }
+        )
     else:
         console().print(Text.assemble((found.run.spec.run_id, "bold"), f": {ended}"), soft_wrap=True)
     if not found.same:
@@ -159,8 +165,11 @@ def command(found: "Shrunk") -> str:
 # ---- results of `campaign.shrink` as text --------------------------------------------------------------------------
 
 Lines = list[tuple[str, str]]
-_WHAT = {"publications": "fewer wrong publications", "width": "one bit instead of several",
-         "bit": "a bit that changes the value less"}  # fmt: skip
+_WHAT = {
+    "publications": "fewer wrong publications",
+    "width": "one bit instead of several",
+    "bit": "a bit that changes the value less",
+}
 
 
 def lines(found: Shrunk) -> Lines:

@@ -76,9 +76,14 @@ def train(  # noqa: PLR0913 - one for each option
     kept = f"Stopped. What is flown is kept in {out}; the same command resumes."
     with stoppable(kept), Bar("training flights") as bar:
         files = train_models(
-            out, flights, mission, workers=workers, progress=bar.show, environments=where,
+            out,
+            flights,
+            mission,
+            workers=workers,
+            progress=bar.show,
+            environments=where,
             extras=extras,
-        )  # fmt: skip
+        )
     models = [Model.load(path) for path in files]
     kept = f"Stopped. The models are in {out}; their false alarms are not counted."
     with stoppable(kept), Bar("checking flights") as bar:
@@ -106,9 +111,13 @@ def _entry(model: Model) -> dict[str, Any]:
     """JSON entry of a model: identity, thresholds and provenance."""
     limits = {key: model.parameters[key] for key in ("sigmas", "limit") if key in model.parameters}
     return {
-        "kind": model.kind, "profile": model.profile, "monitored": model.monitored, "sha256": model.sha256,
-        "thresholds": limits, "provenance": model.provenance,
-    }  # fmt: skip
+        "kind": model.kind,
+        "profile": model.profile,
+        "monitored": model.monitored,
+        "sha256": model.sha256,
+        "thresholds": limits,
+        "provenance": model.provenance,
+    }
 
 
 def _table(models: list[Model], alarms: list[dict[str, EventRate]], folder: Path) -> Table:

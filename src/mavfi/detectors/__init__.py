@@ -8,6 +8,17 @@ from mavfi.detectors.scoring import Reading, Scorer, ScoringDetector, Threshold
 from mavfi.detectors.training import Recorder, Recording
 
 __all__ = [
-    "Alarm", "Detector", "MissionLimits", "Model", "Reading", "Recorder", "Recording", "Scorer", "ScoringDetector",
-    "Threshold", "check_fits", "detector_names", "load_detector",
-]  # fmt: skip
+    "Alarm",
+    "Detector",
+    "MissionLimits",
+    "Model",
+    "Reading",
+    "Recorder",
+    "Recording",
+    "Scorer",
+    "ScoringDetector",
+    "Threshold",
+    "check_fits",
+    "detector_names",
+    "load_detector",
+]

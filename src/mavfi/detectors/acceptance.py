@@ -77,20 +77,33 @@ _JITTER_US = 300_000
 _LONG_AGO = -(1 << 62)
 
 _HEADERS = {
-    "last_status": STATUS_TYPE, "last_path": PATH_TYPE, "last_trajectory": TRAJECTORY_TYPE,
-    "last_waypoint": WAYPOINT_TYPE, "last_command": COMMAND_TYPE, "last_tracking": TRACKING_TYPE,
-}  # fmt: skip
+    "last_status": STATUS_TYPE,
+    "last_path": PATH_TYPE,
+    "last_trajectory": TRAJECTORY_TYPE,
+    "last_waypoint": WAYPOINT_TYPE,
+    "last_command": COMMAND_TYPE,
+    "last_tracking": TRACKING_TYPE,
+}
 _REMEMBERED: list[tuple[Any, ...]] = [
     *((name, "u1", (dtype.itemsize,)) for name, dtype in _HEADERS.items()),
-    ("end", "f8", (3,)), ("ended", "?"),
-    ("changes", "i8"), ("times", "i8", (KEPT_COUNTERS,)), ("counters", "i8", (KEPT_COUNTERS,)),
-    ("stored", "i8"), ("numbers", "i8", (KEPT,)), ("counts", "i8", (KEPT,)),
-    ("switched", "?"), ("fresh", "?"),
-]  # fmt: skip
+    ("end", "f8", (3,)),
+    ("ended", "?"),
+    ("changes", "i8"),
+    ("times", "i8", (KEPT_COUNTERS,)),
+    ("counters", "i8", (KEPT_COUNTERS,)),
+    ("stored", "i8"),
+    ("numbers", "i8", (KEPT,)),
+    ("counts", "i8", (KEPT,)),
+    ("switched", "?"),
+    ("fresh", "?"),
+]
 _WORK = [
-    ("planning_us", "i8"), ("blocks", "i8", (KEPT,)), ("candidate", "u1", (_WAYPOINT_SIZE,)), ("candidate_of", "i8"),
+    ("planning_us", "i8"),
+    ("blocks", "i8", (KEPT,)),
+    ("candidate", "u1", (_WAYPOINT_SIZE,)),
+    ("candidate_of", "i8"),
     ("accepted", "?"),
-]  # fmt: skip
+]
 RECORD = np.dtype([*NUMBERS.descr, *_REMEMBERED, *_WORK])
 """The record.
 
@@ -318,10 +331,19 @@ def judge_tracking(header: np.ndarray, record: np.ndarray) -> int:
 
 
 _ENTRIES: tuple[Compiled, ...] = (
-    judge_status, judge_path, judge_trajectory, judge_waypoint, judge_command, judge_tracking,
-    note_status, note_path, note_trajectory,
-    estimates.judge_estimate, estimates.note_estimate, estimates.note_fix,
-)  # fmt: skip
+    judge_status,
+    judge_path,
+    judge_trajectory,
+    judge_waypoint,
+    judge_command,
+    judge_tracking,
+    note_status,
+    note_path,
+    note_trajectory,
+    estimates.judge_estimate,
+    estimates.note_estimate,
+    estimates.note_fix,
+)
 COMPILED: Mapping[str, Compiled] = {function.__name__: function for function in _ENTRIES}
 """Entry points from Python into compiled code, by name."""
 

@@ -99,9 +99,7 @@ def read_residuals(
 
 
 @kernel_jit
-def settle_network(
-    watch: Watch, scratch: Scratch, limit: np.ndarray, network: Network, held: np.ndarray
-) -> None:  # fmt: skip
+def settle_network(watch: Watch, scratch: Scratch, limit: np.ndarray, network: Network, held: np.ndarray) -> None:
     """Commit the publication judged last as published; hold its deltas if they are normal."""
     place = watch.places[scratch.place[features.SLOT]]
     for index in range(place[features.FIRST], place[features.LAST]):
@@ -111,9 +109,14 @@ def settle_network(
 
 @kernel_jit
 def judge_network(
-    content: np.ndarray, slot: int, watch: Watch, scratch: Scratch, limit: np.ndarray, network: Network,
+    content: np.ndarray,
+    slot: int,
+    watch: Watch,
+    scratch: Scratch,
+    limit: np.ndarray,
+    network: Network,
     held: np.ndarray,
-) -> float:  # fmt: skip
+) -> float:
     """Score of a publication, see `preprocess.DeltaScorer`, from all latest deltas; `held` has shape (n,)."""
     if scratch.place[features.ACCEPTED] != 0:
         settle_network(watch, scratch, limit, network, held)
@@ -139,9 +142,15 @@ class LastErrors(NamedTuple):
 
 @kernel_jit
 def _judge_unless_known(
-    content: np.ndarray, slot: int, watch: Watch, scratch: Scratch, limit: np.ndarray, network: Network,
-    held: np.ndarray, last: LastErrors,
-) -> float:  # fmt: skip
+    content: np.ndarray,
+    slot: int,
+    watch: Watch,
+    scratch: Scratch,
+    limit: np.ndarray,
+    network: Network,
+    held: np.ndarray,
+    last: LastErrors,
+) -> float:
     """`judge_network`, but the network does not run for the deltas of the publication before.
 
     `judge_network` is not built of this function, since faults are drawn in its instructions.
@@ -240,9 +249,15 @@ def _layers(model: Model, fields: int) -> np.ndarray:
 
 
 def fit_autoencoder(  # noqa: PLR0913 - the figures of a YAML file
-    sample: Sample, *, hidden_layers: Sequence[int], epochs: int, learning_rate: float, largest_class: int,
-    margin: float | None = None, smallest_regime: int = 0,
-) -> dict[str, Any]:  # fmt: skip
+    sample: Sample,
+    *,
+    hidden_layers: Sequence[int],
+    epochs: int,
+    learning_rate: float,
+    largest_class: int,
+    margin: float | None = None,
+    smallest_regime: int = 0,
+) -> dict[str, Any]:
     """Weights and limits of the AAD.
 
     Args:
@@ -265,9 +280,12 @@ def fit_autoencoder(  # noqa: PLR0913 - the figures of a YAML file
     else:
         limit = regime_limits(*_regime_peaks(errors, sample.regimes, scale), margin, smallest_regime)
     return {
-        "scale": scale.tolist(), "sizes": network.sizes.tolist(), "weights": network.weights.tolist(), "limit": limit,
+        "scale": scale.tolist(),
+        "sizes": network.sizes.tolist(),
+        "weights": network.weights.tolist(),
+        "limit": limit,
         "key": usual.tolist(),
-    }  # fmt: skip
+    }
 
 
 def _regime_peaks(errors: np.ndarray, regimes: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -292,7 +310,7 @@ def representative(sample: Sample, largest_class: int) -> np.ndarray:
 
 def train_network(
     inputs: np.ndarray, hidden_layers: Sequence[int], epochs: int, learning_rate: float
-) -> "MLPRegressor":  # fmt: skip
+) -> "MLPRegressor":
     """A network that reproduces its inputs, shape (m, n): Adam, mean squared error, fixed epochs, one thread.
 
     The paper's encoder "of size 13, 6 and 3" counts the input as a layer, and the decoder mirrors it.
@@ -302,9 +320,16 @@ def train_network(
     from threadpoolctl import threadpool_limits
 
     network = MLPRegressor(
-        hidden_layer_sizes=tuple(hidden_layers), activation="tanh", solver="adam", learning_rate_init=learning_rate,
-        batch_size=min(256, len(inputs)), max_iter=epochs, tol=0.0, n_iter_no_change=epochs, random_state=0,
-    )  # fmt: skip
+        hidden_layer_sizes=tuple(hidden_layers),
+        activation="tanh",
+        solver="adam",
+        learning_rate_init=learning_rate,
+        batch_size=min(256, len(inputs)),
+        max_iter=epochs,
+        tol=0.0,
+        n_iter_no_change=epochs,
+        random_state=0,
+    )
     with threadpool_limits(1), warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # the number of epochs is the stopping rule
         network.fit(inputs, inputs if inputs.shape[1] > 1 else inputs.ravel())

@@ -32,10 +32,19 @@ _SETTLING_US = 3_000_000
 """Time after re-initialization at a fix in which further fixes may correct velocity and attitude by any amount: the
 filter has no information on them."""
 _NEVER = -(1 << 62)
-RECORD = np.dtype([
-    ("jump", "f8"), ("turn", "f8"), ("lower", "f8", (3,)), ("upper", "f8", (3,)), ("speed", "f8"),
-    ("last", "f8", (WIDTH,)), ("time_us", "i8"), ("aligned_us", "i8"), ("fix", "f8", (4,)),
-])  # fmt: skip
+RECORD = np.dtype(
+    [
+        ("jump", "f8"),
+        ("turn", "f8"),
+        ("lower", "f8", (3,)),
+        ("upper", "f8", (3,)),
+        ("speed", "f8"),
+        ("last", "f8", (WIDTH,)),
+        ("time_us", "i8"),
+        ("aligned_us", "i8"),
+        ("fix", "f8", (4,)),
+    ]
+)
 """Limits: the largest correction of position (m) and attitude (rad) by a fix, flight box (m), speed (m/s).  Memory: the
 last published estimate, its time, time of the last re-initialization in flight (us), the last fix (m, rad)."""
 

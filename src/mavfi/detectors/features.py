@@ -84,14 +84,22 @@ class Scratch(NamedTuple):
 
 _EXAMPLES = (
     Watch(
-        np.zeros((1, 4), np.int64), np.zeros((1, 5), np.int64), np.zeros((1, 2)), np.zeros((1, 1), np.uint8),
+        np.zeros((1, 4), np.int64),
+        np.zeros((1, 5), np.int64),
+        np.zeros((1, 2)),
+        np.zeros((1, 1), np.uint8),
         np.zeros(KNOWN + 1),
     ),
     Scratch(
-        np.zeros(1, np.uint8), np.zeros(4, np.int64), np.zeros(1), np.zeros(1, np.int16), np.zeros(1), np.zeros(1),
+        np.zeros(1, np.uint8),
+        np.zeros(4, np.int64),
+        np.zeros(1),
+        np.zeros(1, np.int16),
+        np.zeros(1),
+        np.zeros(1),
         np.zeros(1),
     ),
-)  # fmt: skip
+)
 
 
 def kind_with(*tables: Any) -> Any:  # noqa: ANN401 - arrays, tuples of them, numbers

@@ -22,9 +22,15 @@ SIGMA_FLOOR = 0.5
 
 @kernel_jit
 def deviations(
-    content: np.ndarray, slot: int, watch: Watch, statistics: np.ndarray, min_count: float,
-    deltas: np.ndarray, distance: np.ndarray, unit: np.ndarray,
-) -> int:  # fmt: skip
+    content: np.ndarray,
+    slot: int,
+    watch: Watch,
+    statistics: np.ndarray,
+    min_count: float,
+    deltas: np.ndarray,
+    distance: np.ndarray,
+    unit: np.ndarray,
+) -> int:
     """`features.measure`, then the distance of each delta from its running mean, and its standard deviation.
 
     `statistics`: k, M, S of each field, shape (n, 3); `unit` is 0 for fields with fewer than `min_count` samples.
@@ -59,9 +65,7 @@ def distances(
 
 
 @kernel_jit
-def settle_online(
-    watch: Watch, scratch: Scratch, limit: np.ndarray, statistics: np.ndarray, min_count: float
-) -> None:  # fmt: skip
+def settle_online(watch: Watch, scratch: Scratch, limit: np.ndarray, statistics: np.ndarray, min_count: float) -> None:
     """Commit the publication judged last; learn its deltas if normal and not those of a first publication."""
     slot = scratch.place[features.SLOT]
     if scratch.score[0] < NOT_FINITE and watch.memory[slot, features.SEEN] != 0.0:
@@ -72,16 +76,19 @@ def settle_online(
 
 @kernel_jit
 def judge_online(
-    content: np.ndarray, slot: int, watch: Watch, scratch: Scratch, limit: np.ndarray, statistics: np.ndarray,
+    content: np.ndarray,
+    slot: int,
+    watch: Watch,
+    scratch: Scratch,
+    limit: np.ndarray,
+    statistics: np.ndarray,
     min_count: float,
-) -> float:  # fmt: skip
+) -> float:
     """Score of a publication, see `preprocess.DeltaScorer`; statistics and count as for `deviations`."""
     if scratch.place[features.ACCEPTED] != 0:
         settle_online(watch, scratch, limit, statistics, min_count)
     features.propose(content, slot, scratch)
-    regime = deviations(
-        content, slot, watch, statistics, min_count, scratch.deltas, scratch.distance, scratch.unit
-    )  # fmt: skip
+    regime = deviations(content, slot, watch, statistics, min_count, scratch.deltas, scratch.distance, scratch.unit)
     return conclude(regime, watch.places[slot], scratch, limit)
 
 
@@ -162,9 +169,7 @@ class GaussianDetector(ScoringDetector, TrainedDetector):
 
     model_kind = SOURCE
 
-    def __init__(
-        self, model: Model, policy: str = "keyed", preprocessor: Preprocessor | None = None
-    ) -> None:  # fmt: skip
+    def __init__(self, model: Model, policy: str = "keyed", preprocessor: Preprocessor | None = None) -> None:
         deltas = preprocessor or Preprocessor(model.monitored, model.profile, model.prediction)
         size = len(deltas.fields)
         if "statistics" in model.parameters:
@@ -195,9 +200,7 @@ def fit_online(sample: Sample, preprocessor: Preprocessor, sigmas: float, min_co
     return {"statistics": statistics, "sigmas": float(sigmas), "min_count": float(min_count)}
 
 
-def fit_frozen(
-    sample: Sample, preprocessor: Preprocessor, margin: float, smallest_regime: int
-) -> dict[str, Any]:  # fmt: skip
+def fit_frozen(sample: Sample, preprocessor: Preprocessor, margin: float, smallest_regime: int) -> dict[str, Any]:
     """Centre and limit of the `tuned` GAD by field and regime; a distance of one code never raises an alarm.
 
     `margin` and `smallest_regime` as for `regime_limits`.

@@ -27,9 +27,23 @@ _SHORTEST_ALARM = 30.0
 _SLOW = 0.25
 
 _SCALARS = (
-    "speed", "command", "command_step", "acceleration", "clock", "point_period", "control_period", "longest_time",
-    "near", "entry", "step", "change", "lag", "hold", "slowest", "fastest",
-)  # fmt: skip
+    "speed",
+    "command",
+    "command_step",
+    "acceleration",
+    "clock",
+    "point_period",
+    "control_period",
+    "longest_time",
+    "near",
+    "entry",
+    "step",
+    "change",
+    "lag",
+    "hold",
+    "slowest",
+    "fastest",
+)
 _PLACES = ("lower", "upper", "goal")
 _FLAGS = ("held", "every_map", "repeated")
 NUMBERS = np.dtype(

@@ -84,9 +84,11 @@ class Preprocessor:
         return made
 
     def _fill(
-        self, specs: Mapping[str, StateSpec], watched: tuple[tuple[str, str], ...],
+        self,
+        specs: Mapping[str, StateSpec],
+        watched: tuple[tuple[str, str], ...],
         rows: Sequence[tuple[int, int, int, int, int]],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.fields = tuple(f"{state}.{field}" for state, field in watched)
         self.stages = tuple(specs[state].stage.value for state, _ in watched)
         self.slots = {name: slot for slot, name in enumerate(specs)}
@@ -219,9 +221,14 @@ class DeltaScorer(Scorer):
         super().use(threshold)
         size = len(self.fields)
         self.scratch = features.Scratch(
-            np.zeros(self.features.watch.last.shape[1], np.uint8), np.zeros(4, np.int64), np.zeros(1),
-            np.zeros(size, np.int16), np.zeros(size), np.ones(size), threshold.ratios,
-        )  # fmt: skip
+            np.zeros(self.features.watch.last.shape[1], np.uint8),
+            np.zeros(4, np.int64),
+            np.zeros(1),
+            np.zeros(size, np.int16),
+            np.zeros(size),
+            np.ones(size),
+            threshold.ratios,
+        )
         self._tables = (self.features.watch, self.scratch, threshold.limit, *self._tables)
         self._place = self.scratch.place
         self.instrument({})

@@ -179,9 +179,14 @@ def figures_of(name: str, profile: str) -> Mapping[str, Any]:
 
 
 def load_detector(
-    name: str, profile: str, models_dir: Path | None, mission: Mapping[str, Any], *,
-    options: Mapping[str, Any] | None = None, trained_for: str = "",
-) -> Loaded:  # fmt: skip
+    name: str,
+    profile: str,
+    models_dir: Path | None,
+    mission: Mapping[str, Any],
+    *,
+    options: Mapping[str, Any] | None = None,
+    trained_for: str = "",
+) -> Loaded:
     """A detector, ready to fly.
 
     Args:
@@ -292,8 +297,11 @@ def _config_of(name: str) -> DetectorConfig:
 
 
 def _build(
-    name: str, factory: Any, of_mission: Mapping[str, Any], options: Mapping[str, Any]  # noqa: ANN401
-) -> Detector:  # fmt: skip
+    name: str,
+    factory: Any,
+    of_mission: Mapping[str, Any],
+    options: Mapping[str, Any],  # noqa: ANN401
+) -> Detector:
     """Construct a detector with what it takes from the mission, and its options; None = the default of the class."""
     chosen = {key: value for key, value in options.items() if value is not None}
     return require_detector(build("detector", name, factory, needs=_METHODS, of_mission=of_mission, **chosen))

@@ -51,9 +51,14 @@ def places(state: str, *fields: str) -> tuple[int, ...]:
 
 
 _TIME, _BLOCKED, _UNKNOWN, _COUNTER, _CHECKED, _FLAG = places(
-    "perception.collision_status", "time_to_collision", "distance_to_blocked", "distance_to_unknown",
-    "future_collision_seq", "trajectory_seq", "collision",
-)  # fmt: skip
+    "perception.collision_status",
+    "time_to_collision",
+    "distance_to_blocked",
+    "distance_to_unknown",
+    "future_collision_seq",
+    "trajectory_seq",
+    "collision",
+)
 _ENTRY, _PATH_EPOCH, _JUNCTION, _VERTEX = places(
     "planning.path", "entry_speed", "future_collision_seq", "junction", "x"
 )
@@ -130,9 +135,13 @@ def outside(point: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> int:
 
 @kernel_jit
 def path(
-    header: np.ndarray, vertices: np.ndarray, epochs: np.ndarray, vehicle: np.ndarray, flown: np.ndarray,
+    header: np.ndarray,
+    vertices: np.ndarray,
+    epochs: np.ndarray,
+    vehicle: np.ndarray,
+    flown: np.ndarray,
     limits: np.ndarray,
-) -> int:  # fmt: skip
+) -> int:
     """Path: it answers a counter (-) that the planner can have read, and leads from the vehicle to the goal.
 
     Vertices (m) lie in the flight box, without a spike; the entry speed (m/s) is 0 or close to that of the vehicle.
@@ -212,9 +221,7 @@ def _spliced(header: np.ndarray, limits: np.ndarray) -> bool:
 
 
 @kernel_jit
-def _start(
-    first: np.ndarray, header: np.ndarray, vehicle: np.ndarray, flown: np.ndarray, limits: np.ndarray
-) -> int:  # fmt: skip
+def _start(first: np.ndarray, header: np.ndarray, vehicle: np.ndarray, flown: np.ndarray, limits: np.ndarray) -> int:
     """A path starts at its junction with the trajectory in force, or near the vehicle (m). `first` has shape (3,)."""
     if not _spliced(header, limits):
         axis = far_from(first, vehicle[:3], limits[0]["near"])
@@ -251,9 +258,14 @@ def _junction(start: np.ndarray, flown: np.ndarray, said: int) -> int:
 
 @kernel_jit
 def trajectory(
-    header: np.ndarray, points: np.ndarray, before: np.ndarray, path_header: np.ndarray, end: np.ndarray,
-    vehicle: np.ndarray, limits: np.ndarray,
-) -> int:  # fmt: skip
+    header: np.ndarray,
+    points: np.ndarray,
+    before: np.ndarray,
+    path_header: np.ndarray,
+    end: np.ndarray,
+    vehicle: np.ndarray,
+    limits: np.ndarray,
+) -> int:
     """Trajectory: its number is the next, its counter (-) is the path's; it leads from the vehicle to the path's end.
 
     Args:
@@ -341,9 +353,14 @@ def step(values: np.ndarray, before: np.ndarray, last: bool, limits: np.ndarray)
 
 @kernel_jit
 def waypoint(
-    values: np.ndarray, header: np.ndarray, before: np.ndarray, newest: np.ndarray, points: np.ndarray,
-    vehicle: np.ndarray, limits: np.ndarray,
-) -> int:  # fmt: skip
+    values: np.ndarray,
+    header: np.ndarray,
+    before: np.ndarray,
+    newest: np.ndarray,
+    points: np.ndarray,
+    vehicle: np.ndarray,
+    limits: np.ndarray,
+) -> int:
     """Way-point: the next point of a published trajectory, or a hold where the vehicle comes to rest (m).
 
     Args:

@@ -206,9 +206,13 @@ class Training(ABC):
 
     @abstractmethod
     def fit(
-        self, detectors: Mapping[str, type["TrainedDetector"]], profile: str, recordings: Sequence[Any],
-        origin: Mapping[str, Any], figures: Mapping[str, Mapping[str, Any]],
-    ) -> Iterator[Model]:  # fmt: skip
+        self,
+        detectors: Mapping[str, type["TrainedDetector"]],
+        profile: str,
+        recordings: Sequence[Any],
+        origin: Mapping[str, Any],
+        figures: Mapping[str, Mapping[str, Any]],
+    ) -> Iterator[Model]:
         """Models of detectors in a profile.
 
         Args:
@@ -251,9 +255,13 @@ class MonitoredFields(Training):
         return int(recording.ends[-1]) == len(content) if len(kinds) else not len(content)
 
     def fit(
-        self, detectors: Mapping[str, type["TrainedDetector"]], profile: str, recordings: Sequence[Recording],
-        origin: Mapping[str, Any], figures: Mapping[str, Mapping[str, Any]],
-    ) -> Iterator[Model]:  # fmt: skip
+        self,
+        detectors: Mapping[str, type["TrainedDetector"]],
+        profile: str,
+        recordings: Sequence[Recording],
+        origin: Mapping[str, Any],
+        figures: Mapping[str, Mapping[str, Any]],
+    ) -> Iterator[Model]:
         """See `Training`."""
         prediction, errors = best_prediction(recordings)
         preprocessor = Preprocessor(self._monitored, profile, prediction)

@@ -19,9 +19,11 @@ from mavfi.states import KERNELS, STATES, WATCHING, find_state
 GROUP = "mavfi.levels"
 """Entry-point group of fault levels: subclasses of `mavfi.levels.level.Level`."""
 SHIPPED = {
-    "state": "mavfi.levels.state:StateLevel", "memory": "mavfi.levels.memory:MemoryLevel",
-    "sensor": "mavfi.levels.sensor:SensorLevel", "instruction": "mavfi.levels.instruction:InstructionLevel",
-}  # fmt: skip
+    "state": "mavfi.levels.state:StateLevel",
+    "memory": "mavfi.levels.memory:MemoryLevel",
+    "sensor": "mavfi.levels.sensor:SensorLevel",
+    "instruction": "mavfi.levels.instruction:InstructionLevel",
+}
 """Levels of the core, by name."""
 NO_SITE = -1
 """`StateFault.time_us` or `InstructionFault.call` of a draw for which the golden run has no site."""
@@ -136,9 +138,11 @@ class StateFault(Fault):
 
     def __post_init__(self) -> None:
         for key, right, allowed in (
-            ("lasts_s", self.lasts_s >= 0.0, "0 or more"), ("share", 0.0 < self.share <= 1.0, "above 0, to 1"),
-            ("width", self.width >= 1, "1 or more"), ("times", self.times >= 1, "1 or more"),
-        ):  # fmt: skip
+            ("lasts_s", self.lasts_s >= 0.0, "0 or more"),
+            ("share", 0.0 < self.share <= 1.0, "above 0, to 1"),
+            ("width", self.width >= 1, "1 or more"),
+            ("times", self.times >= 1, "1 or more"),
+        ):
             if not right:
                 raise BadInputError(f"fault in {self.site}: {key}: {getattr(self, key)}: allowed: {allowed}")
 

@@ -52,9 +52,7 @@ def live_fields(spec: StateSpec, autopilot: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(live))
 
 
-def stage_target(
-    stage: str, autopilot: str, monitored_set: str | None = None, localization: str = "truth"
-) -> Target:  # fmt: skip
+def stage_target(stage: str, autopilot: str, monitored_set: str | None = None, localization: str = "truth") -> Target:
     """All live fields of the states of a stage.
 
     The autopilot profile determines dead fields, the localization the existing states; a monitored set

@@ -88,13 +88,23 @@ def resolve(spec: MissionSpec) -> Scenario:
     with _read_from(spec.environment if spec.vehicle is None else "", "vehicle"):
         vehicle = find_vehicle(world.vehicle)
     return Scenario(
-        environment=world, seed=spec.seed, autopilot=_autopilot(spec), vehicle=vehicle,
+        environment=world,
+        seed=spec.seed,
+        autopilot=_autopilot(spec),
+        vehicle=vehicle,
         platform=_platform(spec, protection),
-        planner=planner, camera=camera, map=_map_config(spec.map, resolution),
-        v_max=speed, start=spec.start, goal=spec.goal, wind=parse(configs.WindConfig, {"gust": spec.wind}, "wind"),
+        planner=planner,
+        camera=camera,
+        map=_map_config(spec.map, resolution),
+        v_max=speed,
+        start=spec.start,
+        goal=spec.goal,
+        wind=parse(configs.WindConfig, {"gust": spec.wind}, "wind"),
         localization=parse(configs.LocalizationConfig, {"kind": spec.localization}, "localization"),
-        dead_node=spec.dead_node, flight_controller=_controller(spec.flight_controller), protection=protection,
-    )  # fmt: skip
+        dead_node=spec.dead_node,
+        flight_controller=_controller(spec.flight_controller),
+        protection=protection,
+    )
 
 
 @contextmanager
@@ -139,9 +149,12 @@ def _map_config(kind: str, resolution: float | None) -> configs.MapConfig:
 
 
 def pipeline_config(
-    scenario: Scenario, world: World, directions: np.ndarray, rewindable: bool = False,
+    scenario: Scenario,
+    world: World,
+    directions: np.ndarray,
+    rewindable: bool = False,
     functions: KernelFunctions = PLAIN,
-) -> PipelineConfig:  # fmt: skip
+) -> PipelineConfig:
     """The pipeline's configuration for a mission.
 
     Args:
@@ -156,15 +169,26 @@ def pipeline_config(
     # copies: kernels would be compiled a second time for the world's read-only arrays
     limits = {name: getattr(world, name).copy() for name in _LIMITS}
     return PipelineConfig(
-        autopilot=autopilot, planner=scenario.planner, map=scenario.map, camera=scenario.camera, directions=directions,
-        **limits, seed=scenario.seed, v_max=scenario.v_max, a_max=scenario.a_max,
-        plan_radius=autopilot.plan_radius * growth, check_radius=autopilot.check_radius * growth,
-        control_period_us=CONTROL_PERIOD_US, tracker_slowdown=scenario.platform.tracker_slowdown,
+        autopilot=autopilot,
+        planner=scenario.planner,
+        map=scenario.map,
+        camera=scenario.camera,
+        directions=directions,
+        **limits,
+        seed=scenario.seed,
+        v_max=scenario.v_max,
+        a_max=scenario.a_max,
+        plan_radius=autopilot.plan_radius * growth,
+        check_radius=autopilot.check_radius * growth,
+        control_period_us=CONTROL_PERIOD_US,
+        tracker_slowdown=scenario.platform.tracker_slowdown,
         map_latency=1e-6 * stage_latency(scenario.platform, Stage.PERCEPTION),
         plan_latency=1e-6 * stage_latency(scenario.platform, Stage.PLANNING),
-        velocity_lag=1.0 / scenario.vehicle.velocity_gain, noise=noise_of(scenario.localization), rewindable=rewindable,
+        velocity_lag=1.0 / scenario.vehicle.velocity_gain,
+        noise=noise_of(scenario.localization),
+        rewindable=rewindable,
         functions=functions,
-    )  # fmt: skip
+    )
 
 
 def noise_of(config: configs.LocalizationConfig) -> Noise | None:
@@ -173,10 +197,13 @@ def noise_of(config: configs.LocalizationConfig) -> Noise | None:
         return None
     scale = max(config.imu_noise, 1.0)
     return Noise(
-        scale * imu.ACCELEROMETER_RANDOM_WALK, scale * imu.GYRO_RANDOM_WALK,
-        scale * imu.ACCELEROMETER_BIAS_WALK, scale * imu.GYRO_BIAS_WALK,
-        max(config.position_noise, _LEAST_POSITION_NOISE), max(config.heading_noise, _LEAST_HEADING_NOISE),
-    )  # fmt: skip
+        scale * imu.ACCELEROMETER_RANDOM_WALK,
+        scale * imu.GYRO_RANDOM_WALK,
+        scale * imu.ACCELEROMETER_BIAS_WALK,
+        scale * imu.GYRO_BIAS_WALK,
+        max(config.position_noise, _LEAST_POSITION_NOISE),
+        max(config.heading_noise, _LEAST_HEADING_NOISE),
+    )
 
 
 # ---- assembly of a flight -------------------------------------------------------------------------------------------
@@ -184,9 +211,14 @@ MakeKernels = Callable[[PipelineConfig], dict[str, Kernel]]
 
 
 def new_loop(
-    scenario: Scenario, *, profile: bool = False, functions: KernelFunctions = PLAIN, rewindable: bool = False,
-    make_plant: MakePlant = Simulator, make_kernels: MakeKernels = build_pipeline,
-) -> Loop:  # fmt: skip
+    scenario: Scenario,
+    *,
+    profile: bool = False,
+    functions: KernelFunctions = PLAIN,
+    rewindable: bool = False,
+    make_plant: MakePlant = Simulator,
+    make_kernels: MakeKernels = build_pipeline,
+) -> Loop:
     """Build a flight in its initial state, without taps.
 
     Args:
@@ -246,9 +278,13 @@ _ERROR_STEP = 0.6
 
 
 def detector_for(
-    scenario: Scenario, name: str, profile: str, models_dir: Path | None = None, trained_for: str = "",
+    scenario: Scenario,
+    name: str,
+    profile: str,
+    models_dir: Path | None = None,
+    trained_for: str = "",
     options: Mapping[str, Any] | None = None,
-) -> Loaded:  # fmt: skip
+) -> Loaded:
     """Load a detector for a mission.
 
     Args:
@@ -291,9 +327,12 @@ class Watched(NamedTuple):
 
 
 def watched(
-    mission: MissionSpec, detector: Detector | str | None, profile: str = "paper", models: Path | None = None,
+    mission: MissionSpec,
+    detector: Detector | str | None,
+    profile: str = "paper",
+    models: Path | None = None,
     options: Mapping[str, Any] | None = None,
-) -> Watched:  # fmt: skip
+) -> Watched:
     """Resolve a mission, and load the detector that watches it.
 
     Args:
@@ -340,17 +379,27 @@ def limits_of(scenario: Scenario, world: World) -> MissionLimits:
     noise = noise_of(scenario.localization)
     p, i, d = (max(map(abs, gains)) for gains in (autopilot.gain_p, autopilot.gain_i, autopilot.gain_d))
     return MissionLimits(
-        v_max=scenario.v_max, a_max=scenario.a_max, arena=(_corner(world.arena_lower), _corner(world.arena_upper)),
-        flight=(_corner(world.flight_lower), _corner(world.flight_upper)), goal=_corner(world.goal),
-        held=autopilot.sampling == "held", every_map=autopilot.replanning == "every_map",
-        point_period=autopilot.point_period, control_period=period, look_ahead=autopilot.look_ahead,
+        v_max=scenario.v_max,
+        a_max=scenario.a_max,
+        arena=(_corner(world.arena_lower), _corner(world.arena_upper)),
+        flight=(_corner(world.flight_lower), _corner(world.flight_upper)),
+        goal=_corner(world.goal),
+        held=autopilot.sampling == "held",
+        every_map=autopilot.replanning == "every_map",
+        point_period=autopilot.point_period,
+        control_period=period,
+        look_ahead=autopilot.look_ahead,
         planner_latency=1e-6 * latency(platform, "planner"),
-        plan_latency=1e-6 * stage_latency(platform, Stage.PLANNING), velocity_lag=1.0 / scenario.vehicle.velocity_gain,
-        command_limit=autopilot.command_limit, command_step=_ERROR_STEP * (p + i * period + 2.0 * d / period),
-        slowdown_cap=autopilot.slowdown_cap, tracker_slowdown=platform.tracker_slowdown,
-        camera_range=scenario.camera.range, repeated=autopilot.alarm == "repeated",
+        plan_latency=1e-6 * stage_latency(platform, Stage.PLANNING),
+        velocity_lag=1.0 / scenario.vehicle.velocity_gain,
+        command_limit=autopilot.command_limit,
+        command_step=_ERROR_STEP * (p + i * period + 2.0 * d / period),
+        slowdown_cap=autopilot.slowdown_cap,
+        tracker_slowdown=platform.tracker_slowdown,
+        camera_range=scenario.camera.range,
+        repeated=autopilot.alarm == "repeated",
         fix_noise=None if noise is None else (noise.position, noise.heading),
-    )  # fmt: skip
+    )
 
 
 def _corner(values: np.ndarray) -> tuple[float, ...]:

@@ -227,9 +227,15 @@ class Branch:
     """
 
     def __init__(
-        self, forward: "FastForward", arm: FlownArm, others: Sequence[Track] = (), own_golden: Track | None = None, *,
-        keeps_checkpoints: bool = False, keeps_publications: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        forward: "FastForward",
+        arm: FlownArm,
+        others: Sequence[Track] = (),
+        own_golden: Track | None = None,
+        *,
+        keeps_checkpoints: bool = False,
+        keeps_publications: bool = False,
+    ) -> None:
         self.loop: Loop = forward.loop
         self.publications: list[tuple[State, int]] = []
         self.comparable: Callable[[], bool] = lambda: True
@@ -311,9 +317,15 @@ class Branch:
         record, injector = self.loop.record, self.loop.taps.injector
         assert isinstance(injector, (CounterWatch, StateInjector))  # installed in every flight of this class
         return Checkpoint(
-            instant, len(record.rows), len(record.events), len(self.publications), tuple(record.alarms),
-            record.counts(), injector.copy(), self._detector_memory(),
-        )  # fmt: skip
+            instant,
+            len(record.rows),
+            len(record.events),
+            len(self.publications),
+            tuple(record.alarms),
+            record.counts(),
+            injector.copy(),
+            self._detector_memory(),
+        )
 
     def _append(self, track: Track, here: Checkpoint, there: Checkpoint) -> None:
         """Append another flight's record between two of its checkpoints; the loop itself does not move."""
@@ -499,9 +511,12 @@ class FastForward:
         self._same_fault: dict[str, Track] = {}
 
     def fly(
-        self, fault: StateFault | None = None, detector: Detector | None = None, arm: str = "",
+        self,
+        fault: StateFault | None = None,
+        detector: Detector | None = None,
+        arm: str = "",
         recovery: Recovery = INLINE,
-    ) -> Flight:  # fmt: skip
+    ) -> Flight:
         """Fly, reusing known parts; only the golden flight without a detector has a profile.
 
         Args:
@@ -596,9 +611,13 @@ class FastForward:
         return track
 
     def _fly_on(
-        self, branch: Branch, own_golden: Track, rows: int, injector: StateInjector,
+        self,
+        branch: Branch,
+        own_golden: Track,
+        rows: int,
+        injector: StateInjector,
         without_detector: Track | None = None,
-    ) -> Track:  # fmt: skip
+    ) -> Track:
         """Fly from a golden checkpoint, along the run without a detector as far as that is the same."""
         start = own_golden.checkpoints[rows]
         branch.begin(own_golden, start)

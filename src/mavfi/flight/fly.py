@@ -19,11 +19,17 @@ from mavfi.sim.simulator import Simulator
 
 
 def fly(  # noqa: PLR0913 - each is independent
-    scenario: Scenario, fault: Fault | None = None, detector: Detector | None = None, *,
-    recovery: Recovery = INLINE, profile: bool = False, recorders: Sequence[Recorder] = (),
-    functions: KernelFunctions = PLAIN, observers: Sequence[Listener] = (),
+    scenario: Scenario,
+    fault: Fault | None = None,
+    detector: Detector | None = None,
+    *,
+    recovery: Recovery = INLINE,
+    profile: bool = False,
+    recorders: Sequence[Recorder] = (),
+    functions: KernelFunctions = PLAIN,
+    observers: Sequence[Listener] = (),
     make_plant: MakePlant = Simulator,
-) -> Flight:  # fmt: skip
+) -> Flight:
     """Fly one mission; equal arguments yield bit-identical results.
 
     Args:

@@ -223,11 +223,16 @@ def _in_fields(state: str, golden: np.ndarray, injected: np.ndarray, *, in_list:
 
 def _difference(
     state: str, field: str, element: int | None, before: Any, after: Any, elements: int, largest: float
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     return {
-        "state": state, "field": field, "element": element, "before": before, "after": after, "elements": elements,
+        "state": state,
+        "field": field,
+        "element": element,
+        "before": before,
+        "after": after,
+        "elements": elements,
         "largest": largest,
-    }  # fmt: skip
+    }
 
 
 # ---- flights of one mission -----------------------------------------------------------------------------------------
@@ -248,9 +253,12 @@ class InjectedRuns:
 
 
 def fly_instruction_faults(
-    scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None = None,
-    golden: Flight | None = None, recovery: Recovery = INLINE,
-) -> InjectedRuns:  # fmt: skip
+    scenario: Scenario,
+    faults: Sequence[InstructionFault],
+    detector: Detector | None = None,
+    golden: Flight | None = None,
+    recovery: Recovery = INLINE,
+) -> InjectedRuns:
     """Fly one mission with each of several instruction faults, all forked from one golden flight from take-off.
 
     Args:
@@ -297,9 +305,12 @@ def fly_with_publications(
 
 
 def fly_from_checkpoints(
-    forward: FastForward, faults: Sequence[InstructionFault], golden: Flight, arm: FlownArm = NO_DETECTOR,
+    forward: FastForward,
+    faults: Sequence[InstructionFault],
+    golden: Flight,
+    arm: FlownArm = NO_DETECTOR,
     watched: Sequence[FlownArm] = (),
-) -> InjectedRuns:  # fmt: skip
+) -> InjectedRuns:
     """Fly one mission with each of several faults in instructions of its kernels, from golden checkpoints.
 
     Args:
@@ -385,9 +396,7 @@ class Forks(Listener):
         return self.child is None and not self._awaited and all(case.how != WAITING for case in self.cases)
 
     # ---- in the golden flight ---------------------------------------------------------------------------------------
-    def intercept(
-        self, entry: str, call: int, function: Callable[..., Any], args: tuple[Any, ...]
-    ) -> Taken | None:  # fmt: skip
+    def intercept(self, entry: str, call: int, function: Callable[..., Any], args: tuple[Any, ...]) -> Taken | None:
         """Fork at an injected call; the call is made with the fault in children, as usual in the golden flight."""
         if self.child is not None:
             return None
@@ -487,9 +496,7 @@ class Forks(Listener):
             self._start.restarts().die(kernel.name, now, round(1e6 * child.case.fault.restart_s))
 
     # ---- in a child -------------------------------------------------------------------------------------------------
-    def _injected_call(
-        self, variant: Variant, fault: InstructionFault, function: Any, args: tuple[Any, ...]
-    ) -> Any:  # fmt: skip
+    def _injected_call(self, variant: Variant, fault: InstructionFault, function: Any, args: tuple[Any, ...]) -> Any:
         """The call with the fault; a child whose data equals the golden data ends here, as its remainder is golden."""
         child = self.child
         assert child is not None  # called in children only
@@ -609,9 +616,15 @@ class FromTakeOff(Start):
     """
 
     def __init__(
-        self, scenario: Scenario, cases: Sequence[Case], detector: Detector | None = None, recovery: Recovery = INLINE,
-        *, flies_whole_golden: bool = True, records: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        scenario: Scenario,
+        cases: Sequence[Case],
+        detector: Detector | None = None,
+        recovery: Recovery = INLINE,
+        *,
+        flies_whole_golden: bool = True,
+        records: bool = False,
+    ) -> None:
         if not is_rewindable(scenario.flight_controller):
             text = "faults in instructions fork the flight, which this controller does not allow; allowed: cascade"
             raise BadInputError(f"flight_controller: {scenario.flight_controller}: {text}")

@@ -309,9 +309,15 @@ class Loop:
     """
 
     def __init__(
-        self, scenario: Scenario, world: World, plant: Plant, make_kernels: Callable[[], dict[str, Kernel]], *,
-        want_profile: bool = False, marks: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        scenario: Scenario,
+        world: World,
+        plant: Plant,
+        make_kernels: Callable[[], dict[str, Kernel]],
+        *,
+        want_profile: bool = False,
+        marks: bool = False,
+    ) -> None:
         self.scenario, self.world, self.plant = scenario, world, plant
         self.marks = marks
         self.renew: Callable[[str], Mapping[str, Kernel]] = lambda kernel: make_kernels()
@@ -568,9 +574,11 @@ class Loop:
         if action.alone:
             cost = self.latency[action.kernel]
         else:
-            cost = redo_latency(platform, action.kernel, action.stage) if action.kernel else stage_latency(
-                platform, action.stage
-            )  # fmt: skip
+            cost = (
+                redo_latency(platform, action.kernel, action.stage)
+                if action.kernel
+                else stage_latency(platform, action.stage)
+            )
         self.record.recompute_us[action.stage.value] += cost
         return cost
 
@@ -599,11 +607,17 @@ class Loop:
         """The log of a completed flight."""
         record, injector = self.record, self.taps.injector
         meta = {
-            "scenario": self.scenario.to_json(), "start": self.world.start.tolist(), "goal": self.world.goal.tolist(),
-            "course_m": self.world.course, "time_limit_s": 1e-6 * self.judge.limit_us, "world": self.world.digest(),
-            "compute_us": record.compute_us, "recompute_us": record.recompute_us,
-            "publications": record.publications.count, "rejected_commands": rejected_commands,
-        }  # fmt: skip
+            "scenario": self.scenario.to_json(),
+            "start": self.world.start.tolist(),
+            "goal": self.world.goal.tolist(),
+            "course_m": self.world.course,
+            "time_limit_s": 1e-6 * self.judge.limit_us,
+            "world": self.world.digest(),
+            "compute_us": record.compute_us,
+            "recompute_us": record.recompute_us,
+            "publications": record.publications.count,
+            "rejected_commands": rejected_commands,
+        }
         injections = [] if injector is None else injector.finish()
         return FlightLog(np.array(record.rows), status, record.events, injections, record.alarms, meta)
 

@@ -24,8 +24,13 @@ from mavfi.states import DETECTORS, WATCHING
 _ACTION = "memory_fault"
 _RESTART_US = round(1e6 * RESTART_S)
 _ANSWERS: dict[str, Callable[[], Any]] = {
-    "receive": bool, "step": list, "rollback": lambda: None, "again": lambda: None, "stop": list, "abandon": list,
-}  # fmt: skip
+    "receive": bool,
+    "step": list,
+    "rollback": lambda: None,
+    "again": lambda: None,
+    "stop": list,
+    "abandon": list,
+}
 """Return value of each method of a kernel that has crashed."""
 _CHECKS: dict[str, Callable[[], Any]] = {"check": lambda: None, "accept": lambda: None}
 """Return value of each method of a detector that has crashed."""

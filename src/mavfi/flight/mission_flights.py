@@ -212,9 +212,12 @@ class LocalFlights(ArmFlights):
             yield from self._fly_batch(arm, unknown, in_kernels.keys() | in_detectors.keys(), known)
 
     def _fly_batch(
-        self, arm: str, batch: Sequence[_InstructionRun], arms: Collection[str],
+        self,
+        arm: str,
+        batch: Sequence[_InstructionRun],
+        arms: Collection[str],
         known: dict[tuple[str, InstructionFault], Flight],
-    ) -> Iterator[tuple[int, Flight | Exception]]:  # fmt: skip
+    ) -> Iterator[tuple[int, Flight | Exception]]:
         """Flights of a batch with faults in instructions; those of other arms that follow from them become `known`."""
         if not batch:
             return

@@ -71,9 +71,12 @@ class DetectorTap:
     """
 
     def __init__(
-        self, loop: "Loop", detector: Detector, policy: Recovery = INLINE,
+        self,
+        loop: "Loop",
+        detector: Detector,
+        policy: Recovery = INLINE,
         restart: Callable[[str, int, int], None] = lambda *_: None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._loop = proxy(loop)  # the loop owns this object; no cycle, so that maps are freed at once
         self._detector, self._policy, self._restart = detector, policy, restart
         self._is_custom = is_custom(detector)
@@ -406,7 +409,7 @@ class Duplicates:
                     (differs,),
                     "recompute",
                     outcomes.get(True, "rejected"),
-                )  # fmt: skip
+                )
             )
         cost = runs * self._loop.latency[kernel.name]
         record = self._loop.record

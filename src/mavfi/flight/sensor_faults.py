@@ -35,9 +35,7 @@ class FailingController:
     def rotors(self, time_us: int, setpoint: np.ndarray, odometry: np.ndarray, force: np.ndarray) -> np.ndarray:
         """See `Controller.rotors`."""
         failures, now = self._failures, self._since_us + time_us
-        wanted = self._controller.rotors(
-            time_us, setpoint, failures.state(now, odometry), failures.force(now, force)
-        )  # fmt: skip
+        wanted = self._controller.rotors(time_us, setpoint, failures.state(now, odometry), failures.force(now, force))
         return failures.rotors(now, wanted, self._max_thrust)
 
     def save(self) -> bytes:

@@ -124,8 +124,13 @@ def target_machine() -> Any:
     llvm.initialize_native_asmprinter()
     target = llvm.Target.from_triple(llvm.get_process_triple())
     return target.create_target_machine(
-        cpu="generic", features="", opt=_OPTIMISATION, reloc="static", codemodel="jitdefault", jit=True,
-    )  # fmt: skip
+        cpu="generic",
+        features="",
+        opt=_OPTIMISATION,
+        reloc="static",
+        codemodel="jitdefault",
+        jit=True,
+    )
 
 
 def load_code(code: bytes, wrapper: str, environment_name: str, environment: Any) -> tuple[Any, Any]:

@@ -74,9 +74,14 @@ class _Template:
         paths = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         with theirs:
             subprocess.run(
-                [sys.executable, "-P", "-m", __name__], env=os.environ | own | paths, process_group=0,
-                stdin=theirs.fileno(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False,
-            )  # fmt: skip
+                [sys.executable, "-P", "-m", __name__],
+                env=os.environ | own | paths,
+                process_group=0,
+                stdin=theirs.fileno(),
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                check=False,
+            )
 
     def usable(self) -> bool:
         """Whether its channel is open, and it was started by this process under the present settings."""

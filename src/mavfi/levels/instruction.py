@@ -134,9 +134,15 @@ class _Position:
 
 
 def draw_instruction_faults(
-    scenario: Scenario, request: InstructionRequest, *address: str, seed: int, detector: "Detector | None" = None,
-    recovery: Recovery = INLINE, flights: "LocalFlights | None" = None, arm: str = "",
-) -> DrawnFaults:  # fmt: skip
+    scenario: Scenario,
+    request: InstructionRequest,
+    *address: str,
+    seed: int,
+    detector: "Detector | None" = None,
+    recovery: Recovery = INLINE,
+    flights: "LocalFlights | None" = None,
+    arm: str = "",
+) -> DrawnFaults:
     """Fly the golden flight, and draw faults; a kernel that executes no such instruction gives faults without a site.
 
     The draw depends on the seed and on an address, e.g. the environment, that distinguishes faults of the same seed.
@@ -200,9 +206,14 @@ class _KernelDraw:
     """The draw of one kernel's faults from the counts of its functions."""
 
     def __init__(
-        self, kernel: str, number: int, request: InstructionRequest, counters: Mapping[str, Profiling], seed: int,
+        self,
+        kernel: str,
+        number: int,
+        request: InstructionRequest,
+        counters: Mapping[str, Profiling],
+        seed: int,
         address: tuple[str, ...],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.kernel, self.counters = kernel, counters
         self._number, self._request, self._seed = number, request, seed
         self._random = stream(seed, "instruction", kernel, *address)
@@ -225,11 +236,21 @@ class _KernelDraw:
         counter, request, call = self.counters[position.entry], self._request, position.call
         self._faults.append(
             plan(
-                self._random, "", counter.digests[call], site, position.index, request.model,
-                call=call, which=request.which, budget=budget_for(counter.counts[call]), kernel=self.kernel,
-                entry=position.entry, restart_s=request.restart_s, seed=self._seed,
+                self._random,
+                "",
+                counter.digests[call],
+                site,
+                position.index,
+                request.model,
+                call=call,
+                which=request.which,
+                budget=budget_for(counter.counts[call]),
+                kernel=self.kernel,
+                entry=position.entry,
+                restart_s=request.restart_s,
+                seed=self._seed,
             )
-        )  # fmt: skip
+        )
 
     def all_faults(self) -> list[InstructionFault]:
         """The requested number of faults; those that could not be drawn have no site."""
@@ -325,7 +346,7 @@ class InstructionSampler(Sampler):
 
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: "MissionFlights", setup: "ArmSetup"
-    ) -> Sampled:  # fmt: skip
+    ) -> Sampled:
         """Fly the golden run with instruction counters, and draw its faults."""
         targets = [draw.target for draw in draws]
         in_detector = any(self.arms.get(name) == arm for name in DETECTORS)
@@ -339,9 +360,15 @@ class InstructionSampler(Sampler):
         numbers = {name: targets.count(name) for name in kernels}
         request = InstructionRequest(numbers, sampling.which, sampling.model, sampling.restart_s)
         drawn = draw_instruction_faults(
-            scenario, request, environment, seed=scenario.seed, recovery=setup.recovery,
-            detector=setup.detector(), flights=flights if isinstance(flights, LocalFlights) else None, arm=arm,
-        )  # fmt: skip
+            scenario,
+            request,
+            environment,
+            seed=scenario.seed,
+            recovery=setup.recovery,
+            detector=setup.detector(),
+            flights=flights if isinstance(flights, LocalFlights) else None,
+            arm=arm,
+        )
         flights.know(arm, drawn.golden)
         return Sampled(drawn.golden, drawn.counts, {(name, ""): faults for name, faults in drawn.faults.items()})
 
@@ -429,9 +456,11 @@ class InstructionLevel(Level):
     def columns(self, fault: InstructionFault) -> dict[str, Any]:
         """See `Level.columns`."""
         return {
-            "stage": str(KERNEL_STAGES.get(fault.kernel, "")), "kernel": fault.kernel, "function": fault.entry,
+            "stage": str(KERNEL_STAGES.get(fault.kernel, "")),
+            "kernel": fault.kernel,
+            "function": fault.entry,
             "value_class": fault.value_class,
-        }  # fmt: skip
+        }
 
     def about(self, campaign: Any) -> dict[str, Any]:
         """See `Level.about`."""
@@ -445,9 +474,18 @@ def _fault_in(match: re.Match[str]) -> InstructionFault:
     call, index, budget = (int(match[name]) for name in ("call", "index", "budget"))
     bits = tuple(map(int, match["bits"].split("+"))) if match["bits"] else ()
     return InstructionFault(
-        "", match["ir"], index, call, bits, int(match["value"] or "0", 16), budget, model=_model(match["model"]),
-        kernel=match["kernel"], entry=match["entry"], restart_s=float(match["restart"] or RESTART_S),
-    )  # fmt: skip
+        "",
+        match["ir"],
+        index,
+        call,
+        bits,
+        int(match["value"] or "0", 16),
+        budget,
+        model=_model(match["model"]),
+        kernel=match["kernel"],
+        entry=match["entry"],
+        restart_s=float(match["restart"] or RESTART_S),
+    )
 
 
 def _model(name: str | None) -> Any:

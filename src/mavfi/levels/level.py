@@ -220,7 +220,7 @@ class Sampler:
 
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: "MissionFlights", setup: "ArmSetup"
-    ) -> Sampled:  # fmt: skip
+    ) -> Sampled:
         """Fly the golden run of the campaign's own mission, of a variant, or of an arm whose detector is injected.
 
         `draws`: the draws of this mission in it.

@@ -251,7 +251,7 @@ class MemorySampler(Sampler):
 
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: "MissionFlights", setup: "ArmSetup"
-    ) -> Sampled:  # fmt: skip
+    ) -> Sampled:
         """Fly the golden run, and draw its faults."""
         if arm and not draws:
             return Sampled(flights.golden(arm))

@@ -108,9 +108,7 @@ class SensorSampler(Sampler):
         units = list(self.targets)
         return self._fault(units[index % len(units)], NULL, index, seed, environment, golden)
 
-    def _fault(
-        self, unit: str, kind: str, index: int, seed: int, environment: str, golden: Golden
-    ) -> SensorFault:  # fmt: skip
+    def _fault(self, unit: str, kind: str, index: int, seed: int, environment: str, golden: Golden) -> SensorFault:
         address = environment, index // self.campaign.missions
         most = UNITS[unit].instances
         instance = 1 + int(stream(seed, "instance", unit, *address).integers(most)) if most > 1 else 0
@@ -155,9 +153,12 @@ class SensorLevel(Level):
         if device is None:
             self.not_understood()
         fault = SensorFault(
-            device["unit"], parts.site, parts.time_us or 0, parts.options.get("lasts", float("inf")),
+            device["unit"],
+            parts.site,
+            parts.time_us or 0,
+            parts.options.get("lasts", float("inf")),
             int(device["instance"] or 0),
-        )  # fmt: skip
+        )
         return SensorRequest(fault, drawn=parts.time_us is None)
 
     def text_of(self, fault: SensorFault) -> str:

@@ -173,9 +173,10 @@ class StateSampling(Sampling):
         for key, given in (("groups", self.groups), ("messages", self.messages)):
             if (self.scheme == key) != bool(given):
                 raise ValueError(
-                    f"sampling.scheme: {self.scheme!r}: allowed with the key {key}: {key}" if given
+                    f"sampling.scheme: {self.scheme!r}: allowed with the key {key}: {key}"
+                    if given
                     else f"sampling.{key}: is required with scheme {key!r}; allowed: a list of 1 or more"
-                )  # fmt: skip
+                )
         check_known("sampling.messages", self.messages, STATES)
         check_distinct("sampling.messages", self.messages)
         check_distinct("sampling.groups", [group.name for group in self.groups])
@@ -339,9 +340,12 @@ class StateLevel(Level):
     local = True
     form = "state:STATE[.FIELD][[ELEMENT]][:bit=N][:width=N][:times=N][:lasts=S][:share=P][@SECONDS]"
     options = {
-        "bit": WHOLE, "width": WHOLE, "times": WHOLE, "lasts": SECONDS,
+        "bit": WHOLE,
+        "width": WHOLE,
+        "times": WHOLE,
+        "lasts": SECONDS,
         "share": (r"\d+(\.\d*)?", "a number above 0, to 1", float),
-    }  # fmt: skip
+    }
     reductions = {"publications": fewer, "width": narrower, "bit": lower}
     absent = ("published", "no such publication came")
 
@@ -395,9 +399,13 @@ class StateLevel(Level):
         """See `Level.columns`."""
         where, spec = fault.where, STATES[fault.where.state]
         return {
-            "stage": str(spec.stage), "kernel": spec.writer, "state": where.state, "field": where.field,
-            "element": where.element, "population": fault.stratum,
-        }  # fmt: skip
+            "stage": str(spec.stage),
+            "kernel": spec.writer,
+            "state": where.state,
+            "field": where.field,
+            "element": where.element,
+            "population": fault.stratum,
+        }
 
     def about(self, campaign: Any) -> dict[str, Any]:
         """See `Level.about`."""

@@ -39,14 +39,21 @@ def crc32c(content: np.ndarray, before: int) -> int:
     whole = len(content) - len(content) % 8
     for at in range(0, whole, 8):
         value ^= (
-            np.int64(content[at]) | np.int64(content[at + 1]) << 8 | np.int64(content[at + 2]) << 16
+            np.int64(content[at])
+            | np.int64(content[at + 1]) << 8
+            | np.int64(content[at + 2]) << 16
             | np.int64(content[at + 3]) << 24
-        )  # fmt: skip
+        )
         value = (
-            _TABLES[7, value & 255] ^ _TABLES[6, value >> 8 & 255] ^ _TABLES[5, value >> 16 & 255]
-            ^ _TABLES[4, value >> 24] ^ _TABLES[3, content[at + 4]] ^ _TABLES[2, content[at + 5]]
-            ^ _TABLES[1, content[at + 6]] ^ _TABLES[0, content[at + 7]]
-        )  # fmt: skip
+            _TABLES[7, value & 255]
+            ^ _TABLES[6, value >> 8 & 255]
+            ^ _TABLES[5, value >> 16 & 255]
+            ^ _TABLES[4, value >> 24]
+            ^ _TABLES[3, content[at + 4]]
+            ^ _TABLES[2, content[at + 5]]
+            ^ _TABLES[1, content[at + 6]]
+            ^ _TABLES[0, content[at + 7]]
+        )
     for at in range(whole, len(content)):
         value = _TABLES[0, (value ^ content[at]) & 255] ^ value >> 8
     return int(value ^ _ALL_ONES)

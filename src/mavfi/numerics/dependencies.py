@@ -170,9 +170,16 @@ class _Content:
     def code(self, code: python.CodeType, docstring: str | None = None) -> None:
         """Add bytecode and constants, without the docstring."""
         self.text(
-            code.co_code.hex(), code.co_exceptiontable.hex(), code.co_flags, code.co_names, code.co_varnames,
-            code.co_freevars, code.co_cellvars, code.co_argcount, code.co_kwonlyargcount,
-        )  # fmt: skip
+            code.co_code.hex(),
+            code.co_exceptiontable.hex(),
+            code.co_flags,
+            code.co_names,
+            code.co_varnames,
+            code.co_freevars,
+            code.co_cellvars,
+            code.co_argcount,
+            code.co_kwonlyargcount,
+        )
         instructions = zip(code.co_code[::2], code.co_code[1::2], strict=True)
         reads_first = _READ_FIRST_CONSTANT in instructions
         for number, constant in enumerate(code.co_consts):

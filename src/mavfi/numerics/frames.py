@@ -63,9 +63,15 @@ def ned_of(rows: np.ndarray) -> NedFlight:
     time_us = np.rint(1e6 * np.maximum(rows[:, 0], 0)).astype(np.int64)
     quaternion = rows[:, 7:11] * np.array([1.0, 1.0, -1.0, -1.0])
     return NedFlight(
-        time_us, rows[:, 1:4] * _TURN, rows[:, 4:7] * _TURN, quaternion, rows[:, 11:14] * _TURN,
-        rows[:, 18:21] * _TURN, rows[:, 14:17] * _TURN, -rows[:, 17],
-    )  # fmt: skip
+        time_us,
+        rows[:, 1:4] * _TURN,
+        rows[:, 4:7] * _TURN,
+        quaternion,
+        rows[:, 11:14] * _TURN,
+        rows[:, 18:21] * _TURN,
+        rows[:, 14:17] * _TURN,
+        -rows[:, 17],
+    )
 
 
 def euler(wxyz: Numbers) -> Triple:

@@ -32,9 +32,11 @@ def call_portably(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -
     """
     done = subprocess.run(
         [sys.executable, "-P", "-W", "ignore", "-m", __name__],
-        input=pickle.dumps((sys.path, pickle.dumps((function, args, kwargs)))), env={**os.environ, **BASELINE},
-        capture_output=True, check=False,
-    )  # fmt: skip
+        input=pickle.dumps((sys.path, pickle.dumps((function, args, kwargs)))),
+        env={**os.environ, **BASELINE},
+        capture_output=True,
+        check=False,
+    )
     if done.returncode != 0:
         reason = done.stderr.decode(errors="replace").strip().rpartition("\n")[2] or f"status {done.returncode}"
         raise MachineError(f"{function.__name__}: its process failed ({reason})")

@@ -45,11 +45,16 @@ class Tracker(Remembers):
         self._slowdown = config.tracker_slowdown
         held = autopilot.sampling == "held"
         self._gains = pid.Gains(
-            np.array(autopilot.gain_p), np.array(autopilot.gain_i), np.array(autopilot.gain_d),
-            autopilot.integral_limit, autopilot.velocity_feed_forward / (config.tracker_slowdown if held else 1.0),
-            autopilot.acceleration_feed_forward, autopilot.command_limit * config.v_max, autopilot.slowdown_cap,
+            np.array(autopilot.gain_p),
+            np.array(autopilot.gain_i),
+            np.array(autopilot.gain_d),
+            autopilot.integral_limit,
+            autopilot.velocity_feed_forward / (config.tracker_slowdown if held else 1.0),
+            autopilot.acceleration_feed_forward,
+            autopilot.command_limit * config.v_max,
+            autopilot.slowdown_cap,
             MAX_YAW_RATE,
-        )  # fmt: skip
+        )
         self.memory = _TrackerMemory()
 
     def receive(self, state: State, time_us: int) -> bool:

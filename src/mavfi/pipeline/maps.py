@@ -136,9 +136,13 @@ class DenseMap:
     """
 
     def __init__(
-        self, frame: KeyFrame, rule: UpdateRule, max_range: float, functions: KernelFunctions = PLAIN,
+        self,
+        frame: KeyFrame,
+        rule: UpdateRule,
+        max_range: float,
+        functions: KernelFunctions = PLAIN,
         rewindable: bool = False,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._functions, self._rewindable = functions, rewindable
         self._arrays = ScanArrays(frame, rule, max_range)
         self.log_odds = self._arrays.log_odds
@@ -204,9 +208,13 @@ class OctreeMap:
     """
 
     def __init__(
-        self, frame: KeyFrame, rule: UpdateRule, max_range: float, functions: KernelFunctions = PLAIN,
+        self,
+        frame: KeyFrame,
+        rule: UpdateRule,
+        max_range: float,
+        functions: KernelFunctions = PLAIN,
         rewindable: bool = False,
-    ) -> None:  # fmt: skip
+    ) -> None:
         del rewindable  # nodes are copied whole
         self._frame, self._rule, self._range = frame, rule, max_range
         self._functions = functions
@@ -230,7 +238,7 @@ class OctreeMap:
         self._stamps += 1
         n_free, count = self._functions.collect(
             points, origin, self._range, self._frame, self._stamp, self._stamps, self._touched
-        )  # fmt: skip
+        )
         voxels, after = self._touched[:count], np.zeros(count, np.float32)
         done = 0
         while True:
@@ -357,9 +365,13 @@ _METHODS = {"insert": "points, origin", "mark": "", "rollback": ""}
 
 
 def make_map(
-    kind: str, frame: KeyFrame, rule: UpdateRule, max_range: float, functions: KernelFunctions = PLAIN,
+    kind: str,
+    frame: KeyFrame,
+    rule: UpdateRule,
+    max_range: float,
+    functions: KernelFunctions = PLAIN,
     rewindable: bool = False,
-) -> OccupancyMap:  # fmt: skip
+) -> OccupancyMap:
     """Construct an empty map.
 
     Args:

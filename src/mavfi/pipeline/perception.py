@@ -183,9 +183,13 @@ class CollisionCheck(Remembers):
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
         self.reads = (
-            "perception.map_update", "planning.trajectory", "planning.waypoint", config.odometry,
-            "perception.collision_status", "control.tracking",
-        )  # fmt: skip
+            "perception.map_update",
+            "planning.trajectory",
+            "planning.waypoint",
+            config.odometry,
+            "perception.collision_status",
+            "control.tracking",
+        )
         self._every_map = config.autopilot.replanning == "every_map"
         # at most the planner's clearance, or a path along a wall would always encounter the unknown space inside it
         self._reach = max(1, math.ceil(config.plan_radius / config.map.resolution))
@@ -263,14 +267,20 @@ class CollisionCheck(Remembers):
         points = rows(trajectory.elements, POINT_WIDTH)
         time = config.functions.time_to_collision(
             clearance.narrow, clearance.grid, position, points, index, remaining, config.autopilot.geofence
-        )  # fmt: skip
+        )
         header = status.header[0]
         if self._every_map:
             number = trajectory.value("trajectory_seq")
             blocked, unknown = config.functions.known_free_distance(
-                clearance.narrow, clearance.cells, clearance.grid, points, index, _UNKNOWN_HORIZON, self._reach,
+                clearance.narrow,
+                clearance.cells,
+                clearance.grid,
+                points,
+                index,
+                _UNKNOWN_HORIZON,
+                self._reach,
                 self._still_escaping(number, points[index]),
-            )  # fmt: skip
+            )
             header["trajectory_seq"] = number
             header["distance_to_blocked"], header["distance_to_unknown"] = blocked, unknown
             time = max(time, 0.0) if blocked < np.inf else -1.0

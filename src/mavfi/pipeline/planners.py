@@ -168,9 +168,11 @@ class Rrt(SamplingSearch):
 
     def _run(self, problem: _Problem) -> int:
         config = self._config
-        return int(self.functions.plan_rrt(
-            *problem, config.range, config.goal_bias, config.iterations, self.random, self._tree, self._path
-        ))  # fmt: skip
+        return int(
+            self.functions.plan_rrt(
+                *problem, config.range, config.goal_bias, config.iterations, self.random, self._tree, self._path
+            )
+        )
 
 
 class RrtConnect(SamplingSearch):
@@ -182,9 +184,11 @@ class RrtConnect(SamplingSearch):
         self.scratch = SearchScratch(arrays_of((self._trees, self._path, self._buffer)))
 
     def _run(self, problem: _Problem) -> int:
-        return int(self.functions.plan_rrt_connect(
-            *problem, self._config.range, self._config.iterations, self.random, self._trees, self._path
-        ))  # fmt: skip
+        return int(
+            self.functions.plan_rrt_connect(
+                *problem, self._config.range, self._config.iterations, self.random, self._trees, self._path
+            )
+        )
 
 
 class RrtStar(SamplingSearch):
@@ -202,10 +206,18 @@ class RrtStar(SamplingSearch):
 
     def _run(self, problem: _Problem) -> int:
         config = self._config
-        return int(self.functions.plan_rrt_star(
-            *problem, config.range, config.goal_bias, config.iterations,
-            min(self._longest, config.iterations * config.restarts), self.random, self._tree, self._path,
-        ))  # fmt: skip
+        return int(
+            self.functions.plan_rrt_star(
+                *problem,
+                config.range,
+                config.goal_bias,
+                config.iterations,
+                min(self._longest, config.iterations * config.restarts),
+                self.random,
+                self._tree,
+                self._path,
+            )
+        )
 
 
 _SHIPPED = {

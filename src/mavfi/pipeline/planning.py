@@ -75,9 +75,12 @@ class MotionPlanner(Remembers):
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
         self.reads = (
-            "perception.map_update", "perception.collision_status", config.odometry, "planning.waypoint",
+            "perception.map_update",
+            "perception.collision_status",
+            config.odometry,
+            "planning.waypoint",
             "planning.trajectory",
-        )  # fmt: skip
+        )
         self._every_map = config.autopilot.replanning == "every_map"
         self.routes = Routes(config)
         self.clearance_map = self.routes.clearance_map

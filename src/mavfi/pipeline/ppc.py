@@ -14,7 +14,13 @@ def build_pipeline(config: PipelineConfig) -> dict[str, Kernel]:
     estimators = () if config.noise is None else (StateEstimator(config.noise),)
     planner = MotionPlanner(config)
     kernels: tuple[Kernel, ...] = (
-        *estimators, PointCloud(config), OctoMap(config), CollisionCheck(config), planner,
-        TrajectoryGenerator(config, planner.clearance_map), SetpointGenerator(config), Tracker(config),
-    )  # fmt: skip
+        *estimators,
+        PointCloud(config),
+        OctoMap(config),
+        CollisionCheck(config),
+        planner,
+        TrajectoryGenerator(config, planner.clearance_map),
+        SetpointGenerator(config),
+        Tracker(config),
+    )
     return {kernel.name: kernel for kernel in kernels}

@@ -57,9 +57,12 @@ class Routes:
         self.scratch = known if len(known) == 2 else None
         v_max = config.v_max
         self._pace = travel.Pace(
-            v_max, min(TIGHT_SPEED, v_max), PLANNING_ACCELERATION, LATERAL_SHARE * config.a_max,
+            v_max,
+            min(TIGHT_SPEED, v_max),
+            PLANNING_ACCELERATION,
+            LATERAL_SHARE * config.a_max,
             BLEND * min(1.0, v_max / NOMINAL_SPEED),
-        )  # fmt: skip
+        )
         self._occupied = np.zeros(self.clearance_map.grid.size, np.int16)
         self._buffer = np.zeros((2, 20_000, 3))
 
@@ -135,9 +138,19 @@ class Routes:
             return path
         work[: len(path)] = path
         count = travel.quicken(
-            counter, self.clearance_map.wide, self.clearance_map.grid, self._config.flight_lower,
-            self._config.flight_upper, work, len(path), velocity, self._pace, _TRIES, self.search.random, buffer,
-        )  # fmt: skip
+            counter,
+            self.clearance_map.wide,
+            self.clearance_map.grid,
+            self._config.flight_lower,
+            self._config.flight_upper,
+            work,
+            len(path),
+            velocity,
+            self._pace,
+            _TRIES,
+            self.search.random,
+            buffer,
+        )
         return work[:count].copy()
 
     # ---- narrow passages --------------------------------------------------------------------------------------------

@@ -135,17 +135,28 @@ class TrajectoryGenerator(Remembers):
         top = config.v_max if self._splices else 0.97 * config.v_max
         slow = min(1.0, config.v_max / NOMINAL_SPEED)  # lengths scale with speed
         return timing.Limits(
-            top, min(TIGHT_SPEED, top) if self._splices else top, LATERAL_SHARE * config.a_max, PLANNING_ACCELERATION,
-            BRAKING, self._blend * slow, _LOOK * slow,
-        )  # fmt: skip
+            top,
+            min(TIGHT_SPEED, top) if self._splices else top,
+            LATERAL_SHARE * config.a_max,
+            PLANNING_ACCELERATION,
+            BRAKING,
+            self._blend * slow,
+            _LOOK * slow,
+        )
 
     def _blends(self, vertices: np.ndarray, entry: float) -> int:
         """Sample blended corners with a speed profile; returns the number of dense points."""
         clearance, limits = self._clearance_map, self._limits()
         count = timing.smooth(
-            clearance.narrow, clearance.grid, vertices, len(vertices), limits.blend, self._inner, self._corners,
+            clearance.narrow,
+            clearance.grid,
+            vertices,
+            len(vertices),
+            limits.blend,
+            self._inner,
+            self._corners,
             self._curve,
-        )  # fmt: skip
+        )
         if count < 2:
             return 0
         timing.speed_profile(clearance.wide, clearance.grid, self._curve, count, entry, limits, self._arc, self._speed)
@@ -155,9 +166,15 @@ class TrajectoryGenerator(Remembers):
         """Sample a minimum-snap curve; returns the number of dense points, 0 = infeasible."""
         clearance, limits = self._clearance_map, self._limits()
         curve_limits = knots.CurveLimits(
-            limits.speed, _ACCELERATION_SHARE * self._config.a_max, limits.tight_speed, limits.lateral,
-            limits.tangential, limits.braking, _REACH_SHARE * limits.blend, _KNOT_TIME * limits.speed,
-        )  # fmt: skip
+            limits.speed,
+            _ACCELERATION_SHARE * self._config.a_max,
+            limits.tight_speed,
+            limits.lateral,
+            limits.tangential,
+            limits.braking,
+            _REACH_SHARE * limits.blend,
+            _KNOT_TIME * limits.speed,
+        )
         with np.errstate(over="ignore", invalid="ignore"):
             velocity = motion.velocity
             if velocity is None:
@@ -165,9 +182,16 @@ class TrajectoryGenerator(Remembers):
             size = paths.distance(motion.acceleration, np.zeros(3))
             acceleration = motion.acceleration * min(1.0, _ENTRY_SHARE * curve_limits.acceleration / max(size, 1e-9))
         n = time_allocation.fit(
-            clearance.narrow, clearance.wide, clearance.grid, vertices, len(vertices), velocity, acceleration,
-            curve_limits, self._work,
-        )  # fmt: skip
+            clearance.narrow,
+            clearance.wide,
+            clearance.grid,
+            vertices,
+            len(vertices),
+            velocity,
+            acceleration,
+            curve_limits,
+            self._work,
+        )
         if n == 0:
             self.fallbacks += 1
             return 0

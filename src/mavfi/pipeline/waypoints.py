@@ -159,9 +159,14 @@ class SetpointGenerator(Remembers):
         flown = trajectory if taken and index >= 0 else None
         self.memory.published = waypoint
         self._set(
-            trajectory=flown, index=-1 if flown is None else index, last_seq=number, epoch=alarm_seq,
-            seen_seq=alarm_seq, stopping=index < 0, clock=(float(max(index, 0)), 1.0, 0.0),
-        )  # fmt: skip
+            trajectory=flown,
+            index=-1 if flown is None else index,
+            last_seq=number,
+            epoch=alarm_seq,
+            seen_seq=alarm_seq,
+            stopping=index < 0,
+            clock=(float(max(index, 0)), 1.0, 0.0),
+        )
         self._load(flown)
         return ("planning.trajectory",) if taken else ()
 
@@ -184,7 +189,7 @@ class SetpointGenerator(Remembers):
             return
         self._set(
             waiting=state, last_seq=seq, epoch=alarm_seq, seen_seq=max(now.seen_seq, alarm_seq), rejected_since=-1
-        )  # fmt: skip
+        )
 
     def _warn(self, state: State, time_us: int) -> None:
         """Respond to a collision status: stop at once, or after the grace period if time permits."""
@@ -293,9 +298,16 @@ class SetpointGenerator(Remembers):
         if is_outdated or not config.autopilot.known_space_limit:
             blocked = unknown = np.inf
         setpoint.advance_clock(
-            clock, memory.points, memory.arc, 1e-6 * config.control_period_us, blocked, unknown,
-            PLANNING_ACCELERATION, self._creep, 1.0 / config.tracker_slowdown,
-        )  # fmt: skip
+            clock,
+            memory.points,
+            memory.arc,
+            1e-6 * config.control_period_us,
+            blocked,
+            unknown,
+            PLANNING_ACCELERATION,
+            self._creep,
+            1.0 / config.tracker_slowdown,
+        )
         self._set(clock=tuple(clock), index=int(clock[0]))
         return [self._reference(clock)]
 

@@ -55,8 +55,16 @@ def success(runs: Runs) -> Figure | None:
         lowest = min([lowest, *(rate.low for rate in rates if rate.low is not None)])
         for x, (environment, rate) in zip(at, found.items(), strict=True):
             if rate.low is not None:
-                axes.annotate(f"{rate.n}", (x, rate.low), (0, -9), textcoords="offset points", ha="center",
-                              zorder=6, bbox=_OVER_LINES, **_SMALL)  # fmt: skip
+                axes.annotate(
+                    f"{rate.n}",
+                    (x, rate.low),
+                    (0, -9),
+                    textcoords="offset points",
+                    ha="center",
+                    zorder=6,
+                    bbox=_OVER_LINES,
+                    **_SMALL,
+                )
             figured = _paper(chosen, environment, setting)
             if figured is not None:
                 axes.plot([x - 0.4 * width, x + 0.4 * width], [figured, figured], color=style.INK, zorder=5)
@@ -127,9 +135,7 @@ def _handle(setting: str, look: Mapping[str, Any], size: float) -> Line2D:
     return Line2D([], [], label=style.setting_label(setting), linestyle="", markersize=size, **look)
 
 
-def _points(
-    axes: Axes, at: np.ndarray, rates: list[Rate], look: Mapping[str, Any], urls: list[str]
-) -> None:  # fmt: skip
+def _points(axes: Axes, at: np.ndarray, rates: list[Rate], look: Mapping[str, Any], urls: list[str]) -> None:
     """Draw rates with intervals along the y axis, each linked to its runs."""
     values = np.array([rate.rate or 0.0 for rate in rates])
     bounds = np.array([[rate.low or 0.0, rate.high or 0.0] for rate in rates]).reshape(-1, 2)
@@ -196,7 +202,10 @@ def _signed(share: float, _: float) -> str:
     return f"{percent:+d} %" if percent else "0 %"
 
 
-CHAPTER = Chapter(10, (
-    Drawing("success", success, "Success with 95 % intervals; horizontal bars: the paper's figures.", general=True),
-    Drawing("flight_time", flight_time, _arrival_caption, general=True),
-))  # fmt: skip
+CHAPTER = Chapter(
+    10,
+    (
+        Drawing("success", success, "Success with 95 % intervals; horizontal bars: the paper's figures.", general=True),
+        Drawing("flight_time", flight_time, _arrival_caption, general=True),
+    ),
+)

@@ -43,12 +43,15 @@ class Report:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data: `campaign`, `findings`, `null_runs`, `unknown` runs, and `tables` by name."""
-        data: dict[str, Any] = plain({
-            "campaign": self.runs.campaign, "findings": self.findings,
-            "null_runs": {"n": len(self.runs.null), "differing": differing_null_runs(self.runs)},
-            "unknown": self.runs.where(judged=False)["run_id"],
-            "tables": {table.name: table.to_json() for table in self.tables},
-        })  # fmt: skip
+        data: dict[str, Any] = plain(
+            {
+                "campaign": self.runs.campaign,
+                "findings": self.findings,
+                "null_runs": {"n": len(self.runs.null), "differing": differing_null_runs(self.runs)},
+                "unknown": self.runs.where(judged=False)["run_id"],
+                "tables": {table.name: table.to_json() for table in self.tables},
+            }
+        )
         return data
 
 
@@ -81,12 +84,16 @@ def _markdown(found: Report, captions: Mapping[str, str], today: str) -> str:
     """The complete report in Markdown, with figures and captions."""
     first, *rest = header(found.runs.campaign)
     parts = [
-        f"# {first[0].upper()}{first[1:]}", _list([*rest, f"report of {today}"]),
+        f"# {first[0].upper()}{first[1:]}",
+        _list([*rest, f"report of {today}"]),
         *(["## Findings", _list(found.findings)] if found.findings else []),
         *(f"![{name}]({name})\n\n{caption}" for name, caption in captions.items()),
         *map(markdown_table, found.tables),
-        "## Checks", *checks(found.runs), "## Remarks", _list(REMARKS),
-    ]  # fmt: skip
+        "## Checks",
+        *checks(found.runs),
+        "## Remarks",
+        _list(REMARKS),
+    ]
     return "\n\n".join(parts) + "\n"
 
 

@@ -40,13 +40,19 @@ _EFFECTS = {
     Effect.UNKNOWN: "unknown: the flight or its golden run has no record",
 }
 _KERNEL_EFFECTS = {
-    "masked": "masked: its output and memory are bit for bit the golden ones", "sdc": "silent data corruption",
-    "crash": "crashed", "hang": "hung", "exception": "raised an exception",
+    "masked": "masked: its output and memory are bit for bit the golden ones",
+    "sdc": "silent data corruption",
+    "crash": "crashed",
+    "hang": "hung",
+    "exception": "raised an exception",
     "not_activated": "not reached by the fault",
-}  # fmt: skip
+}
 _ROLES = {
-    "": "", "shadow": ", its shadow", "copy": ", a copy for its shadow", "check": ", the comparison with its shadow",
-}  # fmt: skip
+    "": "",
+    "shadow": ", its shadow",
+    "copy": ", a copy for its shadow",
+    "check": ", the comparison with its shadow",
+}
 """Role of an instruction of protected code."""
 Lines = list[tuple[str, str]]
 """Pairs of a heading and a sentence."""
@@ -64,9 +70,14 @@ def lines(found: Explanation) -> Lines:
 
 
 def steps(
-    log: FlightLog, golden: FlightLog, fault: Fault | None, detector: str, first: Difference | None, parted: Departure,
+    log: FlightLog,
+    golden: FlightLog,
+    fault: Fault | None,
+    detector: str,
+    first: Difference | None,
+    parted: Departure,
     spread: Sequence[Spread] = (),
-) -> Lines:  # fmt: skip
+) -> Lines:
     """Explain a flight: the fault, first difference, propagation, path, alarms, and the ends of both flights."""
     story = [line for injection in log.injections for line in injection_lines(injection, fault, log)]
     if log.kernel is None or first is not None:
@@ -145,12 +156,14 @@ def injection_lines(injection: Injection, fault: Fault | None, log: FlightLog) -
         inlined = f", inlined at {', '.join(details['inlined'])}" if details.get("inlined") else ""
         variable = f" of {details['variable']}" if details.get("variable") else ""
         value_class = str(details.get("value_class", "")).replace("_", " ")
-        story.append((
-            "source line",
-            f"{injection.file}:{injection.line}{inlined}: {details.get('opcode')} {details.get('type')}{variable}"
-            f"{_ROLES[details.get('role', '')]}"
-            f" ({value_class}), call {details.get('call')}, instruction {details.get('index')}",
-        ))  # fmt: skip
+        story.append(
+            (
+                "source line",
+                f"{injection.file}:{injection.line}{inlined}: {details.get('opcode')} {details.get('type')}{variable}"
+                f"{_ROLES[details.get('role', '')]}"
+                f" ({value_class}), call {details.get('call')}, instruction {details.get('index')}",
+            )
+        )
     if "instruction" in details:
         story.append(("instruction", f"{details['instruction']} in {details['symbol'] or details['library']}"))
     if kernel is not None:
@@ -296,28 +309,44 @@ def to_json(found: Explanation) -> dict[str, Any]:
     """Plain data: verdict, effect, injections, first difference, propagation, path, all alarms, both ends."""
     spec, log, first, parted = found.spec, found.flight.log, found.first, found.departure
     return {
-        "run_id": spec.run_id, "setting": spec.setting, "environment": spec.environment, "seed": spec.seed,
-        "verdict": verdict(found.effect, log, found.golden.log), "effect": found.effect.label,
+        "run_id": spec.run_id,
+        "setting": spec.setting,
+        "environment": spec.environment,
+        "seed": spec.seed,
+        "verdict": verdict(found.effect, log, found.golden.log),
+        "effect": found.effect.label,
         "same_digest": found.same,
         "injections": [injection.to_json() for injection in log.injections],
         "kernel": None if log.kernel is None else asdict(log.kernel),
-        "first_difference": None if first is None else {
-            "time_s": 1e-6 * first.time_us, "state": first.state, "field": first.field,
-            "golden_time_s": _seconds(first.golden_us), "injected_time_s": _seconds(first.injected_us),
-            "golden": first.golden, "injected": first.injected,
+        "first_difference": None
+        if first is None
+        else {
+            "time_s": 1e-6 * first.time_us,
+            "state": first.state,
+            "field": first.field,
+            "golden_time_s": _seconds(first.golden_us),
+            "injected_time_s": _seconds(first.injected_us),
+            "golden": first.golden,
+            "injected": first.injected,
         },
         "spread": [asdict(one) for one in found.spread],
         "left_path": {
-            "threshold_m": LEFT, "time_s": parted.time_s, "position": parted.position,
-            "largest_m": parted.largest_m, "largest_time_s": parted.largest_s, "behind_s": parted.behind_s,
+            "threshold_m": LEFT,
+            "time_s": parted.time_s,
+            "position": parted.position,
+            "largest_m": parted.largest_m,
+            "largest_time_s": parted.largest_s,
+            "behind_s": parted.behind_s,
         },
-        "alarms": [alarm.to_json() for alarm in log.alarms], "status": log.status.label,
+        "alarms": [alarm.to_json() for alarm in log.alarms],
+        "status": log.status.label,
         "flight_time_s": _duration(log),
         "golden": {
-            "detector": spec.detector, "status": found.golden.log.status.label,
+            "detector": spec.detector,
+            "status": found.golden.log.status.label,
             "flight_time_s": _duration(found.golden.log),
         },
-    }  # fmt: skip
+    }
 
 
 def _seconds(microseconds: int | None) -> float | None:

@@ -83,9 +83,7 @@ def figure(runs: Runs, name: str) -> Figure:
     return made[0].figure
 
 
-def draw(
-    runs: Runs, directory: Path, names: Sequence[str] | None = None, start: str = ""
-) -> Mapping[str, str]:  # fmt: skip
+def draw(runs: Runs, directory: Path, names: Sequence[str] | None = None, start: str = "") -> Mapping[str, str]:
     """Write figures (see `drawn`) as PNG files, whose names begin with `start`; returns captions by file name.
 
     Raises:

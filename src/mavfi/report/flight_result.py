@@ -97,24 +97,36 @@ class FlightResult:
             **_figures(self.flight.log, self.record),
             "injections": [injection.to_json() for injection in log.injections],
             "alarms": [alarm.to_json() for alarm in log.alarms],
-            "replans": self.record.replans, "events": dict(self.record.events),
-            "environment": scenario.environment.name, "seed": scenario.seed, "autopilot": scenario.autopilot.name,
-            "platform": scenario.platform.name, "planner": scenario.planner.name, "map": scenario.map.kind,
-            "vehicle": scenario.vehicle.name, "v_max": scenario.v_max, "wind": scenario.wind.gust,
-            "localization": scenario.localization.kind, "detector": self.detector,
+            "replans": self.record.replans,
+            "events": dict(self.record.events),
+            "environment": scenario.environment.name,
+            "seed": scenario.seed,
+            "autopilot": scenario.autopilot.name,
+            "platform": scenario.platform.name,
+            "planner": scenario.planner.name,
+            "map": scenario.map.kind,
+            "vehicle": scenario.vehicle.name,
+            "v_max": scenario.v_max,
+            "wind": scenario.wind.gust,
+            "localization": scenario.localization.kind,
+            "detector": self.detector,
             **{key: log.meta[key] for key in ("start", "goal", "course_m", "time_limit_s")},
             "fault": None if self.fault is None else self.fault.to_json(),
             "effect": None if self.effect is None else self.effect.label,
             "kernel": None if log.kernel is None else asdict(log.kernel),
-            "golden": None if self.golden is None or self.golden_record is None
+            "golden": None
+            if self.golden is None or self.golden_record is None
             else _figures(self.golden.log, self.golden_record),
-            "without_detector": None if self.unwatched is None
+            "without_detector": None
+            if self.unwatched is None
             else _figures(self.unwatched.log, record_of(self.unwatched.log)),
-        }  # fmt: skip
+        }
 
 
 def _figures(log: FlightLog, record: FlightRecord) -> dict[str, Any]:
     return {
-        "status": log.status.label, "status_text": log.status.value, **asdict(quality_of(record)),
+        "status": log.status.label,
+        "status_text": log.status.value,
+        **asdict(quality_of(record)),
         "digest": record.digest,
-    }  # fmt: skip
+    }

@@ -195,9 +195,13 @@ def _draw_scan(views: Views, world: World, course: np.ndarray) -> None:
 
 
 def _shade(
-    axes: Axes, cells: np.ndarray, extent: tuple[float, float, float, float], colour: str, order: int,
+    axes: Axes,
+    cells: np.ndarray,
+    extent: tuple[float, float, float, float],
+    colour: str,
+    order: int,
     alpha: float = 1.0,
-) -> None:  # fmt: skip
+) -> None:
     """Colour the cells that are true; shape (columns, rows)."""
     image = np.zeros((cells.shape[1], cells.shape[0], 4))
     image[..., :3] = to_rgb(colour)
@@ -330,7 +334,14 @@ def _legend(figure: Figure, handles: list[Any], rows: int, known: bool, world: W
         handles.append(Patch(facecolor=_MAP, alpha=0.55, label="occupied in the map"))
     height = figure.get_figheight()
     figure.legend(
-        handles=handles, loc="upper left", bbox_to_anchor=(0.6 / _WIDTH, 1 - 0.66 / height),
-        ncols=-(-len(handles) // rows), fontsize=8.5, handlelength=1.6, columnspacing=1.3, borderpad=0,
-        handletextpad=0.6, borderaxespad=0,
-    )  # fmt: skip
+        handles=handles,
+        loc="upper left",
+        bbox_to_anchor=(0.6 / _WIDTH, 1 - 0.66 / height),
+        ncols=-(-len(handles) // rows),
+        fontsize=8.5,
+        handlelength=1.6,
+        columnspacing=1.3,
+        borderpad=0,
+        handletextpad=0.6,
+        borderaxespad=0,
+    )

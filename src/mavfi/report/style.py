@@ -51,9 +51,14 @@ _SETTINGS: Any = {
     "svg.hashsalt": "mavfi",
 }
 _ARMS = (
-    (GREEN, "^", "--"), (PURPLE, "D", "-."), (AMBER, "v", ":"), (SKY, "P", (0, (1, 1))), (INK, "X", (0, (5, 1, 1, 1))),
-    (GREY, "h", (0, (6, 2))), (YELLOW, "<", (0, (3, 1))),
-)  # fmt: skip
+    (GREEN, "^", "--"),
+    (PURPLE, "D", "-."),
+    (AMBER, "v", ":"),
+    (SKY, "P", (0, (1, 1))),
+    (INK, "X", (0, (5, 1, 1, 1))),
+    (GREY, "h", (0, (6, 2))),
+    (YELLOW, "<", (0, (3, 1))),
+)
 """Colour, marker and dashes of each arm, distinguishable in greyscale."""
 
 
@@ -205,9 +210,17 @@ def _fold_legend(figure: Figure, legend: Legend) -> None:
     legend.remove()
     for columns in range(len(labels), 0, -1):
         made = figure.legend(
-            handles, labels, loc="outside upper left", ncols=columns, fontsize=LETTERS, frameon=False, handlelength=1.6,
-            columnspacing=1.0, borderpad=0.2, labelspacing=0.3,
-        )  # fmt: skip
+            handles,
+            labels,
+            loc="outside upper left",
+            ncols=columns,
+            fontsize=LETTERS,
+            frameon=False,
+            handlelength=1.6,
+            columnspacing=1.0,
+            borderpad=0.2,
+            labelspacing=0.3,
+        )
         extent = made.get_window_extent()
         if columns == 1 or extent.width < figure.bbox.width:
             figure.set_figheight(figure.get_figheight() + extent.height / figure.dpi)

@@ -109,10 +109,11 @@ def shown(table: Table) -> tuple[list[Column], list[list[str]]]:
 def header(campaign: Mapping[str, Any]) -> list[str]:
     """Header lines of a report: campaign (from `analysis.runs.describe`), progress, digest, versions, caveats."""
     lines = [
-        campaign["title"], *campaign["lines"],
+        campaign["title"],
+        *campaign["lines"],
         f"{campaign['done']} of {campaign['total']} runs done · digest {short(campaign['digest'])}…",
         " · ".join(versions(campaign)),
-    ]  # fmt: skip
+    ]
     if campaign["on_design_seeds"]:
         lines.append("Flown on design seeds: no figure for publication.")
     if campaign["done"] < campaign["total"]:

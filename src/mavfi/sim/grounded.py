@@ -134,9 +134,13 @@ class Grounded(Simulator):
             other = int(min(contact.geom1, contact.geom2))  # the collision sphere is the last geom
             sign = 1.0 if contact.geom1 == other else -1.0
             noted = Contact(
-                self.time_us, self.odometry[:3].copy(), np.array(contact.pos), sign * np.array(contact.frame[:3]),
-                max(0.0, -float(contact.dist)), other - 1,
-            )  # fmt: skip
+                self.time_us,
+                self.odometry[:3].copy(),
+                np.array(contact.pos),
+                sign * np.array(contact.frame[:3]),
+                max(0.0, -float(contact.dist)),
+                other - 1,
+            )
             if noted.obstacle == GROUND:
                 self.landed_at = noted
             else:
@@ -318,6 +322,8 @@ def times(first: Sequence[float] | np.ndarray, second: Sequence[float] | np.ndar
     a, b, c, d = (float(value) for value in first)
     w, x, y, z = (float(value) for value in second)
     return [
-        a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y,
-        a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w,
-    ]  # fmt: skip
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    ]

@@ -65,8 +65,14 @@ class Snapshot:
 
     def _content(self) -> tuple[int | bytes, ...]:
         arrays = (
-            self.physics, self.sensors, self.warnings, self.thrusts, self.setpoint, self.odometry, self.imu.bias,
-        )  # fmt: skip
+            self.physics,
+            self.sensors,
+            self.warnings,
+            self.thrusts,
+            self.setpoint,
+            self.odometry,
+            self.imu.bias,
+        )
         numbers = self.time_us, self.expiry_us, self.collided, self.rejected_commands, self.imu.time_us, self.controller
         return (*numbers, *(array.tobytes() for array in arrays))
 
@@ -131,17 +137,23 @@ class Simulator:
         self._model = build_model(world, self._scenario.vehicle, period_us)
         self._data = mujoco.MjData(self._model)
         self._body = Body(
-            self._model._address, self._data._address,
-            self._data.qpos, self._data.qvel, self._data.qfrc_applied, self._data.sensordata,
-        )  # fmt: skip
+            self._model._address,
+            self._data._address,
+            self._data.qpos,
+            self._data.qvel,
+            self._data.qfrc_applied,
+            self._data.sensordata,
+        )
 
     def _make_controller(self, heading: float) -> Controller:
         """A new flight controller, which starts from the present state."""
         name, start = self._scenario.flight_controller, self.odometry.copy()
         controller: Controller = build(
-            "flight controller", name, find_controller(name),
+            "flight controller",
+            name,
+            find_controller(name),
             Start(self._scenario.vehicle, start, heading, self._scenario.seed),
-        )  # fmt: skip
+        )
         return controller
 
     def _face(self, way: np.ndarray) -> float:
@@ -201,9 +213,18 @@ class Simulator:
         steps = (time_us - self.time_us) // STEP_US
         commanded = max(0, self._expiry_us - self.time_us + STEP_US - 1) // STEP_US
         arguments = (
-            self._airframe, self._body, self._voxels, self._weather.until(1e-6 * time_us), self.time_us,
-            self._thrusts, controller.memory, self._setpoint, steps, commanded, self.odometry,
-        )  # fmt: skip
+            self._airframe,
+            self._body,
+            self._voxels,
+            self._weather.until(1e-6 * time_us),
+            self.time_us,
+            self._thrusts,
+            controller.memory,
+            self._setpoint,
+            steps,
+            commanded,
+            self.odometry,
+        )
         if self._compiled is None:
             self._compiled = entry(advance, *arguments)
         self.collided = self._compiled(*arguments) or self.collided
@@ -221,9 +242,16 @@ class Simulator:
         wanted = np.clip(np.where(np.isnan(wanted), 0.0, wanted), 0.0, limit)
         period_us = self.controller.period_us
         touched = turn_rotors(
-            self._airframe, self._body, self._voxels, wind, self.time_us, period_us, self._thrusts, wanted,
+            self._airframe,
+            self._body,
+            self._voxels,
+            wind,
+            self.time_us,
+            period_us,
+            self._thrusts,
+            wanted,
             self.odometry,
-        )  # fmt: skip
+        )
         self.collided = self.collided or touched
         self.time_us += period_us
 
@@ -259,10 +287,19 @@ class Simulator:
     def snapshot(self) -> Snapshot:
         """The complete state of this flight."""
         return Snapshot(
-            self.time_us, self._physics(), self._data.sensordata.copy(), self._data.warning.number.copy(),
-            self._thrusts.copy(), self.controller.save(), self._setpoint.copy(), self._expiry_us, self.odometry.copy(),
-            self.collided, self.rejected_commands, copy.deepcopy(self._imu),
-        )  # fmt: skip
+            self.time_us,
+            self._physics(),
+            self._data.sensordata.copy(),
+            self._data.warning.number.copy(),
+            self._thrusts.copy(),
+            self.controller.save(),
+            self._setpoint.copy(),
+            self._expiry_us,
+            self.odometry.copy(),
+            self.collided,
+            self.rejected_commands,
+            copy.deepcopy(self._imu),
+        )
 
     def _physics(self) -> np.ndarray:
         """MuJoCo's integration state."""

@@ -100,6 +100,9 @@ class Weather:
         angle = 2.0 * math.pi * direction
         self._end = onset + duration
         return (
-            onset, duration,
-            level * cos(angle), level * sin(angle), self._config.gust * sin(slope),
-        )  # fmt: skip
+            onset,
+            duration,
+            level * cos(angle),
+            level * sin(angle),
+            self._config.gust * sin(slope),
+        )

@@ -25,10 +25,9 @@ def test_fast_math_and_parallel_sums_are_off_everywhere():
         f"{name}:{keyword.value.lineno} {keyword.arg}"
         for name, tree in modules().items()
         for keyword in keywords(tree)
-        if keyword.arg in ("fastmath", "parallel") and not (
-            isinstance(keyword.value, ast.Constant) and keyword.value.value is False
-        )
-    ]  # fmt: skip
+        if keyword.arg in ("fastmath", "parallel")
+        and not (isinstance(keyword.value, ast.Constant) and keyword.value.value is False)
+    ]
     assert found == []
 
 
@@ -37,9 +36,11 @@ def test_numba_compiles_through_kernel_jit_only():
         name: compilers
         for name, tree in modules().items()
         if name != "numerics/jit.py"
-        and (compilers := {i for i in imports(tree) if i.startswith("numba.") and i.split(".")[-1] in COMPILERS}
-             | {d for node in ast.walk(tree) if (d := dotted(node)) in {f"numba.{c}" for c in COMPILERS}})
-    }  # fmt: skip
+        and (
+            compilers := {i for i in imports(tree) if i.startswith("numba.") and i.split(".")[-1] in COMPILERS}
+            | {d for node in ast.walk(tree) if (d := dotted(node)) in {f"numba.{c}" for c in COMPILERS}}
+        )
+    }
     assert found == {}
 
 
@@ -71,8 +72,16 @@ ROUNDED_BY_CPU = {
 }
 """Functions of `math`, NumPy, its BLAS and its generators that give other bits on other processors."""
 DECIDE_BITS = (
-    "numerics/", "kernels/", "pipeline/", "sim/", "detectors/", "flight/", "extras/bench/", "record.py", "outcomes.py",
-)  # fmt: skip
+    "numerics/",
+    "kernels/",
+    "pipeline/",
+    "sim/",
+    "detectors/",
+    "flight/",
+    "extras/bench/",
+    "record.py",
+    "outcomes.py",
+)
 OUTWARD = ("numerics/frames.py", "flight/piloted.py")
 """Frames of other programs, and the vehicle that they pilot: no flight of ours passes through these."""
 
@@ -83,9 +92,10 @@ def test_what_decides_bits_uses_no_function_that_differs_from_processor_to_proce
         for name, tree in modules().items()
         if name.startswith(DECIDE_BITS) and name not in OUTWARD
         for node in ast.walk(tree)
-        if isinstance(node, ast.Attribute) and node.attr in ROUNDED_BY_CPU
+        if isinstance(node, ast.Attribute)
+        and node.attr in ROUNDED_BY_CPU
         and dotted(node).startswith(("math.", "np.", "stream.", "random.", "self._random"))
-    ]  # fmt: skip
+    ]
     assert found == []
 
 
@@ -97,9 +107,10 @@ def test_compiled_powers_are_those_of_integers():
         for function in functions(tree)
         if "kernel_jit" in map(dotted, function.decorator_list)
         for node in ast.walk(function)
-        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow)
+        if isinstance(node, ast.BinOp)
+        and isinstance(node.op, ast.Pow)
         and not (isinstance(node.right, ast.Constant) and isinstance(node.right.value, int))
-    ]  # fmt: skip
+    ]
     assert found == []
 
 

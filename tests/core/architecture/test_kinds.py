@@ -48,21 +48,37 @@ def asks(node: ast.AST) -> bool:
 
 @pytest.mark.parametrize(
     "code",
-    ["fault.level == 'state'", "kernels is None", "isinstance(fault, StateFault)", "'node' != campaign.host",
-     "sampling.scheme == 'groups'", "one.level == RegisterFault.level", "isinstance(x, str | InstructionRequest)",
-     "isinstance(campaign.sampling, InstructionSampling)", "isinstance(one, config.SensorSampling)",
-     "fault.startswith('instruction')", "(fault or '').startswith(('instruction:', 'memory:'))",
-     "text.startswith(f'{SensorFault.level}:')", "fault.startswith('state:planning.waypoint')"],
-)  # fmt: skip
+    [
+        "fault.level == 'state'",
+        "kernels is None",
+        "isinstance(fault, StateFault)",
+        "'node' != campaign.host",
+        "sampling.scheme == 'groups'",
+        "one.level == RegisterFault.level",
+        "isinstance(x, str | InstructionRequest)",
+        "isinstance(campaign.sampling, InstructionSampling)",
+        "isinstance(one, config.SensorSampling)",
+        "fault.startswith('instruction')",
+        "(fault or '').startswith(('instruction:', 'memory:'))",
+        "text.startswith(f'{SensorFault.level}:')",
+        "fault.startswith('state:planning.waypoint')",
+    ],
+)
 def test_a_question_is_recognised(code):
     assert any(map(asks, ast.walk(ast.parse(code))))
 
 
 @pytest.mark.parametrize(
     "code",
-    ["level > limit", "fault.bit == 3", "isinstance(fault, str)", "site is None", "name.startswith('statement')",
-     "isinstance(search, SamplingSearch)"],
-)  # fmt: skip
+    [
+        "level > limit",
+        "fault.bit == 3",
+        "isinstance(fault, str)",
+        "site is None",
+        "name.startswith('statement')",
+        "isinstance(search, SamplingSearch)",
+    ],
+)
 def test_other_questions_are_none(code):
     assert not any(map(asks, ast.walk(ast.parse(code))))
 

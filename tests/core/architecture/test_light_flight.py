@@ -4,9 +4,22 @@ import subprocess
 import sys
 
 HEAVY = (
-    "dask", "jinja2", "lightgbm", "matplotlib", "mavfi.analysis", "mavfi.campaign.config", "pandas", "polars", "pyod",
-    "rosbags", "scipy.linalg", "scipy.optimize", "scipy.spatial", "scipy.stats", "sklearn",
-)  # fmt: skip
+    "dask",
+    "jinja2",
+    "lightgbm",
+    "matplotlib",
+    "mavfi.analysis",
+    "mavfi.campaign.config",
+    "pandas",
+    "polars",
+    "pyod",
+    "rosbags",
+    "scipy.linalg",
+    "scipy.optimize",
+    "scipy.spatial",
+    "scipy.stats",
+    "sklearn",
+)
 FLY = """
 import sys
 from mavfi.cli import run

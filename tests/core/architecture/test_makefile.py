@@ -35,8 +35,13 @@ def test_skipped_tests_are_named_with_their_reasons_and_failed_ones_too(commands
     options = {option for command in commands for option in command if option.startswith("-r")}
     assert len(options) == 1 and all(options <= set(command) for command in commands), "in every target alike"
     own = ["-c", os.devnull, "--rootdir", str(tmp_path), "-p", "no:cacheprovider", "-p", "no:xdist", *options]
-    run = subprocess.run([sys.executable, "-m", "pytest", *own, "test_some.py"], cwd=tmp_path, capture_output=True,
-                         text=True, check=False)  # fmt: skip
+    run = subprocess.run(
+        [sys.executable, "-m", "pytest", *own, "test_some.py"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     summary = run.stdout.partition("short test summary info")[2]
     assert "SKIPPED [1] test_some.py:" in summary and "no such program here" in summary
     assert "FAILED test_some.py::test_that_fails" in summary and "test_that_passes" not in summary

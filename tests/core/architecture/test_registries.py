@@ -15,7 +15,7 @@ from mavfi.detectors.registry import (
     detector_names,
     of_monitored_fields,
     trainable,
-)  # fmt: skip
+)
 from mavfi.mission import MissionStatus
 from mavfi.plugins import Chapter
 from mavfi.states import AUTOPILOTS, MONITORED_SETS, PPC_STAGES, STATES, Stage

@@ -105,22 +105,28 @@ CASES = {
     "octree": lambda: (mission(map="octree"), Nervous(), None),
     "gaussian": lambda: (mission(), detector_of("gaussian", "paper", mission()), fault("control.command", "vx", 4, 62)),
     "autoencoder": lambda: (
-        mission(), detector_of("autoencoder", "paper", mission()), fault("planning.waypoint", "x", 4, 61)
+        mission(),
+        detector_of("autoencoder", "paper", mission()),
+        fault("planning.waypoint", "x", 4, 61),
     ),
     "acceptance": lambda: (
-        mission(), detector_of("acceptance", "paper", mission()), fault("planning.trajectory", "y", 1, 62, element=9)
+        mission(),
+        detector_of("acceptance", "paper", mission()),
+        fault("planning.trajectory", "y", 1, 62, element=9),
     ),
     "acceptance hardened": lambda: (
-        mission("hardened"), detector_of("acceptance", "paper", mission("hardened")),
+        mission("hardened"),
+        detector_of("acceptance", "paper", mission("hardened")),
         fault("planning.waypoint", "x", 4, 61),
     ),
     "tuned": lambda: (
-        mission("hardened"), detector_of("autoencoder", "tuned", mission("hardened")),
+        mission("hardened"),
+        detector_of("autoencoder", "tuned", mission("hardened")),
         fault("planning.waypoint", "x", 4, 61),
     ),
     "recovery": lambda: (mission(), Nervous(), fault("perception.point_cloud", "z", 4, 30, element=1000)),
     "recovery hardened": lambda: (mission("hardened"), Nervous(), fault("planning.trajectory", "y", 1, 62, element=9)),
-}  # fmt: skip
+}
 
 
 REPEATED = ("rrt_star", "tuned", "acceptance hardened")

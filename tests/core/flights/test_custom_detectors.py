@@ -152,10 +152,16 @@ class EndingLate(Scripted):
 def test_a_campaign_flies_all_other_runs_and_names_the_call(tmp_path):
     name = f"{__name__}:Ending"
     allow_typed([name])
-    campaign = Campaign.model_validate({
-        "name": "ending", "environments": ["sparse"], "missions": 1, "faults": 1, "null_runs": 0,
-        "arms": {"own": {"detector": name}},
-    })  # fmt: skip
+    campaign = Campaign.model_validate(
+        {
+            "name": "ending",
+            "environments": ["sparse"],
+            "missions": 1,
+            "faults": 1,
+            "null_runs": 0,
+            "arms": {"own": {"detector": name}},
+        }
+    )
     mavfi.run(campaign, tmp_path / "runs", workers=1)
     with Store.open(tmp_path / "runs") as store:
         runs = {(run.spec.kind, run.spec.arm): run for run in store.runs()}

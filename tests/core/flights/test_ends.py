@@ -133,8 +133,11 @@ def test_a_reference_that_is_not_a_number_never_reaches_the_vehicle_and_heals(ax
 def test_a_huge_command_is_shortened():
     seen = []
     probe = fault("control.command", "vz", 2.0, 62)
-    flight = fly(mission(), probe, recorders=[lambda s, t: seen.append(floats(s.header, 5).copy())
-                 if s.spec.name == "control.command" else None])  # fmt: skip
+    flight = fly(
+        mission(),
+        probe,
+        recorders=[lambda s, t: seen.append(floats(s.header, 5).copy()) if s.spec.name == "control.command" else None],
+    )
     assert max(abs(values[2]) for values in seen) > 1e100
     assert np.abs(flight.log.columns("vx", "vy", "vz")).max() < 6.0
 

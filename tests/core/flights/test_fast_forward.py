@@ -78,9 +78,12 @@ def every_fault(autopilot, arm, forward, detector, faults=FAULTS):
 
 IN_THE_FAST_SUITE = [("published", "gaussian"), ("hardened", "")]
 REPEATED = [
-    ("published", ""), ("published", "autoencoder"), ("published", "nervous"), ("hardened", "gaussian"),
+    ("published", ""),
+    ("published", "autoencoder"),
+    ("published", "nervous"),
+    ("hardened", "gaussian"),
     ("hardened", "silent"),
-]  # fmt: skip
+]
 """Part of what arms with a detector show; such an arm on the other profile, or with another detector.  Alarms in every
 stage: `test_detectors_share_what_was_flown_in_any_order` and `test_an_observer_is_fast_forwarded_too` have them."""
 

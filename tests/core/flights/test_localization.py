@@ -191,8 +191,15 @@ def test_a_filter_that_remembers_nonsense_is_restarted_where_it_was(word, bit, a
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("figures", [{"position_noise": 1.0}, {"imu_noise": 100.0}, {"heading_noise": 0.3},
-                                     {"imu_noise": 0.0, "position_noise": 0.0, "heading_noise": 0.0}])  # fmt: skip
+@pytest.mark.parametrize(
+    "figures",
+    [
+        {"position_noise": 1.0},
+        {"imu_noise": 100.0},
+        {"heading_noise": 0.3},
+        {"imu_noise": 0.0, "position_noise": 0.0, "heading_noise": 0.0},
+    ],
+)
 def test_the_rule_of_the_estimate_knows_the_noise_of_its_sensors(figures):
     scenario = estimating("published", **figures)
     detector, _ = detector_for(scenario, "acceptance", "paper")

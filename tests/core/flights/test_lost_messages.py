@@ -14,8 +14,9 @@ from tests.core.flights.missions import Scripted, golden, mission
 LOST_AT_S = 4.0
 
 
-@pytest.mark.parametrize("site", ["sensor.depth.length_range", "perception.point_cloud.length_x",
-                                  "perception.map_update.length_voxel"])  # fmt: skip
+@pytest.mark.parametrize(
+    "site", ["sensor.depth.length_range", "perception.point_cloud.length_x", "perception.map_update.length_voxel"]
+)
 def test_after_a_lost_scan_the_camera_takes_its_next_image(site):
     state, _, field = site.rpartition(".")
     flight = fly(mission(), StateFault(FaultSite(state, field), int(1e6 * LOST_AT_S), 31), profile=True)
@@ -27,9 +28,14 @@ def test_after_a_lost_scan_the_camera_takes_its_next_image(site):
 
 
 @pytest.mark.parametrize(
-    "site", ["perception.point_cloud.length_x", "perception.map_update.length_voxel", "planning.path.length_z",
-             "planning.trajectory.length_x"],
-)  # fmt: skip
+    "site",
+    [
+        "perception.point_cloud.length_x",
+        "perception.map_update.length_voxel",
+        "planning.path.length_z",
+        "planning.trajectory.length_x",
+    ],
+)
 def test_the_producer_sends_a_message_again_that_nobody_can_read(site):
     state, field = site.rsplit(".", 1)
     flight = fly(mission(), StateFault(FaultSite(state, field), 0, 31), Scripted(), recovery=Recovery(grain="message"))

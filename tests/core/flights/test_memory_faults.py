@@ -78,11 +78,13 @@ def test_an_empty_mask_changes_nothing():
 @pytest.mark.parametrize(
     "fault",
     [
-        dataclasses.replace(COUNTER, field="decisions.nothing"), dataclasses.replace(COUNTER, time_us=10**9),
-        dataclasses.replace(COUNTER, time_us=-1), MemoryFault("state_estimation", "aligned", None, "?", AT, 0),
+        dataclasses.replace(COUNTER, field="decisions.nothing"),
+        dataclasses.replace(COUNTER, time_us=10**9),
+        dataclasses.replace(COUNTER, time_us=-1),
+        MemoryFault("state_estimation", "aligned", None, "?", AT, 0),
         MemoryFault("waypoint", "points", 10**6, "f8", AT, 0),
     ],
-)  # fmt: skip
+)
 def test_where_there_is_no_such_word_nothing_is_injected(fault):
     flight = fly(mission(), fault)
     assert flight.log.digest() == golden().log.digest()
@@ -169,8 +171,12 @@ def test_there_is_no_word_before_the_first():
 
 
 # ---- detectors --------------------------------------------------------------------------------------
-WATCHED = {"acceptance": ("acceptance", "paper"), "gaussian": ("gaussian", "paper"),
-           "autoencoder": ("autoencoder", "paper"), "physics_gate": ("gaussian", "tuned")}  # fmt: skip
+WATCHED = {
+    "acceptance": ("acceptance", "paper"),
+    "gaussian": ("gaussian", "paper"),
+    "autoencoder": ("autoencoder", "paper"),
+    "physics_gate": ("gaussian", "tuned"),
+}
 """A detector with each part, and its profile."""
 LAST_COMMAND = MemoryFault("acceptance", "last_command.vx", None, "f8", AT, 62)
 

@@ -32,11 +32,13 @@ def test_consumers_have_seen_the_value_that_raises_the_alarm():
 @pytest.mark.parametrize(
     ("state", "stage", "n"),
     [
-        ("control.command", "control", 100), ("planning.waypoint", "planning", 5),
-        ("planning.path", "planning", 1), ("planning.trajectory", "planning", 1),
+        ("control.command", "control", 100),
+        ("planning.waypoint", "planning", 5),
+        ("planning.path", "planning", 1),
+        ("planning.trajectory", "planning", 1),
         ("perception.collision_status", "perception", 5),
     ],
-)  # fmt: skip
+)
 def test_the_stage_computes_again_one_step_later(state, stage, n):
     detector = Scripted(state, n=n, stage=stage)
     flight = fly(mission(), None, detector, recovery=OBSERVER)

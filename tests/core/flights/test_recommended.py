@@ -11,8 +11,19 @@ from tests.core.architecture.source import ROOT
 
 pytestmark = pytest.mark.slow
 DENSE = MissionSpec(environment="dense", seed=402)
-TOUR = ["fly", "--environment", "dense", "--seed", "10007", "--fault", "state:perception.collision_status.collision",
-        "--fault-seed", "1", "--detector", "recommended"]  # fmt: skip
+TOUR = [
+    "fly",
+    "--environment",
+    "dense",
+    "--seed",
+    "10007",
+    "--fault",
+    "state:perception.collision_status.collision",
+    "--fault-seed",
+    "1",
+    "--detector",
+    "recommended",
+]
 LOST = ("collision:bit=0@3.4", "future_collision_seq:bit=31@3.4")
 
 

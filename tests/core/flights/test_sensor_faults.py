@@ -83,9 +83,13 @@ def test_on_the_command_line_the_instant_is_drawn_from_the_golden_run():
 
 def test_a_campaign_is_the_same_on_any_number_of_workers_and_every_run_can_be_explained(tmp_path):
     campaign = Campaign(
-        name="c", environments=("sparse",), missions=2, faults=2, null_runs=1,
+        name="c",
+        environments=("sparse",),
+        missions=2,
+        faults=2,
+        null_runs=1,
         sampling={"level": "sensor", "units": ["gyro", "motor"], "types": ["off", "drift"]},
-    )  # fmt: skip
+    )
     digests = []
     for workers in (1, 2):
         run_campaign(campaign, tmp_path / str(workers), executor=LocalExecutor(workers))

@@ -18,9 +18,10 @@ FLIGHTS = [
     for seed in (0, 1)
 ]
 TAGS = {
-    "machine": platform.machine(), "system": sys.platform,
+    "machine": platform.machine(),
+    "system": sys.platform,
     **{name: version(name) for name in ("numba", "llvmlite", "numpy", "mujoco-core")},
-}  # fmt: skip
+}
 
 
 def stored():
@@ -33,8 +34,11 @@ def test_the_flights_are_still_the_same(request):
     update = request.config.getoption("--update-goldens")
     content = stored()
     if content["made_with"] != TAGS and not update:
-        differences = {name: f"{content['made_with'].get(name)} -> {tag}" for name, tag in TAGS.items()
-                       if content["made_with"].get(name) != tag}  # fmt: skip
+        differences = {
+            name: f"{content['made_with'].get(name)} -> {tag}"
+            for name, tag in TAGS.items()
+            if content["made_with"].get(name) != tag
+        }
         pytest.skip(f"bits are promised for one set of versions only: {differences}")
     digests = {}
     for environment, autopilot, seed in FLIGHTS:

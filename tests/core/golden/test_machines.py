@@ -97,8 +97,11 @@ def ends_and_digests(machine: dict[str, str], folder: Path, workers: int = 1) ->
     """Of flights and campaigns, in a process that thinks it runs on another machine."""
     result = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", FLIGHTS, str(folder), str(workers), str(PROGRAM)],
-        env={**os.environ, **machine}, capture_output=True, text=True, timeout=1800,
-    )  # fmt: skip
+        env={**os.environ, **machine},
+        capture_output=True,
+        text=True,
+        timeout=1800,
+    )
     assert result.returncode == 0, result.stderr
     return result.stdout.splitlines()
 

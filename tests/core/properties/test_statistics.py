@@ -67,8 +67,10 @@ def test_mcnemar_against_the_closed_form():
 def test_mcnemar_of_worlds_is_the_enumeration_of_their_signs(pairs):
     first, second, world = ([pair[place] for pair in pairs] for place in range(3))
     sums = [sum(int(a) - int(b) for a, b, other in pairs if other == one) for one in set(world)]
-    every = [abs(sum(s * d for s, d in zip(signs, sums, strict=True)))
-             for signs in itertools.product((-1, 1), repeat=len(sums))]  # fmt: skip
+    every = [
+        abs(sum(s * d for s, d in zip(signs, sums, strict=True)))
+        for signs in itertools.product((-1, 1), repeat=len(sums))
+    ]
     expected = sum(one >= abs(sum(sums)) for one in every) / len(every)
     assert mcnemar(first, second, world).p_value == pytest.approx(expected)
 

@@ -11,8 +11,9 @@ near = st.one_of(st.floats(-3.0, 4.0), st.integers(-24, 32).map(lambda n: n / 8.
 points = st.tuples(near, near, near).map(np.array)
 maps = st.builds(
     lambda seed, share: (np.random.default_rng(seed).random(GRID.size) < share).astype(np.int16),
-    st.integers(0, 10_000), st.sampled_from([0.0, 0.02, 0.2]),
-)  # fmt: skip
+    st.integers(0, 10_000),
+    st.sampled_from([0.0, 0.02, 0.2]),
+)
 
 
 @given(anything, anything, anything)

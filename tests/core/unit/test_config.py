@@ -155,9 +155,11 @@ def test_an_absent_file_is_refused(tmp_path):
 
 
 KINDS = {
-    "environments": EnvironmentConfig, "autopilots": AutopilotConfig, "platforms": PlatformConfig,
+    "environments": EnvironmentConfig,
+    "autopilots": AutopilotConfig,
+    "platforms": PlatformConfig,
     "vehicles": VehicleConfig,
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind in KINDS for name in names(kind)])

@@ -23,13 +23,31 @@ def test_files_and_folders_are_told_apart(tmp_path):
 @pytest.mark.parametrize(
     "command",
     [
-        "fly --environment {}", "fly --autopilot {}", "fly --vehicle {}", "fly --planner {}", "fly --protection {}",
-        "fly --detector {}.npz", "fly --save {}", "campaign run {}", "campaign run smoke --out {}",
-        "campaign status {}", "campaign repair {}", "campaign merge {} {} --out {}", "report {}",
-        "runs {}", "explain {} 3", "shrink {} 3", "harden {} --budget 0.1", "export {} --to a.csv",
-        "export {} 3 --to a.csv", "train --out {}", "reproduce --out {}", "airsim run {}", "failures {}",
+        "fly --environment {}",
+        "fly --autopilot {}",
+        "fly --vehicle {}",
+        "fly --planner {}",
+        "fly --protection {}",
+        "fly --detector {}.npz",
+        "fly --save {}",
+        "campaign run {}",
+        "campaign run smoke --out {}",
+        "campaign status {}",
+        "campaign repair {}",
+        "campaign merge {} {} --out {}",
+        "report {}",
+        "runs {}",
+        "explain {} 3",
+        "shrink {} 3",
+        "harden {} --budget 0.1",
+        "export {} --to a.csv",
+        "export {} 3 --to a.csv",
+        "train --out {}",
+        "reproduce --out {}",
+        "airsim run {}",
+        "failures {}",
     ],
-)  # fmt: skip
+)
 def test_a_name_that_is_too_long_is_one_line(command, tmp_path, monkeypatch, capsys):
     """Found by `make reliability ONLY=fuzz` as a traceback."""
     monkeypatch.chdir(tmp_path)

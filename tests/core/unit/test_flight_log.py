@@ -14,11 +14,13 @@ def log(**changes):
     rows = np.random.default_rng(1).normal(size=(20, len(COLUMNS)))
     rows[3, 4] = np.nan
     data = {
-        "rows": rows, "status": MissionStatus.SUCCESS, "events": [Event(5, "plan", {"vertices": 3})],
+        "rows": rows,
+        "status": MissionStatus.SUCCESS,
+        "events": [Event(5, "plan", {"vertices": 3})],
         "injections": [Injection("state", "control.command.vx", 1.0, 62, 1.0, "inf", activated=True)],
         "alarms": [AlarmRecord(1.0, "gaussian", "control.command", "control", fields=("control.command.vx",))],
         "meta": {"course_m": 3.5},
-    }  # fmt: skip
+    }
     return FlightLog(**data | changes)
 
 
@@ -82,9 +84,13 @@ def damaged():
     np.save(array, np.zeros(3))
     whole = buffer.getvalue()
     return {
-        "empty": b"", "text": b"hello", "truncated": whole[: len(whole) // 2], "foreign": whole,
-        "array": array.getvalue(), "header only": b"PK\x03\x04",
-    }  # fmt: skip
+        "empty": b"",
+        "text": b"hello",
+        "truncated": whole[: len(whole) // 2],
+        "foreign": whole,
+        "array": array.getvalue(),
+        "header only": b"PK\x03\x04",
+    }
 
 
 @pytest.mark.parametrize("kind", damaged())
@@ -117,8 +123,10 @@ def test_absent_files_and_folders_are_named(tmp_path):
 
 
 def test_a_profile_survives_its_bytes():
-    profile = Profile({"a.b": np.array([1, 5, 9], np.int64), "c": np.zeros(0, np.int64)},
-                      {"a.b": np.array([0, 2, 3], np.int32), "c": np.zeros(0, np.int32)})  # fmt: skip
+    profile = Profile(
+        {"a.b": np.array([1, 5, 9], np.int64), "c": np.zeros(0, np.int64)},
+        {"a.b": np.array([0, 2, 3], np.int32), "c": np.zeros(0, np.int32)},
+    )
     again = Profile.from_bytes(profile.to_bytes())
     for name in ("a.b", "c"):
         np.testing.assert_array_equal(again.times_us[name], profile.times_us[name])

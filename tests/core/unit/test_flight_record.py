@@ -29,11 +29,29 @@ from mavfi.record import (
 INJECTION = Injection("state", "planning.waypoint.x", 4.0, 62, 1.0, "inf", activated=True, details={"element": 3})
 ALARM = AlarmRecord(4.1, "gaussian", "planning.waypoint", "planning", 3.5, ("planning.waypoint.x",), outcome="repaired")
 FULL = FlightRecord(
-    End.FLOWN, "success", "ab" * 32, 44.0, 99.5, EnergyTerms(44.0, 1, 2, 3, 4, 5, 6), 100.0, 150.0, (INJECTION,),
-    (ALARM,), 7, {"gaussian/recompute/repaired": 7}, {"plan": 3}, {"pid": 460}, {"control": 289}, {"planning.path": 2},
-    {"planning.path": 1}, 2, KernelEffect("sdc", "", {"field": "vx"}),
-    {"pid": {"instructions": 9, "calls": 1, "lines": [["pid.py", 3, 9]]}}, {"outputs": [1, 2]}, "",
-)  # fmt: skip
+    End.FLOWN,
+    "success",
+    "ab" * 32,
+    44.0,
+    99.5,
+    EnergyTerms(44.0, 1, 2, 3, 4, 5, 6),
+    100.0,
+    150.0,
+    (INJECTION,),
+    (ALARM,),
+    7,
+    {"gaussian/recompute/repaired": 7},
+    {"plan": 3},
+    {"pid": 460},
+    {"control": 289},
+    {"planning.path": 2},
+    {"planning.path": 1},
+    2,
+    KernelEffect("sdc", "", {"field": "vx"}),
+    {"pid": {"instructions": 9, "calls": 1, "lines": [["pid.py", 3, 9]]}},
+    {"outputs": [1, 2]},
+    "",
+)
 
 
 def flight(**changes):
@@ -42,9 +60,14 @@ def flight(**changes):
     rows[:, 1] = np.linspace(0.0, 100.0, 30)
     rows[:, 4] = 100.0 / 58.0
     meta = {
-        "compute_us": {"pid": 460}, "recompute_us": {"control": 0}, "publications": {"planning.path": 2},
-        "course_m": 100.0, "time_limit_s": 150.0, "rejected_commands": 1, "scenario": {"not": "kept"},
-    }  # fmt: skip
+        "compute_us": {"pid": 460},
+        "recompute_us": {"control": 0},
+        "publications": {"planning.path": 2},
+        "course_m": 100.0,
+        "time_limit_s": 150.0,
+        "rejected_commands": 1,
+        "scenario": {"not": "kept"},
+    }
     events = [Event(0, "plan"), Event(5, "plan"), Event(9, "stop")]
     return FlightLog(**{"rows": rows, "status": MissionStatus.SUCCESS, "events": events, "meta": meta, **changes})
 
@@ -71,7 +94,7 @@ def test_every_field_is_kept_and_left_out_only_where_it_says_nothing(name):
     st.builds(EnergyTerms, *[st.floats(0, 1e9)] * 7),
     st.dictionaries(st.sampled_from(["plan", "stop", "é"]), st.integers(0, 9)),
     st.lists(st.floats(0, 150), max_size=4),
-)  # fmt: skip
+)
 def test_any_record_survives_json(energy, events, instants):
     record = replace(FULL, energy=energy, events=events, alarms=tuple(replace(ALARM, time_s=time) for time in instants))
     assert FlightRecord.from_json(json.loads(json.dumps(record.to_json(), allow_nan=False))) == record

@@ -52,10 +52,21 @@ def test_options_that_are_off_are_not_in_the_key():
 
 def test_whatever_decides_the_flight_changes_the_key():
     base = {"environment": "dense", "seed": 7}
-    changes = [{}, {"seed": 8}, {"environment": "sparse"}, {"autopilot": "hardened"}, {"platform": "cortex-a57"},
-               {"v_max": 2.0}, {"goal": (50.0, 0.0, 3.0)}, {"depth_noise": 0.1}, {"wind": 3.0},
-               {"localization": "estimator"}, {"dead_node": "end"}, {"alarm": "repeated"},
-               {"epoch_liveness": 1.0}]  # fmt: skip
+    changes = [
+        {},
+        {"seed": 8},
+        {"environment": "sparse"},
+        {"autopilot": "hardened"},
+        {"platform": "cortex-a57"},
+        {"v_max": 2.0},
+        {"goal": (50.0, 0.0, 3.0)},
+        {"depth_noise": 0.1},
+        {"wind": 3.0},
+        {"localization": "estimator"},
+        {"dead_node": "end"},
+        {"alarm": "repeated"},
+        {"epoch_liveness": 1.0},
+    ]
     assert len({resolve(MissionSpec(**base | change)).key() for change in changes}) == len(changes)
 
 

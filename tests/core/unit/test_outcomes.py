@@ -100,8 +100,10 @@ def test_the_class_of_a_mission_is_the_worst_that_applies(injected, expected):
 
 
 @pytest.mark.parametrize("name", ["tilt", "attitude", "velocity", "yaw_rate"])
-@pytest.mark.parametrize(("limits", "within", "beyond"), [(HEALTHY, Control.SLIGHT, Control.DEGRADED),
-                                                          (LOST, Control.DEGRADED, Control.LOST)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("limits", "within", "beyond"),
+    [(HEALTHY, Control.SLIGHT, Control.DEGRADED), (LOST, Control.DEGRADED, Control.LOST)],
+)
 def test_a_limit_itself_is_within(name, limits, within, beyond):
     limit = getattr(limits, name)
     assert control_of(GOLDEN, mission(replace(CALM, **{name: limit}))) is within
@@ -132,9 +134,14 @@ def test_a_mission_that_its_golden_run_loses_too_is_not_lost_by_the_fault():
 
 @pytest.mark.parametrize(
     ("golden", "injected"),
-    [(None, OTHER_ROUTE), (UNFLOWN, OTHER_ROUTE), (GOLDEN, UNFLOWN), (GOLDEN, mission(None)),
-      (GOLDEN, mission(kernel=KernelEffect("detected")))],
-)  # fmt: skip
+    [
+        (None, OTHER_ROUTE),
+        (UNFLOWN, OTHER_ROUTE),
+        (GOLDEN, UNFLOWN),
+        (GOLDEN, mission(None)),
+        (GOLDEN, mission(kernel=KernelEffect("detected"))),
+    ],
+)
 def test_what_cannot_be_compared_or_was_not_measured_has_no_class(golden, injected):
     assert control_of(golden, injected) is None
 

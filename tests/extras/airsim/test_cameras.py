@@ -62,12 +62,15 @@ def test_presets_are_those_that_can_be_set(client):
 @pytest.mark.parametrize(
     ("name", "given", "allowed"),
     [
-        ("simSetFocalLength", (0.0,), "above 0"), ("simSetFocalLength", (math.nan,), "above 0"),
-        ("simSetFocalLength", (1e9,), "1 to 170 deg"), ("simSetFilmbackSettings", (1e6, 1.0), "1 to 170 deg"),
-        ("simSetFilmbackSettings", (10.0, -1.0), "above 0"), ("simSetPresetLensSettings", ("50mm",), "Pinhole"),
+        ("simSetFocalLength", (0.0,), "above 0"),
+        ("simSetFocalLength", (math.nan,), "above 0"),
+        ("simSetFocalLength", (1e9,), "1 to 170 deg"),
+        ("simSetFilmbackSettings", (1e6, 1.0), "1 to 170 deg"),
+        ("simSetFilmbackSettings", (10.0, -1.0), "above 0"),
+        ("simSetPresetLensSettings", ("50mm",), "Pinhole"),
         ("simSetPresetFilmbackSettings", ("IMAX",), "16:9 Digital Film"),
     ],
-)  # fmt: skip
+)
 def test_what_no_pinhole_can_be_is_refused(client, name, given, allowed):
     with pytest.raises(RuntimeError, match=allowed):
         client(name, *given, CAMERA)

@@ -46,9 +46,13 @@ def test_a_camera_that_looks_down_looks_down():
 
 @pytest.mark.parametrize(
     ("read", "name"),
-    [(frames.triple, "Vector3r"), (frames.quaternion, "Quaternionr"), (frames.pose_numbers, "Pose"),
-     (frames.from_geo_point, "GeoPoint")],
-)  # fmt: skip
+    [
+        (frames.triple, "Vector3r"),
+        (frames.quaternion, "Quaternionr"),
+        (frames.pose_numbers, "Pose"),
+        (frames.from_geo_point, "GeoPoint"),
+    ],
+)
 @pytest.mark.parametrize("data", [None, 3.0, {}, {"x_val": "a"}, []])
 def test_another_object_is_refused_by_name(read, name, data):
     with pytest.raises(BadInputError, match=f"allowed: a {name}"):

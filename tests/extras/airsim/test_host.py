@@ -53,8 +53,10 @@ def test_a_program_that_crashes_without_a_fault_is_compared_with_that_crash():
     golden = replace(ENDED, how="program crash", code=1, reason="ValueError: no")
     assert record_of_program(golden, golden).end is End.FLOWN
     for changes, effect in (
-        ({}, Effect.MASKED), ({"digest": "bb"}, Effect.SDC), ({"code": -11, "digest": "cc"}, Effect.EXCEPTION),
-    ):  # fmt: skip
+        ({}, Effect.MASKED),
+        ({"digest": "bb"}, Effect.SDC),
+        ({"code": -11, "digest": "cc"}, Effect.EXCEPTION),
+    ):
         record = record_of_program(replace(golden, boundary=HIT, **changes), golden)
         assert effect_of(record_of_program(golden, golden), record) is effect
 

@@ -48,10 +48,19 @@ def test_a_program_goes_through_the_api():
     assert len(found.pop("seen")) == 64
     assert "API control is off" in found.pop("refused")
     assert found == {
-        "version": client_version("", __file__), "size": [256, 144], "takeoff": True, "state": 1, "position": True,
-        "path": True, "collided": False, "continued": 500_000_000, "paused": True, "cancelled": False, "api": False,
+        "version": client_version("", __file__),
+        "size": [256, 144],
+        "takeoff": True,
+        "state": 1,
+        "position": True,
+        "path": True,
+        "collided": False,
+        "continued": 500_000_000,
+        "paused": True,
+        "cancelled": False,
+        "api": False,
         "hit": "wall",
-    }  # fmt: skip
+    }
     assert ended.collided  # also after a reset
 
 
@@ -99,16 +108,21 @@ def test_a_folder_named_airsim_is_not_taken_for_the_library(tmp_path, monkeypatc
 def test_the_worst_that_a_fault_does_comes_first(box):
     hit = Boundary(injection=Injection("message", "moveToZ.z", 1.0, 1, 0.0, 1.0, True))
     for changes, effect in (
-        ({}, "masked"), ({"digest": "other"}, "deviates"), ({"digest": "other", "collided": True}, "collision"),
-        ({"how": "program crash", "collided": True}, "program crash"), ({"how": "hang"}, "hang"),
+        ({}, "masked"),
+        ({"digest": "other"}, "deviates"),
+        ({"digest": "other", "collided": True}, "collision"),
+        ({"how": "program crash", "collided": True}, "program crash"),
+        ({"how": "hang"}, "hang"),
         ({"how": "time is up"}, "hang"),
-    ):  # fmt: skip
+    ):
         assert effect_on(box, replace(box, boundary=hit, **changes)) == effect
     assert effect_on(box, box) == "not activated"
     failing = replace(box, how="program crash", code=1)
     for changes, effect in (
-        ({}, "masked"), ({"digest": "other"}, "deviates"), ({"code": 70, "digest": "other"}, "program crash"),
-    ):  # fmt: skip
+        ({}, "masked"),
+        ({"digest": "other"}, "deviates"),
+        ({"code": 70, "digest": "other"}, "program crash"),
+    ):
         assert effect_on(failing, replace(failing, boundary=hit, **changes)) == effect
 
 

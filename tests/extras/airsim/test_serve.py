@@ -28,9 +28,11 @@ def start(*options):
     """A server whose time passes in calls."""
     command = [sys.executable, "-m", "mavfi", "airsim", "serve", "--environment", "sparse", "--seed", "7"]
     return subprocess.Popen(
-        [*command, "--clock", "steps", "--port", "0", *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        [*command, "--clock", "steps", "--port", "0", *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         text=True,
-    )  # fmt: skip
+    )
 
 
 def serve_once(*options):

@@ -12,8 +12,12 @@ from mavfi.extras.airsim.server import Server, Steps
 from mavfi.mission import MissionSpec
 
 PLANAR = {
-    "camera_name": "0", "image_type": 1, "pixels_as_float": True, "compress": False, "annotation_name": "",
-}  # fmt: skip
+    "camera_name": "0",
+    "image_type": 1,
+    "pixels_as_float": True,
+    "compress": False,
+    "annotation_name": "",
+}
 IMAGES = 40
 MISSION = MissionSpec(environment="sparse", seed=7)
 

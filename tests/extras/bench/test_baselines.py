@@ -63,9 +63,13 @@ from tests.extras.bench.test_all_fields import flight, with_codes
 
 FIGURES = {"largest_class": 60, "calibrated": 100_000, "margin": 1.25, "smallest_regime": 50}
 LIBRARIES = [
-    IsolationForestDetector, PcaDetector, MahalanobisDetector, HalfSpaceTreesDetector, GradientBoostingDetector,
+    IsolationForestDetector,
+    PcaDetector,
+    MahalanobisDetector,
+    HalfSpaceTreesDetector,
+    GradientBoostingDetector,
     MatrixProfileDetector,
-]  # fmt: skip
+]
 
 
 class EllipsoidDetector(LibraryDetector):
@@ -116,8 +120,10 @@ def check(kind, sample, figures):
     alarms = dict(fly(detector, events))
     assert struck in alarms
     assert (alarms[struck].source, alarms[struck].stage, alarms[struck].fields) == (
-        kind.model_kind, "control", ("control.command",),
-    )  # fmt: skip
+        kind.model_kind,
+        "control",
+        ("control.command",),
+    )
     detector.start()
     for event in events[:200]:
         detector.check(*event), detector.accept(*event)
@@ -368,10 +374,12 @@ def test_regressors_predict_what_a_naive_walk_predicts(seed):
     ]
     (codes, rows), slots = some_codes(random, 60), np.arange(60) % 3
     wanted = [
-        max((abs(row[one.column] - sum(leaf_of(tree, row) for tree in one.trees)) / one.unit for one in states[slot]),
-            default=0.0)
+        max(
+            (abs(row[one.column] - sum(leaf_of(tree, row) for tree in one.trees)) / one.unit for one in states[slot]),
+            default=0.0,
+        )
         for row, slot in zip(rows, slots, strict=True)
-    ]  # fmt: skip
+    ]
     assert rates(codes, slots, tables_of(states, FIELDS)).tolist() == wanted
 
 

@@ -146,9 +146,12 @@ def test_a_detector_that_watches_nothing_is_no_scheme():
 
 @pytest.mark.parametrize(
     ("name", "more", "message"),
-    [("../p", {}, "key 'parts.../p': '../p': allowed: a plain folder name"), ("scores", {}, "is the name of a table"),
-     ("p", {"campaign": "bench_instruction", "scores": True}, "level 'instruction'; allowed: state")],
-)  # fmt: skip
+    [
+        ("../p", {}, "key 'parts.../p': '../p': allowed: a plain folder name"),
+        ("scores", {}, "is the name of a table"),
+        ("p", {"campaign": "bench_instruction", "scores": True}, "level 'instruction'; allowed: state"),
+    ],
+)
 def test_names_are_folders_and_scores_need_publications(name, more, message):
     part = {"campaign": "bench_sites", "title": "t", **more}
     with pytest.raises(BadInputError, match=message):

@@ -25,9 +25,12 @@ def test_published_rows_of_a_group_stand_above_ones_own_of_the_same_group():
         own, [dict(zip(("environment", "setting", "alarms"), row, strict=True)) for row in rows], "b"
     )
     assert found.rows == [
-        ("dense", "theirs", "1"), ("dense", "mine", 4), ("farm", "theirs", "3"), ("farm", "mine", 5),
+        ("dense", "theirs", "1"),
+        ("dense", "mine", 4),
+        ("farm", "theirs", "3"),
+        ("farm", "mine", 5),
         ("sparse", "theirs", "6"),
-    ]  # fmt: skip
+    ]
 
 
 def test_without_published_rows_it_stands_alone():

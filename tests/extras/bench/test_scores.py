@@ -20,8 +20,9 @@ def made(draw):
     golden = np.array(draw(st.lists(LEVELS, min_size=1, max_size=40)))
     corrupted = np.array(draw(st.lists(LEVELS, min_size=1, max_size=20)))
     harmful = np.array(draw(st.lists(st.booleans(), min_size=len(corrupted), max_size=len(corrupted))), bool)
-    return golden, Scores(np.sort(golden[golden > 0])[::-1], len(golden), draw(st.sampled_from([0.5, 2.0, 10.0])),
-                          corrupted, harmful)  # fmt: skip
+    return golden, Scores(
+        np.sort(golden[golden > 0])[::-1], len(golden), draw(st.sampled_from([0.5, 2.0, 10.0])), corrupted, harmful
+    )
 
 
 @given(made(), st.sampled_from([0.1, 1.0, 10.0]))

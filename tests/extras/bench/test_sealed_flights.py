@@ -64,9 +64,12 @@ def test_a_message_that_is_sent_again_is_another_object():
 def test_an_observer_sends_it_again_after_consumers_have_seen_it():
     seen = []
     struck = fly(
-        mission(), site(*STRUCK[3]), Checksum(), recovery=Recovery("observer", "message"),
+        mission(),
+        site(*STRUCK[3]),
+        Checksum(),
+        recovery=Recovery("observer", "message"),
         recorders=[lambda state, now: seen.append((now, state)) if state.spec.name == STRUCK[3][0] else None],
-    ).log  # fmt: skip
+    ).log
     (alarm,) = struck.alarms
     at = round(1e6 * alarm.time_s)
     wrong, right = (state for now, state in seen if now == at)
@@ -166,9 +169,10 @@ def test_a_fault_in_an_instruction_hits_one_of_the_runs(faults):  # noqa: F811
     alone = fly_instruction_faults(scenario(), faults["pid"])
     twice = fly_instruction_faults(scenario(), faults["pid"], Duplicate(["pid"]))
     wrong = [
-        number for number, flight in enumerate(alone.flights)
+        number
+        for number, flight in enumerate(alone.flights)
         if flight.log.digest() != alone.golden.log.digest() and flight.log.kernel.effect == "sdc"
-    ]  # fmt: skip
+    ]
     assert wrong, "else there is no proof"
     for number in wrong:
         flight = twice.flights[number]

@@ -23,9 +23,12 @@ LOST, LATE, IN_TIME = flown(success=False), flown(flight_time_s=60.0), flown(fli
 def scenario():
     """Five faults: two lost of which one comes back, one late that comes in time, one that only the arm loses."""
     faults = [
-        pair(1, LOST, flown(alarms=[alarm(0.3)])), pair(2, LOST, LOST), pair(3, LATE, IN_TIME), pair(4, flown(), LOST),
+        pair(1, LOST, flown(alarms=[alarm(0.3)])),
+        pair(2, LOST, LOST),
+        pair(3, LATE, IN_TIME),
+        pair(4, flown(), LOST),
         pair(5, flown(), flown()),
-    ]  # fmt: skip
+    ]
     bare = [golden(seed) for seed in range(1, 6)]
     return [*bare, *(golden(seed, arm="one") for seed in range(1, 6)), *(run for both in faults for run in both)]
 
@@ -94,9 +97,11 @@ def test_at_instruction_level_a_fault_that_meets_another_value_is_not_the_scheme
     own = [golden(seed, arm=arm) for seed in (1, 2, 3, 4) for arm in ("", "one")]
     elsewhere = flown(success=False, time_s=0.4)
     own += [
-        *pair(1, flown(), LOST, fault=INSTRUCTION), *pair(2, flown(), elsewhere, fault=INSTRUCTION),
-        *pair(3, LOST, elsewhere, fault=INSTRUCTION), *pair(4, LOST, flown(time_s=0.4), fault=INSTRUCTION),
-    ]  # fmt: skip
+        *pair(1, flown(), LOST, fault=INSTRUCTION),
+        *pair(2, flown(), elsewhere, fault=INSTRUCTION),
+        *pair(3, LOST, elsewhere, fault=INSTRUCTION),
+        *pair(4, LOST, flown(time_s=0.4), fault=INSTRUCTION),
+    ]
     entry = row(runs(*own), "schemes_instructions")
     assert (entry["pairs"], entry["same_value"], entry["newly_lost"], entry["lost_under"]) == (4, 1, 1, 3)
     assert (entry["lost"], entry["back"].n, entry["sdc_back"].n, entry["p"]) == (2, 0, 0, 1.0), "nor its merit"
@@ -126,8 +131,9 @@ def test_faults_are_told_apart_by_their_duration():
     entries = VIEWS["schemes_by_duration"].table(lasting_scenario()).entries()
     keys = ("duration", "arm", "pairs", "lost", "lost_under", "newly_lost")
     assert [tuple(entry[key] for key in keys) for entry in entries] == [
-        ("once", "one", 1, 1, 0, 0), ("for ever", "one", 2, 1, 2, 1),
-    ]  # fmt: skip
+        ("once", "one", 1, 1, 0, 0),
+        ("for ever", "one", 2, 1, 2, 1),
+    ]
     for key in ("back", "vehicle_saved"):
         assert [(entry[key].successes, entry[key].n) for entry in entries] == [(1, 1), (0, 1)]
     assert not VIEWS["schemes_by_duration"].applies(runs(*scenario()))  # groups without one

@@ -32,9 +32,12 @@ def dask_process(folder, role, *words):
     here = ("--host", "127.0.0.1", "--dashboard-address", "127.0.0.1:0")
     return subprocess.Popen(
         [sys.executable, "-m", f"distributed.cli.dask_{role}", *words, *here],
-        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=folder,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        cwd=folder,
         env={**os.environ, "PYTHONPATH": path},
-    )  # fmt: skip
+    )
 
 
 @contextlib.contextmanager

@@ -39,8 +39,9 @@ def test_rates_and_attitude_are_those_of_a_body_with_y_to_the_right_and_z_down()
 
 
 def test_the_velocity_stays_east_north_up():
-    state = betaflight.state_of(np.array([0, 0, 100.0]), np.array([1.0, 0, 0, 0]), np.array([1.0, 2, 3]), np.zeros(3),
-                                np.zeros(3))  # fmt: skip
+    state = betaflight.state_of(
+        np.array([0, 0, 100.0]), np.array([1.0, 0, 0, 0]), np.array([1.0, 2, 3]), np.zeros(3), np.zeros(3)
+    )
     assert state[10:13] == (1.0, 2.0, 3.0)
     assert state[15:] == pytest.approx((100.0, 100_129.4), abs=1.0)
 
@@ -69,9 +70,10 @@ def test_a_reply_is_read_when_it_is_complete():
 
 
 @pytest.mark.parametrize(
-    "broken", [answer(2, b"BTFL", b"!"), answer(3, b"BTFL"), answer(2, b"BTFL")[:-1] + b"\x00"],
+    "broken",
+    [answer(2, b"BTFL", b"!"), answer(3, b"BTFL"), answer(2, b"BTFL")[:-1] + b"\x00"],
     ids=["refused", "another code", "wrong check"],
-)  # fmt: skip
+)
 def test_a_refusal_is_an_error(broken):
     with pytest.raises(MavfiError, match="refused the MSP request 2"):
         betaflight.reply(broken, 2)

@@ -30,10 +30,15 @@ def test_the_fault_is_that_of_the_options():
 
 @pytest.mark.parametrize(
     ("given", "complaint"),
-    [(("octomap@10", None, None), "allowed: firmware@SECONDS"), (("firmware@x", None, None), "e.g. firmware@10"),
-     (("firmware@1", "mmx", None), "--registers"), (("firmware@1", None, -1), "--register-seed"),
-     ((None, "fp", None), "with --register-fault only"), ((None, None, 3), "with --register-fault only")],
-)  # fmt: skip
+    [
+        (("octomap@10", None, None), "allowed: firmware@SECONDS"),
+        (("firmware@x", None, None), "e.g. firmware@10"),
+        (("firmware@1", "mmx", None), "--registers"),
+        (("firmware@1", None, -1), "--register-seed"),
+        ((None, "fp", None), "with --register-fault only"),
+        ((None, None, 3), "with --register-fault only"),
+    ],
+)
 def test_bad_options_are_refused(given, complaint):
     with pytest.raises(BadInputError, match=complaint):
         register_fault(*given)
@@ -41,13 +46,18 @@ def test_bad_options_are_refused(given, complaint):
 
 @pytest.mark.parametrize(
     ("words", "complaint"),
-    [(["fly", "--register-fault", "firmware@1", "--fault", "null"], "allowed: without --fault"),
-     (["fly", "--register-fault", "firmware@1", "--world", "airsim://127.0.0.1:1"], "allowed: without --fault, --html"),
-     (["fly", "--flight-controller", "betaflight", "--world", "airsim://127.0.0.1:1"], "that of the server flies"),
-     (["firmware", "setup", "--betaflight", "/nonexistent"], "contains no betaflight_"),
-     (["firmware", "setup", "--betaflight", "/", "--build"], "allowed: one of them"),
-     (["fly", "--register-fault", "firmware@1"], "flight_controller: cascade: has no registers of its own")],
-)  # fmt: skip
+    [
+        (["fly", "--register-fault", "firmware@1", "--fault", "null"], "allowed: without --fault"),
+        (
+            ["fly", "--register-fault", "firmware@1", "--world", "airsim://127.0.0.1:1"],
+            "allowed: without --fault, --html",
+        ),
+        (["fly", "--flight-controller", "betaflight", "--world", "airsim://127.0.0.1:1"], "that of the server flies"),
+        (["firmware", "setup", "--betaflight", "/nonexistent"], "contains no betaflight_"),
+        (["firmware", "setup", "--betaflight", "/", "--build"], "allowed: one of them"),
+        (["fly", "--register-fault", "firmware@1"], "flight_controller: cascade: has no registers of its own"),
+    ],
+)
 def test_bad_input_is_one_line(words, complaint, capsys):
     assert run(words) == 2
     error = capsys.readouterr().err

@@ -25,8 +25,10 @@ def lost(effect, **changes):
 
 def five():
     records = [struck(digest=GOLDEN.digest), struck("xmm3"), struck(success=False), lost("crash"), lost("hang")]
-    return runs(*(golden(seed) for seed in range(1, 6)),
-                *(injected(seed, record, FAULT, target="all") for seed, record in enumerate(records, 1)))  # fmt: skip
+    return runs(
+        *(golden(seed) for seed in range(1, 6)),
+        *(injected(seed, record, FAULT, target="all") for seed, record in enumerate(records, 1)),
+    )
 
 
 CALM = {"tilt": 0.3, "attitude": 0.02, "velocity": 0.4, "yaw_rate": 0.05}
@@ -46,14 +48,18 @@ def six():
         lost("crash", **measured()),
         lost("hang", **measured()),
     ]
-    return runs(*(golden(seed, replace(GOLDEN, **measured())) for seed in range(1, 7)),
-                *(injected(seed, record, FAULT, target="all") for seed, record in enumerate(records, 1)))  # fmt: skip
+    return runs(
+        *(golden(seed, replace(GOLDEN, **measured())) for seed in range(1, 7)),
+        *(injected(seed, record, FAULT, target="all") for seed, record in enumerate(records, 1)),
+    )
 
 
 def counts(found):
     heads = [column.key for column in found.columns]
-    return {row[0]: dict(zip(heads[1:], (getattr(cell, "successes", cell) for cell in row[1:]), strict=True))
-            for row in found.rows}  # fmt: skip
+    return {
+        row[0]: dict(zip(heads[1:], (getattr(cell, "successes", cell) for cell in row[1:]), strict=True))
+        for row in found.rows
+    }
 
 
 def test_each_run_has_one_outcome():
@@ -72,8 +78,10 @@ def test_functions_are_named_without_what_the_compiler_added():
 def test_phases_are_thirds_of_the_golden_flight():
     third = GOLDEN.flight_time_s / 3
     records = [struck(time_s=time_s) for time_s in (0.0, 0.9 * third, 1.1 * third, 2.1 * third, 3 * third)]
-    own = runs(*(golden(seed) for seed in range(1, 6)),
-               *(injected(seed, record, FAULT, target="all") for seed, record in enumerate(records, 1)))  # fmt: skip
+    own = runs(
+        *(golden(seed) for seed in range(1, 6)),
+        *(injected(seed, record, FAULT, target="all") for seed, record in enumerate(records, 1)),
+    )
     found = counts(table(own, "firmware_phases"))
     assert {part: row["n"] for part, row in found.items()} == {"first": 2, "second": 1, "last": 2}
 
@@ -84,8 +92,16 @@ def test_each_mission_has_one_class_of_control():
     assert [found["in all"][key] for key in keys] == [1, 1, 1, 1, 1, 1]
     assert [found["FP (XMM, YMM)"][key] for key in keys] == [1, 1, 0, 0, 0, 0]
     headings = [column.heading for column in table(six(), "firmware_control").columns]
-    assert headings == ["registers", "runs", "bit-identical", "slight", "degraded", "loss of control", "process ends",
-                        "hang"]  # fmt: skip
+    assert headings == [
+        "registers",
+        "runs",
+        "bit-identical",
+        "slight",
+        "degraded",
+        "loss of control",
+        "process ends",
+        "hang",
+    ]
 
 
 def test_classes_are_shown_by_third_of_the_golden_flight():

@@ -56,9 +56,16 @@ def test_a_refuted_plan_is_exit_code_3(opened, tmp_path, capsys, monkeypatch):
     claim = Coverage(estimate=0.95, low=0.9, high=0.98)
     for sdc, code in ((50, 3), (1, 0)):
         one = Certificate(
-            "pid", "m.track", "f8", 9, {"masked": 50, "sdc": 50}, {"detected": 99, "sdc": sdc}, 1.0, claim,
+            "pid",
+            "m.track",
+            "f8",
+            9,
+            {"masked": 50, "sdc": 50},
+            {"detected": 99, "sdc": sdc},
+            1.0,
+            claim,
             mcnemar([True], [False]),
-        )  # fmt: skip
+        )
         found = Certification("ab" * 32, 100, ("sparse-9",), (one,), GoldenCheck(2, 2, 9, 0))
         monkeypatch.setattr(certify, "certify_plan", lambda *_, found=found: found)
         assert run(["harden", "out", "--plan", "plan.yaml", "--certify"]) == code
@@ -71,9 +78,16 @@ def test_a_certificate_is_stated_in_the_plan(opened, tmp_path, capsys, monkeypat
     planned = FunctionPlan(kernel="pid", function="m.track", signature="f8", ir_sha256="ab" * 32, sites=((0, 0, 1),))
     save_plan(Plan(functions=(planned,)), Path("plan.yaml"))
     one = Certificate(
-        "pid", "m.track", "f8", 9, {"masked": 50, "sdc": 50}, {"detected": 99, "sdc": 1}, 1.0, None,
+        "pid",
+        "m.track",
+        "f8",
+        9,
+        {"masked": 50, "sdc": 50},
+        {"detected": 99, "sdc": 1},
+        1.0,
+        None,
         mcnemar([True], [False]),
-    )  # fmt: skip
+    )
     found = Certification("ab" * 32, 100, ("sparse-9",), (one,), GoldenCheck(2, 2, 9, 0))
     monkeypatch.setattr(certify, "certify_plan", lambda *_: found)
     assert run(["harden", "out", "--plan", "plan.yaml", "--certify"]) == 0

@@ -101,16 +101,19 @@ def test_what_was_silent_is_detected_and_computed_again(plain_logs, paired_logs)
     for log in paired_logs:
         raised = [alarm for alarm in log.alarms if alarm.source == SOURCE]
         assert len(raised) == (log.kernel.effect == "detected")
-        assert all((alarm.state, alarm.action, alarm.outcome) == ("control.command", "recompute", "repaired")
-                   for alarm in raised)  # fmt: skip
+        assert all(
+            (alarm.state, alarm.action, alarm.outcome) == ("control.command", "recompute", "repaired")
+            for alarm in raised
+        )
         assert log.status.label == "success"
 
 
 def test_a_detected_fault_would_have_changed_the_flight(golden, plain_logs, paired_logs):
     changed = [
-        after for before, after in zip(plain_logs, paired_logs, strict=True)
+        after
+        for before, after in zip(plain_logs, paired_logs, strict=True)
         if before.digest() != golden[0].log.digest() and after.kernel.effect == "detected"
-    ]  # fmt: skip
+    ]
     assert changed
     assert any(log.digest() == golden[0].log.digest() for log in changed)
 
@@ -119,8 +122,12 @@ def test_the_pair_of_a_fault_is_in_the_same_instruction(plain_logs, paired_logs)
     for before, after in zip(plain_logs, paired_logs, strict=True):
         (one,), (other,) = before.injections, after.injections
         assert (one.file, one.line, one.bit, one.before, one.after) == (
-            other.file, other.line, other.bit, other.before, other.after
-        ) or one.details["value_class"] == "address"  # fmt: skip
+            other.file,
+            other.line,
+            other.bit,
+            other.before,
+            other.after,
+        ) or one.details["value_class"] == "address"
         assert one.details["opcode"] == other.details["opcode"] and "role" not in other.details
 
 

@@ -24,13 +24,20 @@ def flown(tmp_path_factory):
         one.model_copy(update={"time": 1.0}) for one in load_plan("full").functions if one.kernel == "pid"
     )
     save_plan(Plan(functions=functions), folder / "plan.yaml")
-    config = Campaign.model_validate({
-        "name": "combined", "environments": ["sparse"], "first_seed": 7, "missions": 1, "faults": 5,
-        "sampling": {"level": "instruction", "kernels": ["pid"], "which": "data"}, "mission": {"v_max": 6.0},
-        "arms": {
-            "combined": {"protection": str(folder / "plan.yaml"), "detector": "acceptance", "dead_node": "readback"}
-        },
-    })  # fmt: skip
+    config = Campaign.model_validate(
+        {
+            "name": "combined",
+            "environments": ["sparse"],
+            "first_seed": 7,
+            "missions": 1,
+            "faults": 5,
+            "sampling": {"level": "instruction", "kernels": ["pid"], "which": "data"},
+            "mission": {"v_max": 6.0},
+            "arms": {
+                "combined": {"protection": str(folder / "plan.yaml"), "detector": "acceptance", "dead_node": "readback"}
+            },
+        }
+    )
     assert run_campaign(config, folder / "out", executor=LocalExecutor(1)).complete
     with Store.open(folder / "out") as store:
         runs = list(store.runs(done=True))

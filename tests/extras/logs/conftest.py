@@ -37,15 +37,20 @@ def messages(log) -> list[Message]:
 
 def write_calls(log, path):
     """As if a program had asked for the vehicle's state at each control period."""
-    calls = (Call.of(round(1e6 * row[0]), "state(return)", dict(zip(COLUMNS[1:], row[1:], strict=True)))
-             for row in log.rows)  # fmt: skip
+    calls = (
+        Call.of(round(1e6 * row[0]), "state(return)", dict(zip(COLUMNS[1:], row[1:], strict=True))) for row in log.rows
+    )
     path.write_text("".join(call.line() for call in calls), encoding="utf-8")
 
 
 WRITERS = {
-    "ulg": write_ulog, "tlog": write_tlog, "csv": write_csv, "jsonl": write_calls,
-    "bag": lambda log, path: write_bag(messages(log), path), "mcap": lambda log, path: write_mcap(messages(log), path),
-}  # fmt: skip
+    "ulg": write_ulog,
+    "tlog": write_tlog,
+    "csv": write_csv,
+    "jsonl": write_calls,
+    "bag": lambda log, path: write_bag(messages(log), path),
+    "mcap": lambda log, path: write_mcap(messages(log), path),
+}
 
 
 @pytest.fixture(scope="session")

@@ -12,10 +12,13 @@ from tests.extras.logs.conftest import make_log
 
 REAL = Path(__file__).parents[3].parent / "shared" / "data" / "logs"
 X = {
-    "ulg": ("vehicle_local_position", "x"), "tlog": ("LOCAL_POSITION_NED", "x"), "csv": ("row", "x"),
+    "ulg": ("vehicle_local_position", "x"),
+    "tlog": ("LOCAL_POSITION_NED", "x"),
+    "csv": ("row", "x"),
     "jsonl": ("state(return)", "x"),
-    "bag": ("/odometry", "pose.pose.position.x"), "mcap": ("/odometry", "pose.pose.position.x"),
-}  # fmt: skip
+    "bag": ("/odometry", "pose.pose.position.x"),
+    "mcap": ("/odometry", "pose.pose.position.x"),
+}
 
 
 def read(path, topic, field):
@@ -66,11 +69,14 @@ def test_what_is_no_log_is_refused(tmp_path, ending):
 @pytest.mark.parametrize(
     ("head", "cell", "time_us"),
     [
-        ("time", "2.5", 2_500_000), ("t [ms]", "2500", 2_500_000), 
+        ("time", "2.5", 2_500_000),
+        ("t [ms]", "2500", 2_500_000),
         ("#timestamp", "1403715524907143168", 1403715524907143),
-        ("time_ns", "7000", 7), ("timestamp", "1700000000123456", 1700000000123456), ("time (us)", "12", 12),
+        ("time_ns", "7000", 7),
+        ("timestamp", "1700000000123456", 1700000000123456),
+        ("time (us)", "12", 12),
     ],
-)  # fmt: skip
+)
 def test_times_of_tables(tmp_path, head, cell, time_us):
     path = tmp_path / "x.csv"
     path.write_text(f"{head}, x, name\n{cell},1.5,a\n")
@@ -80,10 +86,14 @@ def test_times_of_tables(tmp_path, head, cell, time_us):
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("a,b\n1,2\n", "no column of time"), ("time,a\n1\n", "line 2: 1 values; allowed: 2"),
-     ("time,a,a\n1,2,3\n", "columns"),
-     ("time,a\n", "has no rows"), ("time,a\nx,2\n", "column time: is not a time")],
-)  # fmt: skip
+    [
+        ("a,b\n1,2\n", "no column of time"),
+        ("time,a\n1\n", "line 2: 1 values; allowed: 2"),
+        ("time,a,a\n1,2,3\n", "columns"),
+        ("time,a\n", "has no rows"),
+        ("time,a\nx,2\n", "column time: is not a time"),
+    ],
+)
 def test_tables_that_cannot_be_read(tmp_path, text, message):
     path = tmp_path / "x.csv"
     path.write_text(text)
@@ -93,11 +103,15 @@ def test_tables_that_cannot_be_read(tmp_path, text, message):
 
 @pytest.mark.parametrize(
     ("line", "message"),
-    [('{"time_us": 1, "topic": "a"}', "line 2: is not a call .call: key 'numbers'"), ("", "line 2: is not a call"),
-     ('{"time_us": 1e30, "topic": "a", "numbers": {"x": 1}}', "line 2"), ("[" * 100_000, "line 2"),
-     ('{"time_us": 1, "topic": "a", "numbers": {"x": "far"}}', "line 2: .* 'far'"),
-     ('{"time_us": 1, "topic": "a", "numbers": {}}', "one or more")],
-)  # fmt: skip
+    [
+        ('{"time_us": 1, "topic": "a"}', "line 2: is not a call .call: key 'numbers'"),
+        ("", "line 2: is not a call"),
+        ('{"time_us": 1e30, "topic": "a", "numbers": {"x": 1}}', "line 2"),
+        ("[" * 100_000, "line 2"),
+        ('{"time_us": 1, "topic": "a", "numbers": {"x": "far"}}', "line 2: .* 'far'"),
+        ('{"time_us": 1, "topic": "a", "numbers": {}}', "one or more"),
+    ],
+)
 def test_lines_that_are_no_calls(tmp_path, line, message):
     path = tmp_path / "x.jsonl"
     path.write_text(f"{Call(0, 'a', {'x': 1.0}).line()}{line}\n")

@@ -96,9 +96,10 @@ def test_pymavlink_reads_every_message(tmp_path):
 def test_long_texts_are_sent_in_chunks(tmp_path):
     texts = [m for m in read_tlog(make_log(), tmp_path / "flight.tlog") if m.get_type() == "STATUSTEXT"]
     assert [(m.severity, m.text) for m in texts if not m.id] == [
-        (6, "plan vertices=3"), (3, "fault: planning.waypoint.x bit 62: 1.5 -> 1e+300"),
+        (6, "plan vertices=3"),
+        (3, "fault: planning.waypoint.x bit 62: 1.5 -> 1e+300"),
         (6, "success: Reached the goal."),
-    ]  # fmt: skip
+    ]
     chunks = [m for m in texts if m.id]
     assert [m.chunk_seq for m in chunks] == [0, 1] and len(chunks[0].text) == LONGEST_TEXT
     assert "".join(m.text for m in chunks) == "alarm: gaussian planning.waypoint, recompute, replaced"

@@ -174,9 +174,24 @@ def upload(client, items):
     for number, (command, north, east, height) in enumerate(items):
         assert client.of("MISSION_REQUEST_INT")[-1].seq == number
         latitude, longitude, _ = geodetic((north, east, 0.0))
-        client.send(mavlink.MAVLink_mission_item_int_message(
-            1, 1, number, 6, command, 0, 1, 0, 1, 0, NAN, round(1e7 * latitude), round(1e7 * longitude), height,
-        ))  # fmt: skip
+        client.send(
+            mavlink.MAVLink_mission_item_int_message(
+                1,
+                1,
+                number,
+                6,
+                command,
+                0,
+                1,
+                0,
+                1,
+                0,
+                NAN,
+                round(1e7 * latitude),
+                round(1e7 * longitude),
+                height,
+            )
+        )
     assert client.of("MISSION_ACK")[-1].type == 0
 
 
@@ -207,9 +222,14 @@ def test_parameters(client):
 # ---- failures ------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("unit", "kind", "instance", "result"),
-    [(GYRO, OFF, 1, UNSUPPORTED), (8, OFF, 0, UNSUPPORTED), (MOTOR, 9, 0, UNSUPPORTED), (MOTOR, OFF, 5, UNSUPPORTED),
-     (GYRO, STUCK, 0, REJECTED)],
-)  # fmt: skip
+    [
+        (GYRO, OFF, 1, UNSUPPORTED),
+        (8, OFF, 0, UNSUPPORTED),
+        (MOTOR, 9, 0, UNSUPPORTED),
+        (MOTOR, OFF, 5, UNSUPPORTED),
+        (GYRO, STUCK, 0, REJECTED),
+    ],
+)
 def test_failures_that_are_not_possible_are_not_acknowledged(client, unit, kind, instance, result):
     assert client.command(420, unit, kind, instance) == result
 

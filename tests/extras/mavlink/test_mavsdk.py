@@ -31,15 +31,22 @@ wait
 exit $code
 """
 FLYING = {  # seconds, and a line that the program prints at its end
-    "takeoff_and_land": (60, "-- Landing"), "offboard_velocity_ned": (75, "-- Stopping offboard"),
-    "offboard_velocity_body": (75, "-- Stopping offboard"), "offboard_position_ned": (90, "-- Stopping offboard"),
-    "offboard_attitude": (60, "-- Stopping offboard"), "mission": (90, "Mission progress: 3/3"),
-    "telemetry_takeoff_and_land": (75, "-- Landing"), "failure_injection": (75, "-- Disabling failure injection"),
-    "offboard_position_velocity_ned": (75, "-- Stopping offboard"), "mission_raw": (30, "-- Done"),
-    "geofence": (30, "Geofence uploaded!"), "all_params": (30, "MPC_XY_CRUISE: "),
+    "takeoff_and_land": (60, "-- Landing"),
+    "offboard_velocity_ned": (75, "-- Stopping offboard"),
+    "offboard_velocity_body": (75, "-- Stopping offboard"),
+    "offboard_position_ned": (90, "-- Stopping offboard"),
+    "offboard_attitude": (60, "-- Stopping offboard"),
+    "mission": (90, "Mission progress: 3/3"),
+    "telemetry_takeoff_and_land": (75, "-- Landing"),
+    "failure_injection": (75, "-- Disabling failure injection"),
+    "offboard_position_velocity_ned": (75, "-- Stopping offboard"),
+    "mission_raw": (30, "-- Done"),
+    "geofence": (30, "Geofence uploaded!"),
+    "all_params": (30, "MPC_XY_CRUISE: "),
     "firmware_version": (30, "Version: [flight_sw_major"),
-    "goto": (100, "Staying connected"), "do_orbit": (110, "Do orbit at 10m height"),
-}  # fmt: skip
+    "goto": (100, "Staying connected"),
+    "do_orbit": (110, "Do orbit at 10m height"),
+}
 SEEDS = {"offboard_velocity_body": 8}
 """Worlds other than 7, whose trees its circles touch."""
 TARGET = (-15.1, -190.6)

@@ -51,9 +51,10 @@ def test_each_claim_shows_its_test_and_the_notes_explain_all_kinds():
     assert not shown.hidden
     kinds = {
         "random signs of the differences of worlds": "random signs of the differences of worlds",
-        "worlds shuffled between": "worlds shuffled", "sign test of flights": "exact sign test",
+        "worlds shuffled between": "worlds shuffled",
+        "sign test of flights": "exact sign test",
         "none: a model": "none: the output of a",
-    }  # fmt: skip
+    }
     notes = " ".join(found.notes)
     for method in found.column("method"):
         [words] = [note for start, note in kinds.items() if method.startswith(start)]
@@ -83,8 +84,11 @@ def test_claims_of_the_paper_follow_the_runs(name, stage_lost, arm_saves, expect
 
 
 def test_golden_runs_count_once_however_many_faults_their_world_has():
-    own = [one for seed in range(10) for one in (golden(seed), *(injected(seed, flown(index), index=index)
-           for index in range(3)))]  # fmt: skip
+    own = [
+        one
+        for seed in range(10)
+        for one in (golden(seed), *(injected(seed, flown(index), index=index) for index in range(3)))
+    ]
     names = ["fault_loses_missions_in_states", "fault_lengthens_flights_in_states"]
     lost, longer = claims_table(names, [runs(*own, name="table1")]).entries()
     assert (
@@ -96,8 +100,10 @@ def test_golden_runs_count_once_however_many_faults_their_world_has():
 def test_platforms_are_compared_in_the_same_worlds():
     own = []
     for seed in range(10):  # longer by 1 s in each world, among which they differ far more
-        own += [golden(seed, flown(flight_time_s=10.0 * seed + slow), environment=place)
-                for place, slow in (("i9-9940x", 1), ("cortex-a57", 2))]  # fmt: skip
+        own += [
+            golden(seed, flown(flight_time_s=10.0 * seed + slow), environment=place)
+            for place, slow in (("i9-9940x", 1), ("cortex-a57", 2))
+        ]
     [found] = claims_table(["slow_platform_time"], [runs(*own, name="platforms")]).entries()
     assert found["verdict"] == "confirmed" and "10 worlds" in found["here"], found
 
@@ -117,12 +123,22 @@ def test_verdict_and_p_open_the_tested_runs():
 )
 def test_measured_overheads_of_all_stages_together_are_tested_by_flight(share, expected):
     # GAD in the paper: at most 2.2 % of three stages together, which two shares of 1.25 % exceed and one does not
-    rows = [
-        {"environment": place, "arm": "gaussian", "stage": stage, "detection": share, "recovery": share,
-         "flights": [(share, share)] * 3}
-        for place in ("factory", "farm", "sparse", "dense")
-        for stage in ("perception", "planning", "control", ALL)
-    ] if share else []  # fmt: skip
+    rows = (
+        [
+            {
+                "environment": place,
+                "arm": "gaussian",
+                "stage": stage,
+                "detection": share,
+                "recovery": share,
+                "flights": [(share, share)] * 3,
+            }
+            for place in ("factory", "farm", "sparse", "dense")
+            for stage in ("perception", "planning", "control", ALL)
+        ]
+        if share
+        else []
+    )
     own = runs(golden(1), name="table1", overheads={"rows": rows})
     [found] = claims_table(["gaussian_overhead_measured"], [own]).entries()
     assert found["verdict"] == expected, found
@@ -185,8 +201,10 @@ def test_claims_on_detection_recovery_and_flight_time(name, expected):
         for place in ("sparse", "dense"):
             saved, lost = place == "sparse", seed % 2 == 0
             alarms = [alarm(0.3)] if saved else []
-            own += [golden(seed, environment=place),
-                    injected(seed, flown(not lost, flight_time_s=60.0), environment=place)]  # fmt: skip
+            own += [
+                golden(seed, environment=place),
+                injected(seed, flown(not lost, flight_time_s=60.0), environment=place),
+            ]
             for arm, time in (("gaussian", 51.0), ("autoencoder", 55.0)):
                 record = flown(saved or not lost, flight_time_s=time, alarms=alarms)
                 own.append(injected(seed, record, arm=arm, environment=place))
@@ -200,8 +218,12 @@ def test_claims_on_kinds_of_bits_and_on_waypoints():
         own += [golden(seed), injected(seed, flown(flight_time_s=60.0), FAULT, target="waypoint yaw", index=2 * seed)]
         mild = replace(FAULT, bit=3, stratum="mantissa")
         own.append(injected(seed, flown(), mild, target="waypoint yaw", index=2 * seed + 1))
-    strong = [replace(run, spec=replace(run.spec, fault=replace(run.spec.fault, stratum="sign", bit=63)))
-              if run.spec.fault and run.spec.fault.stratum != "mantissa" else run for run in own]  # fmt: skip
+    strong = [
+        replace(run, spec=replace(run.spec, fault=replace(run.spec.fault, stratum="sign", bit=63)))
+        if run.spec.fault and run.spec.fault.stratum != "mantissa"
+        else run
+        for run in own
+    ]
     [found] = claims_table(["sign_exponent_flight_time"], [runs(*strong, name="states")]).entries()
     assert found["verdict"] == "confirmed" and "sign and exponent 20.0 %" in found["here"], found
     [found] = claims_table(["sign_exponent_failures"], [runs(*strong, name="states")]).entries()

@@ -42,10 +42,10 @@ def study(folder, **changes):
     campaigns = {
         "table1": {**both, "null_runs": 1, "sampling": {"strata": {"sign_exponent": 1}}},
         "table1_instructions": {
-            **both, "sampling": {"level": "instruction", "kernels": ["rrt_connect", "pid"], "share": "stage",
-                                 "which": "data"},
+            **both,
+            "sampling": {"level": "instruction", "kernels": ["rrt_connect", "pid"], "share": "stage", "which": "data"},
         },
-    }  # fmt: skip
+    }
     for name, content in campaigns.items():
         (folder / f"{name}.yaml").write_text(yaml.safe_dump({"name": name, **content, **changes.get(name, {})}))
     where = {".": str(folder / "table1.yaml"), "instructions": str(folder / "table1_instructions.yaml")}

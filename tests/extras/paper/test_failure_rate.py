@@ -25,17 +25,24 @@ def fixed(value):
 
 
 def upsets(**changes):
-    return UpsetConfig.model_validate({
-        "name": "toy", "fit_per_mbit": fixed(1000), "unprotected_mbit": 0.05, "visible": 0.1, "altitude": fixed(0),
-        "instructions_per_second": 1e9, **changes,
-    })  # fmt: skip
+    return UpsetConfig.model_validate(
+        {
+            "name": "toy",
+            "fit_per_mbit": fixed(1000),
+            "unprotected_mbit": 0.05,
+            "visible": 0.1,
+            "altitude": fixed(0),
+            "instructions_per_second": 1e9,
+            **changes,
+        }
+    )
 
 
 # ---- formulas ----------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("altitude", "factor"),
     [(0, 1), (120, 1.12), (500, 1.6), (1000, 2.5), (1609, 4.3), (3000, 12.6), (5000, 45), (10668, 434), (12192, 628)],
-)  # fmt: skip
+)
 def test_the_flux_grows_with_altitude_as_in_the_standard(altitude, factor):
     assert altitude_factor(altitude) == pytest.approx(factor, rel=0.03)
 
@@ -54,8 +61,9 @@ def test_a_processor_that_is_always_busy_fails_as_often_as_its_upsets_are_harmfu
 
 
 def test_the_band_has_the_ends_of_flux_and_fit():
-    found = upsets_per_instruction(upsets(fit_per_mbit={"value": 1000, "low": 100, "high": 2000},
-                                          altitude={"value": 120, "low": 0, "high": 1000}))  # fmt: skip
+    found = upsets_per_instruction(
+        upsets(fit_per_mbit={"value": 1000, "low": 100, "high": 2000}, altitude={"value": 120, "low": 0, "high": 1000})
+    )
     middle = 5e-9 / 3.6e12
     assert found.low == pytest.approx(0.1 * middle)
     assert found.high == pytest.approx(2 * altitude_factor(1000) * middle)
@@ -82,7 +90,7 @@ def test_shipped_upsets_have_sources():
         ("altitude: {value: 5, low: 0, high: 30000}", "altitude: 30000 m: allowed: up to 18000"),
         ("altitude: {value: 5, low: 0, high: 9}\nsources: {fit: x}", "sources: 'fit': not known; allowed: fit_"),
     ],
-)  # fmt: skip
+)
 def test_wrong_upsets_are_refused(tmp_path, changes, message):
     path = tmp_path / "mine.yaml"
     path.write_text(

@@ -171,8 +171,12 @@ def test_harm_is_that_beyond_the_golden_run_of_the_same_arm():
 
 
 def test_settings_whose_golden_runs_were_not_counted_are_left_out():
-    own = runs(golden(1, counted("pid")), golden(1, arm="gaussian"), injected(1, flown(), INSTRUCTION),
-               injected(1, flown(), INSTRUCTION, arm="gaussian"))  # fmt: skip
+    own = runs(
+        golden(1, counted("pid")),
+        golden(1, arm="gaussian"),
+        injected(1, flown(), INSTRUCTION),
+        injected(1, flown(), INSTRUCTION, arm="gaussian"),
+    )
     assert list(exposed(own)) == [("sparse", "fi")]
     notes = table(own, "failures_per_hour").notes
     assert [note for note in notes if "not counted" in note] == [notes[0]] and notes[0].startswith("dr_gaussian: ")
@@ -214,6 +218,11 @@ def test_false_alarms_are_no_effect_of_a_fault_in_the_detector():
     own = []
     for fault in (IN_DETECTOR, INSTRUCTION):
         masked = replace(slow, injections=flown().injections)
-        own.append(runs(golden(1, counted("pid")), golden(1, slow, arm="gaussian"),
-                        injected(1, masked, fault, arm="gaussian", target=fault.kernel)))  # fmt: skip
+        own.append(
+            runs(
+                golden(1, counted("pid")),
+                golden(1, slow, arm="gaussian"),
+                injected(1, masked, fault, arm="gaussian", target=fault.kernel),
+            )
+        )
     assert [found.injected.first("inflation") for found in own] == [0.0, pytest.approx(1 / 3)]

@@ -20,8 +20,13 @@ def instruction(kernel, **row):
 
 
 def test_kernels_have_a_row_each_below_the_golden_run_with_n_times_and_success():
-    own = runs(golden(flight_time_s=38.0), golden(flight_time_s=39.0), instruction("pid"),
-               instruction("pid", success=False), instruction("octomap", flight_time_s=50.0))  # fmt: skip
+    own = runs(
+        golden(flight_time_s=38.0),
+        golden(flight_time_s=39.0),
+        instruction("pid"),
+        instruction("pid", success=False),
+        instruction("octomap", flight_time_s=50.0),
+    )
     left, right = figures.figure(own, "kernels").axes
     assert texts(left) == ["golden run  (n = 2)", "pid  (n = 2)", "octomap  (n = 1)"]
     dots = [line.get_xdata().tolist() for line in left.lines if line.get_marker() == "."]
@@ -39,17 +44,23 @@ def test_each_environment_has_its_panels():
 @pytest.mark.parametrize("order", [(True, False), (False, True)])
 def test_success_of_all_environments_lies_within_their_common_axis(order):
     shown = zip(("sparse", "dense"), order, strict=True)
-    own = runs(*({"environment": environment, "target": "waypoint", "flight_time_s": 40.0, "success": success}
-                 for environment, success in shown))  # fmt: skip
+    own = runs(
+        *(
+            {"environment": environment, "target": "waypoint", "flight_time_s": 40.0, "success": success}
+            for environment, success in shown
+        )
+    )
     rights = figures.figure(own, "states").axes[1::2]
     lowest = min(bar.get_segments()[0][:, 0].min() for axes in rights for bars in axes.containers for bar in bars[2])
     assert len(rights) == 2 and all(axes.get_xlim()[0] <= lowest and axes.get_xlim()[1] == 1.02 for axes in rights)
 
 
 def test_distributions_name_worst_case_limit_and_counts():
-    own = runs(golden(flight_time_s=38.0, inflation=0.0, time_limit_s=150.0),
-               {"flight_time_s": 60.0, "inflation": 0.5, "time_limit_s": 150.0},
-               {"success": False, "time_limit_s": 150.0})  # fmt: skip
+    own = runs(
+        golden(flight_time_s=38.0, inflation=0.0, time_limit_s=150.0),
+        {"flight_time_s": 60.0, "inflation": 0.5, "time_limit_s": 150.0},
+        {"success": False, "time_limit_s": 150.0},
+    )
     [axes] = figures.figure(own, "flight_time_distribution").axes
     assert axes.get_title(loc="left") == "dense (limit 150 s)"
     assert [label.get_text() for label in axes.get_xticklabels()] == ["golden\n1/1", "fault\n1/2"]

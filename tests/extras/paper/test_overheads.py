@@ -14,9 +14,13 @@ from mavfi.states import new_state
 from tests.core.unit.analysis.handmade import flown, golden, injected, runs
 
 ROW = {
-    "environment": "sparse", "arm": "gaussian", "stage": "all", "detection": 0.01, "recovery": 0.02,
+    "environment": "sparse",
+    "arm": "gaussian",
+    "stage": "all",
+    "detection": 0.01,
+    "recovery": 0.02,
     "detection_modelled": 0.0005,
-}  # fmt: skip
+}
 MEASURED = {"processor": "a processor", "missions": 2, "rows": [ROW]}
 
 

@@ -10,8 +10,9 @@ from mavfi.report import figures
 from tests.core.unit.analysis.handmade import GOLDEN, flown, golden, injected, runs
 
 PARTS = {
-    "fast": {"environment": "dense", "platform": "i9-9940x"}, "slow": {"environment": "dense", "platform": "cortex-a57"}
-}  # fmt: skip
+    "fast": {"environment": "dense", "platform": "i9-9940x"},
+    "slow": {"environment": "dense", "platform": "cortex-a57"},
+}
 
 
 def lasting(seconds, record=GOLDEN):
@@ -23,8 +24,10 @@ def campaign(**about):
     own = []
     for name, time in (("fast", 40.0), ("slow", 100.0)):
         for seed in (1, 2):
-            own += [golden(seed, lasting(time), environment=name),
-                    golden(seed, lasting(time), arm="gaussian", environment=name)]  # fmt: skip
+            own += [
+                golden(seed, lasting(time), environment=name),
+                golden(seed, lasting(time), arm="gaussian", environment=name),
+            ]
         own.append(injected(1, lasting(time, flown()), environment=name))
         own.append(injected(2, lasting(2 * time, flown()), environment=name))
         own.append(injected(3, lasting(9 * time, flown(False)), environment=name))

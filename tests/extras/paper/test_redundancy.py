@@ -82,9 +82,13 @@ def test_a_detector_costs_its_share_of_the_period_and_no_mass():
 # ---- shipped calibrations ----------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("name", "dmr", "tmr"),
-    [("airsim_uav", 1.028, 1.058), ("dji_spark", 1.253, 1.881), ("airsim_uav_tdp", 1.026, 1.060),
-     ("dji_spark_tdp", 1.120, 1.898)],
-)  # fmt: skip
+    [
+        ("airsim_uav", 1.028, 1.058),
+        ("dji_spark", 1.253, 1.881),
+        ("airsim_uav_tdp", 1.026, 1.060),
+        ("dji_spark_tdp", 1.120, 1.898),
+    ],
+)
 def test_shipped_calibrations(name, dmr, tmr):
     """Worked out apart from this code: F/m - g, then the positive root."""
     own = find_design(name)
@@ -123,7 +127,7 @@ def test_the_ends_of_a_band_change_one_parameter():
         ("name: x\nmass: 1\nmax_thrust: 20\nsources: {m: me}\n", "sources: 'm': not known"),
         ("name: x\nmass: 1\nmax_thrust: 20\nbands: {mass: {low: 3, high: 2}}\n", "low: 3: allowed: at most high, 2"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_vehicle_file_is_refused(tmp_path, text, message):
     path = tmp_path / "mine.yaml"
     path.write_text(text, encoding="utf-8")

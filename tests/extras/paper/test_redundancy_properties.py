@@ -30,11 +30,16 @@ def designs(draw):
     )
     weight = GRAVITY * (mass + 0.085 + power * per_watt)
     return DesignConfig(
-        name="drawn", mass=mass, max_thrust=draw(st.floats(1.01, 4, **REAL)) * weight, processor_power=power,
-        heatsink=per_watt, action_period=draw(periods), sensing_range=draw(ranges),
+        name="drawn",
+        mass=mass,
+        max_thrust=draw(st.floats(1.01, 4, **REAL)) * weight,
+        processor_power=power,
+        heatsink=per_watt,
+        action_period=draw(periods),
+        sensing_range=draw(ranges),
         acceleration=draw(st.sampled_from(["excess_thrust", "tilt"])),
         replicated=draw(st.sampled_from(["processor", "board"])),
-    )  # fmt: skip
+    )
 
 
 @given(designs(), st.integers(1, 5))

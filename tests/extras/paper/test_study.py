@@ -27,9 +27,13 @@ def test_shipped_studies_name_campaigns_views_figures_and_claims_that_there_are(
 def test_the_paper_at_its_scale_has_the_sizes_that_its_head_names():
     campaigns = load_study("paper").campaigns_at("paper")
     assert {folder: (found.missions, found.faults) for folder, found in campaigns.items()} == {
-        ".": (100, 100), "instructions": (100, 100), "kernels": (25, 100), "states": (100, 100),
-        "platforms": (100, 100), "failure_rate": (25, 50),
-    }  # fmt: skip
+        ".": (100, 100),
+        "instructions": (100, 100),
+        "kernels": (25, 100),
+        "states": (100, 100),
+        "platforms": (100, 100),
+        "failure_rate": (25, 50),
+    }
     assert 16_500 < sum(plan_of(found, {}, {}).count() for found in campaigns.values()) < 17_500
 
 

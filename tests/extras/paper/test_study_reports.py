@@ -62,8 +62,9 @@ def test_each_step_of_a_study_has_a_bar_and_a_time_of_its_own(capsys, clock, tmp
                 clock[0] += 60.0
         lines = capsys.readouterr().err.splitlines()
     assert lines[1:3] == [
-        "study paper, compilation 2/3 tasks  0.05 tasks/s · 20 s left", "study paper, compilation 3/3 tasks"
-    ]  # fmt: skip
+        "study paper, compilation 2/3 tasks  0.05 tasks/s · 20 s left",
+        "study paper, compilation 3/3 tasks",
+    ]
     assert lines[-1] == "study paper, flights 31/100 flights  0.50 flights/s · 2 min 18 s left"
     assert bar.steps.seconds == {"compilation": 80.0, "flights": 180.0}
 

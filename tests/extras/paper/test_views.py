@@ -25,8 +25,13 @@ def test_value_at_risk_is_the_mean_of_the_slowest():
 
 
 def test_kernels_stand_below_the_golden_run():
-    own = runs(golden(1), golden(2), injected(1, flown(flight_time_s=60.0), INSTRUCTION, target="pid"),
-               injected(2, flown(False), INSTRUCTION, target="pid"), each="kernel")  # fmt: skip
+    own = runs(
+        golden(1),
+        golden(2),
+        injected(1, flown(flight_time_s=60.0), INSTRUCTION, target="pid"),
+        injected(2, flown(False), INSTRUCTION, target="pid"),
+        each="kernel",
+    )
     first, second = table(own, "kernels_as_in_the_paper").entries()
     assert (first["kernel"], first["n"], first["median_s"]) == (GOLDEN_ROW, 2, 50.0)
     assert (second["kernel"], second["success"].successes, second["worst_s"]) == ("pid", 1, 60.0)
@@ -49,11 +54,16 @@ def test_rows_are_tested_against_their_golden_runs_in_pairs():
 
 @pytest.mark.parametrize(("view", "each"), [("states_as_in_the_paper", "group"), ("bits_as_in_the_paper", "stage")])
 def test_tables_of_states_and_bits_have_the_test_too(view, each):
-    faults = [StateFault(FaultSite("planning.waypoint", "x"), 1, bit, name)
-              for name, bit in (("sign", 63), ("exponent", 60), ("mantissa", 3))]  # fmt: skip
+    faults = [
+        StateFault(FaultSite("planning.waypoint", "x"), 1, bit, name)
+        for name, bit in (("sign", 63), ("exponent", 60), ("mantissa", 3))
+    ]
     own = [golden(seed) for seed in range(6)]
-    own += [injected(seed, flown(stratum > 0), fault, index=10 * seed + stratum)
-            for seed in range(6) for stratum, fault in enumerate(faults)]  # fmt: skip
+    own += [
+        injected(seed, flown(stratum > 0), fault, index=10 * seed + stratum)
+        for seed in range(6)
+        for stratum, fault in enumerate(faults)
+    ]
     empty, *rows = table(runs(*own, each=each), view).column("p")
     assert (empty, rows[0]) == (None, pytest.approx(2 * 0.5**6)) and set(rows[1:]) <= {1.0}
 
@@ -62,8 +72,12 @@ def test_bits_have_a_row_each():
     strata = [("sign", 63), ("exponent", 60), ("mantissa", 3)]
     faults = [StateFault(FaultSite("planning.waypoint", "x"), 1, bit, name) for name, bit in strata]
     own = runs(golden(1), *(injected(1, flown(), fault, index=place) for place, fault in enumerate(faults)))
-    assert [row["bits"] for row in table(own, "bits_as_in_the_paper").entries()] == [GOLDEN_ROW, "sign", "exponent",
-                                                                                      "mantissa"]  # fmt: skip
+    assert [row["bits"] for row in table(own, "bits_as_in_the_paper").entries()] == [
+        GOLDEN_ROW,
+        "sign",
+        "exponent",
+        "mantissa",
+    ]
 
 
 def test_flight_times_are_of_pairs_that_succeed_in_all_settings(fake):
@@ -89,18 +103,24 @@ def test_flight_times_are_of_pairs_that_succeed_in_all_settings(fake):
 
 
 def test_failures_count_at_the_time_limit():
-    own = [golden(1), injected(1, flown(flight_time_s=60.0, time_limit_s=150.0)),
-           injected(2, flown(False, time_limit_s=150.0))]  # fmt: skip
+    own = [
+        golden(1),
+        injected(1, flown(flight_time_s=60.0, time_limit_s=150.0)),
+        injected(2, flown(False, time_limit_s=150.0)),
+    ]
     [row] = entries(runs(*own), "flight_times", setting="fi")
     assert (row["cvar_s"], row["cvar_limit_s"], row["success"].successes) == (60.0, 150.0, 1)
 
 
 def test_cases_are_the_faults_that_the_detector_shortens_most():
     def pair(seed, time, with_detector, fault=PERCEPTION, target="perception", **more):
-        return [golden(seed, environment="dense"),
-                injected(seed, flown(flight_time_s=time, **more), fault, target=target, environment="dense"),
-                injected(seed, flown(flight_time_s=with_detector), fault, arm="autoencoder", target=target,
-                         environment="dense")]  # fmt: skip
+        return [
+            golden(seed, environment="dense"),
+            injected(seed, flown(flight_time_s=time, **more), fault, target=target, environment="dense"),
+            injected(
+                seed, flown(flight_time_s=with_detector), fault, arm="autoencoder", target=target, environment="dense"
+            ),
+        ]
 
     own = runs(*pair(1, 60.0, 59.0), *pair(2, 55.0, 50.0), *pair(3, 90.0, 50.0, activated=False), golden(9))
     [found] = path_cases(own)
@@ -116,17 +136,25 @@ def test_cases_are_the_faults_that_the_detector_shortens_most():
 
 
 def test_a_shorter_way_after_a_false_alarm_recovers_nothing():
-    own = [golden(1, environment="dense"), injected(1, flown(flight_time_s=50.0), PERCEPTION, environment="dense"),
-           injected(1, flown(flight_time_s=40.0), PERCEPTION, arm="gaussian", environment="dense")]  # fmt: skip
-    lost = [golden(2, environment="dense"), injected(2, flown(False), PERCEPTION, environment="dense"),
-            injected(2, flown(), PERCEPTION, arm="gaussian", environment="dense")]  # fmt: skip
+    own = [
+        golden(1, environment="dense"),
+        injected(1, flown(flight_time_s=50.0), PERCEPTION, environment="dense"),
+        injected(1, flown(flight_time_s=40.0), PERCEPTION, arm="gaussian", environment="dense"),
+    ]
+    lost = [
+        golden(2, environment="dense"),
+        injected(2, flown(False), PERCEPTION, environment="dense"),
+        injected(2, flown(), PERCEPTION, arm="gaussian", environment="dense"),
+    ]
     assert path_cases(runs(*own, *lost))[0].fault.startswith("dense-2"), "the mission that is saved"
 
 
 def test_the_detector_of_a_case_is_the_one_that_recovers_it():
     own = [golden(1, environment="dense"), injected(1, flown(False), PERCEPTION, environment="dense")]
-    own += [injected(1, flown(arm == "gaussian"), PERCEPTION, arm=arm, environment="dense")
-            for arm in ("autoencoder", "gaussian")]  # fmt: skip
+    own += [
+        injected(1, flown(arm == "gaussian"), PERCEPTION, arm=arm, environment="dense")
+        for arm in ("autoencoder", "gaussian")
+    ]
     [found] = path_cases(runs(*own))
     assert found.arm == "gaussian" and found.recovered.startswith("dense-1-dr_gaussian")
 

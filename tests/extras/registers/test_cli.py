@@ -8,9 +8,18 @@ from mavfi.cli import run
 from mavfi.record import Injection
 
 DETAILS = {
-    "pid": 7, "thread": 8, "address": "0x7ffd", "library": "[vdso]", "offset": "0x10", "symbol": "f[abi:cxx11]+0x4",
-    "instruction": "mov rax, qword ptr [rdi + 8]", "access": "read", "register": "rdi", "width": 64, "stopped_us": 900,
-}  # fmt: skip
+    "pid": 7,
+    "thread": 8,
+    "address": "0x7ffd",
+    "library": "[vdso]",
+    "offset": "0x10",
+    "symbol": "f[abi:cxx11]+0x4",
+    "instruction": "mov rax, qword ptr [rdi + 8]",
+    "access": "read",
+    "register": "rdi",
+    "width": 64,
+    "stopped_us": 900,
+}
 
 
 @pytest.mark.parametrize("activated", [True, False])

@@ -6,19 +6,36 @@ from tools import build_fault_map, results
 
 def runs():
     rows = [
-        {"kind": "golden", "target": "", "world": f"dense/{seed}", "judged": True, "success": True, "inflation": None,
-         "weight": 1.0}
+        {
+            "kind": "golden",
+            "target": "",
+            "world": f"dense/{seed}",
+            "judged": True,
+            "success": True,
+            "inflation": None,
+            "weight": 1.0,
+        }
         for seed in range(2)
-    ]  # fmt: skip
+    ]
     rows += [
-        {"kind": "injected", "target": target, "world": f"dense/{seed}", "judged": True, "success": success,
-         "inflation": inflation, "weight": 1.0}
+        {
+            "kind": "injected",
+            "target": target,
+            "world": f"dense/{seed}",
+            "judged": True,
+            "success": success,
+            "inflation": inflation,
+            "weight": 1.0,
+        }
         for target, seed, success, inflation in (
-            ("way-point position · sign", 0, False, None), ("way-point position · sign", 1, True, 0.25),
-            ("path vertex · sign", 0, True, 0.0), ("path vertex · sign", 1, True, 0.01),
-            ("voxel · sign", 0, True, 0.0), ("voxel · sign", 1, True, 0.01),
+            ("way-point position · sign", 0, False, None),
+            ("way-point position · sign", 1, True, 0.25),
+            ("path vertex · sign", 0, True, 0.0),
+            ("path vertex · sign", 1, True, 0.01),
+            ("voxel · sign", 0, True, 0.0),
+            ("voxel · sign", 1, True, 0.01),
         )
-    ]  # fmt: skip
+    ]
     return Runs(pl.DataFrame(rows, infer_schema_length=None))
 
 

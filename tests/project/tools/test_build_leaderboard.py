@@ -124,8 +124,11 @@ def test_rows_by_environment_are_merged_within_it():
     old = [row("dense", "a", 1), row("all", "a", 1)]
     rows = merged([row("dense", "b", 2), row("all", "b", 2)], old, ["b", "a"])
     assert [(one["environment"], one["setting"]) for one in rows] == [
-        ("dense", "golden_b"), ("dense", "golden_a"), ("all", "golden_b"), ("all", "golden_a"),
-    ]  # fmt: skip
+        ("dense", "golden_b"),
+        ("dense", "golden_a"),
+        ("all", "golden_b"),
+        ("all", "golden_a"),
+    ]
 
 
 BENCH = load_bench(NAME)
@@ -133,21 +136,27 @@ STATE = {"scheme": "gaussian", "faults": "900", "only it lost": "2", "brought ba
 OURS = {"scheme": "recommended", "faults": "900", "only it lost": "0", "brought back": "100.0 [56.6, 100.0] 5/5"}
 CALLS = {"scheme": "recommended", "faults": "1000", "same value injected": "990", "of these, only it lost": "0"}
 ROWS_BY_PART = {
-    "sites": [STATE, OURS], "state": [STATE, OURS], "hardened": [OURS],
+    "sites": [STATE, OURS],
+    "state": [STATE, OURS],
+    "hardened": [OURS],
     "observer": [{**STATE, "brought back": "100.0 [43.9, 100.0] 3/3"}, {**OURS, "brought back": "—"}],
     "instruction": [STATE, {**CALLS, "brought back": "0/4"}, {"scheme": "readback", "brought back": "3/4"}],
     "sensor": [OURS],
-    "golden": [{"environment": "dense", "setting": "golden_gaussian", "per hour": "3.0"},
-               {"environment": "all", "setting": "golden_gaussian", "per hour": "2.0 [1.0, 3.0]"}],
-}  # fmt: skip
+    "golden": [
+        {"environment": "dense", "setting": "golden_gaussian", "per hour": "3.0"},
+        {"environment": "all", "setting": "golden_gaussian", "per hour": "2.0 [1.0, 3.0]"},
+    ],
+}
 
 
 def test_what_is_brought_back_is_the_sum_of_parts_with_every_detector_the_most_first():
     found = summary(BENCH, ROWS_BY_PART)["summary"]
     rows = {row[0]: dict(zip((column.heading for column in found.columns), row, strict=True)) for row in found.rows}
     assert list(rows) == ["recommended", "gaussian", "readback"]
-    sums = {scheme: {key: (rate.successes, rate.n) for key, rate in row.items() if isinstance(rate, Rate)}
-            for scheme, row in rows.items()}  # fmt: skip
+    sums = {
+        scheme: {key: (rate.successes, rate.n) for key, rate in row.items() if isinstance(rate, Rate)}
+        for scheme, row in rows.items()
+    }
     assert sums["recommended"] == {"state": (10, 10), "instruction": (0, 4)}, "part hardened lacks the other one"
     assert sums["gaussian"] == {"state": (2, 10), "instruction": (1, 5), OBSERVER: (3, 3)}
     assert sums["readback"] == {"instruction": (3, 4)}

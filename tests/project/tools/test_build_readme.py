@@ -26,9 +26,11 @@ Generated on 2026-11-20 by mavfi 0.1.0 (numba 0.68.1): campaign `table1_instruct
 
 def test_rows_are_summed_over_environments():
     assert build_readme.totals(TABLE) == {
-        ("Golden run", "here"): (26, 26), ("Injection run", "here, node restarts"): (153, 156),
-        ("Injection run", "here, mission ends"): (129, 156), ("Gaussian-based", "here, node restarts"): (155, 156),
-    }  # fmt: skip
+        ("Golden run", "here"): (26, 26),
+        ("Injection run", "here, node restarts"): (153, 156),
+        ("Injection run", "here, mission ends"): (129, 156),
+        ("Gaussian-based", "here, node restarts"): (155, 156),
+    }
 
 
 def test_the_headline_says_what_the_table_says():
@@ -110,8 +112,12 @@ def test_both_pages_are_written(documents):
     assert "| state level |" in (documents / "results.md").read_text(encoding="utf-8")
     copied = {str(path.relative_to(documents / "results")) for path in (documents / "results").rglob("*.*")}
     assert copied == {
-        "figures/a.png", "tables/study/a.csv", "study.md", "digests.json", "tables/other/old.csv",
-    }, "of the study alone"  # fmt: skip
+        "figures/a.png",
+        "tables/study/a.csv",
+        "study.md",
+        "digests.json",
+        "tables/other/old.csv",
+    }, "of the study alone"
     assert (documents / "results" / "study.md").read_text(encoding="utf-8").endswith("do not edit. -->\n\nstudy.md")
 
 

@@ -26,11 +26,17 @@ class Whole(Config):
 @pytest.mark.parametrize(
     ("annotation", "words"),
     [
-        (int, "integer"), (str | None, "text"), (tuple[str, ...], "list of text"), (dict[str, Any], "keys and values"),
-        (dict[str, float], "number by name"), (tuple[float, float, float], "3 × number"),
-        (Literal["a", "b"], "`a`, `b`"), (Part, "[Part](#part)"), (tuple[Part, ...], "list of [Part](#part)"),
+        (int, "integer"),
+        (str | None, "text"),
+        (tuple[str, ...], "list of text"),
+        (dict[str, Any], "keys and values"),
+        (dict[str, float], "number by name"),
+        (tuple[float, float, float], "3 × number"),
+        (Literal["a", "b"], "`a`, `b`"),
+        (Part, "[Part](#part)"),
+        (tuple[Part, ...], "list of [Part](#part)"),
     ],
-)  # fmt: skip
+)
 def test_types_in_words(annotation, words):
     assert reference.kind(annotation) == words
 

@@ -8,17 +8,30 @@ from tools import difficulty
 
 def row(kind, seed, success, time_s=30.0, target="", golden_success=True):
     inflation = time_s / 30.0 - 1.0 if success and golden_success else None
-    return {"kind": kind, "seed": seed, "world": f"density05/{seed}", "target": target, "success": success,
-            "judged": True, "golden_success": golden_success, "inflation": inflation, "flight_time_s": time_s,
-            "weight": 1.0}  # fmt: skip
+    return {
+        "kind": kind,
+        "seed": seed,
+        "world": f"density05/{seed}",
+        "target": target,
+        "success": success,
+        "judged": True,
+        "golden_success": golden_success,
+        "inflation": inflation,
+        "flight_time_s": time_s,
+        "weight": 1.0,
+    }
 
 
 def cells():
     rows = [
-        row("golden", 1, True), row("golden", 2, True, 40.0), row("golden", 3, False),
-        row("injected", 1, False, target="flag"), row("injected", 2, True, 32.0, "flag"),
-        row("injected", 3, False, target="flag", golden_success=False), row("injected", 1, True, 31.0, "epochs"),
-    ]  # fmt: skip
+        row("golden", 1, True),
+        row("golden", 2, True, 40.0),
+        row("golden", 3, False),
+        row("injected", 1, False, target="flag"),
+        row("injected", 2, True, 32.0, "flag"),
+        row("injected", 3, False, target="flag", golden_success=False),
+        row("injected", 1, True, 31.0, "epochs"),
+    ]
     runs = Runs(pl.DataFrame(rows, infer_schema_length=None))
     return [difficulty.Cell(profile, v, 0.05, runs) for profile in difficulty.PROFILES for v in difficulty.SPEEDS]
 

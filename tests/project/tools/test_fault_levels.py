@@ -29,8 +29,7 @@ def test_every_fault_has_one_outcome(rows, name):
 
 
 def test_a_mission_of_which_a_node_dies_succeeds_only_if_it_restarts(rows):
-    restarts, ends = (rows[f"instruction (IR), {policy}"] for policy in
-                      ("node restarts", "mission ends with its node"))  # fmt: skip
+    restarts, ends = (rows[f"instruction (IR), {policy}"] for policy in ("node restarts", "mission ends with its node"))
     assert restarts["n, missions"] == ends["n, missions"]
     assert count(restarts["mission succeeds"]) > count(ends["mission succeeds"])
 

@@ -4,9 +4,17 @@ from mavfi.mission import MissionSpec
 from tools.golden_rates import COLUMNS, GoldenFlight, row, settings
 
 GOOD = GoldenFlight(
-    seed=10_000, arrived=True, time_s=30.0, clearance_m=0.5, tracking_m=0.3, speed_share=1.05, plans=3, failed_plans=0,
-    alarms=1, warnings=0,
-)  # fmt: skip
+    seed=10_000,
+    arrived=True,
+    time_s=30.0,
+    clearance_m=0.5,
+    tracking_m=0.3,
+    speed_share=1.05,
+    plans=3,
+    failed_plans=0,
+    alarms=1,
+    warnings=0,
+)
 LOST = replace(GOOD, seed=10_001, arrived=False, time_s=90.0, clearance_m=-0.1, plans=1, failed_plans=4)
 
 

@@ -67,12 +67,13 @@ def flown(monkeypatch, tmp_path):
     run_campaign(campaign, tmp_path, executor=LocalExecutor(1))
     monkeypatch.setattr("mavfi.extras.paper.study.Study.campaigns_at", lambda *_: {".": campaign})
     described = {
-        "name": "small", "digest": "d" * 64, "versions": {"python": "3.11"}, "done": 2,
+        "name": "small",
+        "digest": "d" * 64,
+        "versions": {"python": "3.11"},
+        "done": 2,
         "total": 2,
-    }  # fmt: skip
-    return tmp_path, {
-        "study": "paper", "scale": "quick", "campaigns": {".": described}, "programs": ["mavfi 1"]
-    }  # fmt: skip
+    }
+    return tmp_path, {"study": "paper", "scale": "quick", "campaigns": {".": described}, "programs": ["mavfi 1"]}
 
 
 def test_the_entry_of_a_study_names_what_each_ledger_needs(flown):

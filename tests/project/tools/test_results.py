@@ -15,8 +15,13 @@ from tools.markers import ROOT
 from tools.results import CAMPAIGNS, Excerpt, main, write
 
 COLUMNS = (Column("scheme", "scheme"), Column("back", "brought back", RATE), Column("late", "late"))
-TABLE = Table("t", "A title", COLUMNS, [("a", wilson(1, 2), "x"), ("b", wilson(2, 2), "y")],
-              notes=("late: of them", "brought back: of the lost"))  # fmt: skip
+TABLE = Table(
+    "t",
+    "A title",
+    COLUMNS,
+    [("a", wilson(1, 2), "x"), ("b", wilson(2, 2), "y")],
+    notes=("late: of them", "brought back: of the lost"),
+)
 
 
 @pytest.fixture

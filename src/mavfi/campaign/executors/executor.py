@@ -41,7 +41,7 @@ class Executor(Protocol):
 
     def map(
         self, function: Callable[[T], Iterator[R]], missions: Iterable[T]
-    ) -> Generator[tuple[T, Sequence[R | Done | Lost]], None, None]:  # fmt: skip
+    ) -> Generator[tuple[T, Sequence[R | Done | Lost]], None, None]:
         """Call a function for every mission; closing the iterator, or an exception, stops the workers.
 
         The function is a generator function that workers can import; its exceptions are raised here.

@@ -39,7 +39,7 @@ class LocalExecutor:
 
     def map(
         self, function: Callable[[T], Iterator[R]], missions: Iterable[T]
-    ) -> Generator[tuple[T, Sequence[R | Done | Lost]], None, None]:  # fmt: skip
+    ) -> Generator[tuple[T, Sequence[R | Done | Lost]], None, None]:
         """See `Executor.map`."""
         waiting = iter(missions)
         workers: list[Worker[T]] = []

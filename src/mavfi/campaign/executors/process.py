@@ -69,9 +69,7 @@ class Worker(Generic[T]):
         self._since = time.monotonic()
 
     @staticmethod
-    def forked(
-        function: Callable[[Any], Iterator[Any]], others: "Iterable[Worker[Any]]" = ()
-    ) -> "Worker[Any]":  # fmt: skip
+    def forked(function: Callable[[Any], Iterator[Any]], others: "Iterable[Worker[Any]]" = ()) -> "Worker[Any]":
         """Fork a worker, which inherits imports, compiled code and settings of this process.
 
         It closes the inherited pipe ends of the other workers, so that each sees end-of-file when the parent dies.
@@ -143,7 +141,7 @@ class Worker(Generic[T]):
 
 def _forked(
     pipe: Connection, ours: Iterable[Connection], function: Callable[[Any], Iterator[Any]], parent: int
-) -> None:  # fmt: skip
+) -> None:
     """Main function of a forked worker."""
     if not _ends_with(parent):
         return

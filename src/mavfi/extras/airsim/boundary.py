@@ -230,9 +230,11 @@ class Boundary:
 
     @classmethod
     def of(
-        cls, fault: BoundaryFault | MessageFault | SensorFault | None, watch: "BoundaryWatch | None" = None,
+        cls,
+        fault: BoundaryFault | MessageFault | SensorFault | None,
+        watch: "BoundaryWatch | None" = None,
         recording: "Recording | None" = None,
-    ) -> "Boundary":  # fmt: skip
+    ) -> "Boundary":
         """The boundary with a fault, in a call or in the vehicle behind it."""
         if isinstance(fault, SensorFault):
             return cls(watch=watch, recording=recording, failure=Failure(fault))
@@ -290,9 +292,15 @@ class Boundary:
             return value
         names = (RETURN, *path) if in_return else (CALLS[name].arguments[int(path[0])], *path[1:])
         self.injection = Injection(
-            "message", fault.site, 1e-6 * now_us, None if fault.bit is None else bit, before, after, True,
+            "message",
+            fault.site,
+            1e-6 * now_us,
+            None if fault.bit is None else bit,
+            before,
+            after,
+            True,
             details={"call": fault.topic, "number": self._count, "path": ".".join(map(str, names))},
-        )  # fmt: skip
+        )
         return value
 
 

@@ -173,8 +173,13 @@ CAMERA_RANGE = 100.0
 """Beyond it a depth image shows the sky (m)."""
 SKY = 65504.0
 """Depth of the sky, the largest float16, as in AirSim."""
-_FACING = {"front_center": (0, 0), "front_right": (0, 0), "front_left": (0, 0), "bottom_center": (0, -90),
-           "back_center": (180, 0)}  # fmt: skip
+_FACING = {
+    "front_center": (0, 0),
+    "front_right": (0, 0),
+    "front_left": (0, 0),
+    "bottom_center": (0, -90),
+    "back_center": (180, 0),
+}
 _NUMBERS = dict(zip("01234", _FACING, strict=True))
 _CAMERAS = {**_FACING, "fpv": (0, 0)}
 """AirSim's cameras: turned to the right and up (deg); all of them sit at the centre of the vehicle."""
@@ -237,10 +242,18 @@ def _response(api: Api, request: Any) -> Data:
     return {
         "image_data_uint8": b"" if as_float else encoded(api, seen, kind, compress),
         "image_data_float": floats(seen, kind, SKY) if as_float else [],
-        "camera_position": vector(position), "camera_name": str(name), "camera_orientation": rotated(orientation),
-        "time_stamp": api.vehicle.stamp, "message": "", "pixels_as_float": as_float, "compress": compress,
-        "width": seen.width, "height": seen.height, "image_type": kind, "annotation_name": "",
-    }  # fmt: skip
+        "camera_position": vector(position),
+        "camera_name": str(name),
+        "camera_orientation": rotated(orientation),
+        "time_stamp": api.vehicle.stamp,
+        "message": "",
+        "pixels_as_float": as_float,
+        "compress": compress,
+        "width": seen.width,
+        "height": seen.height,
+        "image_type": kind,
+        "annotation_name": "",
+    }
 
 
 @camera_call
@@ -452,11 +465,12 @@ def _detection(
     corners = np.array([flipped((np.array(corner) - camera) @ matrix) for corner in product(*zip(*box, strict=True))])
     w, x, y, z = seen.pose[3:]
     return {
-        "name": name, "geo_point": geo_point(api.vehicle.to_ned(centre)),
+        "name": name,
+        "geo_point": geo_point(api.vehicle.to_ned(centre)),
         "box2D": {"min": _pixel(columns.min(), rows.min()), "max": _pixel(columns.max(), rows.max())},
         "box3D": {"min": vector(corners.min(axis=0)), "max": vector(corners.max(axis=0))},
         "relative_pose": pose(flipped((centre - camera) @ matrix), turned((w, -x, -y, -z))),
-    }  # fmt: skip
+    }
 
 
 def _pixel(column: int, row: int) -> dict[str, float]:

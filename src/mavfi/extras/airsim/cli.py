@@ -247,9 +247,13 @@ def run(  # noqa: PLR0913 - one parameter per option
     pixels(image)
     planned = _planned(fault, fault_seed)
     program = ProgramConfig(
-        script=str(script), arguments=tuple(arguments or ()), python=python, seconds=seconds, image=image,
+        script=str(script),
+        arguments=tuple(arguments or ()),
+        python=python,
+        seconds=seconds,
+        image=image,
         vehicle=vehicle_name,
-    )  # fmt: skip
+    )
     program.check()
     from mavfi.cli.progress import compiling
     from mavfi.extras.airsim.server import msgpack

@@ -138,7 +138,7 @@ def _add_velocity_task(name: str, arguments: str) -> None:
 
     def fly(
         api: Api, vx: float, vy: float, vertical: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None
-    ) -> Task:  # fmt: skip
+    ) -> Task:
         yaw = yaw_of(yaw_mode, drivetrain)
         horizontal = from_body(api.vehicle, vx, vy) if along_heading else (vx, vy)
         if at_height:
@@ -292,9 +292,13 @@ def moveByRC(api: Api, rcdata: Any) -> None:
     api.sticks = sticks
     tilt = api.vehicle.scenario.vehicle.max_tilt
     rotors = at_attitude(
-        api.vehicle, tilt * sticks["roll"], tilt * sticks["pitch"], 0.0,
-        api.vehicle.scenario.vehicle.max_yaw_rate * sticks["yaw"], Vertical(sticks["throttle"]),
-    )  # fmt: skip
+        api.vehicle,
+        tilt * sticks["roll"],
+        tilt * sticks["pitch"],
+        0.0,
+        api.vehicle.scenario.vehicle.max_yaw_rate * sticks["yaw"],
+        Vertical(sticks["throttle"]),
+    )
     api.vehicle.start(fly_rotors(api.vehicle, rotors, _RC_S))
 
 

@@ -149,10 +149,18 @@ class _Run:
             def start(port: int) -> None:
                 with output.open("wb") as out, errors.open("wb") as err:
                     self._process = subprocess.Popen(
-                        [self._program.python or sys.executable, str(_RUNNER), str(port), self._program.script,
-                         *self._program.arguments],
-                        stdin=subprocess.DEVNULL, stdout=out, stderr=err, env=_environment(),
-                    )  # fmt: skip
+                        [
+                            self._program.python or sys.executable,
+                            str(_RUNNER),
+                            str(port),
+                            self._program.script,
+                            *self._program.arguments,
+                        ],
+                        stdin=subprocess.DEVNULL,
+                        stdout=out,
+                        stderr=err,
+                        env=_environment(),
+                    )
 
             serving = asyncio.create_task(self._server.run(0, start))
             try:
@@ -196,9 +204,17 @@ class _Run:
             how, reason = "program crash", reason or f"exit code {code}"
         digest = hashlib.sha256(f"{vehicle.digest()} {how} {code}".encode()).hexdigest()
         return Ended(
-            how, reason, vehicle.has_ever_collided, digest, 1e-6 * vehicle.now_us,
-            dict(self._server.calls), dict(self._server.errors), output, self._boundary, code,
-        )  # fmt: skip
+            how,
+            reason,
+            vehicle.has_ever_collided,
+            digest,
+            1e-6 * vehicle.now_us,
+            dict(self._server.calls),
+            dict(self._server.errors),
+            output,
+            self._boundary,
+            code,
+        )
 
 
 def _exception_line(errors: str) -> str:
@@ -243,9 +259,13 @@ def client_version(python: str, script: str) -> int:
         program = python or sys.executable
         try:
             done = subprocess.run(
-                [program, "-c", _VERSION, chosen[1]], capture_output=True, text=True, check=False, env=_environment(),
+                [program, "-c", _VERSION, chosen[1]],
+                capture_output=True,
+                text=True,
+                check=False,
+                env=_environment(),
                 stdin=subprocess.DEVNULL,
-            )  # fmt: skip
+            )
         except OSError as error:
             raise BadInputError(f"--python: {program}: {error.strerror}; allowed: a Python interpreter") from None
         with suppress(ValueError):
@@ -274,11 +294,16 @@ def shown(ended: Ended) -> dict[str, Any]:
     """A run as plain data."""
     injection, watch = ended.boundary.injected, ended.boundary.watch
     return {
-        "how": ended.how, "reason": ended.reason, "collision": ended.collided, "digest": ended.digest,
-        "seconds": round(ended.seconds, 6), "calls": ended.calls, "errors": ended.errors,
+        "how": ended.how,
+        "reason": ended.reason,
+        "collision": ended.collided,
+        "digest": ended.digest,
+        "seconds": round(ended.seconds, 6),
+        "calls": ended.calls,
+        "errors": ended.errors,
         "injection": None if injection is None else injection.to_json(),
         "alarms": [] if watch is None else [alarm.to_json() for alarm in watch.alarms],
-    }  # fmt: skip
+    }
 
 
 # ---- the host --------------------------------------------------------------------------------------------------------

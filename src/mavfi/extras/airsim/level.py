@@ -55,9 +55,7 @@ class MessageSampler(Sampler):
         fault = self._fault(sides[index % len(sides)], index, seed, golden, null=True)
         return fault or MessageFault(NO_CALL, f"{sides[0]}#0")
 
-    def _fault(
-        self, side: str, index: int, seed: int, golden: Golden, *, null: bool = False
-    ) -> MessageFault | None:  # fmt: skip
+    def _fault(self, side: str, index: int, seed: int, golden: Golden, *, null: bool = False) -> MessageFault | None:
         passed: Sequence[Any] = getattr(golden[""].flight, "passed", ()) if "" in golden else ()
         seen: Counter[str] = Counter()
         calls: list[tuple[str, int, int]] = []  # name, number among those of this name, numbers on this side

@@ -226,9 +226,12 @@ class Remote:
     def depth(self) -> tuple[np.ndarray, np.ndarray]:
         """See `Plant.depth`."""
         request = {
-            "camera_name": "0", "image_type": PERSPECTIVE, "pixels_as_float": True, "compress": False,
+            "camera_name": "0",
+            "image_type": PERSPECTIVE,
+            "pixels_as_float": True,
+            "compress": False,
             "annotation_name": "",
-        }  # fmt: skip
+        }
         try:
             image = self.rpc.call("simGetImages", [request], "", False)[0]
             size = image["width"], image["height"]

@@ -23,9 +23,17 @@ from mavfi.sim.scene import STEP_US
 _DRAWN = {FOG: "Fog", DUST: "Dust", 8: "Enabled"}
 _KNOWN_WEATHER = {0: "Rain", 1: "Roadwetness", 2: "Snow", 3: "RoadSnow", 4: "MapleLeaf", 5: "RoadLeaf", **_DRAWN}
 _NOTHING = (
-    "simFlushPersistentMarkers", "simPlotPoints", "simPlotLineStrip", "simPlotLineList", "simPlotArrows",
-    "simPlotStrings", "simPlotTransforms", "simPlotTransformsWithNames", "simSetTraceLine", "simSetTimeOfDay",
-)  # fmt: skip
+    "simFlushPersistentMarkers",
+    "simPlotPoints",
+    "simPlotLineStrip",
+    "simPlotLineList",
+    "simPlotArrows",
+    "simPlotStrings",
+    "simPlotTransforms",
+    "simPlotTransformsWithNames",
+    "simSetTraceLine",
+    "simSetTimeOfDay",
+)
 """Calls that draw into AirSim's window, which does not exist here, or move its sun, which lights no picture here."""
 
 
@@ -299,14 +307,25 @@ REFUSED = {
     **dict.fromkeys(("setCarControls", "getCarState", "getCarControls"), "the vehicle is a multirotor"),
     "getComputerVisionState": "the vehicle is a multirotor",
     **dict.fromkeys(
-        ("setVelocityControllerGains", "setPositionControllerGains", "setAngleLevelControllerGains",
-         "setAngleRateControllerGains"),
+        (
+            "setVelocityControllerGains",
+            "setPositionControllerGains",
+            "setAngleLevelControllerGains",
+            "setAngleRateControllerGains",
+        ),
         _GAINS,
     ),
     **dict.fromkeys(
-        ("simSetObjectMaterial", "simSetObjectMaterialFromTexture", "simSwapTextures", "simSetLightIntensity",
-         "simSetVehicleLightIntensity", "simSetVehicleLightVisibility", "simSetWorldLightIntensity",
-         "simSetWorldLightVisibility"),
+        (
+            "simSetObjectMaterial",
+            "simSetObjectMaterialFromTexture",
+            "simSwapTextures",
+            "simSetLightIntensity",
+            "simSetVehicleLightIntensity",
+            "simSetVehicleLightVisibility",
+            "simSetWorldLightIntensity",
+            "simSetWorldLightVisibility",
+        ),
         _PAINT,
     ),
     **dict.fromkeys(("simSetDistortionParam", "simSetDistortionParams"), _STRAIGHT),
@@ -318,18 +337,29 @@ REFUSED = {
         ("simSetDistanceSensorPose", "simSetLidarPose", "simSetGPULidarPose", "simSetEchoPose"), _ONE_PLACE
     ),
     **dict.fromkeys(
-        ("simListAnnotationObjects", "simListAnnotationPoses", "simListInstanceSegmentationObjects",
-         "simListInstanceSegmentationPoses", "simListSceneObjectsTags", "simGetAnnotationObjectID",
-         "simSetAnnotationObjectID", "simGetAnnotationObjectColor", "simSetAnnotationObjectColor",
-         "simGetAnnotationObjectValue", "simSetAnnotationObjectValue", "simGetAnnotationObjectTexturePath",
-         "simSetAnnotationObjectTextureByPath", "simEnableAnnotationObjectTextureByPath"),
+        (
+            "simListAnnotationObjects",
+            "simListAnnotationPoses",
+            "simListInstanceSegmentationObjects",
+            "simListInstanceSegmentationPoses",
+            "simListSceneObjectsTags",
+            "simGetAnnotationObjectID",
+            "simSetAnnotationObjectID",
+            "simGetAnnotationObjectColor",
+            "simSetAnnotationObjectColor",
+            "simGetAnnotationObjectValue",
+            "simSetAnnotationObjectValue",
+            "simGetAnnotationObjectTexturePath",
+            "simSetAnnotationObjectTextureByPath",
+            "simEnableAnnotationObjectTextureByPath",
+        ),
         _OF_COSYS,
     ),
     **dict.fromkeys(
         ("simGetPhysicsRawKinematics", "simSetPhysicsRawKinematics"),
         "raw states are not exchanged; simGetGroundTruthKinematics and simSetKinematics are",
     ),
-}  # fmt: skip
+}
 """The reason by name of the call."""
 
 
@@ -363,9 +393,13 @@ def identity(scenario: Scenario, world: World, *, in_flight: bool = True) -> dic
         start (m), speed limit (m/s).
     """
     content = {
-        "environment": scenario.environment.name, "seed": scenario.seed, "vehicle": scenario.vehicle.name,
-        "wind": scenario.wind.gust, "start": world.start[:2].tolist(), "goal": world.goal.tolist(),
-    }  # fmt: skip
+        "environment": scenario.environment.name,
+        "seed": scenario.seed,
+        "vehicle": scenario.vehicle.name,
+        "wind": scenario.wind.gust,
+        "start": world.start[:2].tolist(),
+        "goal": world.goal.tolist(),
+    }
     return {**content, "height": float(world.start[2]), "v_max": scenario.v_max} if in_flight else content
 
 

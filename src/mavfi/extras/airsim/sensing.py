@@ -36,10 +36,12 @@ def kinematics(api: Api, odometry: np.ndarray) -> Data:
     """KinematicsState of a state of the vehicle."""
     position, orientation, velocity, rates = api.vehicle.in_ned(odometry)
     return {
-        **pose(position, orientation), "linear_velocity": vector(velocity), "angular_velocity": vector(rates),
+        **pose(position, orientation),
+        "linear_velocity": vector(velocity),
+        "angular_velocity": vector(rates),
         "linear_acceleration": vector(flipped(api.vehicle.sim.acceleration())),
         "angular_acceleration": vector((0, 0, 0)),
-    }  # fmt: skip
+    }
 
 
 def collision(api: Api) -> Data:
@@ -48,17 +50,27 @@ def collision(api: Api) -> Data:
     if contact is None:
         zero = vector((0, 0, 0))
         return {
-            "has_collided": v.has_collided, "normal": zero, "impact_point": zero, "position": zero,
-            "penetration_depth": 0.0, "time_stamp": 0, "object_name": "", "object_id": -1,
-        }  # fmt: skip
+            "has_collided": v.has_collided,
+            "normal": zero,
+            "impact_point": zero,
+            "position": zero,
+            "penetration_depth": 0.0,
+            "time_stamp": 0,
+            "object_name": "",
+            "object_id": -1,
+        }
     others = {grounded.GROUND: GROUND, grounded.SCAN: "scan", DESTROYED: ""}
     name = others[contact.obstacle] if contact.obstacle < 0 else api.objects[contact.obstacle]
     return {
-        "has_collided": v.has_collided, "normal": vector(flipped(contact.normal)),
-        "impact_point": vector(v.to_ned(contact.point)), "position": vector(v.to_ned(contact.vehicle)),
-        "penetration_depth": contact.depth, "time_stamp": v.stamp - 1000 * (v.sim.time_us - contact.time_us),
-        "object_name": name, "object_id": contact.obstacle,
-    }  # fmt: skip
+        "has_collided": v.has_collided,
+        "normal": vector(flipped(contact.normal)),
+        "impact_point": vector(v.to_ned(contact.point)),
+        "position": vector(v.to_ned(contact.vehicle)),
+        "penetration_depth": contact.depth,
+        "time_stamp": v.stamp - 1000 * (v.sim.time_us - contact.time_us),
+        "object_name": name,
+        "object_id": contact.obstacle,
+    }
 
 
 @vehicle_call
@@ -66,15 +78,25 @@ def getMultirotorState(api: Api) -> Data:
     switches = {f"switch{n}": 0 for n in range(1, 9)}
     sticks = {key: api.sticks.get(key, 0.0) for key in ("pitch", "roll", "throttle", "yaw")}
     return {
-        "collision": collision(api), "kinematics_estimated": kinematics(api, api.vehicle.believed),
-        "gps_location": geo_point(api.vehicle.position), "timestamp": api.vehicle.stamp,
+        "collision": collision(api),
+        "kinematics_estimated": kinematics(api, api.vehicle.believed),
+        "gps_location": geo_point(api.vehicle.position),
+        "timestamp": api.vehicle.stamp,
         "landed_state": LANDED if api.vehicle.landed else FLYING,
         "rc_data": {
-            "timestamp": 0, **sticks, "left_z": 0.0, "right_z": 0.0, "is_initialized": bool(api.sticks),
-            "is_valid": bool(api.sticks), "vendor_id": "", **switches,
+            "timestamp": 0,
+            **sticks,
+            "left_z": 0.0,
+            "right_z": 0.0,
+            "is_initialized": bool(api.sticks),
+            "is_valid": bool(api.sticks),
+            "vendor_id": "",
+            **switches,
         },
-        "ready": True, "ready_message": "", "can_arm": True,
-    }  # fmt: skip
+        "ready": True,
+        "ready_message": "",
+        "can_arm": True,
+    }
 
 
 @vehicle_call
@@ -83,10 +105,13 @@ def simGetGroundTruthEnvironment(api: Api) -> Data:
     height = geo_point(position)["altitude"]
     kelvin = 288.15 - 0.0065 * height
     return {
-        "position": vector(position), "geo_point": geo_point(position), "gravity": vector((0.0, 0.0, GRAVITY)),
-        "air_pressure": _pressure(height), "temperature": kelvin,
+        "position": vector(position),
+        "geo_point": geo_point(position),
+        "gravity": vector((0.0, 0.0, GRAVITY)),
+        "air_pressure": _pressure(height),
+        "temperature": kelvin,
         "air_density": _pressure(height) / (287.053 * kelvin),
-    }  # fmt: skip
+    }
 
 
 @vehicle_call
@@ -107,9 +132,11 @@ def _rotor_speed(thrust: float) -> float:
 def getImuData(api: Api, imu_name: str = "") -> Data:
     sample = api.vehicle.imu()
     return {
-        "time_stamp": api.vehicle.stamp, "orientation": rotated(api.vehicle.orientation),
-        "angular_velocity": vector(flipped(sample[3:])), "linear_acceleration": vector(flipped(sample[:3])),
-    }  # fmt: skip
+        "time_stamp": api.vehicle.stamp,
+        "orientation": rotated(api.vehicle.orientation),
+        "angular_velocity": vector(flipped(sample[3:])),
+        "linear_acceleration": vector(flipped(sample[:3])),
+    }
 
 
 def _pressure(height: float) -> float:
@@ -136,9 +163,13 @@ def getMagnetometerData(api: Api, magnetometer_name: str = "") -> Data:
 def getGpsData(api: Api, gps_name: str = "") -> Data:
     v = api.vehicle
     gnss = {
-        "geo_point": geo_point(v.position), "eph": 0.1, "epv": 0.1, "velocity": vector(v.velocity), "fix_type": 3,
+        "geo_point": geo_point(v.position),
+        "eph": 0.1,
+        "epv": 0.1,
+        "velocity": vector(v.velocity),
+        "fix_type": 3,
         "time_utc": v.stamp // 1000,
-    }  # fmt: skip
+    }
     return {"time_stamp": v.stamp, "gnss": gnss, "is_valid": True}
 
 
@@ -146,9 +177,12 @@ def getGpsData(api: Api, gps_name: str = "") -> Data:
 def getDistanceSensorData(api: Api, distance_sensor_name: str = "") -> Data:
     distance = float(api.vehicle.sim.cast(np.array([[1.0, 0.0, 0.0]]), _FARTHEST)[0])
     return {
-        "time_stamp": api.vehicle.stamp, "distance": min(_FARTHEST, max(_NEAREST, distance)), "min_distance": _NEAREST,
-        "max_distance": _FARTHEST, "relative_pose": pose((0, 0, 0), LEVEL),
-    }  # fmt: skip
+        "time_stamp": api.vehicle.stamp,
+        "distance": min(_FARTHEST, max(_NEAREST, distance)),
+        "min_distance": _NEAREST,
+        "max_distance": _FARTHEST,
+        "relative_pose": pose((0, 0, 0), LEVEL),
+    }
 
 
 @cache
@@ -170,9 +204,11 @@ def getLidarData(api: Api, lidar_name: str = "") -> Data:
     points = v.sim.points(rays[seen], ranges[seen]) - v.origin
     points[:, 1:] *= -1.0
     return {
-        "point_cloud": points.astype(np.float32).ravel().tolist(), "time_stamp": v.stamp,
-        "pose": pose(v.position, v.orientation), "segmentation": [],
-    }  # fmt: skip
+        "point_cloud": points.astype(np.float32).ravel().tolist(),
+        "time_stamp": v.stamp,
+        "pose": pose(v.position, v.orientation),
+        "segmentation": [],
+    }
 
 
 add_readings(

@@ -10,21 +10,27 @@ _OF_CALLS = pl.col("effect").is_in(["masked", "sdc", "exception", "hang"])
 """Activated faults in calls whose effect is known."""
 _SILENT, _COLLIDED = pl.col("effect") == "sdc", pl.col("status") == "collision"
 
-CHAPTER = Chapter(35, (
-    View(
-        "boundary_effects", "What one bit in a call does to a program", ("side",),
-        (
-            m.count("n", "runs", _OF_CALLS),
-            m.wilson_rate("masked", "masked", pl.col("effect") == "masked", _OF_CALLS),
-            m.wilson_rate("deviates", "deviates", _SILENT & ~_COLLIDED, _OF_CALLS),
-            m.wilson_rate("collides", "collision", _SILENT & _COLLIDED, _OF_CALLS),
-            m.wilson_rate("exception", "program crash", pl.col("effect") == "exception", _OF_CALLS),
-            m.wilson_rate("hang", "hang", pl.col("effect") == "hang", _OF_CALLS),
-            m.count("not_activated", "not activated", effect="not_activated"),
-            m.count("unknown", "not judged", effect="unknown"),
+CHAPTER = Chapter(
+    35,
+    (
+        View(
+            "boundary_effects",
+            "What one bit in a call does to a program",
+            ("side",),
+            (
+                m.count("n", "runs", _OF_CALLS),
+                m.wilson_rate("masked", "masked", pl.col("effect") == "masked", _OF_CALLS),
+                m.wilson_rate("deviates", "deviates", _SILENT & ~_COLLIDED, _OF_CALLS),
+                m.wilson_rate("collides", "collision", _SILENT & _COLLIDED, _OF_CALLS),
+                m.wilson_rate("exception", "program crash", pl.col("effect") == "exception", _OF_CALLS),
+                m.wilson_rate("hang", "hang", pl.col("effect") == "hang", _OF_CALLS),
+                m.count("not_activated", "not activated", effect="not_activated"),
+                m.count("unknown", "not judged", effect="unknown"),
+            ),
+            where=lambda runs: runs.injected.where(level="message").adding(side=pl.col("target")),
+            total=("side", "both"),
+            applies=lambda runs: has(runs.injected, level="message"),
+            notes=lambda _: ("per cent of the runs whose fault was activated, [95 % interval, Wilson], count",),
         ),
-        where=lambda runs: runs.injected.where(level="message").adding(side=pl.col("target")),
-        total=("side", "both"), applies=lambda runs: has(runs.injected, level="message"),
-        notes=lambda _: ("per cent of the runs whose fault was activated, [95 % interval, Wilson], count",),
     ),
-))  # fmt: skip
+)

@@ -265,9 +265,7 @@ def reconstruct_part(inputs: np.ndarray, network: Network, first: int, last: int
 
 
 @kernel_jit
-def residuals_of_part(
-    vector: np.ndarray, network: Network, first: int, last: int, errors: np.ndarray
-) -> None:  # fmt: skip
+def residuals_of_part(vector: np.ndarray, network: Network, first: int, last: int, errors: np.ndarray) -> None:
     """Absolute reconstruction errors of the codes [first, last) of a vector, into `errors`; see `residuals`."""
     inputs = network.work[2, : len(vector)]
     for index in range(len(vector)):
@@ -291,7 +289,7 @@ def hold(measured: ResidualState, judged: Judged, limit: np.ndarray, network: Ne
 @kernel_jit
 def judge_reconstruction(
     measured: ResidualState, judged: Judged, limit: np.ndarray, network: Network, holding: Holding
-) -> float:  # fmt: skip
+) -> float:
     """Score of the reconstruction errors of the latest codes; see `hold`."""
     hold(measured, judged, limit, network, holding)
     first, last = measured.spans[measured.place[SLOT]]

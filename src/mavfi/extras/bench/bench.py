@@ -122,7 +122,7 @@ def scales(bench: Bench) -> list[str]:
 
 def entries(
     bench: Bench, scale: str, *, levels: Iterable[str] = (), parts: Iterable[str] = (), models_dir: Path | None = None
-) -> dict[str, Entry]:  # fmt: skip
+) -> dict[str, Entry]:
     """Select the parts to fly, by name.
 
     Args:
@@ -147,8 +147,9 @@ def entries(
     wanted = set(levels) or known
     found = {
         name: _entry(bench, name, campaign, models_dir)
-        for name, campaign in campaigns.items() if level_of(campaign) in wanted
-    }  # fmt: skip
+        for name, campaign in campaigns.items()
+        if level_of(campaign) in wanted
+    }
     if not any(entry.campaign.arms for entry in found.values()):
         reasons = [reason for entry in found.values() for reason in entry.left_out.values()]
         why = reasons[0] if reasons else "without a detector, a scheme flies only where nodes die (level instruction)"
@@ -168,9 +169,7 @@ def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
         own = own.resized(part.scales[scale])
     else:
         own = own.at_scale(scale)
-    changed = {
-        "name": f"{bench.name}-{name}", "mission": {**own.mission, **part.mission}, "scales": {}, "null_runs": 0
-    }  # fmt: skip
+    changed = {"name": f"{bench.name}-{name}", "mission": {**own.mission, **part.mission}, "scales": {}, "null_runs": 0}
     arms = {arm: config.model_dump() for arm, config in bench.arms.items() if config.detector or part.nodes_die}
     return parse(Campaign, {**own.to_json(), **changed, "arms": arms}, f"bench {bench.name}: {name}")
 
@@ -196,12 +195,18 @@ def faults_of(directory: Path) -> str:
     with Store.open(directory) as store:
         rows = [
             (
-                spec.environment, spec.seed, spec.target, spec.index, spec.fault.site, _time_of(spec.fault),
-                "" if spec.fault.bit is None else spec.fault.bit, spec.fault.stratum,
+                spec.environment,
+                spec.seed,
+                spec.target,
+                spec.index,
+                spec.fault.site,
+                _time_of(spec.fault),
+                "" if spec.fault.bit is None else spec.fault.bit,
+                spec.fault.stratum,
             )
             for spec in (run.spec for run in store.runs(done=True))
             if spec.kind == "injected" and spec.setting == FI and spec.fault is not None
-        ]  # fmt: skip
+        ]
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([COLUMNS, *rows])
     return text.getvalue()

@@ -44,41 +44,77 @@ def _fields(*names: str, unit: str = "") -> tuple[tuple[str, str, str], ...]:
 _WATCHED = {
     "perception.collision_status": _Watched(
         residual_state.measure_status,
-        (*_fields("time_to_collision", "distance_to_blocked", "distance_to_unknown", unit="octave"),
-         *_fields("future_collision_seq", "trajectory_seq", "collision")),
-        False, 0,
+        (
+            *_fields("time_to_collision", "distance_to_blocked", "distance_to_unknown", unit="octave"),
+            *_fields("future_collision_seq", "trajectory_seq", "collision"),
+        ),
+        False,
+        0,
     ),
     "planning.path": _Watched(
         residual_state.measure_path,
-        (*_fields("entry_speed", "future_collision_seq", "junction"),
-         ("start", "x", ""), ("end", "x", ""), ("detour", "x", "")),
-        True, 3, True,
+        (
+            *_fields("entry_speed", "future_collision_seq", "junction"),
+            ("start", "x", ""),
+            ("end", "x", ""),
+            ("detour", "x", ""),
+        ),
+        True,
+        3,
+        True,
     ),
     "planning.trajectory": _Watched(
         residual_state.measure_trajectory,
-        (*_fields("trajectory_seq", "future_collision_seq"),
-         ("step", "x", ""), ("change", "vx", ""), ("speed", "vx", ""), ("acceleration", "ax", ""),
-         ("duration", "duration", ""), ("turn", "yaw", ""), ("start", "x", ""), ("end", "x", "")),
-        True, 11, True,
+        (
+            *_fields("trajectory_seq", "future_collision_seq"),
+            ("step", "x", ""),
+            ("change", "vx", ""),
+            ("speed", "vx", ""),
+            ("acceleration", "ax", ""),
+            ("duration", "duration", ""),
+            ("turn", "yaw", ""),
+            ("start", "x", ""),
+            ("end", "x", ""),
+        ),
+        True,
+        11,
+        True,
     ),
     "planning.waypoint": _Watched(
         residual_state.measure_waypoint,
-        _fields("x", "y", "z", "yaw", "vx", "vy", "vz", "ax", "ay", "az", "duration", "trajectory_seq",
-                "future_collision_seq", "index"),
-        False, 11, True,
+        _fields(
+            "x",
+            "y",
+            "z",
+            "yaw",
+            "vx",
+            "vy",
+            "vz",
+            "ax",
+            "ay",
+            "az",
+            "duration",
+            "trajectory_seq",
+            "future_collision_seq",
+            "index",
+        ),
+        False,
+        11,
+        True,
     ),
     "control.command": _Watched(
         residual_state.measure_command, _fields("vx", "vy", "vz", "yaw_rate", "duration"), False, 5
     ),
     "control.tracking": _Watched(residual_state.measure_tracking, _fields("remaining"), False, 1),
-}  # fmt: skip
+}
 
 _ALONE = "control.tracking"
 """State that predicts nothing but its own residual."""
 
 COMPILED: dict[str, Callable[..., Any]] = {
-    **{own.measure.__name__: own.measure for own in _WATCHED.values()}, "note_vehicle": residual_state.note_vehicle,
-}  # fmt: skip
+    **{own.measure.__name__: own.measure for own in _WATCHED.values()},
+    "note_vehicle": residual_state.note_vehicle,
+}
 """Compiled functions that compute the codes, by name."""
 
 
@@ -310,9 +346,13 @@ class AllFields(Training):
         return int(_SIZES[slots].sum()) == len(codes) and bool((np.abs(regimes) <= REGIMES).all())
 
     def fit(
-        self, detectors: Mapping[str, type[TrainedDetector]], profile: str, recordings: Sequence[Codes],
-        origin: Mapping[str, Any], figures: Mapping[str, Mapping[str, Any]],
-    ) -> Iterator[Model]:  # fmt: skip
+        self,
+        detectors: Mapping[str, type[TrainedDetector]],
+        profile: str,
+        recordings: Sequence[Codes],
+        origin: Mapping[str, Any],
+        figures: Mapping[str, Mapping[str, Any]],
+    ) -> Iterator[Model]:
         """See `Training`."""
         field_codes = FieldCodes(origin["stack"])
         sample = join([sample_of(codes, field_codes) for codes in recordings])

@@ -51,9 +51,7 @@ class Flown:
         title = f"{len(self.parts)} parts" if len(self.parts) > 1 else next(iter(self.parts))
         campaigns = {self.folder / name: entry.campaign for name, entry in self.parts.items()}
         with Bar(f"bench: {title}", "runs") as bar:
-            run_campaigns(
-                campaigns, executor=LocalExecutor(workers), models_dir=models, progress=bar.show_campaigns
-            )  # fmt: skip
+            run_campaigns(campaigns, executor=LocalExecutor(workers), models_dir=models, progress=bar.show_campaigns)
 
     @property
     def scored(self) -> dict[str, Campaign]:
@@ -179,8 +177,13 @@ def draw_curves(found: Mapping[str, Scores], path: Path) -> Path:
             axes.step(x, y, where="post", label=name, color=colour, linestyle=dashes, linewidth=1.8)
             now = np.searchsorted(-own.golden, -1.0), (own.corrupted[own.harmful] > 1.0).mean()  # threshold as shipped
             axes.plot(max(now[0] / own.hours, least), 100 * now[1], "o", color=colour, markeredgecolor="white")
-        axes.set(xscale="log", ylim=(-2, 102), xlabel="false alarms per flight hour",
-                 ylabel="harmful faults detected (%)", title="Detection against false alarms")  # fmt: skip
+        axes.set(
+            xscale="log",
+            ylim=(-2, 102),
+            xlabel="false alarms per flight hour",
+            ylabel="harmful faults detected (%)",
+            title="Detection against false alarms",
+        )
         axes.grid(visible=True)
         axes.set_xlim(right=_MOST_ALARMS)
         figure.legend(loc="outside lower center", ncols=3, title="markers: thresholds as shipped")

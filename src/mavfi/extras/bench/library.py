@@ -90,8 +90,13 @@ def rates(codes: np.ndarray, slots: np.ndarray, model: Any) -> np.ndarray:  # no
 
 @kernel_jit
 def learn(
-    measured: ResidualState, judged: Judged, limit: np.ndarray, model: Any, holding: Holding, floor: float  # noqa: ANN401
-) -> None:  # fmt: skip
+    measured: ResidualState,
+    judged: Judged,
+    limit: np.ndarray,
+    model: Any,
+    holding: Holding,
+    floor: float,  # noqa: ANN401
+) -> None:
     """Hold the codes of a normal publication; 0 for an anomalous one."""
     hold(measured, judged, limit, model, holding)
 
@@ -106,8 +111,13 @@ def update(measured: ResidualState, holding: Holding) -> None:
 
 @kernel_jit
 def judge_model(
-    measured: ResidualState, judged: Judged, limit: np.ndarray, model: Any, holding: Holding, floor: float  # noqa: ANN401
-) -> float:  # fmt: skip
+    measured: ResidualState,
+    judged: Judged,
+    limit: np.ndarray,
+    model: Any,
+    holding: Holding,
+    floor: float,  # noqa: ANN401
+) -> float:
     """Score of the latest codes by a model, in units of the limit of their state and regime."""
     learn(measured, judged, limit, model, holding, floor)
     update(measured, holding)
@@ -213,9 +223,12 @@ class LibraryDetector(AllFieldsDetector):
         peaks, counts = state_peaks(scores - floor, part, len(features.slots))
         limit = regime_limits(peaks, counts, float(figures["margin"]), int(figures["smallest_regime"]))
         return {
-            "rows": sample.vectors[rows].tolist(), "slots": sample.slots[rows].tolist(), "scale": scale.tolist(),
-            "floor": floor, "limit": limit,
-        }  # fmt: skip
+            "rows": sample.vectors[rows].tolist(),
+            "slots": sample.slots[rows].tolist(),
+            "scale": scale.tolist(),
+            "floor": floor,
+            "limit": limit,
+        }
 
 
 @functools.lru_cache(_FITTED)

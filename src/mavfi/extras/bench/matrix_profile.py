@@ -185,9 +185,15 @@ class StretchScorer(StateScorer):
         slots, parts = len(field_codes.slots), [subsequences(one) for one in histories]
         counts = np.array([part.shape[1] for part in parts], np.int64)
         series = Series(
-            np.zeros((slots, LENGTH, max(counts))), np.zeros((slots, max(counts))), counts, scale,
-            np.zeros((slots, LENGTH - 1)), np.zeros(slots), np.zeros(LENGTH), np.zeros(BLOCK),
-        )  # fmt: skip
+            np.zeros((slots, LENGTH, max(counts))),
+            np.zeros((slots, max(counts))),
+            counts,
+            scale,
+            np.zeros((slots, LENGTH - 1)),
+            np.zeros(slots),
+            np.zeros(LENGTH),
+            np.zeros(BLOCK),
+        )
         for own, sums, part in zip(series.history, series.sums, parts, strict=True):
             own[:, : part.shape[1]], sums[: part.shape[1]] = part, part.sum(axis=0)
         super().__init__(field_codes, series)

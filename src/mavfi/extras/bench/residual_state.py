@@ -48,9 +48,14 @@ def initial_state(quanta: np.ndarray, spans: np.ndarray) -> ResidualState:
     """The state at the start of a flight; arguments as its attributes."""
     size = len(quanta)
     return ResidualState(
-        np.zeros(residuals.SIZE), np.zeros(residuals.SIZE), np.zeros(size), quanta, np.zeros(size, np.int16), spans,
+        np.zeros(residuals.SIZE),
+        np.zeros(residuals.SIZE),
+        np.zeros(size),
+        quanta,
+        np.zeros(size, np.int16),
+        spans,
         np.array([0, 0, 0, NEVER]),
-    )  # fmt: skip
+    )
 
 
 @kernel_jit

@@ -25,9 +25,24 @@ SLOTS = 6
 _STATUS, _PATH, _TRAJECTORY, _WAYPOINT, _COMMAND, _TRACKING = range(SLOTS)
 
 (
-    _COUNTER, _TIME, _BLOCKED, _UNKNOWN, _STATUS_SEEN, _EPOCH, _HAS_END, _HAS_GOAL, _NUMBER, _OF_TRAJECTORY, _INDEX,
-    _ANSWERS, _WAYPOINT_SEEN, _COMMAND_SEEN, _REMAINING, _FRESH, _VEHICLE_KNOWN,
-) = range(17)  # fmt: skip
+    _COUNTER,
+    _TIME,
+    _BLOCKED,
+    _UNKNOWN,
+    _STATUS_SEEN,
+    _EPOCH,
+    _HAS_END,
+    _HAS_GOAL,
+    _NUMBER,
+    _OF_TRAJECTORY,
+    _INDEX,
+    _ANSWERS,
+    _WAYPOINT_SEEN,
+    _COMMAND_SEEN,
+    _REMAINING,
+    _FRESH,
+    _VEHICLE_KNOWN,
+) = range(17)
 _END, _GOAL, _VEHICLE, _POINT, _LAW, _REGIME = 17, 20, 23, 29, 40, 45
 """Start of lists in `known`: end of the path, end of the last path that has one (m), vehicle (m, m/s), way-point,
 command, and by state the largest regime since its last publication."""

@@ -181,9 +181,7 @@ def _score(task: _Task) -> dict[str, _Kept]:
     judging = {}
     for arm in task.arms:
         trained_for = arm.overrides.get("trained_for", task.mission.trained_for)
-        detector = detector_for(
-            scenario, arm.detector, arm.profile, task.models_dir, trained_for, arm.options
-        ).detector  # fmt: skip
+        detector = detector_for(scenario, arm.detector, arm.profile, task.models_dir, trained_for, arm.options).detector
         if not detector.seals:
             judging[arm.name] = detector
     scorer = _Scorer(judging, task.faults)
@@ -195,9 +193,11 @@ def _score(task: _Task) -> dict[str, _Kept]:
 
 
 def scores(
-    directories: Sequence[Path], executor: Executor, models_dir: Path | None = None,
+    directories: Sequence[Path],
+    executor: Executor,
+    models_dir: Path | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> dict[str, Scores]:  # fmt: skip
+) -> dict[str, Scores]:
     """Scores of the detectors of campaigns, by arm, over all of their missions and state faults.
 
     A mission shared by several campaigns is flown and counted once.  Detectors without scores are omitted: those
@@ -242,10 +242,11 @@ def _tasks(directories: Sequence[Path], models_dir: Path | None) -> list[_Task]:
                 own = [spec for spec in specs if spec.world == (environment, seed)]
                 task = tasks.setdefault(mission.model_dump_json(), _Task(mission, arms, (), (), models_dir))
                 tasks[mission.model_dump_json()] = replace(
-                    task, arms=tuple({arm.name: arm for arm in (*task.arms, *arms)}.values()),
+                    task,
+                    arms=tuple({arm.name: arm for arm in (*task.arms, *arms)}.values()),
                     faults=(*task.faults, *(cast(StateFault, spec.fault) for spec in own)),
                     harmful=(*task.harmful, *(lost[spec.run_id] for spec in own)),
-                )  # fmt: skip
+                )
     return list(tasks.values())
 
 

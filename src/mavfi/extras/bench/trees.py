@@ -140,7 +140,7 @@ def spans_of(counts: Sequence[int] | np.ndarray) -> np.ndarray:
 
 def forest_of(
     states: Sequence[Trees], inputs: Inputs, decays: bool = False, sign: float = 1.0, shift: float = 0.0
-) -> Forest:  # fmt: skip
+) -> Forest:
     """The tables of a forest.
 
     Args:
@@ -177,9 +177,15 @@ def forest_of(
         depths.append(depth)
     return Forest(
         spans_of([len(own.trees) for own in states]),
-        np.array([own.unit for own in states], np.float64), decays, sign, shift, np.array(roots, np.int64),
-        np.array(depths, np.int64), np.array(words, np.int64), np.array(values, np.float64),
-    )  # fmt: skip
+        np.array([own.unit for own in states], np.float64),
+        decays,
+        sign,
+        shift,
+        np.array(roots, np.int64),
+        np.array(depths, np.int64),
+        np.array(words, np.int64),
+        np.array(values, np.float64),
+    )
 
 
 # ---- isolation forest -----------------------------------------------------------------------------------------------
@@ -288,9 +294,16 @@ class HalfSpaceTreesDetector(LibraryDetector):
 
 ROUNDS = 40
 OPTIONS: Mapping[str, Any] = {
-    "objective": "regression", "num_leaves": 15, "learning_rate": 0.1, "min_data_in_leaf": 10, "seed": 0,
-    "deterministic": True, "force_row_wise": True, "num_threads": 1, "verbosity": -1,
-}  # fmt: skip
+    "objective": "regression",
+    "num_leaves": 15,
+    "learning_rate": 0.1,
+    "min_data_in_leaf": 10,
+    "seed": 0,
+    "deterministic": True,
+    "force_row_wise": True,
+    "num_threads": 1,
+    "verbosity": -1,
+}
 """Of every regressor: one thread, since sums of several change their order, and threads do not survive a fork."""
 QUANTILE = 0.99
 """Share of residuals below the unit of the score."""
@@ -414,10 +427,16 @@ def tables_of(states: Sequence[Sequence[Regressor]], inputs: Inputs) -> Regresso
             branches += sorted(found)
     counts = np.array([len(one.trees) for one in every], np.int64)
     return Regressors(
-        spans_of([len(own) for own in states]), spans_of(counts), np.array([one.column for one in every], np.int64),
-        np.array([one.unit for one in every], np.float64), starts, np.array(branches, np.int64), leaves,
-        np.zeros(max((sum(len(one.trees) for one in own) for own in states), default=0), np.int64), inputs,
-    )  # fmt: skip
+        spans_of([len(own) for own in states]),
+        spans_of(counts),
+        np.array([one.column for one in every], np.int64),
+        np.array([one.unit for one in every], np.float64),
+        starts,
+        np.array(branches, np.int64),
+        leaves,
+        np.zeros(max((sum(len(one.trees) for one in own) for own in states), default=0), np.int64),
+        inputs,
+    )
 
 
 Words = defaultdict[tuple[int, bool], list[int]]

@@ -108,28 +108,34 @@ def _ranking(runs: Runs) -> list[str]:
 
 
 _COUNTED = (
-    m.count("pairs", "faults", kind=PAIR), m.count("lost", "lost", LOST),
+    m.count("pairs", "faults", kind=PAIR),
+    m.count("lost", "lost", LOST),
     _lost_by("dr_success", "back", "brought back"),
-)  # fmt: skip
+)
 _P = Measure("p", "p", "number .2g", lambda own: _mcnemar(own).p_value)
 _TESTED = (*_COUNTED, _P)
 _BACK_MONITORED = _lost_by("dr_success", "back_monitored", "of monitored", pl.col("monitored"))
 _TESTED_CALLS = (
-    *_COUNTED[:2], _lost_by("dr_success", "back", "brought back", _SAME_VALUE),
+    *_COUNTED[:2],
+    _lost_by("dr_success", "back", "brought back", _SAME_VALUE),
     replace(_P, of=lambda own: _mcnemar(own.where(_SAME_VALUE)).p_value),
     _lost_by("dr_success", "died_back", "died, back", _SAME_VALUE, DIED),
     _lost_by("dr_success", "sdc_back", "sdc, back", _SAME_VALUE, ~DIED),
-)  # fmt: skip
+)
 _LOST_UNDER = Measure(
-    "lost_under", "lost under it", NUMBER,
+    "lost_under",
+    "lost under it",
+    NUMBER,
     lambda own: len(own.where(pl.col("kind") == PAIR, "golden_success", ~pl.col("dr_success"))),
-)  # fmt: skip
+)
 _IN_TIME_AGAIN = m.rate("late_in_time", "late, in time", _IN_TIME, LATE)
 _HARM = (_LOST_UNDER, Measure("newly_lost", "only it lost", NUMBER, _only_the_scheme), _IN_TIME_AGAIN)
 _HARM_OF_CALLS = (
-    _LOST_UNDER, m.count("same_value", "same value injected", pl.col("kind") == PAIR, _SAME_VALUE),
-    Measure("newly_lost", "of these, only it lost", NUMBER, _only_it_by_same_value), _IN_TIME_AGAIN,
-)  # fmt: skip
+    _LOST_UNDER,
+    m.count("same_value", "same value injected", pl.col("kind") == PAIR, _SAME_VALUE),
+    Measure("newly_lost", "of these, only it lost", NUMBER, _only_it_by_same_value),
+    _IN_TIME_AGAIN,
+)
 _DETECTED = _lost_by("dr_detected", "detected", "detected")
 _ALARM_AFTER = Measure(
     "alarm_after", "alarm after", "number .2f s", lambda own: own.where(LOST).frame["dr_alarm_after_s"].median()
@@ -138,7 +144,7 @@ _ALARMS = (
     Measure("per_hour", "false alarms", PER_HOUR, _golden(m.alarm_rate)),
     Measure("hours", "exposure", "number .2f h", _golden(lambda own: sum(own["flight_time_s"]) / 3600)),
     Measure("recomputed", "recomputation", SMALL, _golden(m.recomputed)),
-)  # fmt: skip
+)
 _LOST_NOTE = (
     "lost: missions that succeed without the fault and fail with it; brought back: of these, those that succeed under "
     "the scheme; [95 % interval: Wilson, n reduced by the design effect of worlds], n"
@@ -151,9 +157,10 @@ _HARM_NOTE = (
 _TEST_NOTE = f"p: {m.PAIRED_TEST}; missions with the fault that succeed with and without the scheme"
 _NOTES_OF_PAIRS = (_LOST_NOTE, _HARM_NOTE.format(" with the fault"), ONE_FAULT)
 _NOTES_OF_SCHEMES = (
-    _LOST_NOTE, _HARM_NOTE.format(", golden ones included,"),
+    _LOST_NOTE,
+    _HARM_NOTE.format(", golden ones included,"),
     "false alarms: per hour of golden flight; recomputation: its modelled time / compute time, golden flights",
-)  # fmt: skip
+)
 _AFTER_NOTE = (
     "alarm after: median time from the fault to the first alarm that the golden flight lacks, in missions that the "
     "fault loses; 0 inline where the corrupted publication itself raises it"
@@ -163,62 +170,99 @@ _NOTES = (*_NOTES_OF_SCHEMES[:1], _TEST_NOTE, *_NOTES_OF_SCHEMES[1:], _AFTER_NOT
 
 
 def _schemes(
-    level: str, name: str, title: str, measures: tuple[Measure | m.Spread, ...],
+    level: str,
+    name: str,
+    title: str,
+    measures: tuple[Measure | m.Spread, ...],
     notes: Callable[[Runs], Iterable[str]],
-) -> View:  # fmt: skip
+) -> View:
     """A table with one row per scheme, for faults of one level."""
     return View(
-        name, title, ("arm",), measures, where=against_base, headings=("scheme",),
-        notes=lambda runs: (*notes(runs), ONE_FAULT), applies=lambda runs: _schemes_on(runs, level), by_name=True,
-    )  # fmt: skip
+        name,
+        title,
+        ("arm",),
+        measures,
+        where=against_base,
+        headings=("scheme",),
+        notes=lambda runs: (*notes(runs), ONE_FAULT),
+        applies=lambda runs: _schemes_on(runs, level),
+        by_name=True,
+    )
 
 
-CHAPTER = Chapter(110, (
-    _schemes(
-        STATE, "schemes", "Schemes on the same faults in states",
-        (*_COUNTED, _BACK_MONITORED, _P, *_HARM, _DETECTED, _ALARM_AFTER, *_ALARMS),
-        lambda runs: (
-            *_NOTES, _MONITORED_NOTE, "detected: of the lost ones, alarm on the corrupted publication",
-            *_ranking(runs),
+CHAPTER = Chapter(
+    110,
+    (
+        _schemes(
+            STATE,
+            "schemes",
+            "Schemes on the same faults in states",
+            (*_COUNTED, _BACK_MONITORED, _P, *_HARM, _DETECTED, _ALARM_AFTER, *_ALARMS),
+            lambda runs: (
+                *_NOTES,
+                _MONITORED_NOTE,
+                "detected: of the lost ones, alarm on the corrupted publication",
+                *_ranking(runs),
+            ),
+        ),
+        _schemes(
+            MEMORY,
+            "schemes_memory",
+            "Schemes on the same faults in memory",
+            (*_TESTED, *_HARM, _ALARM_AFTER, *_ALARMS),
+            lambda runs: (*_NOTES, *_ranking(runs)),
+        ),
+        _schemes(
+            SENSOR,
+            "schemes_sensor",
+            "Schemes on the same failures of sensors and motors",
+            (*_COUNTED, *_HARM, *_ALARMS),
+            lambda _: (
+                *_NOTES_OF_SCHEMES,
+                "a failure lasts from its instant to the end of the flight: every message then carries what the "
+                "device gave, and its checksum and its copy agree with it",
+            ),
+        ),
+        _schemes(
+            INSTRUCTION,
+            "schemes_instructions",
+            "Schemes on the same faults in instructions",
+            (*_TESTED_CALLS, *_HARM_OF_CALLS, _ALARM_AFTER, *_ALARMS),
+            lambda runs: (
+                *_NOTES,
+                *_ranking(runs),
+                "died / sdc: the kernel died of the fault, or continued with a wrong value",
+                "a fault names its call and value by number; if a scheme changes the flight, by false alarms or "
+                "latencies (duplicate), that call computes something else, which may be harmless. Same value injected: "
+                "faults that meet the same value at the same instant; brought back, p and only it lost count these alone, "
+                "and golden flights. Lost under it counts all",
+            ),
+        ),
+        View(
+            "schemes_by_target",
+            "Schemes, by injected site",
+            ("target", "arm"),
+            (*_COUNTED, *_HARM),
+            where=pairs_only,
+            headings=("site", "scheme"),
+            notes=lambda _: _NOTES_OF_PAIRS,
+            applies=lambda runs: has(runs.injected, setting=FI) and len(runs.settings()) > 1,
+            by_name=True,
+        ),
+        View(
+            "schemes_by_duration",
+            "Schemes, by duration and width of the fault",
+            ("duration", "arm"),
+            (*_COUNTED, m.rate("vehicle_saved", "vehicle saved", _SAVED, _CRASHED), *_HARM),
+            where=by_duration,
+            headings=("fault", "scheme"),
+            notes=lambda _: (
+                *_NOTES_OF_PAIRS,
+                "vehicle saved: of lost missions that end in a collision or beyond the arena, those that "
+                "do not under the scheme: they succeed, or end in the air",
+            ),
+            applies=_has_durations,
+            by_name=True,
         ),
     ),
-    _schemes(
-        MEMORY, "schemes_memory", "Schemes on the same faults in memory", (*_TESTED, *_HARM, _ALARM_AFTER, *_ALARMS),
-        lambda runs: (*_NOTES, *_ranking(runs)),
-    ),
-    _schemes(
-        SENSOR, "schemes_sensor", "Schemes on the same failures of sensors and motors",
-        (*_COUNTED, *_HARM, *_ALARMS),
-        lambda _: (
-            *_NOTES_OF_SCHEMES,
-            "a failure lasts from its instant to the end of the flight: every message then carries what the "
-            "device gave, and its checksum and its copy agree with it",
-        ),
-    ),
-    _schemes(
-        INSTRUCTION, "schemes_instructions", "Schemes on the same faults in instructions",
-        (*_TESTED_CALLS, *_HARM_OF_CALLS, _ALARM_AFTER, *_ALARMS),
-        lambda runs: (
-            *_NOTES, *_ranking(runs), "died / sdc: the kernel died of the fault, or continued with a wrong value",
-            "a fault names its call and value by number; if a scheme changes the flight, by false alarms or "
-            "latencies (duplicate), that call computes something else, which may be harmless. Same value injected: "
-            "faults that meet the same value at the same instant; brought back, p and only it lost count these alone, "
-            "and golden flights. Lost under it counts all",
-        ),
-    ),
-    View(
-        "schemes_by_target", "Schemes, by injected site", ("target", "arm"), (*_COUNTED, *_HARM), where=pairs_only,
-        headings=("site", "scheme"), notes=lambda _: _NOTES_OF_PAIRS,
-        applies=lambda runs: has(runs.injected, setting=FI) and len(runs.settings()) > 1, by_name=True,
-    ),
-    View(
-        "schemes_by_duration", "Schemes, by duration and width of the fault", ("duration", "arm"),
-        (*_COUNTED, m.rate("vehicle_saved", "vehicle saved", _SAVED, _CRASHED), *_HARM), where=by_duration,
-        headings=("fault", "scheme"),
-        notes=lambda _: (
-            *_NOTES_OF_PAIRS, "vehicle saved: of lost missions that end in a collision or beyond the arena, those that "
-            "do not under the scheme: they succeed, or end in the air",
-        ),
-        applies=_has_durations, by_name=True,
-    ),
-))  # fmt: skip
+)

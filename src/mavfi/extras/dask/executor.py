@@ -64,7 +64,7 @@ class DaskExecutor:
 
     def map(
         self, function: Callable[[T], Iterator[R]], missions: Iterable[T]
-    ) -> Generator[tuple[T, Sequence[R | Done | Lost]], None, None]:  # fmt: skip
+    ) -> Generator[tuple[T, Sequence[R | Done | Lost]], None, None]:
         """See `Executor.map`.
 
         Raises:
@@ -102,9 +102,12 @@ class DaskExecutor:
 
         try:
             return LocalCluster(
-                n_workers=self.workers, threads_per_worker=1, host=LOOPBACK, dashboard_address=f"{LOOPBACK}:0",
+                n_workers=self.workers,
+                threads_per_worker=1,
+                host=LOOPBACK,
+                dashboard_address=f"{LOOPBACK}:0",
                 silence_logs="CRITICAL",
-            )  # fmt: skip
+            )
         except RuntimeError as error:
             raise MachineError(f"the local Dask cluster did not start ({error})") from error
 

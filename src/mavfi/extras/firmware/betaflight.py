@@ -67,8 +67,9 @@ def packets(now_ns: int, state: Sequence[float], channels: Sequence[int] | None)
     return _PACKETS.pack(channels is not None, seconds, *state, seconds, *(channels or DISARMED))
 
 
-def state_of(position: np.ndarray, quaternion: np.ndarray, velocity: np.ndarray, rates: np.ndarray, force: np.ndarray
-) -> tuple[float, ...]:  # fmt: skip
+def state_of(
+    position: np.ndarray, quaternion: np.ndarray, velocity: np.ndarray, rates: np.ndarray, force: np.ndarray
+) -> tuple[float, ...]:
     """The body's state as the firmware expects it.
 
     It takes the rates with y to the right and z down, the negative specific force, and the attitude with y and z
@@ -97,10 +98,12 @@ def channels(roll: float, pitch: float, throttle: float, yaw_rate: float) -> lis
         yaw_rate: Counter-clockwise from above (rad/s).
     """
     return [
-        _stick(roll / ANGLE_LIMIT), _stick(pitch / ANGLE_LIMIT),
+        _stick(roll / ANGLE_LIMIT),
+        _stick(pitch / ANGLE_LIMIT),
         LOW + round((HIGH - LOW) * min(1.0, max(0.0, throttle))),
-        _stick(-yaw_rate / YAW_RATE), *ARMED[4:],
-    ]  # fmt: skip
+        _stick(-yaw_rate / YAW_RATE),
+        *ARMED[4:],
+    ]
 
 
 def _stick(share: float) -> int:

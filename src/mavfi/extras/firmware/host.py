@@ -67,9 +67,13 @@ class FirmwareFlights(ArmFlights):
     def _fly(self, arm: str, fault: RegisterFault | SensorFault | None, *, profile: bool = False) -> Flight:
         setup = self._arms[arm]
         return fly(
-            setup.scenario, fault, self._detector(arm), recovery=setup.recovery, profile=profile,
+            setup.scenario,
+            fault,
+            self._detector(arm),
+            recovery=setup.recovery,
+            profile=profile,
             observers=setup.observers,
-        )  # fmt: skip
+        )
 
 
 # ---- one flight ----------------------------------------------------------------------------------------------------
@@ -82,9 +86,14 @@ def register_fault(time_us: int, seed: int, registers: str = "all", access: str 
 
 
 def fly(
-    scenario: Scenario, fault: RegisterFault | SensorFault | None = None, detector: Detector | None = None, *,
-    recovery: Recovery = INLINE, profile: bool = False, observers: Sequence[Listener] = (),
-) -> Flight:  # fmt: skip
+    scenario: Scenario,
+    fault: RegisterFault | SensorFault | None = None,
+    detector: Detector | None = None,
+    *,
+    recovery: Recovery = INLINE,
+    profile: bool = False,
+    observers: Sequence[Listener] = (),
+) -> Flight:
     """Fly one mission; equal arguments yield bit-identical results.
 
     If the firmware ends or hangs, the rotors receive no commands: the vehicle falls, the pipeline continues.

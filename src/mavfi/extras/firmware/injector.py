@@ -82,9 +82,13 @@ class FirmwareInjector:
             done = flip_here(self.fault, self._choices, tracee, memory, walk)
             if done is not None:
                 details = {
-                    "node": NODE, "kernel": NODE, "call": call, "walked": walked, "periods": self._periods,
+                    "node": NODE,
+                    "kernel": NODE,
+                    "call": call,
+                    "walked": walked,
+                    "periods": self._periods,
                     "replayable": bool(fixed_addresses()),
-                }  # fmt: skip
+                }
                 self.injections = [replace(injection_of(done, space, self.fault, details), time_s=1e-6 * time_us)]
             tracee.detach()
         except TargetGoneError as error:

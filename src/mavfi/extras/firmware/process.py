@@ -96,9 +96,14 @@ class Firmware:
             environment["LOCKSTEP_MSP"] = f"{shared[1]:06d}"
         with theirs:
             self._process = subprocess.Popen(
-                [*fixed_addresses(), str(program), "127.0.0.1"], cwd=self.folder, env=environment, pass_fds=shared,
-                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-            )  # fmt: skip
+                [*fixed_addresses(), str(program), "127.0.0.1"],
+                cwd=self.folder,
+                env=environment,
+                pass_fds=shared,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
         self.pid = self._process.pid
         self.now_ns, self.calls, self.instructions, self.address = 0, 0, 0, 0
         self.motors: tuple[float, ...] = (0.0,) * 4

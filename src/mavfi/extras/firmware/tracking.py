@@ -21,7 +21,7 @@ class Tracking:
 
     def sample(
         self, time_us: int, setpoint: np.ndarray, odometry: np.ndarray, wanted: np.ndarray, up: np.ndarray
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Note the errors at an instant.
 
         Args:

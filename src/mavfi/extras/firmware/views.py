@@ -87,39 +87,74 @@ def _definitions(_: Runs) -> tuple[str, ...]:
     )
 
 
-CHAPTER = Chapter(60, (
-    View(
-        "firmware_control", "How a mission is controlled after one bit in a register of the firmware", ("registers",),
-        _CLASSES, where=_faults, total=("registers", "in all"), notes=_definitions, largest="n", applies=_has_classes,
-    ),
-    View(
-        "firmware_control_phases", "Classes of control by third of the golden flight in which the fault comes",
-        ("third",), _CLASSES, where=_by_third, applies=_has_classes,
-    ),
-    View(
-        "firmware_classes", "What the flights of each class have in common", ("control",),
-        (
-            m.count("n", "runs"), m.rate("success", "mission succeeds", "success"),
-            m.Measure("time", "longest against golden", SIGNED, _largest("inflation")),
-            m.Measure("tilt", "largest tilt", "number .0f deg", _largest("tilt", np.degrees(1.0))),
-            m.Measure("attitude", "attitude error", "number .1f deg", _largest("attitude_error", np.degrees(1.0))),
-            m.Measure("velocity", "velocity error", "number .2f m/s", _largest("velocity_error")),
-            m.Measure("yaw_rate", "yaw rate error", "number .2f rad/s", _largest("yaw_rate_error")),
+CHAPTER = Chapter(
+    60,
+    (
+        View(
+            "firmware_control",
+            "How a mission is controlled after one bit in a register of the firmware",
+            ("registers",),
+            _CLASSES,
+            where=_faults,
+            total=("registers", "in all"),
+            notes=_definitions,
+            largest="n",
+            applies=_has_classes,
         ),
-        where=_by_class, headings=("class",), applies=_has_classes,
-        notes=lambda _: (f"errors: what lasted for {LASTING_S:g} s, from the fault on; largest of all runs",),
+        View(
+            "firmware_control_phases",
+            "Classes of control by third of the golden flight in which the fault comes",
+            ("third",),
+            _CLASSES,
+            where=_by_third,
+            applies=_has_classes,
+        ),
+        View(
+            "firmware_classes",
+            "What the flights of each class have in common",
+            ("control",),
+            (
+                m.count("n", "runs"),
+                m.rate("success", "mission succeeds", "success"),
+                m.Measure("time", "longest against golden", SIGNED, _largest("inflation")),
+                m.Measure("tilt", "largest tilt", "number .0f deg", _largest("tilt", np.degrees(1.0))),
+                m.Measure("attitude", "attitude error", "number .1f deg", _largest("attitude_error", np.degrees(1.0))),
+                m.Measure("velocity", "velocity error", "number .2f m/s", _largest("velocity_error")),
+                m.Measure("yaw_rate", "yaw rate error", "number .2f rad/s", _largest("yaw_rate_error")),
+            ),
+            where=_by_class,
+            headings=("class",),
+            applies=_has_classes,
+            notes=lambda _: (f"errors: what lasted for {LASTING_S:g} s, from the fault on; largest of all runs",),
+        ),
+        View(
+            "firmware_faults",
+            "What one bit in a register of the firmware does to the mission",
+            ("registers",),
+            _MEASURES,
+            where=_faults,
+            total=("registers", "in all"),
+            notes=lambda _: (_INTERVALS,),
+            largest="n",
+            applies=_in_firmware,
+        ),
+        View(
+            "firmware_phases",
+            "By third of the golden flight in which the fault comes",
+            ("third",),
+            _MEASURES,
+            where=_by_third,
+            applies=_in_firmware,
+        ),
+        View(
+            "firmware_functions",
+            "By function of the firmware",
+            ("function",),
+            _MEASURES,
+            where=_faults,
+            largest="n",
+            limit=_MOST,
+            applies=_in_firmware,
+        ),
     ),
-    View(
-        "firmware_faults", "What one bit in a register of the firmware does to the mission", ("registers",), _MEASURES,
-        where=_faults, total=("registers", "in all"), notes=lambda _: (_INTERVALS,), largest="n",
-        applies=_in_firmware,
-    ),
-    View(
-        "firmware_phases", "By third of the golden flight in which the fault comes", ("third",), _MEASURES,
-        where=_by_third, applies=_in_firmware,
-    ),
-    View(
-        "firmware_functions", "By function of the firmware", ("function",), _MEASURES, where=_faults, largest="n",
-        limit=_MOST, applies=_in_firmware,
-    ),
-))  # fmt: skip
+)

@@ -203,15 +203,13 @@ def times_of(target: Target, codes: Sequence[bytes], seconds: float = TIMED_S) -
     base, *others = (Timed(target.source, code, environment).ticks for code in codes)
     clocks = {str(place): clock for place, clock in enumerate(others)}
     end = monotonic() + seconds
-    timing = compare(
-        base, clocks, target.seen.calls, lambda rounds: rounds >= _ROUNDS * seconds or monotonic() > end
-    )  # fmt: skip
+    timing = compare(base, clocks, target.seen.calls, lambda rounds: rounds >= _ROUNDS * seconds or monotonic() > end)
     return timing.ticks, [max(timing.ratios[name], 1.0) for name in clocks]
 
 
 def prepare_all(
     targets: Sequence[Target], wanted: Collection[str], tell: Tell, learn: Learn, workers: int, choices: Choices
-) -> list[Prepared]:  # fmt: skip
+) -> list[Prepared]:
     """Inject, choose and build for the functions of some flights; the functions keep their injections.
 
     Args:
@@ -242,7 +240,7 @@ def prepare_all(
 
 def curves_of(
     targets: Sequence[Target], ready: Sequence[Prepared], other_ticks: float, tell: Tell, seconds: float
-) -> tuple[Curve, ...]:  # fmt: skip
+) -> tuple[Curve, ...]:
     """Time the steps of the functions of a flight.
 
     Args:
@@ -290,7 +288,7 @@ def allocate(curves: Sequence[Curve], budget: float) -> tuple[int, ...]:
 
 def settle(
     curves: Sequence[Curve], ready: Sequence[Prepared], budget: float, seconds: float = TIMED_S
-) -> tuple[tuple[Curve, ...], tuple[int, ...]]:  # fmt: skip
+) -> tuple[tuple[Curve, ...], tuple[int, ...]]:
     """Steps as of `allocate`; those of functions that take much of the flight's time are timed again once chosen.
 
     Of steps whose times are measured with an error, those are chosen whose error is favourable: together they would
@@ -422,9 +420,16 @@ def _sampled(campaign: Campaign) -> tuple[str, ...]:
 
 
 def advise(
-    study: Study, budget: float, tell: Tell = lambda _: None, *, addresses: bool = False,
-    learn: Learn = injections_in, workers: int = 1, seconds: float = TIMED_S, choices: Choices = choices_of,
-) -> list[Advice]:  # fmt: skip
+    study: Study,
+    budget: float,
+    tell: Tell = lambda _: None,
+    *,
+    addresses: bool = False,
+    learn: Learn = injections_in,
+    workers: int = 1,
+    seconds: float = TIMED_S,
+    choices: Choices = choices_of,
+) -> list[Advice]:
     """Advice by planner of the missions, that of the campaign's planner first.
 
     The budget applies to each flight.  Functions that several planners share are chosen in the first one.  `addresses`
@@ -485,11 +490,18 @@ def planned_of(target: Target, step: Step, share: float | None = None) -> Functi
     sites = target.sites(step.choice)
     predicted = stated(step.coverage) if sites else None
     return FunctionPlan(
-        kernel=target.kernels[0], function=target.name, signature=target.seen.signature_text,
-        ir_sha256=target.seen.variant.ir_sha256, kind="duplicate" if sites else "none",
-        addresses=target.addresses, sites=tuple(sites),
-        lines=target.lines(sites), time=round(step.time, 3), share=share, predicted=predicted,
-    )  # fmt: skip
+        kernel=target.kernels[0],
+        function=target.name,
+        signature=target.seen.signature_text,
+        ir_sha256=target.seen.variant.ir_sha256,
+        kind="duplicate" if sites else "none",
+        addresses=target.addresses,
+        sites=tuple(sites),
+        lines=target.lines(sites),
+        time=round(step.time, 3),
+        share=share,
+        predicted=predicted,
+    )
 
 
 def stated(found: Rate) -> Coverage | None:

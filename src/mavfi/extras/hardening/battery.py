@@ -124,9 +124,7 @@ class Recording:
         if call % self._stride:
             return
         self.kept[call] = kept(args)
-        while len(self.kept) > 1 and (
-            len(self.kept) * size_of(args) > _KEPT_BYTES or len(self.kept) > 2 * self._most
-        ):  # fmt: skip
+        while len(self.kept) > 1 and (len(self.kept) * size_of(args) > _KEPT_BYTES or len(self.kept) > 2 * self._most):
             self._stride *= 2
             self.kept = {number: own for number, own in self.kept.items() if number % self._stride == 0}
 
@@ -134,14 +132,18 @@ class Recording:
 # ---- outputs --------------------------------------------------------------------------------------------------------
 
 _WORK = {
-    "plan_rrt": ("tree",), "plan_rrt_connect": ("trees",), "plan_rrt_star": ("tree",), "shortcut_random": ("buffer",),
-}  # fmt: skip
+    "plan_rrt": ("tree",),
+    "plan_rrt_connect": ("trees",),
+    "plan_rrt_star": ("tree",),
+    "shortcut_random": ("buffer",),
+}
 """Arguments that are written before they are read, by function."""
 _COUNTED = {
-    "insert_scan": ("touched", "before"), "collect": ("touched",),
+    "insert_scan": ("touched", "before"),
+    "collect": ("touched",),
     "apply_updates": ("journal_voxels", "journal_cells"),
     **dict.fromkeys(("plan_rrt", "plan_rrt_connect", "plan_rrt_star", "shortcut_greedy", "shortcut_random"), ("path",)),
-}  # fmt: skip
+}
 """Arguments whose rows beyond the resulting number are undefined."""
 
 

@@ -175,15 +175,25 @@ class Certificate(FunctionResult):
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
         same = (
-            "kernel", "function", "signature", "instructions", "verdict", "growth", "time", "planned_time", "before",
+            "kernel",
+            "function",
+            "signature",
+            "instructions",
+            "verdict",
+            "growth",
+            "time",
+            "planned_time",
+            "before",
             "after",
-        )  # fmt: skip
+        )
         rates = ("coverage", "sdc_before", "sdc_after")
         paired = zip(("n", "plain_only", "protected_only", "p"), astuple(self.paired), strict=True)
         return {
-            **{key: getattr(self, key) for key in same}, **{key: asdict(getattr(self, key)) for key in rates},
-            "predicted": None if self.predicted is None else self.predicted.model_dump(), "paired": dict(paired),
-        }  # fmt: skip
+            **{key: getattr(self, key) for key in same},
+            **{key: asdict(getattr(self, key)) for key in rates},
+            "predicted": None if self.predicted is None else self.predicted.model_dump(),
+            "paired": dict(paired),
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,10 +305,18 @@ def certify(pair: Pair, faults: int, *address: Any) -> Certificate:
     after = pair.guarded.run(pair.guarded.draw(random, faults))
     planned, seen = pair.planned, pair.seen
     return Certificate(
-        planned.kernel, planned.function, planned.signature, seen.instructions, counts_of(before), counts_of(after),
-        pair.growth, planned.predicted, mcnemar([one == SDC for one in before], [one == SDC for one in again]),
-        pair.time(), planned.time,
-    )  # fmt: skip
+        planned.kernel,
+        planned.function,
+        planned.signature,
+        seen.instructions,
+        counts_of(before),
+        counts_of(after),
+        pair.growth,
+        planned.predicted,
+        mcnemar([one == SDC for one in before], [one == SDC for one in again]),
+        pair.time(),
+        planned.time,
+    )
 
 
 def observe_plain(kernel: str, seen: Seen, faults: int, *address: Any) -> Unprotected:
@@ -413,9 +431,12 @@ def ticks_of(seen: Seen) -> float:
 
 
 def spending_of(
-    planner: str, flown: Sequence[Seen], ticks: Mapping[Key, float], certificates: Sequence[Certificate],
+    planner: str,
+    flown: Sequence[Seen],
+    ticks: Mapping[Key, float],
+    certificates: Sequence[Certificate],
     budget: float | None,
-) -> Spending:  # fmt: skip
+) -> Spending:
     """What a plan adds to flights.
 
     Args:
@@ -540,9 +561,16 @@ def certify_plan(study: Study, plan: Plan, faults: int, tell: Tell = lambda _: N
         raise BadInputError("the plan protects no function of these missions; allowed: one with sites")
     scope = () if study.complete else study.kernels
     return Certification(
-        plan.digest, faults, tuple(missions), tuple(certificates), golden, tuple(others), scope, processor(),
+        plan.digest,
+        faults,
+        tuple(missions),
+        tuple(certificates),
+        golden,
+        tuple(others),
+        scope,
+        processor(),
         tuple(spending),
-    )  # fmt: skip
+    )
 
 
 def check_fresh(study: Study, plan: Plan) -> None:
@@ -612,11 +640,17 @@ def save_certification(certification: Certification, plan_path: Path) -> Path:
 def certification_json(certification: Certification) -> dict[str, Any]:
     """A certificate as plain data."""
     return {
-        "plan": certification.plan, "faults": certification.faults, "missions": list(certification.missions),
-        "refuted": certification.refuted, "golden": certification.golden._asdict(),
-        "coverage": asdict(certification.coverage), "predicted": asdict(certification.predicted),
-        "verdict": certification.verdict, "cpu": certification.cpu, "kernels": list(certification.scope) or "all",
+        "plan": certification.plan,
+        "faults": certification.faults,
+        "missions": list(certification.missions),
+        "refuted": certification.refuted,
+        "golden": certification.golden._asdict(),
+        "coverage": asdict(certification.coverage),
+        "predicted": asdict(certification.predicted),
+        "verdict": certification.verdict,
+        "cpu": certification.cpu,
+        "kernels": list(certification.scope) or "all",
         "functions": [one.to_json() for one in certification.certificates],
         "unprotected": [one.to_json() for one in certification.others],
         "spending": [asdict(one) for one in certification.spending],
-    }  # fmt: skip
+    }

@@ -223,7 +223,7 @@ Clock = Callable[[tuple[Any, ...], int], float]
 
 def compare(
     plain: Clock, variants: Mapping[str, Clock], calls: Sequence[tuple[Any, ...]], enough: Callable[[int], bool]
-) -> Timing:  # fmt: skip
+) -> Timing:
     """Time variants in turn on recorded calls, until `enough` of the number of rounds, each with one call.
 
     The order of the variants changes from round to round; each runs on a copy of the arguments.  A short call follows

@@ -103,9 +103,7 @@ def constraint_of(kind: str) -> str | None:
 def kinds_of(function: Function) -> dict[str, str]:
     """Types of a function's values, by name."""
     parameters = {name: kind.removesuffix(" signext").removesuffix(" zeroext") for kind, name in function.parameters}
-    made = {
-        str(one.result): one.kind for block in function.blocks for one in block.all() if one.result is not None
-    }  # fmt: skip
+    made = {str(one.result): one.kind for block in function.blocks for one in block.all() if one.result is not None}
     return parameters | made
 
 
@@ -328,12 +326,15 @@ class _Duplicator:
             names = {name: self.copies[name]}
         self.block.body.append(
             replace(
-                one, result=result, role=SHADOW, tokens=[first, *(names.get(token, token) for token in one.tokens[1:])],
+                one,
+                result=result,
+                role=SHADOW,
+                tokens=[first, *(names.get(token, token) for token in one.tokens[1:])],
                 addresses=[names.get(name, name) for name in one.addresses],
                 conditions=[names.get(name, name) for name in one.conditions],
                 arguments=[(kind, names.get(value, value)) for kind, value in one.arguments],
             )
-        )  # fmt: skip
+        )
 
     def _copy(self, value: str, like: Instruction, body: list[Instruction]) -> str:
         """Append a copy of a value that code generation takes for another one; returns its name."""
@@ -345,16 +346,14 @@ class _Duplicator:
             return self._new("trunc", ["i8", wide, "to", kind], kind, like, body, COPY)
         return self._assembly(value, kind, constraint, like, body)
 
-    def _assembly(
-        self, value: str, kind: str, constraint: str, like: Instruction, body: list[Instruction]
-    ) -> str:  # fmt: skip
+    def _assembly(self, value: str, kind: str, constraint: str, like: Instruction, body: list[Instruction]) -> str:
         name = self._new("call", [kind, "asm", '""', ",", constraint, "(", kind, value, ")"], kind, like, body, COPY)
         body[-1].arguments = [(kind, value)]
         return name
 
     def _new(
         self, opcode: str, rest: list[str], kind: str, like: Instruction, body: list[Instruction], role: str
-    ) -> str:  # fmt: skip
+    ) -> str:
         """Append an instruction at the source line of another one; returns its new name."""
         self.numbers += 1
         name = f"%x{self.numbers}"
@@ -421,12 +420,14 @@ def _settled(function: Function) -> Function:
     """A function with zeros for arbitrary values, which may differ between a value and its shadow."""
     blocks = [
         Block(
-            block.label, [_without_arbitrary(one) for one in block.phis], block.allocations,
+            block.label,
+            [_without_arbitrary(one) for one in block.phis],
+            block.allocations,
             [_without_arbitrary(one) for one in block.body],
             None if block.terminator is None else _without_arbitrary(block.terminator),
         )
         for block in function.blocks
-    ]  # fmt: skip
+    ]
     return replace(function, blocks=blocks)
 
 
@@ -435,10 +436,11 @@ def _without_arbitrary(one: Instruction) -> Instruction:
         return text if text[0] in '@%"' else _ARBITRARY.sub("zeroinitializer", text)
 
     return replace(
-        one, tokens=[settled(token) for token in one.tokens],
+        one,
+        tokens=[settled(token) for token in one.tokens],
         incoming=[(settled(value), label) for value, label in one.incoming],
         arguments=[(kind, settled(value)) for kind, value in one.arguments],
-    )  # fmt: skip
+    )
 
 
 def is_fork(one: Instruction) -> bool:

@@ -39,9 +39,19 @@ _ADVICE = (
     "certified",
 )
 _CERTIFICATE = (
-    "kernel", "function", "SDC before", "SDC after", "detected", "DUE after", "instr.", "time", "SDCs removed",
-    "predicted", "", "pairs",
-)  # fmt: skip
+    "kernel",
+    "function",
+    "SDC before",
+    "SDC after",
+    "detected",
+    "DUE after",
+    "instr.",
+    "time",
+    "SDCs removed",
+    "predicted",
+    "",
+    "pairs",
+)
 
 
 def headline(summary: AdviceSummary) -> str:
@@ -75,10 +85,19 @@ def advice_table(summary: AdviceSummary) -> Table:
     rows: list[tuple[str, ...]] = []
     for row in summary.functions:
         certified = ABSENT if row.certified is None else interval(row.certified)
-        rows.append((
-            row.kernel, row.entry, percent(row.share), f"×{row.time:.2f}", percent(row.added, 2),
-            interval(row.coverage), str(row.coverage.n), f"{row.sites} of {row.all_sites}", certified,
-        ))  # fmt: skip
+        rows.append(
+            (
+                row.kernel,
+                row.entry,
+                percent(row.share),
+                f"×{row.time:.2f}",
+                percent(row.added, 2),
+                interval(row.coverage),
+                str(row.coverage.n),
+                f"{row.sites} of {row.all_sites}",
+                certified,
+            )
+        )
     columns: tuple[str, ...] = _ADVICE
     if all(row.certified is None for row in summary.functions):
         columns = _ADVICE[:-1]
@@ -137,20 +156,31 @@ def certificate_table(certification: Certification) -> Table:
         "code: SDC in plain code only : in protected code only, McNemar's test",
         "undecided: the interval of measured - predicted coverage contains 0, but is wider than "
         f"±{100 * RESOLVED:.0f} points, so that other predictions would pass as well; more faults would help",
-        *(f"flights with {one.planner}: adds {percent(one.measured)} of their kernel time (with the plan's times: "
-          f"{percent(one.planned)})" for one in certification.spending),
-    )  # fmt: skip
+        *(
+            f"flights with {one.planner}: adds {percent(one.measured)} of their kernel time (with the plan's times: "
+            f"{percent(one.planned)})"
+            for one in certification.spending
+        ),
+    )
     return Table.of_text("Certificate", _CERTIFICATE, rows, notes)
 
 
 def _certificate_row(one: Certificate) -> tuple[str, ...]:
     n = sum(one.after.values())
     return (
-        one.kernel, one.function.rpartition(".")[2], interval(one.sdc_before), interval(one.sdc_after),
-        percent(one.after.get("detected", 0) / n), percent(sum(one.after.get(name, 0) for name in KERNEL_DUE) / n),
-        f"×{one.growth:.2f}", _time(one), interval(one.coverage), interval(one.predicted_rate), one.verdict,
+        one.kernel,
+        one.function.rpartition(".")[2],
+        interval(one.sdc_before),
+        interval(one.sdc_after),
+        percent(one.after.get("detected", 0) / n),
+        percent(sum(one.after.get(name, 0) for name in KERNEL_DUE) / n),
+        f"×{one.growth:.2f}",
+        _time(one),
+        interval(one.coverage),
+        interval(one.predicted_rate),
+        one.verdict,
         f"{one.paired.first_only} : {one.paired.second_only}, p = {one.paired.p_value:.2g}",
-    )  # fmt: skip
+    )
 
 
 def _time(one: Certificate) -> str:

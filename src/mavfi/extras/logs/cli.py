@@ -93,12 +93,19 @@ def watch(  # noqa: PLR0913 - one parameter per option
         wanted = options.listed(fields)
         trained, judged = _judge(logs, train or [], split, (detector, profile), wanted, fault, (inject, seed))
     rates, used = Rates(judged), sum(watching.trained_on for watching in trained)
-    names = {topic: [f.name for f in probe.spec.header] for watching in trained
-             for topic, probe in watching.probes.items()}  # fmt: skip
+    names = {
+        topic: [f.name for f in probe.spec.header] for watching in trained for topic, probe in watching.probes.items()
+    }
     if as_json:
-        write_json(rates.to_json() | {
-            "detector": detector, "profile": profile, "fields": names, "trained_on": used,
-        })  # fmt: skip
+        write_json(
+            rates.to_json()
+            | {
+                "detector": detector,
+                "profile": profile,
+                "fields": names,
+                "trained_on": used,
+            }
+        )
         return
     out = console()
     out.print(rates.headline(), style="bold", markup=False)
@@ -125,9 +132,14 @@ def _check_apart(logs: list[Path], train: list[Path]) -> None:
 
 
 def _judge(
-    logs: list[Path], train: list[Path], split: float | None, chosen: tuple[str, str], fields: list[str], fault: str,
+    logs: list[Path],
+    train: list[Path],
+    split: float | None,
+    chosen: tuple[str, str],
+    fields: list[str],
+    fault: str,
     flips: tuple[int, int],
-) -> tuple[list[LogWatch], list[Judged]]:  # fmt: skip
+) -> tuple[list[LogWatch], list[Judged]]:
     """Train and judge; each LOG that is split trains its own detector."""
     from mavfi.extras.logs.watch import LogWatch, cut_text, judge_rest, read_recording, select
 

@@ -36,10 +36,14 @@ _SHARE = 0.01
 """Largest share of wall time spent on each of motion, point clouds, plans, and obstacles with the map."""
 _KINDS = {
     **{message.topic: message.kind for message in tick_messages(np.ones(len(COLUMNS)))},
-    "/obstacles": "visualization_msgs/MarkerArray", "/goal": "visualization_msgs/Marker",
-    "/points": "sensor_msgs/PointCloud2", "/map": "sensor_msgs/PointCloud2", "/path": "nav_msgs/Path",
-    "/trajectory": "nav_msgs/Path", "/log": "Log",
-}  # fmt: skip
+    "/obstacles": "visualization_msgs/MarkerArray",
+    "/goal": "visualization_msgs/Marker",
+    "/points": "sensor_msgs/PointCloud2",
+    "/map": "sensor_msgs/PointCloud2",
+    "/path": "nav_msgs/Path",
+    "/trajectory": "nav_msgs/Path",
+    "/log": "Log",
+}
 """Types of all topics."""
 _TOPICS = {"perception.point_cloud": "/points", "planning.path": "/path", "planning.trajectory": "/trajectory"}
 

@@ -42,8 +42,11 @@ class CsvReader:
         if clock is None:
             raise BadInputError(f"{self._path}: no column of time; allowed: a name like time, timestamp or t")
         times = self._times(names[clock], [line[clock] for line in lines])
-        chosen = {name: column for index, name in enumerate(names)
-                  if index != clock and (column := _column(lines, index)) is not None}  # fmt: skip
+        chosen = {
+            name: column
+            for index, name in enumerate(names)
+            if index != clock and (column := _column(lines, index)) is not None
+        }
         rows = np.zeros(len(lines), [(name, np.float64) for name in chosen])
         for name, column in chosen.items():
             rows[name] = column
@@ -77,8 +80,9 @@ class CsvReader:
             whole = isinstance(values[0], int)
             guessed = next((unit for least, unit in _MAGNITUDES if whole and values[0] >= least), "s")
             scale = _UNITS[named[1] if named else guessed]
-            return [value // 1000 if isinstance(value, int) and scale == 1e-3 else round(value * scale)
-                    for value in values]  # fmt: skip
+            return [
+                value // 1000 if isinstance(value, int) and scale == 1e-3 else round(value * scale) for value in values
+            ]
         except (ValueError, OverflowError) as error:
             raise BadInputError(f"{self._path}: column {name}: is not a time ({error})") from None
 

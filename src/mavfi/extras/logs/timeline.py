@@ -125,17 +125,34 @@ def tick_messages(row: np.ndarray) -> Iterator[Message]:
     in_map = _in_map(time_ns)
     transform = {"translation": position, "rotation": orientation}
     yield Message("/clock", "rosgraph_msgs/Clock", time_ns, {"clock": _time(time_ns)})
-    yield Message("/tf", "tf2_msgs/TFMessage", time_ns, {
-        "transforms": [{"header": in_map, "child_frame_id": VEHICLE, "transform": transform}],
-    })  # fmt: skip
-    yield Message("/odometry", "nav_msgs/Odometry", time_ns, {
-        "header": in_map, "child_frame_id": VEHICLE,
-        "pose": {"pose": {"position": position, "orientation": orientation}},
-        "twist": {"twist": {"linear": _xyz(row[4:7] @ to_map), "angular": _xyz(row[11:14])}},
-    })  # fmt: skip
-    yield Message("/command", "geometry_msgs/TwistStamped", time_ns, {
-        "header": in_map, "twist": {"linear": _xyz(row[14:17]), "angular": {"z": float(row[17])}},
-    })  # fmt: skip
+    yield Message(
+        "/tf",
+        "tf2_msgs/TFMessage",
+        time_ns,
+        {
+            "transforms": [{"header": in_map, "child_frame_id": VEHICLE, "transform": transform}],
+        },
+    )
+    yield Message(
+        "/odometry",
+        "nav_msgs/Odometry",
+        time_ns,
+        {
+            "header": in_map,
+            "child_frame_id": VEHICLE,
+            "pose": {"pose": {"position": position, "orientation": orientation}},
+            "twist": {"twist": {"linear": _xyz(row[4:7] @ to_map), "angular": _xyz(row[11:14])}},
+        },
+    )
+    yield Message(
+        "/command",
+        "geometry_msgs/TwistStamped",
+        time_ns,
+        {
+            "header": in_map,
+            "twist": {"linear": _xyz(row[14:17]), "angular": {"z": float(row[17])}},
+        },
+    )
     yield Message("/reference", "geometry_msgs/PointStamped", time_ns, {"header": in_map, "point": _xyz(row[18:21])})
 
 
@@ -181,13 +198,23 @@ def map_message(grid: Grid, log_odds: np.ndarray, time_ns: int) -> Message:
 
 def _cloud(topic: str, points: np.ndarray, time_ns: int) -> Message:
     """A point cloud of n points of three float32 each."""
-    return Message(topic, "sensor_msgs/PointCloud2", time_ns, {
-        "header": _in_map(time_ns), "height": 1, "width": len(points), "point_step": _POINT_SIZE,
-        "row_step": _POINT_SIZE * len(points), "data": np.frombuffer(points.tobytes(), np.uint8),
-        "fields": [
-            {"name": axis, "offset": 4 * place, "datatype": _FLOAT32, "count": 1} for place, axis in enumerate("xyz")
-        ],
-    })  # fmt: skip
+    return Message(
+        topic,
+        "sensor_msgs/PointCloud2",
+        time_ns,
+        {
+            "header": _in_map(time_ns),
+            "height": 1,
+            "width": len(points),
+            "point_step": _POINT_SIZE,
+            "row_step": _POINT_SIZE * len(points),
+            "data": np.frombuffer(points.tobytes(), np.uint8),
+            "fields": [
+                {"name": axis, "offset": 4 * place, "datatype": _FLOAT32, "count": 1}
+                for place, axis in enumerate("xyz")
+            ],
+        },
+    )
 
 
 def _polyline(topic: str, points: np.ndarray, time_ns: int) -> Message:
@@ -203,10 +230,19 @@ def scenery(world: World) -> Iterator[Message]:
     in_map = _in_map(time_ns)
     markers = [_voxels(world, in_map)] if world.is_voxels else list(_boxes(world, in_map))
     yield Message("/obstacles", "visualization_msgs/MarkerArray", time_ns, {"markers": markers})
-    yield Message("/goal", "visualization_msgs/Marker", time_ns, {
-        "header": in_map, "ns": "goal", "type": _SPHERE, "pose": _at(world.goal), "color": _GOAL,
-        "scale": {"x": _GOAL_SIZE, "y": _GOAL_SIZE, "z": _GOAL_SIZE},
-    })  # fmt: skip
+    yield Message(
+        "/goal",
+        "visualization_msgs/Marker",
+        time_ns,
+        {
+            "header": in_map,
+            "ns": "goal",
+            "type": _SPHERE,
+            "pose": _at(world.goal),
+            "color": _GOAL,
+            "scale": {"x": _GOAL_SIZE, "y": _GOAL_SIZE, "z": _GOAL_SIZE},
+        },
+    )
 
 
 def _flown(topic: str, log: FlightLog) -> Message:
@@ -226,9 +262,14 @@ def _at(position: np.ndarray) -> dict[str, Any]:
 def _boxes(world: World, header: dict[str, Any]) -> Iterator[dict[str, Any]]:
     for number, (lower, upper) in enumerate(zip(world.lower, world.upper, strict=True)):
         yield {
-            "header": header, "ns": "obstacles", "id": number, "type": _CUBE, "pose": _at((lower + upper) / 2),
-            "scale": _xyz(upper - lower), "color": _OBSTACLE,
-        }  # fmt: skip
+            "header": header,
+            "ns": "obstacles",
+            "id": number,
+            "type": _CUBE,
+            "pose": _at((lower + upper) / 2),
+            "scale": _xyz(upper - lower),
+            "color": _OBSTACLE,
+        }
 
 
 def _voxels(world: World, header: dict[str, Any]) -> dict[str, Any]:
@@ -237,9 +278,14 @@ def _voxels(world: World, header: dict[str, Any]) -> dict[str, Any]:
     centres = world.origin + (np.argwhere(world.occupied & ~inner) + 0.5) * world.resolution
     edge = world.resolution
     return {
-        "header": header, "ns": "obstacles", "type": _CUBE_LIST, "pose": _at(np.zeros(3)), "color": _OBSTACLE,
-        "scale": {"x": edge, "y": edge, "z": edge}, "points": [_xyz(centre) for centre in centres],
-    }  # fmt: skip
+        "header": header,
+        "ns": "obstacles",
+        "type": _CUBE_LIST,
+        "pose": _at(np.zeros(3)),
+        "color": _OBSTACLE,
+        "scale": {"x": edge, "y": edge, "z": edge},
+        "points": [_xyz(centre) for centre in centres],
+    }
 
 
 def log_message(line: Line) -> Message:

@@ -41,7 +41,14 @@ class UlogReader:
         "vehicle_angular_velocity": _indexed("xyz", 3),
         "vehicle_local_position": ("x", "y", "z", "vx", "vy", "vz"),
         "vehicle_local_position_setpoint": (
-            "x", "y", "z", "vx", "vy", "vz", *_indexed("acceleration", 3), *_indexed("thrust", 3),
+            "x",
+            "y",
+            "z",
+            "vx",
+            "vy",
+            "vz",
+            *_indexed("acceleration", 3),
+            *_indexed("thrust", 3),
         ),
         "trajectory_setpoint": (*_indexed("position", 3), *_indexed("velocity", 3), "yawspeed"),
         "vehicle_attitude_setpoint": (*_indexed("q_d", 4), "thrust_body[2]"),
@@ -50,7 +57,7 @@ class UlogReader:
         "actuator_motors": _indexed("control", 4),
         "vehicle_torque_setpoint": _indexed("xyz", 3),
         "actuator_outputs": _indexed("output", 4),
-    }  # fmt: skip
+    }
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -183,9 +190,11 @@ def _samples(log: FlightLog) -> list[tuple[int, bytes]]:
     """Instant and bytes of every data sample."""
     ned = ned_of(log.rows)
     tables = (
-        np.hstack([ned.position, ned.velocity]), ned.quaternion, ned.rates,
+        np.hstack([ned.position, ned.velocity]),
+        ned.quaternion,
+        ned.rates,
         np.hstack([ned.reference, ned.command, ned.yaw_rate[:, None]]),
-    )  # fmt: skip
+    )
     samples = []
     with np.errstate(over="ignore"):  # values of corrupted states beyond float32 become infinite
         narrow = [table.astype("<f4") for table in tables]

@@ -159,9 +159,12 @@ def _is_finite(messages: Sequence[LoggedMessage], name: str) -> bool:
 
 
 def _check_wanted(
-    wanted: Sequence[str], probes: Mapping[str, Probe], groups: Sequence[dict[str, list[LoggedMessage]]],
-    shared: Sequence[str], cut: str,
-) -> None:  # fmt: skip
+    wanted: Sequence[str],
+    probes: Mapping[str, Probe],
+    groups: Sequence[dict[str, list[LoggedMessage]]],
+    shared: Sequence[str],
+    cut: str,
+) -> None:
     """Refuse wanted fields that are not monitored, and name the nearest ones."""
     monitored = {(topic, field.name) for topic, probe in probes.items() for field in probe.spec.header}
     for name in wanted:
@@ -253,8 +256,10 @@ class LogWatch:
     def __init__(self, kind: str, profile: str, probes: Mapping[str, Probe], training: Sequence[Recording]) -> None:
         self.probes = dict(probes)
         flights = [[state for _, state in self._states(recording)] for recording in training]
-        counts = {topic: sum(state.spec is probe.spec for states in flights for state in states)
-                  for topic, probe in probes.items()}  # fmt: skip
+        counts = {
+            topic: sum(state.spec is probe.spec for states in flights for state in states)
+            for topic, probe in probes.items()
+        }
         self.probes = {topic: probe for topic, probe in probes.items() if counts[topic] >= SMALLEST_SAMPLE}
         if not self.probes:
             raise BadInputError(f"--train: no topic has {SMALLEST_SAMPLE} messages; allowed: longer recordings")
@@ -291,11 +296,16 @@ class LogWatch:
         late = [alarm for alarm in alarms if onset is not None and alarm.time_us >= onset]
         times = [judged[index][0].time_us for index in normal]
         return Judged(
-            recording.name, _exposure_s(times), len(normal), clean,
+            recording.name,
+            _exposure_s(times),
+            len(normal),
+            clean,
             list(self._inject(judged[: len(normal)], {alarm.place for alarm in clean}, flips, seed)),
-            onset is not None, None if onset is None or not late else 1e-6 * (late[0].time_us - onset),
-            _exposure_s([m.time_us for m, _ in judged[len(normal) :]]), recording.cut,
-        )  # fmt: skip
+            onset is not None,
+            None if onset is None or not late else 1e-6 * (late[0].time_us - onset),
+            _exposure_s([m.time_us for m, _ in judged[len(normal) :]]),
+            recording.cut,
+        )
 
     def _run(self, judged: Sequence[tuple[LoggedMessage, State]]) -> Iterator[LogAlarm]:
         self.detector.start()
@@ -358,9 +368,14 @@ class LogWatch:
 
 
 def judge_rest(
-    kind: str, profile: str, recording: Recording, share: float, fields: Sequence[str] = (), flips: int = 0,
+    kind: str,
+    profile: str,
+    recording: Recording,
+    share: float,
+    fields: Sequence[str] = (),
+    flips: int = 0,
     seed: int = 0,
-) -> tuple[LogWatch, Judged]:  # fmt: skip
+) -> tuple[LogWatch, Judged]:
     """Train a detector on the first share of a recording, and judge the rest."""
     first, rest = recording.split(share)
     watching = LogWatch(kind, profile, select([first.normal, rest.normal], fields), [first.normal])
@@ -439,11 +454,13 @@ class Rates:
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
         return {
-            "exposure_s": self.exposure_s, "alarms_per_hour": asdict(self.alarms),
-            "flips": {name: asdict(rate) for name, rate in self.flips.items()}, "faults": asdict(self.faults),
+            "exposure_s": self.exposure_s,
+            "alarms_per_hour": asdict(self.alarms),
+            "flips": {name: asdict(rate) for name, rate in self.flips.items()},
+            "faults": asdict(self.faults),
             "delays_s": self.delays_s,
             "recordings": [asdict(judged) | {"events": judged.events} for judged in self.recordings],
-        }  # fmt: skip
+        }
 
 
 def rate_text(rate: EventRate) -> str:

@@ -57,9 +57,14 @@ class Mode(Enum):
 # ---- parameters ------------------------------------------------------------------------------------------------------
 _INT32, _REAL32 = 6, 9
 _DEFAULTS: dict[str, float | int] = {
-    "COM_RC_IN_MODE": 4, "MIS_TAKEOFF_ALT": 2.5, "MPC_XY_CRUISE": 5.0, "NAV_DLL_ACT": 0, "SYS_AUTOSTART": 4001,
-    "SYS_FAILURE_EN": 1, "SYS_HITL": 0,
-}  # fmt: skip
+    "COM_RC_IN_MODE": 4,
+    "MIS_TAKEOFF_ALT": 2.5,
+    "MPC_XY_CRUISE": 5.0,
+    "NAV_DLL_ACT": 0,
+    "SYS_AUTOSTART": 4001,
+    "SYS_FAILURE_EN": 1,
+    "SYS_HITL": 0,
+}
 
 
 class Parameters:
@@ -269,9 +274,11 @@ class Autopilot:
         vehicle = self.vehicle
         tasks: dict[Mode, Callable[[], Task]] = {
             Mode.TAKEOFF: lambda: climb(vehicle, self.parameters["MIS_TAKEOFF_ALT"]),
-            Mode.LAND: lambda: land(vehicle, FOREVER_S), Mode.RETURN: lambda: return_to_launch(vehicle, self.speed),
-            Mode.MISSION: self.mission.fly, Mode.OFFBOARD: lambda: offboard(vehicle, self._latest),
-        }  # fmt: skip
+            Mode.LAND: lambda: land(vehicle, FOREVER_S),
+            Mode.RETURN: lambda: return_to_launch(vehicle, self.speed),
+            Mode.MISSION: self.mission.fly,
+            Mode.OFFBOARD: lambda: offboard(vehicle, self._latest),
+        }
         self._start(tasks.get(mode, lambda: hold(vehicle))())
 
     def _latest(self) -> tuple[Setpoint | None, int]:
@@ -474,19 +481,28 @@ def position_target(message: Any) -> Setpoint:
     return Setpoint(
         (unless(1, message.x), unless(2, message.y), unless(4, message.z)),
         (unless(8, message.vx), unless(16, message.vy), unless(32, message.vz)),
-        unless(1024, message.yaw), unless(2048, message.yaw_rate), message.coordinate_frame in _BODY_FRAMES,
-    )  # fmt: skip
+        unless(1024, message.yaw),
+        unless(2048, message.yaw_rate),
+        message.coordinate_frame in _BODY_FRAMES,
+    )
 
 
 _COMMANDS: dict[int, Callable[[Autopilot, Any], int | None]] = {
-    400: Autopilot.arm, 22: Autopilot.take_off, 176: Autopilot.do_set_mode, 178: Autopilot.change_speed,
-    192: Autopilot.reposition, 34: Autopilot.do_orbit, 420: Autopilot.inject_failure,
-    512: Autopilot.request_message, 519: Autopilot.request_message, 520: Autopilot.request_message,
+    400: Autopilot.arm,
+    22: Autopilot.take_off,
+    176: Autopilot.do_set_mode,
+    178: Autopilot.change_speed,
+    192: Autopilot.reposition,
+    34: Autopilot.do_orbit,
+    420: Autopilot.inject_failure,
+    512: Autopilot.request_message,
+    519: Autopilot.request_message,
+    520: Autopilot.request_message,
     21: lambda autopilot, _: autopilot.change_mode(Mode.LAND, "Landing"),
     20: lambda autopilot, _: autopilot.change_mode(Mode.RETURN, "Returning to launch"),
     300: lambda autopilot, _: autopilot.change_mode(Mode.MISSION, "Mission started"),
     511: lambda *_: ACCEPTED,  # message intervals: all rates are fixed, and high enough
-}  # fmt: skip
+}
 """By MAV_CMD."""
 
 
@@ -625,10 +641,22 @@ def system_time(autopilot: Autopilot) -> Arguments:
 
 
 STREAMS: tuple[tuple[float, Callable[[Autopilot], Arguments]], ...] = (
-    (1.0, heartbeat), (1.0, sys_status), (1.0, home_position), (1.0, battery_status), (1.0, estimator_status),
-    (1.0, system_time), (5.0, extended_sys_state), (5.0, gps_raw_int), (10.0, global_position_int), (10.0, vfr_hud),
-    (10.0, altitude), (50.0, attitude), (50.0, attitude_quaternion), (50.0, local_position_ned), (50.0, highres_imu),
-)  # fmt: skip
+    (1.0, heartbeat),
+    (1.0, sys_status),
+    (1.0, home_position),
+    (1.0, battery_status),
+    (1.0, estimator_status),
+    (1.0, system_time),
+    (5.0, extended_sys_state),
+    (5.0, gps_raw_int),
+    (10.0, global_position_int),
+    (10.0, vfr_hud),
+    (10.0, altitude),
+    (50.0, attitude),
+    (50.0, attitude_quaternion),
+    (50.0, local_position_ned),
+    (50.0, highres_imu),
+)
 """Rate (Hz) and content of each message, which has the name of its function."""
 
 

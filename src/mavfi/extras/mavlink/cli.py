@@ -92,10 +92,15 @@ def _show(server: Server, as_json: bool) -> None:
     """Print the final state."""
     vehicle, autopilot = server.vehicle, server.autopilot
     state = {
-        "time_s": 1e-6 * vehicle.now_us, "mode": autopilot.mode.name.lower(), "landed": vehicle.landed,
-        "armed": vehicle.sim.armed, "collided": vehicle.has_collided, "messages": server.received,
-        "position": [round(value, 3) for value in vehicle.position], "digest": vehicle.digest(),
-    }  # fmt: skip
+        "time_s": 1e-6 * vehicle.now_us,
+        "mode": autopilot.mode.name.lower(),
+        "landed": vehicle.landed,
+        "armed": vehicle.sim.armed,
+        "collided": vehicle.has_collided,
+        "messages": server.received,
+        "position": [round(value, 3) for value in vehicle.position],
+        "digest": vehicle.digest(),
+    }
     if as_json:
         write_json(state)
         return
@@ -106,5 +111,6 @@ def _show(server: Server, as_json: bool) -> None:
         f"{north:z.1f} m north, {east:z.1f} m east and {-down:z.1f} m above its start, in mode {state['mode']}, "
         f"{'armed' if state['armed'] else 'disarmed'}, {'after a' if state['collided'] else 'without'} collision; "
         f"digest {vehicle.digest()[:16]}",
-        markup=False, soft_wrap=True,
-    )  # fmt: skip
+        markup=False,
+        soft_wrap=True,
+    )

@@ -35,9 +35,12 @@ class Server:
     """
 
     def __init__(
-        self, spec: MissionSpec, port: int = PORT, peers: tuple[int, ...] = (OFFBOARD_PORT, GROUND_STATION_PORT),
+        self,
+        spec: MissionSpec,
+        port: int = PORT,
+        peers: tuple[int, ...] = (OFFBOARD_PORT, GROUND_STATION_PORT),
         speed: float = 1.0,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._dialect = mavlink_dialect()
         self._speed, self._peers = speed, {(HOST, peer) for peer in peers}
         self._parsers: dict[tuple[str, int], Any] = {}

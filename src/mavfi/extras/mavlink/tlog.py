@@ -145,10 +145,14 @@ def write_tlog(log: FlightLog, path: Path) -> int:
         BadInputError: pymavlink is not installed, or the file cannot be written.
     """
     messages = FlightMessages()
-    texts = [(line.time_us, part) for number, line in enumerate(lines_of(log))
-             for part in messages.text(line, number + 1)]  # fmt: skip
-    motion = [(int(1e6 * max(0.0, row[0]) + 0.5), message) for index, row in enumerate(log.rows)
-              for message in messages.motion(row, index)]  # fmt: skip
+    texts = [
+        (line.time_us, part) for number, line in enumerate(lines_of(log)) for part in messages.text(line, number + 1)
+    ]
+    motion = [
+        (int(1e6 * max(0.0, row[0]) + 0.5), message)
+        for index, row in enumerate(log.rows)
+        for message in messages.motion(row, index)
+    ]
     records = sorted([*motion, *texts], key=lambda record: record[0])
     with writing(path), path.open("wb") as file:
         link = messages.link(file)

@@ -63,13 +63,26 @@ def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
     tested = [_tested(claim, runs.get(claim.campaign)) for claim in claims]
     adjusted = holm([one.p_value for one in tested])
     rows = [
-        (claim.name, claim.statement, verdict(one, corrected), claim.section, one.here, one.p_value, corrected,
-         claim.method, claim.campaign)
+        (
+            claim.name,
+            claim.statement,
+            verdict(one, corrected),
+            claim.section,
+            one.here,
+            one.p_value,
+            corrected,
+            claim.method,
+            claim.campaign,
+        )
         for claim, one, corrected in zip(claims, tested, adjusted, strict=True)
-    ]  # fmt: skip
+    ]
     count = sum(p is not None for p in adjusted)
     return Table(
-        "claims", "Findings of the paper, tested", _COLUMNS, rows, keys=2,
+        "claims",
+        "Findings of the paper, tested",
+        _COLUMNS,
+        rows,
+        keys=2,
         notes=(
             f"confirmed, contradicted: two-sided p below {LEVEL:g} after Holm's correction over {count} tests (Holm "
             "1979), in or against the direction of the claim; undecided: at this n the data are compatible with both",
@@ -82,15 +95,20 @@ def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
             "published autopilot profile, faults and platforms of this project: see the fidelity page for differences",
         ),
         behind=[tuple(one.behind if key in _LINKED else () for key in _KEYS) for one in tested],
-    )  # fmt: skip
+    )
 
 
 _COLUMNS = (
-    Column("claim", "claim", TEXT, hidden=True), Column("statement", "the paper"), Column("verdict", "verdict"),
-    Column("section", "section"), Column("here", "here"), Column("p", "p", "number .2g"),
-    Column("holm_p", "p (Holm)", "number .2g"), Column("method", "test"),
+    Column("claim", "claim", TEXT, hidden=True),
+    Column("statement", "the paper"),
+    Column("verdict", "verdict"),
+    Column("section", "section"),
+    Column("here", "here"),
+    Column("p", "p", "number .2g"),
+    Column("holm_p", "p (Holm)", "number .2g"),
+    Column("method", "test"),
     Column("campaign", "campaign", TEXT, hidden=True),
-)  # fmt: skip
+)
 _KEYS, _LINKED = tuple(column.key for column in _COLUMNS), ("verdict", "p", "holm_p")
 """Columns, and those whose cells open the tested runs."""
 
@@ -165,9 +183,14 @@ def _of(column: str, *names: str) -> pl.Expr:
 
 
 def _compared(
-    select: Callable[[Runs], Runs], first: tuple[str, pl.Expr], second: tuple[str, pl.Expr], value: pl.Expr, *,
-    more: bool, what: str,
-) -> Callable[[Runs], Evidence]:  # fmt: skip
+    select: Callable[[Runs], Runs],
+    first: tuple[str, pl.Expr],
+    second: tuple[str, pl.Expr],
+    value: pl.Expr,
+    *,
+    more: bool,
+    what: str,
+) -> Callable[[Runs], Evidence]:
     """Test of two kinds of faults in the same worlds."""
 
     def test(runs: Runs) -> Evidence:
@@ -211,9 +234,7 @@ def _above_golden(value: pl.Expr, what: str, select: pl.Expr | None = None) -> C
     return test
 
 
-def paired(
-    setting: str, other: str, column: str, *, more: bool, what: str, **where: str
-) -> Callable[[Runs], Evidence]:  # fmt: skip
+def paired(setting: str, other: str, column: str, *, more: bool, what: str, **where: str) -> Callable[[Runs], Evidence]:
     """Paired test of two settings with the same faults; pairs with a null value in either setting are excluded."""
 
     def test(runs: Runs) -> Evidence:
@@ -249,8 +270,10 @@ def _most_missed(runs: Runs) -> Evidence:
     return _in_dense(own, "detected_at_site", more=False, what="faults detected at their site by GAD or AAD")
 
 
-_BITS = {name: (words, _of("bits", *bits)) for name, words, bits in (
-    ("high", "sign and exponent", ("sign", "exponent")), ("low", "mantissa", ("mantissa",)))}  # fmt: skip
+_BITS = {
+    name: (words, _of("bits", *bits))
+    for name, words, bits in (("high", "sign and exponent", ("sign", "exponent")), ("low", "mantissa", ("mantissa",)))
+}
 
 
 Row = tuple[str, str, Callable[[Runs], Evidence]]
@@ -269,24 +292,30 @@ def _of_kernels() -> list[Claim]:
     )
     wider = _compared(_faults, _LATER, _PERCEPTION, ALTERED, more=True, what="flight time changed by > 5 %")
     return _claims(
-        "III-A", KERNELS,
+        "III-A",
+        KERNELS,
         (
-            "perception_least_critical", "The perception stage is the least critical",
+            "perception_least_critical",
+            "The perception stage is the least critical",
             _compared(_faults, _PERCEPTION, _LATER, HURT, more=False, what=_HURT),
         ),
         ("collision_check_critical", "Collision check is the critical kernel within perception", critical),
         (
-            "planning_control_flight_time", "Flight time ranges wider with faults in planning and control", wider,
+            "planning_control_flight_time",
+            "Flight time ranges wider with faults in planning and control",
+            wider,
         ),
         (
             "clouds_and_maps_negligible",
-            "Faults in point cloud and OctoMap lose no missions (little to negligible impact)", equality(_lost(before)),
+            "Faults in point cloud and OctoMap lose no missions (little to negligible impact)",
+            equality(_lost(before)),
         ),
         (
-            "planning_control_success", "Faults in planning and control lower the success rate (by up to 8 %)",
+            "planning_control_success",
+            "Faults in planning and control lower the success rate (by up to 8 %)",
             _lost(_LATER[1]),
         ),
-    )  # fmt: skip
+    )
 
 
 def _of_states() -> list[Claim]:
@@ -301,14 +330,17 @@ def _of_states() -> list[Claim]:
 
     more = "Faults in sign and exponent fields increase"
     return _claims(
-        "III-B", STATES,
+        "III-B",
+        STATES,
         ("collision_seq_robust", f"{sequence} is much more robust than {time}", robust),
         (
-            "sign_exponent_matter_most", "Faults in sign and exponent fields have a greater impact",
+            "sign_exponent_matter_most",
+            "Faults in sign and exponent fields have a greater impact",
             by_class(HURT, _HURT),
         ),
         (
-            "sign_exponent_flight_time", f"{more} flight time more",
+            "sign_exponent_flight_time",
+            f"{more} flight time more",
             by_class(pl.col("inflation"), "flight time over golden"),
         ),
         ("sign_exponent_energy", f"{more} energy more", by_class(pl.col("energy_inflation"), "energy over golden")),
@@ -316,9 +348,10 @@ def _of_states() -> list[Claim]:
         (
             "waypoints_harm",
             "Faults in position, yaw and velocity of way-points lead to crashes or longer flights (cannot be "
-            "contradicted)", _above_golden(HURT, _HURT, waypoints),
+            "contradicted)",
+            _above_golden(HURT, _HURT, waypoints),
         ),
-    )  # fmt: skip
+    )
 
 
 def _of_success(campaign: str, level: str, end: str) -> list[Claim]:
@@ -326,56 +359,68 @@ def _of_success(campaign: str, level: str, end: str) -> list[Claim]:
     table, longer = f"Table I, faults in {level}", "flight time over golden"
     gaussian, autoencoder = "dr_gaussian", "dr_autoencoder"
     within = _claims(
-        "VI-A", campaign,
+        "VI-A",
+        campaign,
         (f"fault_loses_missions{end}", f"{table}: one fault lowers the success rate", _lost()),
         (
-            f"fault_lengthens_flights{end}", f"{table}: flights that succeed take longer (the worst by 63 to 93 %)",
+            f"fault_lengthens_flights{end}",
+            f"{table}: flights that succeed take longer (the worst by 63 to 93 %)",
             _above_golden(pl.when("success").then("inflation"), longer),
         ),
         (
-            f"gaussian_recovers{end}", f"{table}: GAD recovers failed missions",
+            f"gaussian_recovers{end}",
+            f"{table}: GAD recovers failed missions",
             paired(gaussian, FI, "success", more=True, what="success"),
         ),
         (
-            f"autoencoder_recovers{end}", f"{table}: AAD recovers failed missions",
+            f"autoencoder_recovers{end}",
+            f"{table}: AAD recovers failed missions",
             paired(autoencoder, FI, "success", more=True, what="success"),
         ),
         (
-            f"autoencoder_beats_gaussian{end}", f"{table}: AAD recovers more than GAD",
+            f"autoencoder_beats_gaussian{end}",
+            f"{table}: AAD recovers more than GAD",
             paired(autoencoder, gaussian, "success", more=True, what="success"),
         ),
         (
-            f"autoencoder_like_golden{end}", f"{table}: with AAD as many missions succeed as without a fault",
+            f"autoencoder_like_golden{end}",
+            f"{table}: with AAD as many missions succeed as without a fault",
             equality(_lost(setting=autoencoder)),
         ),
         (
-            f"autoencoder_shortens_more{end}", f"{table}: AAD recovers more flight time than GAD",
+            f"autoencoder_shortens_more{end}",
+            f"{table}: AAD recovers more flight time than GAD",
             paired(autoencoder, gaussian, "inflation", more=False, what=longer),
         ),
         (
-            f"gaussian_shortens_flights{end}", f"{table}: GAD recovers flight time",
+            f"gaussian_shortens_flights{end}",
+            f"{table}: GAD recovers flight time",
             paired(gaussian, FI, "inflation", more=False, what=longer),
         ),
         (
-            f"autoencoder_shortens_flights{end}", f"{table}: AAD recovers flight time",
+            f"autoencoder_shortens_flights{end}",
+            f"{table}: AAD recovers flight time",
             paired(autoencoder, FI, "inflation", more=False, what=longer),
         ),
-    )  # fmt: skip
+    )
     between = _claims(
-        "VI-A", campaign,
+        "VI-A",
+        campaign,
         (f"dense_hardest{end}", f"{table}: Dense loses most missions (9.7 points)", _hardest),
         (f"dense_hardest_to_recover{end}", f"{table}: Dense is the hardest to recover", _hardest_to_recover),
         method=_BETWEEN,
-    )  # fmt: skip
+    )
     return within + between
 
 
 _MISSED = "Table I, faults in states: in Dense most faults go undetected"
 _MISSIONS = (
-    *_of_kernels(), *_of_states(), *_of_success(INSTRUCTIONS, "instructions", ""),
+    *_of_kernels(),
+    *_of_states(),
+    *_of_success(INSTRUCTIONS, "instructions", ""),
     *_of_success(VALUES, "states", "_in_states"),
     *_claims("VI-A", VALUES, ("dense_most_missed_in_states", _MISSED, _most_missed), method=_BETWEEN),
-)  # fmt: skip
+)
 
 
 # ---- claims of the paper's section VI-C on the overhead of detection and of recovery, modelled and measured --------
@@ -419,9 +464,10 @@ def _timed(runs: Runs, arm: str) -> dict[tuple[str, int], tuple[float, float]]:
     rows = runs.campaign.get("overheads", {}).get("rows", ())
     return {
         (row["environment"], flight): (shares[0], shares[1])
-        for row in rows if row["arm"] == arm and row["stage"] == ALL
+        for row in rows
+        if row["arm"] == arm and row["stage"] == ALL
         for flight, shares in enumerate(row.get("flights", ()))
-    }  # fmt: skip
+    }
 
 
 def _shares(runs: Runs, setting: str, *stages: Stage) -> Runs:
@@ -458,8 +504,10 @@ def _measured_against(*parts: int, more: bool) -> Callable[[Runs], Evidence]:
             return Evidence(_NOT_MEASURED, None, supports=False)
         above, below = (sum(sign * aad[one] > sign * gad[one] for one in shared) for sign in (1, -1))
         p_value = float(binomtest(above, above + below).pvalue) if above + below else 1.0
-        means = (f"{name} {100 * sum(own[one] for one in shared) / len(shared):.3g} %"
-                 for name, own in (("AAD", aad), ("GAD", gad)))  # fmt: skip
+        means = (
+            f"{name} {100 * sum(own[one] for one in shared) / len(shared):.3g} %"
+            for name, own in (("AAD", aad), ("GAD", gad))
+        )
         here = f"{', '.join(means)} of the kernels' time; AAD's is higher in {above} and lower in {below} of "
         return Evidence(f"{here}{len(shared)} flights", p_value, supports=above > below if more else above < below)
 
@@ -473,13 +521,16 @@ def _largest(name: str, setting: str) -> float:
         for place in ("factory", "farm", "sparse", "dense")
         for stage in ("perception", "planning", "control")
     ]
-    return max(float(sum(stages[place : place + 3])) for place in range(0, len(stages), 3))  # fmt: skip
+    return max(float(sum(stages[place : place + 3])) for place in range(0, len(stages), 3))
 
 
 def _of_overhead() -> Iterable[Claim]:
     for arm, short in (("gaussian", "GAD"), ("autoencoder", "AAD")):
-        bound = _largest("recompute_overhead", "dr_gaussian") if arm == "gaussian" else paper.figure(
-            "detection_overhead", setting="dr_autoencoder", environment="dense")  # fmt: skip
+        bound = (
+            _largest("recompute_overhead", "dr_gaussian")
+            if arm == "gaussian"
+            else paper.figure("detection_overhead", setting="dr_autoencoder", environment="dense")
+        )
         text = f"Recomputation of {short} takes at most {100 * bound:.4g} % of compute time, both modelled"
         yield Claim(f"{arm}_overhead", text, "VI-C", INSTRUCTIONS, WITHIN, _overhead(f"dr_{arm}", bound))
         text = f"Detection and recovery by {short} take at most {100 * bound:.4g} % of compute time, measured here"
@@ -560,13 +611,21 @@ def _of_redundancy() -> Iterable[Claim]:
 
 def _of_platforms() -> Iterable[Claim]:
     yield Claim(
-        "slow_platform_time", "Flights on the Cortex-A57 take longer (115 s : 322 s)", "VI-D", PLATFORMS, WITHIN,
+        "slow_platform_time",
+        "Flights on the Cortex-A57 take longer (115 s : 322 s)",
+        "VI-D",
+        PLATFORMS,
+        WITHIN,
         _of_golden("flight_time_s", "mean flight time", _SECONDS),
-    )  # fmt: skip
+    )
     yield Claim(
-        "slow_platform_energy", "Flights on the Cortex-A57 need more energy (61.7 kJ : 177.1 kJ)", "VI-D", PLATFORMS,
-        WITHIN, _of_golden("energy_j", "mean energy", _KILOJOULES),
-    )  # fmt: skip
+        "slow_platform_energy",
+        "Flights on the Cortex-A57 need more energy (61.7 kJ : 177.1 kJ)",
+        "VI-D",
+        PLATFORMS,
+        WITHIN,
+        _of_golden("energy_j", "mean energy", _KILOJOULES),
+    )
     factor = float(paper.figure("platforms_worst", quantity="flight_time_ratio"))
     text = f"With a fault, flights on the Cortex-A57 take at least {factor:g} times as long (the paper: the worst)"
     yield Claim("slow_platform_ratio", text, "VI-D", PLATFORMS, WITHIN, _times_as_long(factor))
@@ -581,13 +640,21 @@ def _of_platforms() -> Iterable[Claim]:
         share = paper.figure("platforms_recovered", setting=f"dr_{arm}")
         text = f"On the Cortex-A57 {short} recovers flight time (by {100 * share:.1f} % of the worst)"
         yield Claim(
-            f"{arm}_recovers_slow_platform", text, "VI-D", PLATFORMS, WITHIN,
+            f"{arm}_recovers_slow_platform",
+            text,
+            "VI-D",
+            PLATFORMS,
+            WITHIN,
             shorter(f"dr_{arm}", FI),
-        )  # fmt: skip
+        )
     yield Claim(
-        "autoencoder_beats_gaussian_slow_platform", "On the Cortex-A57 AAD recovers more flight time than GAD", "VI-D",
-        PLATFORMS, WITHIN, shorter("dr_autoencoder", "dr_gaussian"),
-    )  # fmt: skip
+        "autoencoder_beats_gaussian_slow_platform",
+        "On the Cortex-A57 AAD recovers more flight time than GAD",
+        "VI-D",
+        PLATFORMS,
+        WITHIN,
+        shorter("dr_autoencoder", "dr_gaussian"),
+    )
 
 
 CLAIMS = {claim.name: claim for claim in (*_MISSIONS, *_of_overhead(), *_of_redundancy(), *_of_platforms())}

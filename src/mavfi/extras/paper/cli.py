@@ -84,9 +84,11 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
         _train(lacking, fly, executor, bar)
         with bar.timed(FLIGHTS_STEP):
             run_campaigns(
-                {out / folder: campaign for folder, campaign in campaigns.items()}, executor=executor,
-                models_dir=out / MODELS, progress=bar.show_campaigns,
-            )  # fmt: skip
+                {out / folder: campaign for folder, campaign in campaigns.items()},
+                executor=executor,
+                models_dir=out / MODELS,
+                progress=bar.show_campaigns,
+            )
         for folder in timed:  # in one process, with no other work at the same time
             with bar.timed("timed flights"):
                 save(measure(campaigns[folder], TIMED_FLIGHTS, out / MODELS, bar.show), out / folder)

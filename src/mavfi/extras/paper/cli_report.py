@@ -49,9 +49,15 @@ class StudyBar(Bar):
 
 
 def write_study_report(  # noqa: PLR0913 - what the command was given
-    study: Study, scale: str, folder: Path, page: Path | None, flights: int | None, workers: int, *,
+    study: Study,
+    scale: str,
+    folder: Path,
+    page: Path | None,
+    flights: int | None,
+    workers: int,
+    *,
     bar: StudyBar | None = None,
-) -> tuple[StudyReport, int]:  # fmt: skip
+) -> tuple[StudyReport, int]:
     """Write the reports of a study and of its campaigns.
 
     Args:
@@ -147,10 +153,11 @@ def show_study_report(written: StudyReport, show_all: bool) -> None:
 def sections_of_study(study: StudyReport) -> list[Section]:
     """Sections of a study: the headline, then all sections in order, then the times."""
     found = [
-        Section(one.section.title, one.tables, drawn(one.runs, one.section.figures) if one.runs else (),
-                one.section.text)
+        Section(
+            one.section.title, one.tables, drawn(one.runs, one.section.figures) if one.runs else (), one.section.text
+        )
         for one in study.sections
-    ]  # fmt: skip
+    ]
     leading = [found[study.sections.index(one)] for one in study.headline]
     first = [Section(one.title, one.tables[:1], one.figures[:1]) for one in leading[:1]]
     return [*first, *found, Section("Where the time goes", study.times)]
@@ -179,8 +186,9 @@ def headline_of_study(study: StudyReport) -> Headline:
     counts += [f"{nulls:,} as with a fault, but without one (null)"] if nulls else []
     places = dict.fromkeys(
         campaign.get("parts", {}).get(name, {}).get("environment") or name
-        for campaign in campaigns for name in campaign["environments"]
-    )  # fmt: skip
+        for campaign in campaigns
+        for name in campaign["environments"]
+    )
     lines = [
         f"Missions of an autonomous quadrotor in {', '.join(places)}: at most one flipped bit per mission",
         f"{done:,} of {total:,} runs done in {len(campaigns)} campaigns: {', '.join(counts)}",
@@ -190,9 +198,15 @@ def headline_of_study(study: StudyReport) -> Headline:
 
 
 def write_study_html(  # noqa: PLR0913 - what the command was given
-    path: Path, root: Path, study: StudyReport, scale: str, reports: Mapping[Path, Report], flights: int | None,
-    workers: int, show: Callable[[int, int], None],
-) -> int:  # fmt: skip
+    path: Path,
+    root: Path,
+    study: StudyReport,
+    scale: str,
+    reports: Mapping[Path, Report],
+    flights: int | None,
+    workers: int,
+    show: Callable[[int, int], None],
+) -> int:
     """Write the page of a study.
 
     Args:

@@ -210,9 +210,7 @@ def _weights(runs: Runs, kernel: str, golden: Sequence[str], worlds: Sequence[st
     return found if any(found) else None
 
 
-def payoff(
-    runs: Runs, environment: str, setting: str, upset: float, kernels: Collection[str] = ()
-) -> Estimate | None:  # fmt: skip
+def payoff(runs: Runs, environment: str, setting: str, upset: float, kernels: Collection[str] = ()) -> Estimate | None:
     """Failures per flight hour under a detector minus those without: of kernels, and of the detector.
 
     Args:
@@ -238,7 +236,7 @@ def own_parts(runs: Runs, environment: str, setting: str) -> list[tuple[int, Exp
 
 def changes(
     runs: Runs, environment: str, setting: str, kernels: Collection[str] = ()
-) -> dict[str, tuple[int, tuple[Exposed, ...]]]:  # fmt: skip
+) -> dict[str, tuple[int, tuple[Exposed, ...]]]:
     """Change of the failures by faults in kernels under a setting, in pairs with the same fault.
 
     A pair counts if the mission succeeds without a fault in both settings: what a detector loses by false alarms is no
@@ -260,8 +258,11 @@ def changes(
     counts = {arm: instructions_per_hour(flown.where(arm=arm)) for arm in ("", *pairs.values("arm"))}
     found = {}
     for (kernel, arm), every in pairs.groups("kernel", "arm").items():
-        fine = [world for world in every.values("world")
-                if all(golden.get((one, world), {}).get("success") for one in ("", arm))]  # fmt: skip
+        fine = [
+            world
+            for world in every.values("world")
+            if all(golden.get((one, world), {}).get("success") for one in ("", arm))
+        ]
         own, counted = every.where(pl.col("world").is_in(fine)), arm if counts[arm] else ""
         if len(own) and kernel in counts[counted] and kernel not in DETECTORS and (not kernels or kernel in kernels):
             ids = [[golden[one, world]["run_id"] for world in own["world"]] for one in (counted, "")]
@@ -332,16 +333,29 @@ def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
         alone = total_failures([one for _, one in base.values()], upset).value if base else 0.0
         against = total.value / alone if setting != FI and alone > 0 else None
         every_id = [run_id for ids, _ in kernels.values() for run_id in ids]
-        yield {**own, "kernel": ALL, "run_id": every_id, "n": len(every_id), "against": against,
-               **_numbers(whole, harm, total, total_failures(worse.values(), upset))}  # fmt: skip
+        yield {
+            **own,
+            "kernel": ALL,
+            "run_id": every_id,
+            "n": len(every_id),
+            "against": against,
+            **_numbers(whole, harm, total, total_failures(worse.values(), upset)),
+        }
 
 
 def _numbers(instructions: float, harm: Estimate, failures: Estimate, ended: Estimate) -> dict[str, Any]:
     return {
-        "instructions": instructions, "harm": harm.value, "harm_low": harm.low, "harm_high": harm.high,
-        "failures": failures.value, "failures_low": failures.low, "failures_high": failures.high,
-        "ended": ended.value, "ended_low": ended.low, "ended_high": ended.high,
-    }  # fmt: skip
+        "instructions": instructions,
+        "harm": harm.value,
+        "harm_low": harm.low,
+        "harm_high": harm.high,
+        "failures": failures.value,
+        "failures_low": failures.low,
+        "failures_high": failures.high,
+        "ended": ended.value,
+        "ended_low": ended.low,
+        "ended_high": ended.high,
+    }
 
 
 def _computed(runs: Runs, upsets: UpsetConfig) -> Runs:
@@ -377,7 +391,9 @@ def failure_notes(upsets: UpsetConfig, runs: Runs) -> list[str]:
         for setting in uncounted(runs)
     ]
     return [
-        *left_out, *verdicts, *([_DIFFERENCE] if verdicts else []),
+        *left_out,
+        *verdicts,
+        *([_DIFFERENCE] if verdicts else []),
         "failures per flight hour = upsets per instruction x dynamic instructions per flight hour (golden runs of the "
         "setting, recomputations and detector included) x harm; [95 % interval of the harm]; faults alone, "
         "not the failures without a fault",
@@ -391,21 +407,25 @@ def failure_notes(upsets: UpsetConfig, runs: Runs) -> list[str]:
         *(f"{key}: {source}" for key, source in upsets.sources.items()),
         "instructions are values that the kernels' LLVM IR writes; kernels that were not injected are not in the sum; "
         "the machine's caches, memories and operating system are not in the fault space",
-    ]  # fmt: skip
+    ]
 
 
 _VIEW = View(
-    "failures_per_hour", "Failures per flight hour by setting and kernel", ("environment", "setting", "kernel"),
+    "failures_per_hour",
+    "Failures per flight hour by setting and kernel",
+    ("environment", "setting", "kernel"),
     (
         _estimate("failures", "failures per flight hour"),
         Measure("against", "against fi", "number .2f ×", lambda own: own.first("against"), hidden=True),
         Measure("instructions", "instructions/h", "number .2e", lambda own: own.first("instructions")),
-        Measure("n", "faults", NUMBER, lambda own: own.first("n")), Measure("harm", "harm (points)", POINTS, _harm),
+        Measure("n", "faults", NUMBER, lambda own: own.first("n")),
+        Measure("harm", "harm (points)", POINTS, _harm),
         _estimate("ended", "failures, dead node ends mission"),
     ),
-    where=lambda runs: _computed(runs, find_upsets()), notes=lambda runs: failure_notes(find_upsets(), runs),
+    where=lambda runs: _computed(runs, find_upsets()),
+    notes=lambda runs: failure_notes(find_upsets(), runs),
     applies=lambda runs: has(runs.injected, level=INSTRUCTION),
-)  # fmt: skip
+)
 CHAPTER = Chapter(50, (_VIEW,))
 
 

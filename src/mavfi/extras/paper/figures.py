@@ -80,8 +80,18 @@ def _rows(runs: Runs, select: Callable[[Runs], Runs], column: str) -> Figure | N
                 continue
             look = _look(names[place])
             links.points(right, [rate.rate], [place], [links.to_runs(own, **label)])
-            right.errorbar(rate.rate, place, xerr=[[rate.rate - rate.low], [rate.high - rate.rate]], markersize=6,
-                           linestyle="", elinewidth=1.8, capsize=2, clip_on=False, zorder=4, **look)  # fmt: skip
+            right.errorbar(
+                rate.rate,
+                place,
+                xerr=[[rate.rate - rate.low], [rate.high - rate.rate]],
+                markersize=6,
+                linestyle="",
+                elinewidth=1.8,
+                capsize=2,
+                clip_on=False,
+                zorder=4,
+                **look,
+            )
         sizes = [len(own) for own in groups.values()]
         left.set_yticks(range(len(names)), [f"{name}  (n = {n})" for name, n in zip(names, sizes, strict=True)])
         right.set_yticks(range(len(names)), [])
@@ -121,10 +131,18 @@ def _box(axes: Axes, arrived: Runs, place: float, colour: str, *, upright: bool 
     """Draw median and quartiles of flight times, with every run as a dot; dots have deterministic jitter."""
     values = arrived["flight_time_s"]
     axes.boxplot(
-        [values], positions=[place], widths=_BOX, orientation="vertical" if upright else "horizontal", whis=0,
-        showfliers=False, showcaps=False, manage_ticks=False, zorder=3,
-        medianprops={"color": style.INK, "linewidth": 2.0}, boxprops={"color": style.INK, "linewidth": 0.8},
-    )  # fmt: skip
+        [values],
+        positions=[place],
+        widths=_BOX,
+        orientation="vertical" if upright else "horizontal",
+        whis=0,
+        showfliers=False,
+        showcaps=False,
+        manage_ticks=False,
+        zorder=3,
+        medianprops={"color": style.INK, "linewidth": 2.0},
+        boxprops={"color": style.INK, "linewidth": 0.8},
+    )
     spread = place + 0.8 * _BOX * (np.arange(len(values)) * 0.618 % 1.0 - 0.5)  # golden ratio: even, without overlap
     at = (spread, values) if upright else (values, spread)
     drawn = axes.plot(*at, ".", color=colour, markersize=4.5, markeredgewidth=0, alpha=0.65, zorder=2)
@@ -162,8 +180,14 @@ def distributions(runs: Runs) -> Figure | None:
                 _link_times(axes, part, place, {"environment": environment, "setting": setting}, upright=True)
                 worst = part.where("success", flight_time_s=max(values)).first("run_id")
                 links.points(axes, [place], [max(values)], [links.to_run(worst)])
-                axes.annotate(f"{max(values):.0f} s", (place, max(values)), (0, 6), textcoords="offset points",
-                              ha="center", fontsize=8)  # fmt: skip
+                axes.annotate(
+                    f"{max(values):.0f} s",
+                    (place, max(values)),
+                    (0, 6),
+                    textcoords="offset points",
+                    ha="center",
+                    fontsize=8,
+                )
         limit = own.frame["time_limit_s"].max()
         axes.set_title(f"{environment} (limit {limit:.0f} s)" if isinstance(limit, float) else environment)
         axes.set_xticks(range(len(settings)), [f"{_short(name)}\n{_count(own, name)}" for name in settings], fontsize=8)
@@ -175,9 +199,11 @@ def distributions(runs: Runs) -> Figure | None:
     handles = [
         Line2D([], [], color=style.INK, linewidth=2.0, label="median, box: quartiles"),
         Line2D([], [], color=style.INK, linestyle="", marker="_", markersize=12, label="mean of the slowest 5 %"),
-        *(Line2D([], [], linestyle="", markersize=6.5, label=f"worst {style.setting_label(name)}", **looks[name])
-          for name in settings),
-    ]  # fmt: skip
+        *(
+            Line2D([], [], linestyle="", markersize=6.5, label=f"worst {style.setting_label(name)}", **looks[name])
+            for name in settings
+        ),
+    ]
     figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=8.5)
     return figure
 
@@ -205,10 +231,11 @@ def _drawings() -> Iterable[Drawing]:
     ):
         yield Drawing(name, lambda runs, s=select, c=column: _rows(runs, s, c), f"{title}; {about}")  # type: ignore[misc]
     yield Drawing(
-        "flight_time_distribution", distributions,
+        "flight_time_distribution",
+        distributions,
         "Fig. 6, flight times of missions that succeed, worst cases in seconds; below each setting: successes / n; the "
         "time limit of missions bounds every worst case.",
-    )  # fmt: skip
+    )
 
 
 # ---- Fig. 9 of the paper: flight times by computing platform, for golden runs, faults, and faults with detectors ---
@@ -239,14 +266,28 @@ def flight_times(runs: Runs) -> Figure | None:
             low, middle, high = np.quantile(times, (0.25, 0.5, 0.75))
             axes.plot([place, place], [low, high], color=style.INK, linewidth=3.2, solid_capstyle="butt")
             axes.plot(place, middle, "o", color="white", markeredgecolor=style.INK, markersize=5, zorder=5)
-            axes.annotate(f"{times[-1]:.0f}", (place, times[-1]), (0, 4), textcoords="offset points", ha="center",
-                          fontsize=7.5, color=style.INK)  # fmt: skip
+            axes.annotate(
+                f"{times[-1]:.0f}",
+                (place, times[-1]),
+                (0, 4),
+                textcoords="offset points",
+                ha="center",
+                fontsize=7.5,
+                color=style.INK,
+            )
         if paper.comparable(runs.campaign, ""):
             printed = paper.figure("platforms", quantity="flight_time_s", platform=platform)
             if printed is not None:
                 axes.axhline(printed, color=style.INK, linestyle="--", linewidth=0.9)
-                axes.annotate(f"paper: {printed} s", (len(settings) - 0.5, printed), (0, 3), ha="right", fontsize=8,
-                              textcoords="offset points", color=style.INK)  # fmt: skip
+                axes.annotate(
+                    f"paper: {printed} s",
+                    (len(settings) - 0.5, printed),
+                    (0, 3),
+                    ha="right",
+                    fontsize=8,
+                    textcoords="offset points",
+                    color=style.INK,
+                )
         names = [style.setting_label(setting).replace(" + ", " +\n") for setting in settings]
         axes.set_xticks(range(len(settings)), names, fontsize=8)
         axes.tick_params(axis="x", length=0)
@@ -273,8 +314,13 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
     names, width, from_paper = list(schemes()), 0.7 / len(calibrations), False
     for axes, vehicle in zip(panels, vehicles, strict=True):
         own = [design for design in designs if design.craft == vehicle]
-        finite = [value for design in own for name in names
-                  for value in (*band(design, name), _energy(design, name)) if math.isfinite(value)]  # fmt: skip
+        finite = [
+            value
+            for design in own
+            for name in names
+            for value in (*band(design, name), _energy(design, name))
+            if math.isfinite(value)
+        ]
         top = 1.0 + 1.08 * max(0.05, max(finite) - 1.0)
         for design in own:
             place = calibrations.index(design.calibration)
@@ -303,16 +349,19 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
         axes.grid(axis="y")
         axes.set_title(vehicle.replace("_", " "))
     panels[0].set_ylabel("against the autoencoder scheme")
-    handles = [Line2D([], [], linestyle="", marker=marker, color=colour, label=f"flight time, {name}")
-               for name, (colour, marker) in zip(calibrations, cycle(_DESIGN_LOOKS), strict=False)]  # fmt: skip
+    handles = [
+        Line2D([], [], linestyle="", marker=marker, color=colour, label=f"flight time, {name}")
+        for name, (colour, marker) in zip(calibrations, cycle(_DESIGN_LOOKS), strict=False)
+    ]
     handles += [
         Line2D([], [], linestyle="", marker="o", color=style.GREY, fillstyle="none", label="energy (hover power)"),
         Line2D([], [], color=style.GREY, linewidth=1.8, label="band; triangle: cannot hover"),
     ]
     handles += [Line2D([], [], color=style.INK, label="the paper's figure")] if from_paper else []
     columns = min(3, 1 + len(vehicles))
-    figure.legend(handles=handles, loc="outside upper left", ncols=columns, fontsize=8.5, columnspacing=1.2,
-                  handlelength=1.8)  # fmt: skip
+    figure.legend(
+        handles=handles, loc="outside upper left", ncols=columns, fontsize=8.5, columnspacing=1.2, handlelength=1.8
+    )
     return figure
 
 
@@ -377,9 +426,15 @@ def _case(own: Runs, stage: str) -> Case | None:
     again = faults.where(arm=arm, target=row["target"], index=row["index"]) if arm else None
     recovered = again.first("run_id") if again is not None and len(again) else ""
     return Case(
-        stage, own.first("environment"), golden.first("run_id"), str(row["run_id"]), recovered, arm,
-        row["inflation"], row["dr_inflation"],
-    )  # fmt: skip
+        stage,
+        own.first("environment"),
+        golden.first("run_id"),
+        str(row["run_id"]),
+        recovered,
+        arm,
+        row["inflation"],
+        row["dr_inflation"],
+    )
 
 
 # ---- Fig. 7: paths of a golden run, with a fault, and with the fault and a detector, in plan view and 3-D ----------
@@ -462,14 +517,22 @@ def _in_space(axes: Any, flights: Sequence["Flight"]) -> None:
     faces = []
     for low, high in zip(world.lower[shown], world.upper[shown], strict=True):
         low, high = np.maximum(low, lower), np.minimum(high, upper)
-        corners = np.array([[high[axis] if corner >> (2 - axis) & 1 else low[axis] for axis in range(3)]
-                            for corner in range(8)])  # fmt: skip
+        corners = np.array(
+            [[high[axis] if corner >> (2 - axis) & 1 else low[axis] for axis in range(3)] for corner in range(8)]
+        )
         faces += [corners[list(face)] for face in _FACES]
     axes.add_collection3d(Poly3DCollection(faces, facecolors=_SOLID, edgecolors=_EDGE, linewidths=0.4, alpha=0.25))
     for path, look in zip(points, _LOOKS, strict=False):
         axes.plot(*path.T, **look)
-    axes.plot(*_injection(flights[1]).T, marker="*", linestyle="", color=style.AMBER, markeredgecolor=style.INK,
-              markersize=13, zorder=9)  # fmt: skip
+    axes.plot(
+        *_injection(flights[1]).T,
+        marker="*",
+        linestyle="",
+        color=style.AMBER,
+        markeredgecolor=style.INK,
+        markersize=13,
+        zorder=9,
+    )
     axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
     axes.zaxis.set_rotate_label(False)
     axes.set_zlabel("z (m)", rotation=90, labelpad=-2)
@@ -523,13 +586,17 @@ def _caption(runs: Runs) -> str:
     return f"Fig. 7, paths{where}, from above and in 3-D (heights drawn three times as large). {RULE} Shown: {shown}."
 
 
-CHAPTER = Chapter(20, (
-    *_drawings(),
-    Drawing("platforms", flight_times, "Flight times on each platform; dashed: the paper's.", general=True),
-    Drawing(
-        "redundancy", lambda _: redundancy(shipped_designs()),
-        "Flight time with redundant processors over that with a detector, by the visual performance model; black: the "
-        "paper's figure.",
+CHAPTER = Chapter(
+    20,
+    (
+        *_drawings(),
+        Drawing("platforms", flight_times, "Flight times on each platform; dashed: the paper's.", general=True),
+        Drawing(
+            "redundancy",
+            lambda _: redundancy(shipped_designs()),
+            "Flight time with redundant processors over that with a detector, by the visual performance model; black: the "
+            "paper's figure.",
+        ),
+        Drawing("trajectories", trajectories, _caption, cases=_ids),
     ),
-    Drawing("trajectories", trajectories, _caption, cases=_ids),
-))  # fmt: skip
+)

@@ -125,19 +125,28 @@ def _overhead_notes(runs: Runs) -> list[str]:
     ]
 
 
-CHAPTER = Chapter(20, (
-    View(
-        "overheads_as_in_the_paper", "Table II: compute time overhead of detection and of recovery",
-        (*SETTING, "stage"),
-        (
-            m.count("flights", "flights"), _measured("detection"),
-            Measure("modelled_detection", "detection, modelled", SMALL, _detection_modelled),
-            _papers("detection", "stage_detection_overhead", "detection_overhead"), _measured("recovery"),
-            Measure("modelled", "recovery, modelled", SMALL, _modelled), _papers("recompute", "recompute_overhead"),
-            _measured("detection", "recovery"), Measure("modelled_sum", "sum, modelled", SMALL, _sum_modelled),
-            _papers("sum", "", "overhead"),
+CHAPTER = Chapter(
+    20,
+    (
+        View(
+            "overheads_as_in_the_paper",
+            "Table II: compute time overhead of detection and of recovery",
+            (*SETTING, "stage"),
+            (
+                m.count("flights", "flights"),
+                _measured("detection"),
+                Measure("modelled_detection", "detection, modelled", SMALL, _detection_modelled),
+                _papers("detection", "stage_detection_overhead", "detection_overhead"),
+                _measured("recovery"),
+                Measure("modelled", "recovery, modelled", SMALL, _modelled),
+                _papers("recompute", "recompute_overhead"),
+                _measured("detection", "recovery"),
+                Measure("modelled_sum", "sum, modelled", SMALL, _sum_modelled),
+                _papers("sum", "", "overhead"),
+            ),
+            where=lambda runs: runs.injected.where(pl.col("detector") != "", end="flown").exploded(of_stages),
+            notes=_overhead_notes,
+            applies=lambda runs: watched(runs) and runs.has_missions,
         ),
-        where=lambda runs: runs.injected.where(pl.col("detector") != "", end="flown").exploded(of_stages),
-        notes=_overhead_notes, applies=lambda runs: watched(runs) and runs.has_missions,
     ),
-))  # fmt: skip
+)

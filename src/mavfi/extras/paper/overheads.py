@@ -99,9 +99,12 @@ class _Clock:
 
 
 def cost(
-    mission: MissionSpec, name: str, profile: str, models_dir: Path | None = None,
+    mission: MissionSpec,
+    name: str,
+    profile: str,
+    models_dir: Path | None = None,
     options: Mapping[str, Any] | None = None,
-) -> Cost:  # fmt: skip
+) -> Cost:
     """Fly a golden mission with a detector, then replay its publications to the detector.
 
     Raises:
@@ -140,14 +143,18 @@ def cost(
     watched = [(state, now) for state, now in shown if states is None or state.spec.name in states]
     kernels = sum(spent for (_, method), spent in clock.seconds.items() if method in ("step", "receive"))
     return Cost(
-        kernels, _detection(detector, watched, clock.again), _recovery(clock, repeated), len(watched) + clock.verified,
-        recomputed / computed, 1e-6 * (computed - recomputed),
-    )  # fmt: skip
+        kernels,
+        _detection(detector, watched, clock.again),
+        _recovery(clock, repeated),
+        len(watched) + clock.verified,
+        recomputed / computed,
+        1e-6 * (computed - recomputed),
+    )
 
 
 def _detection(
     detector: Detector, publications: Sequence[tuple[State, int]], again: Mapping[str, float]
-) -> dict[str, float]:  # fmt: skip
+) -> dict[str, float]:
     """Time of a detector by stage; `again`: that of steps that were computed again."""
 
     def spent(own: Sequence[tuple[State, int]]) -> float:
@@ -196,16 +203,18 @@ def replay(detector: Detector, publications: Sequence[tuple[State, int]]) -> flo
 
 def _sealed(
     publications: Iterable[tuple[State, int]], seal: Callable[[State, int], None]
-) -> Iterator[tuple[State, int]]:  # fmt: skip
+) -> Iterator[tuple[State, int]]:
     for state, now in publications:
         seal(state, now)
         yield state, now
 
 
 def measure(
-    campaign: Campaign, missions: int, models_dir: Path | None = None,
+    campaign: Campaign,
+    missions: int,
+    models_dir: Path | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Measure every detector of a campaign on golden flights in each of its environments.
 
     Args:
@@ -238,8 +247,10 @@ def measure(
                 costs.append(cost(mission, arm.detector, arm.profile, models_dir, arm.options))
                 done += 1
                 progress(done, total)
-            rows += [{"environment": environment, "arm": arm.name, "stage": stage, **_shares(costs, stage)}
-                     for stage in STAGES]  # fmt: skip
+            rows += [
+                {"environment": environment, "arm": arm.name, "stage": stage, **_shares(costs, stage)}
+                for stage in STAGES
+            ]
     return {"processor": processor(), "missions": missions, "rows": rows}
 
 

@@ -216,14 +216,24 @@ def _comparison(designs: Sequence[DesignConfig]) -> Runs:
         for scheme, (copies, overhead) in schemes().items():
             own = performance(design, copies, overhead)
             low, high = band(design, scheme)
-            rows.append({
-                "vehicle": design.craft, "calibration": design.calibration, "scheme": scheme,
-                "payload": 1000 * own.payload, "mass": 1000 * own.mass, "acceleration": own.acceleration,
-                "speed": own.speed, "time": time_ratio(own, reference), "low": low, "high": high,
-                "energy": energy_ratio(own, reference), "limited": time_ratio(own, reference, SPEED_LIMIT),
-                "paper": paper.figure("redundancy_time", vehicle=design.craft, scheme=scheme),
-                "paper_energy": paper.figure("redundancy_energy", vehicle=design.craft, scheme=scheme),
-            })  # fmt: skip
+            rows.append(
+                {
+                    "vehicle": design.craft,
+                    "calibration": design.calibration,
+                    "scheme": scheme,
+                    "payload": 1000 * own.payload,
+                    "mass": 1000 * own.mass,
+                    "acceleration": own.acceleration,
+                    "speed": own.speed,
+                    "time": time_ratio(own, reference),
+                    "low": low,
+                    "high": high,
+                    "energy": energy_ratio(own, reference),
+                    "limited": time_ratio(own, reference, SPEED_LIMIT),
+                    "paper": paper.figure("redundancy_time", vehicle=design.craft, scheme=scheme),
+                    "paper_energy": paper.figure("redundancy_energy", vehicle=design.craft, scheme=scheme),
+                }
+            )
     return _of(rows)
 
 
@@ -233,11 +243,19 @@ def _sensitivity(designs: Sequence[DesignConfig]) -> Runs:
     for design in designs:
         for key, found in design.bands.items():
             low, high = (None if end is None else ratio(end, TMR) for end in at_ends(design, key))
-            rows.append({
-                "vehicle": design.craft, "calibration": design.calibration, "parameter": key.replace("_", " "),
-                "value": getattr(design, key), "from": found.low, "to": found.high, "at_low": low, "at_high": high,
-                "source": design.sources.get(key, ""),
-            })  # fmt: skip
+            rows.append(
+                {
+                    "vehicle": design.craft,
+                    "calibration": design.calibration,
+                    "parameter": key.replace("_", " "),
+                    "value": getattr(design, key),
+                    "from": found.low,
+                    "to": found.high,
+                    "at_low": low,
+                    "at_high": high,
+                    "source": design.sources.get(key, ""),
+                }
+            )
     return _of(rows)
 
 
@@ -256,11 +274,15 @@ def _published_speeds() -> Runs:
     ]
     return _of(
         {
-            "source": source, "period": round(period, 3), "acceleration": acceleration, "range": distance,
-            "published": published, "speed": safe_speed(acceleration, period, distance),
+            "source": source,
+            "period": round(period, 3),
+            "acceleration": acceleration,
+            "range": distance,
+            "published": published,
+            "speed": safe_speed(acceleration, period, distance),
         }
         for source, acceleration, distance, period, published in (*mavbench, *roborun)
-    )  # fmt: skip
+    )
 
 
 def _number(key: str, heading: str, form: str) -> Measure:
@@ -283,17 +305,23 @@ def _band(own: Runs) -> str | None:
 
 _TIMES, _WHO = "number .3f ×", ("vehicle", "calibration")
 _COMPARED = View(
-    "redundancy", "Redundant processors against detection (Fig. 8): flight time and energy over the same distance",
+    "redundancy",
+    "Redundant processors against detection (Fig. 8): flight time and energy over the same distance",
     (*_WHO, "scheme"),
     (
-        _number("time", "flight time", _TIMES), Measure("band", "band", TEXT, _band),
-        _number("paper", "paper", "number .2f ×"), _number("energy", "energy, hover power", _TIMES),
+        _number("time", "flight time", _TIMES),
+        Measure("band", "band", TEXT, _band),
+        _number("paper", "paper", "number .2f ×"),
+        _number("energy", "energy, hover power", _TIMES),
         _number("paper_energy", "paper, energy", "number .2f ×"),
         _number("limited", f"flight time, v ≤ {SPEED_LIMIT:g} m/s", _TIMES),
-        _number("speed", "speed", "number .2f m/s"), _number("acceleration", "acceleration", "number .2f m/s²"),
-        _number("mass", "mass", "number .0f g"), _number("payload", "of it computer", "number .0f g"),
+        _number("speed", "speed", "number .2f m/s"),
+        _number("acceleration", "acceleration", "number .2f m/s²"),
+        _number("mass", "mass", "number .0f g"),
+        _number("payload", "of it computer", "number .0f g"),
     ),
-    where=lambda _: _comparison(shipped_designs()), by_name=True,
+    where=lambda _: _comparison(shipped_designs()),
+    by_name=True,
     notes=lambda _: (
         "ratios to the autoencoder scheme; a vehicle flies at the speed from which it still stops within its sensing "
         "range: v T + v²/(2a) = d (Krishnan et al., IEEE CAL 2020); DMR, TMR: 2, 3 processors in lockstep on a board, "
@@ -306,30 +334,41 @@ _COMPARED = View(
         "power, as in the paper, the ratio of energies is that of flight times",
         f"with the published mission's limit of {SPEED_LIMIT:g} m/s a vehicle that may fly faster loses no time",
     ),
-)  # fmt: skip
+)
 _BAND = View(
-    "redundancy_band", "Redundant processors: flight time of TMR by parameter", (*_WHO, "parameter"),
+    "redundancy_band",
+    "Redundant processors: flight time of TMR by parameter",
+    (*_WHO, "parameter"),
     (
-        _number("value", "value", "number .5g"), _number("from", "from", "number .5g"),
-        _number("to", "to", "number .5g"), _number("at_low", "TMR at lower end", _TIMES),
-        _number("at_high", "TMR at upper end", _TIMES), first("source", "source"),
+        _number("value", "value", "number .5g"),
+        _number("from", "from", "number .5g"),
+        _number("to", "to", "number .5g"),
+        _number("at_low", "TMR at lower end", _TIMES),
+        _number("at_high", "TMR at upper end", _TIMES),
+        first("source", "source"),
     ),
-    where=lambda _: _sensitivity(shipped_designs()), by_name=True,
+    where=lambda _: _sensitivity(shipped_designs()),
+    by_name=True,
     notes=lambda _: ("SI units; — = cannot hover with one processor",),
-)  # fmt: skip
+)
 _SPEEDS = View(
-    "redundancy_speeds", "The stopping model against published speeds", ("source", "period"),
+    "redundancy_speeds",
+    "The stopping model against published speeds",
+    ("source", "period"),
     (
-        _number("acceleration", "acceleration", "number .0f m/s²"), _number("range", "range", "number .1f m"),
-        _number("published", "published", "number .2f m/s"), _number("speed", "model", "number .2f m/s"),
+        _number("acceleration", "acceleration", "number .0f m/s²"),
+        _number("range", "range", "number .1f m"),
+        _number("published", "published", "number .2f m/s"),
+        _number("speed", "model", "number .2f m/s"),
     ),
-    where=lambda _: _published_speeds(), by_name=True,
+    where=lambda _: _published_speeds(),
+    by_name=True,
     headings=("source", "action period (s)"),
     notes=lambda _: (
         "RoboRun: the period is what its stopping distance leaves of 7 m; the model brakes with 5 m/s², limit of the "
         "published mission",
     ),
-)  # fmt: skip
+)
 CHAPTER = Chapter(100, (_COMPARED, _BAND, _SPEEDS))
 
 

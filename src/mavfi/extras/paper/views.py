@@ -86,19 +86,33 @@ def _quantile(own: Runs, share: float) -> float | None:
 
 
 def _shown(
-    name: str, title: str, by: str, where: Callable[[Runs], Runs], heading: str, applies: Any, note: str,
-    *, leads: bool = False,
-) -> View:  # fmt: skip
+    name: str,
+    title: str,
+    by: str,
+    where: Callable[[Runs], Runs],
+    heading: str,
+    applies: Any,
+    note: str,
+    *,
+    leads: bool = False,
+) -> View:
     return View(
-        name, title, ("environment", by),
-        (m.count("n", "n"), m.rate("success", "success %", "success"), _P, _DETOURS, *_TIMES), where=where,
-        headings=("environment", heading), applies=applies, leads=leads,
+        name,
+        title,
+        ("environment", by),
+        (m.count("n", "n"), m.rate("success", "success %", "success"), _P, _DETOURS, *_TIMES),
+        where=where,
+        headings=("environment", heading),
+        applies=applies,
+        leads=leads,
         notes=lambda _: (
-            note, f"rates: {INTERVALS}; flight times of missions that succeed; against golden: of the "
-            "same world", f"p: {m.PAIRED_TEST}; success with the fault and without it, in the same missions; not "
-            "corrected for the number of rows", ONE_FAULT,
+            note,
+            f"rates: {INTERVALS}; flight times of missions that succeed; against golden: of the same world",
+            f"p: {m.PAIRED_TEST}; success with the fault and without it, in the same missions; not "
+            "corrected for the number of rows",
+            ONE_FAULT,
         ),
-    )  # fmt: skip
+    )
 
 
 def _kernels_note() -> str:
@@ -111,16 +125,35 @@ def _kernels_note() -> str:
 
 
 _EFFECTS = (
-    _shown("kernels_as_in_the_paper", "Fig. 3: flight time and success, one fault in one kernel", "kernel", by_kernel,
-           "kernel", lambda runs: has(runs.injected, level=INSTRUCTION) and runs.campaign.get("each") == "kernel",
-           _kernels_note(), leads=True),
-    _shown("states_as_in_the_paper", "Fig. 4: flight time and success, one fault in one inter-kernel state", "target",
-           by_state, "state", lambda runs: of_states(runs) and runs.campaign.get("each") == "group",
-           "the paper's Fig. 4 is a drawing without numbers; faults in sign and exponent bits, where drawn apart"),
-    _shown("bits_as_in_the_paper", "Section III-B: flight time and success, by class of the flipped bit", "bits",
-           by_bits, "bits", lambda runs: set(BIT_CLASSES) <= set(runs.injected.values("population")),
-           "section III-B: faults in sign and exponent fields have a greater impact"),
-)  # fmt: skip
+    _shown(
+        "kernels_as_in_the_paper",
+        "Fig. 3: flight time and success, one fault in one kernel",
+        "kernel",
+        by_kernel,
+        "kernel",
+        lambda runs: has(runs.injected, level=INSTRUCTION) and runs.campaign.get("each") == "kernel",
+        _kernels_note(),
+        leads=True,
+    ),
+    _shown(
+        "states_as_in_the_paper",
+        "Fig. 4: flight time and success, one fault in one inter-kernel state",
+        "target",
+        by_state,
+        "state",
+        lambda runs: of_states(runs) and runs.campaign.get("each") == "group",
+        "the paper's Fig. 4 is a drawing without numbers; faults in sign and exponent bits, where drawn apart",
+    ),
+    _shown(
+        "bits_as_in_the_paper",
+        "Section III-B: flight time and success, by class of the flipped bit",
+        "bits",
+        by_bits,
+        "bits",
+        lambda runs: set(BIT_CLASSES) <= set(runs.injected.values("population")),
+        "section III-B: faults in sign and exponent fields have a greater impact",
+    ),
+)
 
 
 # ---- Fig. 6 ------------------------------------------------------------------------------------------------------
@@ -184,10 +217,13 @@ def _papers(own: Runs) -> float | None:
 
 _FLIGHT_TIMES = (
     View(
-        "flight_times", "Flight time: worst cases, and what detection and recovery take from them",
+        "flight_times",
+        "Flight time: worst cases, and what detection and recovery take from them",
         SETTING,
         (
-            m.count("n", "n"), m.rate("success", "success %", "success"), *_TIMES[:3],
+            m.count("n", "n"),
+            m.rate("success", "success %", "success"),
+            *_TIMES[:3],
             Measure("time_limit", "limit", "number .0f s", lambda own: own.frame["time_limit_s"].max()),
             Measure("cvar_s", "CVaR 5 %", SECONDS, lambda own: value_at_risk(own.where("success")["flight_time_s"])),
             Measure("cvar_limit_s", "CVaR, failures at the limit", SECONDS, lambda own: value_at_risk(_censored(own))),
@@ -196,11 +232,16 @@ _FLIGHT_TIMES = (
             Measure("worst", "worst increase", SIGNED, _increase(1.0)),
             paper.column(paper.worst_time, "paper's worst", SIGNED),
             _recovered,
-            Measure("worst_energy", "worst energy", SIGNED,
-                    lambda own: m.quantile_of(own.where("paired")["energy_inflation"], 1.0)),
+            Measure(
+                "worst_energy",
+                "worst energy",
+                SIGNED,
+                lambda own: m.quantile_of(own.where("paired")["energy_inflation"], 1.0),
+            ),
             Measure("worst_run", "worst run", TEXT, lambda own: m.worst_run(own.where("paired")), hidden=True),
         ),
-        where=distribution, applies=lambda runs: of_values(runs) or has(runs.injected, level=INSTRUCTION),
+        where=distribution,
+        applies=lambda runs: of_values(runs) or has(runs.injected, level=INSTRUCTION),
         notes=lambda _: (
             "flight times of missions that succeed; CVaR 5 %: mean of the slowest 5 % of them, and of all missions "
             "with failures at the time limit, which bounds every worst case",
@@ -211,7 +252,7 @@ _FLIGHT_TIMES = (
             ONE_FAULT,
         ),
     ),
-)  # fmt: skip
+)
 
 
 # ---- Fig. 9 of the paper and its table: the same missions on different computing platforms -------------------------
@@ -301,9 +342,14 @@ def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     yield ratio("worst_ratio", "worst ratio", "flight_time_s", 1.0)
     yield Measure("paper_ratio", "paper", _RATIO, papers_ratio)
     yield contrast_measure(
-        "recovered", "recovered", PERCENT_TEST, recoverable, "flight_time_s", 1.0,
+        "recovered",
+        "recovered",
+        PERCENT_TEST,
+        recoverable,
+        "flight_time_s",
+        1.0,
         lambda fi, dr, golden: np.where(fi > golden, (fi - dr) / (fi - golden), 0.0),  # of a sample without a worse one
-    )  # fmt: skip
+    )
     yield Measure("paper_recovered", "paper", PERCENT, papers_recovery)
 
 
@@ -337,31 +383,44 @@ def _explanation(runs: Runs) -> list[str]:
     ]
 
 
-CHAPTER = Chapter(80, (
-    *_EFFECTS,
-    *_FLIGHT_TIMES,
-    View(
-        "platforms", "Computing platforms (Fig. 9): flights that succeed", ("environment", "setting"),
-        (
-            m.count("n", "flights"),
-            Measure("median_s", "median time", _SECONDS, _median), Measure("worst_s", "worst time", _SECONDS, _worst),
-            Measure("paper_s", "paper", _SECONDS, _on_platform("flight_time_s")),
-            m.median("energy_j", "median energy", _KJ),
-            Measure("paper_kj", "paper", _KJ, lambda own: _kilo(_on_platform("energy_kj")(own))),
-            Measure("power_w", "power", "number .0f W", _power),
-            Measure("paper_w", "paper", "number .0f W", _papers_power), _against_first,
-            Measure("paper_processor", "paper: processor", "text", lambda own: _watts(_on_platform("power_w")(own))),
+CHAPTER = Chapter(
+    80,
+    (
+        *_EFFECTS,
+        *_FLIGHT_TIMES,
+        View(
+            "platforms",
+            "Computing platforms (Fig. 9): flights that succeed",
+            ("environment", "setting"),
+            (
+                m.count("n", "flights"),
+                Measure("median_s", "median time", _SECONDS, _median),
+                Measure("worst_s", "worst time", _SECONDS, _worst),
+                Measure("paper_s", "paper", _SECONDS, _on_platform("flight_time_s")),
+                m.median("energy_j", "median energy", _KJ),
+                Measure("paper_kj", "paper", _KJ, lambda own: _kilo(_on_platform("energy_kj")(own))),
+                Measure("power_w", "power", "number .0f W", _power),
+                Measure("paper_w", "paper", "number .0f W", _papers_power),
+                _against_first,
+                Measure(
+                    "paper_processor", "paper: processor", "text", lambda own: _watts(_on_platform("power_w")(own))
+                ),
+            ),
+            where=compared,
+            headings=("platform", "setting"),
+            notes=lambda runs: (
+                "recovered: of the worst flight time with a fault beyond the worst golden one, the share that the detector "
+                "takes away; ratios: to the same setting on the first platform",
+                f"{CONTRAST} (platforms of a ratio, detector and none of recovered); of a worst case the interval is too "
+                "narrow, since no sample is worse than the flown ones",
+                *_explanation(runs),
+                "latencies are modelled; power is that of the rotors, the processor's is not in it",
+                ONE_FAULT,
+            ),
+            applies=lambda runs: bool(platforms(runs)),
         ),
-        where=compared, headings=("platform", "setting"),
-        notes=lambda runs: (
-            "recovered: of the worst flight time with a fault beyond the worst golden one, the share that the detector "
-            "takes away; ratios: to the same setting on the first platform",
-            f"{CONTRAST} (platforms of a ratio, detector and none of recovered); of a worst case the interval is too "
-            "narrow, since no sample is worse than the flown ones", *_explanation(runs),
-            "latencies are modelled; power is that of the rotors, the processor's is not in it", ONE_FAULT,
-        ), applies=lambda runs: bool(platforms(runs)),
     ),
-))  # fmt: skip
+)
 
 
 def _kilo(kilojoule: float | None) -> float | None:

@@ -79,7 +79,7 @@ def between_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | No
 
 def _compared(
     first: Runs, second: Runs, value: pl.Expr, worlds: int, difference: float, p_value: float | None
-) -> Difference:  # fmt: skip
+) -> Difference:
     ids = (part.where(value.is_not_null()).ids for part in (first, second))
     behind = tuple(dict.fromkeys(run_id for part in ids for run_id in part))
     return Difference(_mean(first, value), _mean(second, value), worlds, difference, p_value, behind)
@@ -98,7 +98,7 @@ class Contrast(Rate):
 
 def contrast(
     groups: Sequence[Runs], column: str, share: float, of: Callable[..., Any], *, by: str = "world"
-) -> Contrast | None:  # fmt: skip
+) -> Contrast | None:
     """Contrast the quantiles of groups of runs in the same worlds.
 
     The interval is a bootstrap of worlds, each with its runs of all groups.  The p value is that of the difference of
@@ -140,9 +140,16 @@ def contrast(
 
 
 def contrast_measure(  # noqa: PLR0913 - what `Measure` and `contrast` take
-    key: str, heading: str, form: str, groups: Callable[[Runs], Sequence[Runs]], column: str, share: float,
-    of: Callable[..., Any], *, by: str = "world",
-) -> Measure:  # fmt: skip
+    key: str,
+    heading: str,
+    form: str,
+    groups: Callable[[Runs], Sequence[Runs]],
+    column: str,
+    share: float,
+    of: Callable[..., Any],
+    *,
+    by: str = "world",
+) -> Measure:
     """A column of contrasts; `groups` maps the rows of a group to the compared ones, none = no cell."""
 
     def counted(own: Runs) -> Runs:
@@ -182,14 +189,19 @@ def _mean(runs: Runs, value: pl.Expr) -> Mean:
 
 def _p_value(
     data: tuple[np.ndarray, ...], statistic: Callable[..., np.ndarray], kind: str, batch: int | None = None
-) -> float | None:  # fmt: skip
+) -> float | None:
     """Two-sided p value of a randomization test (deterministic); None with fewer than two worlds in a group."""
     if any(len(part) < 2 for part in data):
         return None
     if not any(part.any() for part in data):
         return 1.0
     found = scipy.stats.permutation_test(
-        data, statistic, permutation_type=kind, vectorized=True, n_resamples=_RESAMPLES,
-        batch=batch, rng=np.random.default_rng(_SEED),
-    )  # fmt: skip
+        data,
+        statistic,
+        permutation_type=kind,
+        vectorized=True,
+        n_resamples=_RESAMPLES,
+        batch=batch,
+        rng=np.random.default_rng(_SEED),
+    )
     return float(min(1.0, found.pvalue))

@@ -90,11 +90,19 @@ def _report(injection: Injection) -> None:
     elif injection.before == injection.after:
         done, values = "not flipped (null injection)", f"{injection.before}, unchanged"
     out = console()
-    out.print(Text.assemble(
-        f"pid {details['pid']}, thread {details['thread']}: ", (injection.site, "bold"), f" bit {injection.bit} {done} "
-        f"{when} ", (details["instruction"], "bold"), f": {values}",
-    ))  # fmt: skip
-    out.print(Text(
-        f"  at {details['address']}, {details['symbol'] or details['offset']} in {details['library']}; "
-        f"stood still for {details['stopped_us'] / 1000:.2f} ms", style="dim",
-    ))  # fmt: skip
+    out.print(
+        Text.assemble(
+            f"pid {details['pid']}, thread {details['thread']}: ",
+            (injection.site, "bold"),
+            f" bit {injection.bit} {done} {when} ",
+            (details["instruction"], "bold"),
+            f": {values}",
+        )
+    )
+    out.print(
+        Text(
+            f"  at {details['address']}, {details['symbol'] or details['offset']} in {details['library']}; "
+            f"stood still for {details['stopped_us'] / 1000:.2f} ms",
+            style="dim",
+        )
+    )

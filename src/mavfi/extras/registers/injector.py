@@ -179,9 +179,12 @@ def _qualifying(instruction: Instruction, access: str, wanted: str) -> list[Regi
 def _record(search: _Search, attempt: _Attempt, done: Done, attempts: int, space: AddressSpace) -> Injection:
     """The injection record."""
     details = {
-        "pid": search.pid, "thread": attempt.tracee.thread, "attempts": attempts, "walked": attempt.walked,
+        "pid": search.pid,
+        "thread": attempt.tracee.thread,
+        "attempts": attempts,
+        "walked": attempt.walked,
         "stopped_us": round(1e6 * attempt.stopped),
-    }  # fmt: skip
+    }
     return injection_of(done, space, search.fault, details)
 
 
@@ -189,14 +192,25 @@ def injection_of(done: Done, space: AddressSpace, fault: RegisterFault, details:
     """The record of an injection, with time 0; values and addresses are hexadecimal text, for up to 256 bits."""
     location = space.place(done.address)
     return Injection(
-        fault.level, done.register.name, 0.0, done.bit, f"{done.before:#x}", f"{done.after:#x}",
+        fault.level,
+        done.register.name,
+        0.0,
+        done.bit,
+        f"{done.before:#x}",
+        f"{done.after:#x}",
         done.after == done.before ^ (0 if fault.null else 1 << done.bit),
         details={
-            "address": f"{done.address:#x}", "library": location.library, "offset": f"{location.offset:#x}",
-            "symbol": location.symbol, "instruction": done.instruction.text, "access": done.access,
-            "register": done.register.name, "width": done.register.width, **details,
+            "address": f"{done.address:#x}",
+            "library": location.library,
+            "offset": f"{location.offset:#x}",
+            "symbol": location.symbol,
+            "instruction": done.instruction.text,
+            "access": done.access,
+            "register": done.register.name,
+            "width": done.register.width,
+            **details,
         },
-    )  # fmt: skip
+    )
 
 
 @contextmanager

@@ -57,15 +57,21 @@ class RegisterSampler(Sampler):
 
     def _fault(
         self, registers: str, index: int, environment: str, golden: Golden, *, null: bool = False
-    ) -> RegisterFault:  # fmt: skip
+    ) -> RegisterFault:
         sampling, seed = self.sampling, self.campaign.first_seed + index
         flown = golden[""].flight.record() if "" in golden else None
         length_us = 0 if flown is None else round(1e6 * flown.flight_time_s)  # 0: a process that flies no mission
         return RegisterFault(
-            registers, sampling.access, sampling.symbol, walk=sampling.walk, timeout=PATIENCE_S, null=null, seed=seed,
+            registers,
+            sampling.access,
+            sampling.symbol,
+            walk=sampling.walk,
+            timeout=PATIENCE_S,
+            null=null,
+            seed=seed,
             node="" if flown is None else str(flown.extra.get("node", "")),
             time_us=int(stream(seed, environment, registers).integers(length_us)) if length_us else 0,
-        )  # fmt: skip
+        )
 
 
 class RegisterLevel(Level):

@@ -103,7 +103,7 @@ def decode(code: bytes, address: int) -> Instruction | None:
         writes += _vector(masked[0], decoded.mnemonic)
     return Instruction(
         text, decoded.mnemonic in ("syscall", "sysenter", "int"), _registers(decoded, read, _FLAGS_READ), writes
-    )  # fmt: skip
+    )
 
 
 def _flag_masks(*verbs: str) -> dict[str, int]:

@@ -96,9 +96,15 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     setup, label, _ = watched(mission, detector, profile, models)
     plan = Plan(
-        setup.scenario, configure(setup.scenario), drawn(setup.scenario, request, fault_seed), setup.detector(),
-        setup.recovery, kills, register_faults=faults, pace=pace,
-    )  # fmt: skip
+        setup.scenario,
+        configure(setup.scenario),
+        drawn(setup.scenario, request, fault_seed),
+        setup.detector(),
+        setup.recovery,
+        kills,
+        register_faults=faults,
+        pace=pace,
+    )
     check(plan)
     with stoppable("Stopped; every process of the flight has ended."):
         result, flight = _fly(plan, label, allow_bind_all, quiet=as_json)
@@ -129,11 +135,12 @@ def _show(plan: Plan, result: FlightResult, flight: RosFlight, as_json: bool, wr
     nodes = [event for event in log.events if event.kind in _NODE_EVENTS]
     if as_json:
         ros = {
-            "nodes": list(plan.nodes), "coupling": plan.recovery.coupling if plan.detector is not None else None,
+            "nodes": list(plan.nodes),
+            "coupling": plan.recovery.coupling if plan.detector is not None else None,
             "wall_s": flight.times,
             "lives": [{"time_s": 1e-6 * event.time_us, "event": event.kind, **event.data} for event in nodes],
             "register_effect": effect(plan, log),
-        }  # fmt: skip
+        }
         write_json({**result.to_json(), "ros": ros})
         return
     from mavfi.cli.flight_text import panel

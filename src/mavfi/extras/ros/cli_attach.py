@@ -206,10 +206,14 @@ def watch(  # noqa: PLR0913 - one parameter per option
                     out.print(f"{topic} message {alarm.message}: {named}, score {alarm.score:.3g}", markup=False)
         finally:
             if as_json:
-                write_json({
-                    "learned_from": used, "judged": dict(watching.judged), "skipped": dict(watching.skipped),
-                    "alarms": [alarm.to_json() for alarm in watching.alarms],
-                })  # fmt: skip
+                write_json(
+                    {
+                        "learned_from": used,
+                        "judged": dict(watching.judged),
+                        "skipped": dict(watching.skipped),
+                        "alarms": [alarm.to_json() for alarm in watching.alarms],
+                    }
+                )
     if not as_json:
         out.print(f"{watching.judged.total()} messages judged, {len(watching.alarms)} alarms")
 

@@ -43,15 +43,22 @@ def _stopped_note(runs: Runs) -> list[str]:
     return [f"the process stood still for {held[len(held) // 2] / 1000:.1f} ms (median)"] if held else []
 
 
-CHAPTER = Chapter(40, (
-    View(
-        "register_effects", "What one bit in a register does", ("registers",),
-        (
-            m.count("n", "trials", _JUDGED),
-            *(m.wilson_rate(key, heading, pl.col("effect") == key, _JUDGED) for key, heading in _EFFECTS.items()),
-            m.count("unknown", "not judged", effect="unknown"),
+CHAPTER = Chapter(
+    40,
+    (
+        View(
+            "register_effects",
+            "What one bit in a register does",
+            ("registers",),
+            (
+                m.count("n", "trials", _JUDGED),
+                *(m.wilson_rate(key, heading, pl.col("effect") == key, _JUDGED) for key, heading in _EFFECTS.items()),
+                m.count("unknown", "not judged", effect="unknown"),
+            ),
+            where=_trials,
+            total=("registers", "in all"),
+            notes=lambda runs: (_INTERVALS, *_endings_note(runs), *_stopped_note(runs), _REPEAT),
+            applies=_of_registers,
         ),
-        where=_trials, total=("registers", "in all"),
-        notes=lambda runs: (_INTERVALS, *_endings_note(runs), *_stopped_note(runs), _REPEAT), applies=_of_registers,
     ),
-))  # fmt: skip
+)

@@ -45,9 +45,7 @@ def mask_of(bit: int | None, width: int) -> int:
     return 0 if bit is None else ((1 << width) - 1) << bit
 
 
-def _with_bits(
-    state: State, site: FaultSite, mask: int, stuck: int | None = None
-) -> tuple[State, Number, Number, int]:  # fmt: skip
+def _with_bits(state: State, site: FaultSite, mask: int, stuck: int | None = None) -> tuple[State, Number, Number, int]:
     """A copy with masked bits of a field flipped, or set as in `stuck`; also value before and after, and new word."""
     if is_length(state.spec, site.field):
         raise BadInputError(f"{site}: is the length of a list; allowed: a field of the state")
@@ -190,9 +188,15 @@ class StateInjector(Injector):
             self._since_us, self._stuck = time_us, word
             activated = (injected is not None and injected.same_bits(state)) == (fault.bit is None)
             injection = Injection(
-                fault.level, str(site), time_us / 1e6, fault.bit, before, after, activated,
+                fault.level,
+                str(site),
+                time_us / 1e6,
+                fault.bit,
+                before,
+                after,
+                activated,
                 details={"lost": True} if injected is None else {},
-            )  # fmt: skip
+            )
             self.injections.append(injection)
         return injected
 

@@ -51,9 +51,7 @@ def parse(spec: StateSpec, data: bytes | bytearray) -> State | None:
     return State(spec, header, elements)
 
 
-def with_length(
-    state: State, name: str, mask: int, stuck: int | None = None
-) -> tuple[State | None, int, int, int]:  # fmt: skip
+def with_length(state: State, name: str, mask: int, stuck: int | None = None) -> tuple[State | None, int, int, int]:
     """The state as read after masked bits of a list's length were flipped, or set as in `stuck`; None = dropped.
 
     Also returns the length before and after, and the new word, as for other fields.

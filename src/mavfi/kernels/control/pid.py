@@ -98,9 +98,12 @@ def track(
         # without a gain the acceleration is not read: 0 x inf would be NaN
         lead = gains.acceleration * waypoint[7 + axis] if gains.acceleration != 0.0 else 0.0
         command[axis] = (
-            gains.velocity * waypoint[4 + axis] + lead
-            + gains.p[axis] * error + gains.i[axis] * memory[axis] + gains.d[axis] * rate
-        )  # fmt: skip
+            gains.velocity * waypoint[4 + axis]
+            + lead
+            + gains.p[axis] * error
+            + gains.i[axis] * memory[axis]
+            + gains.d[axis] * rate
+        )
     memory[6] = 1.0
     slowdown = _saturate(command, gains.limit)
     w, x, y, z = odometry[6], odometry[7], odometry[8], odometry[9]

@@ -44,9 +44,17 @@ def _move(counter: np.ndarray, grid: Grid, voxel: int, offsets: np.ndarray, reac
 
 @kernel_jit
 def set_cell(
-    grid: Grid, cells: np.ndarray, wide: np.ndarray, wide_offsets: np.ndarray, wide_reach: int, narrow: np.ndarray,
-    narrow_offsets: np.ndarray, narrow_reach: int, voxel: int, value: int,
-) -> None:  # fmt: skip
+    grid: Grid,
+    cells: np.ndarray,
+    wide: np.ndarray,
+    wide_offsets: np.ndarray,
+    wide_reach: int,
+    narrow: np.ndarray,
+    narrow_offsets: np.ndarray,
+    narrow_reach: int,
+    voxel: int,
+    value: int,
+) -> None:
     """Set the state of a voxel, and update both counters if its occupancy changes.
 
     Arguments as for `apply_updates`; reaches are those of the offsets.
@@ -61,10 +69,17 @@ def set_cell(
 
 @kernel_jit
 def apply_updates(
-    voxels: np.ndarray, log_odds: np.ndarray, grid: Grid, cells: np.ndarray, wide: np.ndarray,
-    wide_offsets: np.ndarray, narrow: np.ndarray, narrow_offsets: np.ndarray, journal_voxels: np.ndarray,
+    voxels: np.ndarray,
+    log_odds: np.ndarray,
+    grid: Grid,
+    cells: np.ndarray,
+    wide: np.ndarray,
+    wide_offsets: np.ndarray,
+    narrow: np.ndarray,
+    narrow_offsets: np.ndarray,
+    journal_voxels: np.ndarray,
     journal_cells: np.ndarray,
-) -> int:  # fmt: skip
+) -> int:
     """Apply a map update.
 
     Args:
@@ -93,21 +108,34 @@ def apply_updates(
             journal_voxels[changed] = voxel
             journal_cells[changed] = cells[voxel]
             changed += 1
-            set_cell(
-                grid, cells, wide, wide_offsets, wide_reach, narrow, narrow_offsets, narrow_reach, voxel, value
-            )  # fmt: skip
+            set_cell(grid, cells, wide, wide_offsets, wide_reach, narrow, narrow_offsets, narrow_reach, voxel, value)
     return changed
 
 
 @kernel_jit
 def undo_updates(
-    grid: Grid, cells: np.ndarray, wide: np.ndarray, wide_offsets: np.ndarray, narrow: np.ndarray,
-    narrow_offsets: np.ndarray, journal_voxels: np.ndarray, journal_cells: np.ndarray, count: int,
-) -> None:  # fmt: skip
+    grid: Grid,
+    cells: np.ndarray,
+    wide: np.ndarray,
+    wide_offsets: np.ndarray,
+    narrow: np.ndarray,
+    narrow_offsets: np.ndarray,
+    journal_voxels: np.ndarray,
+    journal_cells: np.ndarray,
+    count: int,
+) -> None:
     """Undo the last `apply_updates`; arguments as there, `count` is its return value."""
     wide_reach, narrow_reach = _reach(wide_offsets), _reach(narrow_offsets)
     for i in range(count - 1, -1, -1):
         set_cell(
-            grid, cells, wide, wide_offsets, wide_reach, narrow, narrow_offsets, narrow_reach, journal_voxels[i],
+            grid,
+            cells,
+            wide,
+            wide_offsets,
+            wide_reach,
+            narrow,
+            narrow_offsets,
+            narrow_reach,
+            journal_voxels[i],
             journal_cells[i],
-        )  # fmt: skip
+        )

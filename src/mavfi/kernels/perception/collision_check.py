@@ -16,9 +16,14 @@ _ESCAPE_CORE = 0.5
 
 @kernel_jit
 def time_to_collision(
-    counter: np.ndarray, grid: Grid, position: np.ndarray, points: np.ndarray, first: int, remaining: float,
+    counter: np.ndarray,
+    grid: Grid,
+    position: np.ndarray,
+    points: np.ndarray,
+    first: int,
+    remaining: float,
     outside_blocked: bool,
-) -> float:  # fmt: skip
+) -> float:
     """Reference time until the vehicle, following the rest of its trajectory, first enters a blocked voxel.
 
     Includes the leg from the vehicle to the point in force.
@@ -76,9 +81,15 @@ def _step_to(points: np.ndarray, i: int) -> float:
 
 @kernel_jit
 def known_free_distance(
-    counter: np.ndarray, cells: np.ndarray, grid: Grid, points: np.ndarray, first: int, horizon: float, reach: int,
+    counter: np.ndarray,
+    cells: np.ndarray,
+    grid: Grid,
+    points: np.ndarray,
+    first: int,
+    horizon: float,
+    reach: int,
     escaping: bool,
-) -> tuple[float, float]:  # fmt: skip
+) -> tuple[float, float]:
     """Arc lengths of the first blocked and the first unknown sample of a trajectory.
 
     Args:

@@ -97,8 +97,10 @@ def _face(origin: np.float32, direction: np.float32, key: int, resolution: float
 def _keys(frame: KeyFrame, point: np.ndarray) -> tuple[int, int, int]:
     inverse = 1.0 / frame.resolution
     return (
-        int(math.floor(inverse * point[0])), int(math.floor(inverse * point[1])), int(math.floor(inverse * point[2])),
-    )  # fmt: skip
+        int(math.floor(inverse * point[0])),
+        int(math.floor(inverse * point[1])),
+        int(math.floor(inverse * point[2])),
+    )
 
 
 @kernel_jit
@@ -121,10 +123,14 @@ def _faces(
 
 @kernel_jit
 def _walk_free(
-    frame: KeyFrame, origin: np.ndarray, end: np.ndarray, stamp: np.ndarray, scan_stamp: np.int32,
+    frame: KeyFrame,
+    origin: np.ndarray,
+    end: np.ndarray,
+    stamp: np.ndarray,
+    scan_stamp: np.int32,
     touched: np.ndarray,
     count: int,
-) -> int:  # fmt: skip
+) -> int:
     """Mark the voxels on origin -> end, excluding the last one, as free in this scan; returns the new count."""
     kx, ky, kz = _keys(frame, origin)
     end_x, end_y, end_z = _keys(frame, end)
@@ -222,9 +228,16 @@ def _walk_block(block: Block, steps: int) -> None:
 
 @kernel_jit
 def _free_block(
-    frame: KeyFrame, origin: np.ndarray, ends: np.ndarray, first: int, block: Block, stamp: np.ndarray,
-    scan_stamp: np.int32, touched: np.ndarray, count: int,
-) -> int:  # fmt: skip
+    frame: KeyFrame,
+    origin: np.ndarray,
+    ends: np.ndarray,
+    first: int,
+    block: Block,
+    stamp: np.ndarray,
+    scan_stamp: np.int32,
+    touched: np.ndarray,
+    count: int,
+) -> int:
     """`_walk_free` for one block of ends from `first` on."""
     size = min(block.rays.shape[1], ends.shape[0] - first)
     _walk_block(block, _set_out(frame, origin, ends, first, size, block))
@@ -275,9 +288,14 @@ def _end_of_ray(start: np.ndarray, point: np.ndarray, max_range: float, frame: K
 
 @kernel_jit
 def collect(
-    points: np.ndarray, origin: np.ndarray, max_range: float, frame: KeyFrame, stamp: np.ndarray, scan: int,
+    points: np.ndarray,
+    origin: np.ndarray,
+    max_range: float,
+    frame: KeyFrame,
+    stamp: np.ndarray,
+    scan: int,
     touched: np.ndarray,
-) -> tuple[int, int]:  # fmt: skip
+) -> tuple[int, int]:
     """Find the voxels that a scan updates.
 
     Args:
@@ -320,9 +338,7 @@ def collect(
             hits[n_hits] = voxel
             n_hits += 1
     n_free = 0
-    block = Block(
-        np.zeros((12, RAYS)), np.zeros(RAYS, np.int64), np.empty((LONGEST, RAYS)), np.empty((LONGEST, RAYS))
-    )  # fmt: skip
+    block = Block(np.zeros((12, RAYS)), np.zeros(RAYS, np.int64), np.empty((LONGEST, RAYS)), np.empty((LONGEST, RAYS)))
     for first in range(0, n_ends, RAYS):
         n_free = _free_block(frame, start, ends[:n_ends], first, block, stamp, free_stamp, touched, n_free)
     for i in range(n_hits):

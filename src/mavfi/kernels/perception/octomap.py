@@ -31,9 +31,17 @@ def log_odds(probability: float) -> np.float32:
 
 @kernel_jit
 def insert_scan(
-    points: np.ndarray, origin: np.ndarray, max_range: float, frame: KeyFrame, rule: UpdateRule, log_odds: np.ndarray,
-    stamp: np.ndarray, scan: int, touched: np.ndarray, before: np.ndarray,
-) -> int:  # fmt: skip
+    points: np.ndarray,
+    origin: np.ndarray,
+    max_range: float,
+    frame: KeyFrame,
+    rule: UpdateRule,
+    log_odds: np.ndarray,
+    stamp: np.ndarray,
+    scan: int,
+    touched: np.ndarray,
+    before: np.ndarray,
+) -> int:
     """Integrate one scan.
 
     Args:

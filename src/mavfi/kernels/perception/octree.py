@@ -247,9 +247,14 @@ def update_node(tree: Octree, rule: UpdateRule, kx: int, ky: int, kz: int, hit: 
 
 @kernel_jit
 def update_voxels(
-    tree: Octree, frame: KeyFrame, rule: UpdateRule, voxels: np.ndarray, n_free: int, first: int,
+    tree: Octree,
+    frame: KeyFrame,
+    rule: UpdateRule,
+    voxels: np.ndarray,
+    n_free: int,
+    first: int,
     after: np.ndarray,
-) -> int:  # fmt: skip
+) -> int:
     """Update the voxels of a scan while the pool suffices.
 
     Args:

@@ -10,9 +10,13 @@ BEYOND_RANGE = 1.25
 
 @kernel_jit
 def back_project(
-    ranges: np.ndarray, directions: np.ndarray, rotation: np.ndarray, origin: np.ndarray, max_range: float,
+    ranges: np.ndarray,
+    directions: np.ndarray,
+    rotation: np.ndarray,
+    origin: np.ndarray,
+    max_range: float,
     points: np.ndarray,
-) -> None:  # fmt: skip
+) -> None:
     """Depth image -> points in the world frame.
 
     Args:

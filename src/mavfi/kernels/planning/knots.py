@@ -82,9 +82,20 @@ def new_work() -> Work:
     """Work space for `fit`."""
     n = minimum_snap.KNOT_LIMIT
     return Work(
-        np.zeros(VERTEX_LIMIT), np.zeros(n), np.zeros(n, np.int64), np.zeros((n, 3)), np.zeros(n), np.zeros(n),
-        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, 4, 3)), np.zeros((n, 3, 6)),
-    )  # fmt: skip
+        np.zeros(VERTEX_LIMIT),
+        np.zeros(n),
+        np.zeros(n, np.int64),
+        np.zeros((n, 3)),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros((n, 4, 3)),
+        np.zeros((n, 3, 6)),
+    )
 
 
 @kernel_jit

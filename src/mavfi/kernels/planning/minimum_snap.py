@@ -28,16 +28,18 @@ _PIECES = 4
 
 # Rows: contributions of p, v, a, j at the start and at the end of a segment of duration 1 to the coefficients of
 # 1, u .. u^7 (two-point Hermite interpolation).
-BASIS = np.array([
-    [1.0, 0.0, 0.0, 0.0, -35.0, 84.0, -70.0, 20.0],
-    [0.0, 1.0, 0.0, 0.0, -20.0, 45.0, -36.0, 10.0],
-    [0.0, 0.0, 0.5, 0.0, -5.0, 10.0, -7.5, 2.0],
-    [0.0, 0.0, 0.0, 1.0 / 6.0, -2.0 / 3.0, 1.0, -2.0 / 3.0, 1.0 / 6.0],
-    [0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0],
-    [0.0, 0.0, 0.0, 0.0, -15.0, 39.0, -34.0, 10.0],
-    [0.0, 0.0, 0.0, 0.0, 2.5, -7.0, 6.5, -2.0],
-    [0.0, 0.0, 0.0, 0.0, -1.0 / 6.0, 0.5, -0.5, 1.0 / 6.0],
-])  # fmt: skip
+BASIS = np.array(
+    [
+        [1.0, 0.0, 0.0, 0.0, -35.0, 84.0, -70.0, 20.0],
+        [0.0, 1.0, 0.0, 0.0, -20.0, 45.0, -36.0, 10.0],
+        [0.0, 0.0, 0.5, 0.0, -5.0, 10.0, -7.5, 2.0],
+        [0.0, 0.0, 0.0, 1.0 / 6.0, -2.0 / 3.0, 1.0, -2.0 / 3.0, 1.0 / 6.0],
+        [0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0],
+        [0.0, 0.0, 0.0, 0.0, -15.0, 39.0, -34.0, 10.0],
+        [0.0, 0.0, 0.0, 0.0, 2.5, -7.0, 6.5, -2.0],
+        [0.0, 0.0, 0.0, 0.0, -1.0 / 6.0, 0.5, -0.5, 1.0 / 6.0],
+    ]
+)
 
 
 def _snap_costs() -> np.ndarray:
@@ -56,9 +58,7 @@ def _velocity_pieces() -> np.ndarray:
         for j in range(7):
             for k in range(j + 1):
                 # coefficient k of the same polynomial in w, u = (piece + w) / 4
-                shifted = sum(
-                    velocity[:, m] * comb(m, k) * piece ** (m - k) / _PIECES**m for m in range(k, 7)
-                )  # fmt: skip
+                shifted = sum(velocity[:, m] * comb(m, k) * piece ** (m - k) / _PIECES**m for m in range(k, 7))
                 pieces[piece, j] += comb(j, k) / comb(6, k) * shifted
     return pieces
 
@@ -114,9 +114,14 @@ def _fix(rows: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> No
 
 @kernel_jit
 def _equations(
-    points: np.ndarray, times: np.ndarray, count: int, k: int, velocity: np.ndarray, acceleration: np.ndarray,
+    points: np.ndarray,
+    times: np.ndarray,
+    count: int,
+    k: int,
+    velocity: np.ndarray,
+    acceleration: np.ndarray,
     rows: np.ndarray,
-) -> None:  # fmt: skip
+) -> None:
     """Equations for the unknowns at point k; `rows` as in `_add_segment`, arguments as for `solve`."""
     rows[:] = 0.0
     if k > 0:
@@ -177,9 +182,14 @@ def _substitute(points: np.ndarray, count: int, work: np.ndarray, ends: np.ndarr
 
 @kernel_jit
 def solve(
-    points: np.ndarray, times: np.ndarray, count: int, velocity: np.ndarray, acceleration: np.ndarray,
-    work: np.ndarray, ends: np.ndarray,
-) -> bool:  # fmt: skip
+    points: np.ndarray,
+    times: np.ndarray,
+    count: int,
+    velocity: np.ndarray,
+    acceleration: np.ndarray,
+    work: np.ndarray,
+    ends: np.ndarray,
+) -> bool:
     """Minimum-snap curve through points.
 
     Args:
@@ -290,9 +300,15 @@ def evaluate(polynomial: np.ndarray, start: np.ndarray, time: float, u: float, p
 
 @kernel_jit
 def sample(
-    ends: np.ndarray, times: np.ndarray, n: int, step: float, look: float, yaw: float, yaw_rate: float,
+    ends: np.ndarray,
+    times: np.ndarray,
+    n: int,
+    step: float,
+    look: float,
+    yaw: float,
+    yaw_rate: float,
     points: np.ndarray,
-) -> int:  # fmt: skip
+) -> int:
     """Sample a curve at equal times: position, yaw, velocity, acceleration, duration at each instant.
 
     Args:

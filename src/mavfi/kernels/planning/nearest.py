@@ -44,9 +44,15 @@ class Index(NamedTuple):
 def new_index(nodes: int) -> Index:
     """Memory for a number of nodes."""
     return Index(
-        np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(nodes, np.int8), np.zeros(nodes), np.zeros((nodes, 2), np.int32),
-        np.zeros(1, np.int64), np.zeros(nodes, np.int32), np.zeros((nodes, 3)),
-    )  # fmt: skip
+        np.zeros((2, 3)),
+        np.zeros((2, 3)),
+        np.zeros(nodes, np.int8),
+        np.zeros(nodes),
+        np.zeros((nodes, 2), np.int32),
+        np.zeros(1, np.int64),
+        np.zeros(nodes, np.int32),
+        np.zeros((nodes, 3)),
+    )
 
 
 @kernel_jit

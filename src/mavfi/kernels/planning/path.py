@@ -134,9 +134,16 @@ def inside(point: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
 
 @kernel_jit
 def nearest_clear(
-    blocked: np.ndarray, check: np.ndarray, core: np.ndarray, grid: Grid, point: np.ndarray, lower: np.ndarray,
-    upper: np.ndarray, radius: float, result: np.ndarray,
-) -> bool:  # fmt: skip
+    blocked: np.ndarray,
+    check: np.ndarray,
+    core: np.ndarray,
+    grid: Grid,
+    point: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    radius: float,
+    result: np.ndarray,
+) -> bool:
     """Centre of the nearest voxel that is free in `blocked` and reachable by a straight line from `point`.
 
     Args:

@@ -31,9 +31,19 @@ def new_tree(nodes: int) -> Tree:
 
 @kernel_jit
 def plan(
-    counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray,
-    max_step: float, goal_bias: float, iterations: int, random: np.ndarray, tree: Tree, path: np.ndarray,
-) -> int:  # fmt: skip
+    counter: np.ndarray,
+    grid: Grid,
+    start: np.ndarray,
+    goal: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    max_step: float,
+    goal_bias: float,
+    iterations: int,
+    random: np.ndarray,
+    tree: Tree,
+    path: np.ndarray,
+) -> int:
     """Find a path.
 
     Args:

@@ -33,9 +33,12 @@ class Trees(NamedTuple):
 def new_trees() -> Trees:
     """Empty search memory."""
     return Trees(
-        np.zeros((2, NODE_LIMIT, 3)), np.zeros((2, NODE_LIMIT), np.int32), np.zeros(2, np.int64),
-        new_index(NODE_LIMIT), new_index(NODE_LIMIT),
-    )  # fmt: skip
+        np.zeros((2, NODE_LIMIT, 3)),
+        np.zeros((2, NODE_LIMIT), np.int32),
+        np.zeros(2, np.int64),
+        new_index(NODE_LIMIT),
+        new_index(NODE_LIMIT),
+    )
 
 
 @kernel_jit
@@ -48,9 +51,17 @@ def _search(trees: Trees, which: int, target: np.ndarray) -> int:
 
 @kernel_jit
 def _extend(
-    counter: np.ndarray, grid: Grid, nodes: np.ndarray, parents: np.ndarray, counts: np.ndarray, which: int,
-    source: int, target: np.ndarray, max_step: float, new: np.ndarray,
-) -> int:  # fmt: skip
+    counter: np.ndarray,
+    grid: Grid,
+    nodes: np.ndarray,
+    parents: np.ndarray,
+    counts: np.ndarray,
+    which: int,
+    source: int,
+    target: np.ndarray,
+    max_step: float,
+    new: np.ndarray,
+) -> int:
     """Add one node to a tree: 0 = trapped, 1 = advanced, 2 = reached the target."""
     reached = steer(nodes[which, source], target, max_step, new)
     if not segment_free(counter, grid, nodes[which, source], new):
@@ -90,9 +101,18 @@ def _plant(trees: Trees, start: np.ndarray, goal: np.ndarray, lower: np.ndarray,
 
 @kernel_jit
 def plan(
-    counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray,
-    max_step: float, iterations: int, random: np.ndarray, trees: Trees, path: np.ndarray,
-) -> int:  # fmt: skip
+    counter: np.ndarray,
+    grid: Grid,
+    start: np.ndarray,
+    goal: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    max_step: float,
+    iterations: int,
+    random: np.ndarray,
+    trees: Trees,
+    path: np.ndarray,
+) -> int:
     """Find a path.
 
     Args:

@@ -56,9 +56,18 @@ def new_tree(nodes: int) -> CostTree:
     """Memory for a number of nodes; iterations + 1 are sufficient."""
     whole = [np.zeros(nodes, np.int32) for _ in range(5)]
     return CostTree(
-        np.zeros((nodes, 3)), whole[0], np.zeros(nodes), whole[1], whole[2], new_index(nodes), whole[3],
-        np.zeros(nodes), np.zeros(nodes, np.int8), whole[4], np.zeros(3, np.int64),
-    )  # fmt: skip
+        np.zeros((nodes, 3)),
+        whole[0],
+        np.zeros(nodes),
+        whole[1],
+        whole[2],
+        new_index(nodes),
+        whole[3],
+        np.zeros(nodes),
+        np.zeros(nodes, np.int8),
+        whole[4],
+        np.zeros(3, np.int64),
+    )
 
 
 @kernel_jit
@@ -213,9 +222,17 @@ def _insert(counter: np.ndarray, grid: Grid, tree: CostTree, new: np.ndarray, ne
 
 @kernel_jit
 def grow(
-    counter: np.ndarray, grid: Grid, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray, max_step: float,
-    goal_bias: float, iterations: int, random: np.ndarray, tree: CostTree,
-) -> None:  # fmt: skip
+    counter: np.ndarray,
+    grid: Grid,
+    goal: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    max_step: float,
+    goal_bias: float,
+    iterations: int,
+    random: np.ndarray,
+    tree: CostTree,
+) -> None:
     """Grow a tree by a number of iterations. Arguments as for `plan`."""
     sample = np.empty(3)
     new = np.empty(3)
@@ -242,10 +259,20 @@ def grow(
 
 @kernel_jit
 def plan(
-    counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray,
-    max_step: float, goal_bias: float, iterations: int, longest: int, random: np.ndarray, tree: CostTree,
+    counter: np.ndarray,
+    grid: Grid,
+    start: np.ndarray,
+    goal: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    max_step: float,
+    goal_bias: float,
+    iterations: int,
+    longest: int,
+    random: np.ndarray,
+    tree: CostTree,
     path: np.ndarray,
-) -> int:  # fmt: skip
+) -> int:
     """Find a short path: the best one after the budget.
 
     Args:

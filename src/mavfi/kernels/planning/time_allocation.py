@@ -209,9 +209,16 @@ def _timed(velocity: np.ndarray, acceleration: np.ndarray, limits: CurveLimits, 
 
 @kernel_jit
 def fit(
-    narrow: np.ndarray, wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, velocity: np.ndarray,
-    acceleration: np.ndarray, limits: CurveLimits, work: Work,
-) -> int:  # fmt: skip
+    narrow: np.ndarray,
+    wide: np.ndarray,
+    grid: Grid,
+    path: np.ndarray,
+    count: int,
+    velocity: np.ndarray,
+    acceleration: np.ndarray,
+    limits: CurveLimits,
+    work: Work,
+) -> int:
     """Minimum-snap curve along a path, within the limits, and in free space wherever the path is.
 
     Args:

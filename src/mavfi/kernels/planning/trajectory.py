@@ -64,9 +64,15 @@ def _blend_point(
 
 @kernel_jit
 def _add_blend(
-    counter: np.ndarray, grid: Grid, path: np.ndarray, i: int, reach: float, inner: float, curve: np.ndarray,
+    counter: np.ndarray,
+    grid: Grid,
+    path: np.ndarray,
+    i: int,
+    reach: float,
+    inner: float,
+    curve: np.ndarray,
     count: int,
-) -> int:  # fmt: skip
+) -> int:
     """Append the blend at vertex i, shrunk until it is free. Returns the new count."""
     before = (path[i] - path[i - 1]) / distance(path[i], path[i - 1])
     after = (path[i + 1] - path[i]) / distance(path[i + 1], path[i])
@@ -87,9 +93,15 @@ def _add_blend(
 
 @kernel_jit
 def smooth(
-    counter: np.ndarray, grid: Grid, path: np.ndarray, count: int, blend: float, inner: float, corners: np.ndarray,
+    counter: np.ndarray,
+    grid: Grid,
+    path: np.ndarray,
+    count: int,
+    blend: float,
+    inner: float,
+    corners: np.ndarray,
     curve: np.ndarray,
-) -> int:  # fmt: skip
+) -> int:
     """Polyline -> evenly spaced samples of a curve without corners.
 
     Args:
@@ -161,9 +173,15 @@ def _sharpest_bend(curve: np.ndarray, count: int, i: int) -> float:
 
 @kernel_jit
 def speed_profile(
-    wide: np.ndarray, grid: Grid, curve: np.ndarray, count: int, entry_speed: float, limits: Limits, arc: np.ndarray,
+    wide: np.ndarray,
+    grid: Grid,
+    curve: np.ndarray,
+    count: int,
+    entry_speed: float,
+    limits: Limits,
+    arc: np.ndarray,
     speed: np.ndarray,
-) -> None:  # fmt: skip
+) -> None:
     """Highest speed along a curve within the limits, ending at rest.
 
     Args:
@@ -210,9 +228,15 @@ def _tangent(curve: np.ndarray, arc: np.ndarray, count: int, i: int, axis: int) 
 
 @kernel_jit
 def sample(
-    curve: np.ndarray, count: int, arc: np.ndarray, speed: np.ndarray, step: float, look: float, yaw: float,
+    curve: np.ndarray,
+    count: int,
+    arc: np.ndarray,
+    speed: np.ndarray,
+    step: float,
+    look: float,
+    yaw: float,
     points: np.ndarray,
-) -> int:  # fmt: skip
+) -> int:
     """Sample a curve with speeds at equal times: position, yaw, velocity, acceleration, duration at each instant.
 
     Args:

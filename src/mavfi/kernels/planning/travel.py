@@ -143,9 +143,19 @@ def _trial(path: np.ndarray, count: int, i: int, remove: bool, random: np.ndarra
 
 @kernel_jit
 def quicken(
-    counter: np.ndarray, wide: np.ndarray, grid: Grid, lower: np.ndarray, upper: np.ndarray, path: np.ndarray,
-    count: int, velocity: np.ndarray, pace: Pace, tries: int, random: np.ndarray, buffer: np.ndarray,
-) -> int:  # fmt: skip
+    counter: np.ndarray,
+    wide: np.ndarray,
+    grid: Grid,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    path: np.ndarray,
+    count: int,
+    velocity: np.ndarray,
+    pace: Pace,
+    tries: int,
+    random: np.ndarray,
+    buffer: np.ndarray,
+) -> int:
     """Move and remove vertices while that saves time; in place.
 
     Args:

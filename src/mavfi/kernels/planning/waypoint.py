@@ -56,9 +56,16 @@ def _point_before(position: float, last: int) -> int:
 
 @kernel_jit
 def advance_clock(
-    clock: np.ndarray, points: np.ndarray, arc: np.ndarray, dt: float, blocked: float, unknown: float, braking: float,
-    creep: float, fastest: float,
-) -> None:  # fmt: skip
+    clock: np.ndarray,
+    points: np.ndarray,
+    arc: np.ndarray,
+    dt: float,
+    blocked: float,
+    unknown: float,
+    braking: float,
+    creep: float,
+    fastest: float,
+) -> None:
     """Advance the reference clock by one control period.
 
     The rate falls so that the reference can stop before the first blocked or unknown sample.  In front of unknown space

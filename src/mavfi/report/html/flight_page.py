@@ -66,11 +66,13 @@ def flight_data(courses: Sequence[Course], world: World, site: str = "") -> dict
     paths = [course_data(course) for course in courses]
     at = next((path["fault"] for path in paths if path["fault"] is not None), None)
     return {
-        "world": world_data(world, courses), "paths": paths, "fault": at,
-        "lines": [] if at is None else time_lines(
-            {course.role: course.published for course in courses}, at, site, _first_wrong(courses)
-        ),
-    }  # fmt: skip
+        "world": world_data(world, courses),
+        "paths": paths,
+        "fault": at,
+        "lines": []
+        if at is None
+        else time_lines({course.role: course.published for course in courses}, at, site, _first_wrong(courses)),
+    }
 
 
 def _first_wrong(courses: Sequence[Course]) -> str:
@@ -91,25 +93,30 @@ def course_data(course: Course) -> dict[str, Any]:
     near_times = {alarm.time_s for alarm in near}
     injected = [injection.time_s for injection in log.injections if injection.activated]
     return {
-        "role": course.role, "label": course.label, "n": len(rows),
+        "role": course.role,
+        "label": course.label,
+        "n": len(rows),
         "rows": encoded(np.column_stack([rows[:, :4], speed]), "f4"),
         "attitude": encoded(np.clip(127 * np.nan_to_num(rows[:, 7:11]), -127, 127).round(), "i1"),
-        "success": log.status is MissionStatus.SUCCESS, "status": log.status.words,
-        "end": round(float(log.column("time")[-1]), 3), "fault": injected[0] if injected else None,
+        "success": log.status is MissionStatus.SUCCESS,
+        "status": log.status.words,
+        "end": round(float(log.column("time")[-1]), 3),
+        "fault": injected[0] if injected else None,
         "alarms": [
             [round(alarm.time_s, 3), int(alarm.time_s in near_times), f"{alarm.source}: {alarm.action} {alarm.stage}"]
             for alarm in log.alarms[:MOST_ALARMS]
         ],
-    }  # fmt: skip
+    }
 
 
 def world_data(world: World, courses: Sequence[Course]) -> dict[str, Any]:
     """Data of a world: start, goal, arena, boxes as float32 corners; for scans, surface voxels as int16 indices."""
     data: dict[str, Any] = {
-        "start": world.start.tolist(), "goal": world.goal.tolist(),
+        "start": world.start.tolist(),
+        "goal": world.goal.tolist(),
         "arena": [*world.arena_lower.tolist(), *world.arena_upper.tolist()],
         "boxes": encoded(np.hstack([world.lower, world.upper]), "f4"),
-    }  # fmt: skip
+    }
     if world.is_voxels:
         cells = _surface_near(world, np.concatenate([course.log.columns("x", "y", "z") for course in courses]))
         data |= {"voxels": encoded(cells, "i2"), "origin": world.origin.tolist(), "edge": world.resolution}
@@ -153,9 +160,13 @@ class FlightPage:
 
     @staticmethod
     def of(
-        context: str, story: Lines, commands: Sequence[tuple[str, str]], courses: Sequence[Course], world: World,
+        context: str,
+        story: Lines,
+        commands: Sequence[tuple[str, str]],
+        courses: Sequence[Course],
+        world: World,
         site: str = "",
-    ) -> "FlightPage":  # fmt: skip
+    ) -> "FlightPage":
         """Create the page of flights of one mission; the first sentence of the story is the verdict."""
         (_, verdict), *rest = story
         title = f"Fault in {site}" if site else "A flight without a fault"
@@ -208,9 +219,14 @@ def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, comman
         judged = f"with detector {result.detector}, {judged}; without it: {result.unwatched.log.status.value.lower()}"
     story = [("verdict", judged.removesuffix("."))]
     story += steps(
-        result.log, result.golden.log, result.fault, result.detector, first, departure(*logs),
+        result.log,
+        result.golden.log,
+        result.fault,
+        result.detector,
+        first,
+        departure(*logs),
         spread(*seen),
-    )  # fmt: skip
+    )
     if result.unwatched is not None:
         story.append(("without the detector", end_of(result.unwatched.log)))
     return FlightPage.of(context, story, commands, courses, result.flight.world, _site(result.fault))
@@ -261,9 +277,13 @@ def _role(detector: str, name: str) -> tuple[str, str]:
 
 
 def fly_command(
-    mission: MissionSpec, fault: str | None, fault_seed: int | None, detector: str, profile: str | None,
+    mission: MissionSpec,
+    fault: str | None,
+    fault_seed: int | None,
+    detector: str,
+    profile: str | None,
     models: Path | None,
-) -> str:  # fmt: skip
+) -> str:
     """The command line of a flight, with the options that were set."""
     given: dict[str, object] = {"environment": mission.environment, "seed": mission.seed}
     given |= mission.model_dump(mode="json", exclude_unset=True)
@@ -395,18 +415,26 @@ def _difference(golden: Mapping[str, Any], injected: Mapping[str, Any], site: Si
 
 
 def _line(
-    site: Site, near: Mapping[str, Mapping[str, Sequence[Publication]]], at: float, ends: Mapping[str, float], *,
+    site: Site,
+    near: Mapping[str, Mapping[str, Sequence[Publication]]],
+    at: float,
+    ends: Mapping[str, float],
+    *,
     is_site: bool,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """One time line; `ends` has the instant until which a flight's last value is held, by role."""
     unit = STATES[site.state].find(site.field).unit
     lines = {role: _thinned(*_held(*_samples(own, site), at - BEFORE, ends[role])) for role, own in near.items()}
     return {
-        "label": site.label, "unit": "" if unit == "-" else unit, "site": is_site,
+        "label": site.label,
+        "unit": "" if unit == "-" else unit,
+        "site": is_site,
         "window": [round(at - BEFORE, 4), round(at + AFTER, 4)],
-        "data": {role: [[round(t, 4) for t in line[0].tolist()], [_number(v) for v in line[1].tolist()]]
-                 for role, line in lines.items()},
-    }  # fmt: skip
+        "data": {
+            role: [[round(t, 4) for t in line[0].tolist()], [_number(v) for v in line[1].tolist()]]
+            for role, line in lines.items()
+        },
+    }
 
 
 def _held(times: np.ndarray, values: np.ndarray, start: float, end: float) -> Line:

@@ -38,9 +38,7 @@ def with_code(text: str) -> Markup:
 @cache
 def _environment(*folders: Path) -> Environment:
     loader = FileSystemLoader([*folders, Path(__file__).parent])
-    found = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )  # fmt: skip
+    found = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
 
     @cache
     def resource(name: str) -> Markup:

@@ -100,9 +100,13 @@ def table_data(table: Table, sets: RunSets) -> dict[str, Any]:
         for place in shown
     ]
     return {
-        "name": table.name, "title": table.title, "columns": columns, "rows": rows, "notes": table.notes,
+        "name": table.name,
+        "title": table.title,
+        "columns": columns,
+        "rows": rows,
+        "notes": table.notes,
         "csv": table.to_csv(),
-    }  # fmt: skip
+    }
 
 
 def _kind(table: Table, place: int) -> str:
@@ -126,10 +130,18 @@ def _split(text: str) -> tuple[str, str]:
 # ---- runs, stored by column; text columns are dictionary-encoded -----------------------------------------------------
 
 FILTERS = {
-    "folder": "ledger", "environment": "environment", "setting": "arm", "status": "status", "effect": "effect",
-    "level": "level", "stage": "stage", "place": "kernel or state", "field": "field", "bit": "bit",
+    "folder": "ledger",
+    "environment": "environment",
+    "setting": "arm",
+    "status": "status",
+    "effect": "effect",
+    "level": "level",
+    "stage": "stage",
+    "place": "kernel or state",
+    "field": "field",
+    "bit": "bit",
     "bit_class": "bit class",
-}  # fmt: skip
+}
 """Filter columns with their labels."""
 NUMBERS = {"flight_time_s": 2, "inflation": 4, "alarms_total": 0, "time_s": 3}
 """Numeric columns with their number of decimals."""
@@ -161,9 +173,17 @@ def _rounded(column: pl.Series, digits: int) -> list[float | None]:
 # ---- figures as inline SVG: text remains text, colours follow the theme, points link to their runs -------------------
 
 _COLOURS = {
-    style.INK: "ink", style.GREY: "soft", style.PALE: "line", style.BLUE: "golden", style.ORANGE: "injected",
-    style.GREEN: "recovered", style.PURPLE: "purple", style.AMBER: "amber", "#ffffff": "paper", "#000000": "ink",
-}  # fmt: skip
+    style.INK: "ink",
+    style.GREY: "soft",
+    style.PALE: "line",
+    style.BLUE: "golden",
+    style.ORANGE: "injected",
+    style.GREEN: "recovered",
+    style.PURPLE: "purple",
+    style.AMBER: "amber",
+    "#ffffff": "paper",
+    "#000000": "ink",
+}
 """Style sheet variables by colour."""
 
 
@@ -259,9 +279,15 @@ def headline_of(report: Report) -> Headline:
 
 
 def write_report_page(
-    path: Path, parts: Sequence[Part], sections: Sequence[Section], commands: Sequence[tuple[str, str]],
-    flights: Iterable[tuple[str, "FlightPage"]] = (), *, headline: Headline | None = None, largest: int = LARGEST,
-) -> int:  # fmt: skip
+    path: Path,
+    parts: Sequence[Part],
+    sections: Sequence[Section],
+    commands: Sequence[tuple[str, str]],
+    flights: Iterable[tuple[str, "FlightPage"]] = (),
+    *,
+    headline: Headline | None = None,
+    largest: int = LARGEST,
+) -> int:
     """Write the page of one or more campaigns.
 
     Args:
@@ -285,11 +311,13 @@ def write_report_page(
     numbered = list(_section_data(sections, sets))
     remarks = ["; ".join(header(report.runs.campaign)) for report in reports] if len(reports) > 1 else []
     values: dict[str, Any] = {
-        "headline": headline or headline_of(reports[0]), "commands": commands, "sections": numbered,
+        "headline": headline or headline_of(reports[0]),
+        "commands": commands,
+        "sections": numbered,
         "checks": [*remarks, *(line for report in reports for line in checks(report.runs)), *REMARKS],
         "csv": {table["id"]: table.pop("csv") for section in numbered for table in section["tables"]},
         "runs": listed | {"sets": list(sets.texts)},
-    }  # fmt: skip
+    }
     left = largest - len(page.render("report.html.j2", **values, flights={}).encode())
     if left < 0:
         raise BadInputError(f"{path}: the report takes {largest - left} bytes without any flight; allowed: {largest}")
@@ -302,7 +330,9 @@ def _section_data(sections: Sequence[Section], sets: RunSets) -> Iterator[dict[s
     for place, section in enumerate(sections):
         tables = [table_data(table, sets) for table in section.tables]
         yield {
-            "id": f"section-{place}", "title": section.title, "text": section.text,
+            "id": f"section-{place}",
+            "title": section.title,
+            "text": section.text,
             "tables": [
                 table | {"id": f"{place}-{table['name']}", "long": len(table["rows"]) > _LONG} for table in tables
             ],
@@ -310,7 +340,7 @@ def _section_data(sections: Sequence[Section], sets: RunSets) -> Iterator[dict[s
                 {"svg": svg_of(one.figure, f"s{place}-{one.name}", one.caption, sets), "caption": one.caption}
                 for one in section.figures
             ],
-        }  # fmt: skip
+        }
 
 
 def _as_fit(flights: Iterable[tuple[str, "FlightPage"]], left: int) -> Mapping[str, Markup]:
@@ -337,9 +367,15 @@ _SMALLEST = 30_000
 
 
 def write_page(
-    path: Path, parts: Sequence[Part], sections: Sequence[Section], commands: Sequence[tuple[str, str]],
-    flights: int | None, workers: int, show: Progress, headline: Headline | None = None,
-) -> int:  # fmt: skip
+    path: Path,
+    parts: Sequence[Part],
+    sections: Sequence[Section],
+    commands: Sequence[tuple[str, str]],
+    flights: int | None,
+    workers: int,
+    show: Progress,
+    headline: Headline | None = None,
+) -> int:
     """Write the page of one or more campaigns, with replayed runs.
 
     Args:
@@ -361,9 +397,13 @@ def write_page(
 
 
 def write_html(
-    path: Path, directory: Path, report: Report, flights: int | None, workers: int,
+    path: Path,
+    directory: Path,
+    report: Report,
+    flights: int | None,
+    workers: int,
     show: Progress = lambda done, total: None,
-) -> int:  # fmt: skip
+) -> int:
     """Write the page of the campaign whose ledger is in `directory`; other arguments: see `write_page`."""
     parts = [Part(directory, report)]
     return write_page(path, parts, sections_of(report), _commands(directory, path), flights, workers, show)
@@ -390,9 +430,7 @@ def _cases(parts: Sequence[Part], most: int) -> list[Case]:
     ]
 
 
-def _flown(
-    cases: Sequence[Case], workers: int, show: Progress
-) -> Generator[tuple[str, "FlightPage"], None, None]:  # fmt: skip
+def _flown(cases: Sequence[Case], workers: int, show: Progress) -> Generator[tuple[str, "FlightPage"], None, None]:
     """Yield run ids and pages in the order of the cases, independent of the order of completion."""
     from mavfi.campaign.executors.executor import map_each
     from mavfi.campaign.executors.local import LocalExecutor

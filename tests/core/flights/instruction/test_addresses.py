@@ -72,14 +72,23 @@ def test_order_and_company_do_not_matter(faults, records):
 def test_another_environment_heap_and_hash_seed_give_the_same_bytes(faults, records, tmp_path):
     """With random addresses; other folders and CPUs: `tests/core/golden/test_machines.py`."""
     environment = {
-        "PYTHONHASHSEED": "99", "SOMETHING": "x" * 5_000, "PATH": "/usr/bin", "LANG": "C", "HOME": str(tmp_path),
-        "PYTHONPATH": f"{ROOT / 'src'}:{ROOT}", "XDG_CACHE_HOME": str(code_folder().parents[1]),
+        "PYTHONHASHSEED": "99",
+        "SOMETHING": "x" * 5_000,
+        "PATH": "/usr/bin",
+        "LANG": "C",
+        "HOME": str(tmp_path),
+        "PYTHONPATH": f"{ROOT / 'src'}:{ROOT}",
+        "XDG_CACHE_HOME": str(code_folder().parents[1]),
         "OMP_NUM_THREADS": "1",
-    }  # fmt: skip
+    }
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", ELSEWHERE], env=environment, cwd=tmp_path, capture_output=True,
-        input=json.dumps([fault.to_json() for fault in faults]), text=True,
-    )  # fmt: skip
+        [sys.executable, "-W", "ignore", "-c", ELSEWHERE],
+        env=environment,
+        cwd=tmp_path,
+        capture_output=True,
+        input=json.dumps([fault.to_json() for fault in faults]),
+        text=True,
+    )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == records
 

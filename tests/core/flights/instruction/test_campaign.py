@@ -28,10 +28,18 @@ DIED = {effect.label for effect in DUE}
 
 
 def campaign(faults=3, arms=None, **sampling):
-    return Campaign.model_validate({
-        "name": "small", "environments": ["sparse"], "first_seed": 7, "missions": 2, "faults": faults,
-        "sampling": {"level": "instruction"} | sampling, "mission": {"v_max": 6.0}, "arms": arms or {},
-    })  # fmt: skip
+    return Campaign.model_validate(
+        {
+            "name": "small",
+            "environments": ["sparse"],
+            "first_seed": 7,
+            "missions": 2,
+            "faults": faults,
+            "sampling": {"level": "instruction"} | sampling,
+            "mission": {"v_max": 6.0},
+            "arms": arms or {},
+        }
+    )
 
 
 def flown_into(directory, config, workers=1, **options):
@@ -102,9 +110,12 @@ def test_runs_can_be_replayed(in_data):
 def by_stage(tmp_path_factory):
     directory = tmp_path_factory.mktemp("stages")
     config = campaign(
-        4, {"idle": {"detector": "none"}}, kernels=["point_cloud", "collision_check", "pid"], which="data",
+        4,
+        {"idle": {"detector": "none"}},
+        kernels=["point_cloud", "collision_check", "pid"],
+        which="data",
         share="stage",
-    )  # fmt: skip
+    )
     assert flown_into(directory, config).complete
     return directory
 
@@ -156,8 +167,11 @@ def test_the_command_gives_the_same_bytes_in_a_fresh_process(in_addresses, effec
         pytest.skip(f"no run was {effect}")
     done = subprocess.run(
         [sys.executable, "-m", "mavfi", "replay", str(in_addresses), chosen.spec.run_id, "--json"],
-        capture_output=True, text=True, check=True, env=os.environ | {"SOMETHING": "else"},
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"SOMETHING": "else"},
+    )
     verified = json.loads(done.stdout)
     assert verified["same"] and verified["replayable"]
     again = replay(in_addresses, chosen.spec.run_id).record

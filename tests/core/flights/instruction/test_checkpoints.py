@@ -57,12 +57,19 @@ def both_ways(faults, arm="", make=lambda: None, **options):
 @pytest.mark.parametrize(
     ("which", "arm"),
     [
-        ("all", ""), ("address", "gaussian"),
-        *(pytest.param(*case, marks=pytest.mark.long) for case in (
-            ("all", "gaussian"), ("address", ""), ("all", "nervous"), ("address", "nervous"),
-        )),
+        ("all", ""),
+        ("address", "gaussian"),
+        *(
+            pytest.param(*case, marks=pytest.mark.long)
+            for case in (
+                ("all", "gaussian"),
+                ("address", ""),
+                ("all", "nervous"),
+                ("address", "nervous"),
+            )
+        ),
     ],
-)  # fmt: skip
+)
 def test_records_are_those_of_flights_from_take_off(which, arm):
     fast, slow = both_ways(drawn(which, 4), arm, ARMS[arm])
     assert fast == slow

@@ -127,19 +127,30 @@ def test_a_flight_continues_whatever_becomes_of_its_detector(name):
 def test_a_campaign_injects_a_detector_in_its_arm_and_counts_it(tmp_path):
     mission = {"start": (2.0, 0.0, 3.0), "goal": (9.0, 0.0, 3.0)}
     campaign = Campaign(
-        name="watched", environments=("sparse",), missions=1, faults=2, mission=mission,
-        sampling={"level": "instruction", "kernels": ["pid", "gaussian"]}, arms={"gad": {"detector": "gaussian"}},
-    )  # fmt: skip
+        name="watched",
+        environments=("sparse",),
+        missions=1,
+        faults=2,
+        mission=mission,
+        sampling={"level": "instruction", "kernels": ["pid", "gaussian"]},
+        arms={"gad": {"detector": "gaussian"}},
+    )
     assert run_campaign(campaign, tmp_path, executor=LocalExecutor(1)).complete
     runs = Runs.read(tmp_path)
     assert Counter(zip(runs.injected["kernel"], runs.injected["setting"], strict=True)) == {
-        ("pid", "fi"): 2, ("pid", "dr_gad"): 2, ("gaussian", "dr_gad"): 2
-    }  # fmt: skip
+        ("pid", "fi"): 2,
+        ("pid", "dr_gad"): 2,
+        ("gaussian", "dr_gad"): 2,
+    }
     assert len(runs.injected.where("judged", kernel="gaussian", activated=True)) == 2
     counts = {row["arm"]: runs.records[row["run_id"]].counts for row in runs.golden}
     assert set(counts[""]) == {"pid"} and set(counts["gad"]) == {"pid", "gaussian"}
     assert counts["gad"]["gaussian"]["instructions"] > counts["gad"]["pid"]["instructions"] > 0
     rows = table(runs, "failures_per_hour").entries()
     assert [(row["setting"], row["kernel"]) for row in rows] == [
-        ("fi", "pid"), ("fi", "all"), ("dr_gad", "pid"), ("dr_gad", "gaussian"), ("dr_gad", "all")
-    ]  # fmt: skip
+        ("fi", "pid"),
+        ("fi", "all"),
+        ("dr_gad", "pid"),
+        ("dr_gad", "gaussian"),
+        ("dr_gad", "all"),
+    ]

@@ -91,10 +91,11 @@ def test_masked_means_the_golden_flight_and_sdc_of_a_command_another_one(golden,
     assert all(same for kernel, same in effects if kernel.effect == "masked")
     assert {kernel.effect for kernel, _ in effects} == {"masked", "sdc"}
     commands = [
-        same for kernel, same in effects
+        same
+        for kernel, same in effects
         if (kernel.first_difference or {}).get("state") == "control.command"
         and kernel.first_difference["field"] in ("vx", "vy", "vz")
-    ]  # fmt: skip
+    ]
     assert commands and not any(commands)
 
 
@@ -184,11 +185,19 @@ def test_kernels_that_cannot_be_injected_are_named(kernel, message):
 @pytest.mark.parametrize(
     ("kind", "bit", "stratum"),
     [
-        ("double", 63, "sign"), ("double", 52, "exponent"), ("double", 51, "mantissa"), ("float", 31, "sign"),
-        ("float", 23, "exponent"), ("float", 22, "mantissa"), ("<4 x double>", 127, "sign"),
-        ("<4 x double>", 64, "mantissa"), ("i64", 63, "other"), ("ptr", 5, "other"), ("double", None, "other"),
+        ("double", 63, "sign"),
+        ("double", 52, "exponent"),
+        ("double", 51, "mantissa"),
+        ("float", 31, "sign"),
+        ("float", 23, "exponent"),
+        ("float", 22, "mantissa"),
+        ("<4 x double>", 127, "sign"),
+        ("<4 x double>", 64, "mantissa"),
+        ("i64", 63, "other"),
+        ("ptr", 5, "other"),
+        ("double", None, "other"),
     ],
-)  # fmt: skip
+)
 def test_bits_have_strata(kind, bit, stratum):
     assert stratum_of(kind, bit) == stratum
 

@@ -66,9 +66,15 @@ def planned(counted, resolved, places):
     def make(which):
         call, index = next(place for place in places if resolved.sites[place] in parse_selection(which))
         return plan(
-            np.random.default_rng(0), name_of(pid.track), counted.digests[call], resolved.sites[call, index], index,
-            call=call, which=which, budget=budget_for(counted.counts[call]),
-        )  # fmt: skip
+            np.random.default_rng(0),
+            name_of(pid.track),
+            counted.digests[call],
+            resolved.sites[call, index],
+            index,
+            call=call,
+            which=which,
+            budget=budget_for(counted.counts[call]),
+        )
 
     return make
 

@@ -14,9 +14,13 @@ from mavfi.levels.instruction import InstructionSampling
 def only(detector: str, kernel: str) -> Campaign:
     """Few faults in the functions of one detector."""
     return Campaign(
-        name=detector, environments=("dense",), missions=2, faults=2,
-        sampling={"level": "instruction", "kernels": [kernel]}, arms={detector: {"detector": detector}},
-    )  # fmt: skip
+        name=detector,
+        environments=("dense",),
+        missions=2,
+        faults=2,
+        sampling={"level": "instruction", "kernels": [kernel]},
+        arms={detector: {"detector": detector}},
+    )
 
 
 @pytest.mark.parametrize(

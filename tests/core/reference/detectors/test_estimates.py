@@ -54,8 +54,14 @@ TURNS = st.tuples(*[st.floats(-1.0, 1.0)] * 3)
 
 
 @settings(max_examples=300, deadline=None)
-@given(SHIFTS, st.sampled_from([0.0, 0.02, 1.0]), TURNS, st.sampled_from([1.0, -1.0, 1.001]),
-       st.sampled_from([0, 4_000, 20_000, 600_000]), st.sampled_from(["far", "near", "here"]))  # fmt: skip
+@given(
+    SHIFTS,
+    st.sampled_from([0.0, 0.02, 1.0]),
+    TURNS,
+    st.sampled_from([1.0, -1.0, 1.001]),
+    st.sampled_from([0, 4_000, 20_000, 600_000]),
+    st.sampled_from(["far", "near", "here"]),
+)
 def test_an_estimate_is_judged_as_by_the_twin(rule, shift, scale, turn, length, elapsed_us, where):
     new = LAST.copy()
     with np.errstate(all="ignore"):

@@ -45,7 +45,7 @@ class Map:
         self.scan += 1
         return octomap.insert_scan(
             points, origin, max_range, FRAME, RULE, self.log_odds, self.stamp, self.scan, self.touched, self.before
-        )  # fmt: skip
+        )
 
 
 def clouds(seed, scans=6, rays=150):
@@ -115,9 +115,11 @@ def test_rays_walked_side_by_side_meet_the_same_voxels_in_the_same_order(frame, 
 
 def test_rays_that_leave_the_grid_or_are_long_are_walked_alone():
     block = key_sets.Block(
-        np.zeros((12, key_sets.RAYS)), np.zeros(key_sets.RAYS, np.int64), np.empty((key_sets.LONGEST, key_sets.RAYS)),
+        np.zeros((12, key_sets.RAYS)),
+        np.zeros(key_sets.RAYS, np.int64),
         np.empty((key_sets.LONGEST, key_sets.RAYS)),
-    )  # fmt: skip
+        np.empty((key_sets.LONGEST, key_sets.RAYS)),
+    )
     start = np.array([-2.89, -2.89, -0.29], np.float32)
     inside, near, beyond, above, far = (
         [-1.89, -1.89, 0.71],
@@ -167,7 +169,7 @@ def test_clearance_counters_equal_a_recount_and_undo_restores_them(seed, boxes):
         changed_voxels, changed_cells = np.empty(300, np.int32), np.empty(300, np.uint8)
         count = clearance.apply_updates(
             voxels, log_odds, grid, cells, wide, wide_offsets, narrow, narrow_offsets, changed_voxels, changed_cells
-        )  # fmt: skip
+        )
         journals.append((changed_voxels, changed_cells, count))
         states.append((cells.copy(), wide.copy(), narrow.copy()))
         for voxel, value in zip(voxels, log_odds, strict=True):  # the last word on each voxel
@@ -244,6 +246,6 @@ def test_a_scan_that_touches_every_voxel_stays_within_its_work_array():
     points = np.array([[3.0, 0.0, 0.0]] * 3, np.float32)
     count = octomap.insert_scan(
         points, np.array([-1.0, 0.0, 0.0]), 9.0, frame, RULE, log_odds, stamp, 1, touched[:5], np.zeros(4, np.float32)
-    )  # fmt: skip
+    )
     assert count == 4 and touched[:4].tolist() == [0, 1, 2, 3] and touched[5] == -7
     assert (log_odds == RULE.miss).all()

@@ -153,8 +153,10 @@ def test_travel_time_knows_what_is_quick():
     straight = np.array([[-2.0, 0.0, 1.0], [3.0, 0.0, 1.0]])
     bent = np.array([[-2.0, 0.0, 1.0], [0.5, 1.0, 1.0], [3.0, 0.0, 1.0]])
     shaft = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 3.5]])
-    time = {name: travel.travel_time(free, GRID, path, len(path), still, PACE)
-            for name, path in (("straight", straight), ("bent", bent), ("shaft", shaft))}  # fmt: skip
+    time = {
+        name: travel.travel_time(free, GRID, path, len(path), still, PACE)
+        for name, path in (("straight", straight), ("bent", bent), ("shaft", shaft))
+    }
     assert time["straight"] == pytest.approx(1.0)
     assert time["bent"] > 1.2 and time["shaft"] > 5.0
     back = travel.travel_time(free, GRID, straight, 2, np.array([-5.0, 0.0, 0.0]), PACE)

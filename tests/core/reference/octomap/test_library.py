@@ -22,12 +22,13 @@ library = pytest.importorskip("octomap", reason="the oracle of the map is the pa
 RANGE = 20.0
 RESOLUTIONS = (0.5, 0.25)
 WHOLE = [
-    ("sparse", "hardened", 0, 0.5), ("factory", "published", 1, 0.5),
+    ("sparse", "hardened", 0, 0.5),
+    ("factory", "published", 1, 0.5),
     pytest.param("dense", "published", 0, 0.5, marks=pytest.mark.long),
     pytest.param("farm", "hardened", 1, 0.5, marks=pytest.mark.long),
     pytest.param("dense", "published", 0, 0.25, marks=pytest.mark.long),
     pytest.param("factory", "published", 1, 0.25, marks=pytest.mark.long),
-]  # fmt: skip
+]
 
 
 def recorded(scenario):

@@ -90,9 +90,11 @@ def test_the_curve_is_the_spline_of_degree_seven(seed):
     instants = np.concatenate([[0.0], np.cumsum(times)])
     nought = np.zeros(3)
     spline = make_interp_spline(
-        instants, points, k=7,
+        instants,
+        points,
+        k=7,
         bc_type=([(1, velocity), (2, acceleration), (4, nought)], [(1, nought), (2, nought), (4, nought)]),
-    )  # fmt: skip
+    )
     polynomial, value = np.zeros((8, 3)), np.zeros(9)
     for k, time in enumerate(times):
         minimum_snap.coefficients(ends, k, time, polynomial)

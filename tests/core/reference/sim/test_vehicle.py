@@ -175,6 +175,14 @@ def test_a_mission_draws_what_published_logs_of_such_missions_draw(autopilot):
         mean, gain = 0.5 * (v[i] + v[i + 1]), (v[i + 1] - v[i]) / interval
         level, turn = math.hypot(mean[0], mean[1]), math.hypot(gain[0], gain[1])
         climb, heave = abs(mean[2]), abs(gain[2])
-        total += interval * max(0.0, 443.9 - 5.4936 * level + 14.1624 * turn + 12.54528 * level * turn
-                                + 65.25 * climb + 347.8068 * heave - 14.0616 * climb * heave)  # fmt: skip
+        total += interval * max(
+            0.0,
+            443.9
+            - 5.4936 * level
+            + 14.1624 * turn
+            + 12.54528 * level * turn
+            + 65.25 * climb
+            + 347.8068 * heave
+            - 14.0616 * climb * heave,
+        )
     assert quality.energy_j == pytest.approx(total, rel=1e-9)

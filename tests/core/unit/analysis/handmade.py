@@ -15,18 +15,27 @@ GOLDEN = FlightRecord(End.FLOWN, "success", "g", 50.0, 100.0, EnergyTerms(durati
 UNKNOWN = FlightRecord(End.UNKNOWN, error="KeyError")
 DUE = FlightRecord(End.DUE, error="the process died each time")
 ABOUT = {
-    "name": "handmade", "title": "campaign handmade", "lines": ["9 missions"], "profile": "published",
-    "on_design_seeds": False, "monitored_set": "paper-13", "versions": {"numba": "2", "mavfi": "1"}, "digest": "d" * 64,
-    "done": 9, "total": 9, "each": "stage",
-}  # fmt: skip
+    "name": "handmade",
+    "title": "campaign handmade",
+    "lines": ["9 missions"],
+    "profile": "published",
+    "on_design_seeds": False,
+    "monitored_set": "paper-13",
+    "versions": {"numba": "2", "mavfi": "1"},
+    "digest": "d" * 64,
+    "done": 9,
+    "total": 9,
+    "each": "stage",
+}
 
 
 def flown(success=True, *, activated=True, time_s=0.3, alarms=(), **changes):
     """Record of a run with a fault; by default another flight than the golden one."""
     status = "success" if success else "collision"
     injection = Injection("state", "planning.waypoint.x", time_s, 62, 1.0, 2.0, activated)
-    return replace(GOLDEN, **{"status": status, "digest": "x", "injections": (injection,), "alarms": tuple(alarms),
-                              **changes})  # fmt: skip
+    return replace(
+        GOLDEN, **{"status": status, "digest": "x", "injections": (injection,), "alarms": tuple(alarms), **changes}
+    )
 
 
 def died(effect="crash", success=True):

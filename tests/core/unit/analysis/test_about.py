@@ -28,22 +28,29 @@ def test_instructions():
 
 def test_arms_say_what_differs():
     arms = {
-        "gaussian": {"detector": "gaussian"}, "own": {"detector": "a:B", "profile": "tuned"},
+        "gaussian": {"detector": "gaussian"},
+        "own": {"detector": "a:B", "profile": "tuned"},
         "star": {"planner": "rrt_star"},
-    }  # fmt: skip
+    }
     assert described(arms=arms)["lines"][1] == (
-        "arms: gaussian (paper), own = a:B (tuned), star with planner rrt_star; coupling inline; "
-        "monitored set paper-13"
-    )  # fmt: skip
+        "arms: gaussian (paper), own = a:B (tuned), star with planner rrt_star; coupling inline; monitored set paper-13"
+    )
 
 
 def test_trials_on_a_node():
     node = {
-        "name": "/n", "command": ["/bin/n"], "inputs": {"topic": "/i", "type": "std_msgs/Float64", "messages": [{}]},
+        "name": "/n",
+        "command": ["/bin/n"],
+        "inputs": {"topic": "/i", "type": "std_msgs/Float64", "messages": [{}]},
         "outputs": {"topic": "/o"},
-    }  # fmt: skip
-    found = described(host="node", node=node, environments=["n"], missions=1,
-                      sampling={"level": "register", "symbol": "f", "walk": 64})  # fmt: skip
+    }
+    found = described(
+        host="node",
+        node=node,
+        environments=["n"],
+        missions=1,
+        sampling={"level": "register", "symbol": "f", "walk": 64},
+    )
     assert found["title"] == "campaign tiny · node n" and found["profile"] == ""
     assert found["lines"] == ["/bin/n · one bit per trial, from the next call of 'f' on, after up to 64 instructions"]
 

@@ -33,12 +33,13 @@ def silent(success=True, first=None, **changes):
 @pytest.fixture
 def own():
     faulty = [
-        injected(0, silent(first=FIRST), INSTRUCTION, target="pid"), injected(1, died(), INSTRUCTION, target="pid"),
+        injected(0, silent(first=FIRST), INSTRUCTION, target="pid"),
+        injected(1, died(), INSTRUCTION, target="pid"),
         injected(2, died("hang", success=False), PLANNING, target="rrt_connect"),
         injected(3, flown(activated=False, digest="g", kernel=KernelEffect("masked")), PLANNING, target="rrt_connect"),
         injected(4, UNKNOWN, PLANNING, target="rrt_connect"),
         injected(0, silent(), INSTRUCTION, target="pid", arm="gaussian"),
-    ]  # fmt: skip
+    ]
     counts = {"pid": {"instructions": 100, "calls": 10, "lines": []}}
     without = [golden(seed, replace(GOLDEN, counts=counts)) for seed in range(5)]
     return runs(*without, golden(0, arm="gaussian"), *faulty, **ABOUT)
@@ -89,11 +90,13 @@ def trials():
     differing = {"differences": [{"field": "data", "before": 1.0, "after": 2.0}], "differing": 1, "asked": 10}
     floating = replace(REGISTER, registers="fp")
     return runs(
-        golden(1, replace(GOLDEN, status="")), injected(1, trial(), REGISTER, target="general", index=0),
+        golden(1, replace(GOLDEN, status="")),
+        injected(1, trial(), REGISTER, target="general", index=0),
         injected(1, trial(digest="x", extra=differing), floating, target="fp", index=1),
         injected(1, trial(DUE, kernel=KernelEffect("crash", "SIGSEGV")), REGISTER, target="general", index=2),
-        injected(1, UNKNOWN, REGISTER, target="general", index=3), null(1, trial(), REGISTER)
-    )  # fmt: skip
+        injected(1, UNKNOWN, REGISTER, target="general", index=3),
+        null(1, trial(), REGISTER),
+    )
 
 
 def test_what_one_bit_in_a_register_does(trials):
@@ -110,10 +113,12 @@ def test_protected_and_plain_code_are_compared_as_samples():
     plain = [injected(0, silent(), INSTRUCTION), injected(1, died(success=False), INSTRUCTION)]
     assert "kernel_effects_by_setting" not in views_for(runs(golden(0), golden(1), *plain)), "nothing is protected"
     found = [
-        injected(0, flown(kernel=PROTECTED), INSTRUCTION, arm="full"), injected(1, died(), INSTRUCTION, arm="full"),
-        injected(2, UNKNOWN, INSTRUCTION, arm="full"), injected(3, flown(activated=False), INSTRUCTION, arm="full"),
+        injected(0, flown(kernel=PROTECTED), INSTRUCTION, arm="full"),
+        injected(1, died(), INSTRUCTION, arm="full"),
+        injected(2, UNKNOWN, INSTRUCTION, arm="full"),
+        injected(3, flown(activated=False), INSTRUCTION, arm="full"),
         injected(0, silent(), PLANNING, arm="full"),
-    ]  # fmt: skip
+    ]
     base = [golden(seed, arm=arm) for seed in range(4) for arm in ("", "full")]
     rows = table(runs(*base, *plain, *found), "kernel_effects_by_setting").entries()
     own = {row["setting"]: row for row in rows if row["kernel"] == "pid"}

@@ -60,8 +60,11 @@ def test_time_and_energy_are_compared_where_both_succeed():
 
 
 def test_time_is_compared_with_the_golden_run_without_a_detector():
-    own = runs(golden(1), golden(1, replace(GOLDEN, flight_time_s=100.0, digest="d"), arm="gaussian"),
-               injected(1, flown(digest="d", flight_time_s=60.0), arm="gaussian"))  # fmt: skip
+    own = runs(
+        golden(1),
+        golden(1, replace(GOLDEN, flight_time_s=100.0, digest="d"), arm="gaussian"),
+        injected(1, flown(digest="d", flight_time_s=60.0), arm="gaussian"),
+    )
     [found] = own.injected
     assert found["inflation"] == pytest.approx(0.2)
     assert found["effect"] == "masked", "compared with the golden run of its own arm"
@@ -87,8 +90,9 @@ def test_a_death_is_a_lost_mission_only_where_missions_end_with_it():
     ],
 )
 def test_only_alarms_on_the_corrupted_publication_detect_the_fault(alarms, twins, at_site, downstream, after):
-    own = runs(golden(1), golden(1, replace(GOLDEN, alarms=tuple(twins)), arm="g"),
-               injected(1, flown(alarms=alarms), arm="g"))  # fmt: skip
+    own = runs(
+        golden(1), golden(1, replace(GOLDEN, alarms=tuple(twins)), arm="g"), injected(1, flown(alarms=alarms), arm="g")
+    )
     [found] = own.injected
     assert (found["detected_at_site"], found["detected_downstream"]) == (at_site, downstream)
     assert found["alarm_after_s"] == (None if after is None else pytest.approx(after))
@@ -121,8 +125,9 @@ def test_selecting_grouping_and_totals_keep_the_order_of_the_plan():
     own = runs(*(injected(seed, flown(), environment=name) for seed in (2, 1) for name in ("sparse", "dense")))
     assert own.values("environment") == ["sparse", "dense"]
     assert {key: part["seed"] for key, part in own.groups("environment").items()} == {
-        ("sparse",): [2, 1], ("dense",): [2, 1]
-    }  # fmt: skip
+        ("sparse",): [2, 1],
+        ("dense",): [2, 1],
+    }
     assert own.with_total("environment", "all")["environment"][4:] == ["all"] * 4
     assert own.with_total("setting", "all") is own, "one value has no total"
     assert own.where("success", environment="dense")["seed"] == [2, 1]

@@ -27,8 +27,12 @@ def own():
 def test_rows_of_an_environment_stand_together_and_a_total_below(own):
     view = View("x", "X", ("environment", "seed"), (count("n", "n"),), total=("environment", "all"))
     assert [row[:2] for row in view.table(own).rows] == [
-        ("sparse", 1), ("sparse", 2), ("dense", 1), ("all", 1), ("all", 2)
-    ]  # fmt: skip
+        ("sparse", 1),
+        ("sparse", 2),
+        ("dense", 1),
+        ("all", 1),
+        ("all", 2),
+    ]
 
 
 def test_values_across_make_columns_and_measures_rows(own):

@@ -279,9 +279,14 @@ def failures(folder: Path, number: int, count: int) -> Path:
 def small(**changes) -> Campaign:
     """A campaign of two environments and one arm with a detector."""
     content = {
-        "name": "small", "host": HOST, "environments": ["sparse", "dense"], "missions": 4, "faults": 6,
-        "arms": {"gaussian": {"detector": DETECTOR}}, **changes,
-    }  # fmt: skip
+        "name": "small",
+        "host": HOST,
+        "environments": ["sparse", "dense"],
+        "missions": 4,
+        "faults": 6,
+        "arms": {"gaussian": {"detector": DETECTOR}},
+        **changes,
+    }
     return Campaign.model_validate(content)
 
 

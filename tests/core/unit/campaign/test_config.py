@@ -231,13 +231,30 @@ def test_keys_of_a_mission_stand_in_an_arm_or_under_its_mission(inline):
 
 def test_every_key_of_a_mission_is_one_of_campaigns_and_arms():
     values = {
-        "start": (1.0, 2.0, 3.0), "goal": (9.0, 2.0, 3.0), "autopilot": "hardened", "planner": "rrt",
-        "platform": "cortex-a57", "map": "octree", "map_resolution": 0.4, "vehicle": "small_quad", "v_max": 2.0,
-        "depth_noise": 0.1, "wind": 3.0, "localization": "estimator", "coupling": "observer",
-        "dead_node": "readback", "alarm": "repeated", "epoch_liveness": 2.0, "grain": "kernel",
-        "same_twice": "escalate", "answer_s": 0.6, "degraded": "hold", "flight_controller": "betaflight",
-        "protection": "full", "trained_for": "published/i9-9940x",
-    }  # fmt: skip
+        "start": (1.0, 2.0, 3.0),
+        "goal": (9.0, 2.0, 3.0),
+        "autopilot": "hardened",
+        "planner": "rrt",
+        "platform": "cortex-a57",
+        "map": "octree",
+        "map_resolution": 0.4,
+        "vehicle": "small_quad",
+        "v_max": 2.0,
+        "depth_noise": 0.1,
+        "wind": 3.0,
+        "localization": "estimator",
+        "coupling": "observer",
+        "dead_node": "readback",
+        "alarm": "repeated",
+        "epoch_liveness": 2.0,
+        "grain": "kernel",
+        "same_twice": "escalate",
+        "answer_s": 0.6,
+        "degraded": "hold",
+        "flight_controller": "betaflight",
+        "protection": "full",
+        "trained_for": "published/i9-9940x",
+    }
     assert set(values) == set(MissionSpec.model_fields) - {"environment", "seed"}
     for key, value in values.items():
         campaign = small(mission={key: value}, arms={"x": {key: value}})
@@ -264,16 +281,19 @@ def test_the_plain_data_of_a_campaign_depend_on_what_is_flown():
 
 # ---- parts -------------------------------------------------------------------------------------------------------
 PARTS = {
-    "fast": {"environment": "dense", "platform": "i9-9940x"}, "slow": {"environment": "dense", "platform": "cortex-a57"}
-}  # fmt: skip
+    "fast": {"environment": "dense", "platform": "i9-9940x"},
+    "slow": {"environment": "dense", "platform": "cortex-a57"},
+}
 
 
 def test_parts_are_environments_with_keys_of_their_own():
     own = small(environments=["fast", "slow", "sparse"], parts=PARTS)
     specs = [own.spec(name, 10_000) for name in own.environments]
     assert [(spec.environment, spec.platform) for spec in specs] == [
-        ("dense", "i9-9940x"), ("dense", "cortex-a57"), ("sparse", "i9-9940x")
-    ]  # fmt: skip
+        ("dense", "i9-9940x"),
+        ("dense", "cortex-a57"),
+        ("sparse", "i9-9940x"),
+    ]
     assert Campaign.model_validate(own.to_json()) == own
     assert "parts" not in small().to_json(), "campaigns without parts keep their identity"
 

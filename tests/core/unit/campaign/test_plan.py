@@ -64,15 +64,21 @@ def mission_runs(plan, environment, seed, golden):
 
 campaigns = st.builds(
     lambda missions, faults, nulls, environments, arms: small(
-        missions=missions, faults=faults, null_runs=nulls, environments=environments,
+        missions=missions,
+        faults=faults,
+        null_runs=nulls,
+        environments=environments,
         arms={name: arm for name, arm in arms.items()},
     ),
-    st.integers(1, 5), st.integers(1, 7), st.integers(0, 5), st.sampled_from([["sparse"], ["sparse", "dense"]]),
+    st.integers(1, 5),
+    st.integers(1, 7),
+    st.integers(0, 5),
+    st.sampled_from([["sparse"], ["sparse", "dense"]]),
     st.dictionaries(
         st.sampled_from(["a", "b", "c"]),
         st.sampled_from([{"detector": DETECTOR}, {"planner": "rrt"}, {"wind": 2.0, "detector": DETECTOR}]),
     ),
-)  # fmt: skip
+)
 
 
 @few
@@ -194,9 +200,18 @@ def test_run_ids_are_readable_and_depend_on_all_that_decides_a_run():
     run = injected[0]
     assert run.run_id.startswith(f"sparse-10000-fi-{run.target}-0-")
     changes = {
-        "environment": "farm", "seed": 3, "scenario": "other", "detector": "other", "detector_profile": "tuned",
-        "model": "other", "index": 99, "fault": None, "arm": "other", "target": "other", "setting": "other",
-    }  # fmt: skip
+        "environment": "farm",
+        "seed": 3,
+        "scenario": "other",
+        "detector": "other",
+        "detector_profile": "tuned",
+        "model": "other",
+        "index": 99,
+        "fault": None,
+        "arm": "other",
+        "target": "other",
+        "setting": "other",
+    }
     ids = {replace(run, **{key: value}).run_id for key, value in changes.items()} | {run.run_id}
     assert len(ids) == len(changes) + 1
     assert replace(run, position=7).run_id == run.run_id, "its place does not decide a run"

@@ -493,9 +493,12 @@ def test_flights_that_a_host_does_not_give_are_unknown(tmp_path, monkeypatch):
 
 def test_arms_differ_in_any_key_of_the_mission(tmp_path):
     arms = {
-        "slow": {"planner": "rrt"}, "windy": {"wind": 4.0}, "loose": {"coupling": "observer"},
-        "guarded": {"autopilot": "hardened", "detector": DETECTOR}, "same": {"mission": {"map": "octree"}},
-    }  # fmt: skip
+        "slow": {"planner": "rrt"},
+        "windy": {"wind": 4.0},
+        "loose": {"coupling": "observer"},
+        "guarded": {"autopilot": "hardened", "detector": DETECTOR},
+        "same": {"mission": {"map": "octree"}},
+    }
     campaign = small(environments=["sparse"], missions=2, faults=2, arms=arms, null_runs=12)
     assert flown_into(tmp_path, campaign).complete
     with Store.open(tmp_path) as store:
@@ -508,10 +511,14 @@ def test_arms_differ_in_any_key_of_the_mission(tmp_path):
     assert scenarios["sparse/same"]["map"]["kind"] == "octree"
     settings = Counter(run.spec.setting for run in runs)
     assert settings == {
-        "golden": 2, "fi": 6, "null": 2,
-        **{f"golden_{arm}": 2 for arm in arms}, **{f"null_{arm}": 2 for arm in arms},
-        **{f"fi_{arm}": 6 for arm in arms if arm != "guarded"}, "dr_guarded": 6,
-    }  # fmt: skip
+        "golden": 2,
+        "fi": 6,
+        "null": 2,
+        **{f"golden_{arm}": 2 for arm in arms},
+        **{f"null_{arm}": 2 for arm in arms},
+        **{f"fi_{arm}": 6 for arm in arms if arm != "guarded"},
+        "dr_guarded": 6,
+    }
     for run in runs:
         if run.spec.kind == "null":
             assert run.record.digest == golden[run.spec.arm].digest or run.spec.seed != 10_000

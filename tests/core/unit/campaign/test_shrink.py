@@ -71,10 +71,12 @@ def test_it_ends_with_a_command_that_flies_the_smallest_fault(capsys, directory,
 
 @pytest.mark.parametrize(
     ("fault", "words"),
-    [(InstructionFault("m.f", "ab" * 32, 42, 7, (3,), budget=9, kernel="pid", entry="track"), []),
-     (MemoryFault("waypoint", "points", 33, "f8", 20_000_000, 62), []),
-     (StateFault(FaultSite("control.command", "vx"), 20, 62, lasts_s=2.0, share=0.5, seed=4), ["--fault-seed", "4"])],
-)  # fmt: skip
+    [
+        (InstructionFault("m.f", "ab" * 32, 42, 7, (3,), budget=9, kernel="pid", entry="track"), []),
+        (MemoryFault("waypoint", "points", 33, "f8", 20_000_000, 62), []),
+        (StateFault(FaultSite("control.command", "vx"), 20, 62, lasts_s=2.0, share=0.5, seed=4), ["--fault-seed", "4"]),
+    ],
+)
 def test_the_command_has_a_text_for_faults_of_every_level(directory, lost, fault, words):
     spec, trial = Store.open(directory).run(lost[0]).spec, Trial(fault, "collision", 9.0, None)
     printed = shlex.split(command(Shrunk(directory, spec, trial, trial, (), None)))
@@ -94,9 +96,14 @@ def test_missions_that_are_not_lost_by_their_fault_are_refused(directory):
 @pytest.mark.parametrize(
     ("before", "dtype", "bit", "size"),
     [
-        (2.0, "f8", 63, 4.0), (1.0, "f8", 51, 0.5), (1.0, "f8", 62, np.inf), (5, "i4", 1, 2.0), (1, "i4", 31, 2.0**31),
-        (True, "?", 0, 1.0), (None, "f8", 7, 7.0),
+        (2.0, "f8", 63, 4.0),
+        (1.0, "f8", 51, 0.5),
+        (1.0, "f8", 62, np.inf),
+        (5, "i4", 1, 2.0),
+        (1, "i4", 31, 2.0**31),
+        (True, "?", 0, 1.0),
+        (None, "f8", 7, 7.0),
     ],
-)  # fmt: skip
+)
 def test_sizes_of_changes(before, dtype, bit, size):
     assert change_of(before, dtype, bit) == size

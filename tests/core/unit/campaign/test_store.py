@@ -160,10 +160,14 @@ def test_of_two_writers_only_the_younger_commits(tmp_path, seed):
                 write(younger, left.pop(0), digest="younger")
                 continue
             with pytest.raises(MavfiError, match="another process has taken over this campaign"):
-                draw.choice((
-                    lambda: write(older, left[0], digest="older"), lambda: plan(older, [INJECTED]),
-                    lambda: older.end_plan(("sparse", 1)), lambda: older.write_meta({"missions": 9}),
-                ))()  # fmt: skip
+                draw.choice(
+                    (
+                        lambda: write(older, left[0], digest="older"),
+                        lambda: plan(older, [INJECTED]),
+                        lambda: older.end_plan(("sparse", 1)),
+                        lambda: older.write_meta({"missions": 9}),
+                    )
+                )()
         digests = [run.record.digest for run in younger.runs()]
     assert digests == ["older"] * before + ["younger"] * (len(SPECS) - before)
     older.close()
@@ -239,8 +243,9 @@ def test_a_whole_id_is_meant_even_if_it_is_the_prefix_of_another(store):
         columns = "position, kind, setting, environment, seed, spec, note, checksum"
         connection.execute(
             f"INSERT INTO runs (run_id, {columns}) SELECT ?, 99, kind, setting, environment, seed, spec, note, "
-            "checksum FROM runs WHERE position = 1", (longer,),
-        )  # fmt: skip
+            "checksum FROM runs WHERE position = 1",
+            (longer,),
+        )
     assert store.run(SPECS[0].run_id).spec == SPECS[0]
     assert store.run(longer).spec == SPECS[1]
 

@@ -44,8 +44,10 @@ def test_stages_come_first_then_each_kernel_then_each_mission(compiled):
     kernels = ("rrt_connect", "point_cloud", "octomap", "collision_check", "pid")
     whole = (*kernels[1:4], kernels[0], kernels[4])
     assert missions(compiled) == [
-        *(("table1_instructions", (kernel,)) for kernel in kernels), ("table1", ()), ("table1_instructions", whole)
-    ]  # fmt: skip
+        *(("table1_instructions", (kernel,)) for kernel in kernels),
+        ("table1", ()),
+        ("table1_instructions", whole),
+    ]
     detectors = [(task.name, task.profile) for task in compiled if isinstance(task, warm_up._Detector)]
     assert detectors == [("gaussian", "paper"), ("autoencoder", "paper")]
 

@@ -172,8 +172,12 @@ def test_states_print_the_registry(capsys):
     blocks = {block.split(maxsplit=1)[0]: block for block in text.split("\n\n")[1:-1]}
     assert list(blocks) == list(states_with("truth"))
     assert sum("●" in line for block in blocks.values() for line in block.splitlines()) == 13
-    dead = {(state, line.split()[0]) for state, block in blocks.items() for line in block.splitlines()
-            if line.rstrip().endswith(" dead")}  # fmt: skip
+    dead = {
+        (state, line.split()[0])
+        for state, block in blocks.items()
+        for line in block.splitlines()
+        if line.rstrip().endswith(" dead")
+    }
     assert {("sensor.odometry", "wx"), ("control.tracking", "remaining")} <= dead
     assert ("planning.waypoint", "ax") not in dead
     assert re.search(r"read by octomap *$", blocks["perception.point_cloud"], re.MULTILINE)

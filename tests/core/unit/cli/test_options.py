@@ -13,13 +13,32 @@ from mavfi.errors import BadInputError
 from mavfi.mission import LARGEST_SEED, MissionSpec
 
 VALUES = {
-    "environment": "dense", "seed": 7, "start": (1.0, 2.0, 3.0), "goal": (9.0, 2.0, 3.0), "autopilot": "hardened",
-    "planner": "rrt", "platform": "cortex-a57", "map": "octree", "map_resolution": 0.4, "vehicle": "small_quad",
-    "v_max": 2.0, "depth_noise": 0.1, "wind": 3.0, "localization": "estimator", "coupling": "observer",
-    "dead_node": "readback", "alarm": "repeated", "epoch_liveness": 2.0, "grain": "kernel", "same_twice": "escalate",
-    "answer_s": 0.6, "degraded": "hold", "flight_controller": "package.module:Class", "protection": "full",
+    "environment": "dense",
+    "seed": 7,
+    "start": (1.0, 2.0, 3.0),
+    "goal": (9.0, 2.0, 3.0),
+    "autopilot": "hardened",
+    "planner": "rrt",
+    "platform": "cortex-a57",
+    "map": "octree",
+    "map_resolution": 0.4,
+    "vehicle": "small_quad",
+    "v_max": 2.0,
+    "depth_noise": 0.1,
+    "wind": 3.0,
+    "localization": "estimator",
+    "coupling": "observer",
+    "dead_node": "readback",
+    "alarm": "repeated",
+    "epoch_liveness": 2.0,
+    "grain": "kernel",
+    "same_twice": "escalate",
+    "answer_s": 0.6,
+    "degraded": "hold",
+    "flight_controller": "package.module:Class",
+    "protection": "full",
     "trained_for": "published/i9-9940x",
-}  # fmt: skip
+}
 
 
 @pytest.fixture

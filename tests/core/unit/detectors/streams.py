@@ -11,9 +11,15 @@ HOLD_TICKS = 25
 PROVENANCE = {"stack": "published", "platform": "i9-9940x", "v_max": 3.0, "planner": "rrt_connect", "flights": 12}
 _BOX = ((0.0, -10.0, 1.0), (60.0, 10.0, 11.0))
 _COMMON = {
-    "v_max": 3.0, "a_max": 5.0, "flight": _BOX, "goal": (30.0, 0.0, 3.0), "control_period": 0.02,
-    "planner_latency": 0.073, "plan_latency": 0.083, "velocity_lag": 0.4,
-}  # fmt: skip
+    "v_max": 3.0,
+    "a_max": 5.0,
+    "flight": _BOX,
+    "goal": (30.0, 0.0, 3.0),
+    "control_period": 0.02,
+    "planner_latency": 0.073,
+    "plan_latency": 0.083,
+    "velocity_lag": 0.4,
+}
 LIMITS = {
     "published": MissionLimits(
         held=True, every_map=False, point_period=0.5, look_ahead=0.3, slowdown_cap=10.0, **_COMMON
@@ -21,7 +27,7 @@ LIMITS = {
     "hardened": MissionLimits(
         held=False, every_map=True, point_period=0.02, look_ahead=0.0, command_limit=1.08, **_COMMON
     ),
-}  # fmt: skip
+}
 
 
 def status(time_to_collision: float, sequence: int) -> State:

@@ -33,9 +33,7 @@ def make(name, count=0, **fields):
 
 def status(counter=1, flag=False, time=30.0, **fields):
     free = {"distance_to_blocked": 9.0 if flag else np.inf, "distance_to_unknown": np.inf, "trajectory_seq": -1}
-    return make(
-        STATUS, future_collision_seq=counter, collision=flag, time_to_collision=time, **{**free, **fields}
-    )  # fmt: skip
+    return make(STATUS, future_collision_seq=counter, collision=flag, time_to_collision=time, **{**free, **fields})
 
 
 def points(autopilot, count=6):
@@ -87,9 +85,15 @@ def flying(autopilot, *more, functions=COMPILED):
     detector.instrument(functions)
     detector.start()
     before = (
-        odometry(HERE, SPEED), status(1, True, 5.0), short(line(autopilot), autopilot), points(autopilot),
-        step_of(autopilot, 0), step_of(autopilot, 1), drive(), make(TRACKING, remaining=0.3),
-    )  # fmt: skip
+        odometry(HERE, SPEED),
+        status(1, True, 5.0),
+        short(line(autopilot), autopilot),
+        points(autopilot),
+        step_of(autopilot, 0),
+        step_of(autopilot, 1),
+        drive(),
+        make(TRACKING, remaining=0.3),
+    )
     for state in (*before, *more):
         detector.accept(state, NOW - 500_000)
     return detector
@@ -267,8 +271,12 @@ def test_a_path_answers_the_counter_that_was_known_when_the_planner_began():
     late = status(3, True, 2.0)
     detector.accept(late, NOW - 10_000)
     assert [detector.check(line("published", epoch=epoch), NOW) is None for epoch in range(5)] == [
-        False, False, True, True, False,
-    ]  # fmt: skip
+        False,
+        False,
+        True,
+        True,
+        False,
+    ]
 
 
 def naive_spike(vertices):

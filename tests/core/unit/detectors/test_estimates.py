@@ -99,10 +99,19 @@ def test_what_a_filter_publishes_passes_whatever_its_sensors_say(case):
     ("field", "value"),
     [
         *((name, value) for name in NAMES[:WIDTH] for value in (np.nan, -np.inf, 1e300)),
-        ("x", 10.6), ("y", -0.6), ("z", -3.0), ("vx", 2.5), ("vy", -8.0), ("vz", 1e3), ("qw", 0.5), ("qw", -0.98),
-        ("qz", -0.3), ("qx", 1e-4), ("qy", 0.9),
+        ("x", 10.6),
+        ("y", -0.6),
+        ("z", -3.0),
+        ("vx", 2.5),
+        ("vy", -8.0),
+        ("vz", 1e3),
+        ("qw", 0.5),
+        ("qw", -0.98),
+        ("qz", -0.3),
+        ("qx", 1e-4),
+        ("qy", 0.9),
     ],
-)  # fmt: skip
+)
 def test_one_value_that_no_filter_says_is_a_hard_alarm_that_names_it(field, value):
     detector, state, now = flying()
     corrupted = state.copy()
@@ -176,8 +185,11 @@ def test_judging_changes_nothing_and_memory_is_restored():
         assert other.memory() == memory and other.check(seen, now) == alarm
         other.start()
     assert {name for name in detector.arrays() if name.startswith("estimate.")} == {
-        "estimate.last", "estimate.time_us", "estimate.aligned_us", "estimate.fix",
-    }  # fmt: skip
+        "estimate.last",
+        "estimate.time_us",
+        "estimate.aligned_us",
+        "estimate.fix",
+    }
 
 
 def test_it_reads_the_estimate_in_its_other_rules_too():

@@ -15,7 +15,7 @@ from mavfi.detectors.acceptance import (
     RULES,
     AcceptanceTest,
     rule_of,
-)  # fmt: skip
+)
 from mavfi.detectors.detector import part_of
 from mavfi.errors import BadInputError
 from mavfi.states import STATES

@@ -40,32 +40,74 @@ def _field(fault):
 
 
 state_faults = st.builds(
-    StateFault, sites, st.just(NO_SITE) | st.integers(0, 10**9), st.none() | st.integers(0, 63),
-    st.sampled_from(["", "mantissa"]), st.floats(0, 1), seeds, st.sampled_from([0.0, 0.5, float("inf")]),
-    st.floats(0, 1, exclude_min=True), st.integers(1, 3), st.integers(1, 3),
-).filter(lambda fault: fault.bit is None or fault.bit + fault.width <= WORD_BITS[_field(fault).dtype])  # fmt: skip
+    StateFault,
+    sites,
+    st.just(NO_SITE) | st.integers(0, 10**9),
+    st.none() | st.integers(0, 63),
+    st.sampled_from(["", "mantissa"]),
+    st.floats(0, 1),
+    seeds,
+    st.sampled_from([0.0, 0.5, float("inf")]),
+    st.floats(0, 1, exclude_min=True),
+    st.integers(1, 3),
+    st.integers(1, 3),
+).filter(lambda fault: fault.bit is None or fault.bit + fault.width <= WORD_BITS[_field(fault).dtype])
 instruction_faults = st.builds(
-    InstructionFault, st.text(), st.text(), st.integers(0), st.just(NO_SITE) | st.integers(0),
-    st.lists(st.integers(0, 127), max_size=3).map(tuple), st.integers(0, 2**128), st.integers(0),
-    model=st.sampled_from(MODELS), kernel=st.text(), entry=st.text(), seed=seeds, weight=st.floats(0, 9),
-)  # fmt: skip
+    InstructionFault,
+    st.text(),
+    st.text(),
+    st.integers(0),
+    st.just(NO_SITE) | st.integers(0),
+    st.lists(st.integers(0, 127), max_size=3).map(tuple),
+    st.integers(0, 2**128),
+    st.integers(0),
+    model=st.sampled_from(MODELS),
+    kernel=st.text(),
+    entry=st.text(),
+    seed=seeds,
+    weight=st.floats(0, 9),
+)
 memory_faults = st.builds(
-    MemoryFault, st.sampled_from(list(KERNELS)), st.text(), st.none() | st.integers(0, 99),
-    st.sampled_from(list(WORD_BITS)), st.just(NO_SITE) | st.integers(0, 10**9), st.none() | st.just(0),
-    st.sampled_from(["", "mantissa"]), st.floats(0, 1), seeds,
-)  # fmt: skip
+    MemoryFault,
+    st.sampled_from(list(KERNELS)),
+    st.text(),
+    st.none() | st.integers(0, 99),
+    st.sampled_from(list(WORD_BITS)),
+    st.just(NO_SITE) | st.integers(0, 10**9),
+    st.none() | st.just(0),
+    st.sampled_from(["", "mantissa"]),
+    st.floats(0, 1),
+    seeds,
+)
 message_faults = st.builds(
-    MessageFault, st.text(), st.text(), st.none() | st.integers(0, 63), st.integers(1, 10**6),
-    st.none() | st.floats(0, 1, exclude_min=True), seed=seeds,
-)  # fmt: skip
+    MessageFault,
+    st.text(),
+    st.text(),
+    st.none() | st.integers(0, 63),
+    st.integers(1, 10**6),
+    st.none() | st.floats(0, 1, exclude_min=True),
+    seed=seeds,
+)
 register_faults = st.builds(
-    RegisterFault, st.sampled_from(REGISTERS), st.sampled_from(ACCESSES), st.text(), st.just(0),
-    st.integers(1, LONGEST_WALK), st.floats(0, LONGEST_TIMEOUT, exclude_min=True), st.booleans(), st.text(), seed=seeds,
-)  # fmt: skip
+    RegisterFault,
+    st.sampled_from(REGISTERS),
+    st.sampled_from(ACCESSES),
+    st.text(),
+    st.just(0),
+    st.integers(1, LONGEST_WALK),
+    st.floats(0, LONGEST_TIMEOUT, exclude_min=True),
+    st.booleans(),
+    st.text(),
+    seed=seeds,
+)
 sensor_faults = st.builds(
-    SensorFault, st.sampled_from(list(UNITS)), st.sampled_from(list(TYPES)), st.just(NO_SITE) | st.integers(0, 10**9),
-    st.floats(0, exclude_min=True), seed=seeds,
-)  # fmt: skip
+    SensorFault,
+    st.sampled_from(list(UNITS)),
+    st.sampled_from(list(TYPES)),
+    st.just(NO_SITE) | st.integers(0, 10**9),
+    st.floats(0, exclude_min=True),
+    seed=seeds,
+)
 faults = state_faults | memory_faults | instruction_faults | message_faults | register_faults | sensor_faults
 
 

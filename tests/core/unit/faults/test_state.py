@@ -252,9 +252,13 @@ def expected_values(fault, values) -> list[int]:
 
 
 @given(
-    st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=12), st.integers(0, 60), st.integers(1, 4),
-    st.integers(1, 4), st.sampled_from([0.0, 0.02, 0.05, float("inf")]), st.integers(0, 250_000),
-)  # fmt: skip
+    st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=12),
+    st.integers(0, 60),
+    st.integers(1, 4),
+    st.integers(1, 4),
+    st.sampled_from([0.0, 0.02, 0.05, float("inf")]),
+    st.integers(0, 250_000),
+)
 def test_a_fault_that_lasts_sticks_as_its_definition_says(values, bit, width, times, lasts_s, time_us):
     fault = StateFault(WAYPOINT, time_us, bit, lasts_s=lasts_s, width=width, times=times)
     assert lasting_values(StateInjector, fault, values) == expected_values(fault, values)

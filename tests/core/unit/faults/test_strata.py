@@ -40,8 +40,12 @@ def test_the_two_strata_part_every_word_and_lengths_have_their_own(dtype):
 
 def test_class_of_a_bit():
     assert [bit_class(Field("f", "f8", "m"), bit) for bit in (63, 62, 52, 51, 0)] == [
-        "sign", "exponent", "exponent", "mantissa", "mantissa",
-    ]  # fmt: skip
+        "sign",
+        "exponent",
+        "exponent",
+        "mantissa",
+        "mantissa",
+    ]
     assert bit_class(Field("n", "i4", "-"), 30) == "other"
     assert bit_class(Field("b", "?", "-"), 0) == "flag"
 

@@ -30,29 +30,35 @@ from mavfi.states import STATES, Stage, new_state
 
 BOTH = (False, True)
 STATUS, PATH, WAYPOINT, COMMAND = (
-    "perception.collision_status", "planning.path", "planning.waypoint", "control.command",
-)  # fmt: skip
+    "perception.collision_status",
+    "planning.path",
+    "planning.waypoint",
+    "control.command",
+)
 RECOMPUTE, CONTROL, PLANNING, PERCEPTION = Response.RECOMPUTE, Stage.CONTROL, Stage.PLANNING, Stage.PERCEPTION
 CASES = [
     (Alarm("d", "control"), COMMAND, Action(RECOMPUTE, CONTROL, "pid", ("pid",), COMMAND, True)),
     (Alarm("d", "planning"), WAYPOINT, Action(RECOMPUTE, PLANNING, "waypoint", ("waypoint",), WAYPOINT, True)),
     (
-        Alarm("d", "perception"), "perception.map_update",
+        Alarm("d", "perception"),
+        "perception.map_update",
         Action(RECOMPUTE, PERCEPTION, SCANNING[0], SCANNING, "perception.map_update", True),
     ),
     (
-        Alarm("d", "perception"), "perception.odometry",
+        Alarm("d", "perception"),
+        "perception.odometry",
         Action(RECOMPUTE, PERCEPTION, "state_estimation", ("state_estimation",), "perception.odometry", True),
     ),
     (Alarm("d", "control"), WAYPOINT, Action(RECOMPUTE, CONTROL, "pid", ("pid",))),
     (Alarm("d", "planning"), COMMAND, Action(RECOMPUTE, PLANNING)),
     (Alarm("d", "perception"), "sensor.odometry", Action(RECOMPUTE, PERCEPTION)),
     (
-        Alarm("d", "control", abandon_waypoint=True), COMMAND,
+        Alarm("d", "control", abandon_waypoint=True),
+        COMMAND,
         Action(Response.ABANDON, CONTROL, "waypoint", (), WAYPOINT),
     ),
     (Alarm("d", "control", stop=True), WAYPOINT, Action(Response.STOP, CONTROL, "waypoint", (), WAYPOINT, True)),
-]  # fmt: skip
+]
 
 
 def answer(alarm, state, policy=INLINE, origin=Origin.STEP, history=None, now=0):
@@ -69,8 +75,11 @@ def test_an_observer_asks_for_the_same_and_holds_nothing_back(alarm, state, expe
     found = answer(alarm, state, Recovery("observer"))
     assert not found.withholds
     assert (found.kind, found.kernel, found.restores, found.awaited) == (
-        expected.kind, expected.kernel, expected.restores, expected.awaited,
-    )  # fmt: skip
+        expected.kind,
+        expected.kernel,
+        expected.restores,
+        expected.awaited,
+    )
 
 
 def test_only_the_kernel_that_wrote_the_value_is_stepped_again():
@@ -102,9 +111,12 @@ def test_an_alarm_has_the_first_response_that_applies():
             applies = {
                 Response.HOLD: hard and degrades and (persists or (recomputed and left == 0)),
                 None: (origin is not Origin.STEP and not hard) or (recomputed and left == 0),
-                Response.RESTART: recomputed, Response.STOP: stop, Response.ABANDON: abandon,
-                Response.RESEND: own and resends and origin is Origin.STEP, Response.RECOMPUTE: True,
-            }  # fmt: skip
+                Response.RESTART: recomputed,
+                Response.STOP: stop,
+                Response.ABANDON: abandon,
+                Response.RESEND: own and resends and origin is Origin.STEP,
+                Response.RECOMPUTE: True,
+            }
             found = answer(alarm, STATUS, policy, origin, history, now)
             assert (None if found is None else found.kind) is next(kind for kind in applies if applies[kind])
 
@@ -170,10 +182,15 @@ def deadline(alarm="repeated"):
 @pytest.mark.parametrize(
     ("state", "ends"),
     [
-        (path(3), True), (path(4), True), (path(2), False), (status(3), False), (status(3, flag=True), False),
-        (status(3, time=NO_COLLISION, blocked=math.inf), True), (status(2, time=NO_COLLISION, blocked=math.inf), False),
+        (path(3), True),
+        (path(4), True),
+        (path(2), False),
+        (status(3), False),
+        (status(3, flag=True), False),
+        (status(3, time=NO_COLLISION, blocked=math.inf), True),
+        (status(2, time=NO_COLLISION, blocked=math.inf), False),
     ],
-)  # fmt: skip
+)
 def test_a_wait_begins_with_an_alarm_and_ends_with_an_answer_or_its_deadline(waiting, down, late, state, ends):
     since, now = (1_000_000 if waiting else None), 1_600_000 + late
     wait = PathWait(since, 3, 3, waypoint(0))

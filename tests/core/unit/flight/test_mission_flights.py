@@ -96,9 +96,10 @@ def arms(calls):
         return WATCHER
 
     return {
-        "": ArmSetup(Scenario(name="own")), "g": ArmSetup(Scenario(name="own"), make, Recovery("observer")),
+        "": ArmSetup(Scenario(name="own")),
+        "g": ArmSetup(Scenario(name="own"), make, Recovery("observer")),
         "slow": ArmSetup(Scenario(name="other")),
-    }  # fmt: skip
+    }
 
 
 def ways(calls):
@@ -188,9 +189,10 @@ def test_instruction_faults_are_flown_arm_by_arm_and_keep_their_places(calls, ar
     assert {place: flight.log for place, flight in found.items()} == {0: DATA, 1: DATA, 2: other, 3: FAULT}
     assert calls.flown == [
         ("fast", None, None, "", INLINE),
-        ("fast", FAULT, WATCHER, "g", Recovery("observer")), ("checkpoints", (DATA, other), None, "", INLINE),
+        ("fast", FAULT, WATCHER, "g", Recovery("observer")),
+        ("checkpoints", (DATA, other), None, "", INLINE),
         ("instructions", (DATA,), WATCHER, None, Recovery("observer")),
-    ], "without a golden flight of its own an arm flies from take-off"  # fmt: skip
+    ], "without a golden flight of its own an arm flies from take-off"
     assert calls.made == ["own with scratch", "counts "]
 
 
@@ -241,5 +243,7 @@ def test_golden_flights_whose_checkpoints_nothing_starts_from_are_flown_the_long
     list(flights.injected([("s", FAULT)]))
     golden = "fast" if level == "state" else "long"
     assert [(way, detector) for way, _, detector, *_ in calls.flown] == [
-        ("fast", WATCHER), (golden, sealing), ("fast", sealing),
-    ]  # fmt: skip
+        ("fast", WATCHER),
+        (golden, sealing),
+        ("fast", sealing),
+    ]

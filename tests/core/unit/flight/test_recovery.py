@@ -70,8 +70,11 @@ def test_what_passes_is_recorded_as_accepted():
     alarm = Alarm("d", "planning", score=2.0, fields=("control.command.vx",))
     record = record_of(alarm, Action(Response.RECOMPUTE, Stage.PLANNING), "control.command", 1_500_000)
     assert (record.time_s, record.action, record.outcome, record.fields) == (
-        1.5, "recompute", "accepted", ("control.command.vx",),
-    )  # fmt: skip
+        1.5,
+        "recompute",
+        "accepted",
+        ("control.command.vx",),
+    )
 
 
 # ---- a rule that is broken twice, and an alarm that nobody answers ------------------------------------------------
@@ -290,9 +293,14 @@ def test_an_alarm_that_is_withdrawn_needs_no_answer(withdrawal, ends):
 def test_an_alarm_that_returns_starts_a_new_wait():
     flight = Flight("repeated")
     values = [
-        (0, waypoint()), (1, status(3, flag=True)), (200_000, status(4, flag=True)), (400_000, free(4)),
-        (800_000, status(5, flag=True)), (1_300_000, status(5, flag=True)), (1_500_000, status(5, flag=True)),
-    ]  # fmt: skip
+        (0, waypoint()),
+        (1, status(3, flag=True)),
+        (200_000, status(4, flag=True)),
+        (400_000, free(4)),
+        (800_000, status(5, flag=True)),
+        (1_300_000, status(5, flag=True)),
+        (1_500_000, status(5, flag=True)),
+    ]
     shown(Never(hard=True), ESCALATES, values, flight)
     assert flight.restarted == [("planner", 1_500_000, RESTART_US)]
 
@@ -326,8 +334,12 @@ AFTERWARDS = [(10**9, new_state(COMMAND)), (10**9 + 1, status(9)), (10**9 + 2, n
 def test_without_a_restart_left_a_rule_broken_twice_ends_in_degraded_mode():
     flight = Flight()
     assert shown(Always(hard=True), HOLDS, [(1, status(5)), (2, status(5)), *AFTERWARDS], flight, 0) == [
-        False, True, False, True, True,
-    ]  # fmt: skip
+        False,
+        True,
+        False,
+        True,
+        True,
+    ]
     assert flight.outcomes == [("recompute", "rejected"), ("hold", "accepted")] and flight.restarted == []
 
 
@@ -340,9 +352,13 @@ def test_the_command_that_starts_it_is_withheld():
 
 @pytest.mark.parametrize(
     ("pitch_us", "hard", "degraded", "expected"),
-    [(200_000, True, "hold", True), (300_000, True, "hold", False), (200_000, False, "hold", False),
-     (200_000, True, "none", False)],
-)  # fmt: skip
+    [
+        (200_000, True, "hold", True),
+        (300_000, True, "hold", False),
+        (200_000, False, "hold", False),
+        (200_000, True, "none", False),
+    ],
+)
 def test_hard_alarms_that_persist_end_in_degraded_mode(pitch_us, hard, degraded, expected):
     flight, recovery = Flight(), Recovery(grain="kernel", degraded=degraded)
     # every second value is the result of a recomputation, which is not judged

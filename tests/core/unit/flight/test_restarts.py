@@ -101,9 +101,11 @@ TRAJECTORY = new_state("planning.trajectory")
 @pytest.mark.parametrize(
     ("policy", "epoch", "sent"),
     [
-        ("fresh", 0, [QUIET]), ("readback", 0, [ALARM, QUIET]), ("readback", 1, [QUIET]),
+        ("fresh", 0, [QUIET]),
+        ("readback", 0, [ALARM, QUIET]),
+        ("readback", 1, [QUIET]),
     ],
-)  # fmt: skip
+)
 def test_what_a_restarted_node_is_sent(policy, epoch, sent):
     waypoint = in_force(epoch)
     loop = dead(policy, *UPDATES, ALARM, TRAJECTORY, QUIET, in_force(0), waypoint)

@@ -48,8 +48,13 @@ def test_corrupted_numbers_never_lead_out_of_bounds(request):
     path = os.pathsep.join((str(ROOT / "src"), str(ROOT)))
     environment = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": path}
     done = subprocess.run(
-        [sys.executable, "-m", "tests.core.unit.kernels.cases"], env=environment, cwd=ROOT, capture_output=True,
-        text=True, timeout=300, check=False,
-    )  # fmt: skip
+        [sys.executable, "-m", "tests.core.unit.kernels.cases"],
+        env=environment,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) > 1000

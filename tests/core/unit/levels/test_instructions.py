@@ -35,12 +35,19 @@ def requests(monkeypatch):
         asked.append((scenario.environment.name, seed, scenario.planner.name, address, request))
         faults = {
             kernel: [
-                InstructionFault("f", f"{kernel} {seed} {address}", number, kernel=kernel, entry="f", bits=(3,),
-                                 call=NO_SITE if kernel == "octomap" and number else number)
+                InstructionFault(
+                    "f",
+                    f"{kernel} {seed} {address}",
+                    number,
+                    kernel=kernel,
+                    entry="f",
+                    bits=(3,),
+                    call=NO_SITE if kernel == "octomap" and number else number,
+                )
                 for number in range(count)
             ]
             for kernel, count in request.kernels.items()
-        }  # fmt: skip
+        }
         golden = fakes.fly(ArmSetup(scenario), None, None)
         return DrawnFaults(golden, {kernel: {"instructions": 7, "calls": 1, "lines": []} for kernel in faults}, faults)
 
@@ -113,13 +120,19 @@ def test_planners_that_are_not_flown_have_missions_of_their_own(requests):
     c = campaign("kernel", kernels=[*PLANNERS, "pid"], arms={}, environments=["sparse"], faults=3)
     runs, golden = flown(c)
     assert [arm.name for arm in arms_of(c)] == ["", "rrt", "rrt_star"]
-    assert {(run.arm, run.target) for run in runs} == {("", "rrt_connect"), ("", "pid"), ("rrt", "rrt"),
-                                                       ("rrt_star", "rrt_star")}  # fmt: skip
+    assert {(run.arm, run.target) for run in runs} == {
+        ("", "rrt_connect"),
+        ("", "pid"),
+        ("rrt", "rrt"),
+        ("rrt_star", "rrt_star"),
+    }
     assert {run.setting for run in runs} == {"fi"}
     assert Counter(run.setting for run in golden) == {"golden": 3, "golden_rrt": 3, "golden_rrt_star": 3}
     assert {(planner, tuple(request.kernels)) for _, _, planner, _, request in requests} == {
-        ("rrt_connect", ("rrt_connect", "pid")), ("rrt", ("rrt",)), ("rrt_star", ("rrt_star",))
-    }  # fmt: skip
+        ("rrt_connect", ("rrt_connect", "pid")),
+        ("rrt", ("rrt",)),
+        ("rrt_star", ("rrt_star",)),
+    }
 
 
 def test_golden_runs_without_a_detector_keep_what_was_counted():
@@ -212,8 +225,10 @@ def test_a_named_configuration_is_injected_as_the_detector_that_it_configures(mo
     arms = {"recommended": {"detector": "recommended"}}
     runs, golden = flown(with_detectors(monkeypatch, kernels=("pid", "acceptance"), arms=arms))
     assert Counter((run.target, run.setting) for run in runs) == {
-        ("pid", "fi"): 9, ("pid", "dr_recommended"): 9, ("acceptance", "dr_recommended"): 9
-    }  # fmt: skip
+        ("pid", "fi"): 9,
+        ("pid", "dr_recommended"): 9,
+        ("acceptance", "dr_recommended"): 9,
+    }
     counted = {spec.arm: set(record.counts) for spec, record in golden.items()}
     assert counted == {"": {"pid"}, "recommended": {"pid", "acceptance"}}
 

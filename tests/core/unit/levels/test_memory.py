@@ -56,10 +56,14 @@ def test_every_bit_of_every_instant_is_alike(stratum):
 
 def campaign_of(*kernels, **arms):
     return Campaign(
-        name="watched", environments=("sparse",), missions=1, faults=2,
-        sampling={"level": "memory", "kernels": kernels, "share": "kernel"}, null_runs=0,
+        name="watched",
+        environments=("sparse",),
+        missions=1,
+        faults=2,
+        sampling={"level": "memory", "kernels": kernels, "share": "kernel"},
+        null_runs=0,
         arms={name: {"detector": detector, **more} for name, (detector, more) in arms.items()},
-    )  # fmt: skip
+    )
 
 
 def test_faults_in_what_watches_are_drawn_and_injected_in_its_arm_alone():

@@ -39,9 +39,12 @@ def test_the_text_of_a_fault_in_an_instruction_names_all_of_it(changed):
 
 @pytest.mark.parametrize(
     ("kernel", "message"),
-    [("pid.insert_scan", "kernel 'pid': no function 'insert_scan'; allowed: track"),
-     ("rrt.plan_rrt", "the planner of this mission is 'rrt_connect'"), ("lidar.scan", "kernel 'lidar': not known")],
-)  # fmt: skip
+    [
+        ("pid.insert_scan", "kernel 'pid': no function 'insert_scan'; allowed: track"),
+        ("rrt.plan_rrt", "the planner of this mission is 'rrt_connect'"),
+        ("lidar.scan", "kernel 'lidar': not known"),
+    ],
+)
 def test_instructions_of_functions_that_are_not_flown_are_refused(kernel, message):
     text = f"instruction:{kernel}:call=0:index=0:bit=3:budget=100:ir={'ab' * 32}"
     with pytest.raises(BadInputError, match=message):

@@ -106,13 +106,21 @@ def test_a_change_in_a_callee_changes_the_key_of_its_caller(key, old, new):
 
 
 def test_comments_docstrings_layout_modules_and_other_functions_change_no_key(key):
-    assert key(
-        '"""A docstring."""', '"""Another docstring,\n\n    of more lines.\n    """',
-        "    if x > LIMIT", "    # A comment.\n\n    if x > LIMIT",
-        "math.sqrt(x) + TABLE[0]", "(\n        math.sqrt(x)\n        + TABLE[0]  # first\n    )",
-        "return x + 1.0", "return x - 1.0",
-        "import math\n", '"""A module."""\n\nimport math\n',
-    ) == key()  # fmt: skip
+    assert (
+        key(
+            '"""A docstring."""',
+            '"""Another docstring,\n\n    of more lines.\n    """',
+            "    if x > LIMIT",
+            "    # A comment.\n\n    if x > LIMIT",
+            "math.sqrt(x) + TABLE[0]",
+            "(\n        math.sqrt(x)\n        + TABLE[0]  # first\n    )",
+            "return x + 1.0",
+            "return x - 1.0",
+            "import math\n",
+            '"""A module."""\n\nimport math\n',
+        )
+        == key()
+    )
 
 
 def test_a_docstring_that_is_also_a_value_counts():

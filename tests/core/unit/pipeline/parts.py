@@ -13,13 +13,27 @@ def config(autopilot="published", *, planner="rrt_connect", tracker_slowdown=1.0
     """A small arena; `rules` replace those of the autopilot profile."""
     profile = shipped("autopilots", AutopilotConfig, autopilot).model_copy(update=rules)
     return PipelineConfig(
-        autopilot=profile, planner=PlannerConfig(name=planner, restarts=2, shortcuts=20), map=MapConfig(),
-        camera=CameraConfig(), directions=np.array([[1.0, 0.0, 0.0], [0.8, 0.6, 0.0], [0.8, -0.6, 0.0]]),
-        arena_lower=np.zeros(3), arena_upper=np.array([20.0, 10.0, 6.0]), flight_lower=np.ones(3),
-        flight_upper=np.array([19.0, 9.0, 5.0]), goal=np.array([17.0, 5.0, 3.0]), seed=3, v_max=3.0, a_max=5.0,
-        plan_radius=profile.plan_radius, check_radius=profile.check_radius, control_period_us=20_000,
-        tracker_slowdown=tracker_slowdown, map_latency=0.289, plan_latency=0.083, velocity_lag=0.4,
-    )  # fmt: skip
+        autopilot=profile,
+        planner=PlannerConfig(name=planner, restarts=2, shortcuts=20),
+        map=MapConfig(),
+        camera=CameraConfig(),
+        directions=np.array([[1.0, 0.0, 0.0], [0.8, 0.6, 0.0], [0.8, -0.6, 0.0]]),
+        arena_lower=np.zeros(3),
+        arena_upper=np.array([20.0, 10.0, 6.0]),
+        flight_lower=np.ones(3),
+        flight_upper=np.array([19.0, 9.0, 5.0]),
+        goal=np.array([17.0, 5.0, 3.0]),
+        seed=3,
+        v_max=3.0,
+        a_max=5.0,
+        plan_radius=profile.plan_radius,
+        check_radius=profile.check_radius,
+        control_period_us=20_000,
+        tracker_slowdown=tracker_slowdown,
+        map_latency=0.289,
+        plan_latency=0.083,
+        velocity_lag=0.4,
+    )
 
 
 def odometry(position=(2.0, 5.0, 3.0), velocity=(0.0, 0.0, 0.0)):

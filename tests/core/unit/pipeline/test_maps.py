@@ -75,12 +75,16 @@ def raising(*_):
         ({"insert": None, "mark": None}, "lacks insert, mark"),
         ({"__init__": lambda self: None}, "cannot be built .TypeError"),
         ({"__init__": lambda self, *_: None}, "lacks log_odds"),
-        ({"log_odds": property(lambda self: np.zeros(3, np.float32)), "__init__": lambda self, *_: None},
-         r"log_odds has shape \(3,\); allowed: \(8000,\)"),
-        ({"log_odds": property(lambda self: np.zeros(SIZE)), "__init__": lambda self, *_: None},
-         "log_odds is float64; allowed: float32"),
+        (
+            {"log_odds": property(lambda self: np.zeros(3, np.float32)), "__init__": lambda self, *_: None},
+            r"log_odds has shape \(3,\); allowed: \(8000,\)",
+        ),
+        (
+            {"log_odds": property(lambda self: np.zeros(SIZE)), "__init__": lambda self, *_: None},
+            "log_odds is float64; allowed: float32",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_class_that_does_not_fit_is_found_when_it_is_built(monkeypatch, broken, message):
     with pytest.raises(BadInputError, match=f"map 'mine:Own': {message}"):
         own(monkeypatch, **broken)

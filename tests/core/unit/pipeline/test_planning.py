@@ -15,10 +15,7 @@ def planner(autopilot="published", **rules):
     """A planner behind whose start a wall with a gap stands."""
     kernel = MotionPlanner(config(autopilot, **rules))
     grid = kernel.clearance_map.grid
-    wall = [
-        (ix * grid.ny + iy) * grid.nz + iz
-        for ix in (30,) for iy in range(19, grid.ny) for iz in range(grid.nz)
-    ]  # fmt: skip
+    wall = [(ix * grid.ny + iy) * grid.nz + iz for ix in (30,) for iy in range(19, grid.ny) for iz in range(grid.nz)]
     everything = np.arange(grid.size)
     kernel.receive(map_update(everything, -1.0), 0)
     kernel.receive(map_update(wall), 0)

@@ -22,7 +22,7 @@ from tests.core.unit.pipeline.parts import (
     tracking,
     trajectory,
     waypoint,
-)  # fmt: skip
+)
 from tests.core.unit.pipeline.test_estimation import Flight, fix
 
 TICK = 20_000
@@ -203,8 +203,9 @@ def test_the_estimator_goes_on_from_its_last_estimate_and_takes_the_next_fix():
     back.time_us = flown.time_us + TICK
     assert back.kernel.resume(last(said, fix(x=50.0)), back.time_us) == ("sensor.position",), "older than the estimate"
     (again,) = back.step()
-    np.testing.assert_array_equal(floats(again.header, 19)[[*range(10), *range(13, 19)]],
-                                  floats(said.header, 19)[[*range(10), *range(13, 19)]])  # fmt: skip
+    np.testing.assert_array_equal(
+        floats(again.header, 19)[[*range(10), *range(13, 19)]], floats(said.header, 19)[[*range(10), *range(13, 19)]]
+    )
     (moved,) = back.step(fix(x=1.3))
     assert moved.header["x"][0] == pytest.approx(1.3, abs=0.01), "it may have moved meanwhile"
     assert np.abs(floats(moved.header, 6)[3:]).max() < 0.1

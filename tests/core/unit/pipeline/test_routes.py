@@ -16,9 +16,10 @@ def routes(*, gap=None, wall=True, **rules):
     middle = grid.ny // 2
     solid = [
         (30 * grid.ny + iy) * grid.nz + iz
-        for iy in range(19, grid.ny) for iz in range(grid.nz)
+        for iy in range(19, grid.ny)
+        for iz in range(grid.nz)
         if gap is None or abs(iy - middle) > gap // 2
-    ]  # fmt: skip
+    ]
     if wall:
         finder.clearance_map.apply(map_update(solid))
     return finder

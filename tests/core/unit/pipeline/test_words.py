@@ -145,13 +145,23 @@ def test_integers_have_32_bits_with_a_sign():
 @pytest.mark.parametrize(
     ("text", "name", "indices"),
     [
-        ("", "array", range(6)), ("array", "array", range(6)), ("array[4]", "array", range(4, 5)),
-        ("array[6]", "array", range(0)), ("number", "inner.number", range(1)), ("inner", "inner.number", range(1)),
-        ("umber", "inner.number", range(0)), ("table.x", "table[0].x", range(2)), ("x[1]", "table[0].x", range(1, 2)),
-        ("table[0].x", "table[0].x", range(2)), ("table[1].x", "table[0].x", range(0)),
-        ("clock[0]", "clock[0]", range(1)), ("clock[0]", "clock[1]", range(0)), ("clock", "clock[1]", range(1)),
-        ("state", "table[0].x", range(0)), ("array[x]", "array", range(0)),
+        ("", "array", range(6)),
+        ("array", "array", range(6)),
+        ("array[4]", "array", range(4, 5)),
+        ("array[6]", "array", range(0)),
+        ("number", "inner.number", range(1)),
+        ("inner", "inner.number", range(1)),
+        ("umber", "inner.number", range(0)),
+        ("table.x", "table[0].x", range(2)),
+        ("x[1]", "table[0].x", range(1, 2)),
+        ("table[0].x", "table[0].x", range(2)),
+        ("table[1].x", "table[0].x", range(0)),
+        ("clock[0]", "clock[0]", range(1)),
+        ("clock[0]", "clock[1]", range(0)),
+        ("clock", "clock[1]", range(1)),
+        ("state", "table[0].x", range(0)),
+        ("array[x]", "array", range(0)),
     ],
-)  # fmt: skip
+)
 def test_words_are_named_by_the_end_of_their_name_or_a_part_of_it(text, name, indices):
     assert list(FOUND[name].named(text)) == list(indices)

@@ -14,10 +14,15 @@ def flown(tmp_path_factory):
     directory: Path = tmp_path_factory.mktemp("campaign")
     campaign = Campaign.model_validate(
         {
-            "name": "tiny", "environments": ["sparse"], "missions": 2, "faults": 2, "null_runs": 2,
-            "sampling": {"strata": {"sign_exponent": 1, "mantissa": 1}}, "arms": {"idle": {"detector": "none"}},
+            "name": "tiny",
+            "environments": ["sparse"],
+            "missions": 2,
+            "faults": 2,
+            "null_runs": 2,
+            "sampling": {"strata": {"sign_exponent": 1, "mantissa": 1}},
+            "arms": {"idle": {"detector": "none"}},
         }
-    )  # fmt: skip
+    )
     run_campaign(campaign, directory, executor=LocalExecutor(1))
     return directory
 

@@ -69,8 +69,11 @@ def check_texts(figure):
     texts = texts_of(figure)
     page = figure.bbox.padded(1.0)
     assert not [name for name, box in texts if not (page.contains(box.x0, box.y0) and page.contains(box.x1, box.y1))]
-    assert not [(one, other) for (one, box), (other, further) in combinations(texts, 2)
-                if box.padded(-1.0).overlaps(further.padded(-1.0))]  # fmt: skip
+    assert not [
+        (one, other)
+        for (one, box), (other, further) in combinations(texts, 2)
+        if box.padded(-1.0).overlaps(further.padded(-1.0))
+    ]
 
 
 @pytest.mark.parametrize("count", [3, 6, 9])

@@ -19,9 +19,17 @@ FAULT = StateFault(SITE, 1_000_000, 62)
 INJECTION = Injection("state", str(SITE), 1.0, 62, 3.5, float("inf"), activated=True)
 ON_PATH = Departure(None, None, 0.0, 0.0, 0.0)
 INSTRUCTION = {
-    "kernel": "pid", "function": "track", "opcode": "fmul", "type": "double", "value_class": "floating_point",
-    "variable": "rate", "inlined": ["mavfi/kernels/control/pid.py:12"], "call": 7, "index": 42, "model": "one_bit",
-}  # fmt: skip
+    "kernel": "pid",
+    "function": "track",
+    "opcode": "fmul",
+    "type": "double",
+    "value_class": "floating_point",
+    "variable": "rate",
+    "inlined": ["mavfi/kernels/control/pid.py:12"],
+    "call": 7,
+    "index": 42,
+    "model": "one_bit",
+}
 
 
 def log(*, seconds=10.0, status=MissionStatus.SUCCESS, **changes):
@@ -57,16 +65,28 @@ def test_the_verdict_comes_first_and_says_masked():
 @pytest.mark.parametrize(
     ("injected", "golden", "verdict"),
     [
-        (log(seconds=11.0, injections=[INJECTION]), log(),
-         "silent data corruption; the mission succeeds after 11.00 s (+10.0 % against the golden run)"),
-        (log(seconds=4.0, status=MissionStatus.COLLISION, injections=[INJECTION]), log(),
-         "silent data corruption; the mission is lost: collision after 4.00 s (golden run: success after 10.00 s)"),
-        (log(status=MissionStatus.COLLISION, injections=[INJECTION]), log(status=MissionStatus.TIMEOUT),
-         "silent data corruption; the mission fails without the fault, too (timeout; with it collision)"),
-        (log(injections=[INJECTION]), log(status=MissionStatus.TIMEOUT),
-         "silent data corruption; the mission succeeds after 10.00 s, which the golden run does not (timeout)"),
+        (
+            log(seconds=11.0, injections=[INJECTION]),
+            log(),
+            "silent data corruption; the mission succeeds after 11.00 s (+10.0 % against the golden run)",
+        ),
+        (
+            log(seconds=4.0, status=MissionStatus.COLLISION, injections=[INJECTION]),
+            log(),
+            "silent data corruption; the mission is lost: collision after 4.00 s (golden run: success after 10.00 s)",
+        ),
+        (
+            log(status=MissionStatus.COLLISION, injections=[INJECTION]),
+            log(status=MissionStatus.TIMEOUT),
+            "silent data corruption; the mission fails without the fault, too (timeout; with it collision)",
+        ),
+        (
+            log(injections=[INJECTION]),
+            log(status=MissionStatus.TIMEOUT),
+            "silent data corruption; the mission succeeds after 10.00 s, which the golden run does not (timeout)",
+        ),
     ],
-)  # fmt: skip
+)
 def test_the_verdict_says_what_became_of_the_mission(injected, golden, verdict):
     assert story_of(found(injected, golden))["verdict"] == verdict
 
@@ -84,8 +104,9 @@ def test_a_fault_that_was_not_activated_is_no_masked_one():
 
 
 def test_a_fault_in_an_instruction_has_the_same_story_with_source_line_and_kernel():
-    injection = Injection("instruction", "pid.track", 2.5, 62, 1.0, -1.0, True, "mavfi/kernels/control/pid.py", 90,
-                          INSTRUCTION)  # fmt: skip
+    injection = Injection(
+        "instruction", "pid.track", 2.5, 62, 1.0, -1.0, True, "mavfi/kernels/control/pid.py", 90, INSTRUCTION
+    )
     first = {"state": "control.command", "field": "vx", "element": None, "before": 1.0, "after": 8.0}
     fault = InstructionFault("module:track", "0", 42, 7, kernel="pid", entry="track", stratum="exponent")
     story = story_of(found(log(injections=[injection], kernel=KernelEffect("sdc", "", first)), fault=fault))
@@ -109,14 +130,18 @@ def test_a_fault_in_an_instruction_has_the_same_story_with_source_line_and_kerne
     ("first", "sentence"),
     [
         (None, "none: every published value is bit for bit that of the golden run"),
-        (Difference("control.command", "vx", 5_000, 5_000, 2.749570000000001, 2.749570000000002),
-         "control.command.vx at 0.005 s: golden 2.749570000000001, here 2.749570000000002"),
-        (Difference("planning.waypoint", "", 5_000, 9_000),
-         "planning.waypoint at 0.005 s in the golden run: here held back, the same value came 4 ms later"),
+        (
+            Difference("control.command", "vx", 5_000, 5_000, 2.749570000000001, 2.749570000000002),
+            "control.command.vx at 0.005 s: golden 2.749570000000001, here 2.749570000000002",
+        ),
+        (
+            Difference("planning.waypoint", "", 5_000, 9_000),
+            "planning.waypoint at 0.005 s in the golden run: here held back, the same value came 4 ms later",
+        ),
         (Difference("planning.path", "", None, 7_000), "planning.path at 0.007 s: published here alone"),
         (Difference("planning.path", "", 7_000, None), "planning.path at 0.007 s: published by the golden run alone"),
     ],
-)  # fmt: skip
+)
 def test_the_first_difference(first, sentence):
     assert story_of(found(log(injections=[INJECTION]), first=first))["first difference"] == sentence
 
@@ -153,9 +178,10 @@ def test_the_detector_is_named_with_its_profile_if_it_has_one():
 def injected(flown):
     with Store.open(flown) as store:
         return next(
-            run.spec.run_id for run in store.runs()
+            run.spec.run_id
+            for run in store.runs()
             if run.spec.setting == "fi" and run.spec.target == "control" and run.spec.fault.has_site
-        )  # fmt: skip
+        )
 
 
 @pytest.mark.slow

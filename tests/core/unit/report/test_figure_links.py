@@ -51,9 +51,16 @@ def flown_by_hand():
         rows.append(golden(environment=environment, setting="golden_gaussian", arm="gaussian", detector="gaussian"))
         for setting in ({}, ARM):
             for place, target in enumerate(("waypoint", "cloud", "waypoint", "cloud", "waypoint")):
-                common = {"environment": environment, "target": target, "state": f"planning.{target}", **setting,
-                          "flight_time_s": 40.0 + place, "inflation": 0.01 * place if place != 1 else None,
-                          "success": place != 1, "index": place}  # fmt: skip
+                common = {
+                    "environment": environment,
+                    "target": target,
+                    "state": f"planning.{target}",
+                    **setting,
+                    "flight_time_s": 40.0 + place,
+                    "inflation": 0.01 * place if place != 1 else None,
+                    "success": place != 1,
+                    "index": place,
+                }
                 rows.append(common)
                 rows.append({**common, "population": "mantissa", "bit_class": "mantissa", "index": 10 + place})
             rows.append({"environment": environment, "judged": False, "success": False, **setting})
@@ -64,8 +71,13 @@ def flown_by_hand():
 def instructions_by_hand():
     rows = [golden(flight_time_s=38.0)]
     for place, kernel in enumerate(("pid", "octomap", "pid")):
-        common = {"level": "instruction", "population": "all_bits", "kernel": kernel, "flight_time_s": 40.0 + place,
-                  "success": place != 2}  # fmt: skip
+        common = {
+            "level": "instruction",
+            "population": "all_bits",
+            "kernel": kernel,
+            "flight_time_s": 40.0 + place,
+            "success": place != 2,
+        }
         rows += [common, {**common, **ARM}]
     return runs(*rows)
 
@@ -107,8 +119,12 @@ def test_rows_open_their_missions_and_boxes_those_that_succeed(
 def test_dots_name_their_runs_in_order(flown_by_hand, name):
     times = dict(zip(flown_by_hand["run_id"], flown_by_hand["flight_time_s"], strict=True))
     upright = name == "flight_time_distribution"
-    drawn = [line for axes in figures.figure(flown_by_hand, name).axes for line in axes.lines
-             if (line.get_gid() or "").startswith(links.DOTS)]  # fmt: skip
+    drawn = [
+        line
+        for axes in figures.figure(flown_by_hand, name).axes
+        for line in axes.lines
+        if (line.get_gid() or "").startswith(links.DOTS)
+    ]
     assert drawn
     for line in drawn:
         named = line.get_gid().removeprefix(links.DOTS).split()
@@ -150,6 +166,15 @@ def test_modelled_values_have_no_runs():
 
 
 def test_every_figure_of_runs_is_tested_here():
-    tested = {"success", "flight_time", "kernels", "states", "bit_fields", "flight_time_distribution",
-              "platforms", "trajectories", "redundancy"}  # fmt: skip
+    tested = {
+        "success",
+        "flight_time",
+        "kernels",
+        "states",
+        "bit_fields",
+        "flight_time_distribution",
+        "platforms",
+        "trajectories",
+        "redundancy",
+    }
     assert set(figures.FIGURES) == tested

@@ -7,10 +7,21 @@ from mavfi.report import campaign_figures as figures
 from mavfi.report import style
 
 COMMON = {
-    "kind": "injected", "setting": "fi", "arm": "", "detector": "", "detector_profile": "", "environment": "dense",
-    "level": "state", "population": "sign_exponent", "weight": 1.0, "judged": True, "success": True, "target": "",
-    "state": "", "kernel": "",
-}  # fmt: skip
+    "kind": "injected",
+    "setting": "fi",
+    "arm": "",
+    "detector": "",
+    "detector_profile": "",
+    "environment": "dense",
+    "level": "state",
+    "population": "sign_exponent",
+    "weight": 1.0,
+    "judged": True,
+    "success": True,
+    "target": "",
+    "state": "",
+    "kernel": "",
+}
 
 
 def runs(*rows, campaign=None):
@@ -33,15 +44,28 @@ def test_nothing_to_show_is_no_figure():
 
 @pytest.mark.parametrize(("level", "population"), [("state", "sign_exponent"), ("instruction", "all_bits")])
 def test_success_at_every_level_with_counts_the_paper_and_words(level, population):
-    rows = [golden(), golden(), {"level": level, "population": population, "success": False},
-            {"level": level, "population": population},
-            {"level": level, "population": population, "setting": "dr_gaussian", "arm": "gaussian",
-             "detector": "gaussian", "detector_profile": "paper"}]  # fmt: skip
+    rows = [
+        golden(),
+        golden(),
+        {"level": level, "population": population, "success": False},
+        {"level": level, "population": population},
+        {
+            "level": level,
+            "population": population,
+            "setting": "dr_gaussian",
+            "arm": "gaussian",
+            "detector": "gaussian",
+            "detector_profile": "paper",
+        },
+    ]
     figure = figures.success(runs(*rows))
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == [
-        "golden run", "fault", "fault + gaussian", "the paper's figure"
-    ]  # fmt: skip
+        "golden run",
+        "fault",
+        "fault + gaussian",
+        "the paper's figure",
+    ]
     figure.draw_without_rendering()
     assert legend.get_window_extent().x1 <= figure.bbox.x1, "whole also with one environment"
     assert [text.get_text() for text in figure.axes[0].texts] == ["2", "2", "1"], "number of missions at each point"
@@ -64,8 +88,11 @@ def test_the_whole_curve_of_flight_times_is_in_sight():
     left, right = axes.get_xlim()
     assert left < -0.17 and right > 0.5
     assert [axes.xaxis.get_major_formatter()(share, 0) for share in (-0.06, -0.001, 0.0, 0.06)] == [
-        "-6 %", "0 %", "0 %", "+6 %"
-    ]  # fmt: skip
+        "-6 %",
+        "0 %",
+        "0 %",
+        "+6 %",
+    ]
 
 
 def test_settings_differ_without_colour():

@@ -11,9 +11,11 @@ from mavfi.report.text import rendered
 
 RUN = "sparse-10016-fi-collision_check-16-1f14e4b6"
 TABLE = Table.of_text(
-    "Lines", ("kernel", "rate", "run", "worst flight time"),
-    [("collision_check", "12.0 [3.0, 44.0] 1/9", RUN, "+12.5 %"), ("pid", "—", RUN, "—")], (),
-)  # fmt: skip
+    "Lines",
+    ("kernel", "rate", "run", "worst flight time"),
+    [("collision_check", "12.0 [3.0, 44.0] 1/9", RUN, "+12.5 %"), ("pid", "—", RUN, "—")],
+    (),
+)
 
 
 def printed(table, width):

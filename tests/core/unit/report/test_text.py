@@ -31,14 +31,22 @@ def test_changes_carry_a_sign():
 @pytest.mark.parametrize(
     ("value", "form", "shown"),
     [
-        (None, "rate", "—"), ("no estimate", "percent with interval", "no estimate"), (0.917, "rate", "91.7"),
+        (None, "rate", "—"),
+        ("no estimate", "percent with interval", "no estimate"),
+        (0.917, "rate", "91.7"),
         (Rate(6, -1 / 6, -0.571, 0.265), "percent with interval", "-16.7 % [-57.1, 26.5]"),
-        (Rate(6, 0.1, 0.02, 0.2), "points", "+10.0 [2.0, 20.0]"), (Rate(4, 0.25, 0.1, 0.5, 1), "percent", "25.0 %"),
+        (Rate(6, 0.1, 0.02, 0.2), "points", "+10.0 [2.0, 20.0]"),
+        (Rate(4, 0.25, 0.1, 0.5, 1), "percent", "25.0 %"),
         (EventRate(7, 0.36, 19.3, 5.7, 39.8, 36.2), "per hour", "19.3 [5.7, 39.8]"),
-        (21404.7, "number .1f kJ", "21.4 kJ"), (42.89, "number .1f s", "42.9 s"), (0.000488, "number .3g", "0.000488"),
-        (12.0, "number g", "12"), (7, "number", "7"), ("fi", "text", "fi"), (0.0000023, "small percent", "0.00023 %"),
+        (21404.7, "number .1f kJ", "21.4 kJ"),
+        (42.89, "number .1f s", "42.9 s"),
+        (0.000488, "number .3g", "0.000488"),
+        (12.0, "number g", "12"),
+        (7, "number", "7"),
+        ("fi", "text", "fi"),
+        (0.0000023, "small percent", "0.00023 %"),
     ],
-)  # fmt: skip
+)
 def test_cells(value, form, shown):
     assert text.cell(value, form) == shown
 
@@ -99,8 +107,11 @@ def test_a_campaign_that_is_not_complete_or_on_design_seeds_says_so():
 
 def test_what_was_flown_comes_first_and_our_version_before_others():
     assert text.header(ABOUT) == [
-        "campaign handmade", "9 missions", "9 of 9 runs done · digest dddddddddddddddd…", "mavfi 1 · numba 2"
-    ]  # fmt: skip
+        "campaign handmade",
+        "9 missions",
+        "9 of 9 runs done · digest dddddddddddddddd…",
+        "mavfi 1 · numba 2",
+    ]
 
 
 def test_a_markdown_grid_aligns_numbers_and_escapes_bars():

@@ -30,10 +30,16 @@ def room(cells=40, resolution=0.1):
     edge = cells * resolution
     middle = np.full(3, 0.5 * edge)
     return World(
-        start=middle, goal=middle + (1.0, 0.0, 0.0),
-        arena_lower=np.zeros(3), arena_upper=np.full(3, edge), flight_lower=np.zeros(3), flight_upper=np.full(3, edge),
-        occupied=occupied, origin=np.zeros(3), resolution=resolution,
-    )  # fmt: skip
+        start=middle,
+        goal=middle + (1.0, 0.0, 0.0),
+        arena_lower=np.zeros(3),
+        arena_upper=np.full(3, edge),
+        flight_lower=np.zeros(3),
+        flight_upper=np.full(3, edge),
+        occupied=occupied,
+        origin=np.zeros(3),
+        resolution=resolution,
+    )
 
 
 def scenario(vehicle="airsim_quad", seed=7, v_max=3.0, noise=0.0, **airframe):

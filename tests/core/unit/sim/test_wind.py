@@ -98,9 +98,10 @@ def test_hover_in_a_steady_wind_drifts_and_leans_until_the_forces_balance(mean):
 def test_the_velocity_of_the_air_is_what_drag_acts_on():
     """In wind, a vehicle that flies with the air feels what it feels at rest in calm air."""
     mean = (4.0, 0.0, 0.0)
-    still, carried = Simulator(open_world(), scenario(v_max=6.0)), Simulator(
-        open_world(), scenario(v_max=6.0).model_copy(update={"wind": WindConfig(mean=mean)})
-    )  # fmt: skip
+    still, carried = (
+        Simulator(open_world(), scenario(v_max=6.0)),
+        Simulator(open_world(), scenario(v_max=6.0).model_copy(update={"wind": WindConfig(mean=mean)})),
+    )
     at_rest = fly(still, (0.0, 0.0, 0.0, 0.0), 8.0)
     with_it = fly(carried, (*mean, 0.0), 8.0)
     np.testing.assert_allclose(with_it[-1, 3:] - (*mean, *[0.0] * 7), at_rest[-1, 3:], atol=5e-3)
@@ -126,8 +127,18 @@ def test_in_wind_it_does_not_matter_how_often_time_is_advanced():
     np.testing.assert_array_equal(fine.odometry, coarse.odometry)
 
 
-@pytest.mark.parametrize("data", [{"gust": -1.0}, {"gust": 31.0}, {"gust": math.nan}, {"mean": (30.0, 1.0, 0.0)},
-                                  {"interval": 0.0}, {"length": 0.0}, {"speed": 1.0}])  # fmt: skip
+@pytest.mark.parametrize(
+    "data",
+    [
+        {"gust": -1.0},
+        {"gust": 31.0},
+        {"gust": math.nan},
+        {"mean": (30.0, 1.0, 0.0)},
+        {"interval": 0.0},
+        {"length": 0.0},
+        {"speed": 1.0},
+    ],
+)
 def test_impossible_wind_is_refused(data):
     with pytest.raises(BadInputError, match=f"wind: .*{next(iter(data))}"):
         parse(WindConfig, data, "wind")

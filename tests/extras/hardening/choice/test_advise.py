@@ -79,10 +79,16 @@ def test_a_step_is_chosen_by_a_time_that_did_not_lead_to_its_choice(monkeypatch)
 
 def test_a_study_knows_whether_its_kernels_are_all_of_its_missions():
     kernels = ["point_cloud", "octomap", "collision_check", "rrt_connect", "pid"]
-    campaign = Campaign.model_validate({
-        "name": "tiny", "environments": ["dense"], "missions": 1, "faults": 5,
-        "sampling": {"level": "instruction", "kernels": kernels}, "mission": {"planner": "rrt_connect"},
-    })  # fmt: skip
+    campaign = Campaign.model_validate(
+        {
+            "name": "tiny",
+            "environments": ["dense"],
+            "missions": 1,
+            "faults": 5,
+            "sampling": {"level": "instruction", "kernels": kernels},
+            "mission": {"planner": "rrt_connect"},
+        }
+    )
     whole, part = (Study(Path(), campaign, "0" * 64, own) for own in (tuple(kernels), ("pid",)))
     assert whole.complete and whole.selected == ()
     assert not part.complete and part.selected == ("pid",)
@@ -105,13 +111,14 @@ def test_a_cheap_step_of_a_large_function_may_be_worth_more_than_all_others():
 @given(
     st.lists(
         st.tuples(
-            st.floats(0.01, 1), st.floats(0, 9),
+            st.floats(0.01, 1),
+            st.floats(0, 9),
             st.lists(st.tuples(st.floats(1, 3), st.integers(0, 100)), min_size=1, max_size=3),
         ),
         max_size=4,
     ),
     st.floats(0.001, 2),
-)  # fmt: skip
+)
 def test_no_other_choice_within_the_budget_removes_more(rows, budget):
     curves = [
         curve(str(i), share, mass, *((time, hits / 100) for time, hits in points))

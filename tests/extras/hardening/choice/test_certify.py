@@ -123,9 +123,12 @@ def planned():
     source = cached_source(smooth, seen.signature)
     sites = candidates(parse_module(source.text, source.kernel))
     return FunctionPlan(
-        kernel="smooth", function=source.kernel, signature=seen.signature_text, ir_sha256=seen.variant.ir_sha256,
+        kernel="smooth",
+        function=source.kernel,
+        signature=seen.signature_text,
+        ir_sha256=seen.variant.ir_sha256,
         sites=tuple(sites),
-    )  # fmt: skip
+    )
 
 
 def test_full_duplication_removes_the_corruptions_of_the_same_injections(planned):

@@ -28,9 +28,7 @@ def seen(signature, total):
 
 def certificate(signature, time, planned_time):
     effects = {"masked": 50, "sdc": 50}, {"detected": 100}
-    return Certificate(
-        "pid", name_of(smooth), signature, 9, *effects, 1.0, None, mcnemar([], []), time, planned_time
-    )  # fmt: skip
+    return Certificate("pid", name_of(smooth), signature, 9, *effects, 1.0, None, mcnemar([], []), time, planned_time)
 
 
 def test_times_are_weighted_by_the_functions_share_of_the_flight():

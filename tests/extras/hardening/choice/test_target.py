@@ -25,11 +25,9 @@ def target():
     battery = Battery("smooth", smooth, seen.variant, seen.calls)
     (found,) = targets_of({"pid": [seen]})
     found.injections = [
-        Injected(
-            place.block, place.offset, battery.site(place.block, place.offset).opcode == "fmul", str(number % 6)
-        )
+        Injected(place.block, place.offset, battery.site(place.block, place.offset).opcode == "fmul", str(number % 6))
         for number, place in enumerate(battery.draw(np.random.default_rng(4), 300))
-    ]  # fmt: skip
+    ]
     return found
 
 
@@ -116,9 +114,13 @@ def test_a_plan_states_the_share_of_its_kernels_time(target):
 
 def test_a_plan_keeps_the_certificate_of_the_same_code(target):
     whole = FunctionPlan(
-        kernel="pid", function=target.name, signature=target.seen.signature_text,
-        ir_sha256=target.seen.variant.ir_sha256, sites=tuple(target.sites(target.chooser.full)), time=1.4,
-    )  # fmt: skip
+        kernel="pid",
+        function=target.name,
+        signature=target.seen.signature_text,
+        ir_sha256=target.seen.variant.ir_sha256,
+        sites=tuple(target.sites(target.chooser.full)),
+        time=1.4,
+    )
     plan, found = Plan(functions=(whole,)), Coverage(estimate=0.9, low=0.8, high=0.95)
     pair = Pair.of(target.seen, whole)
     certified = certified_plan(plan, Certification(plan.digest, 20, (), (certify(pair, 20),), GoldenCheck(1, 1, 1, 0)))

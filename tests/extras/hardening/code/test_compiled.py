@@ -19,8 +19,18 @@ def arguments():
     grid = Grid(0.0, 0.0, 0.0, 1.0, 6, 5, 4)
     voxels, log_odds = np.array([0, 46, 119, 46, -1, 60], np.int32), np.array([1, 1, 1, -1, 1, np.nan], np.float32)
     counters = [np.zeros(120, np.int16) for _ in range(2)]
-    return (voxels, log_odds, grid, np.zeros(120, np.uint8), counters[0], ball, counters[1], ball[9:18],
-            np.zeros(6, np.int32), np.zeros(6, np.uint8))  # fmt: skip
+    return (
+        voxels,
+        log_odds,
+        grid,
+        np.zeros(120, np.uint8),
+        counters[0],
+        ball,
+        counters[1],
+        ball[9:18],
+        np.zeros(6, np.int32),
+        np.zeros(6, np.uint8),
+    )
 
 
 @pytest.fixture(scope="module")

@@ -135,8 +135,11 @@ def arithmetic(text):
     """Number of floating-point instructions in the machine code of the fault space, by mnemonic."""
     parsed = llvm.parse_assembly(text)
     lines = target_machine().emit_assembly(parsed).split("\n")
-    return Counter(word for word in (line.split()[0] for line in lines if line.startswith("\t")) if re.fullmatch(
-        r"(?:add|sub|mul|div|sqrt)[sp]d", word))  # fmt: skip
+    return Counter(
+        word
+        for word in (line.split()[0] for line in lines if line.startswith("\t"))
+        if re.fullmatch(r"(?:add|sub|mul|div|sqrt)[sp]d", word)
+    )
 
 
 def whole(some):
@@ -180,10 +183,16 @@ def test_protected_text_can_be_read_again():
 
 def plan_for(kernel, args, **more):
     plain = module_of(kernel, args)
-    return FunctionPlan(**{
-        "kernel": "pid", "function": name_of(kernel), "signature": signature_text(signature_of(args)),
-        "ir_sha256": digest_of(plain), "sites": tuple(candidates(plain)), **more,
-    })  # fmt: skip
+    return FunctionPlan(
+        **{
+            "kernel": "pid",
+            "function": name_of(kernel),
+            "signature": signature_text(signature_of(args)),
+            "ir_sha256": digest_of(plain),
+            "sites": tuple(candidates(plain)),
+            **more,
+        }
+    )
 
 
 @pytest.mark.slow

@@ -67,11 +67,14 @@ def test_a_slow_instruction_costs_several_simple_ones(module):
 @pytest.mark.parametrize(
     ("text", "weight"),
     [
-        ("%y = call double @llvm.floor.f64(double %x)", 6), ("%y = call double @floor(double %x)", 6),
-        ("%y = call double @llvm.fabs.f64(double %x)", 1), ("%y = call double @llvm.sqrt.f64(double %x)", 6),
-        ("%y = fmul double %x, %x", 1), ("%y = fdiv double %x, %x", 4),
+        ("%y = call double @llvm.floor.f64(double %x)", 6),
+        ("%y = call double @floor(double %x)", 6),
+        ("%y = call double @llvm.fabs.f64(double %x)", 1),
+        ("%y = call double @llvm.sqrt.f64(double %x)", 6),
+        ("%y = fmul double %x, %x", 1),
+        ("%y = fdiv double %x, %x", 4),
     ],
-)  # fmt: skip
+)
 def test_weights(text, weight):
     body = (
         f"define i32 @g(ptr %p, double %x) {{\nentry:\n  {text}\n  store double %y, ptr %p, align 8\n  ret i32 0\n}}\n"

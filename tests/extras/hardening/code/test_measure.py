@@ -51,8 +51,10 @@ def test_ratios_are_those_within_rounds_and_of_the_time_of_all_calls():
     names = [name for name, _ in order]
     assert len(names) == 3 + 3 * 30
     assert {tuple(names[3 + 3 * i : 6 + 3 * i]) for i in range(30)} == {
-        ("plain", "a", "b"), ("a", "b", "plain"), ("b", "plain", "a"),
-    }  # fmt: skip
+        ("plain", "a", "b"),
+        ("a", "b", "plain"),
+        ("b", "plain", "a"),
+    }
     assert found.ticks > 2e7 * 0.9
 
 

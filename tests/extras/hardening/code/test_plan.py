@@ -82,7 +82,7 @@ def test_modules_of_functions_are_not_in_the_digest():
         ({"ir_sha256": "abc"}, "key 'functions.0.ir_sha256': 'abc'"),
         ({"colour": 1}, "unknown key 'functions.0.colour'"),
     ],
-)  # fmt: skip
+)
 def test_a_bad_plan_is_refused_in_one_line(tmp_path, change, message):
     import yaml
 

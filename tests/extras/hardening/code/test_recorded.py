@@ -73,12 +73,38 @@ def test_equal_bits_are_those_of_equal_digests():
     table = np.arange(24.0).reshape(4, 6)
     nan = np.frombuffer(np.array([0x7FF8000000000001], np.uint64), np.float64)
     values = [
-        0.0, -0.0, 1.0, 1, True, None, float("nan"), np.float64(1.0), np.float32(1.0), np.int64(1), 2**70,
-        (), (1.0,), [1.0], (1.0, table), (1.0, table + 0.0), (1.0, -table),
-        table, table[::2, ::3], table[::2, ::3].copy(), table[:, :1], table.ravel(), table.astype(np.float32),
-        np.zeros(0), np.zeros((0, 3)), np.array([np.nan]), nan, np.array([-0.0]), np.zeros(1), np.array([False]),
+        0.0,
+        -0.0,
+        1.0,
+        1,
+        True,
+        None,
+        float("nan"),
+        np.float64(1.0),
+        np.float32(1.0),
+        np.int64(1),
+        2**70,
+        (),
+        (1.0,),
+        [1.0],
+        (1.0, table),
+        (1.0, table + 0.0),
+        (1.0, -table),
+        table,
+        table[::2, ::3],
+        table[::2, ::3].copy(),
+        table[:, :1],
+        table.ravel(),
+        table.astype(np.float32),
+        np.zeros(0),
+        np.zeros((0, 3)),
+        np.array([np.nan]),
+        nan,
+        np.array([-0.0]),
+        np.zeros(1),
+        np.array([False]),
         np.array([0], np.uint8),
-    ]  # fmt: skip
+    ]
     for one in values:
         assert same_bits(one, copied(one))
         for other in values:

@@ -13,14 +13,27 @@ def rate(value, n=60, spread=0.05):
 def function(kernel, entry, share, steps, chosen, file="mavfi/kernels/control/pid.py", first=60):
     time, value = steps[chosen]
     return FunctionSummary(
-        kernel=kernel, function=f"mavfi.{entry}", entry=entry, signature="f8", calls=1800, instructions=868_901,
-        injections=400, sdc=rate(0.45), share=share, time=time, added=share * (time - 1), coverage=rate(value),
-        certified=None, sites=310, all_sites=705,
-        steps=tuple(StepSummary(i / 5, 1 + i / 4, time, rate(value), i == chosen)
-                    for i, (time, value) in enumerate(steps)),
+        kernel=kernel,
+        function=f"mavfi.{entry}",
+        entry=entry,
+        signature="f8",
+        calls=1800,
+        instructions=868_901,
+        injections=400,
+        sdc=rate(0.45),
+        share=share,
+        time=time,
+        added=share * (time - 1),
+        coverage=rate(value),
+        certified=None,
+        sites=310,
+        all_sites=705,
+        steps=tuple(
+            StepSummary(i / 5, 1 + i / 4, time, rate(value), i == chosen) for i, (time, value) in enumerate(steps)
+        ),
         escapes={"protected": 0.8, "beyond the budget": 0.15, "cannot repeat: call": 0.05},
         lines=tuple(LineSummary(file, first + 2 * i, 0.04 * (i + 1), 0.1 - 0.01 * i, i / 9) for i in range(10)),
-    )  # fmt: skip
+    )
 
 
 def summary():
@@ -33,7 +46,16 @@ def summary():
     )
     kernels = tuple(KernelSummary(row.kernel, row.share, row.added, row.time, row.coverage) for row in functions)
     return AdviceSummary(
-        campaign="hardening <small>", ledger="0123456789abcdef" * 4, budget=0.1, spent=0.099, coverage=rate(0.46),
-        injections=1200, complete=True, selected=(), addresses=False, kernels=kernels, functions=functions,
+        campaign="hardening <small>",
+        ledger="0123456789abcdef" * 4,
+        budget=0.1,
+        spent=0.099,
+        coverage=rate(0.46),
+        injections=1200,
+        complete=True,
+        selected=(),
+        addresses=False,
+        kernels=kernels,
+        functions=functions,
         harm=Harm(rate(0.0, 253, 0.01), rate(0.08, 60), rate(0.16, 1200)),
-    )  # fmt: skip
+    )

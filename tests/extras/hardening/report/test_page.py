@@ -98,9 +98,18 @@ def test_sentences():
 
 def test_the_page_of_a_certificate_starts_with_its_verdict(tmp_path):
     one = Certificate(
-        "pid", "mavfi.pid.track", "f8", 1000, {"masked": 50, "sdc": 50}, {"detected": 99, "sdc": 1}, 2.4,
-        Coverage(estimate=0.95, low=0.9, high=0.98), mcnemar([True], [False]), 1.372, 1.34,
-    )  # fmt: skip
+        "pid",
+        "mavfi.pid.track",
+        "f8",
+        1000,
+        {"masked": 50, "sdc": 50},
+        {"detected": 99, "sdc": 1},
+        2.4,
+        Coverage(estimate=0.95, low=0.9, high=0.98),
+        mcnemar([True], [False]),
+        1.372,
+        1.34,
+    )
     found = Certification("ab" * 32, 100, ("sparse-9",), (one,), GoldenCheck(2, 2, 3578, 0))
     write_certificate(tmp_path / "c.html", found, DIRECTORY, PLAN)
     text = (tmp_path / "c.html").read_text()

@@ -197,9 +197,18 @@ def test_bad_input_is_one_line_with_what_is_allowed(arm, capsys, arguments, mess
 
 def test_a_register_of_a_node_is_injected_by_its_name_and_the_node_survives_the_null_fault(arm, transforms, capsys):
     done = run_json(
-        capsys, "inject", "--ros-node", "/robot_state_publisher", "--symbol", "4TimeERSB_", "--registers", "fp",
-        "--seed", "3", "--null",
-    )  # fmt: skip
+        capsys,
+        "inject",
+        "--ros-node",
+        "/robot_state_publisher",
+        "--symbol",
+        "4TimeERSB_",
+        "--registers",
+        "fp",
+        "--seed",
+        "3",
+        "--null",
+    )
     (injection,) = done["injections"]
     assert injection["details"]["pid"] == arm.process.pid and injection["activated"]
     count = len(transforms.found)
@@ -213,8 +222,10 @@ def test_a_register_of_a_node_is_injected_by_its_name_and_the_node_survives_the_
 def record_bag(path, seconds):
     subprocess.run(
         ["/usr/bin/rosbag", "record", "-O", str(path), f"--duration={seconds}", "/joint_states", "/tf"],
-        check=True, capture_output=True, timeout=60,
-    )  # fmt: skip
+        check=True,
+        capture_output=True,
+        timeout=60,
+    )
 
 
 def inject_when(condition):
@@ -272,9 +283,20 @@ def test_the_autoencoder_learns_online_and_publishes_its_alarms(arm, capsys):
     hearing = threading.Thread(target=hear)
     hearing.start()
     found = run_json(
-        capsys, "ros", "watch", "--topics", "/tf", "--fields", "transforms[1].transform.rotation.z", "--detector",
-        "autoencoder", "--learn", "1", "--duration", "3",
-    )  # fmt: skip
+        capsys,
+        "ros",
+        "watch",
+        "--topics",
+        "/tf",
+        "--fields",
+        "transforms[1].transform.rotation.z",
+        "--detector",
+        "autoencoder",
+        "--learn",
+        "1",
+        "--duration",
+        "3",
+    )
     hearing.join()
     assert [alarm["fields"] for alarm in heard] == [["transforms[1].transform.rotation.z"]] * 2
     assert heard == found["alarms"] and {alarm["detector"] for alarm in heard} == {"autoencoder"}

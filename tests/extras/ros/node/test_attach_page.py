@@ -27,8 +27,10 @@ SAYS = {
 }
 """What each command must say; the last two are silent while nothing is wrong."""
 WORKS = {
-    "--rate 0.01": r"message \d+: .*position\[0\]", "--train": r"learned from \d+", "--learn": r"learned from \d+",
-}  # fmt: skip
+    "--rate 0.01": r"message \d+: .*position\[0\]",
+    "--train": r"learned from \d+",
+    "--learn": r"learned from \d+",
+}
 """Output of the commands that run until Ctrl-C, once they work."""
 READING = ("mavfi ros list", "rosbag record", "--learn")
 """These change nothing: they run at the same time."""
@@ -45,9 +47,13 @@ def test_the_page_has_no_command_that_is_not_run_here():
 
 def begun(command, folder):
     return subprocess.Popen(
-        arguments(command, {}), cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        arguments(command, {}),
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
         env=environment(),
-    )  # fmt: skip
+    )
 
 
 def check(command, process):

@@ -16,16 +16,31 @@ from mavfi.extras.ros.node.bench import Trial
 from mavfi.outcomes import effect_of
 
 PLAIN = {
-    "host": "node", "name": "made_up", "faults": 4, "null_runs": 2, "sampling": {"level": "register"},
+    "host": "node",
+    "name": "made_up",
+    "faults": 4,
+    "null_runs": 2,
+    "sampling": {"level": "register"},
     "node": {
-        "name": "/n", "command": ["/n"], "golden_runs": 2, "outputs": {"topic": "/out"},
+        "name": "/n",
+        "command": ["/n"],
+        "golden_runs": 2,
+        "outputs": {"topic": "/out"},
         "inputs": {"topic": "/in", "type": "std_msgs/Float64", "messages": [{"data": 1.0}]},
     },
-}  # fmt: skip
+}
 INJECTION = {
-    "level": "register", "site": "rax", "time_s": 0.1, "bit": 3, "before": "0x0", "after": "0x8", "activated": True,
-    "file": "", "line": 0, "details": {"symbol": "f+0x3", "library": "/l.so", "register": "rax", "stopped_us": 9},
-}  # fmt: skip
+    "level": "register",
+    "site": "rax",
+    "time_s": 0.1,
+    "bit": 3,
+    "before": "0x0",
+    "after": "0x8",
+    "activated": True,
+    "file": "",
+    "line": 0,
+    "details": {"symbol": "f+0x3", "library": "/l.so", "register": "rax", "stopped_us": 9},
+}
 DIFFERENCE = {"field": "data", "before": "1.0", "after": "2.0"}
 
 
@@ -41,8 +56,9 @@ def made_up(node, golden=(), fault=None):
         raise MavfiError("the machine is on fire")
     effect = ("masked", "sdc", "crash")[number]
     differing = ["b"] if effect == "sdc" else []
-    return Trial(effect, {"crash": "SIGSEGV"}.get(effect, ""), ["a"], 10, differing, [DIFFERENCE] * len(differing),
-                 INJECTION)  # fmt: skip
+    return Trial(
+        effect, {"crash": "SIGSEGV"}.get(effect, ""), ["a"], 10, differing, [DIFFERENCE] * len(differing), INJECTION
+    )
 
 
 def read(path, **changes):

@@ -21,10 +21,14 @@ pytestmark = pytest.mark.ros
 @pytest.fixture(scope="module")
 def campaign():
     shipped = load_campaign("ros_robot_state_publisher")
-    return shipped.model_copy(update={
-        "faults": 2, "null_runs": 1, "node": shipped.under_test.model_copy(update={"golden_runs": 1}),
-        "sampling": shipped.sampling.model_copy(update={"walk": 500}),
-    })  # fmt: skip
+    return shipped.model_copy(
+        update={
+            "faults": 2,
+            "null_runs": 1,
+            "node": shipped.under_test.model_copy(update={"golden_runs": 1}),
+            "sampling": shipped.sampling.model_copy(update={"walk": 500}),
+        }
+    )
 
 
 @pytest.mark.slow

@@ -85,9 +85,14 @@ class TestFlights:
 
     @pytest.mark.parametrize(
         "state",
-        [STATUS, *(pytest.param(name, marks=pytest.mark.long) for name in ("control.command", "planning.waypoint",
-          "perception.point_cloud"))],
-    )  # fmt: skip
+        [
+            STATUS,
+            *(
+                pytest.param(name, marks=pytest.mark.long)
+                for name in ("control.command", "planning.waypoint", "perception.point_cloud")
+            ),
+        ],
+    )
     def test_a_rule_that_is_broken_twice_restarts_the_memory_of_a_node(self, state):
         def watching():
             return Scripted(state, n=5, stage=state.split(".")[0], times=2, hard=True)
@@ -108,6 +113,7 @@ class TestFlights:
         assert log.status.label == "success"
         assert all(alarm.time_s > 1e-6 * (ANSWERING_US + AWAY_US) for alarm in log.alarms), "no deadline of a dead node"
         assert [(alarm.source, alarm.outcome) for alarm in log.alarms] == [
-            ("acceptance", "rejected"), ("acceptance", "restarted"),
-        ], "its numbers begin again"  # fmt: skip
+            ("acceptance", "rejected"),
+            ("acceptance", "restarted"),
+        ], "its numbers begin again"
         same_but_for_notes(log, died_here(scenario, "planner", watching(), recovery))

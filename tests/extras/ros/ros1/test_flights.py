@@ -218,8 +218,10 @@ def test_a_detector_that_dies_blocks_nothing_until_it_is_back(wrong):
     """The flight is the one without a detector, here, bit for bit."""
     log = there(short(), wrong, Scripted(), kills=(("detector", 2_000_000),))
     assert lives(log) == LIVES
-    same(replace(log, events=[event for event in log.events if not event.kind.startswith("node")]),
-         fly_here(short(), wrong).log)  # fmt: skip
+    same(
+        replace(log, events=[event for event in log.events if not event.kind.startswith("node")]),
+        fly_here(short(), wrong).log,
+    )
 
 
 def test_alarms_without_end_get_a_few_recomputations_as_here():
@@ -257,9 +259,7 @@ def test_time_passes_as_on_the_wall_if_wanted():
 def test_a_fault_in_a_register_of_a_node():
     scenario = short()
     for pace in (1.0, 0.3, 0.1):  # on a busy machine the tracer may attach only after a flight of five seconds
-        plan = Plan(
-            scenario, configure(scenario), register_faults=(fault_in_node("pid", 500_000),), pace=pace
-        )  # fmt: skip
+        plan = Plan(scenario, configure(scenario), register_faults=(fault_in_node("pid", 500_000),), pace=pace)
         log = fly_there(plan).flight.log
         (injection,) = log.injections
         if injection.activated:
@@ -287,9 +287,11 @@ def test_a_flight_whose_supervisor_is_killed_is_a_failure_of_the_machine():
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["ctrl-c", "kill -9"])
 def test_no_process_is_left_behind(number, tmp_path):
     process = subprocess.Popen(
-        [sys.executable, "-m", "mavfi", "ros", "fly", "--seed", "7"], env={**os.environ, "TMPDIR": str(tmp_path)},
-        stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        [sys.executable, "-m", "mavfi", "ros", "fly", "--seed", "7"],
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     until = time.monotonic() + 120
     while not (logs := list(tmp_path.glob("mavfi-ros-*/log/pid.out"))) and time.monotonic() < until:
         time.sleep(0.05)

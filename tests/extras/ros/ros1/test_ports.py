@@ -71,9 +71,12 @@ def test_a_lost_list_of_publishers_is_sent_again(variables):
     publisher = subprocess.Popen([sys.executable, "-c", PUBLISHER], env=variables)
     try:
         done = subprocess.run(
-            [sys.executable, "-W", "ignore", "-c", SUBSCRIBER, "30"], env=variables, capture_output=True, text=True,
+            [sys.executable, "-W", "ignore", "-c", SUBSCRIBER, "30"],
+            env=variables,
+            capture_output=True,
+            text=True,
             timeout=60,
-        )  # fmt: skip
+        )
     finally:
         publisher.kill()
         publisher.wait(30)

@@ -80,19 +80,28 @@ class Bench:
     def start(self, command: list[str], extra: Mapping[str, str] | None = None) -> "subprocess.Popen[bytes]":
         """Start a program that ends with the bench; `extra`: additional environment variables."""
         variables = {
-            **os.environ, **finder.environment(), URI_VARIABLE: MASTER_URI, "ROS_IP": "127.0.0.1",
-            "ROS_HOME": str(self._folder), "ROS_LOG_DIR": str(self._folder), "OMP_NUM_THREADS": "1",
+            **os.environ,
+            **finder.environment(),
+            URI_VARIABLE: MASTER_URI,
+            "ROS_IP": "127.0.0.1",
+            "ROS_HOME": str(self._folder),
+            "ROS_LOG_DIR": str(self._folder),
+            "OMP_NUM_THREADS": "1",
             **(extra or {}),
-        }  # fmt: skip
+        }
         name = command[0]
         program = str(finder.find_file(name.lstrip("/"))) if name.startswith("/usr/") else name
         log = self._folder / f"{len(self._processes)}-{Path(name).name}.log"
         try:
             with log.open("wb") as output:
                 process = subprocess.Popen(
-                    [program, *command[1:]], env=variables, stdout=output, stderr=output,
-                    stdin=subprocess.DEVNULL, cwd=self._folder,
-                )  # fmt: skip
+                    [program, *command[1:]],
+                    env=variables,
+                    stdout=output,
+                    stderr=output,
+                    stdin=subprocess.DEVNULL,
+                    cwd=self._folder,
+                )
         except OSError as error:
             raise BadInputError(f"{name}: cannot be started ({error.strerror})") from None
         self._processes.append(process)
@@ -220,9 +229,14 @@ def run_trial(node: NodeConfig, golden: tuple[str, ...] = (), fault: RegisterFau
     order = {"node": node.to_json(), "golden": golden, "fault": None if fault is None else fault.to_json()}
     command = [*private_network(), sys.executable, "-m", "mavfi.extras.ros.node.bench"]
     done = subprocess.run(
-        command, input=json.dumps(order).encode(), capture_output=True, timeout=_LONGEST_S, check=False,
-        env={**os.environ, "PYTHONPATH": own_path()}, start_new_session=True,
-    )  # fmt: skip
+        command,
+        input=json.dumps(order).encode(),
+        capture_output=True,
+        timeout=_LONGEST_S,
+        check=False,
+        env={**os.environ, "PYTHONPATH": own_path()},
+        start_new_session=True,
+    )
     try:
         answer = json.loads(done.stdout)
     except ValueError:

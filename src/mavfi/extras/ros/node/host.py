@@ -106,9 +106,12 @@ def golden_trial(node: NodeConfig) -> Trial:
 def record_of_trial(trial: Trial) -> FlightRecord:
     """The record of a trial; its digest is that of its outputs, so that golden outputs count as masked."""
     extra = {
-        "outputs": trial.outputs, "asked": trial.asked, "differing": len(trial.differing),
-        "differences": trial.differences, "reason": trial.reason,
-    }  # fmt: skip
+        "outputs": trial.outputs,
+        "asked": trial.asked,
+        "differing": len(trial.differing),
+        "differences": trial.differences,
+        "reason": trial.reason,
+    }
     injections = () if trial.injection is None else (Injection.from_json(trial.injection),)
     if trial.effect == Effect.UNKNOWN.label:
         return FlightRecord(End.UNKNOWN, injections=injections, extra=extra, error=trial.reason)

@@ -84,13 +84,21 @@ class MessageInjector:
         difference = int.from_bytes(message, "little") ^ int.from_bytes(changed, "little")
         activated = len(message) == len(changed) and difference == 1 << (8 * leaf.offset + bit) and readers > 0
         injection = Injection(
-            "message", f"{outlet.topic}.{self.fault.field}", round(time.monotonic() - self._began, 6), bit,
-            leaf.value(message), leaf.value(changed), activated,
+            "message",
+            f"{outlet.topic}.{self.fault.field}",
+            round(time.monotonic() - self._began, 6),
+            bit,
+            leaf.value(message),
+            leaf.value(changed),
+            activated,
             details={
-                "topic": outlet.topic, "message": self._seen, "field": self.fault.field, "kind": leaf.kind,
+                "topic": outlet.topic,
+                "message": self._seen,
+                "field": self.fault.field,
+                "kind": leaf.kind,
                 "readers": readers,
             },
-        )  # fmt: skip
+        )
         self.injections.append(injection)
         self.done.set()
         if self._tell is not None:

@@ -80,9 +80,9 @@ class Source:
         self._stream = self._socket.makefile("rb")
         try:
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._socket.sendall(encode_header(
-                {"callerid": caller, "topic": topic, "type": "*", "md5sum": "*", "tcp_nodelay": "1"}
-            ))  # fmt: skip
+            self._socket.sendall(
+                encode_header({"callerid": caller, "topic": topic, "type": "*", "md5sum": "*", "tcp_nodelay": "1"})
+            )
             self.header = decode_header(read_frame(self._stream, LARGEST_HEADER))
         except (OSError, EOFError) as error:
             self.close()

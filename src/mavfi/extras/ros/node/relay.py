@@ -67,9 +67,13 @@ class Relay:
     """
 
     def __init__(
-        self, master: Master, topic: str, change: Change, accepts: Callable[[Definition], object],
+        self,
+        master: Master,
+        topic: str,
+        change: Change,
+        accepts: Callable[[Definition], object],
         reader: str | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.master, self._change = master, change
         graph = master.graph()
         self.topic = check_known("topic", topic, graph.topics)

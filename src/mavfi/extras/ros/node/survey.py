@@ -61,11 +61,14 @@ def survey(master: Master, seconds: float = 1.0) -> Survey:
     rates = _rates(graph, {node.name: node.uri for node in nodes if node.is_alive}, seconds) if seconds > 0 else {}
     topics = tuple(
         Topic(
-            name, graph.types.get(name, "*"), tuple(graph.publishers.get(name, ())),
-            tuple(graph.subscribers.get(name, ())), rates.get(name),
+            name,
+            graph.types.get(name, "*"),
+            tuple(graph.publishers.get(name, ())),
+            tuple(graph.subscribers.get(name, ())),
+            rates.get(name),
         )
         for name in graph.topics
-    )  # fmt: skip
+    )
     return Survey(master.uri, nodes, topics)
 
 
@@ -77,10 +80,13 @@ def _node(master: Master, graph: Graph, name: str) -> Node:
         if is_here(uri):
             executable = os.readlink(f"/proc/{pid}/exe")
     return Node(
-        name, uri, pid, executable,
+        name,
+        uri,
+        pid,
+        executable,
         tuple(topic for topic, nodes in graph.publishers.items() if name in nodes),
         tuple(topic for topic, nodes in graph.subscribers.items() if name in nodes),
-    )  # fmt: skip
+    )
 
 
 def _rates(graph: Graph, uris: dict[str, str], seconds: float) -> dict[str, float]:

@@ -22,9 +22,18 @@ WORKSPACE_MARK = Path("usr/.catkin")
 GENERATED = ("mavfi_msgs",)
 """Packages generated for each flight."""
 _ROS = (
-    "rospy", "rosgraph", "rosgraph_msgs", "roslib", "rosmaster", "roscpp", "genpy", "genmsg", "catkin", "std_msgs",
+    "rospy",
+    "rosgraph",
+    "rosgraph_msgs",
+    "roslib",
+    "rosmaster",
+    "roscpp",
+    "genpy",
+    "genmsg",
+    "catkin",
+    "std_msgs",
     "std_srvs",
-)  # fmt: skip
+)
 _HELPERS = ("rospkg", "catkin_pkg", "yaml", "defusedxml", "netifaces", "Cryptodome", "gnupg", "distro")
 ALLOWED = frozenset((*_ROS, *_HELPERS))
 """Top-level names imported from Debian unless installed in this environment."""

@@ -109,14 +109,19 @@ def environment(folder: Path) -> dict[str, str]:
     variables = finder.environment()
     paths = [str(folder / MESSAGES), *([variables["PYTHONPATH"]] if "PYTHONPATH" in variables else [])]
     return {
-        **os.environ, **variables,
+        **os.environ,
+        **variables,
         "PYTHONPATH": os.pathsep.join(paths),
         "ROS_PACKAGE_PATH": f"{folder / MESSAGES}:{variables['ROS_PACKAGE_PATH']}",
-        "ROS_MASTER_URI": f"http://127.0.0.1:{master_port()}", "ROS_IP": "127.0.0.1",
-        "ROS_HOME": str(folder), "ROS_LOG_DIR": str(folder / LOG),
+        "ROS_MASTER_URI": f"http://127.0.0.1:{master_port()}",
+        "ROS_IP": "127.0.0.1",
+        "ROS_HOME": str(folder),
+        "ROS_LOG_DIR": str(folder / LOG),
         FOLDER_VARIABLE: str(folder),
-        "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1",
-    }  # fmt: skip
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "PYTHONUNBUFFERED": "1",
+    }
 
 
 def write_join(folder: Path, isolated: bool, own_users: bool) -> None:

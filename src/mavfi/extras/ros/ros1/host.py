@@ -69,9 +69,14 @@ class Ros1Flights(ArmFlights):
     def _fly(self, arm: str, fault: StateFault | SensorFault | None, *, profile: bool = False) -> Flight:
         setup, first = self._arms[arm], arm not in self._detectors
         plan = Plan(
-            setup.scenario, configure(setup.scenario), fault, self._detector(arm), setup.recovery,
-            patience_s=PATIENCE_S, profile=profile,
-        )  # fmt: skip
+            setup.scenario,
+            configure(setup.scenario),
+            fault,
+            self._detector(arm),
+            setup.recovery,
+            patience_s=PATIENCE_S,
+            profile=profile,
+        )
         if first:
             # compile in advance: a detector that is compiled in its node would be mistaken for a hung one
             fly_begin(plan.scenario, plan.detector, setup.recovery)
@@ -157,9 +162,14 @@ def _run(folder: Path, command: list[str], tell: Callable[[Path], None] | None) 
     variables = {**files.environment(folder), "PYTHONPATH": files.own_path()}
     with (folder / files.LOG / "supervisor.out").open("wb") as output:
         supervisor = subprocess.Popen(
-            program, env=variables, stdin=subprocess.DEVNULL, stdout=output, stderr=output, cwd=folder,
+            program,
+            env=variables,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            cwd=folder,
             start_new_session=True,
-        )  # fmt: skip
+        )
     try:
         while supervisor.poll() is None:
             if tell is not None and (folder / files.PID).exists():
@@ -201,6 +211,8 @@ def _spent(folder: Path, began: float, prepared: float) -> dict[str, float]:
     """Wall-clock time by phase (s)."""
     times = json.loads((folder / files.TIMES).read_text())
     return {
-        "prepare": prepared - began, "start": times["nodes_ready"] - prepared,
-        "flight": times["flight_done"] - times["nodes_ready"], "end": time.time() - times["flight_done"],
-    }  # fmt: skip
+        "prepare": prepared - began,
+        "start": times["nodes_ready"] - prepared,
+        "flight": times["flight_done"] - times["nodes_ready"],
+        "end": time.time() - times["flight_done"],
+    }

@@ -134,9 +134,7 @@ def generate(folder: Path) -> None:
     package = PACKAGE
     sources = folder / package
     search = {"std_msgs": [str(find_file("usr/share/std_msgs/msg"))], package: [str(sources / "msg")]}
-    for ending, texts, generator in (
-        ("msg", definitions(), MsgGenerator()), ("srv", SERVICES, SrvGenerator())
-    ):  # fmt: skip
+    for ending, texts, generator in (("msg", definitions(), MsgGenerator()), ("srv", SERVICES, SrvGenerator())):
         target = sources / ending
         target.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():

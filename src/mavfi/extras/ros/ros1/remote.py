@@ -133,9 +133,15 @@ class Link:
         self._given.clear()
 
     def note(
-        self, action: Action, kernel: str, number: int = 0, time_us: int = 0, publish_us: int = HELD, state: str = "",
+        self,
+        action: Action,
+        kernel: str,
+        number: int = 0,
+        time_us: int = 0,
+        publish_us: int = HELD,
+        state: str = "",
         value: bytes = b"",
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Append an operation to the next call; arguments are the fields of `mavfi_msgs/Operation`."""
         if not self.lost:
             self._pending.append(message_type("Operation")(action, kernel, number, time_us, publish_us, state, value))

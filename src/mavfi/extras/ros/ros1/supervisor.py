@@ -66,9 +66,14 @@ def _start_master(folder: Path) -> "subprocess.Popen[bytes]":
     command = [program, "--core", "-p", files.master_port()]
     with (folder / files.LOG / "master.out").open("wb") as output:
         return subprocess.Popen(
-            command, env=files.environment(folder), stdin=subprocess.DEVNULL, stdout=output, stderr=output, cwd=folder,
+            command,
+            env=files.environment(folder),
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            cwd=folder,
             preexec_fn=end_with_parent,
-        )  # fmt: skip
+        )
 
 
 def _load(folder: Path) -> Plan:

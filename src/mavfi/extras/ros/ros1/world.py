@@ -165,18 +165,20 @@ class Passage:
     spent = False
 
     def __init__(
-        self, ports: Ports, counter: Counter, links: dict[str, Link], registers: RegisterInjector,
+        self,
+        ports: Ports,
+        counter: Counter,
+        links: dict[str, Link],
+        registers: RegisterInjector,
         on_loss: Callable[[Link, str], None],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._counter = counter
         self._links, self._registers = links, registers
         self._on_loss = on_loss
         self._plan = ports.plan
         self._ways = ports.ways
         self._inbox = Inbox()
-        self._sensors = {
-            name: ports.outlet(name, way.first) for name, way in self._ways.items() if way.writer == WORLD
-        }  # fmt: skip
+        self._sensors = {name: ports.outlet(name, way.first) for name, way in self._ways.items() if way.writer == WORLD}
         for name, way in self._ways.items():
             if self._plan.world_listens(name):
                 ports.read(name, way.final, lambda state, number, time_us: self._inbox.put(number, state))

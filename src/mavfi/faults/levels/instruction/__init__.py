@@ -9,8 +9,24 @@ from mavfi.ir.forked import Ended, ForkPoint, run_in_child
 from mavfi.ir.module import BuildError, RefusedError
 
 __all__ = [
-    "BuildError", "Ended", "ForkPoint", "InjectedCall", "InstructionFault",
-    "MismatchError", "Profiling", "RefusedError", "Resolving", "Site", "budget_for", "choose",
-    "count", "draw", "histogram", "inject", "injection_of", "resolve", "run_forked",
+    "BuildError",
+    "Ended",
+    "ForkPoint",
+    "InjectedCall",
+    "InstructionFault",
+    "MismatchError",
+    "Profiling",
+    "RefusedError",
+    "Resolving",
+    "Site",
+    "budget_for",
+    "choose",
+    "count",
+    "draw",
+    "histogram",
+    "inject",
+    "injection_of",
+    "resolve",
+    "run_forked",
     "run_in_child",
-]  # fmt: skip
+]

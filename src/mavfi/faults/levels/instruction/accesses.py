@@ -142,7 +142,9 @@ def planned_wrapper(text: str, kernels: list[str]) -> str:
         if call is not None:
             for local, address in ((call[1], RESULT), (call[2], EXCEPTION)):
                 text = re.sub(
-                    rf"^  {re.escape(local)} = alloca .*$", f"  {local} = inttoptr i64 {address} to ptr", text,
+                    rf"^  {re.escape(local)} = alloca .*$",
+                    f"  {local} = inttoptr i64 {address} to ptr",
+                    text,
                     flags=re.MULTILINE,
-                )  # fmt: skip
+                )
     return re.sub(rf"(call [^@\n]*)@({'|'.join(REPLACED)}) \(", r"\1@mavfi_\2 (", text)

@@ -95,9 +95,17 @@ def draw(
         for index, site in zip(indices, sites, strict=True):
             if site in selection and len(found) < n:
                 fault = plan(
-                    random, name_of(kernel), variant.ir_sha256, site, index, model, bits, which=which,
-                    budget=budget_for(total), seed=seed,
-                )  # fmt: skip
+                    random,
+                    name_of(kernel),
+                    variant.ir_sha256,
+                    site,
+                    index,
+                    model,
+                    bits,
+                    which=which,
+                    budget=budget_for(total),
+                    seed=seed,
+                )
                 found.append(fault)
         if len(found) == n:
             return found

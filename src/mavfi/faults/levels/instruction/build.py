@@ -82,5 +82,6 @@ def make(kernel: Any, signature: tuple[Any, ...], source: Source, rewrite: Rewri
 def assemble(made: Instrumented, source: Source) -> Built:
     """Translate instrumented IR into machine code."""
     code, tally = translate(made.text), translate(made.tally, optimised)
-    return Built(code, tally, made.table, made.ir_sha256, made.constants, made.owned, source.wrapper,
-                 source.environment)  # fmt: skip
+    return Built(
+        code, tally, made.table, made.ir_sha256, made.constants, made.owned, source.wrapper, source.environment
+    )

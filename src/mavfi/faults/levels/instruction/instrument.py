@@ -153,9 +153,7 @@ class _Rewriter:
                 self.lines.append(f"  store i64 {self.frame}, ptr {address(Control.FRAME)}")
             self.lines.append(f"  {block.terminator.text()}")
 
-    def _checked(
-        self, body: list[Instruction], names: dict[str, str], write: Callable[[Instruction], None]
-    ) -> None:  # fmt: skip
+    def _checked(self, body: list[Instruction], names: dict[str, str], write: Callable[[Instruction], None]) -> None:
         """Write instructions, each preceded by checks of its memory accesses."""
         for instruction in body:
             for access in accesses_of(instruction):

@@ -34,9 +34,15 @@ def choose(random: np.random.Generator, counts: Sequence[int], n: int) -> list[t
 
 
 def plan(
-    random: np.random.Generator, function: str, ir_sha256: str, site: Site, index: int, model: Model = "one_bit",
-    count: int = 2, **more: Any,
-) -> InstructionFault:  # fmt: skip
+    random: np.random.Generator,
+    function: str,
+    ir_sha256: str,
+    site: Site,
+    index: int,
+    model: Model = "one_bit",
+    count: int = 2,
+    **more: Any,
+) -> InstructionFault:
     """Choose how the result of a dynamic instruction is changed.
 
     Args:
@@ -62,9 +68,16 @@ def plan(
     elif model == "random":
         value = int.from_bytes(random.bytes(-(-site.width // 8)), "little") & ((1 << site.width) - 1)
     return InstructionFault(
-        function, ir_sha256, index, bits=bits, value=value, model=model, value_class=site.value_class,
-        stratum=stratum_of(site.kind, bits[0] if len(bits) == 1 else None), **more,
-    )  # fmt: skip
+        function,
+        ir_sha256,
+        index,
+        bits=bits,
+        value=value,
+        model=model,
+        value_class=site.value_class,
+        stratum=stratum_of(site.kind, bits[0] if len(bits) == 1 else None),
+        **more,
+    )
 
 
 def stratum_of(kind: str, bit: int | None) -> str:
@@ -98,7 +111,7 @@ def check_fault(fault: InstructionFault, variant: Variant, function: Any) -> Non
 
 def injection_of(
     fault: InstructionFault, report: Report | None, time_s: float = 0.0, call: int | None = None
-) -> Injection:  # fmt: skip
+) -> Injection:
     """The record of an injection at an instant (s), from the report of the machine code (None = not reached).
 
     Its values are numbers of the instruction's type (signed integers); the details contain their bits as hexadecimal
@@ -112,21 +125,39 @@ def injection_of(
     keep, flip = fault.masks
     planned = (before & keep) ^ flip
     details = {
-        "function": function, "replayable": report.planned or site.value_class in DATA,
+        "function": function,
+        "replayable": report.planned or site.value_class in DATA,
         "call": fault.call if call is None else call,
-        "index": fault.index, "block": site.block, "offset": site.offset, "opcode": site.opcode, "type": site.kind,
+        "index": fault.index,
+        "block": site.block,
+        "offset": site.offset,
+        "opcode": site.opcode,
+        "type": site.kind,
         "width": site.width,
-        "value_class": site.value_class, "line_is_near": site.near,
-        "inlined": [f"{file}:{line}" for file, line in site.frames[1:]], "variable": site.variable or "",
-        "ir_sha256": fault.ir_sha256, "bits": list(fault.bits), "model": fault.model, "before_bits": hex(before),
+        "value_class": site.value_class,
+        "line_is_near": site.near,
+        "inlined": [f"{file}:{line}" for file, line in site.frames[1:]],
+        "variable": site.variable or "",
+        "ir_sha256": fault.ir_sha256,
+        "bits": list(fault.bits),
+        "model": fault.model,
+        "before_bits": hex(before),
         "after_bits": hex(after),
-    }  # fmt: skip
+    }
     if site.role:
         details["role"] = site.role
     return Injection(
-        fault.level, fault.site, time_s, fault.bit, _number(site, before), _number(site, after),
-        planned == after and not after >> site.width, site.file, site.line, details,
-    )  # fmt: skip
+        fault.level,
+        fault.site,
+        time_s,
+        fault.bit,
+        _number(site, before),
+        _number(site, after),
+        planned == after and not after >> site.width,
+        site.file,
+        site.line,
+        details,
+    )
 
 
 def changed_nothing(report: Report | None) -> bool:

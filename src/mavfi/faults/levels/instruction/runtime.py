@@ -232,15 +232,23 @@ elsewhere:
 
 
 _SYMBOLS = {
-    "NRT_Allocate": ("ptr", "i64"), "NRT_Free": ("void", "ptr"), "NRT_MemInfo_alloc": ("ptr", "i64"),
-    "NRT_MemInfo_alloc_aligned": ("ptr", "i64, i32"), "NRT_MemInfo_call_dtor": ("void", "ptr"),
+    "NRT_Allocate": ("ptr", "i64"),
+    "NRT_Free": ("void", "ptr"),
+    "NRT_MemInfo_alloc": ("ptr", "i64"),
+    "NRT_MemInfo_alloc_aligned": ("ptr", "i64, i32"),
+    "NRT_MemInfo_call_dtor": ("void", "ptr"),
     "NRT_adapt_ndarray_from_python": ("i32", "ptr, ptr"),
-}  # fmt: skip
+}
 """Functions of Numba's runtime called by those below: result and parameters."""
 REPLACED = (
-    "NRT_Allocate", "NRT_Free", "NRT_MemInfo_alloc", "NRT_MemInfo_alloc_aligned", "NRT_adapt_ndarray_from_python",
-    "NRT_decref", "NRT_incref",
-)  # fmt: skip
+    "NRT_Allocate",
+    "NRT_Free",
+    "NRT_MemInfo_alloc",
+    "NRT_MemInfo_alloc_aligned",
+    "NRT_adapt_ndarray_from_python",
+    "NRT_decref",
+    "NRT_incref",
+)
 """Functions of Numba's runtime that are replaced in kernels by ours, with the prefix `mavfi_`."""
 
 

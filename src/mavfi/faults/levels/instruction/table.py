@@ -133,12 +133,19 @@ def make_table(module: Module) -> Table:
                 blocks.append(
                     tuple(
                         Site(
-                            len(blocks), offset, site.opcode, site.kind, width(site.kind), used[function.name].of(site),
-                            *chains[id(site)], site.variable, site.role,
+                            len(blocks),
+                            offset,
+                            site.opcode,
+                            site.kind,
+                            width(site.kind),
+                            used[function.name].of(site),
+                            *chains[id(site)],
+                            site.variable,
+                            site.role,
                         )
                         for offset, site in enumerate(block.sites)
                     )
-                )  # fmt: skip
+                )
     return Table(tuple(blocks))
 
 

@@ -161,9 +161,14 @@ class Variant:
         histogram = np.zeros(len(self.table.blocks), np.int64)
         trace = np.zeros(max(room, 1), np.int32)
         result = self._run(
-            Mode.PROFILE, 0, args, HISTOGRAM=histogram.ctypes.data, TRACE=trace.ctypes.data, TRACE_ROOM=room,
+            Mode.PROFILE,
+            0,
+            args,
+            HISTOGRAM=histogram.ctypes.data,
+            TRACE=trace.ctypes.data,
+            TRACE_ROOM=room,
             TRACE_LENGTH=0,
-        )  # fmt: skip
+        )
         return result, histogram, trace[: int(self._control[Control.TRACE_LENGTH])]
 
     def resolve(self, indices: Sequence[int], *args: Any) -> tuple[Any, list[Site | None]]:
@@ -171,9 +176,15 @@ class Variant:
         wanted = np.array(sorted(set(indices)), np.int64)
         blocks, offsets = np.full(len(wanted), -1), np.full(len(wanted), -1)
         result = self._run(
-            Mode.RESOLVE, int(wanted[0]) if len(wanted) else NEVER, args, EVENTS=wanted.ctypes.data,
-            EVENT_COUNT=len(wanted), EVENT_BLOCKS=blocks.ctypes.data, EVENT_OFFSETS=offsets.ctypes.data, NEXT_EVENT=0,
-        )  # fmt: skip
+            Mode.RESOLVE,
+            int(wanted[0]) if len(wanted) else NEVER,
+            args,
+            EVENTS=wanted.ctypes.data,
+            EVENT_COUNT=len(wanted),
+            EVENT_BLOCKS=blocks.ctypes.data,
+            EVENT_OFFSETS=offsets.ctypes.data,
+            NEXT_EVENT=0,
+        )
         sites = {
             int(index): self.table.blocks[block][offset] if block >= 0 else None
             for index, block, offset in zip(wanted, blocks, offsets, strict=True)
@@ -183,9 +194,14 @@ class Variant:
     def locate(self, passes: Passes, *args: Any) -> Any:
         """Run without a fault, and store in `passes` the dynamic indices at which wanted executions start."""
         return self._run(
-            Mode.LOCATE, 0, args, HISTOGRAM=passes.passed.ctypes.data, EVENTS=passes.wanted.ctypes.data,
-            EVENT_BLOCKS=passes.cursors.ctypes.data, EVENT_OFFSETS=passes.starts.ctypes.data,
-        )  # fmt: skip
+            Mode.LOCATE,
+            0,
+            args,
+            HISTOGRAM=passes.passed.ctypes.data,
+            EVENTS=passes.wanted.ctypes.data,
+            EVENT_BLOCKS=passes.cursors.ctypes.data,
+            EVENT_OFFSETS=passes.starts.ctypes.data,
+        )
 
     def inject(self, index: int, keep: int, flip: int, budget: int, *args: Any) -> Any:
         """Run with one injection: the value at this dynamic index, from 0, becomes (value & keep) ^ flip.
@@ -345,9 +361,7 @@ class Profiling:
 class Resolving:
     """Finds the static instructions (`sites`, by call and index) at the wanted indices, given by call."""
 
-    def __init__(
-        self, function: Any, wanted: Mapping[int, Sequence[int]], rewriting: Rewriting | None = None
-    ) -> None:  # fmt: skip
+    def __init__(self, function: Any, wanted: Mapping[int, Sequence[int]], rewriting: Rewriting | None = None) -> None:
         self._function, self._rewriting = function, rewriting
         self._wanted = wanted
         self._calls = 0

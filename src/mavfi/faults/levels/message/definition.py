@@ -12,9 +12,20 @@ from functools import cache
 from mavfi.errors import BadInputError, MavfiError, allowed
 
 FORMATS = {
-    "bool": "B", "byte": "b", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i",
-    "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
-}  # fmt: skip
+    "bool": "B",
+    "byte": "b",
+    "char": "B",
+    "int8": "b",
+    "uint8": "B",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
 """Numeric types, with their `struct` codes."""
 _PAIRS = {"time": (("secs", "uint32"), ("nsecs", "uint32")), "duration": (("secs", "int32"), ("nsecs", "int32"))}
 _STRING = "string"
@@ -122,8 +133,9 @@ class Definition:
                     f"field {path}: {name} of {kind} is {'a list' if index is None else 'no list'}; allowed: {wanted}"
                 )
             if index is not None and member.length is not None and not index < member.length and member.length >= 0:
-                raise BadInputError(f"field {path}: {name} has {member.length} elements; allowed: [0] to "
-                                    f"[{member.length - 1}]")  # fmt: skip
+                raise BadInputError(
+                    f"field {path}: {name} has {member.length} elements; allowed: [0] to [{member.length - 1}]"
+                )
             kind = member.kind
         if kind == _STRING:
             raise BadInputError(f"field {path}: is text; allowed: a number")

@@ -49,9 +49,15 @@ class Failure:
         place = int(differs.argmax())
         lasts = "to the end" if math.isinf(fault.lasts_s) else f"for {fault.lasts_s:g} s"
         self.injection = Injection(
-            fault.level, fault.site, time_us / 1e6, None, float(values[place]), float(found[place]), activated=True,
+            fault.level,
+            fault.site,
+            time_us / 1e6,
+            None,
+            float(values[place]),
+            float(found[place]),
+            activated=True,
             details={} if fault.kind == NULL else {"model": lasts},
-        )  # fmt: skip
+        )
 
     def record(self) -> Injection:
         """The injection, or that no reader received a changed value."""

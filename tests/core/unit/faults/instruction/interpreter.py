@@ -45,16 +45,27 @@ def constant(text, kind):
 
 
 ARITHMETIC = {
-    "fadd": lambda x, y: float(np.add(x, y)), "fsub": lambda x, y: float(np.subtract(x, y)),
-    "fmul": lambda x, y: float(np.multiply(x, y)), "fdiv": lambda x, y: float(np.divide(x, y)),
-    "add": lambda x, y: x + y, "sub": lambda x, y: x - y, "mul": lambda x, y: x * y,
-    "shl": lambda x, y: x << y, "lshr": lambda x, y: x >> y, "and": lambda x, y: x & y,
-    "or": lambda x, y: x | y, "xor": lambda x, y: x ^ y,
-}  # fmt: skip
+    "fadd": lambda x, y: float(np.add(x, y)),
+    "fsub": lambda x, y: float(np.subtract(x, y)),
+    "fmul": lambda x, y: float(np.multiply(x, y)),
+    "fdiv": lambda x, y: float(np.divide(x, y)),
+    "add": lambda x, y: x + y,
+    "sub": lambda x, y: x - y,
+    "mul": lambda x, y: x * y,
+    "shl": lambda x, y: x << y,
+    "lshr": lambda x, y: x >> y,
+    "and": lambda x, y: x & y,
+    "or": lambda x, y: x | y,
+    "xor": lambda x, y: x ^ y,
+}
 _COMPARE = {
-    "eq": lambda x, y: x == y, "ne": lambda x, y: x != y, "lt": lambda x, y: x < y, "gt": lambda x, y: x > y,
-    "le": lambda x, y: x <= y, "ge": lambda x, y: x >= y,
-}  # fmt: skip
+    "eq": lambda x, y: x == y,
+    "ne": lambda x, y: x != y,
+    "lt": lambda x, y: x < y,
+    "gt": lambda x, y: x > y,
+    "le": lambda x, y: x <= y,
+    "ge": lambda x, y: x >= y,
+}
 
 
 class Interpreter:
@@ -148,10 +159,13 @@ class Interpreter:
         read = [self.operand(part.split()[-1], kind) for part in rest.split(",")]
         bits = width(kind)
         function = {
-            "smax": lambda x, y: max(x, y, key=lambda n: signed(n, bits)), "umax": max, "umin": min,
+            "smax": lambda x, y: max(x, y, key=lambda n: signed(n, bits)),
+            "umax": max,
+            "umin": min,
             "smin": lambda x, y: min(x, y, key=lambda n: signed(n, bits)),
-            "sqrt": lambda x: float(np.sqrt(x)), "fabs": abs,
-        }[name]  # fmt: skip
+            "sqrt": lambda x: float(np.sqrt(x)),
+            "fabs": abs,
+        }[name]
         return kind, lambda v: function(*(x(v) for x in read))
 
     def _phi(self, text):

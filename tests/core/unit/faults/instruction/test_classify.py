@@ -50,15 +50,29 @@ define linkonce_odr i32 @callee(ptr noalias %result, ptr %q, i64 %offset, i64 %p
 attributes #0 = { nounwind }
 """
 CLASSES = [
-    ("fmul", "address"), ("fptosi", "address"), ("getelementptr", "address"), ("load", "address"),
-    ("getelementptr", "address"), ("load", "control"), ("add", "control"), ("icmp", "control"),
-    ("fadd", "floating_point"), ("fcmp", "control"), ("and", "control"), ("load", "integer"), ("select", "integer"),
+    ("fmul", "address"),
+    ("fptosi", "address"),
+    ("getelementptr", "address"),
+    ("load", "address"),
+    ("getelementptr", "address"),
+    ("load", "control"),
+    ("add", "control"),
+    ("icmp", "control"),
+    ("fadd", "floating_point"),
+    ("fcmp", "control"),
+    ("and", "control"),
+    ("load", "integer"),
+    ("select", "integer"),
     ("shl", "address"),  # through the parameter of the callee
-    ("call", "integer"), ("load", "address"), ("getelementptr", "address"), ("load", "floating_point"),
-    ("call", "control"), ("extractvalue", "control"),  # what is returned is a status
+    ("call", "integer"),
+    ("load", "address"),
+    ("getelementptr", "address"),
+    ("load", "floating_point"),
+    ("call", "control"),
+    ("extractvalue", "control"),  # what is returned is a status
     ("getelementptr", "address"),
     ("add", "address"),  # through memory: the caller loads it as an index
-]  # fmt: skip
+]
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +91,10 @@ def test_classes(sites):
 
 def test_widths(sites):
     assert {site.opcode: site.width for site in sites if site.opcode in ("icmp", "fadd", "call")} == {
-        "icmp": 1, "fadd": 64, "call": 65,
-    }  # fmt: skip
+        "icmp": 1,
+        "fadd": 64,
+        "call": 65,
+    }
     assert [site.width for site in sites if site.opcode == "call"] == [32, 65]
     assert width("<16 x i1>") == 16
     assert width("[2 x { i8, <4 x ptr> }]") == 2 * (8 + 256)
@@ -95,10 +111,16 @@ def test_promises_are_left_out(module):
 @pytest.mark.parametrize(
     ("which", "count"),
     [
-        ("all", 22), ("data", 5), ("address", 10), ("control", 7), ("integer", 3), ("floating_point", 3),
-        ("opcode:load", 5), ("opcode:fdiv", 0),
+        ("all", 22),
+        ("data", 5),
+        ("address", 10),
+        ("control", 7),
+        ("integer", 3),
+        ("floating_point", 3),
+        ("opcode:load", 5),
+        ("opcode:fdiv", 0),
     ],
-)  # fmt: skip
+)
 def test_selections(sites, which, count):
     assert sum(site in parse_selection(which) for site in sites) == count
 

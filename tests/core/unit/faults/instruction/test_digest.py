@@ -39,8 +39,10 @@ OLDEST = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
 def ir_digests(names, cache, variables):
     """Digests of the fault spaces of kernels, compiled in this order in a process with an empty cache."""
     environment = os.environ | {
-        "XDG_CACHE_HOME": str(cache), "PYTHONPATH": os.pathsep.join([".", *sys.path]), **variables
-    }  # fmt: skip
+        "XDG_CACHE_HOME": str(cache),
+        "PYTHONPATH": os.pathsep.join([".", *sys.path]),
+        **variables,
+    }
     environment.pop("NUMBA_CACHE_DIR", None)
     done = subprocess.run(
         [sys.executable, "-c", COMPILE, *names], env=environment, capture_output=True, text=True, check=True

@@ -94,8 +94,14 @@ def test_lines_and_classes_of_a_straight_kernel():
     sites = {site.opcode: site for site in variant_for(straight, STRAIGHT).table.blocks[0]}
     first = straight.py_func.__code__.co_firstlineno + 1
     assert {name: site.line - first for name, site in sites.items()} == {
-        "fmul": 1, "fadd": 2, "add": 3, "mul": 4, "call": 5, "sitofp": 5, "fdiv": 5,
-    }  # fmt: skip
+        "fmul": 1,
+        "fadd": 2,
+        "add": 3,
+        "mul": 4,
+        "call": 5,
+        "sitofp": 5,
+        "fdiv": 5,
+    }
     assert {site.value_class for site in sites.values()} == {"floating_point", "integer"}
     assert sites["add"].file.endswith("tests/core/unit/faults/instruction/kernels.py")
 
@@ -192,9 +198,11 @@ def test_other_fault_models_change_the_value_as_planned(trace, keep, flip, after
 # ---- wrong injectors ------------------------------------------------------------------------------------------------
 def next_bit(text):
     return re.sub(
-        r"^  (%t\d+) = xor (i\d\d) (%t\d+), (%t\d+)$", r"  \1.m = shl \2 \4, 1\n  \1 = xor \2 \3, \1.m", text,
+        r"^  (%t\d+) = xor (i\d\d) (%t\d+), (%t\d+)$",
+        r"  \1.m = shl \2 \4, 1\n  \1 = xor \2 \3, \1.m",
+        text,
         flags=re.MULTILINE,
-    )  # fmt: skip
+    )
 
 
 def next_index(text):

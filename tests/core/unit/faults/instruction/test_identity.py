@@ -128,9 +128,14 @@ def test_the_table_that_is_handed_in_holds_the_kernels_themselves():
 
 def short(planner="rrt_connect", autopilot="hardened", map_kind="dense"):
     spec = MissionSpec(
-        environment="sparse", seed=7, autopilot=autopilot, planner=planner, map=map_kind, goal=(9.0, 0.0, 3.0),
+        environment="sparse",
+        seed=7,
+        autopilot=autopilot,
+        planner=planner,
+        map=map_kind,
+        goal=(9.0, 0.0, 3.0),
         start=(2.0, 0.0, 3.0),
-    )  # fmt: skip
+    )
     return scenario_of(spec)
 
 

@@ -82,9 +82,16 @@ def records_of(kernel):
     records = [(None, FlightRecord(End.FLOWN, "success", counts={"pid": counted}))]
     for drawn in draw(kernel, 8, 2.0, seed=4):
         fault = InstructionFault(
-            "", drawn.ir_sha256, drawn.index, bits=drawn.bits, budget=drawn.budget, value_class=drawn.value_class,
-            stratum=drawn.stratum, kernel="pid", entry="track_pid",
-        )  # fmt: skip
+            "",
+            drawn.ir_sha256,
+            drawn.index,
+            bits=drawn.bits,
+            budget=drawn.budget,
+            value_class=drawn.value_class,
+            stratum=drawn.stratum,
+            kernel="pid",
+            entry="track_pid",
+        )
         records.append(
             (fault, FlightRecord(End.FLOWN, "success", injections=(run_forked(kernel, fault, 2.0).injection,)))
         )
@@ -134,7 +141,8 @@ def test_records_without_source_lines_keep_all_else():
     record = {"injections": [injection], "counts": counts, "digest": "d"}
     assert json.loads(without_source(canonical(record))) == {
         "injections": [{"level": "instruction", "site": "pid.track_pid", "details": {"opcode": "fadd", "index": 7}}],
-        "counts": {"pid": {"calls": 2}}, "digest": "d",
-    }  # fmt: skip
+        "counts": {"pid": {"calls": 2}},
+        "digest": "d",
+    }
     state = canonical({"injections": [{**injection, "level": "state"}], "digest": "d"})
     assert without_source(state) == state

@@ -75,11 +75,17 @@ def test_executions_are_listed_by_site():
 @pytest.mark.parametrize(
     "args",
     [
-        (np.zeros(3), 1.0), (np.zeros((3, 2))[:, 0], 1.0), (np.zeros((3, 2), np.float32), True),
-        (np.broadcast_to(0.0, 4), np.float32(1)), (1, "text"), ((np.zeros(2, np.int8), 2.0), None),
-        (-(1 << 63), (1 << 63) - 1), (1 << 63, True), (False, 0),
+        (np.zeros(3), 1.0),
+        (np.zeros((3, 2))[:, 0], 1.0),
+        (np.zeros((3, 2), np.float32), True),
+        (np.broadcast_to(0.0, 4), np.float32(1)),
+        (1, "text"),
+        ((np.zeros(2, np.int8), 2.0), None),
+        (-(1 << 63), (1 << 63) - 1),
+        (1 << 63, True),
+        (False, 0),
     ],
-)  # fmt: skip
+)
 def test_types_from_the_cache_are_numbas(args):
     import numba
 

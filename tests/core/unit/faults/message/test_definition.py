@@ -15,22 +15,32 @@ STAMP = {"seq": 7, "stamp": {"sec": 5, "nanosec": 6}, "frame_id": "a frame"}
 MESSAGES = {
     "sensor_msgs/JointState": {"header": STAMP, "name": ["one", "two"], "position": [0.5, -3.25], "effort": [1e300]},
     "nav_msgs/Odometry": {
-        "header": STAMP, "child_frame_id": "body", "twist": {"twist": {"angular": {"z": -2.5}}},
+        "header": STAMP,
+        "child_frame_id": "body",
+        "twist": {"twist": {"angular": {"z": -2.5}}},
         "pose": {"covariance": [float(number) for number in range(36)], "pose": {"position": {"x": 1.5}}},
     },
     "trajectory_msgs/MultiDOFJointTrajectory": {
-        "header": STAMP, "joint_names": ["a", ""],
+        "header": STAMP,
+        "joint_names": ["a", ""],
         "points": [
             {"transforms": [{"translation": {"x": 1.0}}, {"rotation": {"w": 1.0}}], "time_from_start": {"sec": -3}},
             {"velocities": [{"linear": {"y": 2.0}}], "time_from_start": {"nanosec": 9}},
         ],
     },
     "sensor_msgs/PointCloud2": {
-        "header": STAMP, "height": 1, "width": 2, "fields": [{"name": "x", "offset": 4, "datatype": 7, "count": 1}],
-        "is_bigendian": False, "point_step": 4, "row_step": 8, "data": [1, 2, 3, 255], "is_dense": True,
+        "header": STAMP,
+        "height": 1,
+        "width": 2,
+        "fields": [{"name": "x", "offset": 4, "datatype": 7, "count": 1}],
+        "is_bigendian": False,
+        "point_step": 4,
+        "row_step": 8,
+        "data": [1, 2, 3, 255],
+        "is_dense": True,
     },
     "diagnostic_msgs/DiagnosticArray": {"status": [{"level": 2, "values": [{"key": "k", "value": "v"}]}, {"level": 1}]},
-}  # fmt: skip
+}
 CASES = {name: fields for name, fields in MESSAGES.items()}
 
 

@@ -10,22 +10,34 @@ from mavfi.faults.levels.sensor.fault import SensorFault
 ODOMETRY = np.array([1.0, 2.0, 3.0, 0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0, 0.5, 0.6, 0.7])
 THRUSTS = np.array([1.0, 2.0, 3.0, 4.0])
 READ = {
-    "state": lambda failures: failures.state(5, ODOMETRY), "force": lambda failures: failures.force(5, ODOMETRY[:3]),
-    "imu": lambda failures: failures.imu(5, ODOMETRY[:6]), "fix": lambda failures: failures.fix(5, ODOMETRY[:4]),
-    "ranges": lambda failures: failures.ranges(5, ODOMETRY), "rotors": lambda failures: failures.rotors(5, THRUSTS, 8),
-}  # fmt: skip
-TRUE = {"state": ODOMETRY, "force": ODOMETRY[:3], "imu": ODOMETRY[:6], "fix": ODOMETRY[:4], "ranges": ODOMETRY,
-        "rotors": THRUSTS}  # fmt: skip
+    "state": lambda failures: failures.state(5, ODOMETRY),
+    "force": lambda failures: failures.force(5, ODOMETRY[:3]),
+    "imu": lambda failures: failures.imu(5, ODOMETRY[:6]),
+    "fix": lambda failures: failures.fix(5, ODOMETRY[:4]),
+    "ranges": lambda failures: failures.ranges(5, ODOMETRY),
+    "rotors": lambda failures: failures.rotors(5, THRUSTS, 8),
+}
+TRUE = {
+    "state": ODOMETRY,
+    "force": ODOMETRY[:3],
+    "imu": ODOMETRY[:6],
+    "fix": ODOMETRY[:4],
+    "ranges": ODOMETRY,
+    "rotors": THRUSTS,
+}
 
 
 @pytest.mark.parametrize(
     ("unit", "changed"),
     [
-        ("gyro", {"state": [10, 11, 12], "imu": [3, 4, 5]}), ("accelerometer", {"force": [0, 1, 2], "imu": [0, 1, 2]}),
-        ("compass", {"state": [6, 9], "fix": [3]}), ("position", {"state": [0], "fix": [0]}),
-        ("depth_camera", {"ranges": np.flatnonzero(ODOMETRY).tolist()}), ("motor", {"rotors": [0, 1, 2, 3]}),
+        ("gyro", {"state": [10, 11, 12], "imu": [3, 4, 5]}),
+        ("accelerometer", {"force": [0, 1, 2], "imu": [0, 1, 2]}),
+        ("compass", {"state": [6, 9], "fix": [3]}),
+        ("position", {"state": [0], "fix": [0]}),
+        ("depth_camera", {"ranges": np.flatnonzero(ODOMETRY).tolist()}),
+        ("motor", {"rotors": [0, 1, 2, 3]}),
     ],
-)  # fmt: skip
+)
 def test_a_unit_changes_its_own_values_for_all_readers(unit, changed):
     failures = Failures()
     failure = failures.begin(SensorFault(unit, "wrong"))

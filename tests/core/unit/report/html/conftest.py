@@ -13,10 +13,17 @@ FAULT = "state:planning.waypoint.x:bit=62@20.0"
 COMMAND = f"mavfi fly --environment sparse --seed 7 --fault {FAULT}"
 _CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 _OPTIONS = (
-    "--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run",
+    "--headless",
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
     "--host-resolver-rules=MAP * ~NOTFOUND",  # the network is off
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="session")

@@ -17,5 +17,12 @@ def straight(rows=3000, status=MissionStatus.SUCCESS, **more):
 
 
 def scene(**more):
-    return World(np.zeros(3), np.array([50.0, 0, 5]), np.array([0.0, -30, 0]), np.array([60.0, 30, 12]),
-                 np.array([0.0, -30, 0]), np.array([60.0, 30, 12]), **more)  # fmt: skip
+    return World(
+        np.zeros(3),
+        np.array([50.0, 0, 5]),
+        np.array([0.0, -30, 0]),
+        np.array([60.0, 30, 12]),
+        np.array([0.0, -30, 0]),
+        np.array([60.0, 30, 12]),
+        **more,
+    )

@@ -40,9 +40,12 @@ def test_of_other_faults_only_what_differs_is_shown(site):
 
 @pytest.mark.parametrize(
     ("wrong", "shown"),
-    [("planning.waypoint.y", ["planning.waypoint.y", "planning.waypoint.x"]),
-     ("planning.waypoint.elements", ["planning.waypoint.x"]), ("planning.waypoint.", ["planning.waypoint.x"])],
-)  # fmt: skip
+    [
+        ("planning.waypoint.y", ["planning.waypoint.y", "planning.waypoint.x"]),
+        ("planning.waypoint.elements", ["planning.waypoint.x"]),
+        ("planning.waypoint.", ["planning.waypoint.x"]),
+    ],
+)
 def test_the_first_wrong_field_of_an_injected_kernel_comes_first(wrong, shown):
     injected = waypoints(lambda time_s: 3.0 if time_s >= AT else 0.0)
     lines = time_lines({"golden": waypoints(), "injected": injected}, AT, "pid.track", wrong)
@@ -69,8 +72,11 @@ def test_only_the_surroundings_of_the_fault_are_kept():
 
 def test_a_field_that_is_rarely_published_is_shown_in_the_whole_window():
     def rarely(value):
-        return [publication for publication in waypoints(lambda time_s: value * (time_s >= AT))
-                if publication.time_us in (2_000_000, 5_000_000)] + trailing()  # fmt: skip
+        return [
+            publication
+            for publication in waypoints(lambda time_s: value * (time_s >= AT))
+            if publication.time_us in (2_000_000, 5_000_000)
+        ] + trailing()
 
     def trailing():
         return [Publication(time_us, new_state("control.command")) for time_us in (8_000_000, 12_000_000)]
