@@ -243,8 +243,10 @@ def summary(bench: Bench, rows: Mapping[str, Sequence[Row]]) -> dict[str, Table]
         brought_back(bench, rows),
         alarms,
         [
-            "brought back / lost, over the parts that were flown with every detector; per cent, [95 % interval: Wilson, "
-            "flights in one world taken as independent]; false alarms: per hour of flight without a fault, by autopilot "
+            "brought back / lost, over the parts that were flown with every detector; per cent, [95 % interval: "
+            "Wilson, "
+            "flights in one world taken as independent]; false alarms: per hour of flight without a fault, by "
+            "autopilot "
             "profile, all environments"
         ],
     )
@@ -254,7 +256,8 @@ def summary(bench: Bench, rows: Mapping[str, Sequence[Row]]) -> dict[str, Table]
         lost_alone(bench, rows),
         {},
         [
-            "lost alone: success without the scheme, failure with it, over all parts; golden flights lost by the scheme "
+            "lost alone: success without the scheme, failure with it, over all parts; golden flights lost by "
+            "the scheme "
             "alone count as lost; at level instruction only faults in the same value are compared"
         ],
     )
@@ -315,7 +318,8 @@ def headline(bench: Path) -> str:
             *lines,
             "",
             f"{_alarms(bench)}{moved}`recommended` consists of rules of physics and protocol; nothing is trained. "
-            f"[Leaderboard](docs/results/{PAGE}.md), with intervals; [five rules](docs/engineers.md) for a stack of your "
+            f"[Leaderboard](docs/results/{PAGE}.md), with intervals; [five rules](docs/engineers.md) for a "
+            f"stack of your "
             "own.",
         ]
     )

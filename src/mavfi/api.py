@@ -77,7 +77,10 @@ def fly(
     if detector_options and not isinstance(detector, str):
         raise BadInputError(f"detector_options: {detector_options!r}: allowed: with the name of a detector")
     setup, label, _ = watched(asked, detector, profile, None if models is None else Path(models), detector_options)
-    request = parse(fault, asked.localization) if isinstance(fault, str) else fault
+    if isinstance(fault, str):
+        request: Request | Fault | None = parse(fault, asked.localization)
+    else:
+        request = fault
     return fly_request(setup, request, fault_seed, label, resolve(asked))
 
 
@@ -124,7 +127,10 @@ def run(
     from mavfi.campaign.mission import check_names
     from mavfi.campaign.run import run_campaign
 
-    chosen = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
+    if isinstance(campaign, Campaign):
+        chosen = campaign
+    else:
+        chosen = load_campaign(campaign)
     if chosen is not campaign:
         check_names(chosen, str(campaign))
     run_campaign(

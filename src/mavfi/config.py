@@ -105,7 +105,10 @@ def _size(node: yaml.Node, known: dict[int, float]) -> float:
         return 1
     if id(node) not in known:
         known[id(node)] = math.inf
-        parts = node.value if isinstance(node, yaml.SequenceNode) else [part for pair in node.value for part in pair]
+        if isinstance(node, yaml.SequenceNode):
+            parts = node.value
+        else:
+            parts = [part for pair in node.value for part in pair]
         known[id(node)] = 1 + sum(_size(part, known) for part in parts)
     return known[id(node)]
 
@@ -287,7 +290,9 @@ def config_root() -> Path:
     """Folder of the shipped configuration files."""
     package = Path(__file__).parent
     inside = package / "configs"
-    return inside if inside.is_dir() else package.parents[1] / "configs"
+    if inside.is_dir():
+        return inside
+    return package.parents[1] / "configs"
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -383,7 +388,8 @@ def shipped(kind: str, model: type[ConfigType], name: str) -> ConfigType:
     if not is_file(path):
         if dropped_name(kind, name):
             raise BadInputError(dropped_name(kind, name))
-        allowed, what = ", ".join(names(kind)), "is a folder" if is_dir(Path(name)) else "not known"
+        allowed = ", ".join(names(kind))
+        what = "is a folder" if is_dir(Path(name)) else "not known"
         files = ".yaml, .bt or .ot" if kind == "environments" else ".yaml"  # scanned maps are environments too
         text = f"{what}{hint(name, names(kind))}; allowed: {allowed}, or a path to a {files} file"
         singular = "study" if kind == "studies" else kind.rstrip("s")

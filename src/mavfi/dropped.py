@@ -107,16 +107,25 @@ COMMANDS: Mapping[str, str] = {"campaign pack": _A_FOLDER, "campaign unpack": _A
 
 def dropped_key(name: str) -> str:
     """The refusal of a key that earlier versions had; "" = none had it."""
-    return f"key {name!r}: dropped; {KEYS[name]}" if name in KEYS else ""
+    if name in KEYS:
+        return f"key {name!r}: dropped; {KEYS[name]}"
+    return ""
 
 
 def dropped_value(key: str, value: object) -> str:
     """The refusal of a value that earlier versions allowed for a key; "" = none did."""
-    replacement = VALUES.get((key, value)) if isinstance(value, str) else None
-    return f"key {key!r}: {value!r}: dropped; use {replacement!r}" if replacement else ""
+    if isinstance(value, str):
+        replacement = VALUES.get((key, value))
+    else:
+        replacement = None
+    if replacement:
+        return f"key {key!r}: {value!r}: dropped; use {replacement!r}"
+    return ""
 
 
 def dropped_name(kind: str, name: str) -> str:
     """The refusal of a shipped name of a kind, e.g. "detectors"; "" = no version shipped it."""
     replacement = NAMES.get((kind, name))
-    return f"{kind.rstrip('s')} {name!r}: dropped; {replacement}" if replacement else ""
+    if replacement:
+        return f"{kind.rstrip('s')} {name!r}: dropped; {replacement}"
+    return ""

@@ -77,14 +77,24 @@ def allowed(names: Collection[str], wanted: str = "") -> str:
     """The allowed names for a message: the likeliest first, at most one line."""
     likely = get_close_matches(wanted, names, 3, 0.5)
     ordered = [*likely, *sorted(set(names) - set(likely))]
-    more = f", and {len(ordered) - _MOST_SHOWN} more" if len(ordered) > _MOST_SHOWN else ""
-    return (", ".join(ordered[:_MOST_SHOWN]) + more) if ordered else "none, there are none"
+    if len(ordered) > _MOST_SHOWN:
+        more = f", and {len(ordered) - _MOST_SHOWN} more"
+    else:
+        more = ""
+    if ordered:
+        return ", ".join(ordered[:_MOST_SHOWN]) + more
+    return "none, there are none"
 
 
 def hint(wanted: object, names: Iterable[str]) -> str:
     """A question after an unknown name: whether the most similar of some names is meant; "" = none is similar."""
-    similar = get_close_matches(wanted, list(names), 1, 0.7) if isinstance(wanted, str) else []
-    return f" (did you mean {similar[0]!r}?)" if similar else ""
+    if isinstance(wanted, str):
+        similar = get_close_matches(wanted, list(names), 1, 0.7)
+    else:
+        similar = []
+    if similar:
+        return f" (did you mean {similar[0]!r}?)"
+    return ""
 
 
 @contextmanager

@@ -39,13 +39,17 @@ def effect_of(golden: FlightRecord | None, injected: FlightRecord) -> Effect:
         injected: The run with the fault. If it died on every attempt, it is a crash unless its host knows better.
     """
     if injected.end is End.DUE:
-        return Effect.CRASH if injected.kernel is None else Effect[injected.kernel.effect.upper()]
+        if injected.kernel is None:
+            return Effect.CRASH
+        return Effect[injected.kernel.effect.upper()]
     if golden is None or not golden.digest or not injected.digest:
         return Effect.UNKNOWN
     if golden.digest == injected.digest:
         return Effect.MASKED
     detected = injected.kernel is not None and injected.kernel.effect == Effect.DETECTED.label
-    return Effect.DETECTED if detected else Effect.SDC
+    if detected:
+        return Effect.DETECTED
+    return Effect.SDC
 
 
 # ---- faults in a flight controller -------------------------------------------------------------------------------
@@ -86,7 +90,9 @@ class ControlErrors:
     def of(record: FlightRecord) -> "ControlErrors | None":
         """The errors in a record; None = not measured."""
         stored = record.extra.get(ControlErrors.KEY)
-        return None if stored is None else ControlErrors(**{name: float(value) for name, value in stored.items()})
+        if stored is None:
+            return None
+        return ControlErrors(**{name: float(value) for name, value in stored.items()})
 
     def beyond(self, limits: "ControlErrors") -> bool:
         """Whether any of them is not within its limit; NaN is not."""
@@ -111,7 +117,8 @@ LOST_TILT = math.radians(60.0)
 LOST = ControlErrors(LOST_TILT, math.radians(30.0), 3.0, 2.0)
 """Beyond these, control is lost: an error lasts that is about as large as all that may be commanded (by default
 33 degrees, 3 m/s, 2 rad/s)."""
-LONGER, COSTLIER = 0.2, 0.25
+LONGER = 0.2
+COSTLIER = 0.25
 """Increase in flight time and in energy over the golden run, relative, beyond which a mission is degraded; largest
 of the same flights: 11 % and 17 %."""
 _ASTRAY = (MissionStatus.COLLISION.label, MissionStatus.FLY_AWAY.label)
@@ -128,7 +135,8 @@ def control_of(golden: FlightRecord | None, injected: FlightRecord) -> Control |
         None: It cannot be judged, e.g. if errors were not measured.
     """
     known = {Effect.MASKED: Control.IDENTICAL, Effect.CRASH: Control.ENDS, Effect.HANG: Control.HANGS}
-    effect, errors = effect_of(golden, injected), ControlErrors.of(injected)
+    effect = effect_of(golden, injected)
+    errors = ControlErrors.of(injected)
     if effect in known:
         return known[effect]
     if golden is None or effect is not Effect.SDC or errors is None:
@@ -137,7 +145,9 @@ def control_of(golden: FlightRecord | None, injected: FlightRecord) -> Control |
     lost = errors.beyond(LOST) or injected.status == MissionStatus.INVALID_STATE.label
     if lost or (injected.status in _ASTRAY and not follows):
         return Control.LOST
-    return Control.SLIGHT if follows and not _is_worse(golden, injected) else Control.DEGRADED
+    if follows and not _is_worse(golden, injected):
+        return Control.SLIGHT
+    return Control.DEGRADED
 
 
 def _is_worse(golden: FlightRecord, injected: FlightRecord) -> bool:
@@ -157,8 +167,12 @@ BATTERY_ENERGY = 11.1 * 5.5 * 3600.0
 
 _KMH = 3.6
 _CONSTANT = 443.9
-_SPEED_XY, _ACCELERATION_XY, _PRODUCT_XY = -1.526, 3.934, 0.968
-_SPEED_Z, _ACCELERATION_Z, _PRODUCT_Z = 18.125, 96.613, -1.085
+_SPEED_XY = -1.526
+_ACCELERATION_XY = 3.934
+_PRODUCT_XY = 0.968
+_SPEED_Z = 18.125
+_ACCELERATION_Z = 96.613
+_PRODUCT_Z = -1.085
 
 
 @dataclass(frozen=True, slots=True)

@@ -253,7 +253,9 @@ def _check_call(place: str, method: str, function: Any, parameters: str) -> None
 def reason(error: BaseException) -> str:
     """An exception of user code, on one line."""
     text = " ".join(str(error).split())
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+    if text:
+        return f"{type(error).__name__}: {text}"
+    return type(error).__name__
 
 
 def plugin_failure(error: BaseException) -> str:
@@ -264,7 +266,10 @@ def plugin_failure(error: BaseException) -> str:
     """
     if machine_failure(error):
         return ""
-    frames = [] if error.__traceback__ is None else list(walk_tb(error.__traceback__))
+    if error.__traceback__ is None:
+        frames = []
+    else:
+        frames = list(walk_tb(error.__traceback__))
     for frame, line in reversed(frames):
         package = _package(frame.f_globals.get("__name__") or "")
         if package == _OWN:

@@ -45,7 +45,8 @@ COLUMNS = (
 """Columns of `FlightLog.rows`: s, m, m/s, unit quaternion, rad/s (body), m/s and rad/s, m."""
 LATEST_S = 1e9
 """Latest instant of a flight (s)."""
-_LARGEST_FILE, _LARGEST_CONTENT = 1 << 27, 1 << 28
+_LARGEST_FILE = 1 << 27
+_LARGEST_CONTENT = 1 << 28
 _DIGESTED = len(COLUMNS) - 3
 
 
@@ -150,7 +151,9 @@ class KernelEffect:
 
 
 def _plain(value: float | int | bool | str | None) -> float | int | bool | str | None:
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value
 
 
 @dataclass(slots=True)
@@ -257,8 +260,10 @@ class FlightLog:
         """
         try:
             arrays = read_arrays(Path(path))
-            rows, stored = _table(arrays), checked(_Stored, json.loads(str(arrays["record"])), "record")
-            status, events = MissionStatus[stored.status], [Event(*event) for event in stored.events]
+            rows = _table(arrays)
+            stored = checked(_Stored, json.loads(str(arrays["record"])), "record")
+            status = MissionStatus[stored.status]
+            events = [Event(*event) for event in stored.events]
         except (BadInputError, LookupError, RecursionError, ValueError) as error:
             why = str(error).removeprefix(f"{path}: ")
             raise BadInputError(f"{path}: is not a flight log ({why})") from None
@@ -324,7 +329,8 @@ AFTERMATH = 1.0
 """Time from the injection within which every alarm is stored (s)."""
 
 
-LIMITED, SILENCED = "detector_limited", "detector_silenced"
+LIMITED = "detector_limited"
+SILENCED = "detector_silenced"
 """Kinds of events: alarms get no response for a while, or no longer, since too many of them changed nothing."""
 CRASHED = "detector_crashed"
 """Kind of the event when a custom detector is disabled after an exception."""
@@ -518,12 +524,15 @@ def _motion(log: FlightLog) -> tuple[float, float, EnergyTerms]:
     rows = rows if finite.all() else rows[: int(np.argmin(finite))]
     if len(rows) < 2:
         return 0.0, 0.0, EnergyTerms()
-    time, position, velocity = rows[:, 0], rows[:, 1:4], rows[:, 4:7]
+    time = rows[:, 0]
+    position = rows[:, 1:4]
+    velocity = rows[:, 4:7]
     interval = np.diff(time)
     acceleration = np.diff(velocity, axis=0) / interval[:, None]
     mean = 0.5 * (velocity[1:] + velocity[:-1])
     speed_xy, acceleration_xy = (np.sqrt(v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1]) for v in (mean, acceleration))
-    speed_z, acceleration_z = np.abs(mean[:, 2]), np.abs(acceleration[:, 2])
+    speed_z = np.abs(mean[:, 2])
+    acceleration_z = np.abs(acceleration[:, 2])
     terms = (
         np.ones(len(interval)),
         speed_xy,

@@ -67,7 +67,9 @@ def rewriter() -> Rewriter:
 
 def rewriting_of(plan: Config | None) -> Rewriting | None:
     """How the plan of a scenario rewrites functions; None = they are as compiled."""
-    return None if plan is None else rewriter().rewriting(plan)
+    if plan is None:
+        return None
+    return rewriter().rewriting(plan)
 
 
 def check_flown(plan: Config | None) -> None:

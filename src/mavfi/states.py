@@ -281,7 +281,8 @@ def _vector(prefix: str, unit: str, read_in: tuple[str, ...] = AUTOPILOTS, dtype
     return tuple(Field(f"{prefix}{axis}", dtype, unit, read_in) for axis in "xyz")
 
 
-_XYZ, _VELOCITY = _vector("", "m"), _vector("v", "m/s")
+_XYZ = _vector("", "m")
+_VELOCITY = _vector("v", "m/s")
 _QUATERNION = tuple(Field(f"q{axis}", "f8", "-") for axis in "wxyz")
 _DEAD_RATES = _vector("w", "rad/s", ())
 _POINT = (

@@ -111,7 +111,8 @@ class LevelContract:
         return campaign
 
     def _drawn(self) -> list[Fault | None]:
-        sampler, environment = sampler_for(self._campaign()), self.environments[0]
+        sampler = sampler_for(self._campaign())
+        environment = self.environments[0]
         draws = [block.draw(index) for block in sampler.blocks(environment) for index in range(block.count)]
         return sampler.draw(draws, environment, self.golden)
 
@@ -242,7 +243,8 @@ class DetectorContract:
         """Memory is what it was accepted to be; a published value belongs to its readers."""
         detector = self.make()
         for state, now in self.publications()[:2000]:
-            memory, content = detector.memory(), (state.header.tobytes(), state.elements.tobytes())
+            memory = detector.memory()
+            content = (state.header.tobytes(), state.elements.tobytes())
             detector.check(state, now)
             assert detector.memory() == memory, f"check of {state.spec.name} at {now} us"
             assert (state.header.tobytes(), state.elements.tobytes()) == content
@@ -250,9 +252,11 @@ class DetectorContract:
 
     def test_its_alarms_can_be_answered(self) -> None:
         """An alarm names a stage that can be recomputed, and agrees with the score; golden flights have few."""
-        detector, alarms = self.make(), 0
+        detector = self.make()
+        alarms = 0
         for state, now in self.publications():
-            score, alarm = detector.score(state, now), detector.check(state, now)
+            score = detector.score(state, now)
+            alarm = detector.check(state, now)
             if alarm is not None:
                 alarms += 1
                 assert json.dumps(checked_alarm(detector, alarm).to_json())
@@ -262,7 +266,8 @@ class DetectorContract:
 
     def test_a_flight_can_be_repeated(self) -> None:
         """`start` forgets the flight before."""
-        detector, results = self.make(), []
+        detector = self.make()
+        results = []
         for _ in range(2):
             detector.start()
             results.append(self._results(detector, self.publications()))
@@ -270,7 +275,9 @@ class DetectorContract:
 
     def test_a_flight_can_be_continued_from_a_checkpoint(self) -> None:
         """Another detector with the restored memory judges as this one."""
-        detector, other, publications = self.make(), self.make(), self.publications()
+        detector = self.make()
+        other = self.make()
+        publications = self.publications()
         half = len(publications) // 2
         self._results(detector, publications[:half])
         other.restore(detector.memory())
@@ -323,7 +330,8 @@ class PlannerContract:
         if not blocked:
             counter[18:22, 12:16, :] = 0
         corners = np.array([1.0, 1.0, 1.0]), np.array([19.0, 9.0, 4.0])
-        start, goal = np.array([2.0, 5.0, 2.0]), np.array([18.0, 5.0, 2.0])
+        start = np.array([2.0, 5.0, 2.0])
+        goal = np.array([18.0, 5.0, 2.0])
         return search.search(counter.ravel(), grid, start, goal, *corners)
 
     def test_a_path_leads_from_start_to_goal(self) -> None:

@@ -43,12 +43,19 @@ def finding(error: ValidationError, model: type[BaseModel] | None = None, under:
     found: list[Mapping[str, Any]] = [{**one} for one in error.errors()]
     mistyped = [one for one in found if one["type"] == "extra_forbidden" and found[0]["type"] == "missing"]
     first = (mistyped or found)[0]
-    owner, location = (None, first["loc"]) if model is None else _place(model, model, first["loc"])
-    kind, name = first["type"], str(location[-1]) if location else ""
+    if model is None:
+        owner = None
+        location = first["loc"]
+    else:
+        owner, location = _place(model, model, first["loc"])
+    kind = first["type"]
+    name = str(location[-1]) if location else ""
     key = ".".join(filter(None, (under, *map(str, location))))
     message: str = first["msg"].removeprefix("Value error, ")
     if kind == "value_error":
-        return message if not key or message.startswith(f"{key}.") else f"key {key!r}: {message}"
+        if not key or message.startswith(f"{key}."):
+            return message
+        return f"key {key!r}: {message}"
     if kind == "extra_forbidden" and dropped_key(name):
         return dropped_key(name)
     if kind == "literal_error" and dropped_value(name, first["input"]):
@@ -58,9 +65,13 @@ def finding(error: ValidationError, model: type[BaseModel] | None = None, under:
         return f"unknown key {key!r}{hint(name, known)}; allowed: {', '.join(known)}"
     if kind == "missing":
         field = None if owner is None else owner.model_fields.get(name)
-        allowed = get_args(field.annotation) if field is not None and get_origin(field.annotation) is Literal else ()
+        if field is not None and get_origin(field.annotation) is Literal:
+            allowed = get_args(field.annotation)
+        else:
+            allowed = ()
         return f"key {key!r}: is required" + (f"; allowed: {', '.join(map(str, allowed))}" if allowed else "")
-    value, context = first["input"], first.get("ctx", {})
+    value = first["input"]
+    context = first.get("ctx", {})
     if kind == "literal_error":
         words = [word.strip("'") for word in context["expected"].replace(" or ", ", ").split(", ")]
         return f"key {key!r}: {shown(value)}: not known{hint(value, words)}; allowed: {context['expected']}"
@@ -70,7 +81,9 @@ def finding(error: ValidationError, model: type[BaseModel] | None = None, under:
 def allowed_by(error: Mapping[str, Any]) -> str:
     """What one of pydantic's errors allows."""
     pattern = _ALLOWED.get(error["type"])
-    return error["msg"] if pattern is None else f"allowed: {pattern.format(**error.get('ctx', {}))}"
+    if pattern is None:
+        return str(error["msg"])
+    return f"allowed: {pattern.format(**error.get('ctx', {}))}"
 
 
 def shown(value: object) -> str:
@@ -79,10 +92,14 @@ def shown(value: object) -> str:
         return "keys with values"
     if isinstance(value, (list, tuple)):
         text = f"[{', '.join(map(shown, value))}]"
-        return text if len(text) <= _LONGEST else "a list"
+        if len(text) <= _LONGEST:
+            return text
+        return "a list"
     if value is None:
         return "nothing"
-    return str(value).lower() if isinstance(value, bool) else repr(value)
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(value)
 
 
 def refuse_other_kind(annotation: Any, value: object) -> None:  # noqa: ANN401
@@ -123,13 +140,18 @@ def _place(
     kinds = [kind for kind in _members(annotation) if kind is not type(None)]
     if len(kinds) != 1:  # pydantic names the member of the union
         return owner, ()
-    kind, (first, *rest) = kinds[0], location
+    kind = kinds[0]
+    (first, *rest) = location
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         field = kind.model_fields.get(str(first))
-        owner, annotation = kind, None if field is None else field.annotation
+        owner = kind
+        annotation = None if field is None else field.annotation
     elif get_origin(kind) in (dict, list, tuple):
         annotation = get_args(kind)[min(int(first), len(get_args(kind)) - 1) if isinstance(first, int) else -1]
-        annotation = get_args(kind)[0] if annotation is Ellipsis else annotation
+        if annotation is Ellipsis:
+            annotation = get_args(kind)[0]
+        else:
+            annotation = annotation
     else:
         return owner, location
     if not rest:

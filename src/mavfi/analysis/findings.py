@@ -21,7 +21,9 @@ def findings(runs: Runs) -> list[str]:
 
 def _bits(own: Runs) -> str:
     text = m.population_text(own.values("population"))
-    return f" ({text} bits)" if text else ""
+    if text:
+        return f" ({text} bits)"
+    return ""
 
 
 def _percent(rate: Rate) -> str:
@@ -35,10 +37,12 @@ def _with_n(rate: Rate) -> str:
 
 
 def _success(runs: Runs) -> list[str]:
-    golden, faulty = runs.golden.where("judged", setting=GOLDEN), m.leading_faults(runs).where(setting=FI)
+    golden = runs.golden.where("judged", setting=GOLDEN)
+    faulty = m.leading_faults(runs).where(setting=FI)
     if not runs.has_missions or not len(golden) or not len(faulty):
         return []
-    without, with_fault = m.rate_of(golden, "success"), m.rate_of(faulty, "success")
+    without = m.rate_of(golden, "success")
+    with_fault = m.rate_of(faulty, "success")
     known = faulty.where(pl.col("golden_success").is_not_null())
     test = m.against_golden(known)
     return [
@@ -98,13 +102,21 @@ def _recovery(runs: Runs) -> list[str]:
     protected = [name for name, arm in arms.items() if arm["mission"].get("protection")]
     paired = paired.where(~pl.col("arm").is_in(protected))
     for (setting,), own in paired.where(pl.col("population").is_in(leads)).groups("setting").items():
-        test, found = m.discordant(own), m.recovery_of(own)
-        back, lost = (0, 0) if found is None else (found.regained, found.lost)
+        test = m.discordant(own)
+        found = m.recovery_of(own)
+        if found is None:
+            back = 0
+            lost = 0
+        else:
+            back = found.regained
+            lost = found.lost
         parts.append(
             f"{own.first('arm') or setting} brings back {back} of {lost} lost missions and newly loses "
             f"{test.first_only}"
         )
-    return [f"{'; '.join(parts)}."] if parts else []
+    if parts:
+        return [f"{'; '.join(parts)}."]
+    return []
 
 
 def _false_alarms(runs: Runs) -> list[str]:
@@ -115,7 +127,9 @@ def _false_alarms(runs: Runs) -> list[str]:
         for arm, rate in rates.items()
         if rate.per_hour is not None
     )
-    return [f"Alarms on flights without a fault: {by_arm}."] if by_arm else []
+    if by_arm:
+        return [f"Alarms on flights without a fault: {by_arm}."]
+    return []
 
 
 def _flight_time(runs: Runs) -> list[str]:

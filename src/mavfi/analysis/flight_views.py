@@ -34,7 +34,10 @@ _SHIFTED = (
     "a fault names its call by number: after a false alarm, which repeats calls, it is in another value with the "
     "detector than without; such pairs are in brought back and in newly lost alike"
 )
-STATE, MEMORY, INSTRUCTION, SENSOR = "state", "memory", "instruction", "sensor"
+STATE = "state"
+MEMORY = "memory"
+INSTRUCTION = "instruction"
+SENSOR = "sensor"
 TOTAL = ("environment", ALL)
 SETTING = ("environment", "setting")
 
@@ -76,18 +79,24 @@ def watched(runs: Runs) -> bool:
 def unknown_note(own: Runs) -> list[str]:
     """Note with the number of flights that could not be judged; none if all were."""
     unknown = len(own.where(~pl.col("judged")))
-    return [f"{unknown} flights could not be judged (unknown) and are left out"] if unknown else []
+    if unknown:
+        return [f"{unknown} flights could not be judged (unknown) and are left out"]
+    return []
 
 
 def separable_note(runs: Runs) -> list[str]:
     """Note with the smallest differences that a success table can resolve."""
     parts = [f"{environment} {_points(golden)} / {_points(dr)}" for environment, golden, dr in m.separable(runs)]
     start = "smaller differences, in points, are not distinguished (golden – fi / fi – dr, power 80 %): "
-    return [start + "; ".join(parts)] if parts else []
+    if parts:
+        return [start + "; ".join(parts)]
+    return []
 
 
 def _points(share: float | None) -> str:
-    return "—" if share is None else f"{100 * share:.0f}"
+    if share is None:
+        return "—"
+    return f"{100 * share:.0f}"
 
 
 def of_missions(runs: Runs) -> Runs:
@@ -169,7 +178,9 @@ _SUCCESS = (
 def _recovery(of: Callable[[Runs, Recovery], Any]) -> Callable[[Runs], Any]:
     def cell(own: Runs) -> Any:
         found = m.recovery_of(own)
-        return None if found is None else of(own, found)
+        if found is None:
+            return None
+        return of(own, found)
 
     return cell
 
@@ -179,13 +190,17 @@ NO_ESTIMATE = "no estimate"
 
 
 def _recovery_rate(_: Runs, found: Recovery) -> Any:
-    return NO_ESTIMATE if found.rate is None else Rate(found.lost, found.rate, found.low, found.high)
+    if found.rate is None:
+        return NO_ESTIMATE
+    return Rate(found.lost, found.rate, found.low, found.high)
 
 
 def _papers_recovery(own: Runs) -> float | None:
     leads = own.first("population") in m.LEADING and paper.comparable(own.campaign, own.first("detector_profile"))
     leads = leads and own.first("level") != MEMORY
-    return paper.recovery(own.first("environment"), own.first("setting")) if leads else None
+    if leads:
+        return paper.recovery(own.first("environment"), own.first("setting"))
+    return None
 
 
 def named_populations(runs: Runs) -> Runs:
@@ -342,7 +357,8 @@ _ENDS = (
 def paired(runs: Runs) -> Runs:
     """Judged injected runs, with column `paired`: the mission succeeds with this fault in every setting."""
     own = runs.injected.where("judged")
-    pair, complete = ("environment", "target", "index"), pl.col("inflation").is_not_null().all()
+    pair = ("environment", "target", "index")
+    complete = pl.col("inflation").is_not_null().all()
     settings = pl.col("setting").n_unique().over("environment")
     return own.adding(paired=(pl.len().over(pair) == settings) & complete.over(pair))
 
@@ -404,8 +420,8 @@ ALARMS = Chapter(
             where=_golden_watched,
             total=TOTAL,
             notes=lambda runs: (
-                "golden flights; per hour of flight, 95 % interval: bootstrap of flights, at least as wide as Poisson's, "
-                "which alone is left where there is no alarm; upper bound: one-sided 95 %",
+                "golden flights; per hour of flight, 95 % interval: bootstrap of flights, at least as wide as "
+                "Poisson's, which alone is left where there is no alarm; upper bound: one-sided 95 %",
                 _systematic_note(runs),
             ),
             applies=watched,
@@ -422,8 +438,8 @@ ALARMS = Chapter(
             notes=lambda runs: (
                 HEALS,
                 _monitored_note(runs),
-                "detected: alarm on the corrupted publication; with coupling inline before it is seen, so the latency is 0 "
-                "by construction",
+                "detected: alarm on the corrupted publication; with coupling inline before it is seen, so the latency "
+                "is 0 by construction",
                 "detected downstream: within 1 s, an alarm of a state and instant that the golden flight with the same "
                 "detector has not; false alarms that the fault has shifted are among them",
             ),
@@ -468,7 +484,10 @@ def _estimand(runs: Runs) -> str:
     }
     shares = "; ".join(f"{stage}: {', '.join(names)}" for stage, names in kernels.items())
     which = runs.campaign.get("which", "all")
-    drawn = "dynamic instructions" if which == "all" else f"dynamic instructions of class {which}"
+    if which == "all":
+        drawn = "dynamic instructions"
+    else:
+        drawn = f"dynamic instructions of class {which}"
     return (
         f"equal numbers of faults per stage, shared equally among its kernels ({shares}); within a kernel uniform over "
         f"its {drawn} in the golden flight, then over the bits of the value"
@@ -543,11 +562,9 @@ def _replayable_note(runs: Runs) -> str:
     own = kernel_runs(runs)
     again = len(own.where("replayable"))
     note = f"{again} of {len(own)} flights can be replayed bit for bit"
-    return (
-        note
-        if again == len(own)
-        else (f"{note}: not those with a corrupted address or branch in a kernel whose memory belongs to a library")
-    )
+    if again == len(own):
+        return note
+    return f"{note}: not those with a corrupted address or branch in a kernel whose memory belongs to a library"
 
 
 _KERNEL_EFFECTS = (

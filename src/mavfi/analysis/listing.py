@@ -96,4 +96,6 @@ def partner(runs: pl.DataFrame, run_id: str) -> str | None:
         kind=row["kind"], world=row["world"], target=row["target"], index=row["index"], judged=True, end=str(End.FLOWN)
     ).filter((pl.col("detector") != "") if not row["detector"] else (pl.col("setting") == FI))
     found: list[str] = same.sort("success", descending=True, maintain_order=True)["run_id"].to_list()
-    return found[0] if found else None
+    if found:
+        return found[0]
+    return None

@@ -91,7 +91,9 @@ def quantile(column: str, share: float, key: str, heading: str) -> Measure:
 def quantile_of(values: Iterable[float | None], share: float) -> float | None:
     """Quantile of the known values; None if there are none."""
     known = [value for value in values if value is not None]
-    return float(np.quantile(known, share)) if known else None
+    if known:
+        return float(np.quantile(known, share))
+    return None
 
 
 def rate(key: str, heading: str, test: pl.Expr | str, *where: pl.Expr | str) -> Measure:
@@ -128,7 +130,8 @@ def populations(own: Runs, test: pl.Expr | str) -> dict[str, Rate]:
 
     Runs that could not be judged are excluded.
     """
-    memo, key = own.memo, ("populations", str(test))
+    memo = own.memo
+    key = ("populations", str(test))
     if key not in memo:
         judged = own.where("judged")
         rates = {name: rate_of(part, test) for (name,), part in judged.groups("population").items()}
@@ -186,7 +189,10 @@ def in_leading(own: Runs, names: Sequence[str]) -> Runs:
 def leading_success(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     """Success in the leading population; golden runs share the column."""
     names = population_names(runs, by)
-    heading = f"success %, {POPULATIONS.get(names[0], names[0])}" if names else "success %"
+    if names:
+        heading = f"success %, {POPULATIONS.get(names[0], names[0])}"
+    else:
+        heading = "success %"
     yield Measure(
         "success", heading, RATE, lambda own: leading(own, names, "success"), counted=lambda own: in_leading(own, names)
     )
@@ -215,7 +221,9 @@ def hurt(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
 
     def shown(own: Runs) -> str:
         held = own.where("judged").values("population")
-        return names[0] if names[0] in held else str(held[0])
+        if names[0] in held:
+            return names[0]
+        return str(held[0])
 
     def counted(own: Runs) -> Runs:
         return own.where("judged", population=shown(own))
@@ -238,7 +246,8 @@ def against_fi(runs: Runs) -> Runs:
     Columns of the other setting have the prefix `dr_`: success, status, inflation, detected, alarm_after_s, time_s,
     before.  The success in `fi` is `fi_success`.
     """
-    judged, pair = runs.injected.where("judged"), ["environment", "target", "index"]
+    judged = runs.injected.where("judged")
+    pair = ["environment", "target", "index"]
     alone = judged.where(setting=FI).frame.drop("setting", "arm", "detector", "detector_profile")
     arms = judged.where(pl.col("setting") != FI).frame.select(
         *pair,
@@ -284,7 +293,8 @@ def separable(runs: Runs) -> list[tuple[str, float | None, float | None]]:
     for (environment,), part in runs.groups("environment").items():
         golden = part.golden.where("judged", setting=GOLDEN)
         faulty = part.injected.where("judged", pl.col("population").is_in(LEADING), setting=FI)
-        n, share = len(faulty), sum(faulty["success"]) / len(faulty) if len(faulty) else 1.0
+        n = len(faulty)
+        share = sum(faulty["success"]) / len(faulty) if len(faulty) else 1.0
         found.append((environment, smallest_difference(share, len(golden), n), smallest_difference(share, n, n)))
     return found
 
@@ -321,10 +331,14 @@ def recomputed_share(records: Iterable[FlightRecord], stages: Collection[str] = 
     for record in records:
         compute += sum(record.compute_us.values()) - sum(record.recompute_us.values())
         spent += sum(us for stage, us in record.recompute_us.items() if not stages or stage in stages)
-    return spent / compute if compute else None
+    if compute:
+        return spent / compute
+    return None
 
 
 def worst_run(own: Runs) -> str | None:
     """Id of the run with the largest increase in flight time over its golden run."""
     known = own.frame.filter(pl.col("inflation").is_not_null())
-    return None if known.is_empty() else str(known["run_id"][int(known["inflation"].arg_max() or 0)])
+    if known.is_empty():
+        return None
+    return str(known["run_id"][int(known["inflation"].arg_max() or 0)])

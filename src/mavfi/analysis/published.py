@@ -30,16 +30,22 @@ def figure(name: str, **key: str) -> Any:
 def recovery(environment: str, setting: str) -> float | None:
     """Recovery rate (method - fi) / (golden - fi) from Table I; the paper quotes up to 89.6 % and 100 %."""
     golden, fi, method = (figure("success", environment=environment, setting=s) for s in ("golden", "fi", setting))
-    return None if None in (golden, fi, method) or setting in ("golden", "fi") else (method - fi) / (golden - fi)
+    if None in (golden, fi, method) or setting in ("golden", "fi"):
+        return None
+    return float((method - fi) / (golden - fi))
 
 
 def worst_time(environment: str, setting: str) -> float | None:
     """Relative increase of the worst flight time; for a detector, the remaining increase."""
     worst = figure("worst_time", environment=environment)
     if worst is None or setting == "fi":
-        return None if worst is None else float(worst)
+        if worst is None:
+            return None
+        return float(worst)
     recovered = figure("worst_time_recovered", environment=environment, setting=setting)
-    return None if recovered is None else float(worst - recovered)
+    if recovered is None:
+        return None
+    return float(worst - recovered)
 
 
 def comparable(campaign: Mapping[str, Any], detector_profile: str) -> bool:

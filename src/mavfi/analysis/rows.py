@@ -22,12 +22,17 @@ POPULATIONS = {
 }  # fmt: skip
 """Display names of populations."""
 GOLDEN, INJECTED, NULL = "golden", "injected", "null"  # kinds of run
-ACTIVATED, NO_SITE, NOT_ACTIVATED = "activated", "no_site", "not_activated"
+ACTIVATED = "activated"
+NO_SITE = "no_site"
+NOT_ACTIVATED = "not_activated"
 """Outcome of a planned site; `NO_SITE` = missing in the golden run, `NOT_ACTIVATED` = not reached when injected."""
 KERNEL_DUE = tuple(effect.label for effect in DUE)
 """Effects on a kernel that kill its node: the node restarts, or the mission ends."""
 
-_TEXT, _INT, _REAL, _FLAG = pl.String, pl.Int64, pl.Float64, pl.Boolean
+_TEXT = pl.String
+_INT = pl.Int64
+_REAL = pl.Float64
+_FLAG = pl.Boolean
 SCHEMA: dict[str, Any] = {
     "run_id": _TEXT, "kind": _TEXT, "setting": _TEXT, "arm": _TEXT, "detector": _TEXT, "detector_profile": _TEXT,
     "environment": _TEXT, "seed": _INT, "world": _TEXT, "target": _TEXT, "index": _INT,
@@ -58,7 +63,8 @@ def row_of(
     same mission without a detector, `reference`, but with `own` if the fault is in a detector, whose false alarms
     are no effect of the fault.  `monitored` contains the monitored states and fields.
     """
-    spec, fault = run.spec, run.spec.fault
+    spec = run.spec
+    fault = run.spec.fault
     if getattr(fault, "kernel", "") in DETECTORS:
         reference = own
     environment = label_of(spec.environment)
@@ -94,9 +100,14 @@ def _happened(record: FlightRecord, faulty: bool, has_site: bool) -> dict[str, A
     columns: dict[str, Any] = {"activated": activated}
     if faulty:
         reached = activated or not record.flown
-        columns["site_outcome"] = (ACTIVATED if reached else NOT_ACTIVATED) if has_site else NO_SITE
+        if has_site:
+            columns["site_outcome"] = ACTIVATED if reached else NOT_ACTIVATED
+        else:
+            columns["site_outcome"] = NO_SITE
     first = next((one for one in record.injections if one.activated), next(iter(record.injections), None))
-    return columns if first is None else columns | _injection(first)
+    if first is None:
+        return columns
+    return columns | _injection(first)
 
 
 def _injection(injection: Injection) -> dict[str, Any]:
@@ -154,7 +165,10 @@ def _judged(
         if success and _succeeded(reference):
             columns["inflation"] = record.flight_time_s / reference.flight_time_s - 1
             spent = energy(reference.energy)
-            columns["energy_inflation"] = energy(record.energy) / spent - 1 if spent > 0 else None
+            if spent > 0:
+                columns["energy_inflation"] = energy(record.energy) / spent - 1
+            else:
+                columns["energy_inflation"] = None
     return columns
 
 

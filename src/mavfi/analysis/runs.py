@@ -98,7 +98,9 @@ class Runs:
     @property
     def ids(self) -> tuple[str, ...]:
         """Distinct ids of the runs; empty if rows are not runs (models, estimates)."""
-        return tuple(self.values("run_id")) if "run_id" in self.frame.columns else ()
+        if "run_id" in self.frame.columns:
+            return tuple(self.values("run_id"))
+        return ()
 
     def recorded(self) -> list[FlightRecord]:
         """Records of the runs, in row order."""
@@ -108,7 +110,9 @@ class Runs:
         """Rows that pass all tests: expressions, names of flag columns, and column=value."""
         asked = [pl.col(test) if isinstance(test, str) else test for test in tests]
         asked += [pl.col(column) == value for column, value in values.items()]
-        return replace(self, frame=self.frame.filter(*asked)) if asked else self
+        if asked:
+            return replace(self, frame=self.frame.filter(*asked))
+        return self
 
     def adding(self, **columns: pl.Expr) -> "Runs":
         """The runs with columns added or replaced."""
@@ -182,7 +186,8 @@ def describe(store: Store) -> dict[str, Any]:
         `title` and `lines` are text; views need `profile` (of the autopilot), `monitored_set`, `each` (unit to which
         the number of faults applies), `kernels` and `which`, `parts`, and what extras add, e.g. measured `overheads`.
     """
-    campaign, progress = stored_campaign(store), status(store.directory)
+    campaign = stored_campaign(store)
+    progress = status(store.directory)
     return {
         "name": campaign.name,
         "environments": [label_of(name) for name in campaign.environments],
@@ -239,6 +244,9 @@ def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:
 
 
 def _arm(name: str, arm: ArmConfig) -> str:
-    own = f"{name} ({arm.profile})" if name == arm.detector else f"{name} = {arm.detector} ({arm.profile})"
+    if name == arm.detector:
+        own = f"{name} ({arm.profile})"
+    else:
+        own = f"{name} = {arm.detector} ({arm.profile})"
     changed = ", ".join(f"{key} {value}" for key, value in arm.mission.items())
     return " with ".join(part for part in (own if arm.detector else name, changed) if part)

@@ -62,7 +62,10 @@ def score_bounds(rate: float, n: float) -> tuple[float, float]:
 
 def exact_bounds(hits: float, misses: float, tail: float = TAIL) -> tuple[float, float]:
     """Interval of a proportion after Clopper and Pearson (1934), with probability `tail` outside on each side."""
-    low = float(scipy.stats.beta.ppf(tail, hits, misses + 1)) if hits > 0 else 0.0
+    if hits > 0:
+        low = float(scipy.stats.beta.ppf(tail, hits, misses + 1))
+    else:
+        low = 0.0
     return low, float(scipy.stats.beta.ppf(1 - tail, hits + 1, misses)) if misses > 0 else 1.0
 
 
@@ -98,7 +101,10 @@ class Part:
         alike = len(np.unique(y[weight > 0])) == 1
         rate = round(rate) if alike else rate
         variance = 0.0 if alike else float((spread**2).sum())
-        effective = min(independent, rate * (1 - rate) / variance) if variance > 0 else independent
+        if variance > 0:
+            effective = min(independent, rate * (1 - rate) / variance)
+        else:
+            effective = independent
         return Part(rate, effective, spread)
 
 
@@ -168,7 +174,8 @@ def weighted_rate(
     n = len(success)
     if n == 0:
         return Rate(0, None, None, None)
-    y, w = np.asarray(success, np.float64), np.asarray(weight, np.float64)
+    y = np.asarray(success, np.float64)
+    w = np.asarray(weight, np.float64)
     inside = [np.array([s == name for s in stratum], np.float64) for name in dict.fromkeys(stratum)]
     parts = [Part.of(y, i * w, world) for i in inside]
     shares = np.array([float((i * w).sum() / i.sum()) for i in inside])
@@ -176,9 +183,11 @@ def weighted_rate(
     rates = np.array([part.rate for part in parts])
     bounds = np.array([score_bounds(part.rate, part.effective) for part in parts])
     together = _correlation(np.array([part.spread for part in parts]))
-    below, above = shares * (rates - bounds[:, 0]), shares * (bounds[:, 1] - rates)
+    below = shares * (rates - bounds[:, 0])
+    above = shares * (bounds[:, 1] - rates)
     rate = float(shares @ rates)
-    low, high = rate - float(np.sqrt(below @ together @ below)), rate + float(np.sqrt(above @ together @ above))
+    low = rate - float(np.sqrt(below @ together @ below))
+    high = rate + float(np.sqrt(above @ together @ above))
     return Rate(n, rate, max(0.0, low), min(1.0, high))
 
 
@@ -204,7 +213,10 @@ def event_rate(events: int, hours: float) -> EventRate:
     """Rate of independent events in hours of exposure, with Garwood's exact Poisson interval."""
     if not hours > 0:
         return EventRate(events, hours, None, None, None, None)
-    low = float(scipy.stats.chi2.ppf(TAIL, 2 * events)) / 2 / hours if events else 0.0
+    if events:
+        low = float(scipy.stats.chi2.ppf(TAIL, 2 * events)) / 2 / hours
+    else:
+        low = 0.0
     high = float(scipy.stats.chi2.ppf(1 - TAIL, 2 * events + 2)) / 2 / hours
     upper = float(scipy.stats.chi2.ppf(CONFIDENCE, 2 * events + 2)) / 2 / hours
     return EventRate(events, hours, events / hours, low, high, upper)
@@ -285,7 +297,8 @@ def mcnemar(first: Sequence[bool], second: Sequence[bool], world: Sequence[objec
     (Fisher's randomization test).  With one pair per world it is McNemar's exact test.
     """
     pairs = list(zip(first, second, strict=True))
-    first_only, second_only = sum(a and not b for a, b in pairs), sum(b and not a for a, b in pairs)
+    first_only = sum(a and not b for a, b in pairs)
+    second_only = sum(b and not a for a, b in pairs)
     worlds = range(len(pairs)) if world is None else world
     sums = cluster_sums(worlds, [float(a) - float(b) for a, b in pairs])[:, 0]
     return Paired(len(pairs), first_only, second_only, _of_random_signs([round(one) for one in sums]))
@@ -310,8 +323,12 @@ def paired_difference(
     discordant pairs the interval keeps the width of these two.  At least one pair is required; weights (None = equal)
     have a sum above 0.
     """
-    one, other = np.asarray(first, bool), np.asarray(second, bool)
-    weights = np.ones(len(one)) if weight is None else np.asarray(weight, np.float64)
+    one = np.asarray(first, bool)
+    other = np.asarray(second, bool)
+    if weight is None:
+        weights = np.ones(len(one))
+    else:
+        weights = np.asarray(weight, np.float64)
     a, b = (Part.of(only.astype(np.float64), weights, world) for only in (one & ~other, other & ~one))
     (a_low, a_high), (b_low, b_high) = score_bounds(a.rate, a.effective), score_bounds(b.rate, b.effective)
     odds = a.rate * b.rate / max((1 - a.rate) * (1 - b.rate), 1e-300)
@@ -352,7 +369,8 @@ def recovery(pairs: Sequence[tuple[object, bool, bool, bool]]) -> Recovery | Non
         totals = resample(cluster_sums(worlds, golden, fi, method))
         with np.errstate(invalid="ignore", divide="ignore"):
             from_samples = percentiles((totals[:, 2] - totals[:, 1]) / (totals[:, 0] - totals[:, 1]))
-        low, high = min(low, from_samples[0]), max(high, from_samples[1])
+        low = min(low, from_samples[0])
+        high = max(high, from_samples[1])
     return Recovery(gain / loss, low, high, loss, loss_low, loss_high, *counts)
 
 

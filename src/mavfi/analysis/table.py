@@ -12,19 +12,19 @@ import polars as pl
 
 from mavfi.record import plain
 
-RATE, PERCENT, SIGNED, SMALL, PER_HOUR, POINTS, ESTIMATE, NUMBER, TEXT = (
-    "rate",
-    "percent",
-    "signed percent",
-    "small percent",
-    "per hour",
-    "points",
-    "estimate",
-    "number",
-    "text",
-)
+RATE = "rate"
+PERCENT = "percent"
+SIGNED = "signed percent"
+SMALL = "small percent"
+PER_HOUR = "per hour"
+POINTS = "points"
+ESTIMATE = "estimate"
+NUMBER = "number"
+TEXT = "text"
 """Display formats of a cell; a number may have a format specification and a unit: "number .1f s"."""
-POINTS_TEST, PERCENT_TEST, TIMES_TEST = "points with test", "percent with test", "times with test"
+POINTS_TEST = "points with test"
+PERCENT_TEST = "percent with test"
+TIMES_TEST = "times with test"
 """Formats of a `worlds.Contrast`: with interval and p."""
 UNKNOWN = "unknown"  # a cell whose measure raised an exception
 Cell = Any  # None = empty; text, a number, or a dataclass of numbers such as `Rate`
@@ -108,11 +108,15 @@ def _flat(entry: dict[str, Cell]) -> dict[str, Cell]:
         parts = _parts(cell)
         if parts is not cell:
             flat |= {key if part == "rate" else f"{key}_{part}": value for part, value in parts.items()}
+        elif isinstance(cell, (list, tuple, dict)):
+            flat[key] = json.dumps(plain(cell))
         else:
-            flat[key] = json.dumps(plain(cell)) if isinstance(cell, (list, tuple, dict)) else cell
+            flat[key] = cell
     return flat
 
 
 def _parts(cell: Cell) -> Cell:
     """Fields of a dataclass cell by name; other cells unchanged."""
-    return asdict(cell) if is_dataclass(cell) and not isinstance(cell, type) else cell
+    if is_dataclass(cell) and not isinstance(cell, type):
+        return asdict(cell)
+    return cell

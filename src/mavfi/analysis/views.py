@@ -122,14 +122,18 @@ def _cell(measure: Measure, own: Runs, raised: dict[str, str]) -> Cell:
 
 def _behind(measure: Measure, own: Runs) -> tuple[str, ...]:
     """Ids of the runs counted in a cell; none for the paper's values, whose keys begin with "paper"."""
-    return () if measure.key.startswith("paper") else measure.counted(own).ids
+    if measure.key.startswith("paper"):
+        return ()
+    return measure.counted(own).ids
 
 
 def _flown_with(runs: Runs) -> tuple[str, ...]:
     """Note on the autopilot profile and its deviations from the published code."""
     profile = runs.campaign.get("profile", "")
     more = f"; {_PROFILES[profile]}" if profile in _PROFILES else ""
-    return (f"autopilot profile {profile}{more}",) if profile else ()
+    if profile:
+        return (f"autopilot profile {profile}{more}",)
+    return ()
 
 
 VIEWS: Mapping[str, View] = Catalogue("mavfi.views")
@@ -155,9 +159,15 @@ def table_asked_for(runs: Runs, name: str) -> Table:
     """
     if dropped_name("views", name):
         raise BadInputError(dropped_name("views", name))
-    found = table(runs, name) if name in VIEWS and VIEWS[name].applies(runs) else None
+    if name in VIEWS and VIEWS[name].applies(runs):
+        found = table(runs, name)
+    else:
+        found = None
     if found is None or not found.rows:
-        wrong = "these runs have nothing to show in it" if name in VIEWS else "not known"
+        if name in VIEWS:
+            wrong = "these runs have nothing to show in it"
+        else:
+            wrong = "not known"
         names = [view.name for view in applicable(runs)]
         raise BadInputError(f"view {name!r}: {wrong}; allowed: {allowed(names, name)}")
     return found

@@ -59,7 +59,9 @@ def label_of(environment: str) -> str:
     """
     path = Path(environment)
     is_own_file = path.suffix.lower() in _ENVIRONMENT_FILES and path.stem not in names("environments")
-    return path.stem if is_own_file else environment
+    if is_own_file:
+        return path.stem
+    return environment
 
 
 class ArmConfig(Config):
@@ -159,7 +161,9 @@ class Campaign(Config):
         under_test = data.pop("under_test")
         data |= {"node": None, "program": None}
         host = _class_of_host(self.host)
-        return data if host is None or host.config is None else data | {host.config_key: under_test}
+        if host is None or host.config is None:
+            return data
+        return data | {host.config_key: under_test}
 
     @model_validator(mode="after")
     def _consistent(self) -> "Campaign":
@@ -218,7 +222,9 @@ class Campaign(Config):
     @property
     def nulls(self) -> int:
         """Number of null runs per environment."""
-        return self.sampling.null_runs if self.null_runs is None else self.null_runs
+        if self.null_runs is None:
+            return self.sampling.null_runs
+        return self.null_runs
 
     @property
     def on_design_seeds(self) -> bool:
@@ -241,7 +247,9 @@ class Campaign(Config):
 
     def environment_of(self, name: str) -> str:
         """The environment of a part, by its name; without parts, the name itself."""
-        return self.parts[name].environment if name in self.parts else name
+        if name in self.parts:
+            return self.parts[name].environment
+        return name
 
     def spec(self, environment: str, seed: int, overrides: Mapping[str, Any] | None = None) -> MissionSpec:
         """The mission for an environment and seed, with the overrides of an arm."""
@@ -299,7 +307,10 @@ def _with_under_test(data: dict[str, Any], info: ValidationInfo) -> dict[str, An
 
 def _sampling(data: Any, info: ValidationInfo | None) -> Sampling:
     """The sampling, as validated by its level."""
-    level = data.get("level", "state") if isinstance(data, Mapping) else getattr(data, "level", "state")
+    if isinstance(data, Mapping):
+        level = data.get("level", "state")
+    else:
+        level = getattr(data, "level", "state")
     model = find_level(level).sampling if level in level_names() else None
     if model is None:
         known = level_names()

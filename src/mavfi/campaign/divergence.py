@@ -128,7 +128,9 @@ def _first_row(before: np.ndarray, after: np.ndarray) -> int | None:
     size = before.dtype.itemsize
     bits = [np.ascontiguousarray(values).view(np.uint8).reshape(-1, size) for values in (before, after)]
     rows = np.flatnonzero((bits[0] != bits[1]).any(axis=1))
-    return int(rows[0]) if len(rows) else None
+    if len(rows):
+        return int(rows[0])
+    return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +149,10 @@ def departure(golden: FlightLog, injected: FlightLog) -> Departure:
     time = injected.column("time")
     distance, passed = _nearest(golden, injected.columns("x", "y", "z"))
     farthest = int(np.argmax(distance))
-    behind = float(time[-1] - passed[-1]) if np.isfinite(distance[-1]) else None
+    if np.isfinite(distance[-1]):
+        behind = float(time[-1] - passed[-1])
+    else:
+        behind = None
     left = np.flatnonzero(distance > LEFT)
     largest = (float(distance[farthest]), float(time[farthest]), behind)
     if len(left) == 0:
@@ -162,8 +167,10 @@ def _nearest(golden: FlightLog, points: np.ndarray) -> tuple[np.ndarray, np.ndar
     The search finds the nearest recorded position, then the nearest point on the two legs adjacent to it.
     Distances are infinite for non-finite points. Shapes (n,), (n,).
     """
-    path, time = golden.columns("x", "y", "z"), golden.column("time")
-    distance, passed = np.full(len(points), np.inf), np.zeros(len(points))
+    path = golden.columns("x", "y", "z")
+    time = golden.column("time")
+    distance = np.full(len(points), np.inf)
+    passed = np.zeros(len(points))
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
     place = points[finite]
     distance[finite], row = scipy.spatial.cKDTree(path).query(place)

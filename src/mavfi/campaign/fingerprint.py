@@ -80,10 +80,12 @@ def differences(held: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
     """
     found = _differing(held, wanted)
     if "campaign" in found:
-        one, other = held.get("campaign") or {}, wanted.get("campaign") or {}
+        one = held.get("campaign") or {}
+        other = wanted.get("campaign") or {}
         found -= {"campaign"}
         found |= {_compared(f"campaign.{key}", one.get(key), other.get(key)) for key in _differing(one, other)}
-    one, other = held.get("scenarios") or {}, wanted.get("scenarios") or {}
+    one = held.get("scenarios") or {}
+    other = wanted.get("scenarios") or {}
     if "scenarios" in found and one.keys() == other.keys():
         found -= {"scenarios"}
         found |= {f"scenarios.{key}" for place in one for key in _differing(one[place], other[place])}
@@ -93,7 +95,9 @@ def differences(held: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
 
 def _compared(key: str, held: object, wanted: object) -> str:
     values = f"{held}, not {wanted}"
-    return key if len(values) > _SHORT or isinstance(held, dict) or isinstance(wanted, dict) else f"{key}: {values}"
+    if len(values) > _SHORT or isinstance(held, dict) or isinstance(wanted, dict):
+        return key
+    return f"{key}: {values}"
 
 
 def _differing(one: Mapping[str, Any], other: Mapping[str, Any]) -> set[str]:

@@ -92,7 +92,10 @@ def shard_of(store: Store) -> Shard:
 def stored_campaign(store: Store) -> Campaign:
     """The campaign of a ledger (older ones do not store the order of keys); raises a BadInputError if invalid."""
     text = store.meta(ORDERED)
-    given = store.meta("identity")["campaign"] if text is None else json.loads(text)
+    if text is None:
+        given = store.meta("identity")["campaign"]
+    else:
+        given = json.loads(text)
     return parse(Campaign, given, str(store.directory), stored=True)
 
 
@@ -210,7 +213,9 @@ def repair(directory: Path) -> Repair:
     Raises:
         BadInputError: The ledger is absent, its metadata are damaged, or a backup exists already.
     """
-    path, damaged, whole = directory / FILE, directory / DAMAGED, directory / f"{FILE}.repaired"
+    path = directory / FILE
+    damaged = directory / DAMAGED
+    whole = directory / f"{FILE}.repaired"
     if not is_file(path):
         raise BadInputError(f"{directory}: holds no campaign (no {FILE})")
     if (runs_of_intact := _intact(directory)) is not None:
@@ -272,7 +277,9 @@ def _described(meta: list[tuple[Any, ...]], salt: tuple[str, ...]) -> list[tuple
     """The intact metadata rows, and a new `BOUND` row if checksums are salted."""
     intact = [row for row in meta if row[0] != BOUND and row[2] == meta_checksum(row[0], row[1], salt)]
     bound = BOUND, canonical(True)
-    return [*intact, (*bound, checksum_of(*bound))] if salt else intact
+    if salt:
+        return [*intact, (*bound, checksum_of(*bound))]
+    return intact
 
 
 def _sound(runs: list[tuple[Any, ...]], salt: tuple[str, ...]) -> list[tuple[Any, ...]]:

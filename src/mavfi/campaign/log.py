@@ -45,7 +45,8 @@ class Log:
         texts = {key: value[:_LONGEST_TEXT] if isinstance(value, str) else value for key, value in fields.items()}
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         line = json.dumps({"time": now, "event": event, **texts}).encode() + b"\n"
-        whole, self._whole = self._whole, False
+        whole = self._whole
+        self._whole = False
         with suppress(OSError), self._path.open("a+b", buffering=0) as file:
             if not whole and file.tell():
                 file.seek(-1, os.SEEK_END)
@@ -85,6 +86,16 @@ class Log:
 
     def end(self, error: BaseException | None, **fields: Any) -> None:
         """Log the reason for the end of a session; None = its campaign is complete."""
-        why = "complete" if error is None else "failed" if isinstance(error, Exception) else "stopped"
-        reason = "" if error is None else str(error) if isinstance(error, MavfiError) else repr(error)
+        if error is None:
+            why = "complete"
+        elif isinstance(error, Exception):
+            why = "failed"
+        else:
+            why = "stopped"
+        if error is None:
+            reason = ""
+        elif isinstance(error, MavfiError):
+            reason = str(error)
+        else:
+            reason = repr(error)
         self.note("end", why=why, reason=reason, unknown=self._unknown, **fields)

@@ -238,7 +238,8 @@ def _check_recordable(error: Exception, where: str) -> None:
 
 def _fly(ready: _Ready, flights: MissionFlights, known: _Known) -> Iterator[Planned | Flown]:
     """The items of `fly_mission`; `known` gets the injected runs."""
-    mission, plan = ready.mission, ready.plan
+    mission = ready.mission
+    plan = ready.plan
     golden = plan.golden(*mission.world)
     yield Planned.of(golden, last=False)
     sampled: dict[str, Sampled] = {}
@@ -278,7 +279,8 @@ class _Alone:
     """
 
     def __init__(self, ready: _Ready, flights: MissionFlights) -> None:
-        self._ready, self._flights = ready, flights
+        self._ready = ready
+        self._flights = flights
         self.custom_arms = ready.custom_arms()
 
     def golden(self, spec: RunSpec) -> Flown:
@@ -293,7 +295,10 @@ class _Alone:
         """Injected and null runs in order."""
 
         def fly(spec: RunSpec) -> Flown:
-            flights = self._from_take_off(spec.arm) if spec.arm in self.custom_arms else self._flights
+            if spec.arm in self.custom_arms:
+                flights = self._from_take_off(spec.arm)
+            else:
+                flights = self._flights
             return next(_injected([spec], flights))
 
         return fly_alone(specs, fly, self._fly_golden)
@@ -326,7 +331,10 @@ def _golden(plan: Plan, spec: RunSpec, flights: MissionFlights, setup: ArmSetup,
         found = plan.sampler.golden(arm.name, draws, spec.environment, flights, setup)
         sampled[arm.name] = found
         profile = found.flight.profile
-        acted_on = {} if profile is None else {state: len(times) for state, times in profile.times_us.items()}
+        if profile is None:
+            acted_on = {}
+        else:
+            acted_on = {state: len(times) for state, times in profile.times_us.items()}
         return replace(found.flight.record(), counts=found.counts, acted_on=acted_on)
 
     return _guarded(spec.run_id, fly)
@@ -334,13 +342,17 @@ def _golden(plan: Plan, spec: RunSpec, flights: MissionFlights, setup: ArmSetup,
 
 def _draw(plan: Plan, mission: MissionPlan, sampled: Mapping[str, Sampled]) -> list[RunSpec]:
     """All injected and null runs of a mission, in plan order."""
-    sampler, environment = plan.sampler, mission.environment
+    sampler = plan.sampler
+    environment = mission.environment
     places = list(plan.places(*mission.world))
     drawn = iter(sampler.draw([draw for _, draw in places if draw.target != NULL], environment, sampled))
     found = []
     for place, draw in places:
         is_null = draw.target == NULL
-        fault = sampler.null(draw.index, draw.seed, environment, sampled) if is_null else next(drawn)
+        if is_null:
+            fault: Fault | None = sampler.null(draw.index, draw.seed, environment, sampled)
+        else:
+            fault = next(drawn)
         if fault is not None:
             found += plan.injected(environment, draw, place, fault)
     return found
@@ -349,10 +361,12 @@ def _draw(plan: Plan, mission: MissionPlan, sampled: Mapping[str, Sampled]) -> l
 def _injected(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]:
     """Injected and null runs in the order of the host; missing ones are `unknown`."""
     left = dict(enumerate(specs))
-    note, started = "the host gave no such flight", time.perf_counter()
+    note = "the host gave no such flight"
+    started = time.perf_counter()
     try:
         for place, flight in flights.injected([(spec.arm, spec.fault) for spec in specs if spec.fault is not None]):
-            wall_s, started = time.perf_counter() - started, time.perf_counter()
+            wall_s = time.perf_counter() - started
+            started = time.perf_counter()
             yield replace(_guarded(left.pop(place).run_id, partial(_judged, flight)), wall_s=wall_s)
     except Exception as error:  # as in `_guarded`
         _check_recordable(error, specs[0].run_id)
@@ -415,7 +429,12 @@ def _check_detector(arm: Arm, source: str) -> None:
         check_detector(arm.detector, arm.profile)
     except BadInputError as error:
         is_profile = str(error).startswith("detector profile")
-        key, word = ("profile", "detector profile") if is_profile else ("detector", "detector")
+        if is_profile:
+            key = "profile"
+            word = "detector profile"
+        else:
+            key = "detector"
+            word = "detector"
         raise _at(error, source, f"arms.{arm.name}.{key}", word) from None
 
 
@@ -438,7 +457,9 @@ def _key(campaign: Campaign, environment: str, arm: Arm, name: str) -> str:
         return f"parts.{environment}.{name}"
     if name == "environment":
         return "environments"
-    return f"arms.{arm.name}.{name}" if arm.name and name in arm.overrides else f"mission.{name}"
+    if arm.name and name in arm.overrides:
+        return f"arms.{arm.name}.{name}"
+    return f"mission.{name}"
 
 
 def _at(error: BadInputError, source: str, key: str = "", word: str = "") -> BadInputError:

@@ -60,7 +60,9 @@ WHOLE = Shard()
 
 # ---- the runs ------------------------------------------------------------------------------------------------------
 
-GOLDEN, FI, RECOVERY = "golden", "fi", "dr"
+GOLDEN = "golden"
+FI = "fi"
+RECOVERY = "dr"
 Kind = Literal["golden", "injected", "null"]
 
 
@@ -184,7 +186,9 @@ def reason_of(note: str) -> str:
 
 
 def _with_arm(setting: str, arm: str) -> str:
-    return f"{setting}_{arm}" if arm else setting
+    if arm:
+        return f"{setting}_{arm}"
+    return setting
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,8 +218,10 @@ class Plan:
 
     def places(self, environment: str, seed: int) -> Iterator[tuple[int, Draw]]:
         """The draws of a mission, each with the position of its first run among the injected and null runs."""
-        campaign, each = self.campaign, 1 + len(self.watching)
-        blocks, mission = self.sampler.blocks(environment), seed - campaign.first_seed
+        campaign = self.campaign
+        each = 1 + len(self.watching)
+        blocks = self.sampler.blocks(environment)
+        mission = seed - campaign.first_seed
         draws = sum(block.count for block in blocks)
         before = campaign.environments.index(environment) * (draws * each + campaign.nulls)
         for place, draw in draws_of(blocks, range(mission, mission + 1), campaign.missions):
@@ -237,7 +243,10 @@ class Plan:
             variant = self._arm(draw.variant)
             again = (variant,) if variant.detector else self.watching
             settings = [(arm, _with_arm(RECOVERY if arm.detector else FI, arm.name)) for arm in again]
-            settings = settings if variant.detector else [(variant, FI), *settings]
+            if variant.detector:
+                settings = settings
+            else:
+                settings = [(variant, FI), *settings]
         return [
             self._run(
                 kind,
@@ -255,7 +264,8 @@ class Plan:
 
     def count(self, shard: Shard = WHOLE) -> int:
         """Maximum number of runs of the campaign or a shard; faults that cannot be drawn have no runs."""
-        campaign, each = self.campaign, 1 + len(self.watching)
+        campaign = self.campaign
+        each = 1 + len(self.watching)
         total = self.golden_count(shard)
         for place, name in enumerate(campaign.environments):
             first = (shard.number - 1 - place * campaign.missions) % shard.of

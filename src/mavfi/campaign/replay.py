@@ -144,7 +144,9 @@ class Explanation:
 
 def explained_levels(host: Host) -> frozenset[str]:
     """Levels of a host's faults whose publications can be recorded: those that the host `local` flies, too."""
-    return host.levels & LocalHost().levels if host.flies and host.deterministic else frozenset()
+    if host.flies and host.deterministic:
+        return host.levels & LocalHost().levels
+    return frozenset()
 
 
 def explain(directory: Path, run_id: str) -> Explanation:
@@ -164,12 +166,16 @@ def explain(directory: Path, run_id: str) -> Explanation:
             )
         stored = run.record
         if stored is None or not stored.flown:
-            why = "" if stored is None or not reason_of(run.note) else f" ({reason_of(run.note)})"
+            if stored is None or not reason_of(run.note):
+                why = ""
+            else:
+                why = f" ({reason_of(run.note)})"
             raise BadInputError(f"{directory}: run {run.spec.run_id}: left no flight to explain{why}")
         setup = _setup_to_record(store, run.spec)
     golden, seen_golden = fly_recorded(setup, None)
     injected, seen = fly_recorded(setup, run.spec.fault)
-    first, spreading = first_difference(seen_golden, seen), tuple(spread(seen_golden, seen))
+    first = first_difference(seen_golden, seen)
+    spreading = tuple(spread(seen_golden, seen))
     same = injected.log.digest() == stored.digest
     parted = departure(golden.log, injected.log)
     return Explanation(run.spec, injected, golden, same, first, parted, spreading, seen, seen_golden)
@@ -227,7 +233,9 @@ class Verification:
         """One-sided upper confidence bound on the share of wrong records (Clopper and Pearson 1934)."""
         wrong = len(self.differing)
         equal = self.flown - wrong
-        return float(scipy.stats.beta.ppf(CONFIDENCE, wrong + 1, equal)) if equal else 1.0
+        if equal:
+            return float(scipy.stats.beta.ppf(CONFIDENCE, wrong + 1, equal))
+        return 1.0
 
 
 def verify(

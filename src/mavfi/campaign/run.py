@@ -71,7 +71,9 @@ class Session:
 
     def left(self, world: tuple[str, int]) -> MissionPlan | None:
         """A mission, if runs of it are missing."""
-        return None if self.store.is_complete(world) else self.mission(world)
+        if self.store.is_complete(world):
+            return None
+        return self.mission(world)
 
     def flights(self, environment: str) -> Mapping[str, str]:
         """What determines the golden flights of the missions in an environment, see `flights_of`."""
@@ -129,7 +131,10 @@ class Session:
         self.log.note("gave_up", mission=f"{mission.environment}-{mission.seed}", reason=lost.reason)
         self.write(mission, [Planned.of(self.plan.golden(*mission.world), last=True)])
         for spec in [run.spec for run in self.store.runs(done=False, world=mission.world)]:
-            end = End.DUE if lost.died and spec.kind == "golden" else End.UNKNOWN
+            if lost.died and spec.kind == "golden":
+                end = End.DUE
+            else:
+                end = End.UNKNOWN
             flown = Flown.of(spec.run_id, FlightRecord(end, error=lost.reason), lost.reason)
             self.log.flown(flown)
             self.write(mission, [flown])
@@ -213,7 +218,10 @@ class Flying:
         of_seed: dict[int, list[list[_Place]]] = {}
         for number in sorted(range(len(self.sessions)), key=lambda number: not self._instruments(number)):
             for world in self.sessions[number].worlds():
-                known = () if self._instruments(number) else of_seed.setdefault(world[1], [])
+                if self._instruments(number):
+                    known = []  # instrumented kernels share no golden flight
+                else:
+                    known = of_seed.setdefault(world[1], [])
                 group = next((group for group in known if self._shares(number, world[0], group)), None)
                 if group is None:
                     group = []
@@ -239,7 +247,10 @@ class Flying:
         function = fly_missions if executor.forks else fly_missions_anywhere
         with closing(executor.map(function, jobs)) as batches:
             for job, items in batches:
-                end = items[-1] if isinstance(items[-1], (Done, Lost)) else None
+                if isinstance(items[-1], (Done, Lost)):
+                    end = items[-1]
+                else:
+                    end = None
                 new = [item for item in items if not isinstance(item, (Done, Lost))]
                 for number, mission in job:
                     own = [item for of, item in new if of == number]
@@ -324,7 +335,10 @@ def run_campaigns(
     with ExitStack() as stack:
         sessions = []
         for directory, campaign in campaigns.items():
-            tell = partial(progress, directory) if progress is not None else _ignore
+            if progress is not None:
+                tell: Callable[[Progress], None] = partial(progress, directory)
+            else:
+                tell = _ignore
             session = _session(stack, campaign, directory, models_dir, fast_forward, shard, tell)
             stack.enter_context(session.logged(executor))
             sessions.append(session)
@@ -348,7 +362,8 @@ def _session(  # noqa: PLR0913 - what `run_campaigns` is given
     tell: Callable[[Progress], None],
 ) -> Session:
     """The session of a campaign; its ledger is closed with `stack`."""
-    campaign, models_dir = _as_begun(campaign, directory), models_dir or _models_dir(directory)
+    campaign = _as_begun(campaign, directory)
+    models_dir = models_dir or _models_dir(directory)
     require_level(host_of(campaign), campaign.sampling.level)
     scenarios = scenarios_of(campaign, arms_of(campaign))
     models = model_hashes(campaign, scenarios, models_dir)
@@ -379,7 +394,8 @@ def _session(  # noqa: PLR0913 - what `run_campaigns` is given
 def _prepare(session: Session, executor: Executor) -> None:
     """Check the host, and compile in this process what its forks will need, if missions are left."""
     campaign = session.plan.campaign
-    host, first = host_of(campaign), next(filter(None, map(session.left, session.worlds())), None)
+    host = host_of(campaign)
+    first = next(filter(None, map(session.left, session.worlds())), None)
     if first is None:
         return
     host.check()
@@ -393,7 +409,9 @@ def _as_begun(campaign: Campaign, directory: Path) -> Campaign:
     """The campaign with its keys in the order of its ledger, which determines draws and positions of runs."""
     with suppress(ValueError):  # no ledger, or damage, which is reported when the ledger is opened
         begun = Campaign.model_validate_json(held(directory, ORDERED) or "", context=STORED)
-        return begun if begun == campaign else campaign
+        if begun == campaign:
+            return begun
+        return campaign
     return campaign
 
 
@@ -404,7 +422,8 @@ def _models_dir(directory: Path) -> Path | None:
 
 def _as_held(models_dir: Path, directory: Path) -> str:
     """The path as stored in a ledger: relative if inside the ledger's folder, so that both can be moved."""
-    path, own = models_dir.absolute(), directory.absolute()
+    path = models_dir.absolute()
+    own = directory.absolute()
     return str(path.relative_to(own) if path.is_relative_to(own) else path)
 
 

@@ -84,12 +84,16 @@ def shrink(directory: Path, run_id: str, report: Callable[[int], None] | None = 
     assert isinstance(golden, Flight)  # as hosts of faults that can be smaller do
     original = next(trials.of([fault]))
     if golden.log.status is not MissionStatus.SUCCESS or not original.lost:
-        how = "fails without its fault, too" if original.lost else f"ends in {original.status or 'an error'}"
+        if original.lost:
+            how = "fails without its fault, too"
+        else:
+            how = f"ends in {original.status or 'an error'}"
         raise BadInputError(
             f"{directory}: run {spec.run_id}: {how}; allowed: runs whose fault loses the mission (mavfi runs "
             f"{directory} --failed)"
         )
-    smallest, steps = original, []
+    smallest = original
+    steps = []
     for what, candidates in reductions.items():
         smaller = list(candidates(smallest.fault, smallest.injection))
         if smaller:

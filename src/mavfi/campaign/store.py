@@ -46,7 +46,8 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
         raise BadInputError(f"{path}: cannot be opened ({error})") from None
 
 
-IDENTITY, BOUND = "identity", "bound"
+IDENTITY = "identity"
+BOUND = "bound"
 """Metadata keys: the identity of the campaign; a mark that checksums are salted with it."""
 
 
@@ -63,7 +64,9 @@ def mission_checksum(connection: sqlite3.Connection, world: tuple[Any, ...], sal
 
 def meta_checksum(key: str, value: str, salt: Sequence[str]) -> str:
     """Checksum of a metadata row; rows `IDENTITY` and `BOUND` have no salt."""
-    return checksum_of(key, value) if key in (IDENTITY, BOUND) else checksum_of(key, value, *salt)
+    if key in (IDENTITY, BOUND):
+        return checksum_of(key, value)
+    return checksum_of(key, value, *salt)
 
 
 def salt_of(connection: sqlite3.Connection) -> tuple[str, ...]:
@@ -151,7 +154,9 @@ def strange_schema(connection: sqlite3.Connection) -> str:
 
 def _structure(connection: sqlite3.Connection) -> str:
     sound = connection.execute("PRAGMA integrity_check(1)").fetchone()[0]
-    return "" if sound == "ok" else str(sound).splitlines()[-1]
+    if sound == "ok":
+        return ""
+    return str(sound).splitlines()[-1]
 
 
 def _checksums(connection: sqlite3.Connection) -> str:
@@ -181,7 +186,10 @@ def _types(connection: sqlite3.Connection) -> str:
         return str(error)
     for column, kinds in _TYPES.items():
         allowed = ", ".join(f"'{kind}'" for kind in kinds.split())
-        json_too = f" OR {column} IS NOT NULL AND NOT json_valid({column})" if column in ("spec", "record") else ""
+        if column in ("spec", "record"):
+            json_too = f" OR {column} IS NOT NULL AND NOT json_valid({column})"
+        else:
+            json_too = ""
         query = f"SELECT run_id FROM runs WHERE typeof({column}) NOT IN ({allowed}){json_too} LIMIT 1"
         row = connection.execute(query).fetchone()
         if row is not None:
@@ -314,11 +322,15 @@ class Store:
                 raise MachineError(f"{path}: cannot be read ({error.strerror})") from error
 
     def _check_schema(self) -> None:
-        path, version = self.directory / FILE, self._ask("PRAGMA user_version")
+        path = self.directory / FILE
+        version = self._ask("PRAGMA user_version")
         if version == 0:  # what SQLite gives for a file that no mavfi wrote
             raise BadInputError(f"{path}: is not a ledger of mavfi{'' if path.stat().st_size else ' (it is empty)'}")
         if version != SCHEMA:
-            older = " (it was written by an older mavfi, which still reads it)" if version < SCHEMA else ""
+            if version < SCHEMA:
+                older = " (it was written by an older mavfi, which still reads it)"
+            else:
+                older = ""
             raise BadInputError(f"{path}: schema version {version}; allowed: {SCHEMA}{older}")
 
     def _check(self, identity: Mapping[str, Any]) -> None:
@@ -382,7 +394,9 @@ class Store:
     def meta(self, key: str) -> Any:
         """Plain data stored under a key; None if there is none."""
         row = self._connection.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
-        return None if row is None else json.loads(row[0])
+        if row is None:
+            return None
+        return json.loads(row[0])
 
     def meta_row(self, key: str, value: object) -> tuple[str, str, str]:
         """Plain data as a metadata row of this ledger."""
@@ -470,7 +484,10 @@ class Store:
 
     def _run(self, spec: str, record: str | None, note: str, wall_s: float | None) -> Run:
         try:
-            parsed = None if record is None else FlightRecord.from_json(json.loads(record))
+            if record is None:
+                parsed = None
+            else:
+                parsed = FlightRecord.from_json(json.loads(record))
             return Run(RunSpec.from_json(json.loads(spec)), parsed, note, wall_s)
         except (BadInputError, RecursionError, ValueError) as error:  # ValueError: a number is too large
             raise BadInputError(f"{self.directory / FILE}: {error}") from None

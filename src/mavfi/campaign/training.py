@@ -220,7 +220,10 @@ class RecordedFlights:
         """
         models: dict[str, Model] = {}
         for number, training in enumerate(self.trainings):
-            environments = list(self.flights) if self.alike else training.environments
+            if self.alike:
+                environments = tuple(self.flights)
+            else:
+                environments = training.environments
             flown = [self.flights[name] for name in environments]
             origin = self.provenance | {
                 "environment": ", ".join(environments),

@@ -76,7 +76,8 @@ class _Mission:
     campaign: Campaign
 
     def compile(self) -> None:
-        campaign, models = self.campaign, _shipped_models(self.campaign)
+        campaign = self.campaign
+        models = _shipped_models(self.campaign)
         if models is not None:
             warm_up(MissionPlan(campaign, campaign.environments[0], campaign.first_seed, models=models))
 
@@ -102,7 +103,8 @@ def compile_ahead(
         MavfiError: A worker was lost.
     """
     left = _not_compiled(campaigns)
-    rounds, done = _rounds(left), 0
+    rounds = _rounds(left)
+    done = 0
     for tasks in rounds:
         for _ in map_each(executor, _compile, tasks):
             done += 1
@@ -167,7 +169,10 @@ def _stages(campaigns: Sequence[Campaign]) -> Iterator[_Stage]:
     for campaign in campaigns:
         for _, scenario in _scenarios(campaign):
             for stage in STAGES:
-                planner = scenario.planner.name if stage == "plan_path" else ""
+                if stage == "plan_path":
+                    planner = scenario.planner.name
+                else:
+                    planner = ""
                 found.setdefault((stage, scenario.autopilot.name, scenario.map.kind, planner), _Stage(stage, scenario))
     yield from sorted(found.values(), key=lambda task: list(STAGES).index(task.name))
 

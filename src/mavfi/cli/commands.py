@@ -23,7 +23,9 @@ from mavfi.plugins import allow_plugins, allow_typed, known, plugin_failure
 _ALLOW_PLUGINS = "--allow-plugins"
 _TRACEBACK = "MAVFI_TRACEBACK"
 """Environment variable: if set, a refusal is preceded by its traceback."""
-EXIT_DONE, EXIT_FAILURE, EXIT_BAD_INPUT = 0, 1, 2
+EXIT_DONE = 0
+EXIT_FAILURE = 1
+EXIT_BAD_INPUT = 2
 VERBS = {
     "fly": "mavfi.cli.fly:fly",
     "campaign": "mavfi.cli.campaign:app",
@@ -49,7 +51,8 @@ class _Commands(Mapping[str, Any]):
     def __getitem__(self, name: str) -> Any:
         if name not in self._built:
             module, _, attribute = self.addresses[name].partition(":")
-            command, parent = getattr(import_module(module), attribute), typer.Typer()
+            command = getattr(import_module(module), attribute)
+            parent = typer.Typer()
             if isinstance(command, typer.Typer):
                 parent.add_typer(command, name=name)
             else:
@@ -164,11 +167,16 @@ def run(arguments: Sequence[str]) -> int:
     except typer.Abort:
         return EXIT_STOPPED
     except (Exception, SystemExit) as error:
-        failed, of_plugin = machine_failure(error), plugin_failure(error)
+        failed = machine_failure(error)
+        of_plugin = plugin_failure(error)
         if not failed and not of_plugin:
             raise
-        return _refused(failed, EXIT_FAILURE) if failed else _refused(of_plugin, EXIT_BAD_INPUT)
-    return code if isinstance(code, int) else EXIT_DONE
+        if failed:
+            return _refused(failed, EXIT_FAILURE)
+        return _refused(of_plugin, EXIT_BAD_INPUT)
+    if isinstance(code, int):
+        return code
+    return EXIT_DONE
 
 
 def _dropped(arguments: Sequence[str]) -> str:
@@ -191,7 +199,8 @@ def _refused_value(error: typer.TyperException) -> str:
 
     from mavfi.wording import allowed_by, shown
 
-    cause, parameter = error.__cause__, getattr(error, "param", None)
+    cause = error.__cause__
+    parameter = getattr(error, "param", None)
     if parameter is None or not isinstance(cause, ValidationError):
         return ""
     first = {**cause.errors()[0]}
@@ -224,7 +233,8 @@ def _paragraphs(text: str) -> str:
 
 def _verb(arguments: Sequence[str]) -> str:
     """The given command, with a group's own, followed by a space, for a hint; empty if there is no such command."""
-    command, words = _command(), []
+    command = _command()
+    words = []
     for word in arguments:
         if word not in getattr(command, "commands", {}):
             break

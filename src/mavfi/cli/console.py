@@ -20,7 +20,9 @@ WIDE = 140
 """Width in columns if the output is not a terminal, so that tables in a file are not wrapped."""
 LONGEST_LINE = 2000
 """Maximum length of an error message (characters)."""
-FLIGHTS, PICTURES, PAGES = (".npz",), (".png", ".svg", ".pdf"), (".html",)
+FLIGHTS = (".npz",)
+PICTURES = (".png", ".svg", ".pdf")
+PAGES = (".html",)
 """File name extensions."""
 
 

@@ -35,7 +35,8 @@ _FIGURES = (
 
 def panel(result: FlightResult) -> Panel:
     """The flight in a frame: status, metrics, fault, alarms, digest; names are never truncated."""
-    scenario, success = result.scenario, result.status is MissionStatus.SUCCESS
+    scenario = result.scenario
+    success = result.status is MissionStatus.SUCCESS
     colour = "green" if success else "red"
     watched = f" · detector {result.detector}" if result.detector else ""
     seed = f" · seed {scenario.seed} · autopilot "
@@ -66,7 +67,9 @@ def _verdict(status: MissionStatus) -> Text:
 def _given_up(result: FlightResult) -> list[RenderableType]:
     """When recovery gave the mission up, and what the vehicle did from then on."""
     begun = next((alarm for alarm in result.log.alarms if alarm.action == Response.HOLD), None)
-    return [] if begun is None else [Text(f"  degraded mode {begun.action!r} from {begun.time_s:.1f} s on")]
+    if begun is None:
+        return []
+    return [Text(f"  degraded mode {begun.action!r} from {begun.time_s:.1f} s on")]
 
 
 def _unwatched(result: FlightResult) -> list[RenderableType]:
@@ -85,14 +88,21 @@ def _figures(result: FlightResult) -> Table:
     qualities: list[QoF] = [quality_of(record) for record in (result.record, golden) if record is not None]
     for label, name, scale, unit in _FIGURES:
         values = [float(getattr(quality, name)) for quality in qualities]
-        relative = [f"{100 * (values[0] / values[1] - 1):+z.1f} %"] if len(values) == 2 and values[1] > 0 else []
+        if len(values) == 2 and values[1] > 0:
+            relative = [f"{100 * (values[0] / values[1] - 1):+z.1f} %"]
+        else:
+            relative = []
         table.add_row(label, *(f"{scale * value:.1f} {unit}" for value in values), *relative)
-    scenario, record = result.scenario, result.record
+    scenario = result.scenario
+    record = result.record
     if scenario.wind.gust > 0.0:
         table.add_row("wind gusts", f"{scenario.wind.gust:g} m/s")
     if scenario.localization.kind != "truth":
         table.add_row("localization", scenario.localization.kind)
-    counts = [] if golden is None else [str(golden.replans), f"{record.replans - golden.replans:+d}"]
+    if golden is None:
+        counts = []
+    else:
+        counts = [str(golden.replans), f"{record.replans - golden.replans:+d}"]
     table.add_row("replans", str(record.replans), *counts)
     table.add_row("course", f"{record.course_m:.1f} m", style="dim")
     table.add_row("time limit", f"{record.time_limit_s:.1f} s", style="dim")
@@ -101,7 +111,8 @@ def _figures(result: FlightResult) -> Table:
 
 def _fault(result: FlightResult) -> list[RenderableType]:
     """The fault and its effect; empty for a golden flight."""
-    fault, effect = result.fault, result.effect
+    fault = result.fault
+    effect = result.effect
     if fault is None or effect is None:
         return []
     log = result.log
@@ -115,7 +126,9 @@ def _fault(result: FlightResult) -> list[RenderableType]:
 def _alarms(result: FlightResult) -> list[RenderableType]:
     story = alarm_lines(result.log, None if result.golden is None else result.golden.log, MOST_ALARMS)
     if not story:
-        return [Text("\nno alarm", style="dim")] if result.detector else []
+        if result.detector:
+            return [Text("\nno alarm", style="dim")]
+        return []
     return [Text(), story_table(story)]
 
 

@@ -57,9 +57,12 @@ def fly(  # noqa: PLR0913 - one parameter per option
         check_file(option, path, endings)
     of_extra, host = _chosen(mission, {"fault": fault, "html": html, **extra})
     from mavfi.cli.progress import compiling
-    from mavfi.levels.level import parse
+    from mavfi.levels.level import Request, parse
 
-    request = of_extra if fault is None else parse(fault, mission.localization)
+    if fault is None:
+        request: Request | Fault | None = of_extra
+    else:
+        request = parse(fault, mission.localization)
     with compiling(instrumented=_is_instrumented(mission, fault), flight=True) as cold:
         from mavfi.api import fly_request
         from mavfi.flight.compose import resolve

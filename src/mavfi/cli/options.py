@@ -116,9 +116,15 @@ def mission_of(given: Mapping[str, Any]) -> MissionSpec:
     except ValidationError as error:
         found = error.errors()[0]
         name = str(found["loc"][0])
-        given_text = repr(found["input"]) if isinstance(found["input"], str) else str(found["input"])
+        if isinstance(found["input"], str):
+            given_text = repr(found["input"])
+        else:
+            given_text = str(found["input"])
         replacement = VALUES.get((name, str(found["input"])))
-        reason = f"dropped; use {replacement!r}" if replacement else f"allowed: {_allowed(name)}"
+        if replacement:
+            reason = f"dropped; use {replacement!r}"
+        else:
+            reason = f"allowed: {_allowed(name)}"
         raise BadInputError(f"{option_name(name)}: {given_text}: {reason}") from None
 
 

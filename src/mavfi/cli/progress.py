@@ -130,9 +130,13 @@ def compiling(*, instrumented: bool = False, flight: bool = False) -> Iterator[b
     from mavfi.numerics.dependencies import packages_digest
     from mavfi.numerics.jit import code_folder
 
-    folder, out = code_folder(), console(error=True)
+    folder = code_folder()
+    out = console(error=True)
     empty = not any(folder.rglob("*.nbc"))
-    cold = not any(folder.glob(f"*-{packages_digest()}.warm")) if flight else empty
+    if flight:
+        cold = not any(folder.glob(f"*-{packages_digest()}.warm"))
+    else:
+        cold = empty
     if not (cold if out.is_terminal else empty) and not (instrumented and not any(folder.rglob("*.bin"))):
         yield cold
     else:
@@ -153,7 +157,10 @@ def success_counts(settings: Mapping[str, tuple[int, int, int]]) -> Table:
     from mavfi.analysis.statistics import score_bounds
 
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    plans = ["planned so far"] if any(planned > done for planned, done, _ in settings.values()) else []
+    if any(planned > done for planned, done, _ in settings.values()):
+        plans = ["planned so far"]
+    else:
+        plans = []
     for heading in ("setting", "flown", *plans, "succeeded", ""):
         table.add_column(heading, justify="left" if heading in ("setting", "") else "right")
     for setting, (planned, done, success) in settings.items():
@@ -178,4 +185,6 @@ def duration(seconds: float) -> str:
     hours, minutes = divmod(minutes, 60)
     if hours:
         return f"{hours} h {minutes:02d} min"
-    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+    if minutes:
+        return f"{minutes} min {rest:02d} s"
+    return f"{rest} s"

@@ -51,7 +51,8 @@ def replay(directory: options.Ledger, run_id: options.RunId, as_json: options.As
     from mavfi.campaign.replay import replay as fly_again
 
     found = fly_again(directory, run_id)
-    record, stored = found.record, found.run.record
+    record = found.record
+    stored = found.run.record
     injections = () if stored is None else stored.injections
     replayable = all(injection.details.get("replayable", True) for injection in injections)
     ended = record.status.replace("_", " ") or record.error
@@ -154,7 +155,10 @@ def command(found: "Shrunk") -> str:
     spec = found.spec
     with Store.open(found.directory) as store:
         campaign = stored_campaign(store)
-    overrides = campaign.arms[spec.arm].mission if spec.arm in campaign.arms else {}
+    if spec.arm in campaign.arms:
+        overrides = campaign.arms[spec.arm].mission
+    else:
+        overrides = {}
     mission = campaign.spec(spec.environment, spec.seed, overrides)
     fault = found.smallest.fault
     profile = spec.detector_profile if spec.model else None
@@ -177,7 +181,10 @@ def lines(found: Shrunk) -> Lines:
     rows = [("smallest", _trial(found.smallest)), ("original", _trial(found.original))]
     for place, step in enumerate(found.steps):
         heading = "steps" if place == 0 else ""
-        end = "none loses the mission" if step.found is None else _trial(step.found)
+        if step.found is None:
+            end = "none loses the mission"
+        else:
+            end = _trial(step.found)
         rows.append((heading, f"{_WHAT.get(step.what, step.what)}, {step.tried} tried: {end}"))
     golden = found.golden.log
     rows.append(("golden run", f"{golden.status.words} after {float(golden.column('time')[-1]):.2f} s"))

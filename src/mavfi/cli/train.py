@@ -131,7 +131,10 @@ def _table(models: list[Model], alarms: list[dict[str, EventRate]], folder: Path
         caption_justify="left",
     )
     places = list(alarms[0])
-    counted = ["false alarms"] if len(places) == 1 else [f"in {name}" for name in places]
+    if len(places) == 1:
+        counted = ["false alarms"]
+    else:
+        counted = [f"in {name}" for name in places]
     for heading in ("detector", "profile", "worlds", "alarm above", *counted, "sha256"):
         shown.add_column(heading, overflow="fold")
     for model, rates in zip(models, alarms, strict=True):

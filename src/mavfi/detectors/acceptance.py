@@ -27,9 +27,14 @@ from mavfi.states import ODOMETRY, STATES, State, bytes_of, floats, new_state, r
 SOURCE = "acceptance"
 Compiled = Callable[..., Any]
 _VEHICLE_FLOATS = 6
-_STATUS, _PATH, _TRAJECTORY = "perception.collision_status", "planning.path", "planning.trajectory"
-_WAYPOINT, _COMMAND, _TRACKING = "planning.waypoint", "control.command", "control.tracking"
-_TRUTH, _ESTIMATE = ODOMETRY["truth"], ODOMETRY["estimator"]
+_STATUS = "perception.collision_status"
+_PATH = "planning.path"
+_TRAJECTORY = "planning.trajectory"
+_WAYPOINT = "planning.waypoint"
+_COMMAND = "control.command"
+_TRACKING = "control.tracking"
+_TRUTH = ODOMETRY["truth"]
+_ESTIMATE = ODOMETRY["estimator"]
 _CANDIDATES = (_WAYPOINT, _COMMAND, _TRACKING)
 """States whose check stores the header, which the next call commits if it was accepted."""
 CHECKED = frozenset((_ESTIMATE, _STATUS, _PATH, _TRAJECTORY, *_CANDIDATES))
@@ -69,7 +74,9 @@ STATUS_TYPE, PATH_TYPE, TRAJECTORY_TYPE, WAYPOINT_TYPE, COMMAND_TYPE, TRACKING_T
     STATES[name].header_dtype for name in (_STATUS, _PATH, _TRAJECTORY, *_CANDIDATES)
 )
 OF_WAYPOINT, OF_COMMAND, OF_TRACKING = range(1, 4)
-_WAYPOINT_SIZE, _COMMAND_SIZE, _TRACKING_SIZE = WAYPOINT_TYPE.itemsize, COMMAND_TYPE.itemsize, TRACKING_TYPE.itemsize
+_WAYPOINT_SIZE = WAYPOINT_TYPE.itemsize
+_COMMAND_SIZE = COMMAND_TYPE.itemsize
+_TRACKING_SIZE = TRACKING_TYPE.itemsize
 _SHARE_OF_LATENCY = 0.7
 """Least planning time before a path is published / the planner's latency."""
 _JITTER_US = 300_000
@@ -149,8 +156,10 @@ def forget(known: np.ndarray) -> None:
     """Reset the memory at the start of a flight."""
     known.view(np.uint8)[MEMORY] = 0
     known["switched"] = known["fresh"] = True
-    known["changes"], known["times"][0, 0] = 1, _LONG_AGO
-    known["blocks"], known["accepted"] = range(KEPT), False
+    known["changes"] = 1
+    known["times"][0, 0] = _LONG_AGO
+    known["blocks"] = range(KEPT)
+    known["accepted"] = False
 
 
 @kernel_jit
@@ -387,7 +396,9 @@ class AcceptanceTest(Detector):
 
     def instrument(self, made: Mapping[str, Compiled]) -> None:
         """See `Detector`."""
-        functions, record, estimate = {**COMPILED, **made}, self.record, self.estimate
+        functions = {**COMPILED, **made}
+        record = self.record
+        estimate = self.estimate
 
         def of_header(name: str, header: np.ndarray) -> Callable[[State, int], int]:
             function = entry(functions[name], header, record)
@@ -454,7 +465,9 @@ class AcceptanceTest(Detector):
         """2 for a violation, else 0; None for states without a rule."""
         if state.spec.name not in CHECKED:
             return None
-        return 0.0 if self.check(state, time_us) is None else IMPLAUSIBLE
+        if self.check(state, time_us) is None:
+            return 0.0
+        return IMPLAUSIBLE
 
     def accept(self, state: State, time_us: int) -> None:
         """Record a published value."""
@@ -513,7 +526,10 @@ class AcceptanceTest(Detector):
         self.odometry = self.odometry.copy()  # it belongs to the publication
         points = {f"trajectories[{index}]": points for index, points in enumerate(self._trajectories())}
         vehicle = {"vehicle": floats(self.odometry, _VEHICLE_FLOATS)}
-        estimated = {} if self.limits.fix_noise is None else estimates.named(self.estimate)
+        if self.limits.fix_noise is None:
+            estimated = {}
+        else:
+            estimated = estimates.named(self.estimate)
         return {**named(self.record), **vehicle, **points, **estimated}
 
     def _trajectories(self) -> list[np.ndarray]:

@@ -189,8 +189,10 @@ class AutoencoderScorer(DeltaScorer):
     Every delta is judged once: a delta published in spite of an alarm is not held for later vectors.
     """
 
-    judge, settle = staticmethod(judge_network), staticmethod(settle_network)
-    judge_at, kind = staticmethod(_network_at), _TABLES
+    judge = staticmethod(judge_network)
+    settle = staticmethod(settle_network)
+    judge_at = staticmethod(_network_at)
+    kind = _TABLES
 
     def __init__(self, preprocessor: Preprocessor, network: Network) -> None:
         size = len(preprocessor.fields)

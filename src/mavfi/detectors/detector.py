@@ -195,7 +195,9 @@ def part_of(detector: Detector | None, source: str) -> Any:  # noqa: ANN401 - ca
         found: Any = part_of(part, source)
         if found is not None:
             return found
-    return detector if detector.source == source and detector.compiled else None
+    if detector.source == source and detector.compiled:
+        return detector
+    return None
 
 
 def class_of(detector: object) -> str:
@@ -312,7 +314,8 @@ class NotedCalls:
         self._call("seal", state, time_us)
 
     def _call(self, method: str, *arguments: Any) -> Any:  # noqa: ANN401
-        call, note = getattr(self._detector, method), _CurrentCall.note
+        call = getattr(self._detector, method)
+        note = _CurrentCall.note
         if note is None:
             return call(*arguments)
         note[:] = f"{self._class}: {method}".encode()[:_SIZE].ljust(_SIZE, b"\0")

@@ -16,13 +16,17 @@ from mavfi.kernels.perception.state_estimation import GATE, GRAVITY, LARGEST_FOR
 from mavfi.numerics.jit import kernel_jit
 from mavfi.states import ODOMETRY
 
-ESTIMATE, FIX = ODOMETRY["estimator"], "sensor.position"
-VELOCITY, ATTITUDE, WIDTH = 3, 6, 10
+ESTIMATE = ODOMETRY["estimator"]
+FIX = "sensor.position"
+VELOCITY = 3
+ATTITUDE = 6
+WIDTH = 10
 """Columns of velocity and quaternion, and number of columns that consumers read."""
 _ACCELERATION = math.sqrt(3.0) * LARGEST_FORCE + GRAVITY
 """Largest acceleration in a step of the filter: that of a sample in the corner of the sensor's range (m/s^2)."""
 _RATE = math.sqrt(3.0) * LARGEST_RATE
-_VELOCITY_JUMP, _TILT_JUMP = 1.0, 0.1
+_VELOCITY_JUMP = 1.0
+_TILT_JUMP = 0.1
 """Largest corrections of velocity (m/s) and tilt (rad) by a fix.
 
 In golden flights of both profiles in four environments, also with 0.001 to 20 times the shipped noise of fixes and up
@@ -162,7 +166,8 @@ def note_fix(content: np.ndarray, record: np.ndarray) -> None:
 def new_record(limits: MissionLimits) -> np.ndarray:
     """The record at the start of a flight.  Shape (1,)."""
     position, heading = limits.fix_noise or (0.0, 0.0)
-    record, numbers = np.zeros(1, RECORD), limits.numbers()
+    record = np.zeros(1, RECORD)
+    numbers = limits.numbers()
     record["jump"], record["turn"] = math.sqrt(GATE) * position, math.sqrt(GATE) * heading + _TILT_JUMP
     for name in ("lower", "upper", "speed"):
         record[name] = numbers[name]
@@ -172,7 +177,8 @@ def new_record(limits: MissionLimits) -> np.ndarray:
 
 def forget(record: np.ndarray) -> None:
     """Reset the memory at the start of a flight."""
-    record["last"], record["fix"] = 0.0, np.nan
+    record["last"] = 0.0
+    record["fix"] = np.nan
     record["time_us"] = record["aligned_us"] = _NEVER
 
 

@@ -21,7 +21,8 @@ from mavfi.states import Field, Stage, State, StateSpec
 
 SMALLEST_SAMPLE = 50
 """Messages required of each source."""
-_SMALLEST_EXPONENT, _LARGEST_EXPONENT = -1000, 1000
+_SMALLEST_EXPONENT = -1000
+_LARGEST_EXPONENT = 1000
 _BELOW = {"paper": 3, "tuned": 1}
 """Octaves between the code threshold and the largest magnitude or difference."""
 

@@ -26,8 +26,11 @@ UNKNOWN_ARENA = ((-1e4, -1e4, -1e4), (1e4, 1e4, 1e4))
 IMPLAUSIBLE = 2.0
 """Score of an implausible publication."""
 _FINE = -1
-_WAYPOINT_FLOATS, _COMMAND_FLOATS = 11, 5
-_SPEED, _LOWER, _UPPER = 0, 1, 4
+_WAYPOINT_FLOATS = 11
+_COMMAND_FLOATS = 5
+_SPEED = 0
+_LOWER = 1
+_UPPER = 4
 STATES_JUDGED = ("perception.collision_status", "planning.waypoint", "control.command")
 _SLOTS = {name: slot for slot, name in enumerate(STATES_JUDGED)}
 _STATUS, _WAYPOINT, _COMMAND = range(3)
@@ -36,7 +39,8 @@ _ACCEPTED = 7
 _NAMES = ("future_collision_seq", "counted", "trajectory_seq", "numbered", "position")
 """Names of the memory."""
 _SPECS = tuple(STATES[name] for name in STATES_JUDGED)
-_TIME, _COLLISION_COUNTER = _SPECS[_STATUS].find("time_to_collision"), _SPECS[_STATUS].find("future_collision_seq")
+_TIME = _SPECS[_STATUS].find("time_to_collision")
+_COLLISION_COUNTER = _SPECS[_STATUS].find("future_collision_seq")
 _TIME_FIELD, _COUNTER_FIELD = map(_SPECS[_STATUS].header.index, (_TIME, _COLLISION_COUNTER))
 _TIME_AT, _COUNTER_AT = (_SPECS[_STATUS].offset(field.name) for field in (_TIME, _COLLISION_COUNTER))
 _NUMBER_AT = _SPECS[_WAYPOINT].offset("trajectory_seq")
@@ -165,7 +169,8 @@ class PhysicsGate(Detector):
         arena: Lower and upper corner of the volume for way-points (m).
     """
 
-    source, states = SOURCE, frozenset(STATES_JUDGED)
+    source = SOURCE
+    states = frozenset(STATES_JUDGED)
 
     def __init__(self, v_max: float, arena: tuple[tuple[float, ...], tuple[float, ...]] = UNKNOWN_ARENA) -> None:
         self._given = v_max, arena
@@ -193,7 +198,8 @@ class PhysicsGate(Detector):
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
         self._candidate = None
-        self._kept[:], self._then[:] = 0.0, 0.0
+        self._kept[:] = 0.0
+        self._then[:] = 0.0
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Check a publication."""
@@ -211,7 +217,9 @@ class PhysicsGate(Detector):
         """2 for an implausible publication, else 0; None for states that are not checked."""
         if state.spec.name not in _SLOTS:
             return None
-        return 0.0 if self.check(state, time_us) is None else IMPLAUSIBLE
+        if self.check(state, time_us) is None:
+            return 0.0
+        return IMPLAUSIBLE
 
     def accept(self, state: State, time_us: int) -> None:
         """Record a published value."""

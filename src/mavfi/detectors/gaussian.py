@@ -137,8 +137,10 @@ class OnlineScorer(DeltaScorer):
         min_count: Samples required before a field is judged.
     """
 
-    judge, settle = staticmethod(judge_online), staticmethod(settle_online)
-    judge_at, kind = staticmethod(_online_at), _ONLINE
+    judge = staticmethod(judge_online)
+    settle = staticmethod(settle_online)
+    judge_at = staticmethod(_online_at)
+    kind = _ONLINE
 
     def __init__(self, preprocessor: Preprocessor, statistics: np.ndarray, min_count: float) -> None:
         self._trained, self._statistics = statistics, statistics.copy()
@@ -154,8 +156,10 @@ class OnlineScorer(DeltaScorer):
 class FrozenScorer(DeltaScorer):
     """Distances from a trained centre of each field and regime, shape (n, regimes), passed as its table."""
 
-    judge, settle = staticmethod(judge_frozen), staticmethod(settle_frozen)
-    judge_at, kind = staticmethod(_frozen_at), _FROZEN
+    judge = staticmethod(judge_frozen)
+    settle = staticmethod(settle_frozen)
+    judge_at = staticmethod(_frozen_at)
+    kind = _FROZEN
 
 
 class GaussianDetector(ScoringDetector, TrainedDetector):
@@ -206,7 +210,9 @@ def fit_frozen(sample: Sample, preprocessor: Preprocessor, margin: float, smalle
     `margin` and `smallest_regime` as for `regime_limits`.
     """
     shape = len(preprocessor.fields), features.REGIMES
-    centre, limit, counts = np.zeros(shape), np.ones(shape), np.zeros(shape, np.int64)
+    centre = np.zeros(shape)
+    limit = np.ones(shape)
+    counts = np.zeros(shape, np.int64)
     for index in range(shape[0]):
         own = (sample.slots == preprocessor.slot_of(index)) & ~sample.first
         for regime in range(features.REGIMES):

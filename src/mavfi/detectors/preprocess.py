@@ -25,7 +25,10 @@ PREDICTIONS = {"interval": features.CODE_OF_INTERVAL, "trapezoid": features.CODE
 """Prediction of a way-point's position, see `features.measure`: "interval" if way-points carry the mean velocity of the
 leg that leads to them, "trapezoid" if they carry the velocity at their position."""
 
-_HALF_METRE, _QUARTER, _ONE_SECOND, _EIGHTH = -1, -2, 0, -3
+_HALF_METRE = -1
+_QUARTER = -2
+_ONE_SECOND = 0
+_EIGHTH = -3
 _POSITIONS = {"x": "vx", "y": "vy", "z": "vz"}
 _PLANNED = "planning.waypoint"
 _MOST_WAITING = 100
@@ -71,9 +74,10 @@ class Preprocessor:
             profile: "paper" or "tuned".
             thresholds: Exponent threshold of each field's code, see `sign_exponent_code`.
         """
-        rule = (
-            features.DELTA_OF_CODES if checked_name(profile, PROFILES, "profile") == "paper" else features.CODE_OF_DELTA
-        )
+        if checked_name(profile, PROFILES, "profile") == "paper":
+            rule = features.DELTA_OF_CODES
+        else:
+            rule = features.CODE_OF_DELTA
         watched = tuple((name, field.name) for name, spec in specs.items() for field in spec.header)
         rows = [
             (specs[state].offset(field), rule, threshold, -1, 0)
@@ -113,7 +117,8 @@ class Preprocessor:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """The memory, the last publications by state and field."""
-        seen, regime = self.watch.memory[:, features.SEEN], self.watch.memory[:, features.REGIME]
+        seen = self.watch.memory[:, features.SEEN]
+        regime = self.watch.memory[:, features.REGIME]
         memory = {"seen": seen, "regime": regime, "vehicle": self.watch.vehicle}
         for spec, content in zip(self._specs, self.watch.last, strict=True):
             header = content[: spec.header_dtype.itemsize].view(spec.header_dtype)
@@ -209,10 +214,14 @@ class DeltaScorer(Scorer):
     remembered: tuple[Any, ...] = ()
 
     def __init__(self, preprocessor: Preprocessor, *tables: Any) -> None:  # noqa: ANN401 - arrays, tuples of them, numbers
-        self.features, self.kept = preprocessor, preprocessor.kept
-        self.fields, self.stages, self.states = preprocessor.fields, preprocessor.stages, preprocessor.states
+        self.features = preprocessor
+        self.kept = preprocessor.kept
+        self.fields = preprocessor.fields
+        self.stages = preprocessor.stages
+        self.states = preprocessor.states
         self._tables: tuple[Any, ...] = tables
-        self._slots, self._predicts = preprocessor.slots, preprocessor.predicts
+        self._slots = preprocessor.slots
+        self._predicts = preprocessor.predicts
         self._odometry = preprocessor.states.difference(preprocessor.slots)
         self._vehicles = VehicleQueue(preprocessor.watch.vehicle)
 
@@ -281,7 +290,8 @@ class DeltaScorer(Scorer):
 
     def judged(self) -> Reading:
         """Reading of the publication scored last."""
-        own, place = self.scratch, self.scratch.place
+        own = self.scratch
+        place = self.scratch.place
         first, last = self.features.range_of(int(place[features.SLOT]))
         return Reading(own.distance, own.unit, first, last, int(place[features.JUDGED_REGIME]))
 
@@ -325,24 +335,41 @@ def _place(spec: StateSpec, watched: tuple[tuple[str, str], ...]) -> tuple[int, 
     fields = [index for index, (state, _) in enumerate(watched) if state == spec.name]
     if fields != list(range(fields[0], fields[-1] + 1)):
         raise BadInputError(f"monitored set: the fields of {spec.name} must be neighbours")
-    number_at, duration_at = map(spec.offset, ("trajectory_seq", "duration")) if spec.name == _PLANNED else (-1, -1)
+    if spec.name == _PLANNED:
+        number_at, duration_at = map(spec.offset, ("trajectory_seq", "duration"))
+    else:
+        number_at = -1
+        duration_at = -1
     return fields[0], fields[-1] + 1, number_at, duration_at
 
 
 def _row(spec: StateSpec, field: str, profile: str, prediction: str) -> tuple[int, int, int, int, int]:
     is_position = spec.name == _PLANNED and field in _POSITIONS
-    velocity, axis = (spec.offset(_POSITIONS[field]), list(_POSITIONS).index(field)) if is_position else (-1, 0)
+    if is_position:
+        velocity = spec.offset(_POSITIONS[field])
+        axis = list(_POSITIONS).index(field)
+    else:
+        velocity = -1
+        axis = 0
     kind = spec.find(field).dtype
     if kind == "i4":
-        rule, threshold = features.INTEGER, 0
+        rule = features.INTEGER
+        threshold = 0
     elif kind != "f8":
         raise BadInputError(f"monitored set: {spec.name}.{field} is neither float64 nor int32")
     elif field == "time_to_collision":
-        rule, threshold = features.DELTA_OF_CODES, _ONE_SECOND
+        rule = features.DELTA_OF_CODES
+        threshold = _ONE_SECOND
     elif profile == "paper":
-        rule, threshold = features.DELTA_OF_CODES, _HALF_METRE if is_position else _QUARTER
+        rule = features.DELTA_OF_CODES
+        threshold = _HALF_METRE if is_position else _QUARTER
     elif is_position:
-        rule, threshold = PREDICTIONS[prediction], _EIGHTH
+        rule = PREDICTIONS[prediction]
+        threshold = _EIGHTH
     else:
-        rule, threshold = features.CODE_OF_ANGLE if field == "yaw" else features.CODE_OF_DELTA, _EIGHTH
+        if field == "yaw":
+            rule = features.CODE_OF_ANGLE
+        else:
+            rule = features.CODE_OF_DELTA
+        threshold = _EIGHTH
     return spec.offset(field), rule, threshold, velocity, axis

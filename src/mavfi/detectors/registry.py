@@ -124,7 +124,10 @@ def check_kernel(kernel: str, planner: str, detector: Detector | None = None) ->
         raise BadInputError(dropped_name("kernels", kernel))
     if kernel not in INJECTABLE:
         configured = next((source for source in DETECTORS if is_named(kernel, source)), "")
-        why = f"is a configuration of {configured!r}, whose instructions can be injected" if configured else "not known"
+        if configured:
+            why = f"is a configuration of {configured!r}, whose instructions can be injected"
+        else:
+            why = "not known"
         raise BadInputError(f"kernel {kernel!r}: {why}; allowed: {', '.join((*INJECTABLE, *DETECTORS))}")
     if kernel in PLANNERS and kernel != planner:
         raise BadInputError(f"kernel {kernel!r}: the planner of this mission is {planner!r}; allowed: planner {kernel}")
@@ -159,13 +162,17 @@ def mission_keys(detector: str | Detector) -> Mapping[str, Any]:
             found: Any = load_object("detector", detector, GROUP, _SHIPPED)
         except BadInputError:  # reported where the detector is constructed
             return {}
-        keys, name = getattr(found, "recovery", {}), detector
+        keys = getattr(found, "recovery", {})
+        name = detector
     else:
         found = type(detector)
-        keys, name = detector.recovery, found.__name__
+        keys = detector.recovery
+        name = found.__name__
     if not isinstance(keys, Mapping) or not set(keys) <= set(OF_RECOVERY):
         raise BadInputError(f"detector {name!r}: recovery: {keys!r}: allowed: values of {', '.join(OF_RECOVERY)}")
-    return keys if found.__module__.startswith("mavfi.") else {**OF_OWN, **keys}
+    if found.__module__.startswith("mavfi."):
+        return keys
+    return {**OF_OWN, **keys}
 
 
 def detector_options(name: str) -> Mapping[str, Any]:
@@ -214,10 +221,16 @@ def load_detector(
         return Loaded(_build(name, factory, {key: mission.get(key) for key in ("limits", "seed")}, chosen), "")
     factory.check_installed()
     has_gate = chosen.pop("gate", False)
-    features = chosen.pop("features", None) if _has_presets(factory) else None
+    if _has_presets(factory):
+        features = chosen.pop("features", None)
+    else:
+        features = None
     if features is not None and features not in FEATURES:
         raise BadInputError(f"detector {name!r}: features: {features!r}: allowed: {', '.join(FEATURES)}")
-    model_profile = factory.training.profiles[0] if features is None else FEATURES[features]
+    if features is None:
+        model_profile = factory.training.profiles[0]
+    else:
+        model_profile = FEATURES[features]
     path, model = _model_of(factory, model_profile, models_dir, mission, trained_for)
     try:
         detector = _build(name, factory, {"model": model}, chosen)
@@ -293,7 +306,9 @@ def _options_of(name: str, profile: str, factory: Any, options: Mapping[str, Any
 
 @cache
 def _config_of(name: str) -> DetectorConfig:
-    return shipped("detectors", DetectorConfig, name) if name in names("detectors") else DetectorConfig(name=name)
+    if name in names("detectors"):
+        return shipped("detectors", DetectorConfig, name)
+    return DetectorConfig(name=name)
 
 
 def _build(

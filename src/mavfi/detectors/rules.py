@@ -25,7 +25,8 @@ _END = 0.5
 """Largest distance between the ends of a trajectory and its path (m)."""
 _WAY_BACK = 6.0
 """Longest path back if no path to the goal is found (m)."""
-_DETOUR, _REVERSED = 8.0, -0.5
+_DETOUR = 8.0
+_REVERSED = -0.5
 """Detour by way of one vertex (m) from which on the path must not turn back there, by cosine of the turn.
 
 A planner that shortens its paths has no use for such a spike: in 8,162 error-free paths of both profiles (seeds 5000

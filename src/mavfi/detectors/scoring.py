@@ -168,7 +168,8 @@ class Threshold:
     """
 
     def __init__(self, limit: np.ndarray, size: int, usual: np.ndarray | None = None) -> None:
-        self.limit, self._usual = limit, usual
+        self.limit = limit
+        self._usual = usual
         self.ratios = np.zeros(size)
 
     def standing_out(self, reading: Reading, not_finite: np.ndarray) -> np.ndarray:
@@ -179,7 +180,9 @@ class Threshold:
             not_finite: Indices of fields that are not finite; if there are any, the alarm names these.
         """
         if self._usual is not None:
-            return not_finite[:1] if len(not_finite) else np.array([np.argmax(reading.distance / self._usual)])
+            if len(not_finite):
+                return not_finite[:1]
+            return np.array([np.argmax(reading.distance / self._usual)])
         if len(not_finite):
             return not_finite
         return reading.first + np.flatnonzero(self.ratios[reading.first : reading.last] > 1.0)
@@ -230,7 +233,10 @@ class ScoringDetector(Detector):
     """
 
     def __init__(self, source: str, scorer: Scorer, threshold: Threshold, policy: Policy = keyed) -> None:
-        self.source, self.scorer, self.threshold, self.policy = source, scorer, threshold, policy
+        self.source = source
+        self.scorer = scorer
+        self.threshold = threshold
+        self.policy = policy
         scorer.use(threshold)
         self.states = scorer.states
         self._counts_waypoints = policy is not keyed
@@ -240,7 +246,8 @@ class ScoringDetector(Detector):
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
-        self._scored, self._persists[0] = None, False
+        self._scored = None
+        self._persists[0] = False
         self.scorer.start()
 
     def score(self, state: State, time_us: int) -> float | None:
@@ -254,11 +261,16 @@ class ScoringDetector(Detector):
         if self._scored is not state:  # as `score`, without another call
             self._scored, self._score = state, self.scorer.score(state)
         score = self._score
-        return None if score is None or score <= 1.0 else self._alarm(state, score)
+        if score is None or score <= 1.0:
+            return None
+        return self._alarm(state, score)
 
     def _alarm(self, state: State, score: float) -> Alarm:
         reading = self.scorer.judged()
-        lacking = self.scorer.not_finite(state) if reading.regime < 0 else _NONE
+        if reading.regime < 0:
+            lacking = self.scorer.not_finite(state)
+        else:
+            lacking = _NONE
         indices = self.threshold.standing_out(reading, lacking)
         names = tuple(self.scorer.fields[index] for index in indices)
         alarm = Alarm(self.source, self.scorer.stages[indices[0]], score=float(score), fields=names)
@@ -268,7 +280,10 @@ class ScoringDetector(Detector):
         """Record a published value."""
         if self._counts_waypoints and state.spec.name == _WAYPOINT:
             score = self.score(state, time_us)
-            self._persists[0] = self._persists[0] if score is None else not score <= 1.0
+            if score is None:
+                self._persists[0] = self._persists[0]
+            else:
+                self._persists[0] = not score <= 1.0
         self._scored = None
         self.scorer.accept(state)
 

@@ -118,7 +118,8 @@ class Sample:
 def sample_of(events: features.Events, preprocessor: Preprocessor) -> Sample:
     """Sample of one flight, including odometry; the preprocessor is reset before and after."""
     count = len(events.slots)
-    vectors, regimes = np.zeros((count, len(preprocessor.fields)), np.int16), np.zeros(count, np.int64)
+    vectors = np.zeros((count, len(preprocessor.fields)), np.int16)
+    regimes = np.zeros(count, np.int64)
     preprocessor.start()
     features.replay(events, preprocessor.watch, vectors, regimes)
     preprocessor.start()
@@ -252,7 +253,9 @@ class MonitoredFields(Training):
             return False
         if len(kinds) != len(times_us) or ((kinds < features.ODOMETRY) | (kinds >= len(WATCHED))).any():
             return False
-        return int(recording.ends[-1]) == len(content) if len(kinds) else not len(content)
+        if len(kinds):
+            return int(recording.ends[-1]) == len(content)
+        return not len(content)
 
     def fit(
         self,

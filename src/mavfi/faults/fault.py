@@ -165,7 +165,9 @@ class StateFault(Fault):
     def bit_class(self) -> str:
         """Class of the bit in the field's type; "" for a null fault."""
         field = STATES[self.where.state].find(self.where.field)
-        return "" if self.bit is None else strata.bit_class(field, self.bit)
+        if self.bit is None:
+            return ""
+        return strata.bit_class(field, self.bit)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; keys of `LIFETIME` with default values are omitted."""
@@ -230,7 +232,9 @@ class MemoryFault(Fault):
     @property
     def bit_class(self) -> str:
         """Class of the bit in the word's type; "" for a null fault."""
-        return "" if self.bit is None else strata.bit_class(self, self.bit)
+        if self.bit is None:
+            return ""
+        return strata.bit_class(self, self.bit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,12 +283,16 @@ class InstructionFault(Fault):
     @property
     def site(self) -> str:
         """Kernel and function as text."""
-        return f"{self.kernel}.{self.entry}" if self.kernel else self.function
+        if self.kernel:
+            return f"{self.kernel}.{self.entry}"
+        return self.function
 
     @property
     def bit(self) -> int | None:
         """The flipped bit, if there is exactly one."""
-        return self.bits[0] if len(self.bits) == 1 else None
+        if len(self.bits) == 1:
+            return self.bits[0]
+        return None
 
     @property
     def has_site(self) -> bool:
@@ -420,7 +428,9 @@ class RegisterFault(Fault):
     @property
     def site(self) -> str:
         """Node and kind of register as text."""
-        return f"{self.node}:{self.registers}" if self.node else self.registers
+        if self.node:
+            return f"{self.node}:{self.registers}"
+        return self.registers
 
     @property
     def bit(self) -> None:

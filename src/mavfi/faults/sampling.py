@@ -163,7 +163,8 @@ def draw_in_message(state: str, stratum: str, profile: Profile, seed: int, *addr
     state, or the drawn publication has no bit of the stratum.
     """
     random = stream(seed, f"message {state}", *address)
-    spec, times = STATES[state], profile.times_us.get(state, np.zeros(0, np.int64))
+    spec = STATES[state]
+    times = profile.times_us.get(state, np.zeros(0, np.int64))
     parts: list[tuple[str, int, range]] = []
     share = 0.0
     if len(times):
@@ -201,7 +202,10 @@ def draw_publication(random: np.random.Generator, profile: Profile, site: FaultS
     times = profile.times_us.get(site.state, np.zeros(0, np.int64))
     counts = profile.counts.get(site.state, np.zeros(0, np.int32))
     in_elements = STATES[site.state].in_elements(site.field)
-    candidates = np.flatnonzero(counts > 0) if in_elements else np.arange(len(times))
+    if in_elements:
+        candidates = np.flatnonzero(counts > 0)
+    else:
+        candidates = np.arange(len(times))
     if len(candidates) == 0:
         return NO_SITE, site.element
     chosen = candidates[int(random.integers(len(candidates)))]

@@ -39,7 +39,8 @@ _DEFAULT_V_MAX = 3.0
 _FILES = (".yaml", ".yml")
 _NOMINAL_RADIUS = 0.35
 """Collision radius of the vehicle for which the radii of an autopilot profile are specified (m)."""
-_LEAST_POSITION_NOISE, _LEAST_HEADING_NOISE = 1e-3, 1e-3
+_LEAST_POSITION_NOISE = 1e-3
+_LEAST_HEADING_NOISE = 1e-3
 _RULES = ("alarm", "epoch_liveness")
 """Keys of an autopilot profile that a mission can override."""
 _LIMITS = ("arena_lower", "arena_upper", "flight_lower", "flight_upper", "goal")
@@ -72,14 +73,22 @@ def resolve(spec: MissionSpec) -> Scenario:
     world = find_environment(spec.environment)
     if spec.vehicle is not None:
         world = world.model_copy(update={"vehicle": spec.vehicle})
-    speed = spec.v_max if spec.v_max is not None else (world.v_max or _DEFAULT_V_MAX)
+    if spec.v_max is not None:
+        speed = spec.v_max
+    else:
+        speed = world.v_max or _DEFAULT_V_MAX
     if not 0.1 <= speed <= 20.0:
         raise BadInputError(f"v_max: {speed}: must lie between 0.1 and 20 m/s")
     camera = configs.CameraConfig(noise=spec.depth_noise)
     if world.camera_range is not None:
         camera = configs.CameraConfig(noise=spec.depth_noise, range=world.camera_range)
-    resolution = spec.map_resolution if spec.map_resolution is not None else world.map_resolution
-    protection = rewriter().load(spec.protection) if spec.protection else None
+    resolution = spec.map_resolution
+    if resolution is None:
+        resolution = world.map_resolution
+    if spec.protection:
+        protection = rewriter().load(spec.protection)
+    else:
+        protection = None
     planner = find_planner(spec.planner)
     with _read_from(spec.planner, "name"):
         find_search(planner.name)
@@ -143,7 +152,10 @@ def _autopilot(spec: MissionSpec) -> configs.AutopilotConfig:
 
 
 def _map_config(kind: str, resolution: float | None) -> configs.MapConfig:
-    chosen = {"kind": kind} if resolution is None else {"kind": kind, "resolution": resolution}
+    if resolution is None:
+        chosen: dict[str, Any] = {"kind": kind}
+    else:
+        chosen = {"kind": kind, "resolution": resolution}
     find_map(kind)
     return parse(configs.MapConfig, chosen, "map")
 
@@ -255,7 +267,9 @@ def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) ->
 
 def restarts_for(loop: Loop, recovery: Recovery) -> Restarts | None:
     """What restarts nodes for a recovery policy, from what it sees from now on; None = the policy restarts none."""
-    return Restarts(loop, "readback") if recovery.restarts else None
+    if recovery.restarts:
+        return Restarts(loop, "readback")
+    return None
 
 
 def install(loop: Loop, detector: Detector, recovery: Recovery, restarts: Restarts | None) -> DetectorTap:
@@ -268,7 +282,10 @@ def install(loop: Loop, detector: Detector, recovery: Recovery, restarts: Restar
     loop.taps.watched = tap.states
     loop.taps.seal = tap.seal if tap.seals else None
     loop.taps.again = tap.lost if recovery.resends else None
-    loop.verify = Duplicates(loop, detector.duplicates) if detector.duplicates else None
+    if detector.duplicates:
+        loop.verify = Duplicates(loop, detector.duplicates)
+    else:
+        loop.verify = None
     return tap
 
 
@@ -349,7 +366,8 @@ def watched(
     if detector is None:
         return Watched(ArmSetup(resolve(mission), recovery=Recovery.of(mission)))
     mission = with_keys_of(mission, detector)
-    scenario, recovery = resolve(mission), Recovery.of(mission)
+    scenario = resolve(mission)
+    recovery = Recovery.of(mission)
     if not isinstance(detector, str):
         return Watched(ArmSetup(scenario, lambda: detector, recovery), type(detector).__name__)
     loaded, model = detector_for(scenario, detector, profile, models, mission.trained_for, options)
@@ -374,7 +392,8 @@ def with_keys_of(spec: MissionSpec, detector: str | Detector) -> MissionSpec:
 
 def limits_of(scenario: Scenario, world: World) -> MissionLimits:
     """Limits of a mission's publications, as rule-based detectors check them."""
-    autopilot, platform = scenario.autopilot, scenario.platform
+    autopilot = scenario.autopilot
+    platform = scenario.platform
     period = 1e-6 * CONTROL_PERIOD_US
     noise = noise_of(scenario.localization)
     p, i, d = (max(map(abs, gains)) for gains in (autopilot.gain_p, autopilot.gain_i, autopilot.gain_d))

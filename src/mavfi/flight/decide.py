@@ -19,14 +19,18 @@ from mavfi.states import KERNELS, ODOMETRY, STAGE_KERNELS, STATES, Stage, State,
 
 SCANNING = STAGE_KERNELS[Stage.PERCEPTION]
 """Kernels that are recomputed together, starting from the image."""
-COLLISION, PATH, WAYPOINT = "perception.collision_status", "planning.path", "planning.waypoint"
+COLLISION = "perception.collision_status"
+PATH = "planning.path"
+WAYPOINT = "planning.waypoint"
 
-RESTART_US, BACK_OFF = 20_000, 3
+RESTART_US = 20_000
+BACK_OFF = 3
 """Down time of a node that a detector restarts (us): the process survives, its memory is initialized; and the factor
 by which the down time grows with each restart in a flight.  Their sum exceeds the duration of a fault of 1 s."""
 MAX_RESTARTS = 5
 """Limit per flight: a faulty detector must not keep a vehicle from flying."""
-PERSISTS_US, GAP_US = 2_000_000, 500_000
+PERSISTS_US = 2_000_000
+GAP_US = 500_000
 """Hard alarms are persistent if they span the first duration with gaps of at most the second (us)."""
 ALARMS_WITHIN_US = 10_000_000
 """Time within which alarms are counted against the detector (us)."""
@@ -290,7 +294,9 @@ def decide(rejection: Rejection, history: History, policy: Recovery) -> Action |
     | any other | step, with grain `message` | retransmission |
     | any other | step, retransmission | recomputation |
     """
-    alarm, spec, origin = rejection.alarm, rejection.spec, rejection.origin
+    alarm = rejection.alarm
+    spec = rejection.spec
+    origin = rejection.origin
     if alarm.hard and policy.degrades and _is_without_cure(rejection, history, policy):
         return Action(Response.HOLD, Stage.CONTROL)
     if origin is not Origin.STEP and not alarm.hard:
@@ -395,7 +401,8 @@ class PathDeadline:
             wait.last_number = number
         if wait.since_us is None:
             if is_alarm:
-                wait.since_us, wait.alarm_number = now, number
+                wait.since_us = now
+                wait.alarm_number = number
             return None
         if self._can_withdraw and not is_alarm and number == wait.last_number and _is_free(state, wait.waypoint):
             wait.since_us = None

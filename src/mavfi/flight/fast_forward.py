@@ -58,7 +58,9 @@ def fly_until(loop: Loop, enough: Callable[[], bool]) -> Flight | None:
     loop.begin()
     while loop.status is None and not enough():
         loop.run(len(loop.record.rows) + 1)
-    return None if loop.status is None else loop.flight()
+    if loop.status is None:
+        return None
+    return loop.flight()
 
 
 def check_prefix(loop: Loop, golden: FlightLog) -> None:
@@ -100,7 +102,8 @@ class CountedFunction:
 
     def __init__(self, name: str, function: Callable[..., Any]) -> None:
         self.intercept: Intercept | None = None
-        self._name, self._function = name, function
+        self._name = name
+        self._function = function
         self._loop: Loop | None = None
 
     def attach(self, loop: Loop) -> None:
@@ -111,7 +114,8 @@ class CountedFunction:
     @contextmanager
     def replaced(self, function: Callable[..., Any]) -> Iterator[None]:
         """Call another function, which returns the same."""
-        original, self._function = self._function, function
+        original = self._function
+        self._function = function
         try:
             yield
         finally:
@@ -239,8 +243,10 @@ class Branch:
         self.loop: Loop = forward.loop
         self.publications: list[tuple[State, int]] = []
         self.comparable: Callable[[], bool] = lambda: True
-        self._forward, self._arm = forward, arm
-        self._others, self._own_golden = others, own_golden
+        self._forward = forward
+        self._arm = arm
+        self._others = others
+        self._own_golden = own_golden
         self.keeps_checkpoints = keeps_checkpoints
         self._keeps_publications = keeps_checkpoints or keeps_publications
         self._checkpoints: dict[int, Checkpoint] = {}
@@ -248,15 +254,21 @@ class Branch:
         self._log: FlightLog | None = None
 
         # Remove what the previous flight has left in the loop.
-        self.loop.status, self.loop.verify = None, None
-        self.loop.taps.detector, self.loop.taps.seal, self.loop.taps.again = None, None, None
+        self.loop.status = None
+        self.loop.verify = None
+        self.loop.taps.detector = None
+        self.loop.taps.seal = None
+        self.loop.taps.again = None
         self.loop.taps.recorders.clear()
         if self._keeps_publications:
             self.loop.taps.recorders.append(lambda state, now: self.publications.append((state, now)))
 
         # Attach the detector.
         self._detector = arm.detector
-        self._restarts = None if arm.detector is None else restarts_for(self.loop, arm.recovery)
+        if arm.detector is None:
+            self._restarts = None
+        else:
+            self._restarts = restarts_for(self.loop, arm.recovery)
         self._tap = self._new_tap()
 
     def _new_tap(self) -> Any:  # noqa: ANN401 - the tap of the detector; None = there is no detector
@@ -290,7 +302,9 @@ class Branch:
     def begin_empty(self) -> None:
         """Start with the record of a flight before take-off."""
         record = self.loop.record
-        record.rows, record.events, record.alarms = [], [], []
+        record.rows = []
+        record.events = []
+        record.alarms = []
         record.set_counts([0] * len(record.counts()))
 
     def begin(self, track: Track, start: Checkpoint) -> None:
@@ -314,7 +328,8 @@ class Branch:
         self.keeps_checkpoints = True
 
     def _checkpoint(self, instant: Instant | None) -> Checkpoint:
-        record, injector = self.loop.record, self.loop.taps.injector
+        record = self.loop.record
+        injector = self.loop.taps.injector
         assert isinstance(injector, (CounterWatch, StateInjector))  # installed in every flight of this class
         return Checkpoint(
             instant,
@@ -329,7 +344,8 @@ class Branch:
 
     def _append(self, track: Track, here: Checkpoint, there: Checkpoint) -> None:
         """Append another flight's record between two of its checkpoints; the loop itself does not move."""
-        record, log = self.loop.record, track.log
+        record = self.loop.record
+        log = track.log
         record.rows += track.rows[here.rows : there.rows]
         record.events += log.events[here.events : there.events]
         record.alarms += log.alarms[len(here.alarms) : len(there.alarms)]
@@ -391,7 +407,8 @@ class Branch:
         assert self._detector is not None  # precondition
         if self._tap.gave_up:
             return False
-        detector, watched_states = self._detector, self.loop.taps.watched
+        detector = self._detector
+        watched_states = self.loop.taps.watched
         for state, now in track.publications[here.publications : there.publications]:
             if watched_states is not None and state.spec.name not in watched_states:
                 continue
@@ -405,7 +422,10 @@ class Branch:
 
     def _continues_as_golden(self, here: Checkpoint) -> bool:
         """Whether the remainder from a checkpoint of another flight equals that of the golden flight of this arm."""
-        golden = None if self._own_golden is None else self._own_golden.checkpoints.get(here.rows)
+        if self._own_golden is None:
+            golden = None
+        else:
+            golden = self._own_golden.checkpoints.get(here.rows)
         if golden is None or golden.instant is not here.instant:
             return False
         return self._is_settled() and self._has_detector_memory(golden)
@@ -413,7 +433,9 @@ class Branch:
     # ---- simulation -------------------------------------------------------------------------------------------------
     def fly(self) -> Track:
         """Continue to the end; simulate where no known flight can be reused."""
-        loop, record, pitch = self.loop, self.loop.record, self._forward.pitch
+        loop = self.loop
+        record = self.loop.record
+        pitch = self._forward.pitch
         while self._log is None:
             self._has_simulated = True
             rows = len(record.rows)
@@ -429,7 +451,10 @@ class Branch:
     def _arrive_at_checkpoint(self) -> None:
         """Take a checkpoint if others may start here; reuse a known flight if the current state has converged to it."""
         rows = len(self.loop.record.rows)
-        track = self._converged() if self._is_settled() and self.comparable() else None
+        if self._is_settled() and self.comparable():
+            track = self._converged()
+        else:
+            track = None
         if self.keeps_checkpoints:
             if track is None:
                 # Instruction faults are injected after golden checkpoints: these need the work arrays of kernels, too.
@@ -451,7 +476,8 @@ class Branch:
 
     def _converged(self) -> Track | None:
         """A known flight in the current state that can be followed from here; None = none."""
-        loop, rows = self.loop, len(self.loop.record.rows)
+        loop = self.loop
+        rows = len(self.loop.record.rows)
         compared: dict[int, bool] = {}  # several flights share an instant
         for track in (*self._others, self._own_golden):
             here = None if track is None else track.checkpoints.get(rows)
@@ -527,7 +553,10 @@ class FastForward:
         """
         flown_arm = FlownArm(arm, detector, recovery)
         with np.errstate(all="ignore"):  # overflow of corrupted values is expected behaviour
-            track = self.golden(flown_arm) if fault is None else self._with_fault(fault, flown_arm)
+            if fault is None:
+                track = self.golden(flown_arm)
+            else:
+                track = self._with_fault(fault, flown_arm)
         self.share.flights += 1
         self.share.ticks += len(track.rows)
         return Flight(track.log, self._profile if fault is None and detector is None else None)
@@ -544,7 +573,8 @@ class FastForward:
 
     def _simulated(self, arm: FlownArm) -> Track:
         """A golden flight from take-off; the one without a detector leaves the profile."""
-        loop, plain = self.loop, self._golden.get("")
+        loop = self.loop
+        plain = self._golden.get("")
         branch = Branch(self, arm, [] if plain is None else [plain], keeps_checkpoints=True)
         loop.taps.injector = CounterWatch()
         if self._take_off is None:
@@ -583,7 +613,8 @@ class FastForward:
     def _tracks(self, fault: StateFault) -> dict[str, Track]:
         """The injected runs that others may follow, by arm; those of the latest fault are kept."""
         if self._latest_fault != fault:
-            self._latest_fault, self._same_fault = fault, {}
+            self._latest_fault = fault
+            self._same_fault = {}
         return self._same_fault
 
     def _injected(self, fault: StateFault, arm: FlownArm) -> Track:
@@ -598,7 +629,8 @@ class FastForward:
             return self._fly_on(branch, own_golden, rows, injector)
 
         # If nothing has happened so far, the run without a detector is identical up to the first alarm.
-        plain_golden, without_detector = self.golden(), None
+        plain_golden = self.golden()
+        without_detector = None
         is_plain_start = rows in plain_golden.checkpoints and start.instant is plain_golden.checkpoints[rows].instant
         if arm.detector is not None and is_plain_start and not injector.spent:
             without_detector = self._with_fault(fault, NO_DETECTOR)
@@ -648,7 +680,8 @@ class FastForward:
         Raises:
             MavfiError: Two golden flights differ.
         """
-        golden, loop = self.golden(), self.loop
+        golden = self.golden()
+        loop = self.loop
         count_places = {name: list(loop.record.calls).index(name) for name in functions}  # calls come first in counts
         with self.instrumented(functions), np.errstate(all="ignore"):
             for here, there in golden.pieces(0):

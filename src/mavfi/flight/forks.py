@@ -192,7 +192,8 @@ def first_difference(golden: Output, injected: Output) -> dict[str, Any] | None:
         if state not in injected.states:
             return _difference(state, "", None, len(elements), 0, 1, math.inf)
         other_header, other_elements = injected.states[state]
-        length, other_length = len(elements), len(other_elements)
+        length = len(elements)
+        other_length = len(other_elements)
         difference = _in_fields(state, header, other_header, in_list=False)
         if difference is None and length != other_length:
             difference = _difference(
@@ -207,7 +208,8 @@ def first_difference(golden: Output, injected: Output) -> dict[str, Any] | None:
 
 def _in_fields(state: str, golden: np.ndarray, injected: np.ndarray, *, in_list: bool) -> dict[str, Any] | None:
     for name in golden.dtype.names or ():
-        before, after = np.ascontiguousarray(golden[name]), np.ascontiguousarray(injected[name])
+        before = np.ascontiguousarray(golden[name])
+        after = np.ascontiguousarray(injected[name])
         width = before.dtype.itemsize
         bits = [values.view(np.uint8).reshape(-1, width) for values in (before, after)]
         rows = np.flatnonzero((bits[0] != bits[1]).any(axis=1))
@@ -215,7 +217,10 @@ def _in_fields(state: str, golden: np.ndarray, injected: np.ndarray, *, in_list:
             first = int(rows[0])
             with np.errstate(all="ignore"):  # corrupted values may be infinite, or signalling NaN
                 changes = np.abs(after[rows].astype(np.float64) - before[rows].astype(np.float64))
-            largest = float(changes.max()) if np.isfinite(changes).all() else math.inf
+            if np.isfinite(changes).all():
+                largest = float(changes.max())
+            else:
+                largest = math.inf
             element = first if in_list else None
             return _difference(state, name, element, before[first].item(), after[first].item(), len(rows), largest)
     return None
@@ -371,7 +376,9 @@ class Forks(Listener):
     def __init__(self, start: "Start", cases: Sequence[Case]) -> None:
         self.cases = cases
         self.child: Child | None = None
-        self._start, self._loop, self._detector = start, start.loop, start.detector
+        self._start = start
+        self._loop = start.loop
+        self._detector = start.detector
         self._rewriting = rewriting_of(start.loop.scenario.protection)
         self._calls_may_shift = start.detector is not None or self._rewriting is not None
         self._awaited: dict[str, list[Case]] = {}  # cases whose golden output is still to come, by kernel
@@ -462,7 +469,9 @@ class Forks(Listener):
             check_fault(fault, variant, function)
         except (MismatchError, IndexError):
             return None
-        return fault if _has_bit(variant, fault, args) else None
+        if _has_bit(variant, fault, args):
+            return fault
+        return None
 
     def _fork(self, case: Case, *, dead: bool) -> Ended | None:
         """None in the child; in the golden flight the child's termination, retried after a wall-clock timeout."""
@@ -470,7 +479,8 @@ class Forks(Listener):
             point = ForkPoint()
             ended = split_noting_calls(point, TIMEOUT)
             if ended is None:
-                self.child, self._loop.forked = Child(point, case, dead), True
+                self.child = Child(point, case, dead)
+                self._loop.forked = True
             if ended is None or ended.detail != WALL_CLOCK:
                 break
         return ended
@@ -503,7 +513,10 @@ class Forks(Listener):
 
         # The error-free call, on copies of the arguments.
         placed = arena().place(args)  # preserves strides, which a copy may not: they select the compiled variant
-        copies = tuple(copied(argument) for argument in args) if placed is None else placed.args
+        if placed is None:
+            copies = tuple(copied(argument) for argument in args)
+        else:
+            copies = placed.args
         golden = own((function(*copies), copies))  # the injected call reuses the arena
         before = own(args)
 
@@ -529,7 +542,8 @@ class Forks(Listener):
     def report(self, log: FlightLog, watched: Mapping[str, FlightLog] | None = None) -> NoReturn:
         """End this child with the log of its flight, and those with detectors, by arm, as far as they are known."""
         assert self.child is not None  # called in children only
-        child, publications = self.child, self._start.publications
+        child = self.child
+        publications = self._start.publications
         self._end(ChildReport(log, child.output, child.call_same, published=publications, watched=watched or {}))
 
     def _end(self, report: ChildReport) -> NoReturn:
@@ -546,14 +560,18 @@ def _report_of(ended: Ended) -> ChildReport:
 
 def _settle(case: Case, ended: Ended) -> None:
     """Note how the child with the injected call ended; a case whose instruction it missed waits for the next call."""
-    case.how, case.detail = ended.how, ended.detail
+    case.how = ended.how
+    case.detail = ended.detail
     if ended.how != "done":
         return
     case.report = _report_of(ended)
     if case.report.missed:
-        case.call, case.how, case.report = case.call + 1, WAITING, None
+        case.call = case.call + 1
+        case.how = WAITING
+        case.report = None
     elif case.report.detected:
-        case.how, case.detail = DETECTED, ""
+        case.how = DETECTED
+        case.detail = ""
 
 
 def _has_bit(variant: Variant, fault: InstructionFault, args: tuple[Any, ...]) -> bool:
@@ -692,8 +710,10 @@ class FromCheckpoints(Start):
     """
 
     def __init__(self, forward: FastForward, arm: FlownArm, golden: Flight, watched: Sequence[FlownArm]) -> None:
-        self.loop, self.detector = forward.loop, arm.detector
-        self._forward, self._arm = forward, arm
+        self.loop = forward.loop
+        self.detector = arm.detector
+        self._forward = forward
+        self._arm = arm
         self._branch: Branch | None = None
         self._golden, self._plain_golden = forward.golden(arm), forward.golden()
         if self._golden.log.digest() != golden.log.digest():
@@ -748,7 +768,8 @@ class FromCheckpoints(Start):
 
     def _jump(self, forks: Forks, rows: int) -> Branch:
         """Continue the golden flight at a checkpoint."""
-        golden, start = self._golden, self._golden.checkpoints[rows]
+        golden = self._golden
+        start = self._golden.checkpoints[rows]
         branch = Branch(self._forward, self._arm, [self._plain_golden], golden, keeps_publications=True)
         branch.comparable = lambda: forks.child is not None and forks.child.comparable and not self.loop.down
         branch.begin(golden, start)
@@ -770,7 +791,8 @@ class FromCheckpoints(Start):
             forks.report(self._branch.fly().log)
         if child.comparable and child.case.how == WAITING:  # else checkpoints do not contain all: a node has died, e.g.
             self._branch.store_checkpoints_from_now_on()
-        track, logs = self._branch.fly(), {}
+        track = self._branch.fly()
+        logs = {}
         for arm in self._watched:
             with suppress(Exception, SystemExit):  # the run is then flown on its own, where the error counts
                 log = self._under_detector(track, child.case, arm)
@@ -780,7 +802,8 @@ class FromCheckpoints(Start):
 
     def _under_detector(self, track: Track, case: Case, arm: FlownArm) -> FlightLog | None:
         """The log of a completed flight of this child under the detector of an arm; None = it must be flown."""
-        golden, plain = self._watched_golden[arm.name], self._plain_golden
+        golden = self._watched_golden[arm.name]
+        plain = self._plain_golden
         rows = self._checkpoint_before(plain, case)
         if not self._is_plain(golden, rows):
             return None
@@ -820,6 +843,7 @@ class FromCheckpoints(Start):
 
     def _is_plain(self, golden: Track, rows: int) -> bool:
         """Whether a golden flight with a detector has the state, and the calls, of the one without at a checkpoint."""
-        plain, here = self._plain_golden.checkpoints[rows], golden.checkpoints.get(rows)
+        plain = self._plain_golden.checkpoints[rows]
+        here = golden.checkpoints.get(rows)
         calls = len(self.loop.record.calls)  # these come first in the counts
         return here is not None and here.instant is plain.instant and here.counts[:calls] == plain.counts[:calls]

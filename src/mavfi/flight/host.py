@@ -87,7 +87,9 @@ class ArmSetup:
 
     def detector(self) -> Detector | None:
         """A detector for flights of the arm; None = no detector."""
-        return None if self.make_detector is None else self.make_detector()
+        if self.make_detector is None:
+            return None
+        return self.make_detector()
 
 
 class MissionFlights(Protocol):
@@ -122,7 +124,8 @@ class ArmFlights(ABC):
     """Base class of `MissionFlights` that caches the golden flight and the detector of each arm."""
 
     def __init__(self, host: "Host", arms: Mapping[str, ArmSetup]) -> None:
-        self._host, self._arms = host, arms
+        self._host = host
+        self._arms = arms
         self._detectors: dict[str, Detector | None] = {}
         self._golden: dict[str, Flight] = {}
 

@@ -130,7 +130,8 @@ def open_flight_log(path: Path) -> FlightLogReader:
     Raises:
         BadInputError: Nothing reads files with this extension.
     """
-    extension, formats = path.suffix.removeprefix("."), known(GROUP, known(_OLD_GROUP, {}))
+    extension = path.suffix.removeprefix(".")
+    formats = known(GROUP, known(_OLD_GROUP, {}))
     if extension not in formats:
         endings = ", ".join(f".{name}" for name in sorted(formats))
         raise BadInputError(f"{path}: no reader of flight logs knows this format; allowed: {endings}")
@@ -218,4 +219,6 @@ def _assign(name: str, first: Mapping[str, tuple[Layout, bytes]], fields: dict[s
 
 def _full(topic: str, first: Mapping[str, tuple[Layout, bytes]]) -> str:
     """Name of a topic, with the slash of ROS if it was omitted."""
-    return topic if topic in first else "/" + topic.removeprefix("/")
+    if topic in first:
+        return topic
+    return "/" + topic.removeprefix("/")

@@ -66,7 +66,9 @@ def latency(platform: PlatformConfig, kernel: str) -> int:
 
 def redo_latency(platform: PlatformConfig, kernel: str, stage: Stage) -> int:
     """Cost of recomputing after an alarm on a kernel's result (us): its stage's; 0 on the flight controller."""
-    return 0 if KERNELS[kernel].on_flight_controller else stage_latency(platform, stage)
+    if KERNELS[kernel].on_flight_controller:
+        return 0
+    return stage_latency(platform, stage)
 
 
 def stage_latency(platform: PlatformConfig, stage: Stage) -> int:
@@ -98,7 +100,9 @@ class Judge:
                 return MissionStatus.FLY_AWAY
         if failed_plans > self._max_failed_plans:
             return MissionStatus.NO_PATH
-        return MissionStatus.TIMEOUT if now >= self.limit_us else None
+        if now >= self.limit_us:
+            return MissionStatus.TIMEOUT
+        return None
 
 
 # ---- sensors --------------------------------------------------------------------------------------------------------
@@ -128,13 +132,18 @@ class Sensors:
 
     def samples_between(self, now: int, later: int) -> range:
         """Sampling instants of the IMU (us) between `now` and the next control period `later`, both exclusive."""
-        return range(now + STEP_US, later, STEP_US) if self.estimating else range(0)
+        if self.estimating:
+            return range(now + STEP_US, later, STEP_US)
+        return range(0)
 
     def depth(self) -> State:
         """A depth image with the believed pose."""
         ranges, pose = self._plant.depth()
         state = new_state("sensor.depth", len(ranges))
-        floats(state.header, 7)[:] = self.memory.estimate if self.estimating else pose
+        if self.estimating:
+            floats(state.header, 7)[:] = self.memory.estimate
+        else:
+            floats(state.header, 7)[:] = pose
         state.elements["range"] = ranges
         return state
 
@@ -216,7 +225,8 @@ class Record:
     def published(self, state: State, now: int) -> None:
         """Count a publication and record the corresponding event, if any."""
         self.publications.note(state, now)
-        name, header = state.spec.name, state.header
+        name = state.spec.name
+        header = state.header
         if name == "planning.path":
             kind = "plan" if len(state.elements) else "plan_failed"
             self.note(now, kind, {"vertices": len(state.elements)})
@@ -318,7 +328,9 @@ class Loop:
         want_profile: bool = False,
         marks: bool = False,
     ) -> None:
-        self.scenario, self.world, self.plant = scenario, world, plant
+        self.scenario = scenario
+        self.world = world
+        self.plant = plant
         self.marks = marks
         self.renew: Callable[[str], Mapping[str, Kernel]] = lambda kernel: make_kernels()
         self.kernels = make_kernels()
@@ -333,14 +345,17 @@ class Loop:
         self.actions: dict[str, Callable[..., None]] = {}
         self.listeners: list[Listener] = []
         self.queue: list[tuple[int, int, str, tuple[Any, ...]]] = []
-        self.order, self.now = 0, 0
+        self.order = 0
+        self.now = 0
         self.busy: dict[str, State | None] = {}
         self.awaited: dict[str, Awaited] = {}
         self.requests: dict[str, Action] = {}
         self.down: set[str] = set()
         self.verify: Callable[[Kernel, list[State], int], tuple[list[State], int]] | None = None
         self.repeating = self.forked = False
-        self.mapped, self.captured_us, self.failed_plans = False, 0, 0
+        self.mapped = False
+        self.captured_us = 0
+        self.failed_plans = 0
         self.command = np.zeros(4)
         self.reference = plant.odometry[:3].copy()
         self.status: MissionStatus | None = None
@@ -398,7 +413,8 @@ class Loop:
     # ---- sensors and the control period -----------------------------------------------------------------------------
     def capture(self, now: int) -> None:
         """Take a depth image, or reuse the last one if a recomputation of perception is requested."""
-        self.captured_us, self.mapped = now, False
+        self.captured_us = now
+        self.mapped = False
         request = self.requests.pop(SCANNING[0], None)
         if request is not None:
             self.recompute(request, now)
@@ -450,7 +466,11 @@ class Loop:
             return
         if self.marks and kernel.name not in SCANNING:
             kernel.mark()
-        states, cost = kernel.step(now), self.latency[kernel.name] if latency_us is None else latency_us
+        states = kernel.step(now)
+        if latency_us is None:
+            cost = self.latency[kernel.name]
+        else:
+            cost = latency_us
         if self.verify is not None:
             states, more = self.verify(kernel, states, now)
             cost += more
@@ -518,7 +538,10 @@ class Loop:
         name = state.spec.name
         self.record.published(state, now)
         if name == "planning.path":
-            self.failed_plans = 0 if len(state.elements) else self.failed_plans + 1
+            if len(state.elements):
+                self.failed_plans = 0
+            else:
+                self.failed_plans = self.failed_plans + 1
         for kernel in self.readers[name]:
             if kernel.receive(state, now) and kernel.name not in PERIODIC:
                 if kernel.name in self.busy:
@@ -573,12 +596,10 @@ class Loop:
         platform = self.scenario.platform
         if action.alone:
             cost = self.latency[action.kernel]
+        elif action.kernel:
+            cost = redo_latency(platform, action.kernel, action.stage)
         else:
-            cost = (
-                redo_latency(platform, action.kernel, action.stage)
-                if action.kernel
-                else stage_latency(platform, action.stage)
-            )
+            cost = stage_latency(platform, action.stage)
         self.record.recompute_us[action.stage.value] += cost
         return cost
 
@@ -605,7 +626,8 @@ class Loop:
     # ---- record -----------------------------------------------------------------------------------------------------
     def log(self, status: MissionStatus, rejected_commands: int) -> FlightLog:
         """The log of a completed flight."""
-        record, injector = self.record, self.taps.injector
+        record = self.record
+        injector = self.taps.injector
         meta = {
             "scenario": self.scenario.to_json(),
             "start": self.world.start.tolist(),
@@ -664,7 +686,8 @@ class Attached(Listener):
     """
 
     def __init__(self, observer: Observer, pace: float = 0.0) -> None:
-        self._observer, self._pace = observer, pace
+        self._observer = observer
+        self._pace = pace
 
     def begin(self, loop: Loop) -> None:
         """See `Listener`."""

@@ -40,7 +40,8 @@ class DetectorMemory(Remembers):
     """The memory of a detector, as that of a kernel: all of it is in arrays."""
 
     def __init__(self, part: Any) -> None:  # noqa: ANN401 - a detector with `arrays`
-        self.memory, self.keepers = Memory(), (part,)
+        self.memory = Memory()
+        self.keepers = (part,)
 
 
 def memory_of(loop: Loop, target: str, detector: Detector | None = None) -> Remembers | None:
@@ -52,9 +53,13 @@ def memory_of(loop: Loop, target: str, detector: Detector | None = None) -> Reme
         detector: The detector of the flight.
     """
     if target not in WATCHING:
-        return None if target in loop.down else cast("Remembers | None", loop.kernels.get(target))
+        if target in loop.down:
+            return None
+        return cast("Remembers | None", loop.kernels.get(target))
     part = None if loop.taps.detector is None else part_of(detector, target)
-    return None if part is None else DetectorMemory(part)
+    if part is None:
+        return None
+    return DetectorMemory(part)
 
 
 def flip_bit(word: np.ndarray, bit: int | None) -> None:
@@ -84,7 +89,8 @@ class MemoryInjector(Injector):
             loop.at(fault.time_us, _ACTION)
 
     def _inject(self, now: int) -> None:
-        fault, loop = self._fault, self._loop
+        fault = self._fault
+        loop = self._loop
         holder = memory_of(loop, fault.kernel, self._detector)
         if holder is None:
             return  # the memory does not exist at this instant
@@ -119,7 +125,8 @@ class MemoryInjector(Injector):
         return call
 
     def _die(self) -> None:
-        target, now = self._fault.kernel, self._loop.now
+        target = self._fault.kernel
+        now = self._loop.now
         if self._detector is not None and target in DETECTORS:
             self._restarts.detector_dies(self._detector, now, _RESTART_US)
         else:
@@ -127,7 +134,10 @@ class MemoryInjector(Injector):
 
     def release(self) -> None:
         """Remove the guard of a detector, which outlives the flight."""
-        part = part_of(self._detector, self._fault.kernel) if self._fault.kernel in DETECTORS else None
+        if self._fault.kernel in DETECTORS:
+            part = part_of(self._detector, self._fault.kernel)
+        else:
+            part = None
         if part is not None:
             for name in _CHECKS:
                 vars(part).pop(name, None)
@@ -135,7 +145,9 @@ class MemoryInjector(Injector):
     @property
     def injections(self) -> list[Injection]:
         """The injection so far."""
-        return [] if self._injection is None else [self._injection]
+        if self._injection is None:
+            return []
+        return [self._injection]
 
     def finish(self) -> list[Injection]:
         """The injection; if the word did not exist, a record of the missed activation."""

@@ -128,7 +128,8 @@ class LocalFlights(ArmFlights):
         Excluded are null faults, whose purpose is to exercise the injector; faults in memory, sensors and motors, which
         checkpoints do not contain; and golden flights whose checkpoints nothing would start from.
         """
-        setup, detector = self._arms[arm], self._detector(arm)
+        setup = self._arms[arm]
+        detector = self._detector(arm)
         if fault is None:
             # Faults in instructions follow, from take-off if the detector takes part.
             may_forward = not (self._expects_instruction_faults and takes_part(detector, setup.recovery))
@@ -154,7 +155,8 @@ class LocalFlights(ArmFlights):
 
         Without a detector or protection it takes the checkpoints, unless they have been taken already.
         """
-        setup, detector = self._arms[arm], self._detector(arm)
+        setup = self._arms[arm]
+        detector = self._detector(arm)
         self._expects_instruction_faults = True
         takes_checkpoints = (
             detector is None and setup.scenario.protection is None and setup.scenario.key() not in self._forwards
@@ -175,7 +177,8 @@ class LocalFlights(ArmFlights):
         Raises:
             MavfiError: Two golden flights differ.
         """
-        setup, detector = self._arms[arm], self._detector(arm)
+        setup = self._arms[arm]
+        detector = self._detector(arm)
         if detector is None and setup.scenario.protection is None:
             with self._forwarding(arm) as forward:
                 if forward is not None:
@@ -238,7 +241,9 @@ class LocalFlights(ArmFlights):
     def _fly_instruction_faults(
         self, arm: str, faults: Sequence[InstructionFault], arms: Collection[str]
     ) -> InjectedRuns:
-        setup, detector, golden = self._arms[arm], self._detector(arm), self._golden.get(arm)
+        setup = self._arms[arm]
+        detector = self._detector(arm)
+        golden = self._golden.get(arm)
         if not self._local_host.supports_fast_forward:
             raise BadInputError("faults in instructions fork the flight; allowed: state, memory, sensor, in this world")
         in_detector = any(fault.kernel in DETECTORS for fault in faults)
@@ -258,7 +263,8 @@ class LocalFlights(ArmFlights):
         if self._detector(plain) is not None:
             return watched
         for arm in arms:
-            setup, detector = self._arms[arm], self._detector(arm)
+            setup = self._arms[arm]
+            detector = self._detector(arm)
             if detector is None or arm not in self._golden or takes_part(detector, setup.recovery):
                 continue
             if is_custom(detector):
@@ -270,7 +276,9 @@ class LocalFlights(ArmFlights):
 
 def _name_of(arm: str, detector: Detector | None) -> str:
     """Name of an arm in a `FastForward`: without a detector, flights of all arms of a scenario are the same."""
-    return "" if detector is None else arm
+    if detector is None:
+        return ""
+    return arm
 
 
 @contextmanager

@@ -33,7 +33,8 @@ TICK_US = 20_000
 """Period of a task: AirSim's getCommandPeriod."""
 EPOCH_NS = 1_600_000_000_000_000_000
 """Time stamp of the start of a simulation (ns)."""
-LANDED, FLYING = 0, 1
+LANDED = 0
+FLYING = 1
 _AIRBORNE = 0.3
 """Height above which an armed vehicle counts as flying (m)."""
 _LANDED_HEIGHT = 0.1
@@ -80,11 +81,13 @@ class PilotedVehicle:
 
     def __init__(self, spec: MissionSpec, *, on_ground: bool = True) -> None:
         self.on_ground = on_ground
-        self._base_us, self._collided_before = 0, False
+        self._base_us = 0
+        self._collided_before = False
         self.ended: list[Ended] = []
         self._task: Task | None = None
         self.failures = Failures()
-        self._number, self._task_us = 0, 0
+        self._number = 0
+        self._task_us = 0
         self._digest = hashlib.sha256()
         self.load(spec)
 
@@ -106,13 +109,18 @@ class PilotedVehicle:
             self._collided_before = self.has_ever_collided
             self._base_us += self.sim.time_us
             self.sim.close()
-        self.sim, self.scenario = sim, scenario
+        self.sim = sim
+        self.scenario = scenario
         self._begin()
 
     def _begin(self) -> None:
         """Set the state of a new simulator."""
-        self.origin = self.sim.world.start.copy() if self.on_ground else np.zeros(3)
-        self.landed, self.api = self.on_ground, False
+        if self.on_ground:
+            self.origin = self.sim.world.start.copy()
+        else:
+            self.origin = np.zeros(3)
+        self.landed = self.on_ground
+        self.api = False
         if self.on_ground:
             self.sim.arm(True)  # AirSim's default: the rotors turn from the start on
 
@@ -138,7 +146,9 @@ class PilotedVehicle:
 
     def in_ned(self, odometry: np.ndarray) -> tuple[Triple, Quaternion, Triple, Triple]:
         """Position (m), orientation, velocity (m/s) and rates (rad/s) of a state."""
-        position, velocity, rates = odometry[:3] - self.origin, odometry[3:6], odometry[10:13]
+        position = odometry[:3] - self.origin
+        velocity = odometry[3:6]
+        rates = odometry[10:13]
         return flipped(position), turned(odometry[6:10]), flipped(velocity), flipped(rates)
 
     @property
@@ -180,7 +190,9 @@ class PilotedVehicle:
     @property
     def has_collided(self) -> bool:
         """Whether there was a collision; for a start in the air, by the rule of missions."""
-        return self.sim.touched is not None if self.on_ground else self.sim.collided
+        if self.on_ground:
+            return self.sim.touched is not None
+        return self.sim.collided
 
     @property
     def has_ever_collided(self) -> bool:
@@ -285,17 +297,22 @@ class PilotedVehicle:
 # ---- flight tasks, generators that act every 20 ms -------------------------------------------------------------------
 DISTANCE_ACCURACY = 0.5
 """Distance within which a place is reached (m)."""
-TAKEOFF_HEIGHT, TAKEOFF_SPEED = 2.0, 0.5
-LANDING_SPEED, HIGH_LANDING_SPEED, LOW = 0.2, 2.0, 2.0
+TAKEOFF_HEIGHT = 2.0
+TAKEOFF_SPEED = 0.5
+LANDING_SPEED = 0.2
+HIGH_LANDING_SPEED = 2.0
+LOW = 2.0
 """Sink rates (m/s), the slower one below the height `LOW` (m)."""
 APPROX_ZERO_SPEED = 0.05
 STILL_PERIODS = 10
 _FOREVER_S = 1e6
 HOLD_S = 0.06
 """Validity of a command that is renewed every period (s)."""
-YAW_GAIN, YAW_RATE = 2.5, 1.5
+YAW_GAIN = 2.5
+YAW_RATE = 1.5
 """Yaw rate (rad/s) per error (rad), and its limit (rad/s)."""
-_HEIGHT_GAIN, _CLIMB = 1.0, 3.0
+_HEIGHT_GAIN = 1.0
+_CLIMB = 3.0
 _LEAST_SPEED = 0.4
 """At the end of a path (m/s)."""
 
@@ -361,7 +378,8 @@ def fly_velocity_at(vehicle: PilotedVehicle, velocity: tuple[float, float], z: f
 
 def from_body(vehicle: PilotedVehicle, forward: float, right: float) -> tuple[float, float]:
     """A horizontal velocity north and east (m/s), from one along the present heading."""
-    c, s = float(cos(vehicle.yaw)), float(sin(vehicle.yaw))
+    c = float(cos(vehicle.yaw))
+    s = float(sin(vehicle.yaw))
     return forward * c - right * s, forward * s + right * c
 
 
@@ -401,8 +419,12 @@ def fly_path(
     if not (speed > 0.0 and math.isfinite(speed)) or not np.isfinite(points).all():
         raise BadInputError(f"path at {speed} m/s: allowed: finite points, and a speed above 0")
     path = _Path([vehicle.position, *points])
-    ahead = lookahead if lookahead > 0.0 else max(0.6 * speed, 1.5 * DISTANCE_ACCURACY)
-    end, arc = _end_of(vehicle, timeout), 0.0
+    if lookahead > 0.0:
+        ahead = lookahead
+    else:
+        ahead = max(0.6 * speed, 1.5 * DISTANCE_ACCURACY)
+    end = _end_of(vehicle, timeout)
+    arc = 0.0
     while vehicle.now_us < end:
         here = np.array(vehicle.position)
         window = np.linspace(arc, min(arc + 2.0 * ahead, path.length), 21)
@@ -434,12 +456,19 @@ def take_off(vehicle: PilotedVehicle, timeout: float) -> Task:
 
 def land(vehicle: PilotedVehicle, timeout: float) -> Task:
     """Sink until the vehicle stands still on the ground."""
-    end, still = _end_of(vehicle, timeout), 0
+    end = _end_of(vehicle, timeout)
+    still = 0
     while vehicle.now_us < end:
-        sink = LANDING_SPEED if vehicle.sim.height < LOW else min(HIGH_LANDING_SPEED, 0.5 * vehicle.sim.height)
+        if vehicle.sim.height < LOW:
+            sink = LANDING_SPEED
+        else:
+            sink = min(HIGH_LANDING_SPEED, 0.5 * vehicle.sim.height)
         vehicle.send((0.0, 0.0, sink), 0.0, HOLD_S)
         yield
-        still = still + 1 if abs(vehicle.velocity[2]) <= APPROX_ZERO_SPEED else 0
+        if abs(vehicle.velocity[2]) <= APPROX_ZERO_SPEED:
+            still = still + 1
+        else:
+            still = 0
         if still > STILL_PERIODS:
             vehicle.sim.rest()
             vehicle.note_landing()
@@ -456,7 +485,8 @@ def hover(vehicle: PilotedVehicle) -> Task:
 
 def turn_to(vehicle: PilotedVehicle, yaw: float, timeout: float, margin: float) -> Task:
     """Turn on the spot to a yaw (rad), within a margin (rad)."""
-    end, here = _end_of(vehicle, timeout), vehicle.position
+    end = _end_of(vehicle, timeout)
+    here = vehicle.position
     while vehicle.now_us < end:
         off = math.remainder(yaw - vehicle.yaw, 2.0 * math.pi)
         if abs(off) < max(margin, math.radians(1.0)) and abs(vehicle.rates[2]) < APPROX_ZERO_SPEED:
@@ -477,7 +507,9 @@ def fly_rotors(vehicle: PilotedVehicle, rotors: Rotors, seconds: float) -> Task:
 
 
 # ---- rotor commands for attitudes, body rates and motors, from the inner loops of our cascade ------------------------
-_THRUST_HEIGHT_GAIN, _THRUST_CLIMB_GAIN, _THRUST_CLIMB = 1.5, 2.5, 2.0
+_THRUST_HEIGHT_GAIN = 1.5
+_THRUST_CLIMB_GAIN = 2.5
+_THRUST_CLIMB = 2.0
 """Height hold: gains of height and of vertical speed (1/s), largest vertical speed (m/s)."""
 
 
@@ -502,7 +534,8 @@ def _collective(vehicle: PilotedVehicle, vertical: Vertical, odometry: np.ndarra
 def _mixed(vehicle: PilotedVehicle, rates: Triple, vertical: Vertical, odometry: np.ndarray) -> np.ndarray:
     """Rotor commands (N) for body rates (FLU, rad/s) and a collective thrust. Shape (4,)."""
     frame = airframe_of(vehicle.scenario.vehicle)
-    matrix, wanted = np.empty((3, 3)), np.empty(4)
+    matrix = np.empty((3, 3))
+    wanted = np.empty(4)
     rotation_matrix(odometry[6:10], matrix)
     torque = (
         frame.inertia_x * frame.rate_gain_x * (rates[0] - float(odometry[10])),
@@ -527,10 +560,13 @@ def at_attitude(
     memory[YAW_REFERENCE] = float(yaw_of(vehicle.sim.odometry[6:10]))
 
     def rotors(time_us: int, odometry: np.ndarray) -> np.ndarray:
-        matrix, heading = np.empty((3, 3)), float(yaw_of(odometry[6:10]))
+        matrix = np.empty((3, 3))
+        heading = float(yaw_of(odometry[6:10]))
         rotation_matrix(odometry[6:10], matrix)
-        c, s = cos(heading), sin(heading)
-        forward, left = sin(-pitch) * cos(roll), -sin(roll)
+        c = cos(heading)
+        s = sin(heading)
+        forward = sin(-pitch) * cos(roll)
+        left = -sin(roll)
         up = cos(pitch) * cos(roll)
         force = np.array([c * forward - s * left, s * forward + c * left, up])
         if yaw_rate is None:

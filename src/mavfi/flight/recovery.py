@@ -78,14 +78,22 @@ class DetectorTap:
         restart: Callable[[str, int, int], None] = lambda *_: None,
     ) -> None:
         self._loop = proxy(loop)  # the loop owns this object; no cycle, so that maps are freed at once
-        self._detector, self._policy, self._restart = detector, policy, restart
+        self._detector = detector
+        self._policy = policy
+        self._restart = restart
         self._is_custom = is_custom(detector)
         # looked up at each call, since a memory fault replaces the methods of a detector in flight
         self._calls: Any = NotedCalls(detector) if self._is_custom else detector
         self._detector_seals = detector.seals
         self.seals = self._detector_seals or policy.resends
-        self._hold = HoldPosition(loop.scenario.v_max) if policy.degrades else None
-        self._deadline = PathDeadline(policy.answer_s, loop.scenario.autopilot) if policy.answer_s else None
+        if policy.degrades:
+            self._hold: HoldPosition | None = HoldPosition(loop.scenario.v_max)
+        else:
+            self._hold = None
+        if policy.answer_s:
+            self._deadline: PathDeadline | None = PathDeadline(policy.answer_s, loop.scenario.autopilot)
+        else:
+            self._deadline = None
         self.states = self._needed_states(detector.states)
         self.memory = History()
         self.alarm: Alarm | None = None
@@ -130,9 +138,12 @@ class DetectorTap:
             if state.spec.name in HoldPosition.states:
                 self._hold.note(self.memory.hold, state)
             if self.memory.degraded:
-                return self._hold.command(self.memory.hold, state) if state.spec.name == COMMAND else state
+                if state.spec.name == COMMAND:
+                    return self._hold.command(self.memory.hold, state)
+                return state
 
-        alarm, is_checked = None, self._is_checked(awaited, now)
+        alarm = None
+        is_checked = self._is_checked(awaited, now)
         if is_checked:
             try:
                 alarm = self._calls.check(state, now)
@@ -140,7 +151,8 @@ class DetectorTap:
                     self._calls.accept(state, now)
             except Exception as error:  # noqa: BLE001 - of a custom detector
                 self.give_up(error, now)
-                alarm, is_checked = None, False
+                alarm = None
+                is_checked = False
             if alarm is None and is_checked and awaited is None:  # almost always
                 if self._deadline is not None:
                     self._watch_deadline(state, now)
@@ -179,7 +191,9 @@ class DetectorTap:
             return state
         self._respond_to(state.spec, state, now)
         is_replaced = action.kind is Response.HOLD and state.spec.name == COMMAND
-        return None if action.withholds or is_replaced else state
+        if action.withholds or is_replaced:
+            return None
+        return state
 
     def _record_published(self, state: State, now: int) -> None:
         """Pass a published value to the detector that it has not accepted itself."""
@@ -245,7 +259,8 @@ class DetectorTap:
 
     def _watch_deadline(self, state: State, now: int) -> None:
         """Monitor the deadline of the path that answers a collision alarm; restart the planner's node on a miss."""
-        deadline, policy = self._deadline, self._policy
+        deadline = self._deadline
+        policy = self._policy
         assert deadline is not None  # the caller checks it
         if state.spec.name not in deadline.states:
             return
@@ -271,7 +286,8 @@ class DetectorTap:
 
     def _count_alarm(self, action: Action, now: int) -> None:
         """Count an alarm against the detector; disable one with too many of them as faulty."""
-        limits, record = self._policy.limits, self._loop.record
+        limits = self._policy.limits
+        record = self._loop.record
         self.memory.count_alarm(now, skips_waypoint=limits and action.kind is Response.ABANDON)
         if limits and self.memory.has_counted(MAX_UNCHANGED, now):
             record.note(now, LIMITED, {"alarms": MAX_UNCHANGED})
@@ -393,11 +409,13 @@ class Duplicates:
         """Return the results to publish, given the first execution's, and the time of the further executions (us)."""
         if kernel.name not in self._kernels:
             return first, 0
-        second, runs = self._again(kernel, now), 1
+        second = self._again(kernel, now)
+        runs = 1
         published = second
         differs = _difference(first, second)
         if differs is not None:
-            published, runs = self._again(kernel, now), 2
+            published = self._again(kernel, now)
+            runs = 2
             outcomes = {_same(published, first): "accepted", _same(published, second): "repaired"}
             self._loop.record.alarms.append(
                 AlarmRecord(
@@ -436,4 +454,6 @@ def _difference(one: list[State], other: list[State]) -> str | None:
         if mine.spec is not its.spec or not mine.same_bits(its):
             return mine.spec.name
     rest = (one if len(one) > len(other) else other)[min(len(one), len(other)) :]
-    return rest[0].spec.name if rest else None
+    if rest:
+        return rest[0].spec.name
+    return None

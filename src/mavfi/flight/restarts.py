@@ -75,7 +75,8 @@ class Restarts:
             after_us: Down time (us).
         """
         taps = self._loop.taps
-        tap, taps.detector = taps.detector, None
+        tap = taps.detector
+        taps.detector = None
         if self._policy != "end":
             self._loop.actions["detector back"] = partial(self._detector_returns, detector, tap)
             self._loop.at(now + after_us, "detector back")
@@ -95,7 +96,8 @@ class Restarts:
         self._loop.taps.detector = tap
 
     def _lose(self, kernel: str) -> None:
-        loop, names = self._loop, in_node(kernel)
+        loop = self._loop
+        names = in_node(kernel)
         loop.down.update(names)
         for name in names:
             loop.busy[name] = None
@@ -107,7 +109,8 @@ class Restarts:
     # ---- repetition of the step -------------------------------------------------------------------------------------
     def recompute(self, name: str, now: int, states: Sequence[State]) -> None:
         """Publish the results of a kernel's repeated step one latency later, under any policy."""
-        loop, cost = self._loop, self._loop.latency[name]
+        loop = self._loop
+        cost = self._loop.latency[name]
         if cost <= 0:
             return  # a result without latency is published as in the error-free case
         loop.record.recompute_us[loop.kernels[name].stage.value] += cost
@@ -127,7 +130,8 @@ class Restarts:
 
     # ---- restart ----------------------------------------------------------------------------------------------------
     def _restart(self, now: int, kernel: str) -> None:
-        loop, names = self._loop, in_node(kernel)
+        loop = self._loop
+        names = in_node(kernel)
         fresh = loop.renew(kernel)
         if not fresh:
             return
@@ -141,8 +145,12 @@ class Restarts:
             self._resume(loop.kernels[name], now)
 
     def _resume(self, kernel: Kernel, now: int) -> None:
-        taken = kernel.resume(self._latest, now) if self._policy == "readback" else ()
-        due, node = False, in_node(kernel.name)
+        if self._policy == "readback":
+            taken = kernel.resume(self._latest, now)
+        else:
+            taken = ()
+        due = False
+        node = in_node(kernel.name)
         for name in kernel.reads:
             if STATES[name].writer in node or name in taken:
                 continue  # own outputs and node-internal states: replaying them would execute an outdated path
@@ -157,7 +165,8 @@ class Restarts:
         """Messages of a state that a restarted node receives."""
         if name == CHANGES:
             return self._updates
-        latest, alarm = self._latest.get(name), self._alarms.get(name)
+        latest = self._latest.get(name)
+        alarm = self._alarms.get(name)
         messages = [] if latest is None else [latest]
         if self._policy == "readback" and alarm is not None and alarm is not latest and self._unanswered(alarm):
             messages.insert(0, alarm)
@@ -165,5 +174,6 @@ class Restarts:
 
     def _unanswered(self, alarm: State) -> bool:
         """Whether the way-point in force carries a lower sequence number than an alarm."""
-        waypoint, counter = self._latest.get(WAYPOINT), alarm.spec.acted_on
+        waypoint = self._latest.get(WAYPOINT)
+        counter = alarm.spec.acted_on
         return waypoint is None or int(waypoint.header[counter][0]) < int(alarm.header[counter][0])

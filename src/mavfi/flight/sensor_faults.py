@@ -29,12 +29,16 @@ class FailingController:
     rewindable = False
 
     def __init__(self, controller: Controller, failures: Failures, max_thrust: float, since_us: int = 0) -> None:
-        self._controller, self._failures, self._max_thrust = controller, failures, max_thrust
-        self._since_us, self.period_us = since_us, controller.period_us
+        self._controller = controller
+        self._failures = failures
+        self._max_thrust = max_thrust
+        self._since_us = since_us
+        self.period_us = controller.period_us
 
     def rotors(self, time_us: int, setpoint: np.ndarray, odometry: np.ndarray, force: np.ndarray) -> np.ndarray:
         """See `Controller.rotors`."""
-        failures, now = self._failures, self._since_us + time_us
+        failures = self._failures
+        now = self._since_us + time_us
         wanted = self._controller.rotors(time_us, setpoint, failures.state(now, odometry), failures.force(now, force))
         return failures.rotors(now, wanted, self._max_thrust)
 
@@ -63,7 +67,8 @@ class SensorInjector(Injector):
     def __init__(self, loop: Loop, fault: SensorFault) -> None:
         check_read(fault.unit, loop.scenario.flight_controller, loop.scenario.localization.kind)
         plant: Any = loop.plant
-        self._plant, self._estimating = plant, loop.sensors.estimating
+        self._plant = plant
+        self._estimating = loop.sensors.estimating
         self._failures = Failures()
         self._failure = self._failures.begin(fault)
         if hasattr(plant, "controller"):
@@ -75,7 +80,9 @@ class SensorInjector(Injector):
     @property
     def injections(self) -> list[Injection]:
         """The injection so far."""
-        return [] if self._failure.injection is None else [self._failure.injection]
+        if self._failure.injection is None:
+            return []
+        return [self._failure.injection]
 
     def __call__(self, state: State, time_us: int) -> State:
         """The publication, with the values of failing sensors."""
@@ -92,7 +99,8 @@ class SensorInjector(Injector):
         return state
 
     def _image(self, state: State, time_us: int) -> State:
-        pose, ranges = floats(state.header, 7), state.elements["range"]
+        pose = floats(state.header, 7)
+        ranges = state.elements["range"]
         if not self._estimating:
             believed = self._failures.state(time_us, self._plant.odometry)
             if believed is not self._plant.odometry:
@@ -126,6 +134,7 @@ def inject_sensor_fault(loop: Loop, fault: Fault | None) -> bool:
     """
     if not isinstance(fault, SensorFault):
         return False
-    own, other = SensorInjector(loop, fault), loop.taps.injector
+    own = SensorInjector(loop, fault)
+    other = loop.taps.injector
     loop.taps.injector = own if other is None else InTurn(own, other)
     return True

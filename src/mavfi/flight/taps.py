@@ -36,7 +36,8 @@ class InTurn:
     """
 
     def __init__(self, first: Injector, second: Injector) -> None:
-        self._first, self._second = first, second
+        self._first = first
+        self._second = second
 
     @property
     def spent(self) -> bool:
@@ -51,7 +52,9 @@ class InTurn:
     def __call__(self, state: State, time_us: int) -> State | None:
         """See `Injector`."""
         seen = self._first(state, time_us)
-        return None if seen is None else self._second(seen, time_us)
+        if seen is None:
+            return None
+        return self._second(seen, time_us)
 
     def finish(self) -> list[Injection]:
         """See `Injector`."""

@@ -156,6 +156,7 @@ def load_code(code: bytes, wrapper: str, environment_name: str, environment: Any
 
 def translate(text: str, prepare: Callable[[Any, Any], Any] = lambda module, machine: module) -> bytes:
     """Compile IR, after `prepare`, to an object file; malformed IR is a RuntimeError unless LLVM aborts."""
-    module, machine = llvm.parse_assembly(text), target_machine()
+    module = llvm.parse_assembly(text)
+    machine = target_machine()
     module.verify()
     return bytes(machine.emit_object(prepare(module, machine)))

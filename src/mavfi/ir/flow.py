@@ -14,7 +14,9 @@ def back_edges(function: Function) -> set[tuple[str, str]]:
     following = {block.label: successors(block.terminator) for block in function.blocks}
     found: set[tuple[str, str]] = set()
     entry = function.blocks[0].label
-    path, done, stack = {entry}, {entry}, [(entry, iter(following[entry]))]
+    path = {entry}
+    done = {entry}
+    stack = [(entry, iter(following[entry]))]
     while stack:
         here, rest = stack[-1]
         label = next(rest, None)
@@ -38,7 +40,8 @@ def loop_depths(function: Function) -> dict[str, int]:
             before[label].append(block.label)
     bodies: dict[str, set[str]] = {}
     for latch, header in back_edges(function):
-        body, waiting = bodies.setdefault(header, {header}), [latch]
+        body = bodies.setdefault(header, {header})
+        waiting = [latch]
         while waiting:
             label = waiting.pop()
             if label not in body:

@@ -20,7 +20,8 @@ from typing import Literal, NoReturn
 from mavfi.errors import FROM_OUTSIDE, MachineError, machine_failure
 
 How = Literal["done", "crash", "hang", "exception"]
-_EXCEPTION_EXIT, _MACHINE_EXIT = 70, 71
+_EXCEPTION_EXIT = 70
+_MACHINE_EXIT = 71
 HANG_EXIT = 77
 """Exit status of a process whose kernel exhausted its instruction budget."""
 WILD_EXIT = 78
@@ -87,7 +88,9 @@ class ForkPoint:
         os.close(writing)
         try:
             ended = None if attend is None else attend(pid)
-            return _wait(pid, reading, timeout) if ended is None else ended
+            if ended is None:
+                return _wait(pid, reading, timeout)
+            return ended
         finally:
             os.close(reading)
 
@@ -178,7 +181,9 @@ def _wait(pid: int, pipe: int, timeout: float) -> Ended:
             signal.pidfd_send_signal(handle, signal.SIGKILL)
         _, status = os.waitpid(pid, 0)
         os.close(handle)
-    return Ended("hang", detail=WALL_CLOCK) if late else judge_exit(os.waitstatus_to_exitcode(status), bytes(data))
+    if late:
+        return Ended("hang", detail=WALL_CLOCK)
+    return judge_exit(os.waitstatus_to_exitcode(status), bytes(data))
 
 
 def judge_exit(code: int, data: bytes = b"") -> Ended:
@@ -201,7 +206,10 @@ def judge_exit(code: int, data: bytes = b"") -> Ended:
     if code == 0 and whole:
         return Ended("done", payload)
     if code == _MACHINE_EXIT:
-        why = payload.decode(errors="replace") if whole else "the process of a flight could not report"
+        if whole:
+            why = payload.decode(errors="replace")
+        else:
+            why = "the process of a flight could not report"
         raise MachineError(why)
     if code == _EXCEPTION_EXIT and whole:
         return Ended("exception", detail=payload.decode(errors="replace"))

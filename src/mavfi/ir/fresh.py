@@ -49,7 +49,9 @@ def run_fresh(kernel: Any, signature: tuple[Any, ...], work: Any, timeout: float
     except Exception:  # noqa: BLE001 - types of a user may refuse in any way
         return None
     ended = _ask(pickle.dumps((timeout, os.getcwd(), dict(os.environ), sys.path, request)))
-    return None if ended.payload == _NOT_HERE else ended
+    if ended.payload == _NOT_HERE:
+        return None
+    return ended
 
 
 def _find(module: str, name: str) -> Any:
@@ -97,7 +99,9 @@ class _Template:
         except BaseException:
             self.close()  # the answer may still come
             raise
-        return pickle.loads(data) if data else None
+        if data:
+            return pickle.loads(data)
+        return None
 
 
 _own = threading.local()

@@ -25,12 +25,16 @@ def variable_of(line: str, metadata: dict[int, str]) -> dict[str, str]:
     if match is None:
         return {}
     variable = re.split(r"[.$]", _field(metadata.get(int(match[2]), ""), "name"))[0]
-    return {match[1]: variable} if variable else {}
+    if variable:
+        return {match[1]: variable}
+    return {}
 
 
 def _field(node: str, name: str) -> str:
     found = re.search(_FIELD.format(name), node)
-    return "" if found is None else next(part for part in found.groups() if part is not None)
+    if found is None:
+        return ""
+    return next(part for part in found.groups() if part is not None)
 
 
 class Locations:

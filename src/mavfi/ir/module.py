@@ -31,12 +31,16 @@ def parts(kind: str) -> list[str]:
     array = _ARRAY.fullmatch(kind)
     if array is not None:
         return [array[2]] * int(array[1])
-    return split(kind[1:-1]) if kind[0] == "{" else []
+    if kind[0] == "{":
+        return split(kind[1:-1])
+    return []
 
 
 def split(text: str) -> list[str]:
     """Split a text at commas outside brackets."""
-    found, depth, start = [], 0, 0
+    found = []
+    depth = 0
+    start = 0
     for i, character in enumerate(text):
         depth += (character in "{[<(") - (character in "}]>)")
         if character == "," and depth == 0:
@@ -97,7 +101,8 @@ class Instruction:
 
     def text(self, names: dict[str, str] | None = None, labels: dict[str, str] | None = None) -> str:
         """The instruction without its result; local values and the blocks named in a phi can be renamed."""
-        values, blocks = names or {}, labels or {}
+        values = names or {}
+        blocks = labels or {}
         text = " ".join(values.get(token, token) for token in self.tokens)
         if self.opcode != "phi":
             return text

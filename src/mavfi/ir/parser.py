@@ -206,7 +206,9 @@ _SCALAR = re.compile(r"i\d+|half|bfloat|float|double|ptr|void")
 
 def tokens_of(line: str, kernel: str) -> list[str]:
     """Tokens of a line without its comment; an unknown token is a RefusedError."""
-    found, at, end = [], 0, len(line.rstrip())
+    found = []
+    at = 0
+    end = len(line.rstrip())
     while at < end:
         match = _TOKEN.match(line, at)
         if match is None:
@@ -228,7 +230,9 @@ class Cursor:
     @property
     def next(self) -> str:
         """The next token; "" at the end."""
-        return self.tokens[self.at] if self.at < len(self.tokens) else ""
+        if self.at < len(self.tokens):
+            return self.tokens[self.at]
+        return ""
 
     def take(self) -> str:
         """Consume and return the next token."""
@@ -262,7 +266,8 @@ class Cursor:
 
     def balanced(self) -> list[str]:
         """Consume an opening bracket up to the matching closing one."""
-        found, depth = [], 0
+        found = []
+        depth = 0
         while True:
             token = self.take()
             found.append(token)
@@ -384,7 +389,9 @@ def parse_instruction(cursor: Cursor) -> Instruction | None:
         raise cursor.refused(f"fast math ({cursor.next!r} in {' '.join(cursor.tokens)[:80]!r})")
     _READERS[opcode](cursor, instruction)
     cursor.finish()
-    return None if instruction.callee is not None and _DROPPED.match(instruction.callee) else instruction
+    if instruction.callee is not None and _DROPPED.match(instruction.callee):
+        return None
+    return instruction
 
 
 def skip_promises(cursor: Cursor) -> list[str]:
@@ -406,7 +413,9 @@ def skip_promises(cursor: Cursor) -> list[str]:
 
 def _like(kind: str, other: str) -> str:
     """`kind`, or a vector of it if `other` is a vector."""
-    return f"{other.split(' x ')[0]} x {kind}>" if other.startswith("<") else kind
+    if other.startswith("<"):
+        return f"{other.split(' x ')[0]} x {kind}>"
+    return kind
 
 
 def _locals(*values: str) -> list[str]:
@@ -463,11 +472,14 @@ def _result(new: Instruction, kinds: list[str]) -> str:
         return kinds[0].split(" x ", 1)[1][:-1]
     if new.opcode == "shufflevector":
         return f"{kinds[2].split(' x ')[0]} x {kinds[0].split(' x ', 1)[1]}"
-    return kinds[1] if new.opcode in _CASTS or new.opcode == "select" else kinds[0]
+    if new.opcode in _CASTS or new.opcode == "select":
+        return kinds[1]
+    return kinds[0]
 
 
 def _compare(cursor: Cursor, new: Instruction) -> None:
-    predicate, kind = cursor.expect(*_PREDICATES[new.opcode]), cursor.kind()
+    predicate = cursor.expect(*_PREDICATES[new.opcode])
+    kind = cursor.kind()
     new.tokens += [predicate, kind, cursor.value(), cursor.expect(","), cursor.value()]
     new.kind = _like("i1", kind)
 

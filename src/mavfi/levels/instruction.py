@@ -97,7 +97,8 @@ class InstructionSite:
     def draw(self, setup: "ArmSetup", seed: int) -> tuple[InstructionFault, None]:
         """See `Request.draw`; a BadInputError if the mission lacks the kernel, or the kernel the function."""
         del seed
-        kernel, entry = self.fault.kernel, self.fault.entry
+        kernel = self.fault.kernel
+        entry = self.fault.entry
         functions = _functions(kernel, setup.scenario, _detector(setup, kernel))
         if entry not in functions:
             raise BadInputError(f"kernel {kernel!r}: no function {entry!r}; allowed: {', '.join(functions)}")
@@ -106,7 +107,9 @@ class InstructionSite:
 
 def _detector(setup: "ArmSetup", kernel: str) -> "Detector | None":
     """The detector of a mission, if a fault is in its own instructions."""
-    return setup.detector() if kernel in DETECTORS else None
+    if kernel in DETECTORS:
+        return setup.detector()
+    return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,8 +217,11 @@ class _KernelDraw:
         seed: int,
         address: tuple[str, ...],
     ) -> None:
-        self.kernel, self.counters = kernel, counters
-        self._number, self._request, self._seed = number, request, seed
+        self.kernel = kernel
+        self.counters = counters
+        self._number = number
+        self._request = request
+        self._seed = seed
         self._random = stream(seed, "instruction", kernel, *address)
         self._selection = parse_selection(request.which)
         self._faults: list[InstructionFault] = []
@@ -226,14 +232,19 @@ class _KernelDraw:
         if len(self._faults) >= self._number or not sum(counts):
             return []
         calls = [(entry, call) for entry, counter in self.counters.items() for call in range(len(counter.counts))]
-        number = self._number if self._request.which == "all" else _SPARES * self._number
+        if self._request.which == "all":
+            number = self._number
+        else:
+            number = _SPARES * self._number
         return [_Position(*calls[place], index) for place, index in choose(self._random, counts, number)]
 
     def take(self, position: _Position, site: Site | None) -> None:
         """Plan a fault at a position if its instruction is of the class and faults are still missing."""
         if site is None or site not in self._selection or len(self._faults) >= self._number:
             return
-        counter, request, call = self.counters[position.entry], self._request, position.call
+        counter = self.counters[position.entry]
+        request = self._request
+        call = position.call
         self._faults.append(
             plan(
                 self._random,
@@ -356,7 +367,8 @@ class InstructionSampler(Sampler):
             return Sampled(flights.golden(arm))
         from mavfi.flight.mission_flights import LocalFlights
 
-        sampling, scenario = self.sampling, setup.scenario
+        sampling = self.sampling
+        scenario = setup.scenario
         numbers = {name: targets.count(name) for name in kernels}
         request = InstructionRequest(numbers, sampling.which, sampling.model, sampling.restart_s)
         drawn = draw_instruction_faults(
@@ -447,7 +459,10 @@ class InstructionLevel(Level):
             return None
         value = f"bit={'+'.join(map(str, fault.bits))}" if fault.bits else f"value={fault.value:#x}"
         model = "" if fault.model == "one_bit" else f":model={fault.model}"
-        restart = "" if fault.restart_s == RESTART_S else f":restart={fault.restart_s}"
+        if fault.restart_s == RESTART_S:
+            restart = ""
+        else:
+            restart = f":restart={fault.restart_s}"
         return (
             f"instruction:{fault.kernel}.{fault.entry}:call={fault.call}:index={fault.index}:{value}{model}{restart}"
             f":budget={fault.budget}:ir={fault.ir_sha256}"

@@ -204,7 +204,8 @@ class Sampler:
         return self._blocks[environment]
 
     def _block(self, environment: str, place: int, target: str) -> Block:
-        campaign, order = self.campaign, self.orders.get(target, target)
+        campaign = self.campaign
+        order = self.orders.get(target, target)
         strata = share_out(self.targets[target], campaign.faults, campaign.first_seed, environment, order)
 
         def draw_one(index: int) -> Draw:
@@ -335,7 +336,8 @@ class Level:
         for part in rest:
             name, equals, value = part.partition("=")
             if not equals and options:  # a value may have colons
-                name, value = next(reversed(options)), f"{options[next(reversed(options))]}:{part}"
+                name = next(reversed(options))
+                value = f"{options[next(reversed(options))]}:{part}"
             elif name in options:
                 self.not_understood()
             options[name] = value

@@ -75,7 +75,10 @@ class MemoryRequest:
         (fault,) = exposure.faults()
         if not fault.has_site:
             names = collapsed(words.name for words in exposure.latest.get(self.kernel, ()))
-            when = "" if self.time_us is None else f" at {1e-6 * self.time_us:g} s"
+            if self.time_us is None:
+                when = ""
+            else:
+                when = f" at {1e-6 * self.time_us:g} s"
             bit = "" if self.bit is None else f" with a bit {self.bit}"
             raise BadInputError(
                 f"fault memory:{self.kernel}.{self.field}: no such word{bit}{when}{hint(self.field, names)}; "
@@ -129,14 +132,24 @@ class Exposure:
         found: list[_Place] = []
         for kernel, text in self.sites:
             for words in remembered.get(kernel, ()):
-                indices = words.named(text) if words.dtype in WORD_BITS else range(0)
+                if words.dtype in WORD_BITS:
+                    indices = words.named(text)
+                else:
+                    indices = range(0)
                 if indices:
                     found.append((kernel, words, indices))
         return found
 
     def _bits(self, words: Words) -> range:
-        every = bits_of(words, self.stratum) if self.stratum else range(WORD_BITS[words.dtype])
-        return every if self.bit is None else range(self.bit, self.bit + 1) if self.bit in every else range(0)
+        if self.stratum:
+            every = bits_of(words, self.stratum)
+        else:
+            every = range(WORD_BITS[words.dtype])
+        if self.bit is None:
+            return every
+        if self.bit in every:
+            return range(self.bit, self.bit + 1)
+        return range(0)
 
     def _chosen(self, drawing: _Drawing, places: list[_Place], sizes: list[int], now: int) -> MemoryFault:
         number = int(drawing.random.integers(sum(sizes)))
@@ -154,7 +167,10 @@ class Exposure:
     def faults(self) -> list[MemoryFault]:
         """The drawn faults with their weight; a target without words gives faults without a site."""
         nothing = MemoryFault(self.sites[0][0], self.sites[0][1], time_us=NO_SITE, stratum=self.stratum)
-        weight = self.seen / self.whole if self.stratum and self.whole else 1.0
+        if self.stratum and self.whole:
+            weight = self.seen / self.whole
+        else:
+            weight = 1.0
         return [replace(one.chosen or nothing, weight=weight, seed=one.seed) for one in self.drawings]
 
 
@@ -164,13 +180,16 @@ def fly_exposed(setup: "ArmSetup", exposures: Sequence[Exposure], time_us: int |
     from mavfi.flight.loop import CONTROL_PERIOD_US
     from mavfi.flight.memory_faults import memory_of
 
-    loop, detector = new_loop(setup.scenario, profile=True), setup.detector()
+    loop = new_loop(setup.scenario, profile=True)
+    detector = setup.detector()
     watch(loop, detector, setup.recovery)
     targets = dict.fromkeys(target for exposure in exposures for target, _ in exposure.sites)
 
     def words(target: str) -> list[Words]:
         holder = memory_of(loop, target, detector)
-        return [] if holder is None else list(words_of(holder))
+        if holder is None:
+            return []
+        return list(words_of(holder))
 
     def look(now: int) -> None:
         remembered = {name: words(name) for name in targets}
@@ -334,5 +353,8 @@ class MemoryLevel(Level):
     def about(self, campaign: Any) -> dict[str, Any]:
         """See `Level.about`."""
         sampling = campaign.sampling
-        each = "group" if sampling.groups else {"kernel": "kernel", "exposure": "environment"}[sampling.share]
+        if sampling.groups:
+            each = "group"
+        else:
+            each = {"kernel": "kernel", "exposure": "environment"}[sampling.share]
         return {"each": each, "how": "uniform over remembered bits and instants"}

@@ -70,7 +70,9 @@ class SensorSampling(Sampling):
     @classmethod
     def _unquoted(cls, types: Any) -> Any:  # noqa: ANN401 - as in the file
         """YAML reads an unquoted `off` as false."""
-        return ["off" if one is False else one for one in types] if isinstance(types, list) else types
+        if isinstance(types, list):
+            return ["off" if one is False else one for one in types]
+        return types
 
     @model_validator(mode="after")
     def _consistent(self) -> "SensorSampling":
@@ -111,9 +113,15 @@ class SensorSampler(Sampler):
     def _fault(self, unit: str, kind: str, index: int, seed: int, environment: str, golden: Golden) -> SensorFault:
         address = environment, index // self.campaign.missions
         most = UNITS[unit].instances
-        instance = 1 + int(stream(seed, "instance", unit, *address).integers(most)) if most > 1 else 0
+        if most > 1:
+            instance = 1 + int(stream(seed, "instance", unit, *address).integers(most))
+        else:
+            instance = 0
         planned = SensorFault(unit, kind, lasts_s=float(self.sampling.lasts_s), instance=instance)
-        length_us = round(1e6 * golden[""].flight.record().flight_time_s) if "" in golden else 0
+        if "" in golden:
+            length_us = round(1e6 * golden[""].flight.record().flight_time_s)
+        else:
+            length_us = 0
         if not length_us:
             return replace(planned, time_us=NO_SITE, seed=seed)
         return SensorRequest(planned, drawn=True).resolve(seed, length_us, *address)
@@ -149,7 +157,8 @@ class SensorLevel(Level):
             raise BadInputError(
                 f"no type of failure; allowed: sensor:{unit}:TYPE, with TYPE one of {', '.join(FAILING)}"
             )
-        parts, device = self.parts_of(rest), _DEVICE.fullmatch(unit)
+        parts = self.parts_of(rest)
+        device = _DEVICE.fullmatch(unit)
         if device is None:
             self.not_understood()
         fault = SensorFault(
@@ -163,12 +172,17 @@ class SensorLevel(Level):
 
     def text_of(self, fault: SensorFault) -> str:
         """See `Level.text_of`."""
-        lasts = "" if fault.lasts_s == float("inf") else f":lasts={fault.lasts_s}"
+        if fault.lasts_s == float("inf"):
+            lasts = ""
+        else:
+            lasts = f":lasts={fault.lasts_s}"
         return f"sensor:{fault.device}:{fault.kind}{lasts}@{fault.time_us / 1e6}"
 
     def seed_of(self, fault: SensorFault) -> int | None:
         """See `Level.seed_of`."""
-        return fault.seed if fault.kind in RANDOM else None
+        if fault.kind in RANDOM:
+            return fault.seed
+        return None
 
     def inject(self, loop: Any, fault: SensorFault, detector: Any) -> "SensorInjector":
         """See `Level.inject`."""
@@ -184,7 +198,10 @@ class SensorLevel(Level):
     def about(self, campaign: Any) -> dict[str, Any]:
         """See `Level.about`."""
         sampling = campaign.sampling
-        lasts = "to the end" if sampling.lasts_s == "inf" else f"for {sampling.lasts_s:g} s"
+        if sampling.lasts_s == "inf":
+            lasts = "to the end"
+        else:
+            lasts = f"for {sampling.lasts_s:g} s"
         return {"each": "unit", "how": f"types {', '.join(sampling.types)}, from a uniform instant {lasts}"}
 
 

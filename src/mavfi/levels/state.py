@@ -80,7 +80,10 @@ class StateRequest:
         """See `Request.draw`."""
         from mavfi.flight.fly import fly
 
-        golden = fly(setup.scenario, profile=True) if self.needs_profile else None
+        if self.needs_profile:
+            golden = fly(setup.scenario, profile=True)
+        else:
+            golden = None
         return self.resolve(seed, setup.scenario.autopilot.name, None if golden is None else golden.profile), golden
 
     def resolve(self, seed: int, autopilot: str, profile: Profile | None = None) -> StateFault:
@@ -92,14 +95,18 @@ class StateRequest:
             profile: Publications of the golden run, if `needs_profile`.
         """
         random = stream(seed, "spec", self.state.name)
-        field, width = self._field(random, autopilot), self.lifetime.get("width", 1)
+        field = self._field(random, autopilot)
+        width = self.lifetime.get("width", 1)
         where = FaultSite(self.state.name, field.name, self.element)
         time_us = self.time_us or 0
         if self.needs_profile:
             drawn, element = draw_publication(random, self._later(profile or Profile()), where)
             where = FaultSite(self.state.name, field.name, element)
             time_us = drawn if self.time_us is None else self.time_us
-        drawn_bit = int(random.integers(WORD_BITS[field.dtype] - width + 1)) if self.bit is None else self.bit
+        if self.bit is None:
+            drawn_bit = int(random.integers(WORD_BITS[field.dtype] - width + 1))
+        else:
+            drawn_bit = self.bit
         bit = None if self.null else drawn_bit
         return StateFault(where, time_us, bit, seed=seed, **self.lifetime)
 
@@ -206,7 +213,8 @@ class StateSampler(Sampler):
     def __init__(self, campaign: Any) -> None:
         super().__init__(campaign)
         spec = campaign.spec(campaign.environments[0], campaign.first_seed)
-        self._autopilot, self._localization = spec.autopilot, spec.localization
+        self._autopilot = spec.autopilot
+        self._localization = spec.localization
         targets = self._find_targets()
         self._fields = {target.name: target for target, _ in targets}
         self._lifetimes = {group.name: group.lifetime for group in self.sampling.groups if group.lifetime}
@@ -222,7 +230,10 @@ class StateSampler(Sampler):
             return [(self._group(place), g.strata or sampling.strata) for place, g in enumerate(sampling.groups)]
         if sampling.scheme == "messages":
             return [self._message(state) for state in sampling.messages]
-        monitored = self.campaign.monitored_set if sampling.sites == "monitored" else None
+        if sampling.sites == "monitored":
+            monitored = self.campaign.monitored_set
+        else:
+            monitored = None
         return [
             (stage_target(stage, self._autopilot, monitored, self._localization), sampling.strata)
             for stage in PPC_STAGES
@@ -286,7 +297,9 @@ class StateSampler(Sampler):
 
 def _profile(golden: Golden) -> Profile:
     profile = golden[""].flight.profile if "" in golden else None
-    return Profile() if profile is None else profile
+    if profile is None:
+        return Profile()
+    return profile
 
 
 def _dtype(fault: StateFault) -> str:
@@ -328,7 +341,9 @@ def change_of(before: object, dtype: str, bit: int) -> float:
     word = np.array([before]).astype("u1" if dtype == "?" else dtype)
     flipped = (word.view(f"u{size}") ^ np.array(1 << bit, f"u{size}")).view(word.dtype)
     change = abs(float(flipped[0]) - float(word[0]))
-    return change if np.isfinite(change) else float("inf")
+    if np.isfinite(change):
+        return change
+    return float("inf")
 
 
 class StateLevel(Level):
@@ -361,9 +376,13 @@ class StateLevel(Level):
             self.not_understood()
         spec, field = _find(match["path"], localization)
         element = None if match["element"] is None else int(match["element"])
-        named, fields, has_elements = spec.name, spec.fields, bool(spec.elements)
+        named = spec.name
+        fields = spec.fields
+        has_elements = bool(spec.elements)
         if field is not None:
-            named, fields, has_elements = f"{spec.name}.{field}", (spec.find(field),), spec.in_elements(field)
+            named = f"{spec.name}.{field}"
+            fields = (spec.find(field),)
+            has_elements = spec.in_elements(field)
         if element is not None and not has_elements:
             raise BadInputError(f"element [{element}]: {named} is no list; allowed: no element")
         bits = max(WORD_BITS[candidate.dtype] for candidate in fields)
@@ -387,7 +406,9 @@ class StateLevel(Level):
 
     def seed_of(self, fault: StateFault) -> int | None:
         """See `Level.seed_of`: an intermittent fault draws its publications."""
-        return fault.seed if fault.share < 1.0 else None
+        if fault.share < 1.0:
+            return fault.seed
+        return None
 
     def inject(self, loop: Any, fault: StateFault, detector: Any) -> StateInjector:
         """See `Level.inject`."""
@@ -397,7 +418,8 @@ class StateLevel(Level):
 
     def columns(self, fault: StateFault) -> dict[str, Any]:
         """See `Level.columns`."""
-        where, spec = fault.where, STATES[fault.where.state]
+        where = fault.where
+        spec = STATES[fault.where.state]
         return {
             "stage": str(spec.stage),
             "kernel": spec.writer,
@@ -417,7 +439,12 @@ class StateLevel(Level):
 
 
 def _find(path: str, localization: str) -> tuple[StateSpec, str | None]:
-    state, _, field = (path, "", "") if path in STATES else path.rpartition(".")
+    if path in STATES:
+        state = path
+        _ = ""
+        field = ""
+    else:
+        state, _, field = path.rpartition(".")
     known = states_with(localization)
     if state not in STATES:
         raise BadInputError(f"no state {path!r}; allowed: {', '.join(known)}")

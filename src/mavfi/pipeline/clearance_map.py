@@ -39,7 +39,8 @@ class ClearanceMap:
 
     def apply(self, update: State) -> None:
         """Apply a `perception.map_update` to cells and counters."""
-        voxels, log_odds = update.elements["voxel"], update.elements["log_odds"]
+        voxels = update.elements["voxel"]
+        log_odds = update.elements["log_odds"]
         changed_voxels = np.zeros(len(voxels), np.int32)
         changed_cells = np.zeros(len(voxels), np.uint8)
         count = self._apply_updates(voxels, log_odds, self.grid, *self._counters, changed_voxels, changed_cells)

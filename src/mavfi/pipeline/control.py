@@ -60,14 +60,16 @@ class Tracker(Remembers):
     def receive(self, state: State, time_us: int) -> bool:
         """Store an input; steps are due only at the control period."""
         if state.spec.name == "planning.waypoint":
-            self.memory.waypoint, self.memory.fresh = state, True
+            self.memory.waypoint = state
+            self.memory.fresh = True
         else:
             self.memory.odometry = floats(state.header, 13)
         return False
 
     def step(self, time_us: int) -> list[State]:
         """Compute the command that steers the vehicle to the way-point in force."""
-        command, tracking = new_state("control.command"), new_state("control.tracking")
+        command = new_state("control.command")
+        tracking = new_state("control.tracking")
         values = floats(command.header, 5)
         values[4] = self._dt
         memory = self.memory
@@ -76,7 +78,10 @@ class Tracker(Remembers):
         waypoint = floats(memory.waypoint.header, POINT_WIDTH)
         if memory.fresh:
             # the overrun of the last point is subtracted from this one
-            carry = memory.remaining if -self._dt <= memory.remaining <= 0.0 else 0.0
+            if -self._dt <= memory.remaining <= 0.0:
+                carry = memory.remaining
+            else:
+                carry = 0.0
             memory.remaining = float(waypoint[10]) + carry
             memory.fresh = False
         slowdown = self._track(waypoint, memory.odometry, memory.law, self._gains, self._dt, values[:4])
@@ -98,9 +103,11 @@ class Tracker(Remembers):
 
     def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
         """Restore the remaining time of the way-point in force, which does not count as new."""
-        tracking, waypoint = last.get("control.tracking"), last.get("planning.waypoint")
+        tracking = last.get("control.tracking")
+        waypoint = last.get("planning.waypoint")
         if tracking is None or waypoint is None:
             return ()
         self.receive(waypoint, time_us)
-        self.memory.remaining, self.memory.fresh = tracking.value("remaining"), False
+        self.memory.remaining = tracking.value("remaining")
+        self.memory.fresh = False
         return ("planning.waypoint",)

@@ -80,17 +80,23 @@ class StateEstimator(Remembers):
         if memory.fix is not None and filtering.usable_fix(memory.fix):
             self._take_fix(memory, memory.fix)
         memory.fix = None
-        return [self._estimate(memory)] if memory.aligned else []
+        if memory.aligned:
+            return [self._estimate(memory)]
+        return []
 
     def _take_fix(self, memory: _Filter, fix: np.ndarray) -> None:
         if memory.aligned:
             distance = filtering.correct(memory.nominal, memory.covariance, fix, self._noise)
-            memory.refused = 0 if distance <= filtering.GATE else memory.refused + 1
+            if distance <= filtering.GATE:
+                memory.refused = 0
+            else:
+                memory.refused = memory.refused + 1
             if memory.refused < PATIENCE:
                 return
         spread = IN_FLIGHT if memory.aligned else AT_REST
         filtering.align(memory.nominal, memory.covariance, fix, self._noise, spread)
-        memory.aligned, memory.refused = True, 0
+        memory.aligned = True
+        memory.refused = 0
 
     def _estimate(self, memory: _Filter) -> State:
         estimate = new_state(self.writes[0])
@@ -107,13 +113,20 @@ class StateEstimator(Remembers):
         the filter.
         """
         estimate = last.get(self.writes[0])
-        values = np.full(1, np.nan) if estimate is None else floats(estimate.header, _ODOMETRY_WIDTH)
+        if estimate is None:
+            values = np.full(1, np.nan)
+        else:
+            values = floats(estimate.header, _ODOMETRY_WIDTH)
         if not np.isfinite(values).all():
             return ()
-        memory, noise = self.memory.filter, self._noise._replace(position=_MOVED)
+        memory = self.memory.filter
+        noise = self._noise._replace(position=_MOVED)
         filtering.align(memory.nominal, memory.covariance, np.append(values[:3], 0.0), noise, READ_BACK)
-        memory.nominal[:10], memory.nominal[10:] = values[:10], values[13:]
-        memory.time_us, memory.aligned, memory.refused = time_us, True, PATIENCE - 1
+        memory.nominal[:10] = values[:10]
+        memory.nominal[10:] = values[13:]
+        memory.time_us = time_us
+        memory.aligned = True
+        memory.refused = PATIENCE - 1
         return ("sensor.position",)
 
     def mark(self) -> None:
@@ -123,6 +136,7 @@ class StateEstimator(Remembers):
     def rollback(self) -> None:
         """Restore the filter of the mark; the last sample and a fix received since then are kept."""
         memory = self.memory
-        waiting, memory.filter = memory.filter.fix, memory.marked.copy()
+        waiting = memory.filter.fix
+        memory.filter = memory.marked.copy()
         if waiting is not None:
             memory.filter.fix = waiting

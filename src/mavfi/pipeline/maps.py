@@ -68,7 +68,8 @@ class ScanArrays:
         self.stamp = np.zeros(size, np.int32)
         self.touched = np.zeros(size + 1, np.int32)
         self.before = np.zeros(size, np.float32)
-        self.number, self._count = 0, 0
+        self.number = 0
+        self._count = 0
         self._scans: list[Scan] = []
         self._again: ScanArrays | None = None
 
@@ -115,7 +116,8 @@ class ScanArrays:
         if common_length(self._scans, scans) < len(self._scans):
             for array in self._all():
                 array[:] = 0
-            self.number, self._scans = 0, []
+            self.number = 0
+            self._scans = []
         for scan in scans[len(self._scans) :]:
             self._scans.append(scan)
             if scan is None:
@@ -143,7 +145,8 @@ class DenseMap:
         functions: KernelFunctions = PLAIN,
         rewindable: bool = False,
     ) -> None:
-        self._functions, self._rewindable = functions, rewindable
+        self._functions = functions
+        self._rewindable = rewindable
         self._arrays = ScanArrays(frame, rule, max_range)
         self.log_odds = self._arrays.log_odds
         self._changes = Changes(self.log_odds)
@@ -154,7 +157,8 @@ class DenseMap:
         """Integrate a scan, and store the previous values of its voxels."""
         arrays = self._arrays
         count = arrays.integrate(points, origin, self._functions.insert_scan)
-        voxels, before = arrays.touched[:count].copy(), arrays.before[:count].copy()
+        voxels = arrays.touched[:count].copy()
+        before = arrays.before[:count].copy()
         after = self.log_odds[voxels]  # of a voxel outside of the grid, due to a fault: an IndexError
         if self._rewindable:  # most voxels are clamped already: unchanged ones are not stored
             arrays.note((points, origin))
@@ -216,7 +220,9 @@ class OctreeMap:
         rewindable: bool = False,
     ) -> None:
         del rewindable  # nodes are copied whole
-        self._frame, self._rule, self._range = frame, rule, max_range
+        self._frame = frame
+        self._rule = rule
+        self._range = max_range
         self._functions = functions
         self._size = frame.nx * frame.ny * frame.nz
         self._largest = octree.largest_tree(frame)
@@ -239,7 +245,8 @@ class OctreeMap:
         n_free, count = self._functions.collect(
             points, origin, self._range, self._frame, self._stamp, self._stamps, self._touched
         )
-        voxels, after = self._touched[:count], np.zeros(count, np.float32)
+        voxels = self._touched[:count]
+        after = np.zeros(count, np.float32)
         done = 0
         while True:
             done = self._functions.update_voxels(self.tree, self._frame, self._rule, voxels, n_free, done, after)
@@ -290,7 +297,8 @@ class GuardedMap(Foreign[OccupancyMap]):
 
     def __init__(self, name: str, inner: OccupancyMap, size: int) -> None:
         super().__init__(inner)
-        self._name, self._size = name, size
+        self._name = name
+        self._size = size
 
     @property
     def log_odds(self) -> np.ndarray:
@@ -320,7 +328,8 @@ class GuardedMap(Foreign[OccupancyMap]):
         types = f"insert gave {voxels.dtype} and {log_odds.dtype}"
         self._must(voxels.dtype == np.int32 and log_odds.dtype == np.float32, types, "int32 and float32")
         if len(voxels) > 0:
-            low, high = int(voxels.min()), int(voxels.max())
+            low = int(voxels.min())
+            high = int(voxels.max())
             inside = 0 <= low and high < self._size
             self._must(inside, f"insert gave voxels from {low} to {high}", f"0 to {self._size - 1}")
         return voxels, log_odds

@@ -131,8 +131,12 @@ def copied(value: Any) -> Any:  # noqa: ANN401
         return {key: copied(item) for key, item in value.items()}
     if isinstance(value, tuple):
         items = map(copied, value)
-        return type(value)(*items) if hasattr(value, "_fields") else tuple(items)
-    return value.copy() if isinstance(value, Memory) else value
+        if hasattr(value, "_fields"):
+            return type(value)(*items)
+        return tuple(items)
+    if isinstance(value, Memory):
+        return value.copy()
+    return value
 
 
 def same(value: Any, other: Any) -> bool:  # noqa: ANN401

@@ -45,7 +45,8 @@ class PointCloud(Remembers):
 
     def step(self, time_us: int) -> list[State]:
         """Back-project the stored image; returns the point cloud."""
-        config, depth = self._config, self.memory.depth
+        config = self._config
+        depth = self.memory.depth
         pose = floats(depth.header, 7)
         ranges = np.ascontiguousarray(depth.elements["range"])
         count = min(len(ranges), len(config.directions))
@@ -118,7 +119,8 @@ class OctoMap(Remembers):
         voxels, log_odds = self.map.insert(points, floats(memory.cloud.header, 3))
         update = new_state("perception.map_update", len(voxels))
         update.header["scan"] = memory.scan
-        update.elements["voxel"], update.elements["log_odds"] = voxels, log_odds
+        update.elements["voxel"] = voxels
+        update.elements["log_odds"] = log_odds
         return [update]
 
     def mark(self) -> None:
@@ -199,7 +201,8 @@ class CollisionCheck(Remembers):
 
     def receive(self, state: State, time_us: int) -> bool:
         """A map update makes a step due; with a check of every map, so does a new trajectory."""
-        name, memory = state.spec.name, self.memory
+        name = state.spec.name
+        memory = self.memory
         if name == "perception.map_update":
             self.clearance_map.apply(state)
             memory.again = memory.rolled_back
@@ -220,7 +223,8 @@ class CollisionCheck(Remembers):
         if self._every_map and len(state.elements) == 0:
             return False  # planning failed: the current trajectory remains in force
         # a new trajectory takes effect some periods after its publication: its predecessor is still needed
-        number, trajectories = state.value("trajectory_seq"), self.memory.trajectories
+        number = state.value("trajectory_seq")
+        trajectories = self.memory.trajectories
         trajectories[number] = state
         while len(trajectories) > 2:
             del trajectories[next(iter(trajectories))]
@@ -237,7 +241,8 @@ class CollisionCheck(Remembers):
 
     def _in_force(self) -> tuple[State | None, int, int]:
         """Trajectory in force, index of its current point, and its collision sequence number."""
-        waypoint, trajectories = self.memory.waypoint, self.memory.trajectories
+        waypoint = self.memory.waypoint
+        trajectories = self.memory.trajectories
         if self._every_map and trajectories:
             newest = next(reversed(trajectories))
             if waypoint is None or waypoint.value("trajectory_seq") != newest:
@@ -249,9 +254,12 @@ class CollisionCheck(Remembers):
 
     def step(self, time_us: int) -> list[State]:
         """Check the remaining trajectory in force on the current map."""
-        memory, config, clearance = self.memory, self._config, self.clearance_map
+        memory = self.memory
+        config = self._config
+        clearance = self.clearance_map
         memory.stepped = True
-        seq, status = memory.published.value("future_collision_seq"), new_state("perception.collision_status")
+        seq = memory.published.value("future_collision_seq")
+        status = new_state("perception.collision_status")
         status.header[0] = (collision_check.NO_COLLISION, np.inf, np.inf, seq, -1, False)
         if memory.again:
             memory.again = memory.rolled_back = False  # a recomputation uses the inputs of the original step
@@ -282,11 +290,15 @@ class CollisionCheck(Remembers):
                 self._still_escaping(number, points[index]),
             )
             header["trajectory_seq"] = number
-            header["distance_to_blocked"], header["distance_to_unknown"] = blocked, unknown
+            header["distance_to_blocked"] = blocked
+            header["distance_to_unknown"] = unknown
             time = max(time, 0.0) if blocked < np.inf else -1.0
         if time >= 0.0:
             header["time_to_collision"] = time
-            header["future_collision_seq"] = seq if unanswered else np.int32((seq + 1 + 2**31) % 2**32 - 2**31)
+            if unanswered:
+                header["future_collision_seq"] = seq
+            else:
+                header["future_collision_seq"] = np.int32((seq + 1 + 2**31) % 2**32 - 2**31)
             header["collision"] = True
         return [status]
 

@@ -91,7 +91,9 @@ def arrays_of(value: Any) -> list[np.ndarray]:  # noqa: ANN401
     """All arrays in nested tuples, in order."""
     if isinstance(value, tuple):
         return [array for part in value for array in arrays_of(part)]
-    return [value] if isinstance(value, np.ndarray) else []
+    if isinstance(value, np.ndarray):
+        return [value]
+    return []
 
 
 class SamplingSearch(ABC):
@@ -146,7 +148,8 @@ class SamplingSearch(ABC):
             count = self.functions.shortcut_greedy(counter, grid, self._path, count)
             length = paths.path_length(self._path, count)
             if length < shortest:
-                shortest, best = length, self._path[:count].copy()
+                shortest = length
+                best = self._path[:count].copy()
             if count == 2:
                 break
         if len(best) > 2:

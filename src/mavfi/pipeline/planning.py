@@ -121,7 +121,8 @@ class MotionPlanner(Remembers):
         if len(state.elements):
             memory.arc = np.zeros(len(state.elements))
             setpoint.arc_lengths(rows(state.elements, POINT_WIDTH), memory.arc)
-        memory.decisions.progress, memory.decisions.progress_us = -np.inf, time_us
+        memory.decisions.progress = -np.inf
+        memory.decisions.progress_us = time_us
 
     def _take_odometry(self, state: State, time_us: int) -> bool:
         memory = self.memory
@@ -148,7 +149,8 @@ class MotionPlanner(Remembers):
 
     def _on_trajectory(self) -> tuple[int, float]:
         """Index of the way-point on the last trajectory, and its arc length (m); (-1, 0) if none is flown."""
-        waypoint, arc = self.memory.waypoint, self.memory.arc
+        waypoint = self.memory.waypoint
+        arc = self.memory.arc
         if waypoint is None or waypoint.value("index") < 0:
             return -1, 0.0
         if not self._has_points() or not self._same_trajectory(waypoint):
@@ -170,7 +172,8 @@ class MotionPlanner(Remembers):
 
     def _wants_new_plan(self, time_us: int) -> bool:
         """Policy `every_map`: no trajectory, blocked, ended short of the goal, or no progress."""
-        memory, decisions = self.memory, self.memory.decisions
+        memory = self.memory
+        decisions = self.memory.decisions
         if memory.status is None:
             return False
         if time_us < decisions.settled_us:
@@ -178,9 +181,11 @@ class MotionPlanner(Remembers):
         index, along = self._on_trajectory()
         to_goal = paths.distance(memory.odometry[:3], self._config.goal)
         if to_goal < decisions.best_distance - 1.0:
-            decisions.best_distance, decisions.best_us = to_goal, time_us
+            decisions.best_distance = to_goal
+            decisions.best_us = time_us
         if index < 0 or along - decisions.progress > _MARGIN:
-            decisions.progress, decisions.progress_us = along, time_us
+            decisions.progress = along
+            decisions.progress_us = time_us
         if index < 0:
             return time_us >= decisions.retry_us
         if memory.status.value("collision") and self._same_trajectory(memory.status):
@@ -195,11 +200,13 @@ class MotionPlanner(Remembers):
     # ---- planning ---------------------------------------------------------------------------------------------------
     def step(self, time_us: int) -> list[State]:
         """Plan once; an empty path reports failure."""
-        decisions, config = self.memory.decisions, self._config
+        decisions = self.memory.decisions
+        config = self._config
         if self._every_map:
             path = self._plan_from_junction()
         else:
-            alarm, decisions.alarm = decisions.alarm, -1.0
+            alarm = decisions.alarm
+            decisions.alarm = -1.0
             path = self._plan_in_flight(alarm) if alarm >= 0.0 else None
             path = path or self._plan_from_rest()
         decisions.retry_us = time_us + _RETRY_US
@@ -215,20 +222,30 @@ class MotionPlanner(Remembers):
     def _path(self, vertices: np.ndarray, entry_speed: float, junction: int = -1) -> State:
         path = new_state("planning.path", len(vertices))
         rows(path.elements, 3)[:] = vertices
-        path.header["entry_speed"], path.header["junction"] = entry_speed, junction
+        path.header["entry_speed"] = entry_speed
+        path.header["junction"] = junction
         return path
 
     def _plan_from_rest(self) -> State | None:
         """Plan from the predicted rest position; with the checker's radius if the planner's does not fit."""
-        config, position, velocity = self._config, self.memory.odometry[:3], self.memory.odometry[3:6]
+        config = self._config
+        position = self.memory.odometry[:3]
+        velocity = self.memory.odometry[3:6]
         is_plausible = length(velocity) < 2.0 * config.v_max
-        stop = position + velocity * config.velocity_lag if is_plausible else position.copy()
+        if is_plausible:
+            stop = position + velocity * config.velocity_lag
+        else:
+            stop = position.copy()
         vertices = self.routes.first_found(stop)
-        return None if vertices is None else self._path(vertices, 0.0)
+        if vertices is None:
+            return None
+        return self._path(vertices, 0.0)
 
     def _plan_in_flight(self, alarm: float) -> State | None:
         """Plan a replacement without stopping, if the predicted collision is late enough."""
-        config, clearance, velocity = self._config, self.clearance_map, self.memory.odometry[3:6]
+        config = self._config
+        clearance = self.clearance_map
+        velocity = self.memory.odometry[3:6]
         speed = length(velocity)
         is_late_enough = alarm > config.autopilot.grace + _EMERGENCY_STOP_TIME
         if not is_late_enough or self._idle() or not speed < 2.0 * config.v_max:
@@ -247,10 +264,13 @@ class MotionPlanner(Remembers):
 
     def _plan_from_junction(self) -> State | None:
         """Plan from the point of the current trajectory at which the vehicle can be when the plan arrives."""
-        memory, latency = self.memory, self._config.plan_latency
+        memory = self.memory
+        latency = self._config.plan_latency
         index, along = self._on_trajectory()
         if index < 0:
-            junction, start, speed = -1, self._standing_point(), 0.0
+            junction = -1
+            start = self._standing_point()
+            speed = 0.0
             velocity = np.zeros(3)
         else:
             speed = length(floats(memory.waypoint.header, 7)[4:])  # type: ignore[union-attr]
@@ -262,21 +282,27 @@ class MotionPlanner(Remembers):
             distance = max(min(distance, blocked - _MARGIN), soonest)
             junction = min(int(np.searchsorted(memory.arc, distance)), len(memory.arc) - 1)
             point = rows(memory.trajectory.elements, POINT_WIDTH)[junction]  # type: ignore[union-attr]
-            start, velocity = point[:3].copy(), point[4:7].copy()
+            start = point[:3].copy()
+            velocity = point[4:7].copy()
         vertices = self.routes.fastest(start, velocity)
-        return None if vertices is None else self._path(vertices, speed, junction)
+        if vertices is None:
+            return None
+        return self._path(vertices, speed, junction)
 
     def _standing_point(self) -> np.ndarray:
         """Reference position while no trajectory is flown."""
         waypoint = self.memory.waypoint
-        return self.memory.odometry[:3].copy() if waypoint is None else floats(waypoint.header, 3).copy()
+        if waypoint is None:
+            return self.memory.odometry[:3].copy()
+        return floats(waypoint.header, 3).copy()
 
     def _backtrack(self) -> State | None:
         """After repeated failures: return along the flown path into known free space (policy `every_map`)."""
         failures = self.memory.decisions.failures
         if not self._every_map or failures % _BACKTRACK_AFTER or failures > _BACKTRACK_UNTIL:
             return None
-        vertices, flown = [self._standing_point()], 0.0
+        vertices = [self._standing_point()]
+        flown = 0.0
         for crumb in reversed(self.memory.crumbs):
             step = paths.distance(vertices[-1], crumb)
             if step < _CRUMB:

@@ -11,7 +11,10 @@ from mavfi.pipeline.waypoints import SetpointGenerator
 
 def build_pipeline(config: PipelineConfig) -> dict[str, Kernel]:
     """All kernels by name: seven, plus the state estimator if the pipeline does not receive the true state."""
-    estimators = () if config.noise is None else (StateEstimator(config.noise),)
+    if config.noise is None:
+        estimators: tuple[StateEstimator, ...] = ()
+    else:
+        estimators = (StateEstimator(config.noise),)
     planner = MotionPlanner(config)
     kernels: tuple[Kernel, ...] = (
         *estimators,

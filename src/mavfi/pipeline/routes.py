@@ -78,9 +78,11 @@ class Routes:
 
     def between(self, start: np.ndarray, counter: np.ndarray, goal: np.ndarray | None = None) -> np.ndarray | None:
         """Vertices from (near) `start` to (near) the goal (None = the mission's) in `counter`; None = no path."""
-        config, clearance = self._config, self.clearance_map
+        config = self._config
+        clearance = self.clearance_map
         goal = config.goal if goal is None else goal
-        first, last = np.zeros(3), np.empty(3)
+        first = np.zeros(3)
+        last = np.empty(3)
         box = config.flight_lower, config.flight_upper
         core = self._core()
         if not paths.nearest_clear(counter, clearance.narrow, core, clearance.grid, start, *box, _REACH, first):
@@ -88,7 +90,9 @@ class Routes:
         if not paths.nearest_clear(clearance.wide, clearance.narrow, core, clearance.grid, goal, *box, _REACH, last):
             last[:] = goal
         path = checked_path(self.search, self.search.search(counter, clearance.grid, first, last, *box))
-        return path if len(path) else None
+        if len(path):
+            return path
+        return None
 
     def _core(self) -> np.ndarray:
         """Voxels (> 0) that an escape from a blocked place must avoid; the published code has none. Shape (size,)."""
@@ -111,7 +115,8 @@ class Routes:
         """
         straight = np.array([start, self._config.goal])
         enough = _GOOD_ENOUGH * paths.path_length(straight, 2) / self._config.v_max
-        best, least = None, np.inf
+        best = None
+        least = np.inf
         for counter, tight in ((self.clearance_map.wide, False), (self.clearance_map.narrow, True)):
             for _ in range(self._config.autopilot.searches):
                 path = self.between(start, counter)
@@ -121,7 +126,8 @@ class Routes:
                 path = self._quickened(self._widened(path) if tight else path, velocity, counter)
                 time = self._time(path, velocity)
                 if time < least:
-                    best, least = path, time
+                    best = path
+                    least = time
                 if least <= enough:
                     return best
         return best
@@ -176,7 +182,8 @@ class Routes:
 
     def _around(self, stretch: np.ndarray) -> np.ndarray:
         """Replacement of a narrow section, without its first point: a faster bypass, or the section itself."""
-        config, clearance = self._config, self.clearance_map
+        config = self._config
+        clearance = self.clearance_map
         lower = np.maximum(config.flight_lower, stretch.min(0) - _LOCAL_MARGIN)
         upper = np.minimum(config.flight_upper, stretch.max(0) + _LOCAL_MARGIN)
         if not self._is_tight(stretch[-1]):
@@ -190,7 +197,8 @@ class Routes:
 
     def _shortened(self, path: np.ndarray) -> np.ndarray:
         """The path with collision-free straight shortcuts."""
-        clearance, (work, buffer) = self.clearance_map, self._buffer
+        clearance = self.clearance_map
+        (work, buffer) = self._buffer
         if len(path) > len(work) - 2:
             return path
         work[: len(path)] = path
@@ -203,7 +211,9 @@ class Routes:
 
 def _from(start: np.ndarray, path: np.ndarray) -> np.ndarray:
     """The path, extended to start exactly at `start`."""
-    return path if paths.distance(path[0], start) <= 1e-6 else np.vstack([start, path])
+    if paths.distance(path[0], start) <= 1e-6:
+        return path
+    return np.vstack([start, path])
 
 
 def _samples(path: np.ndarray) -> np.ndarray:

@@ -25,7 +25,8 @@ BRAKING = 4.0
 _STANDING = 0.3
 _CLOSE_BLEND = 2.0
 """Maximum distance of a corner blend from its corner at the nominal speed, if the path is followed closely (m)."""
-_CLOSE, _ROUND = 0.2, 1.0 / 3.0
+_CLOSE = 0.2
+_ROUND = 1.0 / 3.0
 """Innermost control point of a blend: close to the corner, or of minimum curvature and thus maximum speed."""
 _LOOK = 3.0
 """Look-ahead distance of the yaw reference at the nominal speed (m)."""
@@ -77,7 +78,12 @@ class TrajectoryGenerator(Remembers):
         self._config = config
         self._step = 1e-6 * config.control_period_us
         self._splices = config.autopilot.replanning == "every_map"
-        self._blend, self._inner = (BLEND, _ROUND) if self._splices else (_CLOSE_BLEND, _CLOSE)
+        if self._splices:
+            self._blend = BLEND
+            self._inner = _ROUND
+        else:
+            self._blend = _CLOSE_BLEND
+            self._inner = _CLOSE
         self._clearance_map = clearance
         self.memory = _GeneratorMemory(new_state("planning.path"))
         self._corners = np.zeros((timing.CURVE_LIMIT, 3))
@@ -91,7 +97,8 @@ class TrajectoryGenerator(Remembers):
 
     def receive(self, state: State, time_us: int) -> bool:
         """A path makes a step due."""
-        name, memory = state.spec.name, self.memory
+        name = state.spec.name
+        memory = self.memory
         if name == "planning.path":
             memory.path = state
             return True
@@ -113,14 +120,19 @@ class TrajectoryGenerator(Remembers):
         return [trajectory]
 
     def _points(self) -> np.ndarray:
-        config, path = self._config, self.memory.path
-        vertices, motion = rows(path.elements, 3), _Motion(path.value("entry_speed"))
+        config = self._config
+        path = self.memory.path
+        vertices = rows(path.elements, 3)
+        motion = _Motion(path.value("entry_speed"))
         if len(vertices) and self._splices:
             vertices, motion = self._splice(vertices, motion.speed)
         vertices = _without_repeats(vertices)
         if len(vertices) < 2 or len(vertices) > MOST_VERTICES:
             return np.zeros((0, POINT_WIDTH))
-        n = self._polynomials(vertices, motion) if config.autopilot.smoothing == "minimum_snap" else 0
+        if config.autopilot.smoothing == "minimum_snap":
+            n = self._polynomials(vertices, motion)
+        else:
+            n = 0
         n = n or self._blends(vertices, motion.speed)
         step = self._step
         if n == 0 or config.autopilot.sampling == "interpolated":
@@ -146,7 +158,8 @@ class TrajectoryGenerator(Remembers):
 
     def _blends(self, vertices: np.ndarray, entry: float) -> int:
         """Sample blended corners with a speed profile; returns the number of dense points."""
-        clearance, limits = self._clearance_map, self._limits()
+        clearance = self._clearance_map
+        limits = self._limits()
         count = timing.smooth(
             clearance.narrow,
             clearance.grid,
@@ -164,7 +177,8 @@ class TrajectoryGenerator(Remembers):
 
     def _polynomials(self, vertices: np.ndarray, motion: _Motion) -> int:
         """Sample a minimum-snap curve; returns the number of dense points, 0 = infeasible."""
-        clearance, limits = self._clearance_map, self._limits()
+        clearance = self._clearance_map
+        limits = self._limits()
         curve_limits = knots.CurveLimits(
             limits.speed,
             _ACCELERATION_SHARE * self._config.a_max,
@@ -205,7 +219,8 @@ class TrajectoryGenerator(Remembers):
         junction = memory.path.value("junction")
         if memory.waypoint is None or memory.flown is None or junction < 0:
             return vertices, _Motion(0.0)
-        points, index = rows(memory.flown.elements, POINT_WIDTH), memory.waypoint.value("index")
+        points = rows(memory.flown.elements, POINT_WIDTH)
+        index = memory.waypoint.value("index")
         if not 0 <= index < len(points) or not junction < len(points):
             return vertices, _Motion(entry)
         arc = np.zeros(len(points))

@@ -87,7 +87,8 @@ class SetpointGenerator(Remembers):
 
     def step(self, time_us: int) -> list[State]:
         """Select the point in force; no output if it is unchanged."""
-        inbox, self.memory.inbox = self.memory.inbox, []
+        inbox = self.memory.inbox
+        self.memory.inbox = []
         for state in inbox:
             if state.spec.name == "planning.trajectory":
                 self._offer(state, time_us)
@@ -106,7 +107,9 @@ class SetpointGenerator(Remembers):
             return [self._hold()]
         if now.trajectory is None:
             return []  # no trajectory: the point in force remains
-        return self._governed_point() if self._governed else self._held_point()
+        if self._governed:
+            return self._governed_point()
+        return self._held_point()
 
     def abandon(self, time_us: int) -> list[State]:
         """Skip from the way-point in force to the next one; before any trajectory there is the initial hold only."""
@@ -146,14 +149,18 @@ class SetpointGenerator(Remembers):
         While the vehicle holds, a trajectory is received again only if it answers a later alarm than the hold does,
         as it may otherwise be the abandoned one.  A planner whose trajectory is not adopted plans again.
         """
-        waypoint, trajectory = last.get("planning.waypoint"), last.get("planning.trajectory")
+        waypoint = last.get("planning.waypoint")
+        trajectory = last.get("planning.trajectory")
         if waypoint is None:
             return ()
         number, alarm_seq, index = map(waypoint.value, ("trajectory_seq", "future_collision_seq", "index"))
         taken = False
         if trajectory is not None:
             offered = trajectory.value("trajectory_seq")
-            taken = offered == number if index >= 0 else trajectory.value("future_collision_seq") <= alarm_seq
+            if index >= 0:
+                taken = offered == number
+            else:
+                taken = trajectory.value("future_collision_seq") <= alarm_seq
             if taken:
                 number = offered
         flown = trajectory if taken and index >= 0 else None
@@ -168,7 +175,9 @@ class SetpointGenerator(Remembers):
             clock=(float(max(index, 0)), 1.0, 0.0),
         )
         self._load(flown)
-        return ("planning.trajectory",) if taken else ()
+        if taken:
+            return ("planning.trajectory",)
+        return ()
 
     # ---- sequence numbers -------------------------------------------------------------------------------------------
     def _set(self, **changes: object) -> None:
@@ -176,10 +185,14 @@ class SetpointGenerator(Remembers):
 
     def _offer(self, state: State, time_us: int) -> None:
         """Accept or reject a trajectory by its sequence numbers."""
-        now, autopilot = self.memory.now, self._config.autopilot
+        now = self.memory.now
+        autopilot = self._config.autopilot
         seq, alarm_seq = map(state.value, ("trajectory_seq", "future_collision_seq"))
         if seq < now.last_seq or alarm_seq < now.epoch:
-            since = now.rejected_since if now.rejected_since >= 0 else time_us
+            if now.rejected_since >= 0:
+                since = now.rejected_since
+            else:
+                since = time_us
             patience = autopilot.epoch_liveness
             if not (patience > 0.0 and time_us - since > 1e6 * patience):
                 self._set(rejected_since=since)
@@ -194,20 +207,24 @@ class SetpointGenerator(Remembers):
     def _warn(self, state: State, time_us: int) -> None:
         """Respond to a collision status: stop at once, or after the grace period if time permits."""
         if self._governed:
-            blocked, unknown = state.value("distance_to_blocked"), state.value("distance_to_unknown")
+            blocked = state.value("distance_to_blocked")
+            unknown = state.value("distance_to_unknown")
             self.memory.limits = (blocked, unknown, state.value("trajectory_seq"))
             return
-        seq, now = state.value("future_collision_seq"), self.memory.now
+        seq = state.value("future_collision_seq")
+        now = self.memory.now
         if not state.value("collision") or seq <= now.seen_seq:
             return
-        grace, due = self._config.autopilot.grace, time_us
+        grace = self._config.autopilot.grace
+        due = time_us
         if state.value("time_to_collision") > grace + _EMERGENCY_STOP_TIME:
             due += int(1e6 * grace)
         self._set(seen_seq=seq, stop_us=due if now.stop_us < 0 else min(due, now.stop_us))
 
     def _watch(self, time_us: int) -> None:
         """Deviation monitor: stop and replan if too far from the reference."""
-        limit, memory = self._config.autopilot.deviation_limit, self.memory
+        limit = self._config.autopilot.deviation_limit
+        memory = self.memory
         if limit <= 0.0 or memory.now.trajectory is None or memory.published is None:
             return
         if not length(floats(memory.published.header, 3) - memory.odometry[:3]) < limit:
@@ -219,7 +236,8 @@ class SetpointGenerator(Remembers):
         if len(points) == 0:
             return True
         v_max = 1.5 * self._config.v_max
-        lower, upper = self._config.flight_lower - 2.0, self._config.flight_upper + 2.0
+        lower = self._config.flight_lower - 2.0
+        upper = self._config.flight_upper + 2.0
         with np.errstate(over="ignore", invalid="ignore"):
             steps = np.linalg.norm(np.diff(points[:, :3], axis=0), axis=1)
             return bool(
@@ -278,7 +296,8 @@ class SetpointGenerator(Remembers):
         return int(np.argmin(((window - floats(published.header, 3)) ** 2).sum(1)))
 
     def _held_point(self) -> list[State]:
-        memory, waypoint = self.memory, np.zeros(POINT_WIDTH)
+        memory = self.memory
+        waypoint = np.zeros(POINT_WIDTH)
         index = setpoint.advance_index(memory.points, memory.now.index, memory.remaining, waypoint)
         if index == memory.now.index:
             return []
@@ -290,7 +309,8 @@ class SetpointGenerator(Remembers):
         return [self._publish(index, waypoint)]
 
     def _governed_point(self) -> list[State]:
-        memory, config = self.memory, self._config
+        memory = self.memory
+        config = self._config
         clock = np.array(memory.now.clock)
         blocked, unknown, seq = memory.limits
         trajectory = memory.now.trajectory
@@ -318,7 +338,8 @@ class SetpointGenerator(Remembers):
         return self._publish(int(clock[0]), waypoint)
 
     def _publish(self, index: int, waypoint: np.ndarray) -> State:
-        state, now = new_state("planning.waypoint"), self.memory.now
+        state = new_state("planning.waypoint")
+        now = self.memory.now
         floats(state.header, POINT_WIDTH)[:] = waypoint
         state.header["index"] = index
         state.header["future_collision_seq"] = now.epoch
@@ -329,7 +350,8 @@ class SetpointGenerator(Remembers):
 
     def _hold(self, turn: float = 0.0) -> State:
         """Hold at the predicted rest position; `turn`: yaw offset to look around (rad)."""
-        waypoint, odometry = np.zeros(POINT_WIDTH), self.memory.odometry
+        waypoint = np.zeros(POINT_WIDTH)
+        odometry = self.memory.odometry
         lag = 0.0 if self._governed else self._config.velocity_lag
         waypoint[:3] = odometry[:3] + lag * odometry[3:6]
         waypoint[3] = yaw_of(odometry[6:10]) + turn

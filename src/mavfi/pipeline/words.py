@@ -116,7 +116,11 @@ def _code(array: np.ndarray) -> str:
 
 
 def _scalar_type(value: float) -> str:
-    return "?" if isinstance(value, bool) else INTEGER if isinstance(value, int) else "f8"
+    if isinstance(value, bool):
+        return "?"
+    if isinstance(value, int):
+        return INTEGER
+    return "f8"
 
 
 # ---- modification ----------------------------------------------------------------------------------------------------
@@ -133,7 +137,10 @@ def _changed(value: Any, path: list[str], index: int, apply: Change) -> tuple[An
     """
     if isinstance(value, State):
         state = value.copy()
-        container = state.elements if state.spec.in_elements(path[0]) else state.header
+        if state.spec.in_elements(path[0]):
+            container = state.elements
+        else:
+            container = state.header
         return state, *_apply(container[path[0]][index : index + 1], apply)
     if isinstance(value, np.ndarray):
         array = value.copy()

@@ -35,13 +35,16 @@ _LEGEND: dict[str, Any] = {"columnspacing": 1.2, "fontsize": 8.5, "handlelength"
 def success(runs: Runs) -> Figure | None:
     """Success by environment and setting, with intervals, counts and the paper's values, for faults of any level."""
     chosen = _flown(runs)
-    settings, environments = _settings(chosen), chosen.values("environment")
+    settings = _settings(chosen)
+    environments = chosen.values("environment")
     if settings in ([], [GOLDEN]):
         return None
     names = population_names(chosen, ("environment", "setting"))
     figure = Figure(figsize=(max(6.6, 1.6 + 1.7 * len(environments)), 3.9), layout="constrained")
     axes = figure.subplots()
-    looks, width, lowest = style.setting_looks(settings), 0.8 / len(settings), 1.0
+    looks = style.setting_looks(settings)
+    width = 0.8 / len(settings)
+    lowest = 1.0
     handles: list[Line2D] = []
     for place, setting in enumerate(settings):
         found = _rates(chosen, setting, names)
@@ -81,10 +84,19 @@ def success(runs: Runs) -> Figure | None:
     axes.yaxis.set_major_formatter(PercentFormatter(1, 0, " %"))
     axes.grid(axis="y")
     axes.set_ylabel("missions that succeed")
-    bits = f"faults in {POPULATIONS.get(names[0], names[0])}; " if names else ""
-    dead = "nodes that die are restarted; " if has(chosen, level="instruction") else ""
+    if names:
+        bits = f"faults in {POPULATIONS.get(names[0], names[0])}; "
+    else:
+        bits = ""
+    if has(chosen, level="instruction"):
+        dead = "nodes that die are restarted; "
+    else:
+        dead = ""
     axes.set_xlabel(f"{bits}{dead}95 % intervals, number of missions below each", fontsize=8.5, color=style.GREY)
-    profile = f" · autopilot {runs.campaign['profile']}" if runs.campaign.get("profile") else ""
+    if runs.campaign.get("profile"):
+        profile = f" · autopilot {runs.campaign['profile']}"
+    else:
+        profile = ""
     axes.set_title(f"Success{profile} · one fault per mission")
     labels = [str(handle.get_label()) for handle in handles]
     figure.legend(handles=handles, loc="outside upper left", **_legend(figure, labels))
@@ -99,7 +111,8 @@ def _legend(figure: Figure, labels: Iterable[str]) -> dict[str, Any]:
 
 _SMALL: dict[str, Any] = {"fontsize": 6.5, "color": style.GREY}
 _OVER_LINES: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
-_LEGEND_MARK, _LEGEND_LETTER = 0.5, 0.06
+_LEGEND_MARK = 0.5
+_LEGEND_LETTER = 0.06
 """Width of a legend's column without its text, and of a letter (inches)."""
 
 
@@ -113,7 +126,9 @@ def _flown(runs: Runs) -> Runs:
 def _settings(runs: Runs) -> list[str]:
     """Settings in order: golden, faults without a detector, arms."""
     injected = runs.settings()
-    return [GOLDEN, *injected] if len(runs.where(setting=GOLDEN)) else injected
+    if len(runs.where(setting=GOLDEN)):
+        return [GOLDEN, *injected]
+    return injected
 
 
 def _rates(runs: Runs, setting: str, names: list[str]) -> dict[str, Rate]:
@@ -150,12 +165,14 @@ def _points(axes: Axes, at: np.ndarray, rates: list[Rate], look: Mapping[str, An
 def flight_time(runs: Runs) -> Figure | None:
     """Cumulative share of arrived missions by flight time relative to the golden run; failures never arrive."""
     judged = leading_faults(runs)
-    settings, environments = judged.settings(), judged.values("environment")
+    settings = judged.settings()
+    environments = judged.values("environment")
     if not settings:
         return None
     figure = Figure(figsize=(max(4.2, 1.2 + 2.7 * len(environments)), 3.6), layout="constrained")
     panels = figure.subplots(1, len(environments), sharey=True, squeeze=False)[0]
-    looks, lowest = style.setting_looks(settings), 1.0
+    looks = style.setting_looks(settings)
+    lowest = 1.0
     for axes, environment in zip(panels, environments, strict=True):
         own = {setting: judged.where(environment=environment, setting=setting) for setting in settings}
         counts = {setting: len(part) for setting, part in own.items() if len(part)}
@@ -193,13 +210,17 @@ def _arrival_caption(runs: Runs) -> str:
 def _range(counts: Iterable[int]) -> str:
     """Format counts as a single number or a range."""
     numbers = sorted(set(counts))
-    return f"{numbers[0]}" if len(numbers) == 1 else f"{numbers[0]}–{numbers[-1]}"
+    if len(numbers) == 1:
+        return f"{numbers[0]}"
+    return f"{numbers[0]}–{numbers[-1]}"
 
 
 def _signed(share: float, _: float) -> str:
     """Format a relative difference with its sign; zero has none."""
     percent = round(100 * share)
-    return f"{percent:+d} %" if percent else "0 %"
+    if percent:
+        return f"{percent:+d} %"
+    return "0 %"
 
 
 CHAPTER = Chapter(

@@ -60,7 +60,9 @@ Lines = list[tuple[str, str]]
 
 def lines(found: Explanation) -> Lines:
     """Explain a run: the verdict, the run, and the steps of `steps`."""
-    spec, log, golden = found.spec, found.flight.log, found.golden.log
+    spec = found.spec
+    log = found.flight.log
+    golden = found.golden.log
     story = [("verdict", verdict(found.effect, log, golden))]
     watched = f", detector {detector_name(spec)}" if spec.detector else ""
     story.append(("run", f"{spec.run_id}: {spec.environment}, seed {spec.seed}, setting {spec.setting}{watched}"))
@@ -97,11 +99,17 @@ def spread_lines(found: Sequence[Spread]) -> Lines:
         return []
     ended = not any(one.to_the_end for one in found)
     last = 1e-6 * max(one.last_us for one in found)
-    head = f"the error died out: nothing differs after {last:.3f} s" if ended else "the error lasted to the end"
+    if ended:
+        head = f"the error died out: nothing differs after {last:.3f} s"
+    else:
+        head = "the error lasted to the end"
     story = [("spread", head)]
     for one in found:
         by = f" ({one.kernel})" if one.kernel else ""
-        end = "to the end" if one.to_the_end else f"to {1e-6 * one.last_us:.3f} s"
+        if one.to_the_end:
+            end = "to the end"
+        else:
+            end = f"to {1e-6 * one.last_us:.3f} s"
         count = f"{one.differing} of {one.compared} values differ"
         story.append(("", f"{1e-6 * one.first_us:.3f} s, {one.name}{by}: {count}, {end}"))
     return story
@@ -135,8 +143,10 @@ def after_death(log: FlightLog) -> str:
 
 
 def _mission(log: FlightLog, golden: FlightLog) -> str:
-    end, golden_end = log.status, golden.status
-    now, before = _duration(log), _duration(golden)
+    end = log.status
+    golden_end = golden.status
+    now = _duration(log)
+    before = _duration(golden)
     if MissionStatus.SUCCESS not in (end, golden_end):
         return f"the mission fails without the fault, too ({golden_end.words}; with it {end.words})"
     if end is not MissionStatus.SUCCESS:
@@ -151,10 +161,17 @@ def _mission(log: FlightLog, golden: FlightLog) -> str:
 def injection_lines(injection: Injection, fault: Fault | None, log: FlightLog) -> Lines:
     """The injected value before and after; for instructions, also source line and effect on the kernel."""
     story = [("fault", _fault(injection, fault))]
-    details, kernel = injection.details, log.kernel
+    details = injection.details
+    kernel = log.kernel
     if injection.file:
-        inlined = f", inlined at {', '.join(details['inlined'])}" if details.get("inlined") else ""
-        variable = f" of {details['variable']}" if details.get("variable") else ""
+        if details.get("inlined"):
+            inlined = f", inlined at {', '.join(details['inlined'])}"
+        else:
+            inlined = ""
+        if details.get("variable"):
+            variable = f" of {details['variable']}"
+        else:
+            variable = ""
         value_class = str(details.get("value_class", "")).replace("_", " ")
         story.append(
             (
@@ -182,7 +199,10 @@ def _fault(injection: Injection, fault: Fault | None) -> str:
         return f"{injection.site}: no site, the golden run never {never} it"
     if not injection.activated:
         return f"{injection.site}: not activated, {why}"
-    bit = injection.details.get("model", "empty mask") if injection.bit is None else _bit(injection.bit, fault)
+    if injection.bit is None:
+        bit = injection.details.get("model", "empty mask")
+    else:
+        bit = _bit(injection.bit, fault)
     before, after = change(injection.before, injection.after)
     return f"{injection.site}, {bit}, at {injection.time_s:.3f} s: {before} → {after}{lost(injection)}"
 
@@ -190,7 +210,9 @@ def _fault(injection: Injection, fault: Fault | None) -> str:
 def _bit(bit: int, fault: Fault | None) -> str:
     """Index of a bit, with its class if known."""
     kind = "" if fault is None else fault.bit_class
-    return f"bit {bit} ({kind.replace('_', ' ')})" if kind else f"bit {bit}"
+    if kind:
+        return f"bit {bit} ({kind.replace('_', ' ')})"
+    return f"bit {bit}"
 
 
 def _kernel(name: str, kernel: KernelEffect, after: str) -> str:
@@ -217,17 +239,23 @@ def published_field(first: Mapping[str, Any]) -> str:
 def _difference(first: Difference | None) -> str:
     if first is None:
         return "none: every published value is bit for bit that of the golden run"
-    golden, injected = first.golden_us, first.injected_us
+    golden = first.golden_us
+    injected = first.injected_us
     if golden is None or injected is None:
         where = "here alone" if golden is None else "by the golden run alone"
         return f"{first.state} at {1e-6 * first.time_us:.3f} s: published {where}"
     later = f"{abs(injected - golden) / 1000:g} ms {'later' if injected > golden else 'earlier'}"
     if not first.field:
-        held = "held back, the same value came" if injected > golden else "the same value came"
+        if injected > golden:
+            held = "held back, the same value came"
+        else:
+            held = "the same value came"
         return f"{first.state} at {1e-6 * golden:.3f} s in the golden run: here {held} {later}"
     before, after = change(first.golden, first.injected)
     text = f"{first.state}.{first.field} at {1e-6 * injected:.3f} s: golden {before}, here {after}"
-    return text if injected == golden else f"{text}, {later}"
+    if injected == golden:
+        return text
+    return f"{text}, {later}"
 
 
 def _path(parted: Departure) -> str:
@@ -260,7 +288,10 @@ def alarm_lines(log: FlightLog, golden: FlightLog | None, most: int = MOST_ALARM
     if not (log.alarms or events):
         return []
     near, others = around(log)
-    known = set() if golden is None else {_key(alarm) for alarm in golden.alarms}
+    if golden is None:
+        known = set()
+    else:
+        known = {_key(alarm) for alarm in golden.alarms}
     parts = [f"{len(log.alarms)} in all"]
     if log.injections:
         parts.append(f"{len(near)} within {AFTERMATH:g} s of the injection")
@@ -288,7 +319,9 @@ def _key(alarm: AlarmRecord) -> tuple[str, int]:
 def _alarm(alarm: AlarmRecord, *, also: bool) -> str:
     text = f"{alarm.time_s:.3f} s, {alarm.source}: {', '.join(alarm.fields) or alarm.state or alarm.stage}, "
     text += f"score {alarm.score:.3g}; {alarm.action} {alarm.stage}: {alarm.outcome}"
-    return f"{text}; also in the golden run" if also else text
+    if also:
+        return f"{text}; also in the golden run"
+    return text
 
 
 def end_of(log: FlightLog) -> str:
@@ -302,12 +335,17 @@ def _duration(log: FlightLog) -> float:
 
 def detector_name(spec: RunSpec) -> str:
     """Detector of a run, with its profile if it has one; "" = none."""
-    return f"{spec.detector} ({spec.detector_profile})" if spec.detector and spec.model else spec.detector
+    if spec.detector and spec.model:
+        return f"{spec.detector} ({spec.detector_profile})"
+    return spec.detector
 
 
 def to_json(found: Explanation) -> dict[str, Any]:
     """Plain data: verdict, effect, injections, first difference, propagation, path, all alarms, both ends."""
-    spec, log, first, parted = found.spec, found.flight.log, found.first, found.departure
+    spec = found.spec
+    log = found.flight.log
+    first = found.first
+    parted = found.departure
     return {
         "run_id": spec.run_id,
         "setting": spec.setting,
@@ -350,4 +388,6 @@ def to_json(found: Explanation) -> dict[str, Any]:
 
 
 def _seconds(microseconds: int | None) -> float | None:
-    return None if microseconds is None else 1e-6 * microseconds
+    if microseconds is None:
+        return None
+    return 1e-6 * microseconds

@@ -26,7 +26,9 @@ class Drawing:
 
     def caption_of(self, runs: Runs) -> str:
         """The caption for these runs."""
-        return self.caption if isinstance(self.caption, str) else self.caption(runs)
+        if isinstance(self.caption, str):
+            return self.caption
+        return self.caption(runs)
 
 
 FIGURES: Mapping[str, Drawing] = Catalogue("mavfi.figures")

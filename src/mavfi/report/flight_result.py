@@ -41,7 +41,10 @@ class FlightResult:
 
     def __repr__(self) -> str:
         mission = f"{self.scenario.environment.name}, seed {self.scenario.seed}"
-        fault = f"{self.effect.label} by a fault in {self.fault.site}" if self.fault and self.effect else "golden"
+        if self.fault and self.effect:
+            fault = f"{self.effect.label} by a fault in {self.fault.site}"
+        else:
+            fault = "golden"
         return f"<FlightResult: {mission}, {fault}, {self.status.name} after {self.quality.flight_time_s:.2f} s>"
 
     @property
@@ -62,7 +65,9 @@ class FlightResult:
     @cached_property
     def golden_record(self) -> FlightRecord | None:
         """Record of the golden run, as in a ledger; None if the flight itself is golden."""
-        return None if self.golden is None else self.golden.record()
+        if self.golden is None:
+            return None
+        return self.golden.record()
 
     @property
     def quality(self) -> QoF:
@@ -79,7 +84,9 @@ class FlightResult:
     @property
     def effect(self) -> Effect | None:
         """Effect of the fault on the flight; None if the flight itself is golden."""
-        return None if self.golden_record is None else effect_of(self.golden_record, self.record)
+        if self.golden_record is None:
+            return None
+        return effect_of(self.golden_record, self.record)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data, the output of `mavfi fly --json`.
@@ -92,7 +99,8 @@ class FlightResult:
             same fault, without the detector).  The last five are null for a golden flight, kernel also for faults of
             other levels, without_detector also without a detector.
         """
-        log, scenario = self.flight.log, self.scenario
+        log = self.flight.log
+        scenario = self.scenario
         return {
             **_figures(self.flight.log, self.record),
             "injections": [injection.to_json() for injection in log.injections],

@@ -8,7 +8,9 @@ from typing import Any
 from mavfi.mission import MissionStatus
 from mavfi.record import AlarmRecord, Event, FlightLog, Injection
 
-INFO, WARN, ERROR = "info", "warn", "error"
+INFO = "info"
+WARN = "warn"
+ERROR = "error"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,16 +63,22 @@ def line_of(item: Event | AlarmRecord | Injection) -> Line | None:
         return Line(max(0, item.time_us), INFO, "event", text, text)
     if not math.isfinite(item.time_s):
         return None
-    time_us, data = max(0, round(1e6 * item.time_s)), _pairs(item.to_json())
+    time_us = max(0, round(1e6 * item.time_s))
+    data = _pairs(item.to_json())
     if isinstance(item, AlarmRecord):
         return Line(time_us, WARN, "alarm", f"alarm: {item.source} {item.state}, {item.action}, {item.outcome}", data)
-    change = f"{_short(item.before)} -> {_short(item.after)}" if item.activated else "not activated"
+    if item.activated:
+        change = f"{_short(item.before)} -> {_short(item.after)}"
+    else:
+        change = "not activated"
     bit = "" if item.bit is None else f" bit {item.bit}"
     return Line(time_us, ERROR, "injection", f"fault: {item.site}{bit}: {change}", data)
 
 
 def _short(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return str(value)
 
 
 def _pairs(data: dict[str, Any]) -> str:

@@ -40,9 +40,13 @@ def points(axes: Axes, x: Sequence[float] | np.ndarray, y: Sequence[float] | np.
 
 def band(axes: Axes, place: float, link: str, *, upright: bool) -> None:
     """Link a row of a panel, or a column (`upright`), centred at `place` and `_BAND` wide; points are above it."""
-    low, high = place - _BAND / 2, place + _BAND / 2
+    low = place - _BAND / 2
+    high = place + _BAND / 2
     corners = [(low, 0.0), (low, 1.0), (high, 1.0), (high, 0.0)]
-    transform = axes.get_xaxis_transform() if upright else axes.get_yaxis_transform()
+    if upright:
+        transform = axes.get_xaxis_transform()
+    else:
+        transform = axes.get_yaxis_transform()
     shape = corners if upright else [corner[::-1] for corner in corners]
     drawn = PolyCollection([shape], urls=[link], zorder=6, transform=transform, **_TRANSPARENT)
     axes.add_collection(drawn, autolim=False)

@@ -9,17 +9,23 @@ ABSENT = "—"
 
 def percent(share: float | None, digits: int = 1) -> str:
     """A share as per cent."""
-    return ABSENT if share is None else f"{100 * share:.{digits}f} %"
+    if share is None:
+        return ABSENT
+    return f"{100 * share:.{digits}f} %"
 
 
 def signed_percent(share: float | None) -> str:
     """A relative change as per cent."""
-    return ABSENT if share is None else f"{100 * share:+z.1f} %"
+    if share is None:
+        return ABSENT
+    return f"{100 * share:+z.1f} %"
 
 
 def lost(injection: Injection) -> str:
     """What is added to the values of an injection after which a message cannot be read."""
-    return ", message lost" if injection.details.get("lost") else ""
+    if injection.details.get("lost"):
+        return ", message lost"
+    return ""
 
 
 def change(before: object, after: object, digits: int = 6) -> tuple[str, str]:

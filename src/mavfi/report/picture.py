@@ -31,9 +31,12 @@ NEAR = 3.0
 _MARGIN = 2.0
 _SCAN_MARGIN = 5.0
 _WIDTH = 11.0
-_HANDLE, _LETTER, _ROW = 0.62, 0.066, 0.22
+_HANDLE = 0.62
+_LETTER = 0.066
+_ROW = 0.22
 """Approximate sizes of a legend entry: handle, letter, row (in)."""
-_TITLE_SIZE, _TITLE_LENGTH = 12.0, 100
+_TITLE_SIZE = 12.0
+_TITLE_LENGTH = 100
 """Size of the title (pt), and its length from which it is set smaller, to fit."""
 _SIDE_STRETCH = 1.6
 """Vertical exaggeration of the side view."""
@@ -102,9 +105,15 @@ def _courses(flight: Flight, golden: Flight | None, recovered: Flight | None, de
         look = thin if recovered is None else wide
         courses.append(_Drawn("golden run", positions(golden), look))
     injected = bool(flight.log.injections)
-    watched = "" if recovered is not None or not detector else f"detector {detector}"
+    if recovered is not None or not detector:
+        watched = ""
+    else:
+        watched = f"detector {detector}"
     label = " and ".join(part for part in ("with the fault" if injected else "", watched) if part) or "flight"
-    look = {"color": style.ORANGE, "linewidth": 3.6} if injected else {"color": style.BLUE, "linewidth": 2.6}
+    if injected:
+        look = {"color": style.ORANGE, "linewidth": 3.6}
+    else:
+        look = {"color": style.BLUE, "linewidth": 2.6}
     courses.append(_Drawn(label, positions(flight), look | {"zorder": 5, "path_effects": _HALO}))
     if recovered is not None:
         look = {"color": style.GREEN, "linewidth": 1.6, "linestyle": (0, (4, 2)), "zorder": 7}
@@ -126,7 +135,8 @@ def _limits(world: World, courses: list[_Drawn]) -> tuple[np.ndarray, np.ndarray
     """Corners of the displayed volume: the arena or, in a scan, the surroundings of the paths."""
     points = np.concatenate([course.points for course in courses] + [world.start[None], world.goal[None]])
     points = np.clip(points, world.arena_lower - FLY_AWAY_MARGIN, world.arena_upper + FLY_AWAY_MARGIN)
-    low, high = points.min(axis=0), points.max(axis=0)
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     if world.is_voxels:
         lower = np.maximum(low - _SCAN_MARGIN, world.arena_lower)
         upper = np.minimum(high + _SCAN_MARGIN, world.arena_upper)
@@ -137,15 +147,22 @@ def _limits(world: World, courses: list[_Drawn]) -> tuple[np.ndarray, np.ndarray
 def _legend_rows(labels: list[str]) -> int:
     """Number of rows of the legend (one or two), from the lengths of the labels."""
     inches = sum(_HANDLE + _LETTER * len(label) for label in (*labels, "obstacle", "occupied in the map"))
-    return 1 if inches < _WIDTH - 0.8 else 2
+    if inches < _WIDTH - 0.8:
+        return 1
+    return 2
 
 
 def _axes(lower: np.ndarray, upper: np.ndarray, rows: int) -> tuple[Figure, Views]:
     """Create a figure with two views of equal x scale, below a legend of `rows` rows."""
-    left, right, top, between, bottom = 0.6, 0.15, 1.17 + _ROW * (rows - 1), 0.62, 0.5
+    left = 0.6
+    right = 0.15
+    top = 1.17 + _ROW * (rows - 1)
+    between = 0.62
+    bottom = 0.5
     extent = upper - lower
     inch = (_WIDTH - left - right) / extent[0]
-    plan, elevation = inch * extent[1], inch * extent[2] * _SIDE_STRETCH
+    plan = inch * extent[1]
+    elevation = inch * extent[2] * _SIDE_STRETCH
     height = top + plan + between + elevation + bottom
     figure = Figure(figsize=(_WIDTH, height))
     width = (_WIDTH - left - right) / _WIDTH
@@ -218,7 +235,8 @@ def _draw_map(views: Views, flight: Flight, limits: tuple[np.ndarray, np.ndarray
         return False
     grid = clearance.grid
     ix, iy, iz = np.nonzero(clearance.cells.reshape(grid.nx, grid.ny, grid.nz) == OCCUPIED)
-    corner, shape = np.array([grid.x0, grid.y0, grid.z0]), np.array([grid.nx, grid.ny, grid.nz])
+    corner = np.array([grid.x0, grid.y0, grid.z0])
+    shape = np.array([grid.nx, grid.ny, grid.nz])
     centres = corner + (np.stack([ix, iy, iz], axis=1) + 0.5) * grid.resolution
     lower, upper = limits
     centres = centres[((centres > lower) & (centres < upper)).all(axis=1)]
@@ -248,7 +266,8 @@ def _distance(points: np.ndarray, course: np.ndarray) -> np.ndarray:
 
 def _marks(flight: Flight) -> list[_Drawn]:
     """Markers of start, goal, injections, and the end of a failed flight."""
-    log, world = flight.log, flight.world
+    log = flight.log
+    world = flight.world
     marks = [
         _Drawn("start", world.start[None], {"marker": "o", "markersize": 9, "color": style.INK}),
         _Drawn("goal", world.goal[None], {"marker": "s", "markersize": 9, "color": style.INK}),
@@ -290,7 +309,8 @@ def _draw_marks(figure: Figure, views: Views, marks: list[_Drawn]) -> list[Line2
 def _label(figure: Figure, views: Views, flight: Flight, title: str) -> None:
     (above, _), (side, _) = views
     scenario = flight.log.meta["scenario"]
-    height, size = figure.get_figheight(), min(_TITLE_SIZE, _TITLE_SIZE * _TITLE_LENGTH / len(title))
+    height = figure.get_figheight()
+    size = min(_TITLE_SIZE, _TITLE_SIZE * _TITLE_LENGTH / len(title))
     figure.text(0.6 / _WIDTH, 1 - 0.24 / height, title, fontsize=size, fontweight="bold", va="center")
     below = f"{scenario['environment']['name']} · seed {scenario['seed']} · autopilot {scenario['stack']['name']}"
     for injection in flight.log.injections:
@@ -304,7 +324,10 @@ def _label(figure: Figure, views: Views, flight: Flight, title: str) -> None:
     side.set_ylabel("z (m)")
     side.set_xlabel("x (m)")
     above.text(0, 1.012, "from above", transform=above.transAxes, color=style.GREY, va="bottom")
-    shown = "along the path" if flight.world.is_voxels else "obstacles near the path"
+    if flight.world.is_voxels:
+        shown = "along the path"
+    else:
+        shown = "obstacles near the path"
     heights = f"from the side: {shown}; heights × {_SIDE_STRETCH:g}"
     side.text(0, 1.02, heights, transform=side.transAxes, color=style.GREY, va="bottom")
 

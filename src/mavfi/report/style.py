@@ -86,7 +86,9 @@ def setting_label(setting: str) -> str:
     """Display name of a setting: "golden run", "fault", "fault + gaussian"."""
     kind, _, arm = setting.partition("_")
     words = {"golden": "golden run", "fi": "fault", "dr": "fault", "null": "null fault"}.get(kind, kind)
-    return f"{words} + {arm}" if arm else words
+    if arm:
+        return f"{words} + {arm}"
+    return words
 
 
 def write(figure: Figure, path: Path) -> Path:
@@ -98,9 +100,11 @@ def write(figure: Figure, path: Path) -> Path:
 
 # ---- at the width of a journal's column or page: sizes of letters, marks and lines, texts without overlaps -----------
 
-COLUMN, PAGE = 3.5, 7.16
+COLUMN = 3.5
+PAGE = 7.16
 """Widths of one column and of the page (in), in IEEE's two-column format."""
-LETTERS, SMALL = 7.0, 5.0
+LETTERS = 7.0
+SMALL = 5.0
 """Font sizes (pt): of all texts; of those in panels that are smaller than tick labels."""
 _DOTS_PER_INCH = 600
 _PANELS = 2  # maximum number side by side in one column
@@ -110,7 +114,9 @@ _GAP = 1.5
 """Least distance between neighbouring tick labels (pt)."""
 _TICKS = (4, 3, 2, 1)
 """Maximum numbers of intervals between ticks, tried in this order."""
-_SHORTEST, _LEAST, _GROWTH = 1.8, 1.0, 1.1
+_SHORTEST = 1.8
+_LEAST = 1.0
+_GROWTH = 1.1
 """Least height of a figure and of its panels (in), and factor by which it grows until its names fit."""
 _LETTERS_IN_LINE = 12
 """Least number of letters in a line of a wrapped text."""
@@ -247,7 +253,8 @@ def _named(axis: Axis) -> bool:
 def _fold(text: Text, space: float) -> None:
     """Wrap a text that is longer than its space (pixels)."""
     extent = text.get_window_extent()
-    lines, needed = text.get_text().splitlines(), max(extent.width, extent.height)
+    lines = text.get_text().splitlines()
+    needed = max(extent.width, extent.height)
     if needed > space:
         letters = max(_LETTERS_IN_LINE, int(max(map(len, lines)) * space / needed))
         text.set_text("\n".join(part for line in lines for part in wrap(line, letters, break_long_words=False)))

@@ -39,11 +39,15 @@ def _small_percent(share: float) -> str:
 
 
 def _interval(found: Rate) -> str:
-    return "" if found.low is None or found.high is None else f"[{100 * found.low:.1f}, {100 * found.high:.1f}]"
+    if found.low is None or found.high is None:
+        return ""
+    return f"[{100 * found.low:.1f}, {100 * found.high:.1f}]"
 
 
 def _p(found: Any) -> str:
-    return "" if found.p_value is None else f" p = {found.p_value:.2g}"
+    if found.p_value is None:
+        return ""
+    return f" p = {found.p_value:.2g}"
 
 
 def rate(found: Rate | float | None) -> str:
@@ -55,17 +59,24 @@ def rate(found: Rate | float | None) -> str:
         return f"{100 * found:.1f}"
     if found is None or found.rate is None:
         return ABSENT
-    count = f"n={found.n}" if found.successes is None else f"{found.successes}/{found.n}"
+    if found.successes is None:
+        count = f"n={found.n}"
+    else:
+        count = f"{found.successes}/{found.n}"
     return f"{100 * found.rate:.1f} {_interval(found)} {count}"
 
 
 def number(value: float | None, digits: int = 1) -> str:
     """A number without a unit."""
-    return ABSENT if value is None else f"{value:.{digits}f}"
+    if value is None:
+        return ABSENT
+    return f"{value:.{digits}f}"
 
 
 def _per_hour(found: EventRate) -> str:
-    return ABSENT if found.per_hour is None else f"{found.per_hour:.1f} [{found.low:.1f}, {found.high:.1f}]"
+    if found.per_hour is None:
+        return ABSENT
+    return f"{found.per_hour:.1f} [{found.low:.1f}, {found.high:.1f}]"
 
 
 FORMS: dict[str, Callable[[Any], str]] = {
@@ -96,7 +107,9 @@ def cell(value: Cell, form: str) -> str:
         return FORMS[form](value)
     kind, _, rest = form.partition(" ")
     digits, _, unit = rest.partition(" ")
-    return f"{value:{digits}}{unit and ' ' + unit}" if kind == "number" and digits else str(value)
+    if kind == "number" and digits:
+        return f"{value:{digits}}{unit and ' ' + unit}"
+    return str(value)
 
 
 def shown(table: Table) -> tuple[list[Column], list[list[str]]]:
@@ -139,7 +152,8 @@ def differing_null_runs(runs: Runs) -> list[str]:
 
 def null_line(runs: Runs) -> str:
     """Line on whether the null runs equal their golden runs."""
-    count, differing = len(runs.null), differing_null_runs(runs)
+    count = len(runs.null)
+    differing = differing_null_runs(runs)
     if not count:
         return "Null runs: none flown."
     if not differing:
@@ -173,7 +187,8 @@ _NUMBER = Column("number", "#")
 def show_header(lines: Sequence[str], console: Console) -> None:
     """Print the lines of `text.header` in a frame."""
     first, *rest = lines
-    inside, title = Group(*(Text(line, style="dim") for line in rest)), f"[bold]{escape(first)}[/bold]"
+    inside = Group(*(Text(line, style="dim") for line in rest))
+    title = f"[bold]{escape(first)}[/bold]"
     console.print(Panel(inside, title=title, title_align="left", box=box.ROUNDED, expand=False))
 
 
@@ -195,7 +210,9 @@ def rendered(table: Table, width: int) -> Group:
     least, whole = _sizes(columns, rows)
     if any(_room([*(least[key] for key in keys), size]) > width for size in least[len(keys) :]):
         # a column does not fit next to the keys: row numbers replace the keys
-        columns, rows, keys = [_NUMBER, *columns], [[str(i), *row] for i, row in enumerate(rows, start=1)], [0]
+        columns = [_NUMBER, *columns]
+        rows = [[str(i), *row] for i, row in enumerate(rows, start=1)]
+        keys = [0]
         least, whole = _sizes(columns, rows)
     parts: list[Text | RichTable] = [Text(table.title, style="bold")]  # not wrapped to a narrow table
     for block in _blocks(least, keys, width):
@@ -210,7 +227,8 @@ def _sizes(columns: Sequence[Column], rows: Sequence[Sequence[str]]) -> tuple[li
 
     The minimum is the longest word; for names and for numbers with their units, the longest cell.
     """
-    least, whole = [], []
+    least = []
+    whole = []
     for place, column in enumerate(columns):
         cells = [column.heading, *(row[place] for row in rows)]
         whole.append(max(map(len, cells)))
@@ -223,7 +241,8 @@ def _sizes(columns: Sequence[Column], rows: Sequence[Sequence[str]]) -> tuple[li
 
 def _blocks(least: Sequence[int], keys: Sequence[int], width: int) -> list[list[int]]:
     """Split columns into blocks that fit the width; each block starts with the keys and has at least one column."""
-    blocks, own = [], list(keys)
+    blocks = []
+    own = list(keys)
     for place in range(len(keys), len(least)):
         if len(own) > len(keys) and _room([least[p] for p in (*own, place)]) > width:
             blocks.append(own)
@@ -238,7 +257,8 @@ def _room(widths: Sequence[int]) -> int:
 
 def _widths(least: Sequence[int], whole: Sequence[int], width: int) -> list[int]:
     """Widths of columns: the minimum, plus the remaining space, given first to columns that need the least."""
-    given, left = list(least), width - _room(least)
+    given = list(least)
+    left = width - _room(least)
     needy = sorted(range(len(least)), key=lambda place: whole[place] - least[place])
     for number, place in enumerate(needy):
         more = max(0, min(whole[place] - given[place], left // (len(needy) - number)))

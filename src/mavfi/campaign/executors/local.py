@@ -60,7 +60,10 @@ class LocalExecutor:
         ready = wait([worker.pipe for worker in workers], timeout=1.0)
         for place, worker in reversed(list(enumerate(workers))):
             mission = worker.mission
-            items = worker.take() if worker.pipe in ready else worker.overdue(self._time_limit)
+            if worker.pipe in ready:
+                items = worker.take()
+            else:
+                items = worker.overdue(self._time_limit)
             if not items:
                 continue
             last = items[-1]

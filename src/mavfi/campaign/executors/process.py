@@ -45,7 +45,8 @@ class _Started:
 
     def __init__(self, process: "subprocess.Popen[bytes]") -> None:
         self._process = process
-        self.terminate, self.kill = process.terminate, process.kill
+        self.terminate = process.terminate
+        self.kill = process.kill
 
     def is_alive(self) -> bool:
         return self._process.poll() is None
@@ -119,7 +120,10 @@ class Worker(Generic[T]):
             code = self._process.exitcode or 0
             if code == _MUTE_EXIT:
                 return Raised(MachineError("a worker could not send what it had"))
-            name = signal.Signals(-code).name if -code in {int(s) for s in signal.Signals} else ""
+            if -code in {int(s) for s in signal.Signals}:
+                name = signal.Signals(-code).name
+            else:
+                name = ""
             return Lost(f"its worker died ({name or f'exit code {code}'})", died=True, signal=name)
 
     def overdue(self, limit: float) -> list[Any]:
@@ -190,7 +194,8 @@ def _fly_all(pipe: Connection, function: Callable[[Any], Iterator[Any]]) -> None
     """Fly missions until the pipe is closed; raises errors of the pipe, e.g. if an item cannot be sent."""
     while True:
         mission = pipe.recv()
-        answers, goes_on = function(mission), True
+        answers = function(mission)
+        goes_on = True
         while goes_on:
             data, goes_on = _next_of(answers)
             pipe.send_bytes(data)

@@ -12,7 +12,7 @@ A failure of the vehicle's sensors or motors, `sensor:UNIT:TYPE@SECONDS`, change
 import random
 import re
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TextIO
 
@@ -48,15 +48,26 @@ def count(value: Any) -> int:
 def path_of(value: Any, number: int) -> Path | None:
     """Path of the n-th number, from 0; None if there are fewer."""
     if isinstance(value, (bool, int, float)):
-        return () if number == 0 else None
+        if number == 0:
+            return ()
+        return None
     if isinstance(value, bytes):
-        return (number,) if number < len(value) else None
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+        if number < len(value):
+            return (number,)
+        return None
+    if isinstance(value, dict):
+        items: Iterable[tuple[Any, Any]] = value.items()
+    elif isinstance(value, list):
+        items = enumerate(value)
+    else:
+        items = ()
     for key, item in items:
         inside = count(item)
         if number < inside:
             path = path_of(item, number)
-            return None if path is None else (key, *path)
+            if path is None:
+                return None
+            return (key, *path)
         number -= inside
     return None
 
@@ -89,7 +100,9 @@ def make_double(holder: Any, path: Path) -> None:
 
 def bits_of(value: Any) -> int:
     """Number of bits of a number; 8 for one of bytes."""
-    return 1 if isinstance(value, bool) else _WORD
+    if isinstance(value, bool):
+        return 1
+    return _WORD
 
 
 def flipped(value: Any, bit: int) -> Any:
@@ -134,7 +147,8 @@ def flip(holder: Any, path: Path, bit: int) -> tuple[Any, Any, Any, int]:
 
 
 # ---- the boundary ----------------------------------------------------------------------------------------------------
-ARGUMENTS, RETURN = "arguments", "return"
+ARGUMENTS = "arguments"
+RETURN = "return"
 _PATH = rf"(?:{ARGUMENTS}|{RETURN})#\d+|\w+(?:\.\w+)*"
 _TEXT = re.compile(
     rf"(?P<call>\w+)\.(?P<path>{_PATH})(?::bit=(?P<bit>\d+))?(?:@(?P<at>[\d.eE+-]+)|#(?P<nth>[1-9]\d*))?"
@@ -163,7 +177,9 @@ class BoundaryFault:
         side, _, number = head.partition("#")
         if number:
             return path_of(value, int(number))
-        return keys_of(rest) if side == RETURN else (CALLS[self.fault.topic].arguments.index(side), *keys_of(rest))
+        if side == RETURN:
+            return keys_of(rest)
+        return (CALLS[self.fault.topic].arguments.index(side), *keys_of(rest))
 
 
 def parse_fault(text: str, seed: int = 0) -> BoundaryFault | SensorFault:
@@ -177,7 +193,10 @@ def parse_fault(text: str, seed: int = 0) -> BoundaryFault | SensorFault:
     match = _TEXT.fullmatch(text)
     if match is None:
         raise BadInputError(f"--fault: {text!r}: allowed: {_FORM}")
-    name, path, bit, at = match["call"], match["path"], match["bit"], match["at"]
+    name = match["call"]
+    path = match["path"]
+    bit = match["bit"]
+    at = match["at"]
     if name not in CALLS:
         raise BadInputError(f"--fault: {text!r}: call {name!r}: not known; allowed: calls of docs/airsim.md")
     try:
@@ -186,12 +205,16 @@ def parse_fault(text: str, seed: int = 0) -> BoundaryFault | SensorFault:
         since_s = -1.0
     if not 0.0 <= since_s < 1e6:
         raise BadInputError(f"--fault: {text!r}: @{at}: allowed: 0 to 1e6 s")
-    head, arguments = path.partition(".")[0], CALLS[name].arguments
+    head = path.partition(".")[0]
+    arguments = CALLS[name].arguments
     if "#" not in head and head not in (*arguments, RETURN):
         raise BadInputError(f"--fault: {text!r}: {head!r}: not known; allowed: {', '.join([*arguments, RETURN])}")
     if bit is not None and int(bit) >= _BITS:
         raise BadInputError(f"--fault: {text!r}: bit {bit}: allowed: 0 to {_BITS - 1}")
-    chosen = int(bit) if bit is not None else random.Random(seed).randrange(_BITS)
+    if bit is not None:
+        chosen = int(bit)
+    else:
+        chosen = random.Random(seed).randrange(_BITS)
     nth = int(match["nth"]) if match["nth"] else 1
     return BoundaryFault(MessageFault(name, path, chosen, nth, seed=seed), round(1e6 * since_s))
 
@@ -238,7 +261,10 @@ class Boundary:
         """The boundary with a fault, in a call or in the vehicle behind it."""
         if isinstance(fault, SensorFault):
             return cls(watch=watch, recording=recording, failure=Failure(fault))
-        planned = BoundaryFault(fault) if isinstance(fault, MessageFault) else fault
+        if isinstance(fault, MessageFault):
+            planned: BoundaryFault | None = BoundaryFault(fault)
+        else:
+            planned = fault
         return cls(planned, watch=watch, recording=recording)
 
     @property
@@ -249,7 +275,9 @@ class Boundary:
     @property
     def injected(self) -> Injection | None:
         """The injection that happened, into a call or the vehicle."""
-        return self.injection if self.failure is None else self.failure.injection
+        if self.failure is None:
+            return self.injection
+        return self.failure.injection
 
     def arguments(self, name: str, values: list[Any], now_us: int) -> list[Any]:
         """Arguments of a call, perhaps changed; `given` is changed in place."""
@@ -290,7 +318,10 @@ class Boundary:
                 value, _, after, _ = flip(value, path, bit)
         except BadInputError:
             return value
-        names = (RETURN, *path) if in_return else (CALLS[name].arguments[int(path[0])], *path[1:])
+        if in_return:
+            names = (RETURN, *path)
+        else:
+            names = (CALLS[name].arguments[int(path[0])], *path[1:])
         self.injection = Injection(
             "message",
             fault.site,
@@ -316,7 +347,9 @@ class BoundaryWatch:
     """
 
     def __init__(self, name: str, detector: Detector, specs: dict[str, Any]) -> None:
-        self._name, self._detector, self._specs = name, detector, specs
+        self._name = name
+        self._detector = detector
+        self._specs = specs
         self.alarms: list[AlarmRecord] = []
         detector.start()
 

@@ -35,7 +35,13 @@ from mavfi.numerics.frames import Quaternion, Triple, flipped, turned
 from mavfi.numerics.rotations import rotation_matrix
 
 # ---- images, computed from ranges: depth, a shaded picture, segmentation; as floats, bytes or PNG --------------------
-SCENE, PLANAR, PERSPECTIVE, VISUAL, DISPARITY, SEGMENTATION, INFRARED = 0, 1, 2, 3, 4, 5, 7
+SCENE = 0
+PLANAR = 1
+PERSPECTIVE = 2
+VISUAL = 3
+DISPARITY = 4
+SEGMENTATION = 5
+INFRARED = 7
 _KINDS = (SCENE, PLANAR, PERSPECTIVE, VISUAL, DISPARITY, SEGMENTATION, INFRARED)
 DEPTH = (PLANAR, PERSPECTIVE, VISUAL, DISPARITY)
 _WHITE_M = 100.0
@@ -44,7 +50,8 @@ _BASELINE_M = 0.25
 """Between the two cameras of a disparity (m)."""
 _SURFACE_M = 0.01
 """Tolerance of points on the surface of a box (m)."""
-FOG, DUST = 7, 6
+FOG = 7
+DUST = 6
 """AirSim's numbers of the weather parameters that are drawn."""
 _THICKNESS = 0.1
 """Extinction of fog with parameter 1 (1/m)."""
@@ -102,7 +109,9 @@ def encoded(api: Api, view: View, kind: int, compress: bool = True) -> bytes:
     """A picture as PNG, or as bytes R G B."""
     check_kind(kind)
     picture = _picture(api, view, kind)
-    return png(picture) if compress else picture.tobytes()
+    if compress:
+        return png(picture)
+    return picture.tobytes()
 
 
 def _picture(api: Api, view: View, kind: int) -> np.ndarray:
@@ -123,7 +132,10 @@ def _shaded(api: Api, planar: np.ndarray) -> np.ndarray:
     """Brightness by nearness and slope, veiled by fog and dust. Shape (height, width)."""
     slope = np.abs(np.gradient(planar, axis=1)) + np.abs(np.gradient(planar, axis=0))
     grey: np.ndarray = 230.0 - 1.6 * planar - 40.0 * np.clip(slope, 0.0, 2.0)
-    haze = sum(api.weather.get(kind, 0.0) for kind in (FOG, DUST)) if api.weather_on else 0.0
+    if api.weather_on:
+        haze = sum(api.weather.get(kind, 0.0) for kind in (FOG, DUST))
+    else:
+        haze = 0.0
     clear = np.array([exp(value) for value in (-_THICKNESS * haze * planar).ravel().tolist()]).reshape(planar.shape)
     seen: np.ndarray = clear * grey + (1.0 - clear) * 200.0
     return seen
@@ -131,10 +143,12 @@ def _shaded(api: Api, planar: np.ndarray) -> np.ndarray:
 
 def owners(api: Api, view: View) -> np.ndarray:
     """The object that each pixel shows, by its place among `Api.objects`; -1 = ground, -2 = sky. Shape (pixels,)."""
-    points, world = view.points(), api.vehicle.sim.world
+    points = view.points()
+    world = api.vehicle.sim.world
     owner = np.where(np.isfinite(view.ranges), -1, -2)
     for index in range(len(api.objects)):
-        lower, upper = world.lower[index] - _SURFACE_M, world.upper[index] + _SURFACE_M
+        lower = world.lower[index] - _SURFACE_M
+        upper = world.upper[index] + _SURFACE_M
         owner[((points >= lower) & (points <= upper)).all(axis=1)] = index
     return owner
 
@@ -183,7 +197,8 @@ _FACING = {
 _NUMBERS = dict(zip("01234", _FACING, strict=True))
 _CAMERAS = {**_FACING, "fpv": (0, 0)}
 """AirSim's cameras: turned to the right and up (deg); all of them sit at the centre of the vehicle."""
-LENS, FILM = "Pinhole", "16:9 Digital Film"
+LENS = "Pinhole"
+FILM = "16:9 Digital Film"
 """The only presets: Unreal's default film."""
 
 
@@ -203,7 +218,8 @@ def find_camera(api: Api, name: Any) -> Camera:  # noqa: ANN401 - a client's
 
 def view(api: Api, name: Any, kind: int) -> View:  # noqa: ANN401 - a client's
     """What a camera sees now; images of a kind with depth are those of a depth camera, which can fail."""
-    camera, (width, height) = find_camera(api, name), api.pixels
+    camera = find_camera(api, name)
+    (width, height) = api.pixels
     config = CameraConfig(width=width, height=height, field_of_view=math.radians(camera.fov_deg), range=CAMERA_RANGE)
     camera_mount = mount(camera.position, camera.orientation)
     ranges, rays = api.vehicle.sim.ranges(config, camera_mount)
@@ -233,8 +249,10 @@ def simGetImages(api: Api, requests: Any) -> list[Data]:
 def _response(api: Api, request: Any) -> Data:
     """ImageResponse to an ImageRequest."""
     try:
-        name, kind = request["camera_name"], int(request["image_type"])
-        as_float, compress = bool(request["pixels_as_float"]), bool(request["compress"])
+        name = request["camera_name"]
+        kind = int(request["image_type"])
+        as_float = bool(request["pixels_as_float"])
+        compress = bool(request["compress"])
     except (KeyError, TypeError, ValueError):
         raise BadInputError(f"{request!r}: allowed: an ImageRequest") from None
     seen = view(api, name, kind)
@@ -314,7 +332,8 @@ def _set_optics(name: str, camera: Camera, film: tuple[float, float], focal: flo
     fov = math.degrees(2.0 * atan2(0.5 * film[0], focal))
     if not NARROWEST <= fov <= WIDEST:
         raise BadInputError(f"{name}: a field of view of {fov:.4g} deg: allowed: {NARROWEST:g} to {WIDEST:g} deg")
-    camera.film_mm, camera.fov_deg = film, fov
+    camera.film_mm = film
+    camera.fov_deg = fov
 
 
 def _preset(name: str, preset: str, only: str) -> None:
@@ -443,7 +462,8 @@ def simGetDetections(api: Api, camera_name: str, image_type: int) -> list[Data]:
     """DetectionInfo of each object with a wanted name, within the radius, of which a pixel is seen."""
     wanted = _wanted(api, camera_name, image_type)
     seen = view(api, camera_name, image_type)
-    owner, world = owners(api, seen).reshape(seen.height, seen.width), api.vehicle.sim.world
+    owner = owners(api, seen).reshape(seen.height, seen.width)
+    world = api.vehicle.sim.world
     detections = []
     for index, name in enumerate(api.objects):
         centre = 0.5 * (world.lower[index] + world.upper[index])
@@ -461,7 +481,8 @@ def _detection(
     """DetectionInfo of a box, lower and upper corner in the world (m), that is seen in these pixels."""
     matrix = np.empty((3, 3))
     rotation_matrix(np.array(seen.pose[3:]), matrix)
-    camera, centre = np.array(seen.pose[:3]), 0.5 * (box[0] + box[1])
+    camera = np.array(seen.pose[:3])
+    centre = 0.5 * (box[0] + box[1])
     corners = np.array([flipped((np.array(corner) - camera) @ matrix) for corner in product(*zip(*box, strict=True))])
     w, x, y, z = seen.pose[3:]
     return {

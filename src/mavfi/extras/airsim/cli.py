@@ -64,7 +64,8 @@ class WorldOption:
     @staticmethod
     def chosen(mission: MissionSpec, values: dict[str, Any]) -> tuple[None, LocalHost | None]:
         """See `mavfi.cli.fly.FLY_OPTIONS`; raises `BadInputError` for what does not go with a server."""
-        world, fault = values["world"], values["fault"] or ""
+        world = values["world"]
+        fault = values["fault"] or ""
         if world is None:
             return None, None
         from mavfi.extras.airsim.host import world_address
@@ -179,7 +180,9 @@ def _serve(server: Server, port: int, once: bool) -> None:
     import asyncio
 
     out = console()
-    spec, name, ports = server.api.vehicle.spec, server.api.name, list[int]()
+    spec = server.api.vehicle.spec
+    name = server.api.name
+    ports = list[int]()
 
     def ready(at: int) -> None:
         ports.append(at)
@@ -196,7 +199,8 @@ def _serve(server: Server, port: int, once: bool) -> None:
 
 def _summarize(server: Server) -> None:
     """Print what the clients did: time, collision, digest, fault, refused calls."""
-    out, vehicle = console(), server.api.vehicle
+    out = console()
+    vehicle = server.api.vehicle
     hit = "collision" if vehicle.has_ever_collided else "no collision"
     out.print(f"{1e-6 * vehicle.now_us:.3f} s simulated, {hit}, digest {vehicle.digest()[:16]}", markup=False)
     if server.boundary.faulty:
@@ -265,7 +269,10 @@ def run(  # noqa: PLR0913 - one parameter per option
 
         recording = Recording() if detector != "none" else None
         golden = run_program(program, mission, Boundary(recording=recording))
-        watch = None if recording is None else recording.train(detector, profile)
+        if recording is None:
+            watch = None
+        else:
+            watch = recording.train(detector, profile)
         if planned is None and watch is None:
             _report(program, golden, None, as_json)
             return
@@ -287,7 +294,10 @@ def _report(program: ProgramConfig, golden: Ended, injected: Ended | None, as_js
     from mavfi.extras.airsim.host import effect_on, shown
 
     faulty = injected is not None and injected.boundary.faulty
-    effect = effect_on(golden, injected) if faulty and injected is not None else None
+    if faulty and injected is not None:
+        effect = effect_on(golden, injected)
+    else:
+        effect = None
     if as_json:
         result = {"golden": shown(golden), "injected": None if injected is None else shown(injected), "effect": effect}
         write_json({"script": program.script, **result})
@@ -317,7 +327,10 @@ def _print_alarms(out: Console, boundary: Boundary) -> None:
     """Print the number of alarms and the first one, if a detector observed."""
     if boundary.watch is not None:
         alarms = boundary.watch.alarms
-        first = f", first at {alarms[0].time_s:.3f} s: {', '.join(alarms[0].fields)}" if alarms else ""
+        if alarms:
+            first = f", first at {alarms[0].time_s:.3f} s: {', '.join(alarms[0].fields)}"
+        else:
+            first = ""
         out.print(f"alarms: {len(alarms)}{first}", markup=False)
 
 
@@ -325,7 +338,10 @@ def _line(boundary: Boundary) -> str:
     """The injection in one line, or that there was none."""
     injection = boundary.injected
     if injection is None:
-        reason = "no such number passed the boundary" if boundary.failure is None else "nothing changed for its readers"
+        if boundary.failure is None:
+            reason = "no such number passed the boundary"
+        else:
+            reason = "nothing changed for its readers"
         return f"fault: not activated: {reason}"
     if boundary.failure is not None:
         return f"{injection.time_s:8.3f} s  fault: {injection.site}: {injection.before} → {injection.after}"

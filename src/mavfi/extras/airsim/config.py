@@ -58,9 +58,14 @@ class ProgramConfig(Config):
 
     def to_json(self) -> dict[str, Any]:
         """Plain data, with a digest of the program's text."""
-        text = Path(self.script).read_bytes() if is_file(Path(self.script)) else b""
+        if is_file(Path(self.script)):
+            text = Path(self.script).read_bytes()
+        else:
+            text = b""
         return {**self.model_dump(mode="json"), "sha256": hashlib.sha256(text).hexdigest()}
 
 
 def _no_file(name: str) -> str:
-    return "is a folder" if is_dir(Path(name)) else "there is no such file"
+    if is_dir(Path(name)):
+        return "is a folder"
+    return "there is no such file"

@@ -46,7 +46,10 @@ def yaw_of(mode: Any, drivetrain: Any = 0) -> Yaw:  # noqa: ANN401 - a client's
     if mode is None:
         return Yaw()
     try:
-        value = float(mode["rad"]) if "rad" in mode else math.radians(float(mode["yaw_or_rate"]))
+        if "rad" in mode:
+            value = float(mode["rad"])
+        else:
+            value = math.radians(float(mode["yaw_or_rate"]))
         return Yaw(bool(mode["is_rate"]), value, drivetrain == _FORWARD_ONLY)
     except (KeyError, TypeError, ValueError):
         raise BadInputError(f"{mode!r}: allowed: a YawMode (is_rate, yaw_or_rate)") from None
@@ -134,13 +137,17 @@ def _with_signature(function: Callable[..., Task], numbers: Sequence[str], **oth
 
 
 def _add_velocity_task(name: str, arguments: str) -> None:
-    along_heading, at_height = name.endswith("BodyFrame"), arguments.endswith(" z")
+    along_heading = name.endswith("BodyFrame")
+    at_height = arguments.endswith(" z")
 
     def fly(
         api: Api, vx: float, vy: float, vertical: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None
     ) -> Task:
         yaw = yaw_of(yaw_mode, drivetrain)
-        horizontal = from_body(api.vehicle, vx, vy) if along_heading else (vx, vy)
+        if along_heading:
+            horizontal = from_body(api.vehicle, vx, vy)
+        else:
+            horizontal = (vx, vy)
         if at_height:
             return fly_velocity_at(api.vehicle, horizontal, vertical, duration, yaw)
         return fly_velocity(api.vehicle, (*horizontal, vertical), duration, yaw)
@@ -253,7 +260,8 @@ def _add_attitude_task(name: str, arguments: str) -> None:
                 vertical,
             )
         else:
-            yaw, yaw_rate = arguments_by_name.get("yaw", 0.0), arguments_by_name.get("yaw_rate")
+            yaw = arguments_by_name.get("yaw", 0.0)
+            yaw_rate = arguments_by_name.get("yaw_rate")
             rotors = at_attitude(
                 api.vehicle, arguments_by_name["roll"], arguments_by_name["pitch"], yaw, yaw_rate, vertical
             )
@@ -307,6 +315,7 @@ def moveByManual(
     api: Api, vx_max: float, vy_max: float, z_min: float, duration: float, drivetrain: int, yaw_mode: Any
 ) -> Task:
     """Velocities from the sticks of the last moveByRC; without one, they are centred."""
-    forward, right = vx_max * api.sticks.get("pitch", 0.0), vy_max * api.sticks.get("roll", 0.0)
+    forward = vx_max * api.sticks.get("pitch", 0.0)
+    right = vy_max * api.sticks.get("roll", 0.0)
     velocity = from_body(api.vehicle, forward, right)
     return fly_velocity_at(api.vehicle, velocity, z_min, duration, yaw_of(yaw_mode, drivetrain))

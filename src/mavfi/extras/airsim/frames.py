@@ -99,5 +99,6 @@ def mount(position: Numbers, orientation: Numbers) -> tuple[float, ...]:
 
 def looking(yaw_deg: float, pitch_deg: float) -> Quaternion:
     """Orientation (FRD, w x y z) of a camera turned to the right and pitched up (deg)."""
-    y, p = 0.5 * math.radians(yaw_deg), 0.5 * math.radians(pitch_deg)
+    y = 0.5 * math.radians(yaw_deg)
+    p = 0.5 * math.radians(pitch_deg)
     return cos(y) * cos(p), -sin(y) * sin(p), cos(y) * sin(p), sin(y) * cos(p)

@@ -99,7 +99,9 @@ class Ended:
     @property
     def status(self) -> MissionStatus:
         """Status of the mission: a collision, otherwise a success, however the program ended."""
-        return MissionStatus.COLLISION if self.collided else MissionStatus.SUCCESS
+        if self.collided:
+            return MissionStatus.COLLISION
+        return MissionStatus.SUCCESS
 
 
 def effect_on(golden: Ended, injected: Ended) -> str:
@@ -112,7 +114,9 @@ def effect_on(golden: Ended, injected: Ended) -> str:
         return "hang"
     if injected.collided and not golden.collided:
         return "collision"
-    return "masked" if injected.digest == golden.digest else "deviates"
+    if injected.digest == golden.digest:
+        return "masked"
+    return "deviates"
 
 
 def run_program(program: ProgramConfig, spec: MissionSpec, boundary: Boundary) -> Ended:
@@ -134,7 +138,8 @@ class _Run:
     """One run of a program."""
 
     def __init__(self, program: ProgramConfig, spec: MissionSpec, boundary: Boundary) -> None:
-        self._program, self._boundary = program, boundary
+        self._program = program
+        self._boundary = boundary
         version = program.version or client_version(program.python, program.script)
         self._api = make_api(spec, program.image, program.vehicle, version)
         clock = Steps(program.call_us, round(1e6 * program.seconds / STEP_US) * STEP_US)
@@ -144,7 +149,8 @@ class _Run:
     async def run(self) -> Ended:
         """Serve the program until it ends."""
         with tempfile.TemporaryDirectory(prefix="mavfi-airsim-") as folder:
-            output, errors = Path(folder, "stdout"), Path(folder, "stderr")
+            output = Path(folder, "stdout")
+            errors = Path(folder, "stderr")
 
             def start(port: int) -> None:
                 with output.open("wb") as out, errors.open("wb") as err:
@@ -195,13 +201,17 @@ class _Run:
         if not self._server.calls and code == EXIT_CRASH:
             raise BadInputError(f"{self._program.script}: made no call ({reason or 'without a message'})")
         if code is None:
-            how, reason = "hang", f"still running after {self._program.wall_s:g} s of wall-clock time"
+            how = "hang"
+            reason = f"still running after {self._program.wall_s:g} s of wall-clock time"
         elif code == EXIT_TIME_IS_UP:
-            how, reason = "time is up", ""
+            how = "time is up"
+            reason = ""
         elif code == 0:
-            how, reason = "ended", ""
+            how = "ended"
+            reason = ""
         else:
-            how, reason = "program crash", reason or f"exit code {code}"
+            how = "program crash"
+            reason = reason or f"exit code {code}"
         digest = hashlib.sha256(f"{vehicle.digest()} {how} {code}".encode()).hexdigest()
         return Ended(
             how,
@@ -292,7 +302,8 @@ def world_address(text: str) -> tuple[str, int]:
 
 def shown(ended: Ended) -> dict[str, Any]:
     """A run as plain data."""
-    injection, watch = ended.boundary.injected, ended.boundary.watch
+    injection = ended.boundary.injected
+    watch = ended.boundary.watch
     return {
         "how": ended.how,
         "reason": ended.reason,
@@ -395,7 +406,8 @@ class ProgramRuns:
         """See `one_by_one`."""
 
         def run(arm: str, fault: Fault) -> RunResult:
-            mission, boundary = self._missions[arm], Boundary.of(cast(MessageFault | SensorFault, fault))
+            mission = self._missions[arm]
+            boundary = Boundary.of(cast(MessageFault | SensorFault, fault))
             ended = run_program(mission.program, mission.spec, boundary)
             return RunResult(record_of_program(ended, ended if ended.how == "ended" else self._golden_run(arm)))
 

@@ -61,7 +61,10 @@ class MessageSampler(Sampler):
         calls: list[tuple[str, int, int]] = []  # name, number among those of this name, numbers on this side
         for call in passed:
             seen[call.name] += 1
-            numbers = call.arguments if side == "arguments" else call.returned
+            if side == "arguments":
+                numbers = call.arguments
+            else:
+                numbers = call.returned
             if numbers and (not self.sampling.calls or call.name in self.sampling.calls):
                 calls.append((call.name, seen[call.name], numbers))
         if not calls:
@@ -69,7 +72,8 @@ class MessageSampler(Sampler):
         key = (_PURPOSE, index, ("arguments", "return").index(side), int(null))
         random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
         name, at, numbers = calls[int(random.integers(len(calls)))]
-        number, bit = int(random.integers(numbers)), int(random.integers(_BITS))
+        number = int(random.integers(numbers))
+        bit = int(random.integers(_BITS))
         return MessageFault(name, f"{side}#{number}", None if null else bit, at, seed=seed)
 
 
@@ -87,7 +91,10 @@ class MessageLevel(Level):
     def about(self, campaign: Any) -> dict[str, Any]:
         """See `Level.about`: the program under test."""
         calls = campaign.sampling.calls
-        what = "" if campaign.under_test is None else campaign.under_test.script
+        if campaign.under_test is None:
+            what = ""
+        else:
+            what = campaign.under_test.script
         named = f" of {', '.join(calls)}" if calls else ""
         line = f"{what} · one bit per run, in a number of a call{named}, uniform over calls"
         title = f"campaign {campaign.name} · AirSim program in {', '.join(map(label_of, campaign.environments))}"

@@ -120,8 +120,12 @@ class Remote:
     def __init__(self, world: World, scenario: Scenario, host: str, port: int) -> None:
         if scenario.localization.kind != "truth":
             raise BadInputError("--localization: estimator: allowed: truth, with --world")
-        self.rpc, self._scenario, self._camera = Rpc(host, port), scenario, scenario.camera
-        self.time_us, self.collided, self.rejected_commands = 0, False, 0
+        self.rpc = Rpc(host, port)
+        self._scenario = scenario
+        self._camera = scenario.camera
+        self.time_us = 0
+        self.collided = False
+        self.rejected_commands = 0
         self.odometry = np.zeros(13)
         self._directions = pixel_directions(scenario.camera)
         self._directions.flags.writeable = False
@@ -179,7 +183,8 @@ class Remote:
     def _observe(self) -> None:
         state = self.rpc.call("getMultirotorState", "")
         try:
-            kinematics, self._stamp = state["kinematics_estimated"], int(state["timestamp"])
+            kinematics = state["kinematics_estimated"]
+            self._stamp = int(state["timestamp"])
             moving = triple(kinematics["linear_velocity"]), triple(kinematics["angular_velocity"])
             self.collided = self.collided or bool(state["collision"]["has_collided"])
         except (KeyError, TypeError, ValueError) as error:
@@ -273,7 +278,8 @@ class Remote:
     def close(self) -> None:
         """See `Plant.close`; the server is paused or not, and under control of a program or not, as it was found."""
         if self._found is not None:
-            (paused, controlled), self._found = self._found, None
+            (paused, controlled) = self._found
+            self._found = None
             self.rpc.hurry()
             with suppress(MavfiError):
                 self.rpc.call("enableApiControl", controlled, "")

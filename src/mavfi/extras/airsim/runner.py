@@ -12,7 +12,8 @@ import traceback
 import types
 
 TIME_IS_UP = "mavfi: time is up"  # begins the error of every call after the time limit
-EXIT_TIME_IS_UP, EXIT_CRASH = 75, 70
+EXIT_TIME_IS_UP = 75
+EXIT_CRASH = 70
 _START = 1600000000.0  # the simulation's first instant, as a Unix time
 _FIRST = []  # the program's first client
 
@@ -38,7 +39,8 @@ def _patch(port):
     from msgpackrpc.session import Session
 
     make = airsim.VehicleClient.__init__
-    join, get = Future.join, Future.get
+    join = Future.join
+    get = Future.get
 
     def made(self, ip="", port_=port, timeout_value=3600, *more, **options):
         options.pop("port", None)  # the server's port is not the program's choice
@@ -55,7 +57,9 @@ def _patch(port):
             raise
 
     def ask(method, *arguments):
-        return result(Session.send_request(_FIRST[0], method, arguments)) if _FIRST else None
+        if _FIRST:
+            return result(Session.send_request(_FIRST[0], method, arguments))
+        return None
 
     def wait(future):
         """Let the server finish the task first."""
@@ -81,7 +85,9 @@ def _clocks(ask):
     """A module `time` for the program and what it imports; libraries loaded before keep the real one."""
 
     def now():
-        return 1e-6 * ask("mavfiNow") if _FIRST else 0.0
+        if _FIRST:
+            return 1e-6 * ask("mavfiNow")
+        return 0.0
 
     def sleep(seconds):
         if _FIRST:
@@ -109,7 +115,8 @@ def _without_windows():
 
 def main():
     """Run the program; its exit code, or `EXIT_TIME_IS_UP` or `EXIT_CRASH`."""
-    port, script = int(sys.argv[1]), sys.argv[2]
+    port = int(sys.argv[1])
+    script = sys.argv[2]
     folder = os.path.dirname(os.path.abspath(script))
     sys.argv = sys.argv[2:]
     sys.path[0] = folder

@@ -69,7 +69,8 @@ def simPrintLogMessage(api: Api, message: Any, message_param: Any = "", severity
 # ---- time ------------------------------------------------------------------------------------------------------------
 @call
 def simPause(api: Api, is_paused: bool) -> None:
-    api.paused, api.resume_until_us = bool(is_paused), None
+    api.paused = bool(is_paused)
+    api.resume_until_us = None
 
 
 def continue_for(api: Api, seconds: float) -> None:
@@ -103,7 +104,8 @@ def _place(api: Api, name: str) -> int:
 
 def _box(api: Api, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Centre and size of an object (m), in the world. Shapes (3,)."""
-    world, index = api.vehicle.sim.world, _place(api, name)
+    world = api.vehicle.sim.world
+    index = _place(api, name)
     return 0.5 * (world.lower[index] + world.upper[index]), world.upper[index] - world.lower[index]
 
 
@@ -114,11 +116,14 @@ def _put(api: Api, index: int | None, centre: np.ndarray, size: np.ndarray) -> N
         raise BadInputError("objects: the environment is a scan, whose voxels are fixed; allowed: in worlds of boxes")
     if not (np.isfinite(centre).all() and np.isfinite(size).all() and (size > 0.0).all()):
         raise BadInputError(f"object of size {size.tolist()}: allowed: finite numbers, a size above 0")
-    lower, upper = world.lower.copy(), world.upper.copy()
+    lower = world.lower.copy()
+    upper = world.upper.copy()
     if index is None:
-        lower, upper = np.vstack([lower, centre - 0.5 * size]), np.vstack([upper, centre + 0.5 * size])
+        lower = np.vstack([lower, centre - 0.5 * size])
+        upper = np.vstack([upper, centre + 0.5 * size])
     else:
-        lower[index], upper[index] = centre - 0.5 * size, centre + 0.5 * size
+        lower[index] = centre - 0.5 * size
+        upper[index] = centre + 0.5 * size
     api.vehicle.sim.set_boxes(lower, upper)
 
 
@@ -184,7 +189,8 @@ def simSpawnObject(
     """A box, as large as AirSim's cube (1 m) times the scale; returns its name, made unique."""
     if physics_enabled:
         raise BadInputError("simSpawnObject: obstacles do not move; allowed: physics_enabled=False")
-    name, tries = str(object_name), 0
+    name = str(object_name)
+    tries = 0
     while name in api.objects:
         tries += 1
         name = f"{object_name}_{tries}"
@@ -197,12 +203,16 @@ def simSpawnObject(
 def simDestroyObject(api: Api, object_name: str) -> bool:
     if object_name not in api.objects:
         return False
-    index, world = _place(api, object_name), api.vehicle.sim.world
+    index = _place(api, object_name)
+    world = api.vehicle.sim.world
     api.vehicle.sim.set_boxes(np.delete(world.lower, index, axis=0), np.delete(world.upper, index, axis=0))
     del api.objects[index]
     contact = api.vehicle.sim.touched
     if contact is not None and contact.obstacle >= index:  # obstacles are counted
-        number = DESTROYED if contact.obstacle == index else contact.obstacle - 1
+        if contact.obstacle == index:
+            number = DESTROYED
+        else:
+            number = contact.obstacle - 1
         api.vehicle.sim.touched = replace(contact, obstacle=number)
     return True
 
@@ -216,7 +226,9 @@ def simSetSegmentationObjectID(api: Api, mesh_name: str, object_id: int, is_name
 
 @call
 def simGetSegmentationObjectID(api: Api, mesh_name: str) -> int:
-    return api.segment(mesh_name) if mesh_name in (*api.objects, GROUND) else -1
+    if mesh_name in (*api.objects, GROUND):
+        return api.segment(mesh_name)
+    return -1
 
 
 @call
@@ -400,7 +412,9 @@ def identity(scenario: Scenario, world: World, *, in_flight: bool = True) -> dic
         "start": world.start[:2].tolist(),
         "goal": world.goal.tolist(),
     }
-    return {**content, "height": float(world.start[2]), "v_max": scenario.v_max} if in_flight else content
+    if in_flight:
+        return {**content, "height": float(world.start[2]), "v_max": scenario.v_max}
+    return content
 
 
 def reported(settings: Any) -> dict[str, Any]:  # noqa: ANN401 - a server's
@@ -409,7 +423,9 @@ def reported(settings: Any) -> dict[str, Any]:  # noqa: ANN401 - a server's
         report = json.loads(settings)[KEY]
     except (KeyError, TypeError, ValueError):
         return {}
-    return report if isinstance(report, dict) else {}
+    if isinstance(report, dict):
+        return report
+    return {}
 
 
 def difference(there: dict[str, Any], here: dict[str, Any]) -> str:
@@ -425,4 +441,6 @@ def _text(value: Any) -> str:  # noqa: ANN401 - a server's
     """A name, a number, or a place."""
     if isinstance(value, list):
         return " ".join(map(_text, value))
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:g}"
+    return str(value)

@@ -21,14 +21,20 @@ from mavfi.numerics.rotations import rotation_matrix
 from mavfi.sim import grounded
 from mavfi.sim.engine import GRAVITY
 
-_CHANNELS, _STEPS = 16, 360
-_LIDAR_TOP_DEG, _LIDAR_BOTTOM_DEG, _LIDAR_RANGE = -15.0, -25.0, 100.0
-_NEAREST, _FARTHEST = 0.2, 40.0
+_CHANNELS = 16
+_STEPS = 360
+_LIDAR_TOP_DEG = -15.0
+_LIDAR_BOTTOM_DEG = -25.0
+_LIDAR_RANGE = 100.0
+_NEAREST = 0.2
+_FARTHEST = 40.0
 _FIELD = (0.253, 0.049, 0.428)
 """Magnetic field at Redmond, WA, NED (gauss): World Magnetic Model, rounded."""
-_SEA_LEVEL_PA, _QNH = 101325.0, 1013.25
+_SEA_LEVEL_PA = 101325.0
+_QNH = 1013.25
 _AIR_DENSITY = 1.225
-_THRUST_COEFFICIENT, _PROPELLER_M = 0.109919, 0.2286
+_THRUST_COEFFICIENT = 0.109919
+_PROPELLER_M = 0.2286
 """Thrust coefficient and diameter of AirSim's propeller (RotorParams: GWS 9x5, measured by UIUC)."""
 
 
@@ -46,7 +52,8 @@ def kinematics(api: Api, odometry: np.ndarray) -> Data:
 
 def collision(api: Api) -> Data:
     """CollisionInfo."""
-    v, contact = api.vehicle, api.vehicle.collision
+    v = api.vehicle
+    contact = api.vehicle.collision
     if contact is None:
         zero = vector((0, 0, 0))
         return {
@@ -60,7 +67,10 @@ def collision(api: Api) -> Data:
             "object_id": -1,
         }
     others = {grounded.GROUND: GROUND, grounded.SCAN: "scan", DESTROYED: ""}
-    name = others[contact.obstacle] if contact.obstacle < 0 else api.objects[contact.obstacle]
+    if contact.obstacle < 0:
+        name = others[contact.obstacle]
+    else:
+        name = api.objects[contact.obstacle]
     return {
         "has_collided": v.has_collided,
         "normal": vector(flipped(contact.normal)),
@@ -116,7 +126,8 @@ def simGetGroundTruthEnvironment(api: Api) -> Data:
 
 @vehicle_call
 def getRotorStates(api: Api) -> Data:
-    thrusts, ratio = api.vehicle.sim.thrusts.tolist(), api.vehicle.scenario.vehicle.rotor_torque_ratio
+    thrusts = api.vehicle.sim.thrusts.tolist()
+    ratio = api.vehicle.scenario.vehicle.rotor_torque_ratio
     rotors = [{"thrust": thrust, "torque_scaler": thrust * ratio, "speed": _rotor_speed(thrust)} for thrust in thrusts]
     return {"timestamp": api.vehicle.stamp, "rotors": rotors}
 
@@ -142,7 +153,9 @@ def getImuData(api: Api, imu_name: str = "") -> Data:
 def _pressure(height: float) -> float:
     """Air pressure of the standard atmosphere (Pa) at a height (m)."""
     base = 1.0 - 2.25577e-5 * height
-    return float(_SEA_LEVEL_PA * base**5.25588) if base > 0.0 else 0.0
+    if base > 0.0:
+        return float(_SEA_LEVEL_PA * base**5.25588)
+    return 0.0
 
 
 @vehicle_call
@@ -198,7 +211,8 @@ def lidar_rays() -> np.ndarray:
 @vehicle_call
 def getLidarData(api: Api, lidar_name: str = "") -> Data:
     """Points in NED (AirSim's frame VehicleInertialFrame)."""
-    v, rays = api.vehicle, lidar_rays()
+    v = api.vehicle
+    rays = lidar_rays()
     ranges = v.sim.cast(rays, _LIDAR_RANGE)
     seen = np.isfinite(ranges)
     points = v.sim.points(rays[seen], ranges[seen]) - v.origin

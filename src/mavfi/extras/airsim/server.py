@@ -31,7 +31,8 @@ class Steps:
     """
 
     def __init__(self, call_us: int = CALL_US, limit_us: int = 10**15) -> None:
-        self._call_us, self.limit_us = call_us, limit_us
+        self._call_us = call_us
+        self.limit_us = limit_us
         self.waited_us = 0
 
     def before_call(self, api: Api) -> None:
@@ -42,7 +43,8 @@ class Steps:
         """Let time pass up to the next pause, if the call asked for that."""
         if api.resume_until_us is not None:
             api.vehicle.step(min(self.limit_us, api.resume_until_us))
-            api.paused, api.resume_until_us = True, None
+            api.paused = True
+            api.resume_until_us = None
 
     def sleep(self, api: Api, seconds: float) -> None:
         """The program sleeps."""
@@ -93,13 +95,17 @@ class Real:
         target = api.vehicle.now_us + steps * STEP_US
         self._left_us -= steps * STEP_US
         if api.resume_until_us is not None and target >= api.resume_until_us:
-            target, api.paused, api.resume_until_us = api.resume_until_us, True, None
+            target = api.resume_until_us
+            api.paused = True
+            api.resume_until_us = None
         api.vehicle.step(target)
 
 
 # ---- the server ------------------------------------------------------------------------------------------------------
-HOST, PORT = "127.0.0.1", 41451
-_REQUEST, _RESPONSE = 0, 1
+HOST = "127.0.0.1"
+PORT = 41451
+_REQUEST = 0
+_RESPONSE = 1
 _READ = 1 << 16
 _MODULES = cameras, flying, scene, sensing  # register their calls
 Reply = Callable[[str | None, Any], None]
@@ -172,7 +178,8 @@ class Server:
         reply(text, None)
 
     def _serve(self, name: Any, arguments: list[Any], reply: Reply) -> None:
-        api, call = self.api, find_call(name)
+        api = self.api
+        call = find_call(name)
         self.calls[name] += 1
         self.clock.before_call(api)
         self._check_time()
@@ -197,7 +204,9 @@ class Server:
         elif name != "mavfiNow":
             raise BadInputError(f"server could not find function {name!r}")
         self._check_time()
-        return clock.now(api) if name == "mavfiNow" else None
+        if name == "mavfiNow":
+            return clock.now(api)
+        return None
 
     def _check_time(self) -> None:
         if isinstance(self.clock, Steps) and self.api.vehicle.now_us >= self.clock.limit_us:
@@ -273,7 +282,10 @@ class Server:
         except OSError as error:
             raise BadInputError(f"--port: {port}: {error.strerror or error}; allowed: a free port") from None
         ready(server.sockets[0].getsockname()[1])
-        ticking = asyncio.create_task(self._tick()) if isinstance(self.clock, Real) else None
+        if isinstance(self.clock, Real):
+            ticking = asyncio.create_task(self._tick())
+        else:
+            ticking = None
         try:
             await (self.finished.wait() if once else asyncio.Event().wait())
         finally:

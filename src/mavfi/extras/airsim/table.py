@@ -14,7 +14,8 @@ GROUND = "Ground"
 """Name of the ground plane."""
 FILM_MM = (23.76, 13.365)
 """Width and height of Unreal's default film (mm)."""
-NARROWEST, WIDEST = 1.0, 170.0
+NARROWEST = 1.0
+WIDEST = 170.0
 """Fields of view of cameras (deg)."""
 DESTROYED = -3
 """`Contact.obstacle` of an obstacle that was destroyed after the contact."""

@@ -8,7 +8,8 @@ from mavfi.plugins import Chapter
 
 _OF_CALLS = pl.col("effect").is_in(["masked", "sdc", "exception", "hang"])
 """Activated faults in calls whose effect is known."""
-_SILENT, _COLLIDED = pl.col("effect") == "sdc", pl.col("status") == "collision"
+_SILENT = pl.col("effect") == "sdc"
+_COLLIDED = pl.col("status") == "collision"
 
 CHAPTER = Chapter(
     35,

@@ -64,8 +64,11 @@ class CodeScorer(Scorer):
     learns: ClassVar[Callable[..., None] | None] = None
 
     def __init__(self, field_codes: FieldCodes, *tables: Any) -> None:  # noqa: ANN401 - arrays, tuples of them, numbers
-        self.field_codes, self.kept = field_codes, {"known": field_codes.measured.known}
-        self.fields, self.stages, self.states = field_codes.fields, field_codes.stages, field_codes.states
+        self.field_codes = field_codes
+        self.kept = {"known": field_codes.measured.known}
+        self.fields = field_codes.fields
+        self.stages = field_codes.stages
+        self.states = field_codes.states
         self._distance, self._unit = np.zeros(len(self.fields)), np.ones(len(self.fields))
         self._tables: tuple[Any, ...] = tables
         self._slots = field_codes.slots
@@ -118,7 +121,8 @@ class CodeScorer(Scorer):
 
     def judged(self) -> Reading:
         """Reading of the publication scored last."""
-        judged, place = self._judged_last, self.field_codes.measured.place
+        judged = self._judged_last
+        place = self.field_codes.measured.place
         first, last = self.span(int(place[SLOT]))
         return Reading(judged.distance, judged.unit, first, last, int(place[REGIME]))
 
@@ -303,7 +307,8 @@ def judge_reconstruction(
 class ReconstructionScorer(CodeScorer):
     """Reconstruction errors of the latest codes; each code is judged once, see `AutoencoderScorer`."""
 
-    judge, learns = staticmethod(judge_reconstruction), staticmethod(hold)
+    judge = staticmethod(judge_reconstruction)
+    learns = staticmethod(hold)
 
     def __init__(self, field_codes: FieldCodes, network: Network) -> None:
         holding = Holding(*np.zeros((2, len(field_codes.fields)), np.int16))
@@ -352,7 +357,9 @@ class LimitsDetector(AllFieldsDetector):
                 takes the largest limit among the regimes of its field.
         """
         shape = len(features.fields), REGIMES
-        centre, peaks, counts = np.zeros(shape), np.ones(shape), np.zeros(shape, np.int64)
+        centre = np.zeros(shape)
+        peaks = np.ones(shape)
+        counts = np.zeros(shape, np.int64)
         for slot in range(len(features.slots)):
             own = slice(*features.range_of(slot))
             for regime in range(REGIMES):

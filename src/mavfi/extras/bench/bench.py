@@ -152,14 +152,19 @@ def entries(
     }
     if not any(entry.campaign.arms for entry in found.values()):
         reasons = [reason for entry in found.values() for reason in entry.left_out.values()]
-        why = reasons[0] if reasons else "without a detector, a scheme flies only where nodes die (level instruction)"
+        if reasons:
+            why = reasons[0]
+        else:
+            why = "without a detector, a scheme flies only where nodes die (level instruction)"
         raise BadInputError(f"bench {bench.name}: no scheme can fly: {why}")
     return {name: entry for name, entry in found.items() if entry.campaign.arms}
 
 
 def level_of(campaign: Campaign) -> str:
     """Level of a campaign's faults; faults in states that are drawn as bits of messages are those of level message."""
-    return "message" if getattr(campaign.sampling, "messages", ()) else campaign.sampling.level
+    if getattr(campaign.sampling, "messages", ()):
+        return "message"
+    return campaign.sampling.level
 
 
 def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
@@ -216,13 +221,17 @@ def _time_of(fault: Any) -> str:
     """Instant of a fault (s), or its call number and value index; empty without a site."""
     if not fault.has_site:
         return ""
-    return f"{1e-6 * fault.time_us:.6f}" if hasattr(fault, "time_us") else f"{fault.call}:{fault.index}"
+    if hasattr(fault, "time_us"):
+        return f"{1e-6 * fault.time_us:.6f}"
+    return f"{fault.call}:{fault.index}"
 
 
 def frozen_faults(bench: Bench, part: str, scale: str) -> str | None:
     """The shipped fault list of a part; None if there is none."""
     path = config_root() / FOLDER / bench.name / f"{part}-{scale}.csv"
-    return path.read_text(encoding="utf-8") if is_file(path) else None
+    if is_file(path):
+        return path.read_text(encoding="utf-8")
+    return None
 
 
 def published_rows(bench: Bench, part: str, scale: str) -> list[dict[str, str]]:

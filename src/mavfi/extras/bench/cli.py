@@ -84,12 +84,16 @@ def detectors(  # noqa: PLR0913 - one parameter per option
         flown.fly(workers, models)
         scored = flown.scores(workers, models)
     own = flown.tables(scored)
-    shown = {name: flown.beside_published(name, table) for name, table in own.items()} if detector or scheme else own
+    if detector or scheme:
+        shown = {name: flown.beside_published(name, table) for name, table in own.items()}
+    else:
+        shown = own
     write_leaderboard(flown, own, shown, scored, _command(bench, level or (), part or (), scale))
     if as_json:
         write_json({name: table.to_json() for name, table in own.items()})
         return
-    terminal, names = console(), list(shown)
+    terminal = console()
+    names = list(shown)
     for place, table in enumerate(shown.values()):
         later = {note for name in names[place + 1 :] for note in shown[name].notes}  # shared ones once
         show_table(replace(table, notes=tuple(note for note in table.notes if note not in later)), terminal)
@@ -127,7 +131,8 @@ def overheads(
 
     check_number("--missions", missions, 1, 1000)
     with Store.open(directory) as store:
-        campaign, models = stored_campaign(store), store.models_dir
+        campaign = stored_campaign(store)
+        models = store.models_dir
     with stoppable("Stopped. Nothing is written."), Bar("timed flights") as bar:
         measured = measure(campaign, missions, models, bar.show)
     path = save(measured, directory)

@@ -247,7 +247,8 @@ class FieldCodes:
     def not_finite(self, state: State) -> np.ndarray:
         """Indices of the residuals of a publication, measured last, that divided by their quanta are not finite."""
         first, last = self._ranges[self.slots[state.spec.name]]
-        values, quanta = self.measured.values[first:last], self.quanta[first:last]
+        values = self.measured.values[first:last]
+        quanta = self.quanta[first:last]
         with np.errstate(over="ignore"):  # a residual of 1e307 m is finite, but overflows in centimetres
             wrong = (quanta > 0.0) & ~np.isfinite(values / np.where(quanta > 0.0, quanta, 1.0))
         return first + np.flatnonzero(wrong)
@@ -274,7 +275,9 @@ class CodeRecorder(Detector):
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
         self._field_codes.start()
-        self._own, self._slots, self._regimes = [], [], []
+        self._own = []
+        self._slots = []
+        self._regimes = []
 
     def accept(self, state: State, time_us: int) -> None:
         """Store the codes of a published value."""

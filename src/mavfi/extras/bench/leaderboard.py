@@ -48,7 +48,10 @@ class Flown:
 
     def fly(self, workers: int, models: Path | None) -> None:
         """Fly the parts together: those that fly the same missions share their golden flights."""
-        title = f"{len(self.parts)} parts" if len(self.parts) > 1 else next(iter(self.parts))
+        if len(self.parts) > 1:
+            title = f"{len(self.parts)} parts"
+        else:
+            title = next(iter(self.parts))
         campaigns = {self.folder / name: entry.campaign for name, entry in self.parts.items()}
         with Bar(f"bench: {title}", "runs") as bar:
             run_campaigns(campaigns, executor=LocalExecutor(workers), models_dir=models, progress=bar.show_campaigns)
@@ -170,10 +173,12 @@ def draw_curves(found: Mapping[str, Scores], path: Path) -> Path:
             name: own for name, own in found.items() if own.area() is not None and len(own.golden) + own.corrupted.any()
         }
         for place, (name, own) in enumerate(judging.items()):
-            colour, dashes = _COLOURS[place % len(_COLOURS)], _DASHES[place // len(_COLOURS) % len(_DASHES)]
+            colour = _COLOURS[place % len(_COLOURS)]
+            dashes = _DASHES[place // len(_COLOURS) % len(_DASHES)]
             _, alarms, shares = zip((0.0, 0.0, 0.0), *own.curve(), strict=True)
             least = 0.5 / own.hours
-            x, y = np.maximum(alarms, least), 100 * np.array(shares)
+            x = np.maximum(alarms, least)
+            y = 100 * np.array(shares)
             axes.step(x, y, where="post", label=name, color=colour, linestyle=dashes, linewidth=1.8)
             now = np.searchsorted(-own.golden, -1.0), (own.corrupted[own.harmful] > 1.0).mean()  # threshold as shipped
             axes.plot(max(now[0] / own.hours, least), 100 * now[1], "o", color=colour, markeredgecolor="white")

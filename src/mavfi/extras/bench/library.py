@@ -136,7 +136,8 @@ class ModelScorer(StateScorer):
         floor: Smallest score in training, subtracted from all scores.
     """
 
-    judge, learns = staticmethod(judge_model), staticmethod(learn)
+    judge = staticmethod(judge_model)
+    learns = staticmethod(learn)
 
     def __init__(self, field_codes: FieldCodes, model: Any, floor: float) -> None:  # noqa: ANN401
         holding = Holding(*np.zeros((2, len(field_codes.fields)), np.int16))
@@ -170,7 +171,8 @@ class LibraryDetector(AllFieldsDetector):
     @classmethod
     def scorer_of(cls, model: Model, field_codes: FieldCodes) -> CodeScorer:
         """Scores of the library's model, refitted to the rows stored in `model`."""
-        count, given = len(field_codes.fields), model.parameters.get("rows")
+        count = len(field_codes.fields)
+        given = model.parameters.get("rows")
         rows = model.numbers("rows", len(given) if isinstance(given, list) else 0, count)
         slots = model.numbers("slots", len(rows), least=0.0).astype(np.int64)
         scale = model.numbers("scale", count, least=1.0)
@@ -234,7 +236,8 @@ class LibraryDetector(AllFieldsDetector):
 @functools.lru_cache(_FITTED)
 def _refitted(learned: Callable[..., Any], autopilot: str, rows: bytes, slots: bytes, scale: bytes) -> Any:  # noqa: ANN401
     """Tables of a model, fitted once per process to what the model stores: a campaign has a detector per mission."""
-    field_codes, states = FieldCodes(autopilot), np.frombuffer(slots, np.int64)
+    field_codes = FieldCodes(autopilot)
+    states = np.frombuffer(slots, np.int64)
     return learned(np.frombuffer(rows).reshape(len(states), -1), states, np.frombuffer(scale), field_codes)
 
 
@@ -306,7 +309,8 @@ def rate_by_ellipsoid(codes: np.ndarray, slot: int, model: Ellipsoid) -> float:
     return total
 
 
-RATES[Components], RATES[Ellipsoid] = rate_by_components, rate_by_ellipsoid
+RATES[Components] = rate_by_components
+RATES[Ellipsoid] = rate_by_ellipsoid
 
 
 class OutlierDetector(LibraryDetector):
@@ -341,14 +345,16 @@ class PcaDetector(OutlierDetector):
     """Weighted distances along the principal components (Shyu et al., ICDM Workshop 2003)."""
 
     model_kind = "pca"
-    model, options = "pyod.models.pca:PCA", {"random_state": 0, "svd_solver": "full"}
+    model = "pyod.models.pca:PCA"
+    options = {"random_state": 0, "svd_solver": "full"}
 
     @classmethod
     def tables_of(cls, fitted: Any, inputs: Inputs, states: int) -> Any:  # noqa: ANN401
         """See the base class."""
         components = np.ascontiguousarray(fitted.selected_components_.T)
         weights = np.ascontiguousarray(fitted.selected_w_components_)
-        mean, deviation = fitted.scaler_.mean_, fitted.scaler_.scale_
+        mean = fitted.scaler_.mean_
+        deviation = fitted.scaler_.scale_
         return Components(inputs, mean, deviation, components, weights, np.zeros(len(weights)))
 
 
@@ -356,7 +362,8 @@ class MahalanobisDetector(OutlierDetector):
     """Mahalanobis distance with the minimum covariance determinant (Rousseeuw and Van Driessen, Technometrics 1999)."""
 
     model_kind = "mahalanobis"
-    model, options = "pyod.models.mcd:MCD", {"random_state": 0}
+    model = "pyod.models.mcd:MCD"
+    options = {"random_state": 0}
 
     @classmethod
     def tables_of(cls, fitted: Any, inputs: Inputs, states: int) -> Any:  # noqa: ANN401

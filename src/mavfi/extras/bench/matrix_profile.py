@@ -179,10 +179,12 @@ class StretchScorer(StateScorer):
         scale: Largest code of each field in training. Shape (n,).
     """
 
-    judge, learns = staticmethod(judge_stretch), staticmethod(learn)
+    judge = staticmethod(judge_stretch)
+    learns = staticmethod(learn)
 
     def __init__(self, field_codes: FieldCodes, histories: list[np.ndarray], scale: np.ndarray) -> None:
-        slots, parts = len(field_codes.slots), [subsequences(one) for one in histories]
+        slots = len(field_codes.slots)
+        parts = [subsequences(one) for one in histories]
         counts = np.array([part.shape[1] for part in parts], np.int64)
         series = Series(
             np.zeros((slots, LENGTH, max(counts))),
@@ -212,7 +214,10 @@ class MatrixProfileDetector(AllFieldsDetector):
         cls.check_installed()
         states = len(field_codes.slots)
         given = model.parameters.get("history")
-        rows = given if isinstance(given, list) and len(given) == states else [[]] * states
+        if isinstance(given, list) and len(given) == states:
+            rows = given
+        else:
+            rows = [[]] * states
         history = [Model.numbers(_of(model, row), "row", len(row)) for row in rows]
         return StretchScorer(field_codes, history, model.numbers("scale", len(field_codes.fields), least=1.0))
 
@@ -235,17 +240,22 @@ class MatrixProfileDetector(AllFieldsDetector):
         from stumpy.core import mass_absolute
 
         scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))
-        histories, limit = [], np.full((len(features.slots), REGIMES), _NEVER)
+        histories = []
+        limit = np.full((len(features.slots), REGIMES), _NEVER)
         for slot in range(len(limit)):
             own = slice(*features.range_of(slot))
             series = np.abs(scaled(sample.vectors[sample.slots == slot, own], scale[own])).max(axis=1)
             half = len(series) // 2
-            history, rest = series[: min(half, int(figures["history"]))], series[half:]
+            history = series[: min(half, int(figures["history"]))]
+            rest = series[half:]
             histories.append(history.tolist())
             if len(history) >= LENGTH:
                 ends = range(LENGTH, min(len(rest), LENGTH + int(figures["calibrated"])))
                 found = [float(mass_absolute(rest[end - LENGTH : end], history).min()) for end in ends]
-                limit[slot] = max(float(figures["margin"]) * max(found), 1e-3) if found else _NEVER
+                if found:
+                    limit[slot] = max(float(figures["margin"]) * max(found), 1e-3)
+                else:
+                    limit[slot] = _NEVER
         return {"history": histories, "scale": scale.tolist(), "limit": limit.tolist()}
 
 

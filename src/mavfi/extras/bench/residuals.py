@@ -43,13 +43,23 @@ _STATUS, _PATH, _TRAJECTORY, _WAYPOINT, _COMMAND, _TRACKING = range(SLOTS)
     _FRESH,
     _VEHICLE_KNOWN,
 ) = range(17)
-_END, _GOAL, _VEHICLE, _POINT, _LAW, _REGIME = 17, 20, 23, 29, 40, 45
+_END = 17
+_GOAL = 20
+_VEHICLE = 23
+_POINT = 29
+_LAW = 40
+_REGIME = 45
 """Start of lists in `known`: end of the path, end of the last path that has one (m), vehicle (m, m/s), way-point,
 command, and by state the largest regime since its last publication."""
 SIZE = _REGIME + SLOTS
-_YAW, _VELOCITY, _ACCELERATION, _DURATION = 3, 4, 7, 10
+_YAW = 3
+_VELOCITY = 4
+_ACCELERATION = 7
+_DURATION = 10
 _LARGEST_WRAPPED = 20.0
-_NEAREST, _FARTHEST, _NEGATIVE = 0.25, 64.0, 20.0
+_NEAREST = 0.25
+_FARTHEST = 64.0
+_NEGATIVE = 20.0
 _LOG_2 = 0.6931471805599453
 
 

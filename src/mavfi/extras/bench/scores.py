@@ -58,7 +58,9 @@ class Scores:
         allowed = int(per_hour * self.hours)
         if allowed < 1:
             return None
-        return float(self.golden[allowed]) if allowed < len(self.golden) else 0.0
+        if allowed < len(self.golden):
+            return float(self.golden[allowed])
+        return 0.0
 
     def detected_at(self, per_hour: float) -> Rate | None:
         """Share of harmful faults above `threshold_at` this rate, with Wilson's interval."""
@@ -147,7 +149,10 @@ class _Scorer:
         for name, detector in self._detectors.items():
             kept = self.kept[name]
             for place, other in changed.items():  # None = the message is lost
-                kept.corrupted[place] = 0.0 if other is None else detector.score(other, time_us) or 0.0
+                if other is None:
+                    kept.corrupted[place] = 0.0
+                else:
+                    kept.corrupted[place] = detector.score(other, time_us) or 0.0
             score = detector.score(state, time_us)
             if score is not None:
                 kept.judged += 1
@@ -171,7 +176,10 @@ def unscored(campaigns: Iterable[Campaign], found: Mapping[str, Scores]) -> dict
             if arm.detector and arm.name not in found:
                 other = sorted(set(arm.overrides) - set(OF_A_DETECTOR))
                 flown = f"its mission differs ({', '.join(other)})"
-                reasons[arm.name] = flown if other else "it compares with a seal, or has no scores"
+                if other:
+                    reasons[arm.name] = flown
+                else:
+                    reasons[arm.name] = "it compares with a seal, or has no scores"
     return reasons
 
 

@@ -56,7 +56,10 @@ class Sealed(Detector):
 
     def seal(self, state: State, time_us: int) -> None:
         """Seal a value as its producer sends it."""
-        self._sealed = state.spec.name if state.spec.name in self._sealed_states else ""
+        if state.spec.name in self._sealed_states:
+            self._sealed = state.spec.name
+        else:
+            self._sealed = ""
         if self._sealed:
             self.close(state)
 
@@ -64,7 +67,9 @@ class Sealed(Detector):
         """2 for a value that differs from the one sent, else 0; None if it was not sealed."""
         if state.spec.name != self._sealed:
             return None
-        return 0.0 if self.intact(state) else DIFFERENT
+        if self.intact(state):
+            return 0.0
+        return DIFFERENT
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Check a publication."""
@@ -204,7 +209,9 @@ class RandomAlarms(Detector):
         """2 if an alarm is due, else 0; None for states without alarms."""
         if state.spec.name not in self._order:
             return None
-        return 0.0 if self.check(state, time_us) is None else _SCORE
+        if self.check(state, time_us) is None:
+            return 0.0
+        return _SCORE
 
     def accept(self, state: State, time_us: int) -> None:
         """Consume all alarms of the state up to this instant."""

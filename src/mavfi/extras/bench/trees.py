@@ -77,7 +77,8 @@ class Trees(NamedTuple):
     unit: float
 
 
-CODES_FROM, _CODES_TO = -(1 << 15) - 1, 1 << 15
+CODES_FROM = -(1 << 15) - 1
+_CODES_TO = 1 << 15
 """All codes are between these."""
 
 
@@ -85,7 +86,9 @@ def limit_of(branch: Branch, inputs: Inputs) -> int:
     """Largest code that goes to the lower child of a branch."""
     scale = float(inputs.scale[branch.column])
     if not -INPUT_LIMIT <= branch.threshold < INPUT_LIMIT:  # inputs are clamped to these: all codes, or none
-        return CODES_FROM if branch.threshold < 0.0 else _CODES_TO - 1
+        if branch.threshold < 0.0:
+            return CODES_FROM
+        return _CODES_TO - 1
     found = min(max(math.floor(branch.threshold * scale), CODES_FROM), _CODES_TO - 1)
     while found < _CODES_TO - 1 and (found + 1) / scale <= branch.threshold:
         found += 1
@@ -171,9 +174,11 @@ def forest_of(
 
     for tree in (tree for own in states for tree in own.trees):
         roots.append(len(words))
-        level, depth = [(leaf(), tree)], -1
+        level = [(leaf(), tree)]
+        depth = -1
         while level:
-            level, depth = [pair for place, part in level for pair in fill(place, part)], depth + 1
+            level = [pair for place, part in level for pair in fill(place, part)]
+            depth = depth + 1
         depths.append(depth)
     return Forest(
         spans_of([len(own.trees) for own in states]),
@@ -193,7 +198,8 @@ class IsolationForestDetector(OutlierDetector):
     """Isolation forest (Liu, Ting and Zhou, ICDM 2008): 100 trees of 256 rows."""
 
     model_kind = "isolation_forest"
-    model, options = "pyod.models.iforest:IForest", {"n_estimators": 100, "random_state": 0, "n_jobs": 1}
+    model = "pyod.models.iforest:IForest"
+    options = {"n_estimators": 100, "random_state": 0, "n_jobs": 1}
 
     @classmethod
     def tables_of(cls, fitted: Any, inputs: Inputs, states: int) -> Any:  # noqa: ANN401
@@ -214,7 +220,8 @@ def path_length(rows: int) -> float:
 
 def _isolation_tree(tree: Any, node: int, depth: int) -> Tree:  # noqa: ANN401 - of the library
     """A subtree; the value of a leaf is its path length."""
-    low, high = int(tree.children_left[node]), int(tree.children_right[node])
+    low = int(tree.children_left[node])
+    high = int(tree.children_right[node])
     if low < 0:
         return depth + path_length(int(tree.n_node_samples[node]))
     below, above = (_isolation_tree(tree, child, depth + 1) for child in (low, high))
@@ -224,14 +231,21 @@ def _isolation_tree(tree: Any, node: int, depth: int) -> Tree:  # noqa: ANN401 -
 def single_limit(threshold: float) -> float:
     """Largest double that is at most the threshold once it is rounded to single precision, as the library does."""
     single = np.float32(threshold)
-    below = single if single <= threshold else np.nextafter(single, np.float32(-np.inf))
+    if single <= threshold:
+        below = single
+    else:
+        below = np.nextafter(single, np.float32(-np.inf))
     middle = (float(below) + float(np.nextafter(below, np.float32(np.inf)))) / 2.0
-    return middle if np.float32(middle) == below else math.nextafter(middle, -math.inf)
+    if np.float32(middle) == below:
+        return middle
+    return math.nextafter(middle, -math.inf)
 
 
 # ---- half-space trees (Tan, Ting and Liu, IJCAI 2011) from river: one forest for the fields of each state -----------
 
-_TREES, _HEIGHT, _WINDOW = 25, 8, 100
+_TREES = 25
+_HEIGHT = 8
+_WINDOW = 100
 _LEAST = 0.1
 """Mass of a node / window below which the path ends (the paper's SizeLimit)."""
 
@@ -282,7 +296,8 @@ def _half_space_tree(node: Any, own: np.ndarray, depth: int, above: float, least
 class HalfSpaceTreesDetector(LibraryDetector):
     """Half-space trees of every state."""
 
-    model_kind, package = "half_space_trees", "river"
+    model_kind = "half_space_trees"
+    package = "river"
 
     @classmethod
     def tables(cls, rows: np.ndarray, slots: np.ndarray, field_codes: FieldCodes, inputs: Inputs) -> Forest:
@@ -413,7 +428,8 @@ def tables_of(states: Sequence[Sequence[Regressor]], inputs: Inputs) -> Regresso
     every = [one for own in states for one in own]
     trees = [tree for one in every for tree in one.trees]
     leaves = np.zeros((len(trees), _PRIME))
-    starts, first = np.zeros((len(states), len(inputs.columns), 2, 2), np.int64), 0
+    starts = np.zeros((len(states), len(inputs.columns), 2, 2), np.int64)
+    first = 0
     branches: list[int] = []
     for slot, own in enumerate(states):
         words = Words(list)
@@ -485,7 +501,8 @@ def _boosted_tree(node: Mapping[str, Any], left_out: int) -> Tree:
 class GradientBoostingDetector(LibraryDetector):
     """Residuals of gradient-boosted regressions."""
 
-    model_kind, package = "gradient_boosting", "lightgbm"
+    model_kind = "gradient_boosting"
+    package = "lightgbm"
 
     @classmethod
     def tables(cls, rows: np.ndarray, slots: np.ndarray, field_codes: FieldCodes, inputs: Inputs) -> Regressors:

@@ -234,8 +234,8 @@ CHAPTER = Chapter(
                 "died / sdc: the kernel died of the fault, or continued with a wrong value",
                 "a fault names its call and value by number; if a scheme changes the flight, by false alarms or "
                 "latencies (duplicate), that call computes something else, which may be harmless. Same value injected: "
-                "faults that meet the same value at the same instant; brought back, p and only it lost count these alone, "
-                "and golden flights. Lost under it counts all",
+                "faults that meet the same value at the same instant; brought back, p and only it lost count these "
+                "alone, and golden flights. Lost under it counts all",
             ),
         ),
         View(

@@ -130,7 +130,8 @@ class _Flights:
         self._order = dumps((function, fingerprint(), allowed_names(), self._topic))
         self._news: SimpleQueue[tuple[str, Sequence[Any]]] = SimpleQueue()
         self._tickets: dict[str, _Ticket] = {}
-        self._threads, self._looked = 1, -_LOOK_EVERY_S
+        self._threads = 1
+        self._looked = -_LOOK_EVERY_S
 
     def fly(self, missions: Iterator[Any]) -> Iterator[tuple[Any, Sequence[Any]]]:
         """Submit missions, only a few more than the workers can fly, and yield their items as they arrive."""
@@ -165,7 +166,8 @@ class _Flights:
     def _items(self, key: str, items: Sequence[Any]) -> Iterator[tuple[Any, Sequence[Any]]]:
         if key not in self._tickets:
             return
-        mission, last = self._tickets[key].mission, items[-1]
+        mission = self._tickets[key].mission
+        last = items[-1]
         if is_last(last):
             del self._tickets[key]
         if not isinstance(last, Raised):
@@ -206,7 +208,9 @@ class _Flights:
         if status == "finished":
             ticket.ended = ticket.ended or self._looked
             late = self._looked - ticket.ended > _PATIENCE_S
-            return Lost("its last items were lost on the way", died=False) if late else None
+            if late:
+                return Lost("its last items were lost on the way", died=False)
+            return None
         error = ticket.future.exception() if status == "error" else None
         if error is None:
             raise MachineError(f"{_GONE}, or has cancelled a mission")
@@ -242,7 +246,8 @@ def _fly(mission: Any, key: str, order: bytes) -> None:  # noqa: ANN401
             items = [Lost("it was cancelled", died=False)]
         elif items and not is_last(items[-1]) and time.monotonic() - sent > _SEND_EVERY_S:
             dask.log_event(topic, dumps((key, items)))
-            sent, items = time.monotonic(), []
+            sent = time.monotonic()
+            items = []
     if isinstance(items[-1], Lost):
         worker.end()
         _THREAD.worker = None

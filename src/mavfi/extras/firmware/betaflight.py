@@ -24,15 +24,20 @@ from mavfi.sim.engine import GRAVITY
 
 EEPROM = "eeprom.bin"
 """File of the configuration, in the working directory."""
-PERIOD_NS, BOOT_PERIOD_NS = 1_000_000, 10_000_000
+PERIOD_NS = 1_000_000
+BOOT_PERIOD_NS = 10_000_000
 """Period of the exchange with the simulator, in flight and before."""
 CHANNELS = 16
-CENTRE, LOW, HIGH = 1500, 1000, 2000
+CENTRE = 1500
+LOW = 1000
+HIGH = 2000
 """Values of an RC channel (us)."""
 DISARMED = (CENTRE, CENTRE, LOW, CENTRE, *(LOW,) * (CHANNELS - 4))
 """Sticks in the middle, throttle and switches down: roll, pitch, throttle, yaw, auxiliary 1 to 12."""
 ARMED = (CENTRE, CENTRE, LOW, CENTRE, HIGH, *(LOW,) * (CHANNELS - 5))
-RC_FROM_NS, ARM_FROM_NS, ARMED_BY_NS = 3_000_000_000, 6_000_000_000, 10_000_000_000
+RC_FROM_NS = 3_000_000_000
+ARM_FROM_NS = 6_000_000_000
+ARMED_BY_NS = 10_000_000_000
 """Time from the start until RC is sent (earlier packets are ignored), the arm switch is up, the rotors must turn."""
 ANGLE_LIMIT = math.radians(60.0)
 """Roll and pitch angle at full stick, Betaflight's default (rad)."""
@@ -46,11 +51,20 @@ airframe, whose rotors give little torque."""
 
 _PACKETS = struct.Struct("<Q18dd16H")
 _SEA_LEVEL_PA = 101_325.0
-_SET_MODE_RANGE, _RC_TUNING, _SET_RC_TUNING, _PID, _SET_PID, _EEPROM_WRITE = 35, 111, 204, 112, 202, 250
-_API_VERSION, _FC_VARIANT, _FC_VERSION = 1, 2, 3
-_ARM, _ANGLE = 0, 1
+_SET_MODE_RANGE = 35
+_RC_TUNING = 111
+_SET_RC_TUNING = 204
+_PID = 112
+_SET_PID = 202
+_EEPROM_WRITE = 250
+_API_VERSION = 1
+_FC_VARIANT = 2
+_FC_VERSION = 3
+_ARM = 0
+_ANGLE = 1
 _HEAD = 5
-_MSP_WALL_S, _ATTEMPTS = 4.0, 5
+_MSP_WALL_S = 4.0
+_ATTEMPTS = 5
 """Time limit of an answer on the serial port (s), and number of starts.  A race of its threads at boot may cost the
 firmware the port that it has just opened; then it is started again."""
 
@@ -83,7 +97,8 @@ def state_of(
         force: Specific force, body frame (m/s^2). Shape (3,).
     """
     (w, x, y, z), (p, q, r), (ax, ay, az) = quaternion.tolist(), rates.tolist(), force.tolist()
-    height, (latitude, longitude, _) = float(position[2]), HOME
+    height = float(position[2])
+    (latitude, longitude, _) = HOME
     pressure = _SEA_LEVEL_PA * max(0.0, 1.0 - 2.25577e-5 * height) ** 5.25588  # ISA, ICAO Doc 7488
     return (p, -q, -r, -ax, -ay, -az, w, x, -y, -z, *velocity.tolist(), longitude, latitude, height, pressure)
 
@@ -142,13 +157,15 @@ class _Console:
     """Its serial port, while it runs in lock-step with a vehicle at rest."""
 
     def __init__(self, firmware: Firmware, connection: socket.socket) -> None:
-        self._firmware, self._connection = firmware, connection
+        self._firmware = firmware
+        self._connection = connection
         firmware.wait()
 
     def ask(self, code: int, data: bytes = b"") -> bytes:
         """Send a request, and run until the reply is complete."""
         self._connection.sendall(message(code, data))
-        buffer, end = b"", time.monotonic() + _MSP_WALL_S
+        buffer = b""
+        end = time.monotonic() + _MSP_WALL_S
         while time.monotonic() < end:
             with suppress(BlockingIOError):
                 buffer += self._connection.recv(4096)
@@ -217,5 +234,10 @@ def arm(firmware: Firmware, state: Sequence[float]) -> None:
         since = firmware.now_ns - FIRST_NS
         if since > ARMED_BY_NS:
             raise MavfiError(f"the firmware does not arm within {1e-9 * ARMED_BY_NS:g} s of its time")
-        rc = None if since < RC_FROM_NS else DISARMED if since < ARM_FROM_NS else ARMED
+        if since < RC_FROM_NS:
+            rc = None
+        elif since < ARM_FROM_NS:
+            rc = DISARMED
+        else:
+            rc = ARMED
         firmware.run(packets(firmware.now_ns, state, rc), BOOT_PERIOD_NS)

@@ -63,14 +63,18 @@ class BetaflightController:
         """Draw the gyro's noise from a seed, from now on; as a rule, that of the mission."""
         sequence = np.random.SeedSequence(seed, spawn_key=(_PURPOSE_GYRO_NOISE,))
         self._random = np.random.default_rng(sequence)
-        self._noise, self._used = np.empty((0, 3)), 0
+        self._noise = np.empty((0, 3))
+        self._used = 0
 
     def rotors(self, time_us: int, setpoint: np.ndarray, odometry: np.ndarray, force: np.ndarray) -> np.ndarray:
         """See `Controller.rotors`; zero after the firmware has ended."""
         if self.lost is not None:
             return np.zeros(4)
         state = _state(odometry, self._gyro_noise(), force)
-        rc = None if time_us % STEP_US else self._channels(time_us, setpoint, odometry)
+        if time_us % STEP_US:
+            rc = None
+        else:
+            rc = self._channels(time_us, setpoint, odometry)
         try:
             self._run(time_us, betaflight.packets(self.firmware.now_ns, state, rc))
         except FirmwareLostError as error:
@@ -81,7 +85,10 @@ class BetaflightController:
 
     def _run(self, time_us: int, packets: bytes) -> None:
         """Let the firmware run for a period, and inject if it stops at the place of the fault."""
-        stop_at = NEVER if self.injector is None else self.injector.stop_at(time_us)
+        if self.injector is None:
+            stop_at = NEVER
+        else:
+            stop_at = self.injector.stop_at(time_us)
         if self.firmware.run(packets, PERIOD_NS, stop_at):
             assert self.injector is not None  # only then it stops
             self.injector.inject(self.firmware, time_us)
@@ -96,16 +103,19 @@ class BetaflightController:
         forward, left, up = wanted.tolist()
         along = self._matrix[0, 2] * forward + self._matrix[1, 2] * left + self._matrix[2, 2] * up
         yaw = yaw_of(odometry[6:10])
-        ahead, aside = cos(yaw), sin(yaw)
+        ahead = cos(yaw)
+        aside = sin(yaw)
         forward, left = ahead * forward + aside * left, ahead * left - aside * forward
-        pitch, roll = atan2(forward, up), atan2(-left, math.sqrt(forward * forward + up * up))
+        pitch = atan2(forward, up)
+        roll = atan2(-left, math.sqrt(forward * forward + up * up))
         throttle = math.sqrt(min(max(0.0, along) * airframe.mass / (4.0 * airframe.max_thrust), 1.0))
         return betaflight.channels(roll, pitch, throttle, float(setpoint[3]))
 
     def _gyro_noise(self) -> np.ndarray:
         """Noise of the next gyro sample (rad/s). Shape (3,)."""
         if self._used == len(self._noise):
-            self._noise, self._used = self._random.normal(0.0, GYRO_NOISE, (_BLOCK, 3)), 0
+            self._noise = self._random.normal(0.0, GYRO_NOISE, (_BLOCK, 3))
+            self._used = 0
         self._used += 1
         sample: np.ndarray = self._noise[self._used - 1]
         return sample

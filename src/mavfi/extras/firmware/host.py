@@ -127,8 +127,12 @@ def fly(
         check_flown(scenario.protection)
     finally:
         loop.plant.close()
-    lost, extra = controller.lost, {"node": NODE, "most_calls": controller.most_calls, **_errors(controller, flight)}
-    log = flight.log if lost is None else replace(flight.log, kernel=KernelEffect(lost.effect, lost.detail))
+    lost = controller.lost
+    extra = {"node": NODE, "most_calls": controller.most_calls, **_errors(controller, flight)}
+    if lost is None:
+        log = flight.log
+    else:
+        log = replace(flight.log, kernel=KernelEffect(lost.effect, lost.detail))
     return replace(flight, log=log, extra=extra)
 
 
@@ -144,7 +148,8 @@ class _LossListener(Listener):
     """Records the end of the firmware, once."""
 
     def __init__(self, record: Record, controller: BetaflightController) -> None:
-        self._record, self._controller = record, controller
+        self._record = record
+        self._controller = controller
 
     def before_tick(self, now: int) -> None:
         """See `Listener`."""

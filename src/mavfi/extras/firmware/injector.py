@@ -68,7 +68,8 @@ class FirmwareInjector:
             BadInputError: It may not be traced.
             FirmwareLostError: It ended or hangs.
         """
-        call, walked = firmware.calls - 1, firmware.instructions
+        call = firmware.calls - 1
+        walked = firmware.instructions
         space = AddressSpace(firmware.pid)
         memory = os.open(f"/proc/{firmware.pid}/mem", os.O_RDONLY)
         try:

@@ -27,7 +27,8 @@ _HEAD = struct.Struct("<QQQ")  # of struct to_firmware
 _ARRIVED = 1
 _FOLLOW_EVERY = 64
 _POLL_S = 1
-_HANG_CPU_S, _HANG_WALL_S = 2.0, 20.0
+_HANG_CPU_S = 2.0
+_HANG_WALL_S = 20.0
 """A period takes 0.1 ms of processor time; one that took this long, or waited this long, never ends."""
 _EXIT_WAIT_S = 2.0
 _LIBC = ctypes.CDLL(None)
@@ -44,7 +45,8 @@ class FirmwareLostError(MavfiError):
 
     def __init__(self, effect: str, detail: str = "") -> None:
         super().__init__(f"the firmware {'hangs' if effect == 'hang' else f'ended ({detail})'}")
-        self.effect, self.detail = effect, detail
+        self.effect = effect
+        self.detail = detail
 
 
 @functools.cache
@@ -84,7 +86,8 @@ class Firmware:
             msp: Listening socket in place of its serial port; None = it has none.
         """
         self._folder = tempfile.TemporaryDirectory(prefix="mavfi-firmware-")
-        self.folder, self.shim = Path(self._folder.name), shim
+        self.folder = Path(self._folder.name)
+        self.shim = shim
         for name, content in files.items():
             (self.folder / name).write_bytes(content)
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -105,9 +108,13 @@ class Firmware:
                 stderr=subprocess.DEVNULL,
             )
         self.pid = self._process.pid
-        self.now_ns, self.calls, self.instructions, self.address = 0, 0, 0, 0
+        self.now_ns = 0
+        self.calls = 0
+        self.instructions = 0
+        self.address = 0
         self.motors: tuple[float, ...] = (0.0,) * 4
-        self._periods, self._cpu = 0, -1
+        self._periods = 0
+        self._cpu = -1
 
     def run(self, packets: bytes, period_ns: int, stop_at: tuple[int, int] = NEVER) -> bool:
         """Run the next period; True = its main thread has stopped at an instruction before the end.
@@ -161,7 +168,8 @@ class Firmware:
         return bool(what == _ARRIVED)
 
     def _receive(self) -> bytes:
-        cpu, end = 0.0, time.monotonic() + _HANG_WALL_S
+        cpu = 0.0
+        end = time.monotonic() + _HANG_WALL_S
         while True:
             try:
                 return self._socket.recv(_REPORT.size)

@@ -33,7 +33,8 @@ class Tracking:
         """
         along = (wanted * up).sum() / math.sqrt((wanted * wanted).sum())
         missing = setpoint[:3] - odometry[3:6]
-        velocity, yaw_rate = math.sqrt((missing * missing).sum()), abs(setpoint[3] - odometry[12])
+        velocity = math.sqrt((missing * missing).sum())
+        yaw_rate = abs(setpoint[3] - odometry[12])
         self._samples.extend((1e-6 * time_us, _angle(up[2]), _angle(along), velocity, yaw_rate))
 
     def since(self, time_s: float) -> ControlErrors:

@@ -146,7 +146,9 @@ def coverage_of_steps(steps: Sequence[tuple[Curve, Step]]) -> Rate:
         if curve.target.sdc_mass > 0
         for one, hit in step.judged
     ]
-    return weighted_rate(*zip(*rows, strict=True)) if rows else Rate(0, None, None, None)
+    if rows:
+        return weighted_rate(*zip(*rows, strict=True))
+    return Rate(0, None, None, None)
 
 
 def every_choice(target: Target, fractions: Sequence[float] = FRACTIONS) -> Ladder:
@@ -192,7 +194,8 @@ Choices = Callable[[Target], Ladder]
 
 def codes_of(target: Target, duplicated: Sequence[Collection[Site]]) -> list[bytes]:
     """Machine code of a function to be timed: plain, then with each set of sites duplicated."""
-    source, plain = target.source, target.module
+    source = target.source
+    plain = target.module
     variants = (protect(plain, sites, addresses=target.addresses) for sites in duplicated)
     return [Timed.code_of(source, module) for module in (plain, *variants)]
 
@@ -233,7 +236,8 @@ def prepare_all(
     longest = sorted(range(len(targets)), key=lambda place: -sum(targets[place].seen.variant.table.sizes()))
     ready: dict[int, Prepared] = {}
     for place, own in map_each(LocalExecutor(workers), at, longest):
-        ready[place], targets[place].injections = own, own.injections
+        ready[place] = own
+        targets[place].injections = own.injections
         tell(f"injected faults in {targets[place].name} and made its choices ({len(ready)} of {len(targets)})")
     return [ready[place] for place in range(len(targets))]
 
@@ -279,7 +283,8 @@ def allocate(curves: Sequence[Curve], budget: float) -> tuple[int, ...]:
                 gains[number, units:] = best[: _UNITS + 1 - units] + curve.removed(step)
         taken.append(gains.argmax(axis=0))  # of equal ones the first, which adds fewest instructions
         best = gains.max(axis=0)
-    left, chosen = _UNITS, []
+    left = _UNITS
+    chosen = []
     for curve, steps in zip(reversed(curves), reversed(taken), strict=True):
         chosen.append(int(steps[left]))
         left -= _units(curve.extra(curve.steps[chosen[-1]]), budget)
@@ -297,7 +302,8 @@ def settle(
     Returns:
         The curves, with the new times, and the index of the chosen step for each of them.
     """
-    own, known = list(curves), set[tuple[int, int]]()
+    own = list(curves)
+    known = set[tuple[int, int]]()
     for _ in range(_ATTEMPTS):
         chosen = set(enumerate(allocate(own, budget)))
         again = {(n, place) for n, place in chosen - known if place and own[n].share >= _MUCH}
@@ -317,7 +323,9 @@ def _units(time: float, budget: float) -> int:
     """Units of the budget that a time takes; more than there are if it takes too many."""
     if time <= 0.0:
         return 0
-    return math.ceil(min(time / budget, 2.0) * _UNITS - 1e-9) if budget > 0.0 else _UNITS + 1
+    if budget > 0.0:
+        return math.ceil(min(time / budget, 2.0) * _UNITS - 1e-9)
+    return _UNITS + 1
 
 
 # ---- from a ledger to a plan ----------------------------------------------------------------------------------------
@@ -350,7 +358,8 @@ class Study:
             BadInputError: It is not a ledger of instruction faults, or has none in a kernel.
         """
         with Store.open(directory) as store:
-            campaign, digest = stored_campaign(store), store.digest()
+            campaign = stored_campaign(store)
+            digest = store.digest()
         known = _sampled(campaign)
         if not known:
             raise BadInputError(f"{directory}: no kernels are sampled; allowed: a campaign of level instruction")
@@ -374,7 +383,9 @@ class Study:
     @property
     def selected(self) -> tuple[str, ...]:
         """Its kernels, if they are not all of the ledger's; otherwise ()."""
-        return () if set(_sampled(self.campaign)) == set(self.kernels) else self.kernels
+        if set(_sampled(self.campaign)) == set(self.kernels):
+            return ()
+        return self.kernels
 
     @property
     def complete(self) -> bool:
@@ -389,7 +400,8 @@ class Study:
     @property
     def worlds(self) -> list[str]:
         """Names of the environments of its campaign, whose own names may be paths or parts."""
-        own, seed = host_of(self.campaign), self.campaign.first_seed
+        own = host_of(self.campaign)
+        seed = self.campaign.first_seed
         specs = (self.campaign.spec(environment, seed) for environment in self.campaign.environments)
         return list(dict.fromkeys(own.resolve(spec).environment.name for spec in specs))
 
@@ -438,7 +450,8 @@ def advise(
     Raises:
         BadInputError: A mission cannot be flown.
     """
-    environment, seed = study.campaign.environments[0], study.campaign.first_seed
+    environment = study.campaign.environments[0]
+    seed = study.campaign.first_seed
     flights: list[tuple[list[Target], list[Target]]] = []  # of each planner: those of earlier ones, and new ones
     known: dict[tuple[str, str], Target] = {}
     for planner, kernels in study.by_planner().items():

@@ -46,7 +46,9 @@ def _copied(value: Any, known: dict[int, tuple[int, np.ndarray]], *, read_only: 
     """A copy; `known`: lowest address and copy of the memory of arrays that own some, by their id."""
     if isinstance(value, tuple):
         parts = [_copied(part, known, read_only=read_only) for part in value]
-        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
+        if hasattr(value, "_fields"):
+            return type(value)(*parts)
+        return tuple(parts)
     if not isinstance(value, np.ndarray) or value.dtype.hasobject:
         return value
     root = value
@@ -62,7 +64,11 @@ def _copied(value: Any, known: dict[int, tuple[int, np.ndarray]], *, read_only: 
 
 def _memory(root: np.ndarray, *, read_only: bool) -> tuple[int, np.ndarray]:
     """Lowest address of an array, and a copy of its memory."""
-    low, high = np.lib.array_utils.byte_bounds(root) if root.size else (root.ctypes.data, root.ctypes.data)
+    if root.size:
+        low, high = np.lib.array_utils.byte_bounds(root)
+    else:
+        low = root.ctypes.data
+        high = root.ctypes.data
     size = high - low
     if not read_only or size < _LARGE_BYTES:
         memory = np.empty(max(size, 1), np.uint8)
@@ -89,7 +95,8 @@ def same_bits(one: Any, other: Any) -> bool:  # noqa: ANN401
 
 
 def _same_memory(one: np.ndarray, other: np.ndarray) -> bool:
-    left, right = np.ascontiguousarray(one), np.ascontiguousarray(other)
+    left = np.ascontiguousarray(one)
+    right = np.ascontiguousarray(other)
     # without temporary arrays, which large outputs would need
     places = (ctypes.c_void_p(array.ctypes.data) for array in (left, right))
     return int(_LIBC.memcmp(*places, ctypes.c_size_t(left.nbytes))) == 0
@@ -99,7 +106,9 @@ def size_of(value: Any) -> int:  # noqa: ANN401
     """Bytes of the arrays in a value."""
     if isinstance(value, tuple):
         return sum(map(size_of, value))
-    return value.nbytes if isinstance(value, np.ndarray) else 0
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    return 0
 
 
 class Recording:
@@ -114,13 +123,15 @@ class Recording:
     """
 
     def __init__(self, most: int = 12) -> None:
-        self._most, self._stride = most, 1
+        self._most = most
+        self._stride = 1
         self.total = 0
         self.kept: dict[int, tuple[Any, ...]] = {}
 
     def note(self, args: tuple[Any, ...]) -> None:
         """Count a call that is about to be made, and keep its arguments if it is its turn."""
-        call, self.total = self.total, self.total + 1
+        call = self.total
+        self.total = self.total + 1
         if call % self._stride:
             return
         self.kept[call] = kept(args)
@@ -150,7 +161,8 @@ _COUNTED = {
 def outputs_of(entry: str, function: Any, result: Any, args: tuple[Any, ...]) -> tuple[Any, ...]:
     """Result and changed arguments of a call; all of them for a function that is not the pipeline's."""
     names = tuple(inspect.signature(function.py_func).parameters)
-    work, counted = _WORK.get(entry, ()), _COUNTED.get(entry, ())
+    work = _WORK.get(entry, ())
+    counted = _COUNTED.get(entry, ())
     rows = _rows(result)
     own = []
     for name, value in zip(names, args, strict=True):
@@ -162,7 +174,9 @@ def outputs_of(entry: str, function: Any, result: Any, args: tuple[Any, ...]) ->
 def _rows(result: Any) -> int:
     """The resulting number of rows: the last one of several numbers; a corrupted one must not be an error."""
     last = result[-1] if isinstance(result, tuple) else result
-    return max(int(last), 0) if isinstance(last, (int, np.integer)) else 0
+    if isinstance(last, (int, np.integer)):
+        return max(int(last), 0)
+    return 0
 
 
 # ---- injections -----------------------------------------------------------------------------------------------------
@@ -202,7 +216,10 @@ class Battery:
     """
 
     def __init__(self, entry: str, function: Any, variant: Variant, calls: Sequence[tuple[Any, ...]]) -> None:
-        self._entry, self._function, self.variant, self.calls = entry, function, variant, calls
+        self._entry = entry
+        self._function = function
+        self.variant = variant
+        self.calls = calls
 
     @cached_property
     def executions(self) -> np.ndarray:
@@ -268,7 +285,8 @@ class Battery:
 
         A call outside planned memory ends it, too: it may have written anywhere.
         """
-        golden, budget = self._golden[call], budget_for(int(self.counts[call]))
+        golden = self._golden[call]
+        budget = budget_for(int(self.counts[call]))
         done = mmap.mmap(-1, len(faults))
 
         def injected() -> bytes:
@@ -290,10 +308,14 @@ class Battery:
         try:
             result = self.variant.inject(index, -1, 1 << bit, budget, *args)
         except Exception as error:  # noqa: BLE001 - raised by the kernel, or by its wrapper after a detection
-            return DETECTED if isinstance(error, SystemError) and MESSAGE in str(error) else EXCEPTION
+            if isinstance(error, SystemError) and MESSAGE in str(error):
+                return DETECTED
+            return EXCEPTION
         if self.variant.report() is None:
             return NOT_ACTIVATED
-        return MASKED if same_bits(self._outputs(result, args), golden) else SDC
+        if same_bits(self._outputs(result, args), golden):
+            return MASKED
+        return SDC
 
 
 def counts_of(effects: Sequence[str]) -> dict[str, int]:

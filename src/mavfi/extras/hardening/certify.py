@@ -63,7 +63,8 @@ def ratio_bounds(above: Rate, below: Rate) -> tuple[float, float]:
     q, low_q, high_q = bounds_of(below)
     lower = (p * q) ** 2 - low_p * high_q * (2 * p - low_p) * (2 * q - high_q)
     upper = (p * q) ** 2 - high_p * low_q * (2 * p - high_p) * (2 * q - low_q)
-    bottom, top = high_q * (2 * q - high_q), low_q * (2 * q - low_q)
+    bottom = high_q * (2 * q - high_q)
+    top = low_q * (2 * q - low_q)
     low = (p * q - sqrt(max(lower, 0.0))) / bottom if bottom > 0 else 0.0
     return max(low, 0.0), (p * q + sqrt(max(upper, 0.0))) / top if top > 0 else inf
 
@@ -89,7 +90,9 @@ def p_value_below(measured: Rate, predicted: Rate) -> float | None:
     if gap >= 0:
         return 1.0
     half = difference(measured, predicted)[1] - gap
-    return 2 * _NORMAL.cdf(_NORMAL.inv_cdf(1 - TAIL) * gap / half) if half > 0 else 0.0
+    if half > 0:
+        return 2 * _NORMAL.cdf(_NORMAL.inv_cdf(1 - TAIL) * gap / half)
+    return 0.0
 
 
 def bounds_of(found: Rate) -> tuple[float, float, float]:
@@ -100,7 +103,11 @@ def bounds_of(found: Rate) -> tuple[float, float, float]:
 
 # ---- the certificate of a function ----------------------------------------------------------------------------------
 
-CONFIRMED, REFUTED, BETTER, UNDECIDED, UNKNOWN = "confirmed", "refuted", "better", "undecided", "unknown"
+CONFIRMED = "confirmed"
+REFUTED = "refuted"
+BETTER = "better"
+UNDECIDED = "undecided"
+UNKNOWN = "unknown"
 _TIMED_S = 4.0
 """For how long a function is timed (s): within 1 s the time of `insert_scan`, most of a flight's, varies by 2 %."""
 RESOLVED = 0.2
@@ -223,7 +230,9 @@ def _silent(effects: Mapping[str, int]) -> Rate:
 
 def rate_of(predicted: Coverage | None) -> Rate:
     """A prediction as a rate; all None without one."""
-    return Rate(0, predicted.estimate, predicted.low, predicted.high) if predicted else NO_RATE
+    if predicted:
+        return Rate(0, predicted.estimate, predicted.low, predicted.high)
+    return NO_RATE
 
 
 def verdict_of(measured: Rate, predicted: Rate) -> str:
@@ -232,8 +241,12 @@ def verdict_of(measured: Rate, predicted: Rate) -> str:
         return UNKNOWN
     low, high = difference(measured, predicted)
     if low <= 0 <= high:
-        return CONFIRMED if (high - low) / 2 <= RESOLVED else UNDECIDED
-    return REFUTED if high < 0 else BETTER
+        if (high - low) / 2 <= RESOLVED:
+            return CONFIRMED
+        return UNDECIDED
+    if high < 0:
+        return REFUTED
+    return BETTER
 
 
 @dataclass
@@ -303,7 +316,8 @@ def certify(pair: Pair, faults: int, *address: Any) -> Certificate:
     before = pair.plain.run(places)
     again = pair.guarded.run(pair.counterparts(places))
     after = pair.guarded.run(pair.guarded.draw(random, faults))
-    planned, seen = pair.planned, pair.seen
+    planned = pair.planned
+    seen = pair.seen
     return Certificate(
         planned.kernel,
         planned.function,
@@ -387,7 +401,9 @@ def unprotected(seen: Sequence[Seen], plan: Plan) -> list[Seen]:
 def _planned(seen: Seen, plan: Plan) -> FunctionPlan | None:
     """What the plan duplicates in a function; None = nothing."""
     planned = plan.find(name_of(seen.function), seen.signature)
-    return planned if planned is not None and planned.sites else None
+    if planned is not None and planned.sites:
+        return planned
+    return None
 
 
 # ---- the certificate of a plan --------------------------------------------------------------------------------------

@@ -92,7 +92,9 @@ class Value:
     @property
     def comparison(self) -> int:
         """Instructions of one comparison: with two casts, except for integers and pointers."""
-        return 3 if is_floating(self.kind) or self.kind.startswith("<") else 1
+        if is_floating(self.kind) or self.kind.startswith("<"):
+            return 3
+        return 1
 
     @property
     def in_loop_header(self) -> bool:
@@ -156,7 +158,9 @@ def _uses_of(
 def weight_of(instruction: Instruction) -> float:
     """Cost of an instruction, in simple ones."""
     if instruction.callee is not None:
-        return _CALL if _ROUNDING.match(instruction.callee) else 1.0
+        if _ROUNDING.match(instruction.callee):
+            return _CALL
+        return 1.0
     return _DIVISIONS.get(instruction.opcode, 1.0)
 
 
@@ -190,7 +194,9 @@ def _copies(value: Value, chosen: Set[int]) -> float:
 def _comparisons(value: Value, chosen: Set[int]) -> float:
     """Compared where it is made, or where it leaves the set, whichever is executed less often."""
     exits = {use.block: use.executions for use in value.uses if use.compared or use.user not in chosen}
-    return value.comparison * least_executed(value, exits.values()) if exits else 0.0
+    if exits:
+        return value.comparison * least_executed(value, exits.values())
+    return 0.0
 
 
 def least_executed(value: Value, exits: Iterable[float | None]) -> float:
@@ -205,7 +211,9 @@ def least_executed(value: Value, exits: Iterable[float | None]) -> float:
 
 # ---- minimum cuts ---------------------------------------------------------------------------------------------------
 
-_SOURCE, _SINK, _FIRST = 0, 1, 2
+_SOURCE = 0
+_SINK = 1
+_FIRST = 2
 _SCALE = 2**29
 """SciPy's capacities are 32-bit integers; more than the sum of all finite ones is infinite."""
 
@@ -349,7 +357,9 @@ class Chooser:
     def share(self, fraction: float) -> Choice:
         """The choice that adds at most a fraction of the instructions of full duplication."""
         if fraction in (0.0, 1.0):
-            return self.full if fraction else NOTHING
+            if fraction:
+                return self.full
+            return NOTHING
         return self.within(fraction * self.full.cost)
 
     def within(self, budget: float) -> Choice:
@@ -364,9 +374,11 @@ class Chooser:
         for corner, following in zip(self.hull, [*self.hull[1:], self.full], strict=True):
             added: list[int] = []
             steps.append(_Step(corner, added, 0, corner.cost, corner.benefit))
-            spent, gained = corner.cost, corner.benefit
+            spent = corner.cost
+            gained = corner.benefit
             for index, price in self._greedy(corner.chosen):
-                spent, gained = spent + price, gained + float(self.benefit[index])
+                spent = spent + price
+                gained = gained + float(self.benefit[index])
                 if spent >= following.cost:
                     break
                 added.append(index)

@@ -132,7 +132,8 @@ def main_function(module: Module, wrapper: str) -> Function:
 
 # ---- time -----------------------------------------------------------------------------------------------------------
 
-_REPETITIONS, _TICKS = "mavfi_repetitions", "mavfi_ticks"
+_REPETITIONS = "mavfi_repetitions"
+_TICKS = "mavfi_ticks"
 _LONG_ENOUGH = 60_000
 """Ticks of a measured loop (about 20 us), far more than those of reading the counter."""
 _MOST_REPETITIONS = 200
@@ -141,7 +142,8 @@ _SHORT = 3_000_000
 _WARM = 2
 """Calls before that of a short one that is timed: after one, `plan_rrt_connect` takes x1.22, not x1.18 (Intel)."""
 _FEWEST_ROUNDS = 9
-_QUIET_SHARE, _FEWEST_QUIET = 0.25, 3
+_QUIET_SHARE = 0.25
+_FEWEST_QUIET = 3
 """Share of a call's rounds that count, the fastest ones, and their fewest number."""
 
 

@@ -114,7 +114,9 @@ DETECTED = -4
 
 Numba uses 0 to -3 (-1, an exception set by Python, would crash without one); positive ones are the kernel's exceptions.
 """
-SHADOW, COPY, CHECK = "shadow", "copy", "check"
+SHADOW = "shadow"
+COPY = "copy"
+CHECK = "check"
 """Roles of added instructions."""
 _STOP = "%detected"
 _ARBITRARY = re.compile(r"\b(?:undef|poison)\b")
@@ -164,7 +166,9 @@ class _Duplicator:
     """Writes one function with shadows of its chosen values."""
 
     def __init__(self, function: Function, chosen: set[str], addresses: bool, detecting: set[str]) -> None:
-        self.function, self.addresses, self.detecting = function, addresses, detecting
+        self.function = function
+        self.addresses = addresses
+        self.detecting = detecting
         self.kinds = kinds_of(function)
         self.home = {str(one.result): (block, one) for block in function.blocks for one in block.sites}
         self.headers: dict[str, set[str]] = defaultdict(set)
@@ -215,7 +219,8 @@ class _Duplicator:
 
     def _places(self) -> dict[str, set[str]]:
         """Labels of the blocks in which each value is compared; {its own} = where it is computed."""
-        depth, found = loop_depths(self.function), {}
+        depth = loop_depths(self.function)
+        found = {}
         for name, users in self.uses.items():
             exits = {label for user, label in users if self._leaves(name, user)}
             if exits:
@@ -377,7 +382,9 @@ class _Duplicator:
         if name in self.checked or like is None:
             return
         self.checked.add(name)
-        kind, pair, body = self.kinds[name], [name, shadow(name)], self.block.body
+        kind = self.kinds[name]
+        pair = [name, shadow(name)]
+        body = self.block.body
         if kind.startswith("<") and "ptr" in kind:
             numbers = kind.replace("ptr", "i64")
             pair = [self._new("ptrtoint", [kind, one, "to", numbers], numbers, like, body, CHECK) for one in pair]
@@ -398,8 +405,10 @@ class _Duplicator:
 
     def _check_edges(self, label: str, end: Instruction) -> None:
         """Branch on the condition, then on its shadow: both must lead to the same block."""
-        condition, first = end.tokens[2], self.block
-        maker, targets = self.home[condition][1], successors(end)
+        condition = end.tokens[2]
+        first = self.block
+        maker = self.home[condition][1]
+        targets = successors(end)
         edges = [f"{label}e{number}" for number in range(len(targets))]
         first.terminator = _branch(condition, edges[0], edges[1], "", end)
         for number, (edge, target) in enumerate(zip(edges, targets, strict=True)):
@@ -407,7 +416,8 @@ class _Duplicator:
             self.made.append(self.block)
             other = shadow(condition)
             if self._only_decides(condition):
-                other, kept = f"{edge}s", self.copies
+                other = f"{edge}s"
+                kept = self.copies
                 self.copies = dict(kept)  # a copy made on one edge is not known on the other one
                 self._shadow(maker, other)
                 self.copies = kept
@@ -433,7 +443,9 @@ def _settled(function: Function) -> Function:
 
 def _without_arbitrary(one: Instruction) -> Instruction:
     def settled(text: str) -> str:
-        return text if text[0] in '@%"' else _ARBITRARY.sub("zeroinitializer", text)
+        if text[0] in '@%"':
+            return text
+        return _ARBITRARY.sub("zeroinitializer", text)
 
     return replace(
         one,
@@ -499,4 +511,6 @@ def raising(text: str, kernels: set[str], status: int) -> str:
 def _called(line: str) -> str:
     """Name of the function that a line calls for a status; "" = none."""
     found = re.match(r'\s*%\S+ = call i32 (@(?:"[^"]*"|[-\w$.]+)) \(', line)
-    return "" if found is None else found[1]
+    if found is None:
+        return ""
+    return found[1]

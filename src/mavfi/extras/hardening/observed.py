@@ -71,7 +71,9 @@ class Observing:
     """
 
     def __init__(self, entry: str, function: Any, ahead: Executor) -> None:
-        self._entry, self._function, self._ahead = entry, function, ahead
+        self._entry = entry
+        self._function = function
+        self._ahead = ahead
         self._seen: dict[tuple[Any, ...], tuple[Seen, Recording]] = {}
 
     def __call__(self, *args: Any) -> Any:
@@ -150,7 +152,8 @@ class Guarded:
     """
 
     def __init__(self, function: Any, plan: Plan) -> None:
-        self._function, self._plan = function, plan
+        self._function = function
+        self._plan = plan
         self._protected: dict[tuple[Any, ...], Compiled | None] = {}
         self.calls = self.alarms = 0
 
@@ -159,7 +162,10 @@ class Guarded:
         signature = signature_of(args)
         if signature not in self._protected:
             protection = protection_of(self._plan, name_of(self._function), signature)
-            code = None if protection is None else compiled(self._function, signature, protection)[0]
+            if protection is None:
+                code = None
+            else:
+                code = compiled(self._function, signature, protection)[0]
             self._protected[signature] = code
         protected = self._protected[signature]
         if protected is None:

@@ -221,7 +221,9 @@ def load_plan(name: str | Path) -> Plan:
     Raises:
         BadInputError: The file does not exist or is invalid; one line.
     """
-    return load(Plan, name) if isinstance(name, Path) else shipped("protections", Plan, name)
+    if isinstance(name, Path):
+        return load(Plan, name)
+    return shipped("protections", Plan, name)
 
 
 def save_plan(plan: Plan, path: Path) -> None:
@@ -248,7 +250,9 @@ def _expand(number: Any, text: Any) -> list[Site]:
             raise ValueError(f"{part!r}: not understood; allowed: block:offsets, e.g. 2:0-3,5")
         for span in match[2].split(","):
             first, _, last = span.partition("-")
-            block, low, high = int(match[1]), int(first), int(last or first)
+            block = int(match[1])
+            low = int(first)
+            high = int(last or first)
             if max(block, low, high) > _MOST or high < low:
                 raise ValueError(f"{part!r}: allowed: ascending numbers up to {_MOST:,}")
             found += [Site(function, block, offset) for offset in range(low, high + 1)]

@@ -156,7 +156,9 @@ def _planned(plan: Plan) -> Iterator[tuple[FunctionPlan, Any, tuple[Any, ...]]]:
 def protection_of(plan: Plan, function: str, signature: tuple[Any, ...]) -> "Protection | None":
     """Protection of a function (module and name) for the Numba types of its arguments; None = its code is plain."""
     found = plan.find(function, signature)
-    return Protection(found) if found is not None and found.sites else None
+    if found is not None and found.sites:
+        return Protection(found)
+    return None
 
 
 @dataclass(frozen=True, slots=True)

@@ -71,7 +71,8 @@ def headline(summary: AdviceSummary) -> str:
 
 def caveats(summary: AdviceSummary) -> list[str]:
     """What the protection does not buy."""
-    silent, dead = summary.harm.silent, summary.harm.dead
+    silent = summary.harm.silent
+    dead = summary.harm.dead
     return [
         f"It does not buy missions: {silent.successes} of {silent.n} flights with an SDC were lost, "
         f"{interval(silent)}; {dead.successes} of {dead.n} with a dead kernel.",
@@ -84,7 +85,10 @@ def advice_table(summary: AdviceSummary) -> Table:
     """What to protect, by function; the last column is left out if nothing has been certified."""
     rows: list[tuple[str, ...]] = []
     for row in summary.functions:
-        certified = ABSENT if row.certified is None else interval(row.certified)
+        if row.certified is None:
+            certified = ABSENT
+        else:
+            certified = interval(row.certified)
         rows.append(
             (
                 row.kernel,
@@ -115,13 +119,24 @@ def verdict_line(certification: Certification) -> str:
     golden = certification.golden
     verdicts = [one.verdict for one in certification.certificates if one.verdict != UNKNOWN]
     judged = UNDECIDED if certification.verdict == UNDECIDED else CONFIRMED
-    outcome = REFUTED if certification.refuted else judged if verdicts else "measured; it has no prediction"
+    if certification.refuted:
+        outcome = REFUTED
+    elif verdicts:
+        outcome = judged
+    else:
+        outcome = "measured; it has no prediction"
     scope = certification.scope
     counted = f"the SDCs in {', '.join(scope)}" if scope else "all SDCs"
     foreseen = certification.predicted
-    said = "" if foreseen.rate is None else f" (predicted with the same weights: {interval(foreseen)})"
+    if foreseen.rate is None:
+        said = ""
+    else:
+        said = f" (predicted with the same weights: {interval(foreseen)})"
     alone = verdicts.count(REFUTED)
-    corrected = f" ({certification.wrong} with Holm's correction for so many)" if alone else ""
+    if alone:
+        corrected = f" ({certification.wrong} with Holm's correction for so many)"
+    else:
+        corrected = ""
     return (
         f"The plan is {outcome}: {interval(certification.coverage)} of {counted} are removed, on fresh missions and "
         f"faults{said}; {alone} of {len(verdicts)} predictions are refuted{corrected}, "
@@ -135,8 +150,14 @@ def _spent(certification: Certification) -> str:
     if not certification.spending:
         return ""
     most = max(certification.spending, key=lambda one: (one.refuted, one.measured))
-    known = "" if most.budget is None else f"; the budget is {percent(most.budget)}"
-    outcome = f", more than {percent(TOLERANCE)} beyond it: refuted" if most.refuted else ""
+    if most.budget is None:
+        known = ""
+    else:
+        known = f"; the budget is {percent(most.budget)}"
+    if most.refuted:
+        outcome = f", more than {percent(TOLERANCE)} beyond it: refuted"
+    else:
+        outcome = ""
     return (
         f"; it adds {percent(most.measured)} of a flight's kernel time (with the plan's times: {percent(most.planned)}"
         f"{known}){outcome}"
@@ -185,7 +206,9 @@ def _certificate_row(one: Certificate) -> tuple[str, ...]:
 
 def _time(one: Certificate) -> str:
     """Time ratio as measured, with that of the plan."""
-    return ABSENT if one.time is None else f"×{one.time:.2f} (×{one.planned_time:.2f})"
+    if one.time is None:
+        return ABSENT
+    return f"×{one.time:.2f} (×{one.planned_time:.2f})"
 
 
 def _unprotected_row(one: Unprotected) -> tuple[str, ...]:
@@ -207,9 +230,13 @@ HTML = Path(__file__).parent / "html"
 """Folder of templates and style sheets."""
 _SPACE = "\u00a0"
 """Between a number and its unit in headings, where a line must not break."""
-WIDTH, HEIGHT = 300, 190
+WIDTH = 300
+HEIGHT = 190
 """Of a curve (pixels)."""
-_LEFT, _RIGHT, _TOP, _BOTTOM = 46, 20, 10, 32
+_LEFT = 46
+_RIGHT = 20
+_TOP = 10
+_BOTTOM = 32
 _TICKS = (1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0)
 _MAX_TICKS = 5
 _MIN_SPAN = 0.05

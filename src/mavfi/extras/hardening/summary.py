@@ -46,7 +46,8 @@ def harm_of(runs: Runs) -> Harm:
     own = runs.injected.where("judged", "golden_success", level="instruction", setting=FI, site_outcome=ACTIVATED)
     if not len(own):
         raise BadInputError("no flight with a fault in an instruction is done (level: instruction)")
-    silent, dead = own.where(kernel_effect=_SDC), own.where(pl.col("kernel_effect").is_in(KERNEL_DUE))
+    silent = own.where(kernel_effect=_SDC)
+    dead = own.where(pl.col("kernel_effect").is_in(KERNEL_DUE))
     lost = [wilson(part["success"].count(False), len(part)) for part in (silent, dead)]
     return Harm(lost[0], lost[1], wilson(len(dead), len(own)))
 

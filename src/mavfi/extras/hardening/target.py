@@ -25,7 +25,8 @@ from mavfi.ir.module import Module
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source
 
-MOST, FEWEST = 400, 150
+MOST = 400
+FEWEST = 150
 """Faults per function."""
 _WORK = 4e8
 """Dynamic instructions that the faults of a function may execute (some seconds)."""

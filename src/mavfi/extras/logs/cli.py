@@ -92,7 +92,8 @@ def watch(  # noqa: PLR0913 - one parameter per option
     with stoppable("Stopped."):
         wanted = options.listed(fields)
         trained, judged = _judge(logs, train or [], split, (detector, profile), wanted, fault, (inject, seed))
-    rates, used = Rates(judged), sum(watching.trained_on for watching in trained)
+    rates = Rates(judged)
+    used = sum(watching.trained_on for watching in trained)
     names = {
         topic: [f.name for f in probe.spec.header] for watching in trained for topic, probe in watching.probes.items()
     }
@@ -162,7 +163,10 @@ def _summary(rates: Rates) -> list[str]:
     lines = [f"flips detected, {bits} (%): {rate(share)}" for bits, share in rates.flips.items()]
     if rates.faults.n:
         delays = rates.delays_s
-        span = f", delay {delays[0]:.2f} to {delays[-1]:.2f} s" if delays else ""
+        if delays:
+            span = f", delay {delays[0]:.2f} to {delays[-1]:.2f} s"
+        else:
+            span = ""
         lines.append(f"known faults followed by an alarm (%): {rate(rates.faults)}{span}")
     return lines
 

@@ -110,10 +110,14 @@ def _recorded(source: Path, run_id: str) -> Recorded:
     log, _, _ = _stored(source, "")
     scenario = _scenario(log, str(source))
     try:
-        request = (
-            None if log.meta.get("request") is None else parse(Request, log.meta["request"], "request", stored=True)
-        )
-        fault = None if request is None or request.fault is None else fault_from_json(request.fault)
+        if log.meta.get("request") is None:
+            request = None
+        else:
+            request = parse(Request, log.meta["request"], "request", stored=True)
+        if request is None or request.fault is None:
+            fault = None
+        else:
+            fault = fault_from_json(request.fault)
         setup = _setup(request, scenario)
         flight, published = fly_recorded(setup, fault)
         if flight.log.digest() != log.digest():

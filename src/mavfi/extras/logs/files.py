@@ -33,13 +33,21 @@ class Maker:
         self.store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
         if is_ros1:
             self.store.register(get_types_from_msg(_TRANSFORMS, "tf2_msgs/msg/TFMessage"))
-        self.serialize = self.store.serialize_ros1 if is_ros1 else self.store.serialize_cdr
-        self._levels = {INFO: 2, WARN: 4, ERROR: 8} if is_ros1 else {INFO: 20, WARN: 30, ERROR: 40}
+        if is_ros1:
+            self.serialize = self.store.serialize_ros1
+        else:
+            self.serialize = self.store.serialize_cdr
+        if is_ros1:
+            self._levels = {INFO: 2, WARN: 4, ERROR: 8}
+        else:
+            self._levels = {INFO: 20, WARN: 30, ERROR: 40}
 
     def name(self, kind: str) -> str:
         """Full name of a type in the notation of `rosbags`."""
         if kind == "Log":
-            return "rosgraph_msgs/msg/Log" if self._is_ros1 else "rcl_interfaces/msg/Log"
+            if self._is_ros1:
+                return "rosgraph_msgs/msg/Log"
+            return "rcl_interfaces/msg/Log"
         package, name = kind.split("/")
         return f"{package}/msg/{name}"
 
@@ -48,7 +56,10 @@ class Maker:
         fields = message.fields
         if message.kind == "Log":
             stamp = fields["time"]
-            stamped = {"header": {"stamp": stamp}} if self._is_ros1 else {"stamp": stamp}
+            if self._is_ros1:
+                stamped = {"header": {"stamp": stamp}}
+            else:
+                stamped = {"stamp": stamp}
             fields = {**fields, **stamped, "level": self._levels[fields["level"]]}
         return self._make(self.name(message.kind), fields)
 
@@ -60,7 +71,9 @@ class Maker:
     def _value(self, kind: Any, value: Any) -> Any:
         node, what = kind
         if node == Nodetype.BASE:
-            return _ZEROS.get(what[0], 0) if value is None else value
+            if value is None:
+                return _ZEROS.get(what[0], 0)
+            return value
         if node == Nodetype.NAME:
             return self._make(what, value or {})
         inner, length = what

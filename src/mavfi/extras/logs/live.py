@@ -28,9 +28,11 @@ from mavfi.record import COLUMNS
 from mavfi.report.lines import INFO, lines_at
 from mavfi.states import State
 
-HOST, PORT = "127.0.0.1", 8765
+HOST = "127.0.0.1"
+PORT = 8765
 """Where flights are served; the port of Foxglove's WebSocket protocol."""
-_PERIOD_S, _SCENERY_PERIOD_S = 0.05, 1.0
+_PERIOD_S = 0.05
+_SCENERY_PERIOD_S = 1.0
 """Shortest wall time between messages (s); of obstacles and map, which are repeated for new viewers."""
 _SHARE = 0.01
 """Largest share of wall time spent on each of motion, point clouds, plans, and obstacles with the map."""

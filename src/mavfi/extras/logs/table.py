@@ -107,13 +107,19 @@ class RosReader:
 
     def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
         """See `FlightLogReader`."""
-        kind = "a ROS 1 bag" if self._path.suffix == ".bag" else "an mcap file of ROS 2"
+        if self._path.suffix == ".bag":
+            kind = "a ROS 1 bag"
+        else:
+            kind = "an mcap file of ROS 2"
         with reading(self._path, kind), AnyReader([self._path]) as reader:
             check_topics(self._path, topics, reader.topics)
             chosen = [connection for connection in reader.connections if not topics or connection.topic in topics]
             layouts = {connection.id: _layout(reader, connection) for connection in chosen}
             for connection, time_ns, data in reader.messages(chosen):
-                content = reader.typestore.cdr_to_ros1(data, connection.msgtype) if reader.is2 else data
+                if reader.is2:
+                    content: bytes | memoryview = reader.typestore.cdr_to_ros1(data, connection.msgtype)
+                else:
+                    content = data
                 yield LoggedMessage(connection.topic, time_ns // 1000, layouts[connection.id], bytes(content))
 
 

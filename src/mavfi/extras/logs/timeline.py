@@ -19,12 +19,15 @@ from mavfi.report.lines import Line, lines_of
 from mavfi.sim.environments.world import World
 from mavfi.states import State, rows
 
-MAP, VEHICLE = "map", "base_link"
+MAP = "map"
+VEHICLE = "base_link"
 FIRST_STAMP_NS = 1
 """Stamp of the start of the mission: in ROS a stamp of 0 means "not set", and bags reject it."""
 _OBSTACLE = {"r": 0.55, "g": 0.57, "b": 0.62, "a": 0.9}
 _GOAL = {"r": 0.0, "g": 0.45, "b": 0.7, "a": 0.9}
-_CUBE, _SPHERE, _CUBE_LIST = 1, 2, 6
+_CUBE = 1
+_SPHERE = 2
+_CUBE_LIST = 6
 _GOAL_SIZE = 1.0
 _POSES = 1000
 TICK_TOPICS = ("/clock", "/tf", "/odometry", "/command", "/reference")
@@ -119,7 +122,8 @@ def _published(published: Publications | None) -> Iterator[Message]:
 def tick_messages(row: np.ndarray) -> Iterator[Message]:
     """The messages of one row of a flight log."""
     time_ns = stamp_ns(row[0])
-    position, orientation = _xyz(row[1:4]), _orientation(row[7:11])
+    position = _xyz(row[1:4])
+    orientation = _orientation(row[7:11])
     to_map = np.empty((3, 3))
     rotation_matrix(row[7:11], to_map)
     in_map = _in_map(time_ns)
@@ -177,7 +181,9 @@ class Converter:
     def __call__(self, state: State, time_us: int) -> Iterable[Message]:
         """The messages of one publication."""
         convert = self._kinds.get(state.spec.name)
-        return () if convert is None else convert(state, stamp_ns(1e-6 * time_us))
+        if convert is None:
+            return ()
+        return convert(state, stamp_ns(1e-6 * time_us))
 
     def _map(self, state: State, time_ns: int) -> Iterator[Message]:
         """Centres of all occupied voxels, once per second at most; updates outside the map are ignored."""
@@ -228,7 +234,10 @@ def scenery(world: World) -> Iterator[Message]:
     """Obstacles and goal."""
     time_ns = FIRST_STAMP_NS
     in_map = _in_map(time_ns)
-    markers = [_voxels(world, in_map)] if world.is_voxels else list(_boxes(world, in_map))
+    if world.is_voxels:
+        markers = [_voxels(world, in_map)]
+    else:
+        markers = list(_boxes(world, in_map))
     yield Message("/obstacles", "visualization_msgs/MarkerArray", time_ns, {"markers": markers})
     yield Message(
         "/goal",

@@ -115,7 +115,9 @@ class UlogReader:
 
 def _required(topic: str) -> set[str]:
     """Columns that the reader uses."""
-    return {"timestamp", "landed"} if topic == _LANDED else {"timestamp"}
+    if topic == _LANDED:
+        return {"timestamp", "landed"}
+    return {"timestamp"}
 
 
 def _rows(columns: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

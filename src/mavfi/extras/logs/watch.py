@@ -74,7 +74,10 @@ def read_recording(path: Path, fault: str = "", *, required: bool = True) -> Rec
     messages = list(reader.messages([]))
     if fault and required:
         check_topics(path, [topic], {message.topic for message in messages})
-    onset = _onset([message for message in messages if message.topic == topic], number) if fault else None
+    if fault:
+        onset = _onset([message for message in messages if message.topic == topic], number)
+    else:
+        onset = None
     others = [message for message in messages if not fault or message.topic != topic]
     is_cut = getattr(reader, "is_cut", None)
     cut = is_cut is not None and is_cut()
@@ -127,7 +130,9 @@ def select(recordings: Sequence[Recording], wanted: Sequence[str] = ()) -> dict[
 def cut_text(recordings: Sequence[Recording]) -> str:
     """Which files are cut; "" = none."""
     names = [recording.name for recording in recordings if recording.cut]
-    return f"{', '.join(names)}: cut, the last message is not complete" if names else ""
+    if names:
+        return f"{', '.join(names)}: cut, the last message is not complete"
+    return ""
 
 
 def _by_topic(recording: Recording) -> dict[str, list[LoggedMessage]]:
@@ -277,7 +282,9 @@ class LogWatch:
     def _read(self, message: LoggedMessage, data: bytes) -> State | None:
         """The monitored fields of bytes with the layout of a message, which may differ from file to file."""
         probe = self.probes.get(message.topic)
-        return None if probe is None else replace(probe, definition=message.layout).read(data)
+        if probe is None:
+            return None
+        return replace(probe, definition=message.layout).read(data)
 
     def judge(self, recording: Recording, flips: int = 0, seed: int = 0) -> Judged:
         """Judge a recording.
@@ -401,7 +408,8 @@ def _exposure_s(times: Sequence[int]) -> float:
 
 # ---- rates -----------------------------------------------------------------------------------------------------------
 
-_MINUTE, _HOUR = 60.0, 3600.0
+_MINUTE = 60.0
+_HOUR = 3600.0
 
 
 @dataclass(frozen=True)
@@ -446,7 +454,8 @@ class Rates:
 
     def headline(self) -> str:
         """Alarm events per hour and share of messages with an alarm, in one line."""
-        rate, minutes = self.alarms, self.exposure_s / _MINUTE
+        rate = self.alarms
+        minutes = self.exposure_s / _MINUTE
         events = f"{rate.events} false alarm event{'' if rate.events == 1 else 's'}"
         exposed = f"{minutes:.1f} min of normal flight"
         return f"{events} in {exposed}: {rate_text(rate)} per hour; {self.alarm_percent:.2g} % of messages"
@@ -476,4 +485,6 @@ def delay_text(judged: Judged) -> str:
     """Delay of the first alarm after the known fault."""
     if not judged.has_fault:
         return ""
-    return "no alarm" if judged.fault_delay_s is None else f"{judged.fault_delay_s:.2f} s"
+    if judged.fault_delay_s is None:
+        return "no alarm"
+    return f"{judged.fault_delay_s:.2f} s"

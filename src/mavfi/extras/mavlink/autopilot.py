@@ -27,7 +27,8 @@ from mavfi.numerics.frames import HOME, Triple, euler, geodetic, local
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
 """MAV_RESULT; 1 = temporarily rejected."""
-INFO, ERROR = 6, 3
+INFO = 6
+ERROR = 3
 UNITS = {0: "gyro", 1: "accelerometer", 2: "compass", 4: "position", 101: "motor"}
 """Units of `SensorFault` by FAILURE_UNIT, which has no depth camera."""
 TYPES = dict(enumerate(("ok", "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")))
@@ -55,7 +56,8 @@ class Mode(Enum):
 
 
 # ---- parameters ------------------------------------------------------------------------------------------------------
-_INT32, _REAL32 = 6, 9
+_INT32 = 6
+_REAL32 = 9
 _DEFAULTS: dict[str, float | int] = {
     "COM_RC_IN_MODE": 4,
     "MIS_TAKEOFF_ALT": 2.5,
@@ -85,16 +87,25 @@ class Parameters:
         elif kind == "PARAM_REQUEST_READ" and message.param_index >= 0:
             wanted = names[message.param_index : message.param_index + 1]
         elif kind in ("PARAM_REQUEST_READ", "PARAM_SET"):
-            wanted = [message.param_id] if message.param_id in self._values else []
+            if message.param_id in self._values:
+                wanted = [message.param_id]
+            else:
+                wanted = []
         else:
             return
         for name in wanted:
             if kind == "PARAM_SET":
                 whole = isinstance(self._values[name], int)
-                self._values[name] = _from_wire(message.param_value) if whole else float(message.param_value)
+                if whole:
+                    self._values[name] = _from_wire(message.param_value)
+                else:
+                    self._values[name] = float(message.param_value)
             value = self._values[name]
             whole = isinstance(value, int)
-            encoded = struct.unpack("<f", struct.pack("<i", value))[0] if whole else value
+            if whole:
+                encoded = struct.unpack("<f", struct.pack("<i", value))[0]
+            else:
+                encoded = value
             send("param_value", name.encode(), encoded, _INT32 if whole else _REAL32, len(names), names.index(name))
 
 
@@ -103,11 +114,17 @@ def _from_wire(value: float) -> int:
 
 
 # ---- missions --------------------------------------------------------------------------------------------------------
-_WAYPOINT, _TAKEOFF, _LAND, _RETURN, _SPEED = 16, 22, 21, 20, 178
+_WAYPOINT = 16
+_TAKEOFF = 22
+_LAND = 21
+_RETURN = 20
+_SPEED = 178
 _RELATIVE_FRAMES = (3, 6)
 """MAV_FRAME: global, relative to home."""
-_SCALE, _MISSING = 1e-7, 2**31 - 1
-_MISSION, _ALL_TYPES = 0, 255
+_SCALE = 1e-7
+_MISSING = 2**31 - 1
+_MISSION = 0
+_ALL_TYPES = 255
 """MAV_MISSION_TYPE."""
 
 
@@ -128,8 +145,10 @@ class Mission:
 
     def answer(self, message: Any) -> None:
         """Answer a message of the protocol."""
-        send, sender = self._autopilot.send, (message.get_srcSystem(), message.get_srcComponent())
-        kind, which = message.get_type(), getattr(message, "mission_type", _MISSION)
+        send = self._autopilot.send
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        kind = message.get_type()
+        which = getattr(message, "mission_type", _MISSION)
         items = self._items[which]
         if kind == "MISSION_COUNT":
             items.clear()
@@ -175,7 +194,8 @@ class Mission:
 
     def fly(self) -> Task:
         """Fly the items from the current one on, once the motors run."""
-        autopilot, items = self._autopilot, self._items[_MISSION]
+        autopilot = self._autopilot
+        items = self._items[_MISSION]
         while self._current < len(items):
             while not autopilot.vehicle.sim.armed:
                 yield
@@ -187,12 +207,17 @@ class Mission:
         return True
 
     def _item(self, item: Any) -> Task:
-        autopilot, vehicle, command = self._autopilot, self._autopilot.vehicle, item.command
+        autopilot = self._autopilot
+        vehicle = self._autopilot.vehicle
+        command = item.command
         target = place_of(item)
         if command == _TAKEOFF or (command == _WAYPOINT and vehicle.landed):
             yield from climb(vehicle, -target[2])
         if command == _WAYPOINT:
-            yaw = None if math.isnan(item.param4) else math.radians(item.param4)
+            if math.isnan(item.param4):
+                yaw = None
+            else:
+                yaw = math.radians(item.param4)
             yield from go_to(vehicle, target, autopilot.speed, yaw)
         elif command == _SPEED and item.param2 > 0:
             autopilot.speed = float(item.param2)
@@ -216,7 +241,8 @@ class Autopilot:
     """
 
     def __init__(self, vehicle: MavVehicle, link: Any) -> None:
-        self.vehicle, self._link = vehicle, link
+        self.vehicle = vehicle
+        self._link = link
         self.mode = Mode.HOLD
         self.parameters = Parameters()
         self.mission = Mission(self)
@@ -252,7 +278,8 @@ class Autopilot:
 
     def _end_tasks(self) -> None:
         """Change the mode when its task has ended by itself."""
-        ended, self.vehicle.ended = list(self.vehicle.ended), []
+        ended = list(self.vehicle.ended)
+        self.vehicle.ended = []
         for task in ended:
             if task.number != self._task:
                 continue
@@ -392,7 +419,8 @@ class Autopilot:
 
     def do_orbit(self, message: Any) -> int:
         """MAV_CMD_DO_ORBIT; negative radius = counter-clockwise."""
-        radius, speed = float(message.param1), float(message.param2)
+        radius = float(message.param1)
+        speed = float(message.param2)
         if not (math.isfinite(radius) and abs(radius) >= 1.0):
             return DENIED
         self.set_mode(Mode.ORBIT)
@@ -432,8 +460,12 @@ class Autopilot:
     # ---- failures ---------------------------------------------------------------------------------------------------
     def inject_failure(self, message: Any) -> int | None:
         """MAV_CMD_INJECT_FAILURE: acknowledged once a value has changed; failed if none has within a second."""
-        unit, kind = UNITS.get(_integer(message.param1)), TYPES.get(_integer(message.param2))
-        instance = 0 if math.isnan(message.param3) else _integer(message.param3)
+        unit = UNITS.get(_integer(message.param1))
+        kind = TYPES.get(_integer(message.param2))
+        if math.isnan(message.param3):
+            instance = 0
+        else:
+            instance = _integer(message.param3)
         if unit is None or kind is None:
             return UNSUPPORTED
         try:
@@ -441,12 +473,16 @@ class Autopilot:
         except BadInputError:
             return UNSUPPORTED
         if kind == NULL:
-            return ACCEPTED if self.vehicle.failures.end(unit, instance) else FAILED
+            if self.vehicle.failures.end(unit, instance):
+                return ACCEPTED
+            return FAILED
         if not self.vehicle.sim.armed:
             return REJECTED
         for same in self.failures:  # a repeated command, which would change nothing
             if (same.fault.unit, same.fault.kind, same.fault.instance) == (unit, kind, instance):
-                return None if same.injection is None else ACCEPTED
+                if same.injection is None:
+                    return None
+                return ACCEPTED
         self._pending.append((self.vehicle.failures.begin(fault), message))
         return None
 
@@ -454,7 +490,8 @@ class Autopilot:
         """Acknowledge failures that were activated, or were not in time."""
         for failure, message in list(self._pending):
             if failure.injection is not None:
-                before, after = failure.injection.before, failure.injection.after
+                before = failure.injection.before
+                after = failure.injection.after
                 self.text(f"fault: {failure.fault.site}: {before:.4g} -> {after:.4g}", ERROR)
                 self._acknowledge(message, ACCEPTED)
             elif self.vehicle.now_us - failure.fault.time_us >= PROOF_US:
@@ -468,7 +505,9 @@ class Autopilot:
 
 def _integer(value: float) -> int:
     """A whole number in a floating-point parameter; -1 for NaN, which means "not given", and infinities."""
-    return int(value) if math.isfinite(value) else -1
+    if math.isfinite(value):
+        return int(value)
+    return -1
 
 
 def position_target(message: Any) -> Setpoint:
@@ -476,7 +515,9 @@ def position_target(message: Any) -> Setpoint:
     mask = message.type_mask
 
     def unless(bit: int, value: float) -> float | None:
-        return None if mask & bit or not math.isfinite(value) else float(value)
+        if mask & bit or not math.isfinite(value):
+            return None
+        return float(value)
 
     return Setpoint(
         (unless(1, message.x), unless(2, message.y), unless(4, message.z)),
@@ -508,16 +549,24 @@ _COMMANDS: dict[int, Callable[[Autopilot, Any], int | None]] = {
 
 # ---- messages that it sends periodically -----------------------------------------------------------------------------
 Arguments = tuple[Any, ...]
-_QUADROTOR, _PX4 = 2, 12
-_ACTIVE, _STANDBY = 4, 3
-_MODE_FLAGS, _ARMED_FLAG = 1 | 4 | 8 | 16, 128
+_QUADROTOR = 2
+_PX4 = 12
+_ACTIVE = 4
+_STANDBY = 3
+_MODE_FLAGS = 1 | 4 | 8 | 16
+_ARMED_FLAG = 128
 """MAV_MODE_FLAG: custom mode, auto, guided, stabilize; safety armed."""
 _HEALTHY = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x400 | 0x800 | 0x1000 | 0x4000 | 0x8000 | 0x10000 | 0x200000 | 0x10000000
 """MAV_SYS_STATUS_SENSOR: gyro, accelerometer, compass, pressure, GPS, controls, motors, receiver, AHRS, pre-arm."""
 _SENSORS = {"gyro": 0x1, "accelerometer": 0x2, "compass": 0x4, "position": 0x20, "motor": 0x8000}
-_ON_GROUND, _IN_AIR, _TAKING_OFF, _LANDING = 1, 2, 3, 4
-_FIX_3D, _NO_FIX = 3, 1
-_CENTIVOLTS, _PERCENT = 16_000, 90
+_ON_GROUND = 1
+_IN_AIR = 2
+_TAKING_OFF = 3
+_LANDING = 4
+_FIX_3D = 3
+_NO_FIX = 1
+_CENTIVOLTS = 16_000
+_PERCENT = 90
 _NAN = float("nan")
 
 
@@ -560,7 +609,12 @@ def home_position(autopilot: Autopilot) -> Arguments:
 def extended_sys_state(autopilot: Autopilot) -> Arguments:
     """EXTENDED_SYS_STATE."""
     name = autopilot.mode.name
-    moving = _TAKING_OFF if name == "TAKEOFF" else _LANDING if name == "LAND" else _IN_AIR
+    if name == "TAKEOFF":
+        moving = _TAKING_OFF
+    elif name == "LAND":
+        moving = _LANDING
+    else:
+        moving = _IN_AIR
     return 0, _ON_GROUND if autopilot.vehicle.landed else moving
 
 
@@ -598,7 +652,8 @@ def vfr_hud(autopilot: Autopilot) -> Arguments:
 
 def altitude(autopilot: Autopilot) -> Arguments:
     """ALTITUDE."""
-    above, height = _above_sea(autopilot), -autopilot.vehicle.position[2]
+    above = _above_sea(autopilot)
+    height = -autopilot.vehicle.position[2]
     return autopilot.vehicle.now_us, above, above, height, height, _NAN, 0.0
 
 
@@ -620,7 +675,8 @@ def local_position_ned(autopilot: Autopilot) -> Arguments:
 def highres_imu(autopilot: Autopilot) -> Arguments:
     """HIGHRES_IMU; constant magnetic field and pressure."""
     x, y, z, roll, pitch, yaw = map(float, autopilot.vehicle.imu())
-    field, air = (0.2, 0.0, 0.4), (1013.25, 0.0, _above_sea(autopilot), 25.0)
+    field = (0.2, 0.0, 0.4)
+    air = (1013.25, 0.0, _above_sea(autopilot), 25.0)
     return autopilot.vehicle.now_us, x, -y, -z, roll, -pitch, -yaw, *field, *air, 0x1FFF
 
 

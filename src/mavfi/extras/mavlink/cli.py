@@ -90,7 +90,8 @@ def serve(
 
 def _show(server: Server, as_json: bool) -> None:
     """Print the final state."""
-    vehicle, autopilot = server.vehicle, server.autopilot
+    vehicle = server.vehicle
+    autopilot = server.autopilot
     state = {
         "time_s": 1e-6 * vehicle.now_us,
         "mode": autopilot.mode.name.lower(),

@@ -15,7 +15,9 @@ SETPOINT_TIMEOUT_US = 1_000_000
 RETURN_HEIGHT = 5.0
 """Least height of a return to launch (m); PX4's default is 60 m, above the walls of some environments."""
 FOREVER_S = 1e5
-_POSITION_GAIN, _HOLD_SPEED, _APPROACH_SPEED = 0.9, 2.0, 5.0
+_POSITION_GAIN = 0.9
+_HOLD_SPEED = 2.0
+_APPROACH_SPEED = 5.0
 _ORBIT_GAIN = 1.0
 
 
@@ -85,7 +87,8 @@ def orbit(vehicle: PilotedVehicle, centre: Triple, radius: float, speed: float, 
         north, east, down = vehicle.position
         away = north - centre[0], east - centre[1]
         distance = max(math.hypot(*away), 1e-6)
-        n, e = away[0] / distance, away[1] / distance
+        n = away[0] / distance
+        e = away[1] / distance
         inward = clip(_ORBIT_GAIN * (distance - radius), speed)
         velocity = -n * inward - sign * e * speed, -e * inward + sign * n * speed, clip(centre[2] - down, 2.0)
         off = math.remainder(float(atan2(-e, -n)) - vehicle.yaw, 2.0 * math.pi)

@@ -15,7 +15,8 @@ from mavfi.mission import MissionSpec
 HOST = "127.0.0.1"
 PORT = 14_580
 """UDP port of the autopilot, as of PX4's simulation."""
-OFFBOARD_PORT, GROUND_STATION_PORT = 14_540, 14_550
+OFFBOARD_PORT = 14_540
+GROUND_STATION_PORT = 14_550
 FASTEST = 12.0
 """Largest speed that may be commanded (m/s)."""
 _POLL_S = 0.004
@@ -42,7 +43,8 @@ class Server:
         speed: float = 1.0,
     ) -> None:
         self._dialect = mavlink_dialect()
-        self._speed, self._peers = speed, {(HOST, peer) for peer in peers}
+        self._speed = speed
+        self._peers = {(HOST, peer) for peer in peers}
         self._parsers: dict[tuple[str, int], Any] = {}
         self.vehicle = MavVehicle(spec)
         self.vehicle.sim.limit_speed(FASTEST)
@@ -72,7 +74,8 @@ class Server:
 
     def run(self, seconds: float) -> None:
         """Serve for a wall time (s)."""
-        start, start_us = time.monotonic(), self.vehicle.now_us
+        start = time.monotonic()
+        start_us = self.vehicle.now_us
         while (now := time.monotonic() - start) < seconds:
             self.receive()
             target = start_us + int(1e6 * self._speed * now) // TICK_US * TICK_US

@@ -30,7 +30,9 @@ _KINDS = {code: kind for kind, code in FORMATS.items() if kind not in ("byte", "
 _MAVLINK_2 = 0xFD
 _HEADERS = {0xFE: 6, _MAVLINK_2: 10}
 """Size of the header by its first byte, for MAVLink 1 and 2."""
-_STAMP, _CHECKSUM, _SIGNATURE = 8, 2, 13
+_STAMP = 8
+_CHECKSUM = 2
+_SIGNATURE = 13
 """Sizes of what comes before a packet, and behind it."""
 LONGEST_TEXT = 50
 """Characters of one STATUSTEXT; longer texts are sent in chunks."""
@@ -72,7 +74,8 @@ class TlogReader:
 
     def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
         """See `FlightLogReader`."""
-        path, kind = self._path, "a telemetry log"
+        path = self._path
+        kind = "a telemetry log"
         mavlink_dialect()
         from pymavlink.mavutil import mavlogfile
 
@@ -85,7 +88,8 @@ class TlogReader:
 
     def is_cut(self) -> bool:
         """Whether the file ends within a message, as after a loss of power."""
-        data, offset = self._path.read_bytes(), 0
+        data = self._path.read_bytes()
+        offset = 0
         while offset < len(data):
             magic = data[offset + _STAMP : offset + _STAMP + 3]
             if len(magic) < 3:
@@ -110,7 +114,8 @@ def _all_of(link: Any) -> Iterator[LoggedMessage]:
 
 def _payload(message: Any) -> bytes:
     """Payload of a received message, with the trailing zeros that MAVLink 2 omits."""
-    packet, size = bytes(message.get_msgbuf()), message.unpacker.size
+    packet = bytes(message.get_msgbuf())
+    size = message.unpacker.size
     begin = _HEADERS[packet[0]]
     return packet[begin : begin + min(packet[1], size)].ljust(size, b"\0")
 
@@ -123,7 +128,10 @@ def _leaves(kind: Any) -> dict[str, Leaf]:
     for name, code, length in zip(kind.ordered_fieldnames, codes, kind.array_lengths, strict=True):
         size = struct.calcsize(f"<{code}")
         if code in _KINDS:
-            names = [f"{name}[{index}]" for index in range(length)] if length else [name]
+            if length:
+                names = [f"{name}[{index}]" for index in range(length)]
+            else:
+                names = [name]
             leaves |= {path: Leaf(offset + index * size, _KINDS[code]) for index, path in enumerate(names)}
         offset += size * max(1, length)
     return leaves
@@ -133,8 +141,14 @@ def _leaves(kind: Any) -> dict[str, Leaf]:
 
 _SEVERITIES = {ERROR: 3, WARN: 4, INFO: 6}
 """MAV_SEVERITY of each level."""
-_QUADROTOR, _PX4, _ARMED_AUTO, _AUTO_MISSION, _ACTIVE, _VERSION = 2, 12, 0xDD, 4 << 16 | 4 << 24, 4, 3
-_HEARTBEATS, _GLOBALS = 50, 5
+_QUADROTOR = 2
+_PX4 = 12
+_ARMED_AUTO = 0xDD
+_AUTO_MISSION = 4 << 16 | 4 << 24
+_ACTIVE = 4
+_VERSION = 3
+_HEARTBEATS = 50
+_GLOBALS = 5
 """Control periods between heartbeats (1 Hz), and between global positions (10 Hz)."""
 
 
@@ -229,7 +243,8 @@ class Telemetry:
         self._link = self._messages.link(self)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._to = HOST, port
-        self._rows, self._texts = 0, 0
+        self._rows = 0
+        self._texts = 0
 
     def begin(self, loop: Loop) -> None:
         """See `Observer`."""

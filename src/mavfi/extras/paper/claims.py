@@ -46,7 +46,9 @@ class Claim:
 
 LEVEL = 0.05
 """Family-wise error rate: probability that any claim of a table is wrongly confirmed or contradicted."""
-CONFIRMED, CONTRADICTED, UNDECIDED = "confirmed", "contradicted", "undecided"
+CONFIRMED = "confirmed"
+CONTRADICTED = "contradicted"
+UNDECIDED = "undecided"
 
 
 def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
@@ -109,7 +111,8 @@ _COLUMNS = (
     Column("method", "test"),
     Column("campaign", "campaign", TEXT, hidden=True),
 )
-_KEYS, _LINKED = tuple(column.key for column in _COLUMNS), ("verdict", "p", "holm_p")
+_KEYS = tuple(column.key for column in _COLUMNS)
+_LINKED = ("verdict", "p", "holm_p")
 """Columns, and those whose cells open the tested runs."""
 
 
@@ -123,14 +126,20 @@ def verdict(one: Evidence, corrected: float | None) -> str:
     """Verdict (confirmed, contradicted or undecided) from the corrected p value."""
     if corrected is None or corrected >= LEVEL:
         return UNDECIDED
-    return CONFIRMED if one.supports else CONTRADICTED
+    if one.supports:
+        return CONFIRMED
+    return CONTRADICTED
 
 
 # ---- claims of the paper's text, each with a test on runs (see `claims`); all tests treat worlds as independent ----
 
-KERNELS, STATES, INSTRUCTIONS, VALUES = "kernels", "states", "table1_instructions", "table1"
+KERNELS = "kernels"
+STATES = "states"
+INSTRUCTIONS = "table1_instructions"
+VALUES = "table1"
 """Names of the campaigns used in the tests."""
-HURT, SUCCESS = m.FAILS_OR_SLOWER, pl.col("success")
+HURT = m.FAILS_OR_SLOWER
+SUCCESS = pl.col("success")
 ALTERED = pl.when("success").then(pl.col("inflation").abs() > m.SLOWER)
 """Whether flight time changes by more than 5 %; null for failures."""
 LOSS = pl.col("golden_success").cast(pl.Float64) - pl.col("success").cast(pl.Float64)
@@ -251,7 +260,8 @@ def paired(setting: str, other: str, column: str, *, more: bool, what: str, **wh
 def _in_dense(runs: Runs, value: pl.Expr | str, *, more: bool, what: str) -> Evidence:
     """Evidence from flights in Dense and in the other environments."""
     own = runs.adding(value=pl.col(value) if isinstance(value, str) else value)
-    dense, others = own.where(environment="dense"), own.where(pl.col("environment") != "dense")
+    dense = own.where(environment="dense")
+    others = own.where(pl.col("environment") != "dense")
     return tested(between_worlds(dense, others, pl.col("value")), "Dense", "other environments", more=more, what=what)
 
 
@@ -286,7 +296,8 @@ def _claims(section: str, campaign: str, *rows: Row, method: str = WITHIN) -> li
 
 
 def _of_kernels() -> list[Claim]:
-    check, before = _of("kernel", "collision_check"), _of("kernel", "point_cloud", "octomap")
+    check = _of("kernel", "collision_check")
+    before = _of("kernel", "point_cloud", "octomap")
     critical = _compared(
         _faults, ("collision check", check), ("point cloud and OctoMap", before), HURT, more=True, what=_HURT
     )
@@ -319,7 +330,8 @@ def _of_kernels() -> list[Claim]:
 
 
 def _of_states() -> list[Claim]:
-    sequence, time = "future_collision_seq", "time_to_collision"
+    sequence = "future_collision_seq"
+    time = "time_to_collision"
     robust = _compared(
         _faults, (sequence, _of("target", sequence)), (time, _of("target", time)), HURT, more=False, what=_HURT
     )
@@ -356,8 +368,10 @@ def _of_states() -> list[Claim]:
 
 def _of_success(campaign: str, level: str, end: str) -> list[Claim]:
     """Claims of Table I on the effects of faults of one level, and on what the detectors recover."""
-    table, longer = f"Table I, faults in {level}", "flight time over golden"
-    gaussian, autoencoder = "dr_gaussian", "dr_autoencoder"
+    table = f"Table I, faults in {level}"
+    longer = "flight time over golden"
+    gaussian = "dr_gaussian"
+    autoencoder = "dr_autoencoder"
     within = _claims(
         "VI-A",
         campaign,
@@ -452,7 +466,8 @@ def _measured_overhead(arm: str, bound: float) -> Callable[[Runs], Evidence]:
         if not shares:
             return Evidence(_NOT_MEASURED, None, supports=False)
         spent = [detection + recovery for detection, recovery in shares]
-        above, count = sum(share > bound for share in spent), len(spent)
+        above = sum(share > bound for share in spent)
+        count = len(spent)
         here = f"{100 * sum(spent) / count:.3g} % of the kernels' time, mean of {count} flights; above it in {above}"
         return Evidence(here, float(binomtest(above, count).pvalue), supports=2 * above < count)
 
@@ -503,7 +518,10 @@ def _measured_against(*parts: int, more: bool) -> Callable[[Runs], Evidence]:
         if not shared:
             return Evidence(_NOT_MEASURED, None, supports=False)
         above, below = (sum(sign * aad[one] > sign * gad[one] for one in shared) for sign in (1, -1))
-        p_value = float(binomtest(above, above + below).pvalue) if above + below else 1.0
+        if above + below:
+            p_value = float(binomtest(above, above + below).pvalue)
+        else:
+            p_value = 1.0
         means = (
             f"{name} {100 * sum(own[one] for one in shared) / len(shared):.3g} %"
             for name, own in (("AAD", aad), ("GAD", gad))
@@ -526,11 +544,10 @@ def _largest(name: str, setting: str) -> float:
 
 def _of_overhead() -> Iterable[Claim]:
     for arm, short in (("gaussian", "GAD"), ("autoencoder", "AAD")):
-        bound = (
-            _largest("recompute_overhead", "dr_gaussian")
-            if arm == "gaussian"
-            else paper.figure("detection_overhead", setting="dr_autoencoder", environment="dense")
-        )
+        if arm == "gaussian":
+            bound = _largest("recompute_overhead", "dr_gaussian")
+        else:
+            bound = paper.figure("detection_overhead", setting="dr_autoencoder", environment="dense")
         text = f"Recomputation of {short} takes at most {100 * bound:.4g} % of compute time, both modelled"
         yield Claim(f"{arm}_overhead", text, "VI-C", INSTRUCTIONS, WITHIN, _overhead(f"dr_{arm}", bound))
         text = f"Detection and recovery by {short} take at most {100 * bound:.4g} % of compute time, measured here"
@@ -549,12 +566,14 @@ def _of_overhead() -> Iterable[Claim]:
 # ---- claims of the paper's sections VI-C and VI-D: computing platforms on flights, redundant processors by a model -
 
 PLATFORMS = "platforms"
-FAST, SLOW = "i9-9940x", "cortex-a57"
+FAST = "i9-9940x"
+SLOW = "cortex-a57"
 """Parts of the campaign, with the same worlds."""
 _MODEL = "none: a model without chance"
 
 
-_SECONDS, _KILOJOULES = Unit("s"), Unit("kJ", 1e-3)
+_SECONDS = Unit("s")
+_KILOJOULES = Unit("kJ", 1e-3)
 
 
 def _of_golden(column: str, what: str, unit: Unit) -> Callable[[Runs], Evidence]:

@@ -29,10 +29,12 @@ from mavfi.cli.console import PICTURES, check_file, say_written
 
 MODELS = "models"
 """Subfolder of the study for the trained models."""
-PAGE, FLIGHTS = "report.html", 30
+PAGE = "report.html"
+FLIGHTS = 30
 """Name of the study's page, and its number of flights: five of each campaign of the paper's study, 1.5 MB and less than
 a minute of two processors.  `mavfi report --html` fills the page up to its largest size, in several minutes."""
-TIMED, TIMED_FLIGHTS = "overheads_as_in_the_paper", 3
+TIMED = "overheads_as_in_the_paper"
+TIMED_FLIGHTS = 3
 """View whose overheads are measured, and golden flights per environment and detector for it."""
 
 
@@ -129,7 +131,8 @@ def _say_where(out: Path, campaigns: Mapping[str, "Runs"], steps: "Steps") -> No
     terminal.print("The ledgers, with their digests (mavfi campaign digest DIR prints one in full):")
     width = max((len(runs.campaign["name"]) for runs in campaigns.values()), default=0)
     for folder, runs in campaigns.items():
-        name, digest = runs.campaign["name"], short(runs.campaign["digest"])
+        name = runs.campaign["name"]
+        digest = short(runs.campaign["digest"])
         terminal.print(Text(f"  {name:{width}}  {digest}  {out / folder}"), soft_wrap=True)
     took = duration(sum(steps.seconds.values())) + (", set-up included" if SET_UP in steps.seconds else " in all")
     terminal.print(f"The models are in {out / MODELS}. It took {took}.", soft_wrap=True)
@@ -202,7 +205,8 @@ def _trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flights
     from mavfi.campaign.fingerprint import versions
     from mavfi.detectors.model import Model
 
-    here, wanted = versions(), {**_trained_for(mission), "flights": flights}
+    here = versions()
+    wanted = {**_trained_for(mission), "flights": flights}
     held = set()
     for path in sorted(folder.glob("*.json")):
         try:
@@ -243,7 +247,8 @@ def failures(
     from mavfi.extras.paper.failure_rate import failure_table, find_upsets, summary
     from mavfi.report.text import show_table
 
-    chosen, runs = find_upsets(upsets), Runs.read(directory)
+    chosen = find_upsets(upsets)
+    runs = Runs.read(directory)
     table = failure_table(runs, chosen)
     if not table.rows:
         raise BadInputError(f"{directory}: no faults in instructions whose golden runs were counted; needed: some")
@@ -282,7 +287,10 @@ def redundancy(
     from mavfi.report.text import show_table
 
     check_file("--picture", picture, PICTURES)
-    designs = [find_design(name) for name in vehicle] if vehicle else shipped_designs()
+    if vehicle:
+        designs = [find_design(name) for name in vehicle]
+    else:
+        designs = shipped_designs()
     tables = redundancy_tables(designs)
     if picture is not None:
         with style.house_style():

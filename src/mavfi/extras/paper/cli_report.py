@@ -118,8 +118,12 @@ def _written(
     tasks: Sequence[Callable[[], Any]], workers: int, show: Callable[[int, int], None] | None = None
 ) -> list[Any]:
     """Reports in the order of the tasks that write them."""
-    alone, numbered = workers == 1, enumerate(tasks)
-    each = ((one, _write(one)) for one in numbered) if alone else map_each(LocalExecutor(workers), _write, numbered)
+    alone = workers == 1
+    numbered = enumerate(tasks)
+    if alone:
+        each: Iterator[tuple[tuple[int, Callable[[], Any]], Any]] = ((task, _write(task)) for task in numbered)
+    else:
+        each = map_each(LocalExecutor(workers), _write, numbered)
     done: dict[int, Any] = {}
     for (place, _), found in each:
         done[place] = found

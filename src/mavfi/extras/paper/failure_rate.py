@@ -107,7 +107,8 @@ def upsets_per_instruction(upsets: UpsetConfig) -> Estimate:
         per_hour = 1e-9 * fit * upsets.unprotected_mbit * upsets.visible * altitude_factor(altitude)
         return per_hour / (_HOUR * upsets.instructions_per_second)
 
-    fit, altitude = upsets.fit_per_mbit, upsets.altitude
+    fit = upsets.fit_per_mbit
+    altitude = upsets.altitude
     return Estimate(at(fit.value, altitude.value), at(fit.low, altitude.low), at(fit.high, altitude.high))
 
 
@@ -161,7 +162,9 @@ def instructions_per_hour(golden: Runs) -> dict[str, float]:
     for record in counted:
         for kernel, counts in record.counts.items():
             found[kernel] = found.get(kernel, 0.0) + counts["instructions"]
-    return {kernel: number / hours for kernel, number in found.items()} if hours > 0 else {}
+    if hours > 0:
+        return {kernel: number / hours for kernel, number in found.items()}
+    return {}
 
 
 def exposed(runs: Runs, success: str = "success") -> dict[tuple[str, str], dict[str, tuple[list[str], Exposed]]]:
@@ -188,7 +191,8 @@ def _exposed(runs: Runs, success: str) -> dict[tuple[str, str], dict[str, tuple[
         for (kernel,), part in own.groups("kernel").items():
             known = [row for row in part if row["has_site"] and (row["arm"], row["world"]) in golden]
             if counts.get(kernel) and known:
-                worlds, before = [row["world"] for row in known], [golden[arm, row["world"]] for row in known]
+                worlds = [row["world"] for row in known]
+                before = [golden[arm, row["world"]] for row in known]
                 weights = _weights(runs, kernel, [one["run_id"] for one in before], worlds)
                 after = [row[success] for row in known]
                 harm = Estimate(*paired_difference([one["success"] for one in before], after, worlds, weights))
@@ -207,7 +211,9 @@ def _weights(runs: Runs, kernel: str, golden: Sequence[str], worlds: Sequence[st
     faults = Counter(worlds)
     executed = [runs.records[run_id].counts.get(kernel, {}).get("instructions", 0) for run_id in golden]
     found = [number / faults[world] for number, world in zip(executed, worlds, strict=True)]
-    return found if any(found) else None
+    if any(found):
+        return found
+    return None
 
 
 def payoff(runs: Runs, environment: str, setting: str, upset: float, kernels: Collection[str] = ()) -> Estimate | None:
@@ -223,9 +229,14 @@ def payoff(runs: Runs, environment: str, setting: str, upset: float, kernels: Co
     Returns:
         Differences in pairs of runs with the same fault; None if no kernel was injected in both settings.
     """
-    changed = changes(runs, environment, setting, kernels) if (environment, setting) in exposed(runs) else {}
+    if (environment, setting) in exposed(runs):
+        changed = changes(runs, environment, setting, kernels)
+    else:
+        changed = {}
     own = [one for _, one in own_parts(runs, environment, setting)]
-    return total_failures([*parts_of(changed), *own], upset) if changed else None
+    if changed:
+        return total_failures([*parts_of(changed), *own], upset)
+    return None
 
 
 def own_parts(runs: Runs, environment: str, setting: str) -> list[tuple[int, Exposed]]:
@@ -254,7 +265,8 @@ def changes(
         were not counted, of those without an arm.
     """
     pairs = against_fi(runs).where("judged", "has_site", level=INSTRUCTION, environment=environment, setting=setting)
-    golden, flown = _golden(runs), runs.golden.where(environment=environment)
+    golden = _golden(runs)
+    flown = runs.golden.where(environment=environment)
     counts = {arm: instructions_per_hour(flown.where(arm=arm)) for arm in ("", *pairs.values("arm"))}
     found = {}
     for (kernel, arm), every in pairs.groups("kernel", "arm").items():
@@ -263,7 +275,8 @@ def changes(
             for world in every.values("world")
             if all(golden.get((one, world), {}).get("success") for one in ("", arm))
         ]
-        own, counted = every.where(pl.col("world").is_in(fine)), arm if counts[arm] else ""
+        own = every.where(pl.col("world").is_in(fine))
+        counted = arm if counts[arm] else ""
         if len(own) and kernel in counts[counted] and kernel not in DETECTORS and (not kernels or kernel in kernels):
             ids = [[golden[one, world]["run_id"] for world in own["world"]] for one in (counted, "")]
             instructions = counts[counted][kernel], counts[""].get(kernel, 0.0)
@@ -275,7 +288,8 @@ def _changed(
     own: Runs, kernel: str, instructions: tuple[float, float], golden: Sequence[str], plain: Sequence[str]
 ) -> tuple[Exposed, ...]:
     """The parts of `changes` of a kernel, given instructions and golden runs with the setting and without an arm."""
-    worlds, alone = own["world"], own["fi_success"]
+    worlds = own["world"]
+    alone = own["fi_success"]
     changed = paired_difference(alone, own["dr_success"], worlds, _weights(own, kernel, golden, worlds))
     harm = paired_difference([True] * len(own), alone, worlds, _weights(own, kernel, plain, worlds))
     with_setting, without = instructions
@@ -292,7 +306,10 @@ def payoffs(runs: Runs, upset: float) -> list[str]:
     """Whether each detector prevents more failures than its own instructions cause, in words."""
     found = []
     for environment, setting in exposed(runs):
-        whole = payoff(runs, environment, setting, upset) if setting != FI else None
+        if setting != FI:
+            whole = payoff(runs, environment, setting, upset)
+        else:
+            whole = None
         planner = payoff(runs, environment, setting, upset, tuple(PLANNERS))
         if whole is not None:
             text = f"{verdict(whole)} over all kernels and its own instructions"
@@ -304,7 +321,12 @@ def payoffs(runs: Runs, upset: float) -> list[str]:
 
 def verdict(found: Estimate) -> str:
     """Whether a difference of failures per flight hour is below zero, and the difference."""
-    word = "yes" if found.high < 0 else "no" if found.low > 0 else "undecided at this n"
+    if found.high < 0:
+        word = "yes"
+    elif found.low > 0:
+        word = "no"
+    else:
+        word = "undecided at this n"
     return f"{word}, {found.value:+.1e} [{found.low:+.1e}, {found.high:+.1e}] failures per flight hour"
 
 
@@ -318,7 +340,8 @@ def uncounted(runs: Runs) -> list[str]:
 def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
     """Rows for each kernel of a setting, and one for their sum; `run_id`: the runs behind it."""
     upset = upsets_per_instruction(upsets).value
-    every, ended = exposed(runs), exposed(runs, "success_if_ended")
+    every = exposed(runs)
+    ended = exposed(runs, "success_if_ended")
     for (environment, setting), kernels in every.items():
         parts = [one for _, one in kernels.values()]
         own = {"environment": environment, "setting": setting}
@@ -330,8 +353,14 @@ def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
         total = total_failures(parts, upset)
         harm = total_failures(parts, 1.0).times(1 / whole)
         base = every.get((environment, FI))
-        alone = total_failures([one for _, one in base.values()], upset).value if base else 0.0
-        against = total.value / alone if setting != FI and alone > 0 else None
+        if base:
+            alone = total_failures([one for _, one in base.values()], upset).value
+        else:
+            alone = 0.0
+        if setting != FI and alone > 0:
+            against = total.value / alone
+        else:
+            against = None
         every_id = [run_id for ids, _ in kernels.values() for run_id in ids]
         yield {
             **own,
@@ -360,7 +389,10 @@ def _numbers(instructions: float, harm: Estimate, failures: Estimate, ended: Est
 
 def _computed(runs: Runs, upsets: UpsetConfig) -> Runs:
     rows = [{"against": None, **row} for row in _rows(runs, upsets)]
-    frame = pl.DataFrame(rows, infer_schema_length=None).explode("run_id") if rows else runs.frame.clear()
+    if rows:
+        frame = pl.DataFrame(rows, infer_schema_length=None).explode("run_id")
+    else:
+        frame = runs.frame.clear()
     return replace(runs, frame=frame)
 
 
@@ -384,7 +416,8 @@ def failure_notes(upsets: UpsetConfig, runs: Runs) -> list[str]:
     """Notes on omitted settings, definitions, assumptions and sources of the table."""
     rate = upsets_per_instruction(upsets)
     verdicts = payoffs(runs, rate.value)
-    fit, altitude = upsets.fit_per_mbit, upsets.altitude
+    fit = upsets.fit_per_mbit
+    altitude = upsets.altitude
     left_out = [
         f"{setting}: not in the table, the golden runs of its arm were not counted; needed: its detector (for "
         "recommended: acceptance) in sampling.kernels"

@@ -109,7 +109,9 @@ def _rows(runs: Runs, select: Callable[[Runs], Runs], column: str) -> Figure | N
 
 
 def _look(name: str) -> dict[str, str]:
-    return {"color": style.BLUE, "marker": "o"} if name == GOLDEN_ROW else {"color": style.ORANGE, "marker": "s"}
+    if name == GOLDEN_ROW:
+        return {"color": style.BLUE, "marker": "o"}
+    return {"color": style.ORANGE, "marker": "s"}
 
 
 def _times(axes: Axes, parts: Sequence[Runs], golden: int | None) -> None:
@@ -162,7 +164,8 @@ def distributions(runs: Runs) -> Figure | None:
     shown = distribution(runs)
     if not len(shown.injected):
         return None
-    settings, environments = shown.values("setting"), shown.values("environment")
+    settings = shown.values("setting")
+    environments = shown.values("environment")
     figure = Figure(figsize=(max(5.0, 0.8 + 2.9 * len(environments)), 4.1), layout="constrained")
     panels = figure.subplots(1, len(environments), squeeze=False, sharey=True)[0]
     looks = style.setting_looks(settings)
@@ -210,7 +213,9 @@ def distributions(runs: Runs) -> Figure | None:
 
 def _short(setting: str) -> str:
     kind, _, arm = setting.partition("_")
-    return {"golden": "golden", "fi": "fault"}.get(kind, arm) if not arm else arm
+    if not arm:
+        return {"golden": "golden", "fi": "fault"}.get(kind, arm)
+    return arm
 
 
 def _count(own: Runs, setting: str) -> str:
@@ -311,7 +316,9 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
     calibrations = list(dict.fromkeys(design.calibration for design in designs))
     figure = Figure(figsize=(1.4 + 3.4 * len(vehicles), 3.9), layout="constrained")
     panels = figure.subplots(1, len(vehicles), squeeze=False)[0]
-    names, width, from_paper = list(schemes()), 0.7 / len(calibrations), False
+    names = list(schemes())
+    width = 0.7 / len(calibrations)
+    from_paper = False
     for axes, vehicle in zip(panels, vehicles, strict=True):
         own = [design for design in designs if design.craft == vehicle]
         finite = [
@@ -423,8 +430,14 @@ def _case(own: Runs, stage: str) -> Case | None:
         row = {**(lost if len(lost) else slowest).row(0, named=True), "dr_inflation": None, "arm": arm}
     arm = str(row["arm"])
     golden = own.golden.where(arm="", world=row["world"])
-    again = faults.where(arm=arm, target=row["target"], index=row["index"]) if arm else None
-    recovered = again.first("run_id") if again is not None and len(again) else ""
+    if arm:
+        again = faults.where(arm=arm, target=row["target"], index=row["index"])
+    else:
+        again = None
+    if again is not None and len(again):
+        recovered = again.first("run_id")
+    else:
+        recovered = ""
     return Case(
         stage,
         own.first("environment"),
@@ -465,7 +478,8 @@ def trajectories(runs: Runs) -> Figure | None:
         flown = [name for name in (case.golden, case.fault, case.recovered) if name in runs.flights]
         flights = [runs.flights[name] for name in flown]
         grid = part.add_gridspec(1, 2, width_ratios=(1, 1))
-        above, space = part.add_subplot(grid[0, 0]), part.add_subplot(grid[0, 1], projection="3d")
+        above = part.add_subplot(grid[0, 0])
+        space = part.add_subplot(grid[0, 1], projection="3d")
         _from_above(above, flights)
         _in_space(space, flights)
         for axes in (above, space):  # lines are paths, in this order, before marks
@@ -481,7 +495,8 @@ def trajectories(runs: Runs) -> Figure | None:
 
 
 def _from_above(axes: Axes, flights: Sequence["Flight"]) -> None:
-    world, points = flights[0].world, [positions(flight) for flight in flights]
+    world = flights[0].world
+    points = [positions(flight) for flight in flights]
     for path, look in zip(points, _LOOKS, strict=False):
         axes.plot(path[:, 0], path[:, 1], **look)
     boxes = [
@@ -513,10 +528,14 @@ def _from_above(axes: Axes, flights: Sequence["Flight"]) -> None:
 def _in_space(axes: Any, flights: Sequence["Flight"]) -> None:
     world, lower, upper = flights[0].world, *_limits(flights)
     points = [positions(flight) for flight in flights]
-    shown = near_boxes(world, np.concatenate(points)) if len(world.lower) else np.zeros(0, bool)
+    if len(world.lower):
+        shown = near_boxes(world, np.concatenate(points))
+    else:
+        shown = np.zeros(0, bool)
     faces = []
     for low, high in zip(world.lower[shown], world.upper[shown], strict=True):
-        low, high = np.maximum(low, lower), np.minimum(high, upper)
+        low = np.maximum(low, lower)
+        high = np.minimum(high, upper)
         corners = np.array(
             [[high[axis] if corner >> (2 - axis) & 1 else low[axis] for axis in range(3)] for corner in range(8)]
         )
@@ -548,7 +567,8 @@ def _limits(flights: Sequence["Flight"]) -> tuple[np.ndarray, np.ndarray]:
     world = flights[0].world
     points = np.concatenate([*(positions(flight) for flight in flights), world.start[None], world.goal[None]])
     points = np.clip(points, world.arena_lower - _MARGIN, world.arena_upper + _MARGIN)
-    lower, upper = points.min(axis=0) - _MARGIN, points.max(axis=0) + _MARGIN
+    lower = points.min(axis=0) - _MARGIN
+    upper = points.max(axis=0) + _MARGIN
     lower[2] = 0.0
     more = max(0.0, _WIDTH - (upper[1] - lower[1])) / 2
     return lower - (0.0, more, 0.0), upper + (0.0, more, 0.0)
@@ -594,7 +614,8 @@ CHAPTER = Chapter(
         Drawing(
             "redundancy",
             lambda _: redundancy(shipped_designs()),
-            "Flight time with redundant processors over that with a detector, by the visual performance model; black: the "
+            "Flight time with redundant processors over that with a detector, by the visual performance model; "
+            "black: the "
             "paper's figure.",
         ),
         Drawing("trajectories", trajectories, _caption, cases=_ids),

@@ -63,7 +63,9 @@ def _measured(*keys: str) -> Measure:
 
     def of(own: Runs) -> float | None:
         row = _timed(own)
-        return sum(row[key] for key in keys) if row else None
+        if row:
+            return float(sum(row[key] for key in keys))
+        return None
 
     name = keys[0] if len(keys) == 1 else "sum"
     return Measure(f"measured_{name}", f"{name}, measured", SMALL, of)
@@ -71,7 +73,9 @@ def _measured(*keys: str) -> Measure:
 
 def _modelled(own: Runs) -> float | None:
     compute = sum(own["pipeline_us"])
-    return sum(own["recomputed_us"]) / compute if compute else None
+    if compute:
+        return float(sum(own["recomputed_us"]) / compute)
+    return None
 
 
 def _detection_modelled(own: Runs) -> float | None:
@@ -81,8 +85,11 @@ def _detection_modelled(own: Runs) -> float | None:
 
 
 def _sum_modelled(own: Runs) -> float | None:
-    detection, recovery = _detection_modelled(own), _modelled(own)
-    return None if detection is None or recovery is None else detection + recovery
+    detection = _detection_modelled(own)
+    recovery = _modelled(own)
+    if detection is None or recovery is None:
+        return None
+    return detection + recovery
 
 
 def _papers(key: str, of_stage: str, of_all: str = "") -> Measure:
@@ -102,13 +109,17 @@ def _papers(key: str, of_stage: str, of_all: str = "") -> Measure:
 
 def _overhead_notes(runs: Runs) -> list[str]:
     measured = runs.campaign.get("overheads", {})
-    where = (
-        f"measured: one process on {measured['processor']}, medians of {measured['missions']} golden flights per "
-        "environment; time of detector / of kernels, and of repeated steps and of keeping memory for them / of kernels"
-        if measured
-        else "columns measured and detection, modelled, are empty: no measurement of these flights stored; mavfi bench "
-        "overheads DIR makes one"
-    )
+    if measured:
+        where = (
+            f"measured: one process on {measured['processor']}, medians of {measured['missions']} golden flights per "
+            "environment; time of detector / of kernels, and of repeated steps and of keeping memory for them / "
+            "of kernels"
+        )
+    else:
+        where = (
+            "columns measured and detection, modelled, are empty: no measurement of these flights stored; mavfi bench "
+            "overheads DIR makes one"
+        )
     lacking = any("detection_modelled" not in row for row in measured.get("rows", ()))
     return [
         "recovery, modelled: recomputations with the latencies of the platform / compute time of the pipeline, all "

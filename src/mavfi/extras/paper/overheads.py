@@ -28,7 +28,8 @@ from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import KERNELS, PPC_STAGES, Stage, State
 
 STAGES = (*map(str, PPC_STAGES), ALL)
-_REPLAYS, _BLOCK = 5, 16
+_REPLAYS = 5
+_BLOCK = 16
 LONG_S = 1.0
 """Time of a replay from which on it is not repeated: the clock is fine enough for one."""
 
@@ -68,7 +69,9 @@ class _Clock:
 
     def timed(self, kernel: Any, method: str) -> None:
         """Wrap a method of a kernel in a timer."""
-        function, key, clock = getattr(kernel, method), (kernel.name, method), time.perf_counter
+        function = getattr(kernel, method)
+        key = (kernel.name, method)
+        clock = time.perf_counter
 
         def call(*arguments: Any) -> Any:
             start = clock()
@@ -83,10 +86,13 @@ class _Clock:
         """Wrap a function that computes steps again: its time, by stage, is not that of kernels."""
 
         def call(kernel: Any, states: list[State], now: int) -> tuple[list[State], int]:
-            seconds, calls, start = self.seconds.copy(), self.calls.copy(), time.perf_counter()
+            seconds = self.seconds.copy()
+            calls = self.calls.copy()
+            start = time.perf_counter()
             result = verify(kernel, states, now)
             self.again[str(kernel.stage)] += time.perf_counter() - start
-            self.seconds, self.calls = seconds, calls
+            self.seconds = seconds
+            self.calls = calls
             self.verified += 1
             return result
 
@@ -95,7 +101,9 @@ class _Clock:
     def step(self, kernel: str) -> float:
         """Mean time of a step (s)."""
         key = kernel, "step"
-        return self.seconds[key] / self.calls[key] if self.calls[key] else 0.0
+        if self.calls[key]:
+            return self.seconds[key] / self.calls[key]
+        return 0.0
 
 
 def cost(
@@ -134,7 +142,8 @@ def cost(
         recompute(action, now)
 
     loop.recompute = counted  # type: ignore[method-assign]
-    states, shown = loop.taps.watched, list[tuple[State, int]]()
+    states = loop.taps.watched
+    shown = list[tuple[State, int]]()
     loop.taps.recorders.append(lambda state, now: shown.append((state, now)))
     meta = loop.fly().log.meta
     recomputed, computed = (sum(meta[key].values()) for key in ("recompute_us", "compute_us"))
@@ -185,7 +194,8 @@ def replay(detector: Detector, publications: Sequence[tuple[State, int]]) -> flo
     The time of the loop itself is subtracted: that of the same loop without the detector.
     """
     detector.start()
-    spent, clock = 0.0, time.perf_counter
+    spent = 0.0
+    clock = time.perf_counter
     for first in range(0, len(publications), _BLOCK):
         block = publications[first : first + _BLOCK]
         for state, _ in block:
@@ -235,7 +245,8 @@ def measure(
     if not arms:
         raise BadInputError(f"campaign {campaign.name}: arms: none has a detector; needed: one at least")
     seeds = range(campaign.first_seed, campaign.first_seed + missions)
-    total, done = len(campaign.environments) * len(arms) * missions, 0
+    total = len(campaign.environments) * len(arms) * missions
+    done = 0
     rows: list[dict[str, Any]] = []
     for environment in campaign.environments:
         for arm in arms:

@@ -114,7 +114,9 @@ def max_acceleration(design: DesignConfig, mass: float) -> float:
     per_mass = design.max_thrust / mass
     if per_mass <= GRAVITY:
         return 0.0
-    return per_mass - GRAVITY if design.acceleration == "excess_thrust" else math.sqrt(per_mass**2 - GRAVITY**2)
+    if design.acceleration == "excess_thrust":
+        return per_mass - GRAVITY
+    return math.sqrt(per_mass**2 - GRAVITY**2)
 
 
 def safe_speed(acceleration: float, action_period: float, sensing_range: float) -> float:
@@ -147,7 +149,9 @@ def performance(design: DesignConfig, copies: int = 1, overhead: float = 0.0) ->
 def time_ratio(slow: Performance, fast: Performance, speed_limit: float = math.inf) -> float:
     """Ratio of flight times over the same distance, `slow` / `fast`, with both speeds capped at a limit (m/s)."""
     speed = min(slow.speed, speed_limit)
-    return min(fast.speed, speed_limit) / speed if speed > 0 else CANNOT_HOVER
+    if speed > 0:
+        return min(fast.speed, speed_limit) / speed
+    return CANNOT_HOVER
 
 
 def energy_ratio(slow: Performance, fast: Performance) -> float:
@@ -178,7 +182,10 @@ def shipped_designs() -> list[DesignConfig]:
 
 SPEED_LIMIT = 3.0
 """Speed limit of the published mission (m/s)."""
-AUTOENCODER, GAUSSIAN, DMR, TMR = "autoencoder", "Gaussian", "DMR", "TMR"
+AUTOENCODER = "autoencoder"
+GAUSSIAN = "Gaussian"
+DMR = "DMR"
+TMR = "TMR"
 _WORST = "dense"
 """Environment with the paper's largest detection overheads."""
 
@@ -288,22 +295,30 @@ def _published_speeds() -> Runs:
 def _number(key: str, heading: str, form: str) -> Measure:
     def of(own: Runs) -> Any:
         value = own.first(key)
-        return "cannot hover" if value is not None and math.isinf(value) else value
+        if value is not None and math.isinf(value):
+            return "cannot hover"
+        return value
 
     return Measure(key, heading, form, of)
 
 
 def between(low: float, high: float) -> str:
     """Words for a band of ratios; an infinite end means that the vehicle cannot hover there."""
-    return f"≥ {low:.2f}" if math.isinf(high) else f"{low:.2f}–{high:.2f}"
+    if math.isinf(high):
+        return f"≥ {low:.2f}"
+    return f"{low:.2f}–{high:.2f}"
 
 
 def _band(own: Runs) -> str | None:
-    low, high = own.first("low"), own.first("high")
-    return between(low, high) if low < high and own.first("scheme") != AUTOENCODER else None
+    low = own.first("low")
+    high = own.first("high")
+    if low < high and own.first("scheme") != AUTOENCODER:
+        return between(low, high)
+    return None
 
 
-_TIMES, _WHO = "number .3f ×", ("vehicle", "calibration")
+_TIMES = "number .3f ×"
+_WHO = ("vehicle", "calibration")
 _COMPARED = View(
     "redundancy",
     "Redundant processors against detection (Fig. 8): flight time and energy over the same distance",
@@ -385,10 +400,17 @@ def summary(designs: Sequence[DesignConfig]) -> list[str]:
     """One sentence per design with the flight time of TMR relative to detection."""
     found = []
     for design in designs:
-        times, (low, high) = ratio(design, TMR), band(design, TMR)
+        times = ratio(design, TMR)
+        (low, high) = band(design, TMR)
         printed = paper.figure("redundancy_time", vehicle=design.craft, scheme=TMR)
         reach = f", band {between(low, high)}" if design.bands else ""
-        reference = f"; the paper: {printed:.2f} times" if printed is not None else ""
-        what = "cannot hover" if math.isinf(times) else f"takes {times:.2f} times as long as with a detector{reach}"
+        if printed is not None:
+            reference = f"; the paper: {printed:.2f} times"
+        else:
+            reference = ""
+        if math.isinf(times):
+            what = "cannot hover"
+        else:
+            what = f"takes {times:.2f} times as long as with a detector{reach}"
         found.append(f"{design.craft} ({design.calibration}): with TMR it {what}{reference}.")
     return found

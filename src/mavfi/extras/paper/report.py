@@ -25,8 +25,10 @@ from mavfi.report.campaign_report import markdown_table
 from mavfi.report.figures import FIGURES, draw, drawing
 from mavfi.report.text import checks, header, versions
 
-FIGURES_FOLDER, TABLES_FOLDER = "figures", "tables"
-MARKDOWN, JSON = "study.md", "study.json"
+FIGURES_FOLDER = "figures"
+TABLES_FOLDER = "tables"
+MARKDOWN = "study.md"
+JSON = "study.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +76,10 @@ class StudyReport:
         """All tables by name; those of a campaign begin with its name."""
         found: dict[str, Table] = {}
         for one in self.sections:
-            start = "" if one.runs is None else f"{one.runs.campaign['name']}_"
+            if one.runs is None:
+                start = ""
+            else:
+                start = f"{one.runs.campaign['name']}_"
             found |= {f"{start}{table.name}": table for table in one.tables}
         return found
 
@@ -95,17 +100,27 @@ class StudyReport:
     @property
     def provenance(self) -> list[str]:
         """Lines on where, when, by which program and with which versions the study was flown, and how long it took."""
-        runs, whole = self.steps.runs, sum(self.steps.seconds.values()) / 60
+        runs = self.steps.runs
+        whole = sum(self.steps.seconds.values()) / 60
         lines = [f"Machine: {name}." for name in dict.fromkeys(run["machine"] for run in runs)]
         if runs:
-            again = f", last resumed {runs[-1]['begun']} (run {len(runs)})" if len(runs) > 1 else ""
-            set_up = ", set-up included" if SET_UP in self.steps.seconds else ""
+            if len(runs) > 1:
+                again = f", last resumed {runs[-1]['begun']} (run {len(runs)})"
+            else:
+                again = ""
+            if SET_UP in self.steps.seconds:
+                set_up = ", set-up included"
+            else:
+                set_up = ""
             lines.append(f"Begun {runs[0]['begun']}{again}; wall time in all: {whole:.1f} min{set_up}.")
         lines += [f"Program: {'; then '.join(self.programs)}."] if runs else []
         flown_with: dict[str, str] = {}
         for name, text in (one for runs in self.campaigns.values() for one in runs.campaign["versions"].items()):
             known = flown_with.get(name, text)
-            flown_with[name] = known if text in known.split(" and ") else f"{known} and {text}"
+            if text in known.split(" and "):
+                flown_with[name] = known
+            else:
+                flown_with[name] = f"{known} and {text}"
         return [*lines, f"Versions: {', '.join(versions({'versions': flown_with}))}."]
 
     @property
@@ -178,7 +193,10 @@ def study_report(study: Study, folder: Path) -> StudyReport:
 
 def _section(section: Section, campaigns: Mapping[str, Runs], folder: Path) -> SectionReport:
     runs = campaigns.get(section.campaign)
-    tables = [claims_table(section.claims, campaigns.values())] if section.claims else []
+    if section.claims:
+        tables = [claims_table(section.claims, campaigns.values())]
+    else:
+        tables = []
     captions: dict[str, str] = {}
     shown = runs
     if runs is not None:
@@ -237,7 +255,8 @@ def stored_study(folder: Path) -> tuple[Study, str] | None:
         return None
     try:
         held = json.loads(read_file(path, LARGEST_TEXT))
-        definition, scale = held["definition"], str(held["scale"])
+        definition = held["definition"]
+        scale = str(held["scale"])
     except (ValueError, TypeError, KeyError) as error:
         raise BadInputError(f"{path}: is no record of a study ({error!r}); `mavfi reproduce` writes it again") from None
     return parse(Study, definition, f"{path}: definition"), scale

@@ -73,7 +73,8 @@ class Steps:
             yield
         finally:
             self.seconds[step] = self.seconds.get(step, 0.0) + time.perf_counter() - begun
-            path, new = self.folder / FILE, self.folder / f".{FILE}"
+            path = self.folder / FILE
+            new = self.folder / f".{FILE}"
             with writing(path):
                 new.write_text(json.dumps({"seconds": self.seconds, "runs": self.runs}, indent=1) + "\n", "utf-8")
                 os.replace(new, path)
@@ -85,7 +86,9 @@ def set_up_seconds() -> float | None:
         spent = float(SET_UP_FILE.read_text(encoding="utf-8"))
     except (OSError, ValueError):  # a damaged file is no reason not to fly: the time is unknown
         return None
-    return spent if 0 <= spent < math.inf else None
+    if 0 <= spent < math.inf:
+        return spent
+    return None
 
 
 def machine() -> str:
@@ -103,5 +106,8 @@ def program() -> str:
         command = ["git", "-C", str(root), "rev-parse", "--short=12", "HEAD"]
         with suppress(OSError):
             done = subprocess.run(command, capture_output=True, text=True, check=False)
-    commit = done.stdout.strip() if done is not None and done.returncode == 0 else ""
+    if done is not None and done.returncode == 0:
+        commit = done.stdout.strip()
+    else:
+        commit = ""
     return f"mavfi {__version__}" + (f", commit {commit}" if commit else "")

@@ -75,7 +75,9 @@ def _pairs(own: Runs) -> Runs:
 
 def _p_value(own: Runs) -> float | None:
     pairs = _pairs(own)
-    return m.against_golden(pairs).p_value if len(pairs) else None
+    if len(pairs):
+        return m.against_golden(pairs).p_value
+    return None
 
 
 _P = Measure("p", "p against golden", "number .3g", _p_value, counted=_pairs)
@@ -257,14 +259,18 @@ _FLIGHT_TIMES = (
 
 # ---- Fig. 9 of the paper and its table: the same missions on different computing platforms -------------------------
 
-_SECONDS, _KJ, _RATIO = "number .1f s", "number .1f kJ", "number .2f ×"
+_SECONDS = "number .1f s"
+_KJ = "number .1f kJ"
+_RATIO = "number .2f ×"
 
 
 def platforms(runs: Runs) -> dict[str, str]:
     """Platform by environment, in order, for a campaign whose parts are distinct platforms; empty for others."""
     parts = runs.campaign.get("parts", {})
     found = {name: part["platform"] for name, part in parts.items() if part.get("platform")}
-    return found if len(found) > 1 and len(set(found.values())) == len(found) else {}
+    if len(found) > 1 and len(set(found.values())) == len(found):
+        return found
+    return {}
 
 
 def compared(runs: Runs) -> Runs:
@@ -280,13 +286,17 @@ def _worst(own: Runs) -> float:
 
 def _median(own: Runs) -> float | None:
     found: Any = own.frame["flight_time_s"].median()
-    return None if found is None else float(found)
+    if found is None:
+        return None
+    return float(found)
 
 
 def _power(own: Runs) -> float | None:
     """Mean power (W): total energy / total flight time."""
     seconds = sum(own["flight_time_s"])
-    return sum(own["energy_j"]) / seconds if seconds else None
+    if seconds:
+        return float(sum(own["energy_j"]) / seconds)
+    return None
 
 
 def _on_platform(quantity: str, setting: str = GOLDEN) -> Callable[[Runs], Any]:
@@ -305,8 +315,11 @@ def _platform(own: Runs) -> str:
 
 
 def _papers_power(own: Runs) -> float | None:
-    time, energy = _on_platform("flight_time_s")(own), _on_platform("energy_kj")(own)
-    return 1000 * energy / time if time and energy else None
+    time = _on_platform("flight_time_s")(own)
+    energy = _on_platform("energy_kj")(own)
+    if time and energy:
+        return float(1000 * energy / time)
+    return None
 
 
 def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
@@ -317,7 +330,9 @@ def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
 
     def on_both(own: Runs) -> tuple[Runs, ...]:
         base = groups.get((first, own.first("setting")))
-        return () if base is None or own.first("environment") == first else (own, base)
+        if base is None or own.first("environment") == first:
+            return ()
+        return (own, base)
 
     def ratio(key: str, heading: str, column: str, share: float) -> Measure:
         return contrast_measure(key, heading, TIMES_TEST, on_both, column, share, operator.truediv, by="seed")
@@ -325,17 +340,24 @@ def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     def papers_ratio(own: Runs) -> float | None:
         slow = own.first("environment") != first and own.first("setting") == FI
         found: float = paper.figure("platforms_worst", quantity="flight_time_ratio")
-        return found if slow and paper.comparable(own.campaign, "") else None
+        if slow and paper.comparable(own.campaign, ""):
+            return found
+        return None
 
     def recoverable(own: Runs) -> tuple[Runs, ...]:
         golden, faulty = (groups.get((own.first("environment"), setting)) for setting in (GOLDEN, FI))
         if golden is None or faulty is None or own.first("setting") in (GOLDEN, FI):
             return ()
-        return (faulty, own, golden) if _worst(faulty) > _worst(golden) else ()
+        if _worst(faulty) > _worst(golden):
+            return (faulty, own, golden)
+        return ()
 
     def papers_recovery(own: Runs) -> float | None:
         slow = own.first("environment") != first and paper.comparable(own.campaign, own.first("detector_profile"))
-        return paper.figure("platforms_recovered", setting=own.first("setting")) if slow else None
+        if slow:
+            recovered: float | None = paper.figure("platforms_recovered", setting=own.first("setting"))
+            return recovered
+        return None
 
     yield ratio("median_ratio", "median ratio", "flight_time_s", 0.5)
     yield ratio("energy_ratio", "of energy", "energy_j", 0.5)
@@ -357,7 +379,10 @@ def _explanation(runs: Runs) -> list[str]:
     """Notes that compare the paper's ratio of flight times with that of the campaign."""
     golden = {name: own for (name,), own in compared(runs).where(setting=GOLDEN).groups("environment").items()}
     times = [_median(golden[name]) for name in platforms(runs) if name in golden]
-    ours = times[-1] / times[0] if len(times) > 1 and times[0] and times[-1] else None
+    if len(times) > 1 and times[0] and times[-1]:
+        ours = times[-1] / times[0]
+    else:
+        ours = None
     held = {
         quantity: [paper.figure("platforms", quantity=quantity, platform=name) for name in ("i9-9940x", "cortex-a57")]
         for quantity in ("flight_time_s", "energy_kj")
@@ -409,9 +434,11 @@ CHAPTER = Chapter(
             where=compared,
             headings=("platform", "setting"),
             notes=lambda runs: (
-                "recovered: of the worst flight time with a fault beyond the worst golden one, the share that the detector "
+                "recovered: of the worst flight time with a fault beyond the worst golden one, the share that "
+                "the detector "
                 "takes away; ratios: to the same setting on the first platform",
-                f"{CONTRAST} (platforms of a ratio, detector and none of recovered); of a worst case the interval is too "
+                f"{CONTRAST} (platforms of a ratio, detector and none of recovered); of a worst case the "
+                f"interval is too "
                 "narrow, since no sample is worse than the flown ones",
                 *_explanation(runs),
                 "latencies are modelled; power is that of the rotors, the processor's is not in it",
@@ -424,8 +451,12 @@ CHAPTER = Chapter(
 
 
 def _kilo(kilojoule: float | None) -> float | None:
-    return None if kilojoule is None else 1000 * kilojoule
+    if kilojoule is None:
+        return None
+    return 1000 * kilojoule
 
 
 def _watts(text: str | None) -> str | None:
-    return None if text is None else f"{text} W"
+    if text is None:
+        return None
+    return f"{text} W"

@@ -57,7 +57,8 @@ def within_worlds(first: Runs, second: Runs, value: pl.Expr, *, by: str = "world
     `by` names the column that identifies the world.  Runs with a null value are excluded; None if the groups share no
     world.
     """
-    one, other = _by_world(first, value, by), _by_world(second, value, by)
+    one = _by_world(first, value, by)
+    other = _by_world(second, value, by)
     shared = [world for world in one if world in other]
     if not shared:
         return None
@@ -68,7 +69,8 @@ def within_worlds(first: Runs, second: Runs, value: pl.Expr, *, by: str = "world
 
 def between_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | None:
     """Compare two groups of runs in different worlds, with worlds permuted between them; None if a group is empty."""
-    one, other = _by_world(first, value), _by_world(second, value)
+    one = _by_world(first, value)
+    other = _by_world(second, value)
     if not one or not other:
         return None
     means = tuple(np.array([np.mean(values) for values in part.values()]) for part in (one, other))
@@ -116,7 +118,8 @@ def contrast(
     """
     parts = [group.frame.select(by, value=column, group=pl.lit(place)) for place, group in enumerate(groups)]
     rows = pl.concat(parts).drop_nulls().sort("value")
-    values, group = rows["value"].to_numpy(), rows["group"].to_numpy()
+    values = rows["value"].to_numpy()
+    group = rows["group"].to_numpy()
     if set(group) != set(range(len(groups))):
         return None
     places = {world: place for place, world in enumerate(rows[by].unique(maintain_order=True))}
@@ -154,11 +157,15 @@ def contrast_measure(  # noqa: PLR0913 - what `Measure` and `contrast` take
 
     def counted(own: Runs) -> Runs:
         compared = groups(own)
-        return replace(own, frame=pl.concat([one.frame for one in compared])) if compared else own
+        if compared:
+            return replace(own, frame=pl.concat([one.frame for one in compared]))
+        return own
 
     def cell(own: Runs) -> Contrast | None:
         compared = groups(own)
-        return contrast(compared, column, share, of, by=by) if compared else None
+        if compared:
+            return contrast(compared, column, share, of, by=by)
+        return None
 
     return Measure(key, heading, form, cell, counted=counted)
 
@@ -176,7 +183,8 @@ def _by_world(runs: Runs, value: pl.Expr, by: str = "world") -> dict[str, list[f
 
 def _mean(runs: Runs, value: pl.Expr) -> Mean:
     rows = runs.frame.select("world", value=value).drop_nulls()
-    worlds, values = rows["world"].to_list(), rows["value"].cast(pl.Float64).to_numpy()
+    worlds = rows["world"].to_list()
+    values = rows["value"].cast(pl.Float64).to_numpy()
     bounds = None
     if rows["world"].n_unique() > 1 and rows["value"].dtype == pl.Boolean:
         rate = clustered_rate(rows["value"].to_list(), worlds)

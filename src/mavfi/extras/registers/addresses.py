@@ -55,10 +55,14 @@ class _Symbols:
         fits = (first + offset - start for start, size, first in self.segments if start <= offset < start + size)
         address = next(fits, None)
         starts = list(self.functions)
-        index = -1 if address is None else bisect.bisect_right(starts, address) - 1
+        if address is None:
+            index = -1
+        else:
+            index = bisect.bisect_right(starts, address) - 1
         if address is None or index < 0:
             return ""
-        distance, (size, name) = address - starts[index], self.functions[starts[index]]
+        distance = address - starts[index]
+        (size, name) = self.functions[starts[index]]
         return "" if size and distance >= size else f"{name.split('@')[0]}+{distance:#x}"
 
 
@@ -152,7 +156,10 @@ class AddressSpace:
     def _matches(self, text: str) -> Iterator[tuple[int, str]]:
         """Functions whose names contain a text: load address, and name without a version."""
         for mapping in _mappings(self._text):
-            symbols = self._symbols_of(mapping) if mapping.executable else None
+            if mapping.executable:
+                symbols = self._symbols_of(mapping)
+            else:
+                symbols = None
             if symbols is None:
                 continue
             last = mapping.offset + mapping.end - mapping.start

@@ -7,7 +7,9 @@ def class_of(register: str) -> str:
         return "FP (XMM, YMM)"
     if register == "rflags":
         return "flags"
-    return "stack (rsp, rbp)" if register in ("rsp", "esp", "rbp", "ebp") else "general"
+    if register in ("rsp", "esp", "rbp", "ebp"):
+        return "stack (rsp, rbp)"
+    return "general"
 
 
 def function_of(symbol: str) -> str:

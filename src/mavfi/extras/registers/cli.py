@@ -84,11 +84,13 @@ def _report(injection: Injection) -> None:
     """Print one injection in two lines; operands and names are never interpreted as markup."""
     details = injection.details
     when = "before" if details["access"] == "read" else "after"
-    done, values = "injected", f"{injection.before} → {injection.after}"
+    done = "injected"
+    values = f"{injection.before} → {injection.after}"
     if not injection.activated:
         done = "NOT injected as planned"
     elif injection.before == injection.after:
-        done, values = "not flipped (null injection)", f"{injection.before}, unchanged"
+        done = "not flipped (null injection)"
+        values = f"{injection.before}, unchanged"
     out = console()
     out.print(
         Text.assemble(

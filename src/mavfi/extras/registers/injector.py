@@ -129,7 +129,8 @@ def inject_once(pid: int, fault: RegisterFault, number: int, tool: int, cancelle
 
 def _try(search: _Search, attempt: _Attempt) -> Done | None:
     """Walk, and flip a bit at the first eligible instruction; None if there is none."""
-    fault, choices = search.fault, search.choices
+    fault = search.fault
+    choices = search.choices
     if attempt.tracee.in_system_call() or not attempt.walk(choices.randrange(fault.walk)):
         return None
     return flip_here(fault, choices, attempt.tracee, attempt.memory, attempt.walk)
@@ -150,7 +151,10 @@ def flip_here(
     Returns:
         The injection; None if no instruction within reach is eligible.
     """
-    access = choices.choice(("read", "write")) if fault.access == "either" else fault.access
+    if fault.access == "either":
+        access = choices.choice(("read", "write"))
+    else:
+        access = fault.access
     for left in reversed(range(_REACH if fault.steps else 1)):
         address = tracee.instruction_pointer()
         instruction = decode(os.pread(memory, _LONGEST_INSTRUCTION, address), address)
@@ -216,7 +220,8 @@ def injection_of(done: Done, space: AddressSpace, fault: RegisterFault, details:
 @contextmanager
 def _stopped(search: _Search, space: AddressSpace) -> Iterator[_Attempt]:
     """Stop the thread to be injected; it is released in any case."""
-    pid, fault = search.pid, search.fault
+    pid = search.pid
+    fault = search.fault
     with ExitStack() as cleanup:
         memory = os.open(f"/proc/{pid}/mem", os.O_RDONLY)
         cleanup.callback(os.close, memory)
@@ -236,7 +241,8 @@ def _stopped(search: _Search, space: AddressSpace) -> Iterator[_Attempt]:
 
 def _stop_at(search: _Search, space: AddressSpace, cleanup: ExitStack) -> tuple[Tracee, float]:
     """Stop the first thread that calls the function; returns it and the time (s).  All others are released."""
-    pid, fault = search.pid, search.fault
+    pid = search.pid
+    fault = search.fault
     address = space.find(fault.symbol)
     held: dict[int, Tracee] = {}
 

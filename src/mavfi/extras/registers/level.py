@@ -58,7 +58,8 @@ class RegisterSampler(Sampler):
     def _fault(
         self, registers: str, index: int, environment: str, golden: Golden, *, null: bool = False
     ) -> RegisterFault:
-        sampling, seed = self.sampling, self.campaign.first_seed + index
+        sampling = self.sampling
+        seed = self.campaign.first_seed + index
         flown = golden[""].flight.record() if "" in golden else None
         length_us = 0 if flown is None else round(1e6 * flown.flight_time_s)  # 0: a process that flies no mission
         return RegisterFault(
@@ -91,10 +92,15 @@ class RegisterLevel(Level):
 
     def about(self, campaign: Any) -> dict[str, Any]:
         """See `Level.about`; of a node under test, its command."""
-        each, sampling, node = "kind of registers", campaign.sampling, campaign.under_test
+        each = "kind of registers"
+        sampling = campaign.sampling
+        node = campaign.under_test
         if node is None:
             return {"each": each, "how": "uniform over the firmware's instructions"}
-        where = f"from the next call of {sampling.symbol!r} on" if sampling.symbol else "from a random instant on"
+        if sampling.symbol:
+            where = f"from the next call of {sampling.symbol!r} on"
+        else:
+            where = "from a random instant on"
         line = f"{node.command[0]} · one bit per trial, {where}, after up to {sampling.walk} instructions"
         title = f"campaign {campaign.name} · node {', '.join(campaign.environments)}"
         return {"each": each, "profile": "", "title": title, "lines": [line]}

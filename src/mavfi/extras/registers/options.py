@@ -35,7 +35,8 @@ def instant(option: str, text: str, example: str = "octomap@20") -> tuple[str, i
     try:
         time_s = float(seconds)
     except ValueError:
-        separator, time_s = "", 0.0
+        separator = ""
+        time_s = 0.0
     if not separator or not 0.0 <= time_s < _LONGEST_S:
         raise BadInputError(f"{option}: {text!r}: allowed: NODE@SECONDS, e.g. {example}")
     return node, round(1e6 * time_s)

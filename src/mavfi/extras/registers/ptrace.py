@@ -13,9 +13,19 @@ from dataclasses import dataclass
 
 from mavfi.errors import MavfiError
 
-_CONT, _SINGLESTEP, _GETREGS, _SETREGS, _DETACH = 7, 9, 12, 13, 17
-_PEEKUSER, _POKEUSER = 3, 6
-_SETOPTIONS, _GETSIGINFO, _GETREGSET, _SETREGSET, _SEIZE, _INTERRUPT = 0x4200, 0x4202, 0x4204, 0x4205, 0x4206, 0x4207
+_CONT = 7
+_SINGLESTEP = 9
+_GETREGS = 12
+_SETREGS = 13
+_DETACH = 17
+_PEEKUSER = 3
+_POKEUSER = 6
+_SETOPTIONS = 0x4200
+_GETSIGINFO = 0x4202
+_GETREGSET = 0x4204
+_SETREGSET = 0x4205
+_SEIZE = 0x4206
+_INTERRUPT = 0x4207
 _TRACE_CLONE = 1 << 3
 _EVENT_STOP = 128
 WAIT_ALL = 0x40000000
@@ -25,7 +35,8 @@ _XSTATE_SIZE = 16384
 _XSTATE_HEADER = 512
 _YMM_HIGH = 576
 """Offset of the upper halves of the YMM registers in the standard XSAVE area (Intel SDM, vol. 1, 13.4)."""
-_XMM_COMPONENT, _YMM_COMPONENT = 1 << 1, 1 << 2
+_XMM_COMPONENT = 1 << 1
+_YMM_COMPONENT = 1 << 2
 _XMM = 160
 _DEBUG_REGISTERS = 848
 """offsetof(struct user, u_debugreg)."""
@@ -179,7 +190,8 @@ class Tracee:
 
     def wait(self, timeout: float) -> Stop:
         """Wait until the thread stops."""
-        deadline, spins = time.monotonic() + timeout, 0
+        deadline = time.monotonic() + timeout
+        spins = 0
         while True:
             thread, status = os.waitpid(self.thread, WAIT_ALL | os.WNOHANG)
             if thread:
@@ -194,11 +206,13 @@ class Tracee:
     def note(self, status: int) -> Stop:
         """Process a status of waitpid; returns why the thread stopped."""
         if not os.WIFSTOPPED(status):
-            self.stopped, self.ended = False, True
+            self.stopped = False
+            self.ended = True
             code = os.waitstatus_to_exitcode(status)
             raise TargetGoneError(f"the target ended {f'by signal {-code}' if code < 0 else f'with {code}'}", code)
         self.stopped = True
-        event, number = status >> 16, os.WSTOPSIG(status)
+        event = status >> 16
+        number = os.WSTOPSIG(status)
         if event == _EVENT_STOP:
             return Stop(0, interrupted=True)
         if event or (number == signal.SIGTRAP and self._is_trap()):
@@ -253,7 +267,8 @@ class Tracee:
     def vector(self, index: int) -> int:
         """YMM register 0 to 15 as one integer of 256 bits; without AVX the upper half is 0."""
         area, length = self._extended()
-        low, high = _XMM + 16 * index, _YMM_HIGH + 16 * index
+        low = _XMM + 16 * index
+        high = _YMM_HIGH + 16 * index
         has_high = length >= high + 16 and area[_XSTATE_HEADER] & _YMM_COMPONENT
         upper = bytes(area[high : high + 16]) if has_high else bytes(16)
         return int.from_bytes(bytes(area[low : low + 16]) + upper, "little")
@@ -262,7 +277,8 @@ class Tracee:
         """Write a YMM register."""
         area, length = self._extended()
         raw = value.to_bytes(32, "little")
-        low, high = _XMM + 16 * index, _YMM_HIGH + 16 * index
+        low = _XMM + 16 * index
+        high = _YMM_HIGH + 16 * index
         area[low : low + 16] = list(raw[:16])
         area[_XSTATE_HEADER] |= _XMM_COMPONENT
         has_high = area[_XSTATE_HEADER] & _YMM_COMPONENT

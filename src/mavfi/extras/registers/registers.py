@@ -35,7 +35,9 @@ class Register:
     @property
     def width(self) -> int:
         """Size in bits."""
-        return max(self.bits) + 1 if self.name == "rflags" else len(self.bits)
+        if self.name == "rflags":
+            return max(self.bits) + 1
+        return len(self.bits)
 
     @property
     def is_vector(self) -> bool:
@@ -78,7 +80,9 @@ class Instruction:
 
 
 _PREFIXES = b"\x66\x67\xf0\xf2\xf3\x2e\x36\x3e\x26\x64\x65" + bytes(range(0x40, 0x50))
-_SYSCALL, _SYSENTER, _INT = b"\x0f\x05", b"\x0f\x34", b"\xcd"
+_SYSCALL = b"\x0f\x05"
+_SYSENTER = b"\x0f\x34"
+_INT = b"\xcd"
 
 
 @lru_cache(maxsize=4096)
@@ -144,12 +148,17 @@ def _used_bits(mnemonic: str, kind: str) -> int:
         return 256
     if mnemonic.endswith("sd"):
         return 64
-    return 32 if mnemonic.endswith("ss") else 128
+    if mnemonic.endswith("ss"):
+        return 32
+    return 128
 
 
 def value_of(tracee: Tracee, register: Register) -> int:
     """Value of a register of a stopped thread."""
-    whole = tracee.vector(register.index) if register.is_vector else tracee.general()[register.holder]
+    if register.is_vector:
+        whole = tracee.vector(register.index)
+    else:
+        whole = tracee.general()[register.holder]
     return (whole >> register.shift) % (1 << register.width)
 
 

@@ -118,7 +118,10 @@ def _fly(plan: Plan, label: str, allow_bind_all: bool, *, quiet: bool) -> tuple[
 
     tell = _invite if plan.pace > 0 and not quiet else None
     flight = fly_there(plan, allow_bind_all=allow_bind_all, tell=tell)
-    golden = None if plan.fault is None else without_registers(plan, with_fault=False)
+    if plan.fault is None:
+        golden = None
+    else:
+        golden = without_registers(plan, with_fault=False)
     return FlightResult(plan.scenario, flight.flight, golden, plan.fault, label), flight
 
 
@@ -148,7 +151,8 @@ def _show(plan: Plan, result: FlightResult, flight: RosFlight, as_json: bool, wr
     out = console()
     out.print(panel(result))
     for event in nodes:
-        node, what = event.data["node"], _NODE_EVENTS[event.kind]
+        node = event.data["node"]
+        what = _NODE_EVENTS[event.kind]
         detail = event.data.get("why") or f"pid {event.data['pid']}"
         out.print(f"{1e-6 * event.time_us:8.3f} s  node [bold]{node}[/bold] {what} [dim]({detail})[/dim]")
     for injection in log.injections:  # into registers; the other fault is in the panel
@@ -186,14 +190,18 @@ def request_of(text: str | None, mission: MissionSpec) -> Request | None:
     from mavfi.extras.ros.ros1.host import Ros1Host
     from mavfi.levels.level import parse
 
-    return None if text is None else parse(text, mission.localization, Ros1Host.levels)
+    if text is None:
+        return None
+    return parse(text, mission.localization, Ros1Host.levels)
 
 
 def drawn(scenario: Scenario, request: Request | None, seed: int | None) -> Any:  # noqa: ANN401 - a fault of these levels
     """The fault that a request of `request_of` draws in a mission; None without a request."""
     from mavfi.flight.host import ArmSetup
 
-    return None if request is None else request.draw(ArmSetup(scenario), seed or 0)[0]
+    if request is None:
+        return None
+    return request.draw(ArmSetup(scenario), seed or 0)[0]
 
 
 def register_faults(texts: Sequence[str], registers: str | None, seed: int | None) -> tuple[RegisterFault, ...]:
@@ -237,7 +245,9 @@ def effect(plan: Plan, log: FlightLog) -> str | None:
         return end
     if plan.kills:
         return "unknown"
-    return "masked" if without_registers(plan, with_fault=True).log.digest() == log.digest() else "sdc"
+    if without_registers(plan, with_fault=True).log.digest() == log.digest():
+        return "masked"
+    return "sdc"
 
 
 def _line(injection: Injection) -> str:
@@ -245,6 +255,9 @@ def _line(injection: Injection) -> str:
     details = injection.details
     what = details.get("why")
     if what is None:
-        instruction = f" of {details['instruction']!r}" if "instruction" in details else ""
+        if "instruction" in details:
+            instruction = f" of {details['instruction']!r}"
+        else:
+            instruction = ""
         what = f"{injection.site} bit {injection.bit}{instruction}: {injection.before} → {injection.after}"
     return f"{injection.time_s:8.3f} s  register of {details['node']}: {what}"

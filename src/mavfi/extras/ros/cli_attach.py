@@ -84,7 +84,10 @@ def _tables(graph: Survey) -> tuple[Table, Table]:
     nodes = _table(f"Nodes at {graph.master}", "node", "pid", "executable", "publishes", "reads")
     for node in graph.nodes:
         pid = str(node.pid) if node.is_alive else "[red]dead[/red]"
-        executable = node.executable if node.is_alive else "[dim]registered only; `rosnode cleanup` removes it[/dim]"
+        if node.is_alive:
+            executable = node.executable
+        else:
+            executable = "[dim]registered only; `rosnode cleanup` removes it[/dim]"
         nodes.add_row(node.name, pid, executable, "\n".join(node.publishes), "\n".join(node.reads))
     topics = _table("Topics", "topic", "type", "Hz", "publishers", "readers")
     for topic in graph.topics:

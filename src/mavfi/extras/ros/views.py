@@ -30,7 +30,9 @@ def _endings_note(runs: Runs) -> list[str]:
         _trials(runs).where(effect="crash").frame["kernel_effect_detail"].value_counts().sort("kernel_effect_detail")
     )
     signals = ", ".join(f"{name} {count}" for name, count in crashed.rows())
-    return [f"crashes: {signals}"] if signals else []
+    if signals:
+        return [f"crashes: {signals}"]
+    return []
 
 
 def _stopped_note(runs: Runs) -> list[str]:
@@ -40,7 +42,9 @@ def _stopped_note(runs: Runs) -> list[str]:
         for injection in record.injections
         if "stopped_us" in injection.details
     )
-    return [f"the process stood still for {held[len(held) // 2] / 1000:.1f} ms (median)"] if held else []
+    if held:
+        return [f"the process stood still for {held[len(held) // 2] / 1000:.1f} ms (median)"]
+    return []
 
 
 CHAPTER = Chapter(

@@ -42,7 +42,9 @@ def flip(state: State, site: FaultSite, bit: int | None, width: int = 1) -> tupl
 
 def mask_of(bit: int | None, width: int) -> int:
     """Mask of adjacent bits, starting at `bit`; None = no bit."""
-    return 0 if bit is None else ((1 << width) - 1) << bit
+    if bit is None:
+        return 0
+    return ((1 << width) - 1) << bit
 
 
 def _with_bits(state: State, site: FaultSite, mask: int, stuck: int | None = None) -> tuple[State, Number, Number, int]:
@@ -58,7 +60,8 @@ def _with_bits(state: State, site: FaultSite, mask: int, stuck: int | None = Non
     before = container[site.field][row].item()
     names = container.dtype.fields
     assert names is not None  # states are structured arrays
-    start, size = row * container.dtype.itemsize + names[site.field][1], names[site.field][0].itemsize
+    start = row * container.dtype.itemsize + names[site.field][1]
+    size = names[site.field][0].itemsize
     raw = container.view(np.uint8)[start : start + size]
     word = int.from_bytes(raw.tobytes(), "little")
     word = (word & ~mask) | ((~word if stuck is None else stuck) & mask)
@@ -131,13 +134,20 @@ class StateInjector(Injector):
         self.injections: list[Injection] = []
         self._fault = fault
         self._spec = find_state(fault.where.state)
-        known = None if watch is None else watch.acted_on.get(self._spec.name)
-        self._acted_on = ActedOn(self._spec) if known is None else copy(known)
+        if watch is None:
+            known = None
+        else:
+            known = watch.acted_on.get(self._spec.name)
+        if known is None:
+            self._acted_on = ActedOn(self._spec)
+        else:
+            self._acted_on = copy(known)
         self._spec.find(fault.where.field)
         self._in_elements = self._spec.in_elements(fault.where.field)
         self._in_length = fault.of_length
         self._armed = fault.has_site
-        self._since_us, self._stuck = 0, 0
+        self._since_us = 0
+        self._stuck = 0
         self._seen, self._changed = 0, 0  # publications since the fault began, and number of changed ones
 
     def copy(self) -> "StateInjector":
@@ -155,14 +165,17 @@ class StateInjector(Injector):
         """The publication itself, or a copy with a bit flipped or stuck, at the current time; None = lost."""
         if state.spec is not self._spec or not self._armed:
             return state
-        acted_on, empty = self._acted_on(state), self._in_elements and len(state.elements) == 0
+        acted_on = self._acted_on(state)
+        empty = self._in_elements and len(state.elements) == 0
         if empty or (not self._seen and (not acted_on or time_us < self._fault.time_us)):
             return state
         if self._seen and not self._lasts(time_us):
             return state
         self._seen += 1
         self._armed = self._seen < self._fault.times or self._fault.lasts_s > 0.0
-        return self._inject(state, time_us) if self._seen == 1 or self._hits() else state
+        if self._seen == 1 or self._hits():
+            return self._inject(state, time_us)
+        return state
 
     def _lasts(self, time_us: int) -> bool:
         fault = self._fault
@@ -175,17 +188,23 @@ class StateInjector(Injector):
         return fault.share == 1.0 or stream(fault.seed, "share", self._seen).random() < fault.share
 
     def _inject(self, state: State, time_us: int) -> State | None:
-        fault, site, first = self._fault, self._fault.where, not self._changed
+        fault = self._fault
+        site = self._fault.where
+        first = not self._changed
         if self._in_elements:
             # the list may be shorter than in the golden run; the record names the injected element
             site = replace(site, element=min(site.element or 0, len(state.elements) - 1))
-        mask, stuck = mask_of(fault.bit, fault.width), None if first else self._stuck
-        injected, before, after, word = (
-            with_length(state, site.field, mask, stuck) if self._in_length else _with_bits(state, site, mask, stuck)
-        )
+        mask = mask_of(fault.bit, fault.width)
+        stuck = None if first else self._stuck
+        if self._in_length:
+            change: tuple[State | None, Number, Number, int] = with_length(state, site.field, mask, stuck)
+        else:
+            change = _with_bits(state, site, mask, stuck)
+        injected, before, after, word = change
         self._changed += 1
         if first:
-            self._since_us, self._stuck = time_us, word
+            self._since_us = time_us
+            self._stuck = word
             activated = (injected is not None and injected.same_bits(state)) == (fault.bit is None)
             injection = Injection(
                 fault.level,

@@ -62,7 +62,8 @@ def with_length(state: State, name: str, mask: int, stuck: int | None = None) ->
         mask: Bits to change.
         stuck: Their values; None = flip them.
     """
-    data, start = serialize(state), state.spec.header_dtype.itemsize
+    data = serialize(state)
+    start = state.spec.header_dtype.itemsize
     for field, length in zip(state.spec.elements, state.spec.lengths, strict=True):
         if length.name == name:
             break

@@ -26,7 +26,9 @@ from mavfi.report.html.page import AFTER, BEFORE, encoded
 from mavfi.sim.environments import World
 from mavfi.states import STATES, Stage
 
-GOLDEN, INJECTED, RECOVERED = "golden", "injected", "recovered"
+GOLDEN = "golden"
+INJECTED = "injected"
+RECOVERED = "recovered"
 """Roles of flights on a page."""
 SAMPLES = 400
 """Approximate maximum number of samples per path."""
@@ -79,7 +81,9 @@ def _first_wrong(courses: Sequence[Course]) -> str:
     """The first field that differs in the output of the injected kernel; "" = none, or no kernel was injected."""
     effects = [course.log.kernel for course in courses if course.log.kernel is not None]
     found = next((effect.first_difference for effect in effects if effect.first_difference), None)
-    return "" if found is None else published_field(found)
+    if found is None:
+        return ""
+    return published_field(found)
 
 
 def course_data(course: Course) -> dict[str, Any]:
@@ -185,7 +189,8 @@ def write_flight_page(path: Path, flight: FlightPage) -> Path:
 
 # ---- of a flight, and of a run of a ledger, with all publications recorded -------------------------------------------
 
-FAULT, NO_FAULT = "with the fault", "golden run"
+FAULT = "with the fault"
+NO_FAULT = "golden run"
 
 
 def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, command: str) -> FlightPage:
@@ -211,8 +216,12 @@ def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, comman
     elif result.detector:
         alone = watched
     golden = _course(GOLDEN, NO_FAULT, setup, None, result.golden)
-    courses = [golden, alone] if result.unwatched is None else [golden, alone, watched]
-    seen, logs = (golden.published, watched.published), (result.golden.log, result.log)
+    if result.unwatched is None:
+        courses = [golden, alone]
+    else:
+        courses = [golden, alone, watched]
+    seen = (golden.published, watched.published)
+    logs = (result.golden.log, result.log)
     first = first_difference(*seen)
     judged = verdict(result.effect, result.log, result.golden.log)
     if result.unwatched is not None:
@@ -238,7 +247,9 @@ def _course(role: str, label: str, setup: ArmSetup, fault: Fault | None, flight:
 
 
 def _site(fault: Fault | None) -> str:
-    return "" if fault is None else fault.site
+    if fault is None:
+        return ""
+    return fault.site
 
 
 def page_of_explanation(directory: Path, found: Explanation, partner: str | None, shown: Path) -> FlightPage:
@@ -260,7 +271,10 @@ def page_of_explanation(directory: Path, found: Explanation, partner: str | None
             log = flight_again(store, other).log
         role, label = _role(other.detector, detector_name(other))
         courses.append(Course(role, label, log))
-        what = f"with {detector_name(other)}" if other.detector else "without a detector"
+        if other.detector:
+            what = f"with {detector_name(other)}"
+        else:
+            what = "without a detector"
         story.append((what, f"{end_of(log)}, run {partner}"))
     courses.sort(key=lambda course: (GOLDEN, INJECTED, RECOVERED).index(course.role))
     commands = [
@@ -273,7 +287,9 @@ def page_of_explanation(directory: Path, found: Explanation, partner: str | None
 
 
 def _role(detector: str, name: str) -> tuple[str, str]:
-    return (RECOVERED, f"{FAULT} and detector {name}") if detector else (INJECTED, FAULT)
+    if detector:
+        return (RECOVERED, f"{FAULT} and detector {name}")
+    return (INJECTED, FAULT)
 
 
 def fly_command(
@@ -294,7 +310,9 @@ def fly_command(
 
 
 def _word(value: object) -> str:
-    return " ".join(map(str, value)) if isinstance(value, (list, tuple)) else shlex.quote(str(value))
+    if isinstance(value, (list, tuple)):
+        return " ".join(map(str, value))
+    return shlex.quote(str(value))
 
 
 # ---- time lines of published fields around a fault: the most affected fields, and their samples --------------------
@@ -371,7 +389,8 @@ def _numeric_site(text: str) -> Site | None:
     found = re.fullmatch(r"(\w+\.\w+)\.(\w+)(?:\[(\d+)\])?", text)
     if found is None or found[1] not in STATES:
         return None
-    spec, in_elements = STATES[found[1]], STATES[found[1]].in_elements(found[2])
+    spec = STATES[found[1]]
+    in_elements = STATES[found[1]].in_elements(found[2])
     if not in_elements and found[2] not in (spec.header_dtype.names or ()):  # e.g. the number of elements
         return None
     return Site(found[1], found[2], int(found[3] or 0) if in_elements else None)
@@ -390,9 +409,13 @@ def _candidates() -> list[Site]:
 
 def _samples(own: Mapping[str, Sequence[Publication]], site: Site) -> Line:
     publications = own.get(site.state, ())
-    times, values = [], []
+    times = []
+    values = []
     for publication in publications:
-        part = publication.state.header if site.element is None else publication.state.elements
+        if site.element is None:
+            part = publication.state.header
+        else:
+            part = publication.state.elements
         place = site.element or 0
         if place < len(part):
             times.append(1e-6 * publication.time_us)
@@ -409,7 +432,10 @@ def _difference(golden: Mapping[str, Any], injected: Mapping[str, Any], site: Si
     with np.errstate(invalid="ignore", over="ignore"):
         apart = np.abs(second - held)
         apart[(second == held) | (np.isnan(second) & np.isnan(held))] = 0.0
-        span = float(np.ptp(first[np.isfinite(first)])) if np.isfinite(first).any() else 0.0
+        if np.isfinite(first).any():
+            span = float(np.ptp(first[np.isfinite(first)]))
+        else:
+            span = 0.0
     largest = float(np.nan_to_num(apart, nan=np.inf).max())
     return largest / (span + 1e-3)
 
@@ -440,9 +466,11 @@ def _line(
 def _held(times: np.ndarray, values: np.ndarray, start: float, end: float) -> Line:
     """The samples between two instants (s); a value holds until the next one, the last one until the end."""
     kept = np.append(times[1:], np.inf)[: len(times)] > start
-    times, values = np.maximum(times[kept], start), values[kept]
+    times = np.maximum(times[kept], start)
+    values = values[kept]
     if len(times) and times[-1] < end:
-        times, values = np.append(times, end), np.append(values, values[-1])
+        times = np.append(times, end)
+        values = np.append(values, values[-1])
     return times, values
 
 

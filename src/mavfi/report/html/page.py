@@ -15,7 +15,8 @@ from markupsafe import Markup, escape
 from mavfi.record import plain
 from mavfi.version import __version__
 
-BEFORE, AFTER = 1.0, 4.0
+BEFORE = 1.0
+AFTER = 4.0
 """Time window of time lines before and after the fault (s)."""
 
 

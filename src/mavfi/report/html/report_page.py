@@ -92,7 +92,10 @@ def table_data(table: Table, sets: RunSets) -> dict[str, Any]:
             if table.columns[column].key in _SETTINGS:
                 text = setting_label(text)
             value, interval = _split(text)
-            link = sets.link(ids[column]) if kinds[column] != "key" and text not in ("", ABSENT) else ""
+            if kinds[column] != "key" and text not in ("", ABSENT):
+                link = sets.link(ids[column])
+            else:
+                link = ""
             cells.append({"kind": kinds[column], "value": value, "interval": interval, "link": link})
         rows.append({"cells": cells, "repeated": place > 0 and row[0] == table.rows[place - 1][0]})
     columns = [
@@ -113,7 +116,9 @@ def _kind(table: Table, place: int) -> str:
     """Kind of a column: "key" identifies the row and has no links; "text" and "number" are aligned left and right."""
     if place < table.keys:
         return "key"
-    return "text" if table.columns[place].form == TEXT else "number"
+    if table.columns[place].form == TEXT:
+        return "text"
+    return "number"
 
 
 def _is_prose(table: Table, place: int) -> bool:
@@ -124,7 +129,9 @@ def _is_prose(table: Table, place: int) -> bool:
 def _split(text: str) -> tuple[str, str]:
     """Split the text of a rate into the value and the rest (interval and n)."""
     found = _INTERVAL.match(text)
-    return (found[1], found[2]) if found else (text, "")
+    if found:
+        return (found[1], found[2])
+    return (text, "")
 
 
 # ---- runs, stored by column; text columns are dictionary-encoded -----------------------------------------------------
@@ -247,8 +254,12 @@ class Section:
 
 def sections_of(report: Report) -> list[Section]:
     """Sections of a campaign: leading table with leading figure, other figures, and one section per other table."""
-    figures, (leading, *others) = drawn(report.runs), report.tables or (None,)
-    sections = [] if leading is None else [Section(leading.title, [leading], figures[:1])]
+    figures = drawn(report.runs)
+    (leading, *others) = report.tables or (None,)
+    if leading is None:
+        sections = []
+    else:
+        sections = [Section(leading.title, [leading], figures[:1])]
     sections += [Section("Figures", (), figures[1:])] if figures[1:] else []
     return sections + [Section(table.title, [table]) for table in others]
 
@@ -309,7 +320,10 @@ def write_report_page(
     listed = run_list({str(part.directory): part.report.runs for part in parts})
     sets = RunSets({run_id: place for place, run_id in enumerate(listed["ids"])})
     numbered = list(_section_data(sections, sets))
-    remarks = ["; ".join(header(report.runs.campaign)) for report in reports] if len(reports) > 1 else []
+    if len(reports) > 1:
+        remarks = ["; ".join(header(report.runs.campaign)) for report in reports]
+    else:
+        remarks = []
     values: dict[str, Any] = {
         "headline": headline or headline_of(reports[0]),
         "commands": commands,

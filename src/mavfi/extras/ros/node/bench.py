@@ -90,7 +90,10 @@ class Bench:
             **(extra or {}),
         }
         name = command[0]
-        program = str(finder.find_file(name.lstrip("/"))) if name.startswith("/usr/") else name
+        if name.startswith("/usr/"):
+            program = str(finder.find_file(name.lstrip("/")))
+        else:
+            program = name
         log = self._folder / f"{len(self._processes)}-{Path(name).name}.log"
         try:
             with log.open("wb") as output:
@@ -130,7 +133,8 @@ class Drive:
     """Sends inputs to a node one at a time, and waits for each output; `definition`: message definition of outputs."""
 
     def __init__(self, bench: Bench, node: NodeConfig) -> None:
-        self._node, self._patience = node, node.patience_s
+        self._node = node
+        self._patience = node.patience_s
         self._composer = Composer(node.inputs.type)
         self._outlet = bench.peer().advertise(absolute(node.inputs.topic), self._composer.header)
         self._sent = 0
@@ -279,12 +283,15 @@ class _Session:
         for _ in range(self._node.cycles):
             if not self._ask_all():
                 break
-        return trial if done[0].activated else self._unknown("the register was not injected")
+        if done[0].activated:
+            return trial
+        return self._unknown("the register was not injected")
 
     def _unknown(self, reason: str) -> Trial:
         """Mark the trial as inconclusive, unless an effect has been observed."""
         if self._trial.effect == Effect.MASKED.label:
-            self._trial.effect, self._trial.reason = Effect.UNKNOWN.label, reason
+            self._trial.effect = Effect.UNKNOWN.label
+            self._trial.reason = reason
         return self._trial
 
     def _learn(self) -> bool:
@@ -333,8 +340,12 @@ class _Session:
         if code is None:
             self._trial.effect, self._trial.reason = Effect.HANG.label, f"no output within {self._node.patience_s:g} s"
         else:
-            name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
-            self._trial.effect, self._trial.reason = Effect.CRASH.label, name
+            if code < 0:
+                name = signal.Signals(-code).name
+            else:
+                name = f"exit code {code}"
+            self._trial.effect = Effect.CRASH.label
+            self._trial.reason = name
         return False
 
 
@@ -363,7 +374,10 @@ def main() -> None:
     loopback_up()
     order = json.load(sys.stdin)
     node = NodeConfig.model_validate(order["node"])
-    fault = None if order["fault"] is None else fault_from_json(order["fault"])
+    if order["fault"] is None:
+        fault = None
+    else:
+        fault = fault_from_json(order["fault"])
     assert fault is None or isinstance(fault, RegisterFault)
     answer: dict[str, Any]
     try:

@@ -112,7 +112,10 @@ def record_of_trial(trial: Trial) -> FlightRecord:
         "differences": trial.differences,
         "reason": trial.reason,
     }
-    injections = () if trial.injection is None else (Injection.from_json(trial.injection),)
+    if trial.injection is None:
+        injections: tuple[Injection, ...] = ()
+    else:
+        injections = (Injection.from_json(trial.injection),)
     if trial.effect == Effect.UNKNOWN.label:
         return FlightRecord(End.UNKNOWN, injections=injections, extra=extra, error=trial.reason)
     if trial.effect in _DIED:

@@ -41,7 +41,8 @@ class MessageInjector:
     """
 
     def __init__(self, fault: MessageFault, tell: Callable[[Injection], None] | None = None) -> None:
-        self.fault, self._tell = fault, tell
+        self.fault = fault
+        self._tell = tell
         self.injections: list[Injection] = []
         self.done = threading.Event()
         self.too_short = 0
@@ -78,7 +79,10 @@ class MessageInjector:
         return self._choices.random() < self.fault.rate
 
     def _inject(self, message: bytes, leaf: Leaf, outlet: Outlet) -> bytes:
-        bit = self._choices.randrange(leaf.bits) if self.fault.bit is None else self.fault.bit
+        if self.fault.bit is None:
+            bit = self._choices.randrange(leaf.bits)
+        else:
+            bit = self.fault.bit
         changed = flip_bit(message, leaf, bit)
         readers = outlet.send(changed)
         difference = int.from_bytes(message, "little") ^ int.from_bytes(changed, "little")

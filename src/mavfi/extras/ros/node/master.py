@@ -36,7 +36,9 @@ class _Transport(xmlrpc.client.Transport):
 
 def absolute(name: str) -> str:
     """The name with its leading slash."""
-    return name if name.startswith("/") else f"/{name}"
+    if name.startswith("/"):
+        return name
+    return f"/{name}"
 
 
 def check_known(what: str, name: str, names: Collection[str]) -> str:

@@ -32,7 +32,8 @@ def encode_header(fields: Mapping[str, str]) -> bytes:
 
 def decode_header(body: bytes) -> dict[str, str]:
     """Inverse of `encode_header`, without the leading length."""
-    fields, offset = {}, 0
+    fields = {}
+    offset = 0
     while offset < len(body):
         (size,) = _LENGTH.unpack_from(body, offset)
         name, _, value = body[offset + 4 : offset + 4 + size].decode(errors="replace").partition("=")
@@ -69,7 +70,9 @@ class Source:
     """
 
     def __init__(self, node: str, uri: str, topic: str, caller: str = CALLER) -> None:
-        self.node, self.uri, self.topic = node, uri, topic
+        self.node = node
+        self.uri = uri
+        self.topic = topic
         answer = call(uri, "requestTopic", caller, topic, [["TCPROS"]])
         if not answer or answer[0] != "TCPROS":
             raise MavfiError(f"{node}: offers {topic}, but not over TCPROS")
@@ -195,7 +198,9 @@ class Inlet:
     """A topic subscribed to as node `caller`; `failures`: errors of connections to publishers."""
 
     def __init__(self, topic: str, arrived: Callable[[bytes], None], caller: str) -> None:
-        self.topic, self._arrived, self._caller = topic, arrived, caller
+        self.topic = topic
+        self._arrived = arrived
+        self._caller = caller
         self.sources: dict[str, Source] = {}
         self.failures: list[str] = []
         self._lock = threading.Lock()
@@ -227,7 +232,8 @@ class Peer:
     """A participant of the graph with a given name."""
 
     def __init__(self, master: Master, name: str) -> None:
-        self.master, self.name = master, name
+        self.master = master
+        self.name = name
         self._outlets: dict[str, Outlet] = {}
         self._inlets: dict[str, Inlet] = {}
         self._listener = socket.create_server((LOOPBACK, 0))
@@ -289,7 +295,10 @@ class Peer:
         try:
             request = decode_header(read_frame(stream, LARGEST_HEADER))
             outlet = self._outlets.get(request.get("topic", ""))
-            refusal = "no such topic here" if outlet is None else _mismatch(request, outlet.header)
+            if outlet is None:
+                refusal = "no such topic here"
+            else:
+                refusal = _mismatch(request, outlet.header)
             if outlet is None or refusal:
                 connection.sendall(encode_header({"error": refusal}))
                 return

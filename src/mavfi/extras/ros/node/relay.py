@@ -32,7 +32,8 @@ def sources_of(master: Master, graph: Graph, topic: str, skipped: Sequence[str] 
         BadInputError: The topic is unknown or has no publisher.
     """
     topic = check_known("topic", topic, graph.topics)
-    sources, failures = [], []
+    sources = []
+    failures = []
     for node in graph.publishers.get(topic, ()):
         if node not in skipped:
             try:
@@ -74,10 +75,14 @@ class Relay:
         accepts: Callable[[Definition], object],
         reader: str | None = None,
     ) -> None:
-        self.master, self._change = master, change
+        self.master = master
+        self._change = change
         graph = master.graph()
         self.topic = check_known("topic", topic, graph.topics)
-        self._only = None if reader is None else check_known("node", reader, graph.nodes)
+        if reader is None:
+            self._only = None
+        else:
+            self._only = check_known("node", reader, graph.nodes)
         self._check(graph)
         self._sources = sources_of(master, graph, self.topic)
         self.definition: Definition = self._sources[0].definition()
@@ -155,7 +160,10 @@ class Relay:
     # ---- subscribers ------------------------------------------------------------------------------------------------
     def _turn_all(self, graph: Graph) -> None:
         """Redirect the remaining subscribers; `MavfiError` if none is redirected in the end."""
-        readers = [self._only] if self._only else graph.subscribers.get(self.topic, [])
+        if self._only:
+            readers = [self._only]
+        else:
+            readers = graph.subscribers.get(self.topic, [])
         failures: list[str] = []
         for node in readers:
             reader = self._outlet.reader(node)

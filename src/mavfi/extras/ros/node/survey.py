@@ -58,7 +58,10 @@ def survey(master: Master, seconds: float = 1.0) -> Survey:
     """Survey the graph, and listen to every topic for a duration (s); 0 = rates are not measured."""
     graph = master.graph()
     nodes = tuple(_node(master, graph, name) for name in graph.nodes)
-    rates = _rates(graph, {node.name: node.uri for node in nodes if node.is_alive}, seconds) if seconds > 0 else {}
+    if seconds > 0:
+        rates = _rates(graph, {node.name: node.uri for node in nodes if node.is_alive}, seconds)
+    else:
+        rates = {}
     topics = tuple(
         Topic(
             name,
@@ -73,7 +76,9 @@ def survey(master: Master, seconds: float = 1.0) -> Survey:
 
 
 def _node(master: Master, graph: Graph, name: str) -> Node:
-    uri, pid, executable = "", None, ""
+    uri = ""
+    pid = None
+    executable = ""
     with suppress(MavfiError):
         uri = master.node_uri(name)
         pid = int(call(uri, "getPid", CALLER))

@@ -24,7 +24,8 @@ from mavfi.extras.ros.node.relay import sources_of
 from mavfi.faults.levels.message.definition import Definition
 from mavfi.flight.log_readers import Probe
 
-ALARM_TOPIC, ALARM_TYPE = "/mavfi/alarm", "std_msgs/String"
+ALARM_TOPIC = "/mavfi/alarm"
+ALARM_TYPE = "std_msgs/String"
 FIRST_PATIENCE_S = 10.0
 """Time limit for the first message of a topic (s), which determines the available fields."""
 _POLL_S = 0.1
@@ -124,7 +125,8 @@ class Watch:
     """
 
     def __init__(self, listener: Listener, probes: dict[str, Probe], detector: Detector) -> None:
-        self._probes, self._detector = probes, detector
+        self._probes = probes
+        self._detector = detector
         self.alarms: list[ForeignAlarm] = []
         self.judged: Counter[str] = Counter()
         self.skipped: Counter[str] = Counter()
@@ -135,7 +137,10 @@ class Watch:
 
     def judge(self, topic: str, message: bytes) -> ForeignAlarm | None:
         """Check a message; an alarm is published, stored and returned."""
-        state = self._probes[topic].read(message) if topic in self._probes else None
+        if topic in self._probes:
+            state = self._probes[topic].read(message)
+        else:
+            state = None
         if state is None:
             self.skipped[topic] += 1
             return None

@@ -67,13 +67,17 @@ def own_root() -> Path:
     """Folder into which `make ros` unpacks packages if the user may not install them."""
     named = os.environ.get(ROOT_VARIABLE)
     cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(named) if named else Path(cache) / "mavfi" / "ros"
+    if named:
+        return Path(named)
+    return Path(cache) / "mavfi" / "ros"
 
 
 def roots() -> list[Path]:
     """Installation prefixes of Debian's packages, in order of preference."""
     root = own_root()
-    return [root, _SYSTEM] if (root / "usr").is_dir() else [_SYSTEM]
+    if (root / "usr").is_dir():
+        return [root, _SYSTEM]
+    return [_SYSTEM]
 
 
 def find_file(name: str) -> Path:

@@ -16,11 +16,19 @@ from mavfi.record import Injection
 
 FOLDER_VARIABLE = "MAVFI_ROS_FLIGHT"
 """Environment variable: folder of the flight to which a node belongs."""
-MESSAGES, LOG, JOIN, PID = "messages", "log", "join", "pid"
-FLIGHT, PROFILE, FAILURE, TIMES = "flight.npz", "profile.npz", "failure.txt", "times.json"
+MESSAGES = "messages"
+LOG = "log"
+JOIN = "join"
+PID = "pid"
+FLIGHT = "flight.npz"
+PROFILE = "profile.npz"
+FAILURE = "failure.txt"
+TIMES = "times.json"
 INJECTIONS = "injections.json"
-_PREFIX, _OWNER = "mavfi-ros-", "owner"
-_PORT_VARIABLE, _USUAL_PORT = "MAVFI_ROS_PORT", "11311"
+_PREFIX = "mavfi-ros-"
+_OWNER = "owner"
+_PORT_VARIABLE = "MAVFI_ROS_PORT"
+_USUAL_PORT = "11311"
 _EXPORTED = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOME", "ROS_LOG_DIR", "ROS_PACKAGE_PATH", "PYTHONPATH", "LD_LIBRARY_PATH")
 
 
@@ -83,7 +91,9 @@ def write_injections(injections: list[Injection]) -> None:
 def read_injections() -> list[Injection]:
     """The injections so far."""
     path = flight_folder() / INJECTIONS
-    return [Injection.from_json(done) for done in json.loads(path.read_text())] if path.exists() else []
+    if path.exists():
+        return [Injection.from_json(done) for done in json.loads(path.read_text())]
+    return []
 
 
 def master_port() -> str:
@@ -127,7 +137,10 @@ def environment(folder: Path) -> dict[str, str]:
 def write_join(folder: Path, isolated: bool, own_users: bool) -> None:
     """Write the script `join`, which enters the flight's network namespace and, if present, its user namespace."""
     enter = "--user --preserve-credentials --net" if own_users else "--net"
-    prefix = f"nsenter --target \"$(cat '{folder / PID}')\" {enter} " if isolated else ""
+    if isolated:
+        prefix = f"nsenter --target \"$(cat '{folder / PID}')\" {enter} "
+    else:
+        prefix = ""
     variables = environment(folder)
     exports = " ".join(f"{name}='{variables[name]}'" for name in _EXPORTED if name in variables)
     path = folder / JOIN

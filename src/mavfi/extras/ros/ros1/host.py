@@ -67,7 +67,8 @@ class Ros1Flights(ArmFlights):
     """The flights of one mission; see `MissionFlights`."""
 
     def _fly(self, arm: str, fault: StateFault | SensorFault | None, *, profile: bool = False) -> Flight:
-        setup, first = self._arms[arm], arm not in self._detectors
+        setup = self._arms[arm]
+        first = arm not in self._detectors
         plan = Plan(
             setup.scenario,
             configure(setup.scenario),
@@ -203,7 +204,10 @@ def _result(folder: Path, plan: Plan) -> Flight:
         raise MavfiError("ROS: the flight ended without a record")
     scenario = plan.scenario
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
-    profile = Profile.from_bytes((folder / files.PROFILE).read_bytes()) if plan.profile else None
+    if plan.profile:
+        profile = Profile.from_bytes((folder / files.PROFILE).read_bytes())
+    else:
+        profile = None
     return Flight(FlightLog.load(folder / files.FLIGHT), profile, world)
 
 

@@ -175,7 +175,8 @@ _SLOTS = {spec.name: (header_slots(spec), element_slots(spec)) for spec in STATE
 def to_stamp(stamp: Any, time_us: int) -> None:
     """Set a `genpy.Time` to an instant of the flight."""
     seconds, rest = divmod(time_us, 1_000_000)
-    stamp.secs, stamp.nsecs = seconds + FIRST_STAMP_S, 1_000 * rest
+    stamp.secs = seconds + FIRST_STAMP_S
+    stamp.nsecs = 1_000 * rest
 
 
 def from_stamp(stamp: Any) -> int:

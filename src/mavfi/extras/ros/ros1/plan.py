@@ -17,7 +17,9 @@ from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import KERNELS, PERIODIC, STATES, Stage
 
 # ---- the graph: nodes with their kernels, topics with their publishers and subscribers -------------------------------
-WORLD, INJECTOR, DETECTOR = "world", "injector", "detector"
+WORLD = "world"
+INJECTOR = "injector"
+DETECTOR = "detector"
 PREFIX = "/mavfi"
 ALARM = f"{PREFIX}/alarm"
 
@@ -39,17 +41,23 @@ class Way:
     @property
     def first(self) -> str:
         """Topic to which the writer publishes."""
-        return f"{self.final}/raw" if self.injected else self.final
+        if self.injected:
+            return f"{self.final}/raw"
+        return self.final
 
     @property
     def sender(self) -> str:
         """Node that publishes to the consumers."""
-        return INJECTOR if self.injected else self.writer
+        if self.injected:
+            return INJECTOR
+        return self.writer
 
     @property
     def nodes(self) -> tuple[str, ...]:
         """Nodes that a value passes before its consumers receive it, in order."""
-        return (self.writer, INJECTOR) if self.injected else (self.writer,)
+        if self.injected:
+            return (self.writer, INJECTOR)
+        return (self.writer,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +73,10 @@ class Face:
 
 def face_of(kernel: Kernel) -> Face:
     """The face of a kernel; kernels stepped at the control period have no triggers."""
-    quiet = kernel.reads if kernel.name in PERIODIC else getattr(kernel, "quiet", ())
+    if kernel.name in PERIODIC:
+        quiet = kernel.reads
+    else:
+        quiet = getattr(kernel, "quiet", ())
     triggers = tuple(state for state in kernel.reads if state not in quiet)
     return Face(kernel.name, kernel.stage, kernel.reads, kernel.writes, triggers)
 
@@ -165,7 +176,9 @@ class Plan:
     @property
     def state_fault(self) -> StateFault | None:
         """The fault that the injector's node injects."""
-        return self.fault if isinstance(self.fault, StateFault) else None
+        if isinstance(self.fault, StateFault):
+            return self.fault
+        return None
 
     def published_at_once(self) -> frozenset[str]:
         """States whose values a node publishes immediately, which saves one call each.

@@ -125,7 +125,8 @@ class Ports:
     def wait_until_connected(self) -> None:
         """Wait until this node is connected to every publisher and subscriber of the flight, or raise `MavfiError`."""
         now = time.monotonic()
-        end, repeat = now + self.plan.patience_s, now + _REPEAT_S
+        end = now + self.plan.patience_s
+        repeat = now + _REPEAT_S
         while not self._connected():
             now = time.monotonic()
             if now > end:

@@ -56,7 +56,8 @@ class RegisterInjector:
             self._note(fault, tracing, now)
         for fault in self._planned:
             self._miss(fault, "the flight was over first", now)
-        self._begun, self._planned = [], []
+        self._begun = []
+        self._planned = []
 
     def _begin(self, fault: RegisterFault) -> None:
         """Start a tracer, and wait until it is attached: a node computes only during the flight."""
@@ -118,4 +119,6 @@ def end_of_nodes(injections: Sequence[Injection], events: Sequence[Event]) -> st
     causes = [data["why"] for data in lost if data["why"] != PLANNED]
     if not causes:
         return "alive"
-    return "hang" if causes[0] == SILENT else "crash"
+    if causes[0] == SILENT:
+        return "hang"
+    return "crash"

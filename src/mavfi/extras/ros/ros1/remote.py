@@ -114,7 +114,9 @@ class Link:
 
         self._restart()
         self._proxy = rospy.ServiceProxy(f"/{self.node}/drive", Drive, persistent=True)
-        self.pid, self.since, self.lost = pid, since, False
+        self.pid = pid
+        self.since = since
+        self.lost = False
 
     def lose(self) -> None:
         """Mark the node as down, its memory as lost."""
@@ -208,8 +210,10 @@ class RemoteKernel:
     def __init__(self, face: Face, link: Link, counter: Counter, plan: Plan) -> None:
         self._latency_us = latency(plan.scenario.platform, face.name)
         self._at_once = plan.published_at_once()
-        self.name, self.stage = face.name, face.stage
-        self.reads, self.writes = face.reads, face.writes
+        self.name = face.name
+        self.stage = face.stage
+        self.reads = face.reads
+        self.writes = face.writes
         self._triggers = face.triggers
         self._link = link
         self._counter = counter
@@ -255,7 +259,9 @@ class RemoteKernel:
             if isinstance(state, Publication):
                 self._link.note_input(self.name, state)
         response = self._link.call(Action.RESUME, self.name, 0, time_us)
-        return () if response is None else tuple(response.states)
+        if response is None:
+            return ()
+        return tuple(response.states)
 
     def _compute(self, action: Action, time_us: int) -> list[State]:
         first = self._counter.take(len(self.writes))
@@ -267,7 +273,8 @@ class RemoteKernel:
 
     def _promise(self, name: str, number: int) -> Publication:
         """Placeholder for a value that the node has computed."""
-        spec, link = STATES[name], self._link
+        spec = STATES[name]
+        link = self._link
         empty = np.zeros(1, spec.header_dtype), np.zeros(0, spec.element_dtype)
         return Publication(spec, *empty, number, link, link.life, self.name, name in self._at_once)
 

@@ -141,7 +141,9 @@ class Conductor(Listener):
             self._rejoin(link.node)
         else:
             link.reset(kernel, self.counter.take(0))
-        return {} if link.lost else self._proxies(self.plan.config)
+        if link.lost:
+            return {}
+        return self._proxies(self.plan.config)
 
     def _rejoin(self, node: str) -> None:
         """Reconnect a node that the supervisor has restarted, with initialized memory."""
@@ -173,7 +175,8 @@ class Passage:
         on_loss: Callable[[Link, str], None],
     ) -> None:
         self._counter = counter
-        self._links, self._registers = links, registers
+        self._links = links
+        self._registers = registers
         self._on_loss = on_loss
         self._plan = ports.plan
         self._ways = ports.ways
@@ -207,7 +210,10 @@ class Passage:
         else:
             number = self._counter.take()
             self._sensors[state.spec.name].publish(state, number, time_us)
-        seen = self._await(number, state) if self._plan.world_listens(state.spec.name) else state
+        if self._plan.world_listens(state.spec.name):
+            seen = self._await(number, state)
+        else:
+            seen = state
         return Publication(seen.spec, seen.header, seen.elements, number)
 
     def _await(self, number: int, state: State) -> State:

@@ -62,7 +62,8 @@ def size_of(kind: str) -> int:
     fields = parts(kind)
     if not fields:
         return -(-width(kind) // 8)
-    end, widest = 0, 1
+    end = 0
+    widest = 1
     for part in fields:
         aligned = min(8, size_of(part)) if not parts(part) else 8
         end = -(-end // aligned) * aligned + size_of(part)
@@ -130,7 +131,9 @@ def moved(token: str, constants: dict[str, Constant]) -> str:
 
     def place(match: re.Match[str]) -> str:
         constant = constants.get(match[0])
-        return match[0] if constant is None else f"inttoptr (i64 {constant.address} to ptr)"
+        if constant is None:
+            return match[0]
+        return f"inttoptr (i64 {constant.address} to ptr)"
 
     return _NAME.sub(place, token)
 

@@ -181,7 +181,10 @@ def _bytes(value: Any) -> Iterator[bytes]:
         for part in value:
             yield from _bytes(part)
     else:
-        number = np.float64(value).tobytes() if isinstance(value, float) else repr(value).encode()
+        if isinstance(value, float):
+            number = np.float64(value).tobytes()
+        else:
+            number = repr(value).encode()
         yield type(value).__name__.encode() + number
 
 

@@ -21,7 +21,9 @@ BASE = 1 << 44
 """Far from the addresses that Linux assigns to programs, libraries, heaps and stacks."""
 SIZE = 1 << 26
 """`BASE` is a multiple of it: an address with one of its lowest 26 bits flipped stays inside."""
-RESULT, EXCEPTION, FRAMES = BASE, BASE + 0x4000, BASE + 0x5000
+RESULT = BASE
+EXCEPTION = BASE + 0x4000
+FRAMES = BASE + 0x5000
 """Addresses in the wrapper: of the kernel's result, of the pointer to its exception, and of its stack frames."""
 CONSTANTS = BASE + 0x100000
 _ARGUMENTS = BASE + SIZE // 2
@@ -94,7 +96,9 @@ class Arena:
     def _moved(self, value: Any, ranges: list[tuple[int, int, int]]) -> Any:
         if isinstance(value, tuple):
             parts = (self._moved(part, ranges) for part in value)
-            return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
+            if hasattr(value, "_fields"):
+                return type(value)(*parts)
+            return tuple(parts)
         if not isinstance(value, np.ndarray):
             return value
         low, high = _bounds(value)
@@ -117,8 +121,12 @@ def own(value: Any) -> Any:
     """A result with its arrays copied, since the next call reuses the arena."""
     if isinstance(value, tuple):
         parts = (own(part) for part in value)
-        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
-    return value.copy() if isinstance(value, np.ndarray) else value
+        if hasattr(value, "_fields"):
+            return type(value)(*parts)
+        return tuple(parts)
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    return value
 
 
 def _arrays(value: Any) -> Iterator[Any]:
@@ -134,7 +142,11 @@ def _arrays(value: Any) -> Iterator[Any]:
 
 def _bounds(array: np.ndarray) -> tuple[int, int]:
     """First address and end address of its elements."""
-    low, high = np.lib.array_utils.byte_bounds(array) if array.size else (array.ctypes.data, array.ctypes.data)
+    if array.size:
+        low, high = np.lib.array_utils.byte_bounds(array)
+    else:
+        low = array.ctypes.data
+        high = array.ctypes.data
     return int(low), int(high)
 
 

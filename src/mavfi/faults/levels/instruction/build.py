@@ -55,7 +55,10 @@ class Built:
 def cached_build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Built:
     """The instrumented variant from the cache, or from `build` (whose errors it raises) if missing or invalid."""
     cache = ObjectCache("instruction", Path(__file__).parent)
-    more = [] if rewrite is None else [rewrite.key, folder_text(Path(inspect.getfile(type(rewrite))).parent)]
+    if rewrite is None:
+        more = []
+    else:
+        more = [rewrite.key, folder_text(Path(inspect.getfile(type(rewrite))).parent)]
     key = cache.key(kernel, signature, *more)
     data = cache.load(key)
     if data is not None:
@@ -81,7 +84,8 @@ def make(kernel: Any, signature: tuple[Any, ...], source: Source, rewrite: Rewri
 
 def assemble(made: Instrumented, source: Source) -> Built:
     """Translate instrumented IR into machine code."""
-    code, tally = translate(made.text), translate(made.tally, optimised)
+    code = translate(made.text)
+    tally = translate(made.tally, optimised)
     return Built(
         code, tally, made.table, made.ir_sha256, made.constants, made.owned, source.wrapper, source.environment
     )

@@ -86,11 +86,14 @@ def instrument(text: str, kernel: str, rewrite: Rewrite | None = None) -> Instru
         raise RefusedError(kernel, f"a value of {widest} bits")
     if _ENVIRONMENT.search(bodies_of(module)):
         raise RefusedError(kernel, "Python objects are used within compiled code (Numba's environment)")
-    digest, owned, constants = digest_of(module), is_owned(module), constants_of(module)
+    digest = digest_of(module)
+    owned = is_owned(module)
+    constants = constants_of(module)
     tally = tallied(module)  # before functions are redirected to the arena
     names = [function.name for function in module.functions]
     others = [planned_wrapper(text, names) for text in module.others]
-    lines, first = [*(visible(line, constants) for line in module.preamble), RUNTIME, MEMORY], 0
+    lines = [*(visible(line, constants) for line in module.preamble), RUNTIME, MEMORY]
+    first = 0
     for function in module.functions:
         _move(function, constants)
         lines.append(_Rewriter(function, first).text())
@@ -232,7 +235,8 @@ class _Rewriter:
     def _injected(self, site: Instruction, raw: str, chosen: str, offset: int) -> str:
         """Write code that changes a value if chosen, and reports it before and after; returns its new name."""
         bits = width(site.kind)
-        word, room = f"i{bits}", f"i{-(-bits // 8) * 8}"
+        word = f"i{bits}"
+        room = f"i{-(-bits // 8) * 8}"
         here = self._let(f"icmp eq i64 {chosen}, {offset}")
         value = self._to_bits(raw, site.kind, bits)
         keep, flip = (self._resized(self._let(f"load {room}, ptr @mavfi_{m}"), room, word) for m in ("keep", "flip"))
@@ -253,7 +257,8 @@ class _Rewriter:
         """The value as one integer."""
         word = f"i{bits}"
         if parts(kind):
-            total, at = "0", 0
+            total = "0"
+            at = 0
             for i, part in enumerate(parts(kind)):
                 field = self._to_bits(self._let(f"extractvalue {kind} {value}, {i}"), part, width(part))
                 wide = self._resized(field, f"i{width(part)}", word)
@@ -265,13 +270,16 @@ class _Rewriter:
         if "ptr" in kind:
             numbers = kind.replace("ptr", "i64")
             return self._let(f"bitcast {numbers} {self._let(f'ptrtoint {kind} {value} to {numbers}')} to {word}")
-        return value if kind == word else self._let(f"bitcast {kind} {value} to {word}")
+        if kind == word:
+            return value
+        return self._let(f"bitcast {kind} {value} to {word}")
 
     def _from_bits(self, value: str, kind: str, bits: int) -> str:
         """Inverse of `_to_bits`."""
         word = f"i{bits}"
         if parts(kind):
-            whole, at = "poison", 0
+            whole = "poison"
+            at = 0
             for i, part in enumerate(parts(kind)):
                 field = self._resized(self._let(f"lshr {word} {value}, {at}"), word, f"i{width(part)}")
                 field = self._from_bits(field, part, width(part))
@@ -283,7 +291,9 @@ class _Rewriter:
         if "ptr" in kind:
             numbers = kind.replace("ptr", "i64")
             return self._let(f"inttoptr {numbers} {self._let(f'bitcast {word} {value} to {numbers}')} to {kind}")
-        return value if kind == word else self._let(f"bitcast {word} {value} to {kind}")
+        if kind == word:
+            return value
+        return self._let(f"bitcast {word} {value} to {kind}")
 
 
 def _used_elsewhere(function: Function) -> set[str]:
@@ -310,7 +320,8 @@ HISTOGRAM = "mavfi_histogram"
 
 def tallied(module: Module) -> str:
     """IR of a module that counts the executions of its blocks with sites, which are numbered in text order."""
-    lines, first = [*module.preamble, f"@{HISTOGRAM} = global ptr null"], 0
+    lines = [*module.preamble, f"@{HISTOGRAM} = global ptr null"]
+    first = 0
     for function in module.functions:
         lines.append(_counting(function, first))
         first += len(_counted(function))

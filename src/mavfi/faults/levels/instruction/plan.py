@@ -90,7 +90,11 @@ def stratum_of(kind: str, bit: int | None) -> str:
         return "other"
     sign, exponent = _LAYOUTS[element]
     place = bit % (sign + 1)
-    return "sign" if place == sign else "exponent" if place >= exponent else "mantissa"
+    if place == sign:
+        return "sign"
+    if place >= exponent:
+        return "exponent"
+    return "mantissa"
 
 
 def budget_for(total: int) -> int:
@@ -121,7 +125,9 @@ def injection_of(
     if report is None:
         details: dict[str, Any] = {"function": function, "replayable": True}
         return Injection(fault.level, fault.site, time_s, fault.bit, None, None, activated=False, details=details)
-    site, before, after = report.site, report.before, report.after
+    site = report.site
+    before = report.before
+    after = report.after
     keep, flip = fault.masks
     planned = (before & keep) ^ flip
     details = {
@@ -171,4 +177,6 @@ def _number(site: Site, bits: int) -> float | int:
         layout = _FORMATS[site.kind]
         return float(struct.unpack(layout, bits.to_bytes(struct.calcsize(layout), "little"))[0])
     sign = 1 << (site.width - 1)
-    return bits if site.kind == "ptr" or site.width == 1 else (bits ^ sign) - sign
+    if site.kind == "ptr" or site.width == 1:
+        return bits
+    return (bits ^ sign) - sign

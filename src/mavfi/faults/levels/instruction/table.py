@@ -60,12 +60,16 @@ class Site:
     @property
     def file(self) -> str:
         """Source file, relative to the folder from which it was imported."""
-        return self.frames[0][0] if self.chain else ""
+        if self.chain:
+            return self.frames[0][0]
+        return ""
 
     @property
     def line(self) -> int:
         """Source line; 0 = unknown."""
-        return self.frames[0][1] if self.chain else 0
+        if self.chain:
+            return self.frames[0][1]
+        return 0
 
     def __str__(self) -> str:
         variable = f" ({self.variable})" if self.variable else ""
@@ -82,7 +86,9 @@ def short_path(path: str) -> str:
 def _relative_to_longest(path: str, folders: tuple[str, ...]) -> str:
     roots = [entry for entry in folders if entry and path.startswith(f"{entry.rstrip('/')}/")]
     longest = max(roots, key=len, default="")
-    return str(Path(path).relative_to(longest)) if longest else path
+    if longest:
+        return str(Path(path).relative_to(longest))
+    return path
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,9 +159,15 @@ def _chains(block: Block, function: Function, locations: Locations) -> dict[int,
     """Source lines of each instruction, and whether they are borrowed from the next instruction that has some."""
     own = []
     for instruction in reversed(block.all()):
-        chain = () if instruction.location is None else locations.chain(instruction.location)
+        if instruction.location is None:
+            chain: tuple[Frame, ...] = ()
+        else:
+            chain = locations.chain(instruction.location)
         own.append((instruction, chain if chain and chain[0].line else ()))
-    fallback = () if function.location is None else locations.function(function.location)
+    if function.location is None:
+        fallback: tuple[Frame, ...] = ()
+    else:
+        fallback = locations.function(function.location)
     following = next((chain for _, chain in own if chain), fallback)
     found = {}
     for instruction, chain in own:
@@ -173,7 +185,10 @@ def _chains(block: Block, function: Function, locations: Locations) -> dict[int,
 # A value decides control if a branch, switch or select depends on it without an intervening load, call or
 # floating-point comparison: loop counters and bounds do.
 
-ADDRESS, CONTROL, FLOATING, INTEGER = "address", "control", "floating_point", "integer"
+ADDRESS = "address"
+CONTROL = "control"
+FLOATING = "floating_point"
+INTEGER = "integer"
 _ADDRESS_STOPS = ("load", "call", "icmp", "fcmp")
 _CONTROL_STOPS = ("load", "call", "fcmp")
 
@@ -191,7 +206,9 @@ class Roles:
             return ADDRESS
         if is_floating(instruction.kind):
             return FLOATING
-        return CONTROL if instruction.result in self.conditions else INTEGER
+        if instruction.result in self.conditions:
+            return CONTROL
+        return INTEGER
 
 
 def roles(module: Module) -> dict[str, Roles]:
@@ -279,7 +296,9 @@ def _sources(names: Iterable[str], made_by: dict[str, Instruction], stops: tuple
 
     def uses(name: str) -> list[str]:
         maker = made_by.get(name)
-        return [] if maker is None or maker.opcode in stops else maker.uses()
+        if maker is None or maker.opcode in stops:
+            return []
+        return maker.uses()
 
     return {name for name in _closure(names, uses) if name[0] == "%"}
 

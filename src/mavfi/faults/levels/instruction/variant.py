@@ -57,7 +57,8 @@ class Passes:
             ordered.setdefault(block, []).append(number)
         self.passed = np.zeros(blocks, np.int64)
         self.cursors = np.zeros(blocks, np.int64)
-        passes, self._places = [-1], {}
+        passes = [-1]
+        self._places = {}
         for block, numbers in ordered.items():
             self.cursors[block] = len(passes)
             self._places.update({(block, number): len(passes) + i for i, number in enumerate(numbers)})
@@ -174,7 +175,8 @@ class Variant:
     def resolve(self, indices: Sequence[int], *args: Any) -> tuple[Any, list[Site | None]]:
         """Run without a fault; returns the result and the site of each dynamic index, None beyond the last."""
         wanted = np.array(sorted(set(indices)), np.int64)
-        blocks, offsets = np.full(len(wanted), -1), np.full(len(wanted), -1)
+        blocks = np.full(len(wanted), -1)
+        offsets = np.full(len(wanted), -1)
         result = self._run(
             Mode.RESOLVE,
             int(wanted[0]) if len(wanted) else NEVER,
@@ -274,7 +276,9 @@ def _key(value: Any) -> Any:
         return kind, value.dtype
     if isinstance(value, tuple):
         parts = tuple(map(_key, value))
-        return None if None in parts else (kind, parts)
+        if None in parts:
+            return None
+        return (kind, parts)
     return None
 
 
@@ -283,7 +287,8 @@ def variant_for(kernel: Any, args: tuple[Any, ...], rewriting: Rewriting | None 
     if rewriting is not None:
         signature = signature_of(args)
         return variant_of(kernel, signature, rewriting(name_of(kernel), signature))
-    key, known = _key(args), _known.setdefault(kernel, {})
+    key = _key(args)
+    known = _known.setdefault(kernel, {})
     if key is None:
         return variant_of(kernel, signature_of(args))
     if key not in known:
@@ -333,7 +338,8 @@ class Profiling:
     """
 
     def __init__(self, function: Any, rewriting: Rewriting | None = None) -> None:
-        self.function, self.rewriting = function, rewriting
+        self.function = function
+        self.rewriting = rewriting
         self.counts: list[int] = []
         self.digests: list[str] = []
         self._times: dict[str, tuple[Table, np.ndarray]] = {}
@@ -362,7 +368,8 @@ class Resolving:
     """Finds the static instructions (`sites`, by call and index) at the wanted indices, given by call."""
 
     def __init__(self, function: Any, wanted: Mapping[int, Sequence[int]], rewriting: Rewriting | None = None) -> None:
-        self._function, self._rewriting = function, rewriting
+        self._function = function
+        self._rewriting = rewriting
         self._wanted = wanted
         self._calls = 0
         self.sites: dict[tuple[int, int], Site | None] = {}
@@ -382,7 +389,8 @@ class Resolving:
 
     def __call__(self, *args: Any) -> Any:
         """Call the function; bit-identical result."""
-        call, self._calls = self._calls, self._calls + 1
+        call = self._calls
+        self._calls = self._calls + 1
         indices = self._wanted.get(call)
         if not indices:
             return self._function(*args)

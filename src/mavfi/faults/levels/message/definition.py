@@ -161,7 +161,8 @@ class Definition:
             AbsentError: A list of this message is too short.
             MavfiError: The message is not of this type.
         """
-        offset, kind = 0, self.kind
+        offset = 0
+        kind = self.kind
         try:
             for name, index in steps(path):
                 for member in self.types.get(kind, ()):
@@ -220,7 +221,10 @@ class Definition:
         if kind not in self._sizes:
             parts = [(self._size(part.kind), 1 if part.length is None else part.length) for part in self.types[kind]]
             is_fixed = all(size is not None and count >= 0 for size, count in parts)
-            self._sizes[kind] = sum((size or 0) * count for size, count in parts) if is_fixed else None
+            if is_fixed:
+                self._sizes[kind] = sum((size or 0) * count for size, count in parts)
+            else:
+                self._sizes[kind] = None
         return self._sizes[kind]
 
     # ---- whole messages ---------------------------------------------------------------------------------------------
@@ -247,7 +251,8 @@ class Definition:
             count, start = self._count(member, data, offset)
             if count > longest:
                 return [], self._skip(member, data, offset)
-            inside, offset = [(Member("", member.kind), f"{path}[{index}]") for index in range(count)], start
+            inside = [(Member("", member.kind), f"{path}[{index}]") for index in range(count)]
+            offset = start
         found = []
         for part, place in inside:
             inner, offset = self._walk(part, data, offset, place, longest)
@@ -280,7 +285,8 @@ class Definition:
 @cache
 def steps(path: str) -> tuple[tuple[str, int | None], ...]:
     """The names and indices of a path; an invalid path is a BadInputError."""
-    found, place = [], 0
+    found = []
+    place = 0
     while place < len(path):
         match = _STEP.match(path, place)
         if match is None:

@@ -47,7 +47,10 @@ class Failure:
         if not differs.any() and fault.kind != NULL:
             return
         place = int(differs.argmax())
-        lasts = "to the end" if math.isinf(fault.lasts_s) else f"for {fault.lasts_s:g} s"
+        if math.isinf(fault.lasts_s):
+            lasts = "to the end"
+        else:
+            lasts = f"for {fault.lasts_s:g} s"
         self.injection = Injection(
             fault.level,
             fault.site,
@@ -155,7 +158,8 @@ def _with(values: np.ndarray, place: slice, part: np.ndarray) -> np.ndarray:
 def _turned(quaternion: np.ndarray, angle: float) -> np.ndarray:
     """The orientation turned about the world's z axis. Shape (4,)."""
     w, x, y, z = map(float, quaternion)
-    c, s = float(cos(0.5 * angle)), float(sin(0.5 * angle))
+    c = float(cos(0.5 * angle))
+    s = float(sin(0.5 * angle))
     return np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
 
 
@@ -174,11 +178,13 @@ class Signal:
     """
 
     def __init__(self, fault: SensorFault, spread: float | None = None) -> None:
-        self._fault, self._unit = fault, UNITS[fault.unit]
+        self._fault = fault
+        self._unit = UNITS[fault.unit]
         self._spread = self._unit.spread if spread is None else spread
         self._held: np.ndarray | None = None
         self._due_us = fault.time_us
-        self._block, self._lost = -1, False
+        self._block = -1
+        self._lost = False
         self._past: deque[tuple[int, np.ndarray]] = deque()
 
     def __call__(self, time_us: int, values: np.ndarray) -> np.ndarray:
@@ -205,7 +211,9 @@ class Signal:
 
     def off(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """No value."""
-        return self.stuck(time_us, values) if self._unit.lost is None else np.full_like(values, self._unit.lost)
+        if self._unit.lost is None:
+            return self.stuck(time_us, values)
+        return np.full_like(values, self._unit.lost)
 
     def stuck(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """The held value: that at the start of the failure."""

@@ -58,7 +58,10 @@ NULL = "ok"
 RANDOM = ("garbage", "intermittent")
 """Types that draw values by the seed."""
 FAILING = tuple(kind for kind in TYPES if kind != NULL)
-SLOW_US, DELAY_US, BLOCK_US, DRIFT_US = 500_000, 200_000, 100_000, 10_000_000
+SLOW_US = 500_000
+DELAY_US = 200_000
+BLOCK_US = 100_000
+DRIFT_US = 10_000_000
 """Period of `slow`, delay of `delayed`, block of `intermittent`, and time in which `drift` reaches `wrong`."""
 
 
