@@ -1,6 +1,6 @@
 """Draw docs/kernels/pid.png, vehicle.png and waypoint.png: responses of tracker, vehicle and setpoint generator.
 
-Run as `make pictures`.
+Run as `make results NAME=pictures`.
 """
 
 from collections.abc import Callable

@@ -1,6 +1,6 @@
 """Draw docs/kernels/flight.png: top view of one instant of a flight in `dense`: map, trees, path, trajectory.
 
-Run as `make pictures`.
+Run as `make results NAME=pictures`.
 """
 
 import matplotlib.pyplot as plt

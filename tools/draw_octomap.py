@@ -1,6 +1,6 @@
 """Draw docs/images/octomap.png: the map of a golden flight as voxels, and as the leaves of an equivalent octree.
 
-Run as `make pictures`.
+Run as `make results NAME=pictures`.
 """
 
 from typing import Any

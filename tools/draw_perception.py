@@ -1,6 +1,6 @@
 """Draw docs/kernels/point_cloud.png and collision_check.png: a depth image with its points, and the map at an alarm.
 
-Run as `make pictures`.
+Run as `make results NAME=pictures`.
 """
 
 import matplotlib.pyplot as plt

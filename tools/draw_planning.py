@@ -1,6 +1,6 @@
 """Draw docs/kernels/trees.png, rrt_star.png and shortcut.png: searches on the map of a golden flight.
 
-Run as `make pictures`.
+Run as `make results NAME=pictures`.
 """
 
 from functools import cache

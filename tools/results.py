@@ -190,7 +190,7 @@ MODULES = {
     "fault-map": "tools.build_fault_map",
     "firmware": "tools.firmware_faults",
     "real-logs": "tools.real_logs",
-    "reliability": "tools.reliability",
+    "pictures": "tools.pictures",
     "speed": "benchmarks.run",
     "study": "tools.build_readme",
 }

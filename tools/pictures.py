@@ -1,0 +1,26 @@
+"""Draw the pictures of the pages from flights and kernel runs.
+
+make results NAME=pictures
+"""
+
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+RESCUE = (
+    "fly --environment dense --seed 10007 --fault state:perception.collision_status.collision --fault-seed 1 "
+    "--detector recommended --picture docs/images/rescue.png"
+)
+
+
+def main() -> None:
+    """Run each module that draws, then a command that draws the picture of README.md."""
+    for script in sorted(Path(__file__).parent.glob("draw_*.py")):
+        print(script.stem)
+        runpy.run_module(f"tools.{script.stem}", run_name="__main__")
+    subprocess.run([sys.executable, "-m", "mavfi", *RESCUE.split()], check=True)
+
+
+if __name__ == "__main__":
+    main()
