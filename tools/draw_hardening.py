@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import matplotlib.pyplot as plt
 import numpy as np
+from examples.pictures.drawing import save
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from mavfi.extras.hardening.report import best
 from mavfi.report import style
-from tools.drawing import save
 from tools.markers import IMAGES
 from tools.results import TABLES
 

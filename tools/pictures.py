@@ -6,7 +6,8 @@ make results NAME=pictures
 import runpy
 import subprocess
 import sys
-from pathlib import Path
+
+from tools.markers import ROOT
 
 RESCUE = (
     "fly --environment dense --seed 10007 --fault state:perception.collision_status.collision --fault-seed 1 "
@@ -16,9 +17,10 @@ RESCUE = (
 
 def main() -> None:
     """Run each module that draws, then a command that draws the picture of README.md."""
-    for script in sorted(Path(__file__).parent.glob("draw_*.py")):
-        print(script.stem)
-        runpy.run_module(f"tools.{script.stem}", run_name="__main__")
+    scripts = [f"examples.pictures.{path.stem}" for path in sorted((ROOT / "examples" / "pictures").glob("*.py"))]
+    for script in [*scripts, "tools.draw_hardening"]:
+        print(script)
+        runpy.run_module(script, run_name="__main__")
     subprocess.run([sys.executable, "-m", "mavfi", *RESCUE.split()], check=True)
 
 

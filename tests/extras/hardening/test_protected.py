@@ -18,7 +18,7 @@ from mavfi.outcomes import Effect, effect_of
 from mavfi.pipeline.functions import PLAIN
 from mavfi.record import record_of
 from mavfi.report.explain import injection_lines, verdict
-from tools.full_plan import full_plan
+from tools.full_protection import full_plan
 
 pytestmark = pytest.mark.slow
 

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+from examples.pictures import drawing
 from matplotlib.figure import Figure
 
 from mavfi.kernels.perception.clearance import OCCUPIED
 from tests.core.flights.missions import golden, mission
-from tools import drawing
 
 
 @pytest.fixture(scope="module")

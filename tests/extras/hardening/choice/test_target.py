@@ -15,7 +15,7 @@ from mavfi.extras.hardening.summary import Harm, summary
 from mavfi.extras.hardening.target import Injected, injections_in, targets_of
 from mavfi.faults.levels.instruction.variant import signature_of
 from tests.extras.hardening.choice.kernels import calls, see, smooth
-from tools.full_plan import full_plan
+from tools.full_protection import full_plan
 
 
 @pytest.fixture(scope="module")
