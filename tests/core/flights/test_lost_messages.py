@@ -11,7 +11,7 @@ from mavfi.flight.fly import fly
 from mavfi.report.explain import _fault
 from tests.core.flights.missions import Scripted, golden, mission
 
-LOST_AT_S = 4.0
+LOST_AT_S = 3.0
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,7 @@ def test_after_a_lost_scan_the_camera_takes_its_next_image(site):
     assert injection.activated and injection.details["lost"]
     assert round(1e6 * injection.time_s) not in flight.profile.times_us[state]  # nobody received it
     images = 1e-6 * flight.profile.times_us["sensor.depth"]
-    assert np.diff(images).max() < 0.6 and images[-1] > LOST_AT_S + 5.0  # one each 0.1 to 0.3 s without the fault
+    assert np.diff(images).max() < 0.6 and images[-1] > LOST_AT_S + 3.0  # one each 0.1 to 0.3 s without the fault
 
 
 @pytest.mark.parametrize(
