@@ -14,7 +14,7 @@ from mavfi.detectors.detector import Detector, check_states
 from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.registry import Loaded, load_detector, mission_keys
 from mavfi.errors import BadInputError
-from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.loop import CONTROL_PERIOD_US, Loop, latency, stage_latency
 from mavfi.flight.plant import MakePlant
@@ -252,7 +252,7 @@ def new_loop(
     return Loop(scenario, world, plant, make, want_profile=profile, marks=rewindable)
 
 
-def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) -> None:
+def watch(loop: Loop, detector: Detector | None, recovery: RecoveryPolicy = INLINE) -> None:
     """Attach a detector to a flight that has not started; None = no effect.
 
     Raises:
@@ -265,14 +265,14 @@ def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) ->
     install(loop, detector, recovery, restarts_for(loop, recovery)).begin()
 
 
-def restarts_for(loop: Loop, recovery: Recovery) -> Restarts | None:
+def restarts_for(loop: Loop, recovery: RecoveryPolicy) -> Restarts | None:
     """What restarts nodes for a recovery policy, from what it sees from now on; None = the policy restarts none."""
     if recovery.restarts:
         return Restarts(loop, "readback")
     return None
 
 
-def install(loop: Loop, detector: Detector, recovery: Recovery, restarts: Restarts | None) -> DetectorTap:
+def install(loop: Loop, detector: Detector, recovery: RecoveryPolicy, restarts: Restarts | None) -> DetectorTap:
     """Install a detector's tap, and what it asks of the loop, in the place of those of another one."""
     if restarts is None:
         tap = DetectorTap(loop, detector, recovery)
@@ -364,10 +364,10 @@ def watched(
         SpecMismatchError: The model was trained for a different configuration.
     """
     if detector is None:
-        return Watched(ArmSetup(resolve(mission), recovery=Recovery.of(mission)))
+        return Watched(ArmSetup(resolve(mission), recovery=RecoveryPolicy.of(mission)))
     mission = with_keys_of(mission, detector)
     scenario = resolve(mission)
-    recovery = Recovery.of(mission)
+    recovery = RecoveryPolicy.of(mission)
     if not isinstance(detector, str):
         return Watched(ArmSetup(scenario, lambda: detector, recovery), type(detector).__name__)
     loaded, model = detector_for(scenario, detector, profile, models, mission.trained_for, options)

@@ -37,7 +37,7 @@ from mavfi.flight.checkpoints import (
     take,
 )
 from mavfi.flight.compose import install, new_loop, restarts_for
-from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.host import Flight
 from mavfi.flight.loop import CONTROL_PERIOD_US, Loop
 from mavfi.mission import Scenario
@@ -159,13 +159,13 @@ class FlownArm:
 
     name: str = ""
     detector: Detector | None = None
-    recovery: Recovery = INLINE
+    recovery: RecoveryPolicy = INLINE
 
 
 NO_DETECTOR = FlownArm()
 
 
-def takes_part(detector: Detector | None, recovery: Recovery) -> bool:
+def takes_part(detector: Detector | None, recovery: RecoveryPolicy) -> bool:
     """Whether a detector acts without an alarm, or answers one depending on earlier events other than its alarms.
 
     It seals values before they are published, has unreadable ones sent again, has steps computed twice, or waits for
@@ -212,7 +212,7 @@ class Track:
         return len(here.alarms) == len(there.alarms)
 
 
-class Branch:
+class FlightBranch:
     """A flight in progress that reuses parts of known flights of its mission.
 
     Args:
@@ -541,7 +541,7 @@ class FastForward:
         fault: StateFault | None = None,
         detector: Detector | None = None,
         arm: str = "",
-        recovery: Recovery = INLINE,
+        recovery: RecoveryPolicy = INLINE,
     ) -> Flight:
         """Fly, reusing known parts; only the golden flight without a detector has a profile.
 
@@ -575,7 +575,7 @@ class FastForward:
         """A golden flight from take-off; the one without a detector leaves the profile."""
         loop = self.loop
         plain = self._golden.get("")
-        branch = Branch(self, arm, [] if plain is None else [plain], keeps_checkpoints=True)
+        branch = FlightBranch(self, arm, [] if plain is None else [plain], keeps_checkpoints=True)
         loop.taps.injector = CounterWatch()
         if self._take_off is None:
             loop.begin()
@@ -595,7 +595,7 @@ class FastForward:
         """The golden flight with a detector that acts on alarms alone."""
         assert arm.detector is not None  # the other one is simulated
         plain = self.golden()
-        branch = Branch(self, arm, [plain], keeps_checkpoints=True)
+        branch = FlightBranch(self, arm, [plain], keeps_checkpoints=True)
         arm.detector.start()
         branch.begin(plain, plain.checkpoints[0])
         self.loop.taps.injector = CounterWatch()
@@ -625,7 +625,7 @@ class FastForward:
         assert isinstance(start.injector, CounterWatch)  # a golden flight's tap
         injector = StateInjector(fault, start.injector)
         if takes_part(arm.detector, arm.recovery):
-            branch = Branch(self, arm, own_golden=own_golden)
+            branch = FlightBranch(self, arm, own_golden=own_golden)
             return self._fly_on(branch, own_golden, rows, injector)
 
         # If nothing has happened so far, the run without a detector is identical up to the first alarm.
@@ -637,14 +637,14 @@ class FastForward:
         others = [plain_golden]
         if arm.detector is not None:
             others = [track for track in (*self._tracks(fault).values(), plain_golden) if track.checkpoints]
-        branch = Branch(self, arm, others, own_golden, keeps_checkpoints=self.watched)
+        branch = FlightBranch(self, arm, others, own_golden, keeps_checkpoints=self.watched)
         track = self._fly_on(branch, own_golden, rows, injector, without_detector)
         self._tracks(fault)[arm.name] = track
         return track
 
     def _fly_on(
         self,
-        branch: Branch,
+        branch: FlightBranch,
         own_golden: Track,
         rows: int,
         injector: StateInjector,
@@ -688,7 +688,7 @@ class FastForward:
                 calls = {name: range(here.counts[place], there.counts[place]) for name, place in count_places.items()}
                 if not any(function.is_wanted(calls[name]) for name, function in functions.items()):
                     continue
-                Branch(self, NO_DETECTOR).begin(golden, here)
+                FlightBranch(self, NO_DETECTOR).begin(golden, here)
                 loop.taps.injector = here.injector.copy()
                 put(loop, here.here)
                 for name, function in functions.items():

@@ -9,7 +9,7 @@ from mavfi.config import Config
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
-from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import extensions, load_object
 from mavfi.record import FlightLog, FlightRecord, Profile, record_of
@@ -82,7 +82,7 @@ class ArmSetup:
 
     scenario: Scenario
     make_detector: Callable[[], Detector] | None = None
-    recovery: Recovery = INLINE
+    recovery: RecoveryPolicy = INLINE
     observers: tuple[Any, ...] = ()
 
     def detector(self) -> Detector | None:

@@ -53,7 +53,7 @@ class Layout(Protocol):
         """Paths of all numbers of a message; lists that are longer are left out."""
 
 
-class Record:
+class RecordLayout:
     """Layout of the messages of a topic, by the offset of each number; see `Layout`.
 
     Args:
@@ -65,10 +65,10 @@ class Record:
         self.kind, self._leaves = kind, dict(leaves)
 
     @staticmethod
-    def of(kind: str, dtype: np.dtype) -> "Record":
+    def of(kind: str, dtype: np.dtype) -> "RecordLayout":
         """The layout of rows of a structured array."""
         fields = {} if dtype.fields is None else dtype.fields
-        return Record(kind, {name: Leaf(entry[1], entry[0].name) for name, entry in fields.items()})
+        return RecordLayout(kind, {name: Leaf(entry[1], entry[0].name) for name, entry in fields.items()})
 
     def check(self, path: str) -> str:
         """Kind of a number, e.g. "float32", or a BadInputError."""

@@ -171,7 +171,7 @@ def _state(name: str, values: np.ndarray) -> State:
 
 
 # ---- what a flight leaves -------------------------------------------------------------------------------------------
-class Publications:
+class PublicationCounts:
     """Counts publications by state; with a profile, also records their times, from which faults are sampled."""
 
     def __init__(self, wanted: bool, states: Iterable[StateSpec]) -> None:
@@ -199,13 +199,13 @@ class Publications:
         )
 
 
-class Record:
+class LoopRecord:
     """Record of one flight: rows, events, alarms with the outcomes known so far, and modelled times (us).
 
     `calls` counts the calls of compiled functions, by name, in flights that address faults by them; else it is empty.
     """
 
-    def __init__(self, kernels: Iterable[str], publications: Publications) -> None:
+    def __init__(self, kernels: Iterable[str], publications: PublicationCounts) -> None:
         self.rows: list[np.ndarray] = []
         self.events: list[Event] = []
         self.alarms: list[AlarmRecord] = []
@@ -340,7 +340,9 @@ class Loop:
         }
         self.sensors = Sensors(plant, scenario.localization)
         self.judge = Judge(scenario, world)
-        self.record = Record(self.kernels, Publications(want_profile, states_with(scenario.localization.kind).values()))
+        self.record = LoopRecord(
+            self.kernels, PublicationCounts(want_profile, states_with(scenario.localization.kind).values())
+        )
         self.taps = Taps()
         self.actions: dict[str, Callable[..., None]] = {}
         self.listeners: list[Listener] = []

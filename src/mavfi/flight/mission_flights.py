@@ -18,7 +18,7 @@ from mavfi.faults.fault import Fault, InstructionFault, StateFault, find_level, 
 from mavfi.faults.levels.instruction import Resolving
 from mavfi.flight.checkpoints import can_save_detector
 from mavfi.flight.compose import new_loop, resolve, watch
-from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.fast_forward import FastForward, FlownArm, check_prefix, fly_until, takes_part
 from mavfi.flight.fly import fly
 from mavfi.flight.forks import (
@@ -296,7 +296,7 @@ def _instrumented(detector: Detector | None, functions: Mapping[str, Any]) -> It
 
 
 def fly_recorded(
-    scenario: Scenario, fault: Fault | None = None, detector: Detector | None = None, recovery: Recovery = INLINE
+    scenario: Scenario, fault: Fault | None = None, detector: Detector | None = None, recovery: RecoveryPolicy = INLINE
 ) -> tuple[Flight, list[Published]]:
     """Fly one mission; also returns the publications as received by consumers, in order.
 

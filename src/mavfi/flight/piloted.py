@@ -44,7 +44,7 @@ Task = Generator[None, None, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Ended:
+class EndedTask:
     """A task that ended: its number, and its result or the exception that it raised."""
 
     number: int
@@ -83,7 +83,7 @@ class PilotedVehicle:
         self.on_ground = on_ground
         self._base_us = 0
         self._collided_before = False
-        self.ended: list[Ended] = []
+        self.ended: list[EndedTask] = []
         self._task: Task | None = None
         self.failures = Failures()
         self._number = 0
@@ -269,7 +269,7 @@ class PilotedVehicle:
 
     def _end(self, result: Any) -> None:
         self._task = None
-        self.ended.append(Ended(self._number, result))
+        self.ended.append(EndedTask(self._number, result))
         self.sim.rotors = None
         self.sim.command(np.zeros(4), 0.0)
 

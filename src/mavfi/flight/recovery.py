@@ -32,7 +32,7 @@ from mavfi.flight.decide import (
     HoldPosition,
     Origin,
     PathDeadline,
-    Recovery,
+    RecoveryPolicy,
     Rejection,
     Response,
     decide,
@@ -74,7 +74,7 @@ class DetectorTap:
         self,
         loop: "Loop",
         detector: Detector,
-        policy: Recovery = INLINE,
+        policy: RecoveryPolicy = INLINE,
         restart: Callable[[str, int, int], None] = lambda *_: None,
     ) -> None:
         self._loop = proxy(loop)  # the loop owns this object; no cycle, so that maps are freed at once

@@ -13,7 +13,7 @@ Recorder = Callable[[State, int], None]
 """Receives each value as consumers will, and the instant (us)."""
 
 
-class Injector(Protocol):
+class InjectorTap(Protocol):
     """The injector tap, applied first."""
 
     @property
@@ -35,13 +35,13 @@ class InTurn:
         second: Applied to its result.
     """
 
-    def __init__(self, first: Injector, second: Injector) -> None:
+    def __init__(self, first: InjectorTap, second: InjectorTap) -> None:
         self._first = first
         self._second = second
 
     @property
     def spent(self) -> bool:
-        """See `Injector.spent`."""
+        """See `InjectorTap.spent`."""
         return self._first.spent and self._second.spent
 
     @property
@@ -50,14 +50,14 @@ class InTurn:
         return [one for injector in (self._first, self._second) for one in getattr(injector, "injections", ())]
 
     def __call__(self, state: State, time_us: int) -> State | None:
-        """See `Injector`."""
+        """See `InjectorTap`."""
         seen = self._first(state, time_us)
         if seen is None:
             return None
         return self._second(seen, time_us)
 
     def finish(self) -> list[Injection]:
-        """See `Injector`."""
+        """See `InjectorTap`."""
         return self._first.finish() + self._second.finish()
 
 
@@ -76,7 +76,7 @@ class Taps:
         lost: Receives each such value without a response; None = unused.
     """
 
-    injector: Injector | None = None
+    injector: InjectorTap | None = None
     detector: Tap | None = None
     recorders: list[Recorder] = field(default_factory=list)
     watched: Set[str] | None = None
