@@ -258,7 +258,7 @@ class FlightBranch:
         self.loop.verify = None
         self.loop.taps.detector = None
         self.loop.taps.seal = None
-        self.loop.taps.again = None
+        self.loop.taps.answer_loss = None
         self.loop.taps.recorders.clear()
         if self._keeps_publications:
             self.loop.taps.recorders.append(lambda state, now: self.publications.append((state, now)))
@@ -585,10 +585,10 @@ class FastForward:
         if arm.detector is not None:
             arm.detector.start()
         branch.store_checkpoint(self._take_off)
-        loop.record.publications.wanted = arm.detector is None
+        loop.record.publications.want_profile = arm.detector is None
         track = branch.fly()
         self._profile = loop.record.publications.profile() or self._profile
-        loop.record.publications.wanted = False
+        loop.record.publications.want_profile = False
         return track
 
     def _replayed(self, arm: FlownArm) -> Track:

@@ -53,7 +53,7 @@ class LocalHost(Host):
     in_process = True
 
     def __init__(self, make_plant: MakePlant | None = None) -> None:
-        self.make_plant: MakePlant = Simulator if make_plant is None else make_plant
+        self.make_plant: MakePlant = make_plant or Simulator
         self.supports_fast_forward = make_plant is None
 
     @property
@@ -204,15 +204,16 @@ class LocalFlights(ArmFlights):
                 in_detectors.setdefault(arm, []).append(_InstructionRun(number, fault))
             else:
                 in_kernels.setdefault(arm, []).append(_InstructionRun(number, fault))
-        for place, flight in one_by_one([runs[number] for number in others], self._fly_injected):
-            yield others[place], flight
+        for index, flight in one_by_one([runs[number] for number in others], self._fly_injected):
+            yield others[index], flight
 
         # Arms without a detector are flown first: runs of arms with one may follow from theirs.
         known: dict[tuple[str, InstructionFault], Flight] = {}
+        arms = in_kernels.keys() | in_detectors.keys()
         for arm, batch in (*in_kernels.items(), *in_detectors.items()):
             yield from ((run.number, known[arm, run.fault]) for run in batch if (arm, run.fault) in known)
             unknown = [run for run in batch if (arm, run.fault) not in known]
-            yield from self._fly_batch(arm, unknown, in_kernels.keys() | in_detectors.keys(), known)
+            yield from self._fly_batch(arm, unknown, arms, known)
 
     def _fly_batch(
         self,
@@ -235,7 +236,7 @@ class LocalFlights(ArmFlights):
                 yield from self._fly_batch(arm, [run], arms, known)
             return
         for other_arm, flights in injected.watched.items():
-            known.update({(other_arm, faults[place]): flight for place, flight in flights.items()})
+            known.update({(other_arm, faults[index]): flight for index, flight in flights.items()})
         yield from ((run.number, flight) for run, flight in zip(batch, injected.flights, strict=True))
 
     def _fly_instruction_faults(
@@ -247,6 +248,7 @@ class LocalFlights(ArmFlights):
         if not self._local_host.supports_fast_forward:
             raise BadInputError("faults in instructions fork the flight; allowed: state, memory, sensor, in this world")
         in_detector = any(fault.kernel in DETECTORS for fault in faults)
+        # from golden checkpoints, if these contain all that the faults can change
         if golden is not None and not in_detector and not takes_part(detector, setup.recovery):
             with self._forwarding(arm) as forward:
                 if forward is not None and forward.scratch:
@@ -284,7 +286,11 @@ def _name_of(arm: str, detector: Detector | None) -> str:
 @contextmanager
 def _instrumented(detector: Detector | None, functions: Mapping[str, Any]) -> Iterator[KernelFunctions]:
     """Function table of the kernels with instrumented functions; the detector uses those of its own meanwhile."""
-    parts = [part for part in (part_of(detector, source) for source in DETECTORS) if part is not None]
+    parts = []
+    for source in DETECTORS:
+        part = part_of(detector, source)
+        if part is not None:
+            parts.append(part)
     for part in parts:
         part.instrument({name: function for name, function in functions.items() if name in part.compiled})
     of_kernels = {field.name for field in fields(KernelFunctions)}

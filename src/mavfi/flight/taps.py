@@ -47,7 +47,10 @@ class InTurn:
     @property
     def injections(self) -> list[Injection]:
         """Those so far."""
-        return [one for injector in (self._first, self._second) for one in getattr(injector, "injections", ())]
+        injections: list[Injection] = []
+        for injector in (self._first, self._second):
+            injections += getattr(injector, "injections", ())
+        return injections
 
     def __call__(self, state: State, time_us: int) -> State | None:
         """See `InjectorTap`."""
@@ -71,9 +74,9 @@ class Taps:
         recorders: Called in list order.
         watched: Names of the states that the detector receives; None = all.
         seal: Receives each value before injection, as sent by the producer; None = unused.
-        again: Receives each value that the injector loses, and returns whether there is a response; it belongs to the
-            detector's tap, and is down with it.  None = unused.
-        lost: Receives each such value without a response; None = unused.
+        answer_loss: Receives each value that the injector loses, and returns whether there is a response; it belongs to
+            the detector's tap, and is down with it.  None = unused.
+        note_loss: Receives each such value without a response; None = unused.
     """
 
     injector: InjectorTap | None = None
@@ -81,8 +84,8 @@ class Taps:
     recorders: list[Recorder] = field(default_factory=list)
     watched: Set[str] | None = None
     seal: Recorder | None = None
-    again: Callable[[State, int], bool] | None = None
-    lost: Recorder | None = None
+    answer_loss: Callable[[State, int], bool] | None = None
+    note_loss: Recorder | None = None
 
     def __call__(self, state: State, time_us: int) -> State | None:
         """The value that consumers receive; None = none."""
@@ -101,6 +104,6 @@ class Taps:
         return seen
 
     def _lose(self, state: State, time_us: int) -> None:
-        answered = self.detector is not None and self.again is not None and self.again(state, time_us)
-        if not answered and self.lost is not None:
-            self.lost(state, time_us)
+        answered = self.detector is not None and self.answer_loss is not None and self.answer_loss(state, time_us)
+        if not answered and self.note_loss is not None:
+            self.note_loss(state, time_us)
