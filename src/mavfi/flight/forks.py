@@ -171,13 +171,14 @@ def _effect(case: FaultCase, golden: FlightLog) -> KernelEffect:
         return KernelEffect(case.how, case.detail, None)
     difference = None
     if report.log is None:
-        same = True
+        is_masked = True
     elif report.output is not None and case.golden is not None:
-        same = report.output.same(case.golden)
+        is_masked = report.output.same(case.golden)
         difference = first_difference(case.golden, report.output)
     else:
-        same = report.call_same and report.log.digest() == golden.digest()
-    return KernelEffect("masked" if same else "sdc", case.detail, difference)
+        is_masked = report.call_same and report.log.digest() == golden.digest()
+    effect = "masked" if is_masked else "sdc"
+    return KernelEffect(effect, case.detail, difference)
 
 
 def first_difference(golden: Output, injected: Output) -> dict[str, Any] | None:
@@ -196,9 +197,8 @@ def first_difference(golden: Output, injected: Output) -> dict[str, Any] | None:
         other_length = len(other_elements)
         difference = _in_fields(state, header, other_header, in_list=False)
         if difference is None and length != other_length:
-            difference = _difference(
-                state, "elements", None, length, other_length, 1, float(abs(length - other_length))
-            )
+            largest = float(abs(length - other_length))
+            difference = _difference(state, "elements", None, length, other_length, 1, largest)
         if difference is None:
             difference = _in_fields(state, elements, other_elements, in_list=True)
         if difference is not None:
@@ -207,22 +207,23 @@ def first_difference(golden: Output, injected: Output) -> dict[str, Any] | None:
 
 
 def _in_fields(state: str, golden: np.ndarray, injected: np.ndarray, *, in_list: bool) -> dict[str, Any] | None:
+    """The first field in which two structured arrays of one length differ bit for bit; None = they are identical."""
     for name in golden.dtype.names or ():
         before = np.ascontiguousarray(golden[name])
         after = np.ascontiguousarray(injected[name])
         width = before.dtype.itemsize
         bits = [values.view(np.uint8).reshape(-1, width) for values in (before, after)]
         rows = np.flatnonzero((bits[0] != bits[1]).any(axis=1))
-        if len(rows):
-            first = int(rows[0])
-            with np.errstate(all="ignore"):  # corrupted values may be infinite, or signalling NaN
-                changes = np.abs(after[rows].astype(np.float64) - before[rows].astype(np.float64))
-            if np.isfinite(changes).all():
-                largest = float(changes.max())
-            else:
-                largest = math.inf
-            element = first if in_list else None
-            return _difference(state, name, element, before[first].item(), after[first].item(), len(rows), largest)
+        if len(rows) == 0:
+            continue
+        first = int(rows[0])
+        with np.errstate(all="ignore"):  # corrupted values may be infinite, or signalling NaN
+            changes = np.abs(after[rows].astype(np.float64) - before[rows].astype(np.float64))
+        largest = math.inf
+        if np.isfinite(changes).all():
+            largest = float(changes.max())
+        element = first if in_list else None
+        return _difference(state, name, element, before[first].item(), after[first].item(), len(rows), largest)
     return None
 
 
@@ -429,7 +430,7 @@ class Forks(Listener):
         if ended is None:
             return Taken(self._injected_call(variant, fault, function, args))
         case.value = variant.report()
-        _settle(case, ended)
+        _note_end(case, ended)
         if case.how == WAITING:
             return None
 
@@ -513,10 +514,7 @@ class Forks(Listener):
 
         # The error-free call, on copies of the arguments.
         placed = arena().place(args)  # preserves strides, which a copy may not: they select the compiled variant
-        if placed is None:
-            copies = tuple(copied(argument) for argument in args)
-        else:
-            copies = placed.args
+        copies = tuple(copied(argument) for argument in args) if placed is None else placed.args
         golden = own((function(*copies), copies))  # the injected call reuses the arena
         before = own(args)
 
@@ -552,13 +550,14 @@ class Forks(Listener):
 
 
 def _report_of(ended: Ended) -> ChildReport:
+    """The report of a child; a MavfiError if it ended without one."""
     if ended.how != "done":
         raise MavfiError(f"the flight with a restarted node ended with {ended.how} ({ended.detail})")
     report: ChildReport = pickle.loads(ended.payload)
     return report
 
 
-def _settle(case: FaultCase, ended: Ended) -> None:
+def _note_end(case: FaultCase, ended: Ended) -> None:
     """Note how the child with the injected call ended; a case whose instruction it missed waits for the next call."""
     case.how = ended.how
     case.detail = ended.detail
@@ -566,7 +565,7 @@ def _settle(case: FaultCase, ended: Ended) -> None:
         return
     case.report = _report_of(ended)
     if case.report.missed:
-        case.call = case.call + 1
+        case.call += 1
         case.how = WAITING
         case.report = None
     elif case.report.detected:
@@ -715,7 +714,8 @@ class FromCheckpoints(GoldenApproach):
         self._forward = forward
         self._arm = arm
         self._branch: FlightBranch | None = None
-        self._golden, self._plain_golden = forward.golden(arm), forward.golden()
+        self._golden = forward.golden(arm)
+        self._plain_golden = forward.golden()
         if self._golden.log.digest() != golden.log.digest():
             raise MavfiError("two golden flights of one mission differ: no fault can be addressed")
         # All golden flights are flown before the forks, so that children have them.
@@ -763,8 +763,9 @@ class FromCheckpoints(GoldenApproach):
 
     def _checkpoint_before(self, golden: Track, case: FaultCase) -> int:
         """Number of rows of the last checkpoint before the injected call."""
-        place = list(self.loop.record.calls).index(case.fault.entry)  # calls come first in the counts
-        return max(rows for rows, checkpoint in golden.checkpoints.items() if checkpoint.counts[place] <= case.call)
+        count_index = list(self.loop.record.calls).index(case.fault.entry)  # calls come first in the counts
+        checkpoints = golden.checkpoints.items()
+        return max(rows for rows, checkpoint in checkpoints if checkpoint.counts[count_index] <= case.call)
 
     def _jump(self, forks: Forks, rows: int) -> FlightBranch:
         """Continue the golden flight at a checkpoint."""
@@ -788,7 +789,7 @@ class FromCheckpoints(GoldenApproach):
         """Fly to the end, then under the detectors of the other arms, and report."""
         assert self._branch is not None  # it flies
         if not (child.planned and self._watched):
-            forks.report(self._branch.fly().log)
+            forks.report(self._branch.fly().log)  # does not return
         if child.comparable and child.case.how == WAITING:  # else checkpoints do not contain all: a node has died, e.g.
             self._branch.store_checkpoints_from_now_on()
         track = self._branch.fly()
@@ -807,17 +808,25 @@ class FromCheckpoints(GoldenApproach):
         rows = self._checkpoint_before(plain, case)
         if not self._is_plain(golden, rows):
             return None
+
+        # Begin at the checkpoint before the fault.
         start = golden.checkpoints[rows]
         branch = FlightBranch(self._forward, arm, [track, plain], golden)
         branch.begin(golden, start)
         branch.restore_detector(start.detector)
-        first = min(track.checkpoints, default=None)
-        there = track.end if first is None else track.checkpoints[first]
-        if not branch.append_unless_alarm(track, plain.checkpoints[rows], there):
+
+        # Up to the first checkpoint after the fault there is none to continue from at an alarm.
+        first_rows = min(track.checkpoints, default=None)
+        first = track.end
+        if first_rows is not None:
+            first = track.checkpoints[first_rows]
+        if not branch.append_unless_alarm(track, plain.checkpoints[rows], first):
             return None
-        if first is not None:
-            self.loop.taps.injector = there.injector.copy()
-            branch.follow(track, first)
+
+        # From there, follow the completed flight as far as the detector raises no alarm.
+        if first_rows is not None:
+            self.loop.taps.injector = first.injector.copy()
+            branch.follow(track, first_rows)
         return branch.fly().log
 
     def followed(self, cases: Sequence[FaultCase]) -> dict[str, dict[int, Flight]]:
@@ -838,8 +847,10 @@ class FromCheckpoints(GoldenApproach):
     def _ends_as_golden(self, case: FaultCase, golden: Track) -> bool:
         """Whether a call without effect is the same one in an arm with a detector: the flight is golden then."""
         rows = self._checkpoint_before(self._plain_golden, case)
-        before = [alarm for alarm in golden.log.alarms if round(1e6 * alarm.time_s) <= case.time_us]
-        return self._is_plain(golden, rows) and len(before) == len(golden.checkpoints[rows].alarms)
+        if not self._is_plain(golden, rows):
+            return False
+        alarms_before_call = sum(round(1e6 * alarm.time_s) <= case.time_us for alarm in golden.log.alarms)
+        return alarms_before_call == len(golden.checkpoints[rows].alarms)
 
     def _is_plain(self, golden: Track, rows: int) -> bool:
         """Whether a golden flight with a detector has the state, and the calls, of the one without at a checkpoint."""
