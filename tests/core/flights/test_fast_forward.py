@@ -334,7 +334,7 @@ def test_a_detector_that_takes_part_is_flown_before_and_after_one_that_does_not(
         ("checksum", (fast_forward, "takes_part", lambda *_: False)),
         ("duplicate", (fast_forward, "takes_part", lambda *_: False)),
         ("silent", (fast_forward, "takes_part", lambda *_: False)),
-        ("restarts", (fast_forward.Branch, "begin_empty", lambda _: None)),
+        ("restarts", (fast_forward.FlightBranch, "begin_empty", lambda _: None)),
         ("hold", (History, "copy", lambda _: History())),
     ],
 )
