@@ -31,7 +31,7 @@ from mavfi.faults.levels.instruction import Profiling, Resolving, Site, budget_f
 from mavfi.faults.levels.instruction.plan import plan
 from mavfi.faults.levels.instruction.table import parse_selection
 from mavfi.faults.sampling import stream
-from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.ir.module import DIGEST_VERSION
 from mavfi.levels.level import Draw, Golden, Level, Sampled, Sampler, Sampling, check_distinct, check_known
 from mavfi.mission import Scenario
@@ -142,7 +142,7 @@ def draw_instruction_faults(
     *address: str,
     seed: int,
     detector: "Detector | None" = None,
-    recovery: Recovery = INLINE,
+    recovery: RecoveryPolicy = INLINE,
     flights: "LocalFlights | None" = None,
     arm: str = "",
 ) -> DrawnFaults:

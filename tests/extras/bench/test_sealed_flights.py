@@ -6,7 +6,7 @@ from mavfi.detectors.detector import Alarm, Detector
 from mavfi.extras.bench.sealed import Checksum, Duplicate, Oracle, RandomAlarms
 from mavfi.faults.fault import StateFault
 from mavfi.flight.compose import new_loop, watch
-from mavfi.flight.decide import Recovery
+from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
 from mavfi.flight.forks import fly_instruction_faults
 from mavfi.flight.host import ArmSetup
@@ -15,7 +15,7 @@ from mavfi.states import KERNELS
 from tests.core.flights.instruction.test_detectors import faults, scenario  # noqa: F401 - a fixture
 from tests.core.flights.missions import fault, golden, mission
 
-RESEND = Recovery(grain="message")
+RESEND = RecoveryPolicy(grain="message")
 STRUCK = [
     ("perception.collision_status", "collision", 0),
     ("planning.waypoint", "x", 62),
@@ -67,7 +67,7 @@ def test_an_observer_sends_it_again_after_consumers_have_seen_it():
         mission(),
         site(*STRUCK[3]),
         Checksum(),
-        recovery=Recovery("observer", "message"),
+        recovery=RecoveryPolicy("observer", "message"),
         recorders=[lambda state, now: seen.append((now, state)) if state.spec.name == STRUCK[3][0] else None],
     ).log
     (alarm,) = struck.alarms
@@ -84,7 +84,7 @@ def test_a_golden_flight_raises_no_alarm(make):
 
 
 def test_the_oracle_alarms_at_the_injected_publication():
-    log = fly(mission(), site(*STRUCK[1]), Oracle(), recovery=Recovery(grain="kernel")).log
+    log = fly(mission(), site(*STRUCK[1]), Oracle(), recovery=RecoveryPolicy(grain="kernel")).log
     assert [(alarm.source, alarm.state, alarm.outcome) for alarm in log.alarms] == [
         ("oracle", "planning.waypoint", "repaired")
     ]

@@ -17,7 +17,7 @@ from mavfi.flight.compose import new_loop, resolve
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.loop import Attached, Listener
 from mavfi.mission import MissionSpec, MissionStatus
-from mavfi.outcomes import LOST_TILT, Control, ControlErrors, control_of
+from mavfi.outcomes import LOST_TILT, ControlEffect, ControlErrors, control_of
 from mavfi.record import Injection
 
 
@@ -78,7 +78,7 @@ class BeforeTakeOff(Listener):
 def test_another_gyro_noise_is_another_flight_that_is_controlled_as_well(golden):
     other = fly(scenario(), observers=(BeforeTakeOff(lambda loop: loop.plant.controller.draw_noise(99)),))
     assert other.log.digest() != golden.log.digest()
-    assert control_of(golden.record(), other.record()) is Control.SLIGHT
+    assert control_of(golden.record(), other.record()) is ControlEffect.SLIGHT
 
 
 def test_a_vehicle_whose_rotors_stop_is_out_of_control_without_tilting(golden):
@@ -86,7 +86,7 @@ def test_a_vehicle_whose_rotors_stop_is_out_of_control_without_tilting(golden):
     errors = ControlErrors.of(struck.record())
     assert struck.log.status is MissionStatus.COLLISION
     assert errors.velocity > 3.0 and errors.tilt < LOST_TILT
-    assert control_of(golden.record(), struck.record()) is Control.LOST
+    assert control_of(golden.record(), struck.record()) is ControlEffect.LOST
 
 
 def _stop_rotors(time_us, loop):

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError, writing
-from mavfi.flight.log_readers import LoggedMessage, Record, check_topics, numeric, reading
+from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, numeric, reading
 from mavfi.numerics.frames import ned_of
 from mavfi.record import FlightLog
 from mavfi.report.lines import ERROR, INFO, WARN, Line, line_of, lines_of
@@ -75,7 +75,7 @@ class UlogReader:
             flown = np.zeros(len(times), np.bool_)
             for begin, end in spans:
                 flown |= (times >= begin) & (times < end)
-            layout = Record.of(topic, rows.dtype)
+            layout = RecordLayout.of(topic, rows.dtype)
             messages += [
                 LoggedMessage(topic, time_us, layout, row.tobytes())
                 for time_us, row in zip(times[flown].tolist(), rows[flown], strict=True)

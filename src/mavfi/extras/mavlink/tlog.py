@@ -16,7 +16,7 @@ import numpy as np
 
 from mavfi.errors import BadInputError, writing
 from mavfi.faults.levels.message.definition import FORMATS, Leaf
-from mavfi.flight.log_readers import LoggedMessage, Record, check_topics, reading
+from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, reading
 from mavfi.flight.loop import Item, Loop
 from mavfi.mission import MissionStatus
 from mavfi.numerics.frames import Triple, euler, geodetic, ned_of
@@ -103,12 +103,12 @@ class TlogReader:
 
 def _all_of(link: Any) -> Iterator[LoggedMessage]:
     """All messages of vehicles."""
-    layouts: dict[str, Record] = {}
+    layouts: dict[str, RecordLayout] = {}
     while (message := link.recv_match()) is not None:
         topic = message.get_type()
         if topic in _WITHOUT_NUMBERS or topic.startswith("UNKNOWN") or message.get_srcSystem() >= _GROUND_STATION:
             continue
-        layout = layouts.setdefault(topic, Record(topic, _leaves(type(message))))
+        layout = layouts.setdefault(topic, RecordLayout(topic, _leaves(type(message))))
         yield LoggedMessage(topic, round(1e6 * message._timestamp), layout, _payload(message))
 
 

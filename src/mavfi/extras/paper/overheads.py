@@ -22,7 +22,7 @@ from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError, write_text
 from mavfi.extras.paper.overhead_views import ALL, FILE
 from mavfi.flight.compose import detector_for, new_loop, resolve, watch
-from mavfi.flight.decide import SCANNING, Action, Recovery
+from mavfi.flight.decide import SCANNING, Action, RecoveryPolicy
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import KERNELS, PPC_STAGES, Stage, State
@@ -130,7 +130,7 @@ def cost(
     scenario = resolve(mission)
     detector = detector_for(scenario, name, profile, models_dir, mission.trained_for, options).detector
     loop = new_loop(scenario, make_kernels=build)
-    watch(loop, detector, Recovery.of(mission))
+    watch(loop, detector, RecoveryPolicy.of(mission))
     if loop.verify is not None:
         loop.verify = clock.timed_verification(loop.verify)
     repeated: Counter[tuple[str, str]] = Counter()

@@ -15,7 +15,7 @@ from mavfi.campaign.replay import Explanation, flight_again, fly_recorded
 from mavfi.campaign.store import Store
 from mavfi.errors import write_text
 from mavfi.faults.fault import Fault
-from mavfi.flight.decide import Recovery
+from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.host import ArmSetup, Flight
 from mavfi.mission import MissionSpec, MissionStatus, Scenario
 from mavfi.record import FlightLog
@@ -212,7 +212,7 @@ def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, comman
     watched = _course(RECOVERED, f"{FAULT} and detector {result.detector}", setup, result.fault, result.flight)
     alone = Course(INJECTED, FAULT, result.log, watched.published)
     if result.unwatched is not None:
-        alone = _course(INJECTED, FAULT, ArmSetup(bare, None, Recovery()), result.fault, result.unwatched)
+        alone = _course(INJECTED, FAULT, ArmSetup(bare, None, RecoveryPolicy()), result.fault, result.unwatched)
     elif result.detector:
         alone = watched
     golden = _course(GOLDEN, NO_FAULT, setup, None, result.golden)

@@ -9,8 +9,8 @@ import pytest
 
 from mavfi.faults.fault import NO_SITE, InstructionFault
 from mavfi.flight import forks, mission_flights
-from mavfi.flight.decide import INLINE, Recovery
-from mavfi.flight.fast_forward import Branch, FastForward, FlownArm
+from mavfi.flight.decide import INLINE, RecoveryPolicy
+from mavfi.flight.fast_forward import FastForward, FlightBranch, FlownArm
 from mavfi.flight.fly import fly
 from mavfi.flight.forks import fly_from_checkpoints, fly_instruction_faults
 from mavfi.flight.host import ArmSetup
@@ -179,7 +179,7 @@ def test_children_that_converge_end_there(monkeypatch):
     found, periods = [], []
     for converges in (True, False):
         if not converges:
-            monkeypatch.setattr(Branch, "_converged", lambda self: None)
+            monkeypatch.setattr(FlightBranch, "_converged", lambda self: None)
         forward.golden()
         memory[0] = 0
         found.append(records(fly_from_checkpoints(forward, faults, golden).flights))
@@ -207,7 +207,7 @@ def test_a_campaigns_flights_use_it(monkeypatch):
 def test_what_cannot_be_forwarded_is_flown_from_take_off(case, monkeypatch):
     monkeypatch.setattr(mission_flights, "fly_from_checkpoints", None)
     options = {"octree": {"map": "octree"}, "rrt_star": {"planner": "rrt_star"}}.get(case, {})
-    watched = ArmSetup(scenario(**options), Scripted, Recovery(answer_s=0.6) if case == "restarts" else INLINE)
+    watched = ArmSetup(scenario(**options), Scripted, RecoveryPolicy(answer_s=0.6) if case == "restarts" else INLINE)
     flights = LocalHost().mission({"arm": watched}, fast_forward=case != "no fast-forward")
     flights.count_instructions("arm", {})
     ((_, flight),) = flights.injected([("arm", drawn("all", 4, 1)[-1])])

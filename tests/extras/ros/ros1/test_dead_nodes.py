@@ -3,7 +3,7 @@
 import pytest
 
 from mavfi.flight.compose import detector_for, new_loop, resolve, watch, with_keys_of
-from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.fly import fly as fly_here
 from mavfi.flight.loop import Listener
 from mavfi.flight.restarts import Restarts
@@ -16,7 +16,7 @@ flying = [*ros, pytest.mark.slow]
 ANSWERING_US = 2_920_000
 """The planner of this mission has begun to answer an alarm, and its path is not there yet."""
 AWAY_US = 1_000_000
-ESCALATING = Recovery("inline", "kernel", "escalate", 0.6)
+ESCALATING = RecoveryPolicy("inline", "kernel", "escalate", 0.6)
 STATUS = "perception.collision_status"
 
 
@@ -104,7 +104,7 @@ class TestFlights:
     @pytest.mark.long
     def test_a_detector_that_waits_for_an_answer_leaves_a_dead_planner_to_its_restart(self):
         spec = with_keys_of(alarming("fresh"), "recommended").model_copy(update={"grain": "kernel"})
-        scenario, recovery = resolve(spec), Recovery.of(spec)
+        scenario, recovery = resolve(spec), RecoveryPolicy.of(spec)
 
         def watching():
             return detector_for(scenario, "recommended", "paper", None)[0]

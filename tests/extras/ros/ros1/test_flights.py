@@ -26,7 +26,7 @@ from mavfi.extras.ros.ros1.register_injector import fault_in_node
 from mavfi.extras.ros.ros1.supervisor import children
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.compose import detector_for
-from mavfi.flight.decide import MAX_UNCHANGED, Recovery
+from mavfi.flight.decide import MAX_UNCHANGED, RecoveryPolicy
 from mavfi.flight.fly import fly as fly_here
 from mavfi.record import FlightLog
 from tests.core.flights.missions import Scripted, fault, golden, mission
@@ -141,8 +141,8 @@ def test_a_flight_with_a_fault_and_an_observer():
     """As is the one with an injected estimate."""
     scenario = short()
     wrong = fault("planning.waypoint", "x", 4.0, 62)
-    log = there(scenario, wrong, detector("gaussian", scenario), recovery=Recovery("observer"))
-    same(log, fly_here(scenario, wrong, detector("gaussian", scenario), recovery=Recovery("observer")).log)
+    log = there(scenario, wrong, detector("gaussian", scenario), recovery=RecoveryPolicy("observer"))
+    same(log, fly_here(scenario, wrong, detector("gaussian", scenario), recovery=RecoveryPolicy("observer")).log)
     assert log.alarms
 
 
@@ -160,8 +160,8 @@ def test_a_flight_with_the_state_estimator():
 def test_an_injected_estimate_violates_its_rule(coupling):
     scenario = short(localization="estimator")
     wrong = fault("perception.odometry", "x", 3.0, 62)
-    log = there(scenario, wrong, detector("acceptance", scenario), recovery=Recovery(coupling))
-    same(log, fly_here(scenario, wrong, detector("acceptance", scenario), recovery=Recovery(coupling)).log)
+    log = there(scenario, wrong, detector("acceptance", scenario), recovery=RecoveryPolicy(coupling))
+    same(log, fly_here(scenario, wrong, detector("acceptance", scenario), recovery=RecoveryPolicy(coupling)).log)
     assert log.injections[0].activated
     assert (log.alarms[0].fields, log.alarms[0].action) == (("perception.odometry.x",), "recompute")
 
@@ -225,7 +225,7 @@ def test_a_detector_that_dies_blocks_nothing_until_it_is_back(wrong):
 
 
 def test_alarms_without_end_get_a_few_recomputations_as_here():
-    alarming, limit = Scripted("control.command", times=10**6), Recovery(same_twice="limit")
+    alarming, limit = Scripted("control.command", times=10**6), RecoveryPolicy(same_twice="limit")
     log = there(short(), None, alarming, recovery=limit)
     assert len(log.alarms) == MAX_UNCHANGED * (1 + int(log.column("time")[-1] // 10))
     same(log, fly_here(short(), detector=alarming, recovery=limit).log)
