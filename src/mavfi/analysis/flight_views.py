@@ -12,7 +12,7 @@ from mavfi.analysis import published as paper
 from mavfi.analysis.measures import Measure
 from mavfi.analysis.rows import ACTIVATED, KERNEL_DUE, NO_SITE, NOT_ACTIVATED, POPULATIONS
 from mavfi.analysis.runs import ALL, Runs
-from mavfi.analysis.statistics import Rate, Recovery
+from mavfi.analysis.statistics import Rate, RecoveryRate
 from mavfi.analysis.table import NUMBER, PER_HOUR, PERCENT, POINTS, RATE, TEXT
 from mavfi.analysis.views import View, has
 from mavfi.campaign.plan import FI
@@ -175,7 +175,7 @@ _SUCCESS = (
 
 
 # ---- recovery ----------------------------------------------------------------------------------------------------
-def _recovery(of: Callable[[Runs, Recovery], Any]) -> Callable[[Runs], Any]:
+def _recovery(of: Callable[[Runs, RecoveryRate], Any]) -> Callable[[Runs], Any]:
     def cell(own: Runs) -> Any:
         found = m.recovery_of(own)
         if found is None:
@@ -189,7 +189,7 @@ NO_ESTIMATE = "no estimate"
 """Recovery rate whose denominator may be 0."""
 
 
-def _recovery_rate(_: Runs, found: Recovery) -> Any:
+def _recovery_rate(_: Runs, found: RecoveryRate) -> Any:
     if found.rate is None:
         return NO_ESTIMATE
     return Rate(found.lost, found.rate, found.low, found.high)

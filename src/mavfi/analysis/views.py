@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from mavfi.analysis.measures import Measure, Spread
+from mavfi.analysis.measures import Measure, MeasureFactory
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import RATE, UNKNOWN, Cell, Column, Table
 from mavfi.dropped import dropped_name
@@ -32,7 +32,7 @@ class View:
     name: str  # for `mavfi report --view`
     title: str  # of its table
     by: tuple[str, ...]  # columns of the frame to group by: one row per group
-    measures: tuple[Measure | Spread, ...]  # the other columns
+    measures: tuple[Measure | MeasureFactory, ...]  # the other columns
     where: Callable[[Runs], Runs] = field(default=lambda runs: runs)  # selects rows of the frame; may add columns
     across: str = ""
     """"" = measures are columns.  Otherwise the values of this column of the frame become columns, and each measure
