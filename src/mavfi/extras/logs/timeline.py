@@ -15,7 +15,7 @@ from scipy.ndimage import binary_erosion
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.numerics.voxels import Grid
 from mavfi.record import FlightLog
-from mavfi.report.lines import Line, lines_of
+from mavfi.report.lines import LogLine, lines_of
 from mavfi.sim.environments.world import World
 from mavfi.states import State, rows
 
@@ -297,7 +297,7 @@ def _voxels(world: World, header: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def log_message(line: Line) -> Message:
+def log_message(line: LogLine) -> Message:
     """An event, alarm, injection or end of the mission as a log message."""
     time_ns = stamp_ns(1e-6 * line.time_us)
     fields = {"time": _time(time_ns), "level": line.level, "name": line.name, "msg": line.data}

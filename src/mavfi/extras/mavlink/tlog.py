@@ -21,7 +21,7 @@ from mavfi.flight.loop import Item, Loop
 from mavfi.mission import MissionStatus
 from mavfi.numerics.frames import Triple, euler, geodetic, ned_of
 from mavfi.record import FlightLog
-from mavfi.report.lines import ERROR, INFO, WARN, Line, lines_at, lines_of
+from mavfi.report.lines import ERROR, INFO, WARN, LogLine, lines_at, lines_of
 from mavfi.states import State
 
 _GROUND_STATION = 250
@@ -186,7 +186,7 @@ class FlightMessages:
         """Packs messages of system 1, component 1, and writes each packet to a file-like object."""
         return self._dialect.MAVLink(file, srcSystem=1, srcComponent=1)
 
-    def text(self, line: Line, number: int) -> Iterator[Any]:
+    def text(self, line: LogLine, number: int) -> Iterator[Any]:
         """The STATUSTEXT messages of a line; chunks of a long text share an id derived from `number`."""
         parts = chunks_of(line.text)
         shared_id = 0 if len(parts) == 1 else number % 65_535 + 1

@@ -21,9 +21,9 @@ from mavfi.extras.paper.report import StudyReport, stored_study, write_study, wr
 from mavfi.extras.paper.steps import Steps
 from mavfi.extras.paper.study import Study
 from mavfi.files import check_folder
-from mavfi.report.campaign_report import Report, write_report
+from mavfi.report.campaign_report import CampaignReport, write_report
 from mavfi.report.figures import Drawn, drawn
-from mavfi.report.html.report_page import Headline, Part, Section, write_page
+from mavfi.report.html.report_page import Headline, PageSection, ReportedCampaign, write_page
 from mavfi.report.text import show_table
 
 
@@ -154,17 +154,17 @@ def show_study_report(written: StudyReport, show_all: bool) -> None:
 
 
 # ---- the page --------------------------------------------------------------------------------------------------------
-def sections_of_study(study: StudyReport) -> list[Section]:
+def sections_of_study(study: StudyReport) -> list[PageSection]:
     """Sections of a study: the headline, then all sections in order, then the times."""
     found = [
-        Section(
+        PageSection(
             one.section.title, one.tables, drawn(one.runs, one.section.figures) if one.runs else (), one.section.text
         )
         for one in study.sections
     ]
     leading = [found[study.sections.index(one)] for one in study.headline]
-    first = [Section(one.title, one.tables[:1], one.figures[:1]) for one in leading[:1]]
-    return [*first, *found, Section("Where the time goes", study.times)]
+    first = [PageSection(one.title, one.tables[:1], one.figures[:1]) for one in leading[:1]]
+    return [*first, *found, PageSection("Where the time goes", study.times)]
 
 
 def drawn_of_study(study: StudyReport) -> list[Drawn]:
@@ -206,7 +206,7 @@ def write_study_html(  # noqa: PLR0913 - what the command was given
     root: Path,
     study: StudyReport,
     scale: str,
-    reports: Mapping[Path, Report],
+    reports: Mapping[Path, CampaignReport],
     flights: int | None,
     workers: int,
     show: Callable[[int, int], None],
@@ -226,7 +226,7 @@ def write_study_html(  # noqa: PLR0913 - what the command was given
     Returns:
         Number of flights in the page.
     """
-    parts = [Part(directory, report) for directory, report in reports.items()]
+    parts = [ReportedCampaign(directory, report) for directory, report in reports.items()]
     repeat = [
         ("Fly the study, or what is left of it", f"mavfi reproduce {study.study.name} --scale {scale} --out {root}"),
         (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {root} --share 0.02"),
