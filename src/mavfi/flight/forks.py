@@ -32,10 +32,10 @@ from mavfi.detectors.detector import Detector, part_of, split_noting_calls
 from mavfi.detectors.registry import check_kernel
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.fault import InstructionFault
-from mavfi.faults.levels.instruction import Ended, ForkPoint, MismatchError
+from mavfi.faults.levels.instruction import ChildEnd, ForkPoint, MismatchError
 from mavfi.faults.levels.instruction.arena import arena, own
 from mavfi.faults.levels.instruction.plan import DATA, changed_nothing, check_fault, injection_of
-from mavfi.faults.levels.instruction.variant import Report, Variant, variant_for
+from mavfi.faults.levels.instruction.variant import InjectionReport, Variant, variant_for
 from mavfi.flight.checkpoints import fill, put
 from mavfi.flight.compose import new_loop, watch
 from mavfi.flight.decide import INLINE, Recovery
@@ -141,7 +141,7 @@ class Case:
     kernel: str
     call: int
     time_us: int = 0
-    value: Report | None = None
+    value: InjectionReport | None = None
     how: str = WAITING
     detail: str = ""
     report: ChildReport | None = None
@@ -473,7 +473,7 @@ class Forks(Listener):
             return fault
         return None
 
-    def _fork(self, case: Case, *, dead: bool) -> Ended | None:
+    def _fork(self, case: Case, *, dead: bool) -> ChildEnd | None:
         """None in the child; in the golden flight the child's termination, retried after a wall-clock timeout."""
         for _ in range(_ATTEMPTS):
             point = ForkPoint()
@@ -551,14 +551,14 @@ class Forks(Listener):
         self.child.point.finish(pickle.dumps(report))
 
 
-def _report_of(ended: Ended) -> ChildReport:
+def _report_of(ended: ChildEnd) -> ChildReport:
     if ended.how != "done":
         raise MavfiError(f"the flight with a restarted node ended with {ended.how} ({ended.detail})")
     report: ChildReport = pickle.loads(ended.payload)
     return report
 
 
-def _settle(case: Case, ended: Ended) -> None:
+def _settle(case: Case, ended: ChildEnd) -> None:
     """Note how the child with the injected call ended; a case whose instruction it missed waits for the next call."""
     case.how = ended.how
     case.detail = ended.detail

@@ -14,7 +14,7 @@ import llvmlite.binding as llvm
 from mavfi.errors import BadInputError
 from mavfi.ir.forked import run_in_child
 from mavfi.ir.fresh import run_fresh
-from mavfi.ir.module import BuildError, Module, RefusedError
+from mavfi.ir.module import BuildError, Module, NotInstrumentableError
 from mavfi.numerics.jit import uncached_copy
 
 _PATIENCE = 600.0
@@ -41,7 +41,7 @@ Make = Callable[[Any, tuple[Any, ...]], bytes]
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class KernelSource:
     """A kernel compiled by Numba for one signature.
 
     Attributes:
@@ -63,20 +63,22 @@ def name_of(kernel: Any) -> str:
 
 
 def check(kernel: Any) -> None:
-    """Raise a RefusedError if it is not compiled, or compiled with flags that prevent exact replay."""
+    """Raise a NotInstrumentableError if it is not compiled, or compiled with flags that prevent exact replay."""
     flags = getattr(kernel, "targetoptions", None)
     if flags is None or not hasattr(kernel, "inspect_llvm"):
-        raise RefusedError(getattr(kernel, "__name__", repr(kernel)), "it is not a function compiled by kernel_jit")
+        raise NotInstrumentableError(
+            getattr(kernel, "__name__", repr(kernel)), "it is not a function compiled by kernel_jit"
+        )
     for flag in ("fastmath", "parallel", "forceobj"):
         if flags.get(flag):
-            raise RefusedError(name_of(kernel), f"{flag}={flags[flag]!r}")
+            raise NotInstrumentableError(name_of(kernel), f"{flag}={flags[flag]!r}")
 
 
 def build_apart(kernel: Any, signature: tuple[Any, ...], make: Make) -> bytes:
     """Result of `make` for a kernel and signature (Numba types of the arguments), from a fresh process if possible.
 
     Raises:
-        RefusedError: `make` met an unknown construct.
+        NotInstrumentableError: `make` met an unknown construct.
         BadInputError: `make` does not fit the kernel.
         BuildError: The compiler crashed.
     """
@@ -88,7 +90,7 @@ def build_apart(kernel: Any, signature: tuple[Any, ...], make: Make) -> bytes:
     if ended.how != "done":
         raise BuildError(f"{name_of(kernel)}: the compiler ended with {ended.detail}")
     if ended.payload[:1] == b"R":
-        raise RefusedError(name_of(kernel), ended.payload[1:].decode())
+        raise NotInstrumentableError(name_of(kernel), ended.payload[1:].decode())
     if ended.payload[:1] == b"I":
         raise BadInputError(ended.payload[1:].decode())
     return ended.payload[1:]
@@ -98,18 +100,18 @@ def answer(make: Make, kernel: Any, signature: tuple[Any, ...]) -> bytes:
     """The part of `build_apart` that runs in another process: the result of `make`, or why there is none."""
     try:
         return b"B" + make(kernel, signature)
-    except RefusedError as error:
+    except NotInstrumentableError as error:
         return b"R" + error.construct.encode()
     except BadInputError as error:
         return b"I" + str(error).encode()
 
 
-def source_of(kernel: Any, signature: tuple[Any, ...]) -> Source:
+def source_of(kernel: Any, signature: tuple[Any, ...]) -> KernelSource:
     """Recompile a kernel in this process, since code loaded from a cache has no IR."""
     copy = uncached_copy(kernel)
     copy.compile(signature)
     names = copy.overloads[signature].fndesc
-    return Source(name_of(kernel), copy.inspect_llvm(signature), names.llvm_cpython_wrapper_name, names.env_name)
+    return KernelSource(name_of(kernel), copy.inspect_llvm(signature), names.llvm_cpython_wrapper_name, names.env_name)
 
 
 def environment_of(kernel: Any, signature: tuple[Any, ...]) -> Any:

@@ -23,7 +23,7 @@ from importlib import import_module
 from typing import Any
 
 from mavfi.errors import MachineError
-from mavfi.ir.forked import LENGTH_BYTES, Ended, framed, run_in_child
+from mavfi.ir.forked import LENGTH_BYTES, ChildEnd, framed, run_in_child
 
 _CPU = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
 _IDLE_S = 60.0
@@ -32,7 +32,7 @@ _NOT_HERE = b"N"
 """Loaded from a file that is on no path, or compilable only where it has been compiled (recursion in Numba)."""
 
 
-def run_fresh(kernel: Any, signature: tuple[Any, ...], work: Any, timeout: float) -> Ended | None:
+def run_fresh(kernel: Any, signature: tuple[Any, ...], work: Any, timeout: float) -> ChildEnd | None:
     """Call `work` with a kernel and a signature in a fresh process, for at most `timeout` seconds.
 
     `work` returns bytes, and can be pickled.
@@ -107,13 +107,13 @@ class _Template:
 _own = threading.local()
 
 
-def _ask(request: bytes) -> Ended:
+def _ask(request: bytes) -> ChildEnd:
     """How the fork of this thread's template ended that served the request."""
     for _ in range(2):  # it may have exited after a time without requests
         if not getattr(_own, "template", None) or not _own.template.usable():
             _own.template = _Template()
         answer = _own.template.ask(request)
-        if isinstance(answer, Ended):
+        if isinstance(answer, ChildEnd):
             return answer
         if answer is not None:
             raise answer
@@ -154,7 +154,7 @@ def main() -> None:
             channel.sendall(framed(pickle.dumps(_serve(channel, *pickle.loads(request)))))
 
 
-def _serve(channel: socket.socket, timeout: float, *request: Any) -> Ended | MachineError:  # noqa: ANN401 - `_prepare`
+def _serve(channel: socket.socket, timeout: float, *request: Any) -> ChildEnd | MachineError:  # noqa: ANN401 - `_prepare`
     """How a fork ended that served a request; it ends at once if the program does."""
 
     def work() -> bytes:

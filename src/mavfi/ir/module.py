@@ -185,7 +185,7 @@ class Module:
 # ---- refusals: always an error, never a silent omission -------------------------------------------------------------
 
 
-class RefusedError(MavfiError):
+class NotInstrumentableError(MavfiError):
     """The kernel has a construct that cannot be instrumented exactly."""
 
     def __init__(self, kernel: str, construct: str) -> None:

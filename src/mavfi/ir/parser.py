@@ -8,7 +8,7 @@ import re
 from itertools import takewhile
 
 from mavfi.ir.metadata import variable_of
-from mavfi.ir.module import Block, Function, Instruction, Module, RefusedError, holds_pointer, parts
+from mavfi.ir.module import Block, Function, Instruction, Module, NotInstrumentableError, holds_pointer, parts
 
 _OUTSIDE = re.compile(r'@"?(?:_ZN7cpython|cfunc\.|NRT_|nrt_|numba_|\.dtor|__excinfo)')
 """Numba's wrappers and runtime: linked into every module, but not part of a kernel."""
@@ -26,7 +26,7 @@ def parse_module(text: str, kernel: str) -> Module:
     """Parse a module from `Dispatcher.inspect_llvm`; `kernel` is the name for error messages.
 
     Raises:
-        RefusedError: Unknown construct.
+        NotInstrumentableError: Unknown construct.
     """
     metadata = {int(number): rest for number, rest in _METADATA.findall(text)}
     module = Module(metadata=metadata)
@@ -51,7 +51,7 @@ def _top_level(line: str, kernel: str) -> str:
         return _ATTACHED.sub("", line)
     if line.startswith(("declare ", "$")):
         return " ".join(token for token in tokens_of(line, kernel) if token[0] not in "#!")
-    raise RefusedError(kernel, f"line {line[:80]!r}")
+    raise NotInstrumentableError(kernel, f"line {line[:80]!r}")
 
 
 def _bare(head: str, body: list[str], kernel: str) -> str:
@@ -67,7 +67,7 @@ def _bare(head: str, body: list[str], kernel: str) -> str:
 def _without_metadata(line: str, kernel: str) -> str:
     tokens = [token for token in tokens_of(_ATTACHED.sub("", line), kernel) if token[0] != "#"]
     if any(token[0] == "!" for token in tokens):
-        raise RefusedError(kernel, f"metadata in {line.strip()[:80]!r}")
+        raise NotInstrumentableError(kernel, f"metadata in {line.strip()[:80]!r}")
     return "  " + " ".join(tokens)
 
 
@@ -125,14 +125,14 @@ class _Reader:
         words = re.sub(r"memory\([^)]*\)", "", self.groups.get(group, "")).split()
         unknown = [word for word in words if word not in _HARMLESS]
         if unknown:
-            raise RefusedError(self.kernel, f"function attribute {unknown[0]!r}")
+            raise NotInstrumentableError(self.kernel, f"function attribute {unknown[0]!r}")
 
     def _line(self, line: str, block: Block) -> None:
         if line.startswith("#dbg_"):
             self.variables.update(variable_of(line, self.metadata))
             return
         if block.terminator is not None:
-            raise RefusedError(self.kernel, f"{line[:80]!r} after the end of a block")
+            raise NotInstrumentableError(self.kernel, f"{line[:80]!r} after the end of a block")
         debug = re.search(r", !dbg !(\d+)", line)
         cursor = Cursor(tokens_of(_ATTACHED.sub("", line), self.kernel), self.kernel)
         instruction = parse_instruction(cursor)
@@ -143,7 +143,7 @@ class _Reader:
             block.phis.append(instruction)
         elif instruction.opcode == "alloca":
             if block.label != "%b0":
-                raise RefusedError(self.kernel, "memory taken from the stack within a loop or branch")
+                raise NotInstrumentableError(self.kernel, "memory taken from the stack within a loop or branch")
             block.allocations.append(instruction)
         elif instruction.opcode in ("br", "switch", "ret", "unreachable"):
             block.terminator = instruction
@@ -157,7 +157,7 @@ class _Reader:
                     self.names[instruction.result] = f"%v{len(self.names)}"
         for block in function.blocks:
             if block.terminator is None:
-                raise RefusedError(self.kernel, f"a block without an end in {function.name}")
+                raise NotInstrumentableError(self.kernel, f"a block without an end in {function.name}")
             for instruction in block.all():
                 self._rename_in(instruction)
 
@@ -173,7 +173,7 @@ class _Reader:
             instruction.conditions = [names[name] for name in instruction.conditions]
             instruction.arguments = [(kind, names.get(value, value)) for kind, value in instruction.arguments]
         except KeyError as error:
-            raise RefusedError(self.kernel, f"{error} is used but not defined") from None
+            raise NotInstrumentableError(self.kernel, f"{error} is used but not defined") from None
 
 
 def _joined(lines: list[str]) -> list[str]:
@@ -205,14 +205,14 @@ _SCALAR = re.compile(r"i\d+|half|bfloat|float|double|ptr|void")
 
 
 def tokens_of(line: str, kernel: str) -> list[str]:
-    """Tokens of a line without its comment; an unknown token is a RefusedError."""
+    """Tokens of a line without its comment; an unknown token is a NotInstrumentableError."""
     found = []
     at = 0
     end = len(line.rstrip())
     while at < end:
         match = _TOKEN.match(line, at)
         if match is None:
-            raise RefusedError(kernel, f"text {line[at : at + 40].strip()!r} in {line.strip()[:80]!r}")
+            raise NotInstrumentableError(kernel, f"text {line[at : at + 40].strip()!r} in {line.strip()[:80]!r}")
         if match.lastgroup != "comment":
             found.append(match[0].strip())
         at = match.end()
@@ -220,7 +220,7 @@ def tokens_of(line: str, kernel: str) -> list[str]:
 
 
 class Cursor:
-    """Reads the tokens of one line from left to right; an unexpected token is a RefusedError."""
+    """Reads the tokens of one line from left to right; an unexpected token is a NotInstrumentableError."""
 
     def __init__(self, tokens: list[str], kernel: str) -> None:
         self.tokens = tokens
@@ -254,10 +254,10 @@ class Cursor:
         self.at += found
         return found
 
-    def refused(self, why: str = "") -> RefusedError:
+    def refused(self, why: str = "") -> NotInstrumentableError:
         """The error that names the unknown construct."""
         line = " ".join(self.tokens)
-        return RefusedError(self.kernel, why or f"{self.next or 'end of line'!r} in {line[:120]!r}")
+        return NotInstrumentableError(self.kernel, why or f"{self.next or 'end of line'!r} in {line[:120]!r}")
 
     def finish(self) -> None:
         """Check that no token is left."""
@@ -374,7 +374,7 @@ _PYTHON = re.compile(r"@\"?numba_gil_ensure")
 
 
 def parse_instruction(cursor: Cursor) -> Instruction | None:
-    """Read one instruction; None for a call that is only a promise; an unknown one is a RefusedError."""
+    """Read one instruction; None for a call that is only a promise; an unknown one is a NotInstrumentableError."""
     result = None
     if cursor.next.startswith("%"):
         result = cursor.local()

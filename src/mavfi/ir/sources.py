@@ -21,7 +21,7 @@ import llvmlite
 import numba
 import numpy as np
 
-from mavfi.ir.build import Source, build_apart, name_of, source_of
+from mavfi.ir.build import KernelSource, build_apart, name_of, source_of
 from mavfi.ir.module import Module, digest_of
 from mavfi.ir.parser import parse_module
 from mavfi.numerics.dependencies import UnknownDependencyError, content_digest, signature_digest
@@ -32,11 +32,11 @@ Shape = tuple[str, list[list[int]]]
 _FILE = re.compile(r'!DIFile\(filename: "([^"]*)", directory: "([^"]*)"')
 
 
-def cached_source(kernel: Any, signature: tuple[Any, ...]) -> Source:
+def cached_source(kernel: Any, signature: tuple[Any, ...]) -> KernelSource:
     """IR of a kernel for a signature.
 
     Raises:
-        RefusedError: It is not compiled, or with flags that prevent exact replay.
+        NotInstrumentableError: It is not compiled, or with flags that prevent exact replay.
         BuildError: The compiler crashed.
     """
     cache = ObjectCache("source", Path(__file__).parent)
@@ -71,11 +71,11 @@ def make(kernel: Any, signature: tuple[Any, ...]) -> bytes:
     return zlib.compress(json.dumps(astuple(source_of(kernel, signature))).encode(), 1)
 
 
-def _unpack(data: bytes) -> Source:
-    return Source(*json.loads(zlib.decompress(data)))
+def _unpack(data: bytes) -> KernelSource:
+    return KernelSource(*json.loads(zlib.decompress(data)))
 
 
-def _files(source: Source) -> list[str]:
+def _files(source: KernelSource) -> list[str]:
     return [os.path.join(folder, name) for name, folder in _FILE.findall(source.text)]
 
 

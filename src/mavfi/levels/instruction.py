@@ -27,7 +27,7 @@ from mavfi.config import STORED
 from mavfi.detectors.detector import part_of
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import MODELS, NO_SITE, RESTART_S, Fault, InstructionFault, Model
-from mavfi.faults.levels.instruction import Profiling, Resolving, Site, budget_for, choose
+from mavfi.faults.levels.instruction import InjectionSite, Profiling, Resolving, budget_for, choose
 from mavfi.faults.levels.instruction.plan import plan
 from mavfi.faults.levels.instruction.table import parse_selection
 from mavfi.faults.sampling import stream
@@ -154,7 +154,7 @@ def draw_instruction_faults(
 
     Raises:
         BadInputError: A kernel, class or fault model is unknown.
-        RefusedError: A kernel cannot be instrumented exactly.
+        NotInstrumentableError: A kernel cannot be instrumented exactly.
     """
     from mavfi.flight.host import ArmSetup
     from mavfi.flight.mission_flights import LocalHost
@@ -238,7 +238,7 @@ class _KernelDraw:
             number = _SPARES * self._number
         return [_Position(*calls[place], index) for place, index in choose(self._random, counts, number)]
 
-    def take(self, position: _Position, site: Site | None) -> None:
+    def take(self, position: _Position, site: InjectionSite | None) -> None:
         """Plan a fault at a position if its instruction is of the class and faults are still missing."""
         if site is None or site not in self._selection or len(self._faults) >= self._number:
             return

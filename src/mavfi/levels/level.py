@@ -139,7 +139,7 @@ class Draw:
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class FaultBlock:
     """Faults of an environment with a common numbering; fault i belongs to mission i modulo the number of missions.
 
     Draws are created on demand: those of a million missions would not fit in memory.
@@ -195,15 +195,15 @@ class Sampler:
         self.orders: Mapping[str, str] = {}
         self.variants: Mapping[str, Mapping[str, Any]] = {}
         self.versions: Mapping[str, str] = {}
-        self._blocks: dict[str, Sequence[Block]] = {}
+        self._blocks: dict[str, Sequence[FaultBlock]] = {}
 
-    def blocks(self, environment: str) -> Sequence[Block]:
+    def blocks(self, environment: str) -> Sequence[FaultBlock]:
         """All faults of an environment, one block per target, with exact shares of the strata in each."""
         if environment not in self._blocks:
             self._blocks[environment] = [self._block(environment, *target) for target in enumerate(self.targets)]
         return self._blocks[environment]
 
-    def _block(self, environment: str, place: int, target: str) -> Block:
+    def _block(self, environment: str, place: int, target: str) -> FaultBlock:
         campaign = self.campaign
         order = self.orders.get(target, target)
         strata = share_out(self.targets[target], campaign.faults, campaign.first_seed, environment, order)
@@ -212,8 +212,8 @@ class Sampler:
             return self.numbered(target, index, campaign.first_seed + index % campaign.missions, strata[index])
 
         if self.alternates:
-            return Block(campaign.faults, draw_one, place, len(self.targets))
-        return Block(campaign.faults, draw_one, place * campaign.faults)
+            return FaultBlock(campaign.faults, draw_one, place, len(self.targets))
+        return FaultBlock(campaign.faults, draw_one, place * campaign.faults)
 
     def numbered(self, target: str, index: int, seed: int, stratum: str) -> Draw:
         """The draw with this number in a target."""
@@ -243,7 +243,7 @@ class Sampler:
         raise NotImplementedError
 
 
-def draws_of(blocks: Sequence[Block], missions: range, of: int) -> list[tuple[int, Draw]]:
+def draws_of(blocks: Sequence[FaultBlock], missions: range, of: int) -> list[tuple[int, Draw]]:
     """The draws of some missions of an environment, in plan order, each with its position.
 
     Args:

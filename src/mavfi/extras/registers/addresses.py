@@ -28,7 +28,7 @@ class _Mapping:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class CodeLocation:
     """Location of an address: file, offset in it, and function with the distance from its start."""
 
     library: str
@@ -128,15 +128,15 @@ class AddressSpace:
             return None
         return _symbols(path, (held.st_ino, held.st_mtime_ns))
 
-    def place(self, address: int) -> Place:
+    def place(self, address: int) -> CodeLocation:
         """Location of an address."""
         for mapping in _mappings(self._text):
             if not mapping.start <= address < mapping.end:
                 continue
             offset = address - mapping.start + mapping.offset
             symbols = self._symbols_of(mapping)
-            return Place(mapping.name, offset, "" if symbols is None else symbols.name_at(offset))
-        return Place("[anon]", address, "")
+            return CodeLocation(mapping.name, offset, "" if symbols is None else symbols.name_at(offset))
+        return CodeLocation("[anon]", address, "")
 
     def find(self, text: str) -> int:
         """Address of a function, by its exact name or a unique part of it.

@@ -20,7 +20,7 @@ from typing import Any
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.registers.addresses import AddressSpace
 from mavfi.extras.registers.ptrace import WAIT_ALL, TargetGoneError, Tracee, TracerTimeoutError, await_news
-from mavfi.extras.registers.registers import Instruction, Register, decode, enters_kernel, flip, value_of
+from mavfi.extras.registers.registers import MachineInstruction, Register, decode, enters_kernel, flip, value_of
 from mavfi.extras.registers.target import busiest_thread, check_target, not_permitted, threads_of
 from mavfi.faults.fault import RegisterFault
 from mavfi.record import Injection
@@ -51,11 +51,11 @@ class _Search:
 
 
 @dataclass(frozen=True, slots=True)
-class Done:
+class RegisterFlip:
     """An injection, before its address is resolved to a location."""
 
     address: int
-    instruction: Instruction
+    instruction: MachineInstruction
     access: str
     register: Register
     bit: int
@@ -74,7 +74,7 @@ class _Attempt:
     memory: int
     since: float
     walked: int = 0
-    done: Done | None = None
+    done: RegisterFlip | None = None
     stopped: float = 0.0
 
     def walk(self, count: int) -> bool:
@@ -127,7 +127,7 @@ def inject_once(pid: int, fault: RegisterFault, number: int, tool: int, cancelle
         raise MavfiError(f"pid {pid}: ended before the injection") from None
 
 
-def _try(search: _Search, attempt: _Attempt) -> Done | None:
+def _try(search: _Search, attempt: _Attempt) -> RegisterFlip | None:
     """Walk, and flip a bit at the first eligible instruction; None if there is none."""
     fault = search.fault
     choices = search.choices
@@ -138,7 +138,7 @@ def _try(search: _Search, attempt: _Attempt) -> Done | None:
 
 def flip_here(
     fault: RegisterFault, choices: random.Random, tracee: Tracee, memory: int, walk: Callable[[int], bool]
-) -> Done | None:
+) -> RegisterFlip | None:
     """Flip a bit at the first eligible instruction, beginning with the next one of a stopped thread.
 
     Args:
@@ -169,18 +169,18 @@ def flip_here(
             before = value_of(tracee, register)
             if not fault.null:
                 flip(tracee, register, bit)
-            return Done(address, instruction, access, register, bit, before, value_of(tracee, register))
+            return RegisterFlip(address, instruction, access, register, bit, before, value_of(tracee, register))
         if not left or not walk(1):
             return None
     return None
 
 
-def _qualifying(instruction: Instruction, access: str, wanted: str) -> list[Register]:
+def _qualifying(instruction: MachineInstruction, access: str, wanted: str) -> list[Register]:
     registers = instruction.reads if access == "read" else instruction.writes
     return [register for register in registers if wanted == "all" or register.is_vector == (wanted == "fp")]
 
 
-def _record(search: _Search, attempt: _Attempt, done: Done, attempts: int, space: AddressSpace) -> Injection:
+def _record(search: _Search, attempt: _Attempt, done: RegisterFlip, attempts: int, space: AddressSpace) -> Injection:
     """The injection record."""
     details = {
         "pid": search.pid,
@@ -192,7 +192,9 @@ def _record(search: _Search, attempt: _Attempt, done: Done, attempts: int, space
     return injection_of(done, space, search.fault, details)
 
 
-def injection_of(done: Done, space: AddressSpace, fault: RegisterFault, details: Mapping[str, Any]) -> Injection:
+def injection_of(
+    done: RegisterFlip, space: AddressSpace, fault: RegisterFault, details: Mapping[str, Any]
+) -> Injection:
     """The record of an injection, with time 0; values and addresses are hexadecimal text, for up to 256 bits."""
     location = space.place(done.address)
     return Injection(

@@ -67,7 +67,7 @@ def _decoder() -> capstone.Cs:
 
 
 @dataclass(frozen=True, slots=True)
-class Instruction:
+class MachineInstruction:
     """A decoded instruction: mnemonic and operands, and the registers that it reads and writes.
 
     Stepping over an instruction that enters the kernel (a system call) may block.
@@ -87,12 +87,12 @@ _INT = b"\xcd"
 
 @lru_cache(maxsize=4096)
 def enters_kernel(code: bytes) -> bool:
-    """`Instruction.enters_kernel` of the instruction at the start of `code`, without decoding (Intel SDM, vol. 2)."""
+    """Whether the instruction at the start of `code` enters the kernel, without decoding it (Intel SDM, vol. 2)."""
     return code.lstrip(_PREFIXES).startswith((_SYSCALL, _SYSENTER, _INT))
 
 
 @lru_cache(maxsize=4096)
-def decode(code: bytes, address: int) -> Instruction | None:
+def decode(code: bytes, address: int) -> MachineInstruction | None:
     """The instruction at the start of up to 15 bytes at an address; None if unknown to the decoder."""
     decoded = next(_decoder().disasm(code, address, 1), None)
     if decoded is None:
@@ -105,7 +105,7 @@ def decode(code: bytes, address: int) -> Instruction | None:
     masked = _MASKED.match(decoded.op_str)
     if masked and all(register.name != masked[0] for register in writes):
         writes += _vector(masked[0], decoded.mnemonic)
-    return Instruction(
+    return MachineInstruction(
         text, decoded.mnemonic in ("syscall", "sysenter", "int"), _registers(decoded, read, _FLAGS_READ), writes
     )
 

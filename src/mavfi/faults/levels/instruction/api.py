@@ -15,7 +15,7 @@ import numpy as np
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import InstructionFault, Model
 from mavfi.faults.levels.instruction.plan import budget_for, check_fault, injection_of, plan
-from mavfi.faults.levels.instruction.table import Site, parse_selection
+from mavfi.faults.levels.instruction.table import InjectionSite, parse_selection
 from mavfi.faults.levels.instruction.variant import variant_for
 from mavfi.ir.build import name_of
 from mavfi.ir.forked import run_in_child
@@ -46,18 +46,21 @@ class InjectedCall:
 def count(kernel: Any, *args: Any) -> int:
     """Number of values that a compiled function writes: its injectable dynamic instructions.
 
-    Modifies the arguments as a call does. Raises a RefusedError if the function cannot be instrumented exactly.
+    Modifies the arguments as a call does.
+
+    Raises:
+        NotInstrumentableError: The function cannot be instrumented exactly.
     """
     return variant_for(kernel, args).count(*args)[1]
 
 
-def histogram(kernel: Any, *args: Any) -> list[tuple[Site, int]]:
+def histogram(kernel: Any, *args: Any) -> list[tuple[InjectionSite, int]]:
     """All static instructions of a compiled function and their execution counts; modifies arguments as a call does."""
     variant = variant_for(kernel, args)
     return variant.table.executions(variant.tally(*args)[1])
 
 
-def resolve(kernel: Any, indices: Sequence[int], *args: Any) -> list[Site | None]:
+def resolve(kernel: Any, indices: Sequence[int], *args: Any) -> list[InjectionSite | None]:
     """Static instructions at the given dynamic indices (from 0, in any order) of a call, which modifies the arguments.
 
     None for an index beyond the last.
@@ -91,7 +94,7 @@ def draw(
     found: list[InstructionFault] = []
     for _ in range(_ROUNDS):
         indices = random.integers(total, size=max(_BATCH, n)).tolist()
-        sites: list[Site] = apart(partial(resolve, kernel, indices, *args))
+        sites: list[InjectionSite] = apart(partial(resolve, kernel, indices, *args))
         for index, site in zip(indices, sites, strict=True):
             if site in selection and len(found) < n:
                 fault = plan(

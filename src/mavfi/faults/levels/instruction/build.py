@@ -10,8 +10,8 @@ from typing import Any
 
 from mavfi.faults.levels.instruction.accesses import Constant
 from mavfi.faults.levels.instruction.instrument import Instrumented, instrument, optimised
-from mavfi.faults.levels.instruction.table import Table
-from mavfi.ir.build import Rewrite, Source, build_apart, translate
+from mavfi.faults.levels.instruction.table import SiteTable
+from mavfi.ir.build import KernelSource, Rewrite, build_apart, translate
 from mavfi.ir.sources import ObjectCache, cached_source, folder_text
 
 
@@ -24,7 +24,7 @@ class Built:
 
     code: bytes
     tally: bytes
-    table: Table
+    table: SiteTable
     ir_sha256: str
     constants: tuple[Constant, ...]
     owned: bool
@@ -49,7 +49,7 @@ class Built:
         head, tally, code = parts
         rows, digest, constants, *others = json.loads(zlib.decompress(head))
         placed = tuple(Constant(*constant) for constant in constants)
-        return Built(code, tally, Table.from_json(rows), digest, placed, *others)
+        return Built(code, tally, SiteTable.from_json(rows), digest, placed, *others)
 
 
 def cached_build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Built:
@@ -71,18 +71,21 @@ def cached_build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | Non
 def build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Built:
     """Instrument a Numba dispatcher for one signature (Numba types of the arguments), rewritten before.
 
-    Raises a RefusedError for an unknown construct, a BuildError if the compiler crashes, and the errors of `rewrite`.
+    Raises:
+        NotInstrumentableError: An unknown construct.
+        BuildError: The compiler crashed.
+        BadInputError: `rewrite` was made for another module.
     """
     source = cached_source(kernel, signature)
     return Built.unpack(build_apart(kernel, signature, partial(make, source=source, rewrite=rewrite)))
 
 
-def make(kernel: Any, signature: tuple[Any, ...], source: Source, rewrite: Rewrite | None = None) -> bytes:
+def make(kernel: Any, signature: tuple[Any, ...], source: KernelSource, rewrite: Rewrite | None = None) -> bytes:
     """The part of `build` that runs in another process, since LLVM aborts on a malformed module."""
     return assemble(instrument(source.text, source.kernel, rewrite), source).pack()
 
 
-def assemble(made: Instrumented, source: Source) -> Built:
+def assemble(made: Instrumented, source: KernelSource) -> Built:
     """Translate instrumented IR into machine code."""
     code = translate(made.text)
     tally = translate(made.tally, optimised)

@@ -35,13 +35,23 @@ from mavfi.faults.levels.instruction.runtime import (
     MEMORY,
     REPORT_WORDS,
     RUNTIME,
-    Control,
+    ControlWord,
     address,
     declarations,
 )
-from mavfi.faults.levels.instruction.table import Table, make_table
+from mavfi.faults.levels.instruction.table import SiteTable, make_table
 from mavfi.ir.build import Rewrite
-from mavfi.ir.module import Block, Function, Instruction, Module, RefusedError, bodies_of, digest_of, parts, width
+from mavfi.ir.module import (
+    Block,
+    Function,
+    Instruction,
+    Module,
+    NotInstrumentableError,
+    bodies_of,
+    digest_of,
+    parts,
+    width,
+)
 from mavfi.ir.parser import parse_module
 
 _ENVIRONMENT = re.compile(r'@"?_ZN08NumbaEnv')
@@ -63,7 +73,7 @@ class Instrumented:
 
     text: str
     tally: str
-    table: Table
+    table: SiteTable
     ir_sha256: str
     constants: tuple[Constant, ...]
     owned: bool
@@ -73,19 +83,19 @@ def instrument(text: str, kernel: str, rewrite: Rewrite | None = None) -> Instru
     """Instrument a module from `Dispatcher.inspect_llvm`, rewritten before; `kernel` is the name for error messages.
 
     Raises:
-        RefusedError: A construct is unknown, or cannot be instrumented exactly.
+        NotInstrumentableError: A construct is unknown, or cannot be instrumented exactly.
     """
     module = parse_module(text, kernel)
     if not module.functions:
-        raise RefusedError(kernel, "there is no IR: was it loaded from a cache?")
+        raise NotInstrumentableError(kernel, "there is no IR: was it loaded from a cache?")
     if rewrite is not None:
         module = rewrite(module)
     table = make_table(module)
     widest = max((site.width for block in table.blocks for site in block), default=0)
     if widest > 8 * MASK_BYTES:
-        raise RefusedError(kernel, f"a value of {widest} bits")
+        raise NotInstrumentableError(kernel, f"a value of {widest} bits")
     if _ENVIRONMENT.search(bodies_of(module)):
-        raise RefusedError(kernel, "Python objects are used within compiled code (Numba's environment)")
+        raise NotInstrumentableError(kernel, "Python objects are used within compiled code (Numba's environment)")
     digest = digest_of(module)
     owned = is_owned(module)
     constants = constants_of(module)
@@ -140,20 +150,20 @@ class _Rewriter:
         """Allocate the function's stack frame in the arena."""
         if not block.allocations:
             return
-        self.frame = self._let(f"load i64, ptr {address(Control.FRAME)}")
+        self.frame = self._let(f"load i64, ptr {address(ControlWord.FRAME)}")
         size = 0
         for memory in block.allocations:
             self.lines.append(f"  {memory.result} = inttoptr i64 {self._let(f'add i64 {self.frame}, {size}')} to ptr")
             size += -(-size_of(memory.tokens[1]) // LINE) * LINE
         end = self._let(f"add i64 {self.frame}, {size}")
-        self.lines.append(f"  store i64 {end}, ptr {address(Control.FRAME)}")
+        self.lines.append(f"  store i64 {end}, ptr {address(ControlWord.FRAME)}")
         self.lines.append(f"  call void @mavfi_overflow(i64 {end})")
 
     def _leave(self, block: Block) -> None:
         """The terminator; a return releases the stack frame."""
         if block.terminator is not None:
             if block.terminator.opcode == "ret" and self.frame:
-                self.lines.append(f"  store i64 {self.frame}, ptr {address(Control.FRAME)}")
+                self.lines.append(f"  store i64 {self.frame}, ptr {address(ControlWord.FRAME)}")
             self.lines.append(f"  {block.terminator.text()}")
 
     def _checked(self, body: list[Instruction], names: dict[str, str], write: Callable[[Instruction], None]) -> None:
@@ -191,7 +201,7 @@ class _Rewriter:
         before = self._let("load i64, ptr @mavfi_control")
         after = self._let(f"add i64 {before}, {len(block.sites)}")
         self.lines.append(f"  store i64 {after}, ptr @mavfi_control")
-        beyond = self._let(f"icmp ugt i64 {after}, {self._let(f'load i64, ptr {address(Control.THRESHOLD)}')}")
+        beyond = self._let(f"icmp ugt i64 {after}, {self._let(f'load i64, ptr {address(ControlWord.THRESHOLD)}')}")
         self.lines.append(f"  br i1 {beyond}, label {label}.slow, label {label}.fast, !prof !0")
         fast = self._fast(block, dict(raw))
         slow = self._slow(block, dict(raw), after, number)
@@ -216,7 +226,7 @@ class _Rewriter:
         self.lines.append(f"{block.label[1:]}.slow:")
         injected = self._let(f"call i64 @mavfi_slow(i64 {after}, i64 {len(block.sites)}, i64 {number})")
         self.seen = self._let(
-            f"getelementptr i64, ptr {self._let(f'load ptr, ptr {address(Control.REPORT)}')}, i64 {REPORT_WORDS}"
+            f"getelementptr i64, ptr {self._let(f'load ptr, ptr {address(ControlWord.REPORT)}')}, i64 {REPORT_WORDS}"
         )
         offsets = count()
         for phi in block.phis:

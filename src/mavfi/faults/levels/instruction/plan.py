@@ -9,8 +9,8 @@ import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import MODELS, InstructionFault, Model
-from mavfi.faults.levels.instruction.table import FLOATING, INTEGER, Site
-from mavfi.faults.levels.instruction.variant import MismatchError, Report, Variant
+from mavfi.faults.levels.instruction.table import FLOATING, INTEGER, InjectionSite
+from mavfi.faults.levels.instruction.variant import InjectionReport, MismatchError, Variant
 from mavfi.ir.build import name_of
 from mavfi.record import Injection
 
@@ -37,7 +37,7 @@ def plan(
     random: np.random.Generator,
     function: str,
     ir_sha256: str,
-    site: Site,
+    site: InjectionSite,
     index: int,
     model: Model = "one_bit",
     count: int = 2,
@@ -114,7 +114,7 @@ def check_fault(fault: InstructionFault, variant: Variant, function: Any) -> Non
 
 
 def injection_of(
-    fault: InstructionFault, report: Report | None, time_s: float = 0.0, call: int | None = None
+    fault: InstructionFault, report: InjectionReport | None, time_s: float = 0.0, call: int | None = None
 ) -> Injection:
     """The record of an injection at an instant (s), from the report of the machine code (None = not reached).
 
@@ -166,12 +166,12 @@ def injection_of(
     )
 
 
-def changed_nothing(report: Report | None) -> bool:
+def changed_nothing(report: InjectionReport | None) -> bool:
     """Whether nothing changed: the index was not reached, or its value has no such bit."""
     return report is None or not (report.before ^ report.after) & ((1 << report.site.width) - 1)
 
 
-def _number(site: Site, bits: int) -> float | int:
+def _number(site: InjectionSite, bits: int) -> float | int:
     """Bits as a number of the instruction's type: floating point, or signed integer."""
     if site.kind in _FORMATS:
         layout = _FORMATS[site.kind]

@@ -11,12 +11,12 @@ from mavfi.faults.levels.instruction.arena import BASE, CONSTANTS, LINE, SIZE
 from mavfi.ir.forked import HANG_EXIT, WILD_EXIT
 
 
-class Control(IntEnum):
+class ControlWord(IntEnum):
     """Words of the control block `mavfi_control` (64 bits each), by index."""
 
     COUNTER = 0  # values written so far
     THRESHOLD = 1  # counter beyond which `mavfi_slow` is called
-    MODE = 2  # a `Mode`
+    MODE = 2  # a `RunMode`
     TARGET = 3  # dynamic index of the fault (INJECT)
     BUDGET = 4  # counter beyond which an injected call is a hang (INJECT)
     INJECTED = 5  # 1 after the injection
@@ -36,7 +36,7 @@ class Control(IntEnum):
     HEAP = 19  # first free address for arrays
 
 
-class Mode(IntEnum):
+class RunMode(IntEnum):
     """Behaviour beyond the threshold."""
 
     INJECT = 0  # change one value, then check budget and memory accesses
@@ -57,16 +57,16 @@ survives a crash."""
 REPORT_BYTES = 8 * REPORT_WORDS + 2 * MASK_BYTES
 
 
-def address(word: Control) -> str:
+def address(word: ControlWord) -> str:
     """Constant pointer to a word of the control block."""
     return f"getelementptr (i8, ptr @mavfi_control, i64 {8 * word})"
 
 
-def _load(name: str, word: Control, kind: str = "i64") -> str:
+def _load(name: str, word: ControlWord, kind: str = "i64") -> str:
     return f"  %{name} = load volatile {kind}, ptr {address(word)}"
 
 
-def _store(value: str, word: Control) -> str:
+def _store(value: str, word: ControlWord) -> str:
     return f"  store volatile i64 {value}, ptr {address(word)}"
 
 
@@ -78,60 +78,60 @@ RUNTIME = f"""
 define i64 @mavfi_slow(i64 %after, i64 %n, i64 %block) noinline {{
 entry:
   %base = sub i64 %after, %n
-{_load("mode", Control.MODE)}
-  switch i64 %mode, label %inject [ i64 {Mode.PROFILE:d}, label %profile
-                                    i64 {Mode.RESOLVE:d}, label %resolve
-                                    i64 {Mode.LOCATE:d}, label %locate ]
+{_load("mode", ControlWord.MODE)}
+  switch i64 %mode, label %inject [ i64 {RunMode.PROFILE:d}, label %profile
+                                    i64 {RunMode.RESOLVE:d}, label %resolve
+                                    i64 {RunMode.LOCATE:d}, label %locate ]
 inject:
-{_load("done", Control.INJECTED)}
+{_load("done", ControlWord.INJECTED)}
   %before.it = icmp eq i64 %done, 0
   br i1 %before.it, label %change, label %injected
 change:
-{_load("target", Control.TARGET)}
+{_load("target", ControlWord.TARGET)}
   %offset = sub i64 %target, %base
-{_store("1", Control.INJECTED)}
-{_load("report", Control.REPORT, "ptr")}
+{_store("1", ControlWord.INJECTED)}
+{_load("report", ControlWord.REPORT, "ptr")}
   store volatile i64 1, ptr %report
   %report.block = getelementptr i64, ptr %report, i64 1
   store volatile i64 %block, ptr %report.block
   %report.offset = getelementptr i64, ptr %report, i64 2
   store volatile i64 %offset, ptr %report.offset
-{_store("0", Control.THRESHOLD)}
+{_store("0", ControlWord.THRESHOLD)}
   ret i64 %offset
 injected:
-{_load("budget", Control.BUDGET)}
+{_load("budget", ControlWord.BUDGET)}
   %over = icmp ugt i64 %after, %budget
   br i1 %over, label %exhausted, label %located
 exhausted:
-{_load("stop", Control.STOP, "ptr")}
+{_load("stop", ControlWord.STOP, "ptr")}
   call void %stop(i32 {HANG_EXIT})
   ret i64 -1
 profile:
-{_load("histogram", Control.HISTOGRAM, "ptr")}
+{_load("histogram", ControlWord.HISTOGRAM, "ptr")}
   %bin = getelementptr i64, ptr %histogram, i64 %block
   %before = load i64, ptr %bin
   %now = add i64 %before, 1
   store i64 %now, ptr %bin
-{_load("length", Control.TRACE_LENGTH)}
-{_load("room", Control.TRACE_ROOM)}
+{_load("length", ControlWord.TRACE_LENGTH)}
+{_load("room", ControlWord.TRACE_ROOM)}
   %fits = icmp ult i64 %length, %room
   br i1 %fits, label %note, label %profiled
 note:
-{_load("trace", Control.TRACE, "ptr")}
+{_load("trace", ControlWord.TRACE, "ptr")}
   %entry.address = getelementptr i32, ptr %trace, i64 %length
   %short = trunc i64 %block to i32
   store i32 %short, ptr %entry.address
   %longer = add i64 %length, 1
-{_store("%longer", Control.TRACE_LENGTH)}
+{_store("%longer", ControlWord.TRACE_LENGTH)}
   br label %profiled
 profiled:
   ret i64 -1
 resolve:
-{_load("count", Control.EVENT_COUNT)}
-{_load("events", Control.EVENTS, "ptr")}
-{_load("blocks", Control.EVENT_BLOCKS, "ptr")}
-{_load("offsets", Control.EVENT_OFFSETS, "ptr")}
-{_load("first", Control.NEXT_EVENT)}
+{_load("count", ControlWord.EVENT_COUNT)}
+{_load("events", ControlWord.EVENTS, "ptr")}
+{_load("blocks", ControlWord.EVENT_BLOCKS, "ptr")}
+{_load("offsets", ControlWord.EVENT_OFFSETS, "ptr")}
+{_load("first", ControlWord.NEXT_EVENT)}
   br label %loop
 loop:
   %i = phi i64 [ %first, %resolve ], [ %following, %record ]
@@ -151,29 +151,29 @@ record:
   %following = add i64 %i, 1
   br label %loop
 later:
-{_store("%i", Control.NEXT_EVENT)}
-{_store("%event", Control.THRESHOLD)}
+{_store("%i", ControlWord.NEXT_EVENT)}
+{_store("%event", ControlWord.THRESHOLD)}
   ret i64 -1
 finished:
-{_store("%i", Control.NEXT_EVENT)}
-{_store(str(NEVER), Control.THRESHOLD)}
+{_store("%i", ControlWord.NEXT_EVENT)}
+{_store(str(NEVER), ControlWord.THRESHOLD)}
   ret i64 -1
 locate:
-{_load("passed", Control.HISTOGRAM, "ptr")}
+{_load("passed", ControlWord.HISTOGRAM, "ptr")}
   %pass.address = getelementptr i64, ptr %passed, i64 %block
   %pass = load i64, ptr %pass.address
   %next.pass = add i64 %pass, 1
   store i64 %next.pass, ptr %pass.address
-{_load("cursors", Control.EVENT_BLOCKS, "ptr")}
+{_load("cursors", ControlWord.EVENT_BLOCKS, "ptr")}
   %cursor.address = getelementptr i64, ptr %cursors, i64 %block
   %cursor = load i64, ptr %cursor.address
-{_load("passes", Control.EVENTS, "ptr")}
+{_load("passes", ControlWord.EVENTS, "ptr")}
   %wanted.address = getelementptr i64, ptr %passes, i64 %cursor
   %wanted = load i64, ptr %wanted.address
   %now.wanted = icmp eq i64 %pass, %wanted
   br i1 %now.wanted, label %found, label %located
 found:
-{_load("starts", Control.EVENT_OFFSETS, "ptr")}
+{_load("starts", ControlWord.EVENT_OFFSETS, "ptr")}
   %start.address = getelementptr i64, ptr %starts, i64 %cursor
   store i64 %base, ptr %start.address
   %next.cursor = add i64 %cursor, 1
@@ -192,7 +192,7 @@ allocator."""
 
 
 def _planned(yes: str, no: str) -> str:
-    return f"""{_load("planned", Control.PLANNED)}
+    return f"""{_load("planned", ControlWord.PLANNED)}
   %here = icmp ne i64 %planned, 0
   br i1 %here, label %{yes}, label %{no}"""
 
@@ -264,8 +264,8 @@ def declarations(text: str) -> str:
 MEMORY = f"""
 define void @mavfi_check(ptr %pointer, i64 %size) noinline {{
 entry:
-{_load("planned", Control.PLANNED)}
-{_load("injected", Control.INJECTED)}
+{_load("planned", ControlWord.PLANNED)}
+{_load("injected", ControlWord.INJECTED)}
   %both = and i64 %planned, %injected
   %checked = icmp ne i64 %both, 0
   %nothing = icmp eq i64 %size, 0
@@ -280,7 +280,7 @@ test:
   %wild = or i1 %large, %beyond
   br i1 %wild, label %stop, label %fine
 stop:
-{_load("end", Control.STOP, "ptr")}
+{_load("end", ControlWord.STOP, "ptr")}
   call void %end(i32 {WILD_EXIT})
   br label %fine
 fine:
@@ -291,7 +291,7 @@ entry:
   %fits = icmp ule i64 %end, {CONSTANTS}
   br i1 %fits, label %fine, label %stop
 stop:
-{_load("end.of.it", Control.STOP, "ptr")}
+{_load("end.of.it", ControlWord.STOP, "ptr")}
   call void %end.of.it(i32 {WILD_EXIT})
   br label %fine
 fine:
@@ -299,7 +299,7 @@ fine:
 }}
 define ptr @mavfi_room(i64 %size) noinline {{
 entry:
-{_load("heap", Control.HEAP)}
+{_load("heap", ControlWord.HEAP)}
   %more = add i64 %size, {LINE - 1}
   %rounded = and i64 %more, -{LINE}
   %left = sub i64 {BASE + SIZE}, %heap
@@ -309,7 +309,7 @@ entry:
   br i1 %fits, label %take, label %none
 take:
   %next = add i64 %heap, %rounded
-{_store("%next", Control.HEAP)}
+{_store("%next", ControlWord.HEAP)}
   %at = inttoptr i64 %heap to ptr
   ret ptr %at
 none:
@@ -376,11 +376,11 @@ look:
   %rounded = and i64 %more, -{LINE}
   %address = ptrtoint ptr %at to i64
   %end = add i64 %address, %rounded
-{_load("heap", Control.HEAP)}
+{_load("heap", ControlWord.HEAP)}
   %newest = icmp eq i64 %end, %heap
   br i1 %newest, label %free, label %done
 free:
-{_store("%address", Control.HEAP)}
+{_store("%address", ControlWord.HEAP)}
   br label %done
 elsewhere:
   %last = icmp eq i64 %before, 1

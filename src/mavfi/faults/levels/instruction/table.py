@@ -16,7 +16,7 @@ from mavfi.ir.module import Block, Function, Instruction, Module, holds_pointer,
 
 
 @dataclass(frozen=True, slots=True)
-class Site:
+class InjectionSite:
     """A static instruction whose result can be injected.
 
     Attributes:
@@ -92,16 +92,16 @@ def _relative_to_longest(path: str, folders: tuple[str, ...]) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class SiteTable:
     """All sites of a kernel, by block in the order of dynamic indices."""
 
-    blocks: tuple[tuple[Site, ...], ...]
+    blocks: tuple[tuple[InjectionSite, ...], ...]
 
     def sizes(self) -> list[int]:
         """Number of sites of each block."""
         return [len(block) for block in self.blocks]
 
-    def executions(self, times: np.ndarray) -> list[tuple[Site, int]]:
+    def executions(self, times: np.ndarray) -> list[tuple[InjectionSite, int]]:
         """All sites with the execution counts of their blocks. Shape (blocks,)."""
         return [(site, int(number)) for block, number in zip(self.blocks, times, strict=True) for site in block]
 
@@ -114,7 +114,7 @@ class Table:
         return [[asdict(site) for site in block] for block in self.blocks]
 
     @staticmethod
-    def from_json(data: list[list[dict[str, Any]]]) -> "Table":
+    def from_json(data: list[list[dict[str, Any]]]) -> "SiteTable":
         """Inverse of `to_json`."""
         frames: dict[str, tuple[Frame, ...]] = {}
 
@@ -124,21 +124,23 @@ class Table:
                 frames[key] = tuple(Frame(**row) for row in rows)
             return frames[key]
 
-        return Table(tuple(tuple(Site(**{**row, "chain": chain(row["chain"])}) for row in block) for block in data))
+        return SiteTable(
+            tuple(tuple(InjectionSite(**{**row, "chain": chain(row["chain"])}) for row in block) for block in data)
+        )
 
 
-def make_table(module: Module) -> Table:
+def make_table(module: Module) -> SiteTable:
     """The sites of all blocks that have any, in text order."""
     used = roles(module)
     locations = Locations(module.metadata)
-    blocks: list[tuple[Site, ...]] = []
+    blocks: list[tuple[InjectionSite, ...]] = []
     for function in module.functions:
         for block in function.blocks:
             if block.sites:
                 chains = _chains(block, function, locations)
                 blocks.append(
                     tuple(
-                        Site(
+                        InjectionSite(
                             len(blocks),
                             offset,
                             site.opcode,
@@ -152,7 +154,7 @@ def make_table(module: Module) -> Table:
                         for offset, site in enumerate(block.sites)
                     )
                 )
-    return Table(tuple(blocks))
+    return SiteTable(tuple(blocks))
 
 
 def _chains(block: Block, function: Function, locations: Locations) -> dict[int, tuple[tuple[Frame, ...], bool]]:
@@ -339,7 +341,7 @@ class Selection:
     first: int = 0
     last: int = 0
 
-    def __contains__(self, site: Site) -> bool:
+    def __contains__(self, site: InjectionSite) -> bool:
         """Whether an instruction is in the class; any line of its chain of inlined calls counts."""
         if self.kind == "floating_point":
             return site.floating

@@ -18,13 +18,21 @@ from mavfi.errors import MavfiError
 from mavfi.faults.levels.instruction.arena import FRAMES, arena, own
 from mavfi.faults.levels.instruction.build import Built, cached_build
 from mavfi.faults.levels.instruction.instrument import HISTOGRAM
-from mavfi.faults.levels.instruction.runtime import MASK_BYTES, NEVER, REPORT_BYTES, REPORT_WORDS, WORDS, Control, Mode
-from mavfi.faults.levels.instruction.table import Site, Table
+from mavfi.faults.levels.instruction.runtime import (
+    MASK_BYTES,
+    NEVER,
+    REPORT_BYTES,
+    REPORT_WORDS,
+    WORDS,
+    ControlWord,
+    RunMode,
+)
+from mavfi.faults.levels.instruction.table import InjectionSite, SiteTable
 from mavfi.ir.build import Rewrite, Rewriting, check, environment_of, load_code, name_of
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class InjectionReport:
     """Report of an injection.
 
     Attributes:
@@ -34,7 +42,7 @@ class Report:
         planned: Whether the call used memory at planned addresses only: then its effect is the same everywhere.
     """
 
-    site: Site
+    site: InjectionSite
     before: int
     after: int
     planned: bool
@@ -75,7 +83,7 @@ class Variant:
     """Instrumented machine code with the kernel's arguments, which are modified as by a call."""
 
     def __init__(self, built: Built, environment: Any) -> None:
-        self.table: Table = built.table
+        self.table: SiteTable = built.table
         self.sizes = np.array(built.table.sizes(), np.int64)  # of the blocks
         self.ir_sha256 = built.ir_sha256
         self._built, self._environment = built, environment  # the code points to the environment
@@ -93,8 +101,8 @@ class Variant:
         ]
         self._reader = -1
         self.own_report()
-        self._control[Control.STOP] = ctypes.cast(ctypes.CDLL(None)._exit, ctypes.c_void_p).value or 0
-        self._set(Mode.INJECT, NEVER)
+        self._control[ControlWord.STOP] = ctypes.cast(ctypes.CDLL(None)._exit, ctypes.c_void_p).value or 0
+        self._set(RunMode.INJECT, NEVER)
 
     def _load(self, code: bytes) -> tuple[Any, Any]:
         """Engine of an object file, and its function."""
@@ -111,36 +119,36 @@ class Variant:
         report = np.frombuffer(mmap.mmap(-1, REPORT_BYTES), np.uint8)
         self._injected = report[: 8 * REPORT_WORDS].view(np.int64)
         self._values = report[8 * REPORT_WORDS :]
-        self._control[Control.REPORT] = report.ctypes.data
+        self._control[ControlWord.REPORT] = report.ctypes.data
 
     def _array(self, name: str, kind: Any, count: int) -> np.ndarray:
         """A global of the machine code."""
         return np.ctypeslib.as_array((kind * count).from_address(self._engine.get_global_value_address(name)))
 
-    def _set(self, mode: Mode, threshold: int) -> None:
+    def _set(self, mode: RunMode, threshold: int) -> None:
         control = self._control
-        control[Control.COUNTER] = control[Control.INJECTED] = control[Control.PLANNED] = 0
-        control[Control.FRAME] = FRAMES
+        control[ControlWord.COUNTER] = control[ControlWord.INJECTED] = control[ControlWord.PLANNED] = 0
+        control[ControlWord.FRAME] = FRAMES
         for there, here, size in self._constants:
             ctypes.memmove(there, here, size)
-        control[Control.MODE] = mode
-        control[Control.THRESHOLD] = threshold
+        control[ControlWord.MODE] = mode
+        control[ControlWord.THRESHOLD] = threshold
 
-    def _run(self, mode: Mode, threshold: int, args: tuple[Any, ...], **words: int) -> Any:
+    def _run(self, mode: RunMode, threshold: int, args: tuple[Any, ...], **words: int) -> Any:
         """Run with the given words of the control block."""
         self._set(mode, threshold)
         for name, word in words.items():
-            self._control[Control[name]] = word
+            self._control[ControlWord[name]] = word
         try:
             return self._function(None, args, None)
         finally:
-            self._set(Mode.INJECT, NEVER)
+            self._set(RunMode.INJECT, NEVER)
 
     def count(self, *args: Any) -> tuple[Any, int]:
         """Run without a fault; returns the result and the number of values written."""
-        self._set(Mode.INJECT, NEVER)
+        self._set(RunMode.INJECT, NEVER)
         result = self._function(None, args, None)
-        return result, int(self._control[Control.COUNTER])
+        return result, int(self._control[ControlWord.COUNTER])
 
     def tally(self, *args: Any) -> tuple[Any, np.ndarray]:
         """Run without a fault; returns the result and execution counts of blocks; faster than `profile`."""
@@ -162,7 +170,7 @@ class Variant:
         histogram = np.zeros(len(self.table.blocks), np.int64)
         trace = np.zeros(max(room, 1), np.int32)
         result = self._run(
-            Mode.PROFILE,
+            RunMode.PROFILE,
             0,
             args,
             HISTOGRAM=histogram.ctypes.data,
@@ -170,15 +178,15 @@ class Variant:
             TRACE_ROOM=room,
             TRACE_LENGTH=0,
         )
-        return result, histogram, trace[: int(self._control[Control.TRACE_LENGTH])]
+        return result, histogram, trace[: int(self._control[ControlWord.TRACE_LENGTH])]
 
-    def resolve(self, indices: Sequence[int], *args: Any) -> tuple[Any, list[Site | None]]:
+    def resolve(self, indices: Sequence[int], *args: Any) -> tuple[Any, list[InjectionSite | None]]:
         """Run without a fault; returns the result and the site of each dynamic index, None beyond the last."""
         wanted = np.array(sorted(set(indices)), np.int64)
         blocks = np.full(len(wanted), -1)
         offsets = np.full(len(wanted), -1)
         result = self._run(
-            Mode.RESOLVE,
+            RunMode.RESOLVE,
             int(wanted[0]) if len(wanted) else NEVER,
             args,
             EVENTS=wanted.ctypes.data,
@@ -196,7 +204,7 @@ class Variant:
     def locate(self, passes: Passes, *args: Any) -> Any:
         """Run without a fault, and store in `passes` the dynamic indices at which wanted executions start."""
         return self._run(
-            Mode.LOCATE,
+            RunMode.LOCATE,
             0,
             args,
             HISTOGRAM=passes.passed.ctypes.data,
@@ -216,17 +224,17 @@ class Variant:
         placed = arena().place(args) if self._owned else None
         self._injected[:] = (0, 0, 0, placed is not None)
         if placed is None:
-            return self._run(Mode.INJECT, index, args, TARGET=index, BUDGET=budget)
+            return self._run(RunMode.INJECT, index, args, TARGET=index, BUDGET=budget)
         words = {"TARGET": index, "BUDGET": budget, "PLANNED": 1, "HEAP": placed.heap}
         try:
-            return own(self._run(Mode.INJECT, index, placed.args, **words))
+            return own(self._run(RunMode.INJECT, index, placed.args, **words))
         except MemoryError:
             pass  # the arena is full, not the machine
         finally:
             placed.take_back()
         raise AllocationError("an array is too large")
 
-    def report(self) -> Report | None:
+    def report(self) -> InjectionReport | None:
         """Report of the last injection, here or in a forked child; None if the index was not reached."""
         injected, block, offset, planned = self._injected.tolist()
         if not injected:
@@ -236,7 +244,7 @@ class Variant:
         before, after = (
             int.from_bytes(self._values[first : first + size].tobytes(), "little") for first in (0, MASK_BYTES)
         )
-        return Report(site, before, after, bool(planned))
+        return InjectionReport(site, before, after, bool(planned))
 
 
 def _plain(name: str) -> str:
@@ -301,7 +309,9 @@ def variant_of(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None 
 
     With `rewrite` it is the variant of the rewritten kernel, e.g. a protected one.
 
-    Raises a RefusedError if the kernel cannot be instrumented exactly, a BuildError if the compiler crashes.
+    Raises:
+        NotInstrumentableError: The kernel cannot be instrumented exactly.
+        BuildError: The compiler crashed.
     """
     check(kernel)
     known = _variants.setdefault(kernel, {})
@@ -342,7 +352,7 @@ class Profiling:
         self.rewriting = rewriting
         self.counts: list[int] = []
         self.digests: list[str] = []
-        self._times: dict[str, tuple[Table, np.ndarray]] = {}
+        self._times: dict[str, tuple[SiteTable, np.ndarray]] = {}
 
     def __call__(self, *args: Any) -> Any:
         """Call the function; bit-identical result."""
@@ -354,7 +364,7 @@ class Profiling:
         self.digests.append(variant.ir_sha256)
         return result
 
-    def executed(self) -> list[tuple[str, Site, int]]:
+    def executed(self) -> list[tuple[str, InjectionSite, int]]:
         """All executed static instructions: digest of the IR, instruction, execution count."""
         return [
             (digest, site, times)
@@ -372,7 +382,7 @@ class Resolving:
         self._rewriting = rewriting
         self._wanted = wanted
         self._calls = 0
-        self.sites: dict[tuple[int, int], Site | None] = {}
+        self.sites: dict[tuple[int, int], InjectionSite | None] = {}
 
     @property
     def done(self) -> bool:

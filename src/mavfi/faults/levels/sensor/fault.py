@@ -13,7 +13,7 @@ from mavfi.faults.fault import Fault
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
+class Device:
     """A device that can fail.
 
     Attributes:
@@ -34,12 +34,12 @@ class Unit:
 
 
 UNITS = {
-    "gyro": Unit(0.5, 3.0, readers="body rates (rad/s)"),
-    "accelerometer": Unit(2.0, 20.0, readers="specific force (m/s²)"),
-    "compass": Unit(0.5 * pi, pi, readers="heading (rad)"),
-    "position": Unit(10.0, 50.0, readers="position (m) and velocity (m/s)"),
-    "depth_camera": Unit(0.5, 20.0, relative=True, lost=float("nan"), readers="ranges of the image (m)"),
-    "motor": Unit(-0.4, 1.0, relative=True, lost=0.0, instances=4, readers="commanded thrust (share of the largest)"),
+    "gyro": Device(0.5, 3.0, readers="body rates (rad/s)"),
+    "accelerometer": Device(2.0, 20.0, readers="specific force (m/s²)"),
+    "compass": Device(0.5 * pi, pi, readers="heading (rad)"),
+    "position": Device(10.0, 50.0, readers="position (m) and velocity (m/s)"),
+    "depth_camera": Device(0.5, 20.0, relative=True, lost=float("nan"), readers="ranges of the image (m)"),
+    "motor": Device(-0.4, 1.0, relative=True, lost=0.0, instances=4, readers="commanded thrust (share of the largest)"),
 }
 """Devices by name. The error of a position is along x."""
 TYPES = {
