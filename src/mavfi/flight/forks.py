@@ -33,7 +33,7 @@ from mavfi.detectors.registry import check_kernel
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.levels.instruction import ChildEnd, ForkPoint, MismatchError
-from mavfi.faults.levels.instruction.arena import arena, own
+from mavfi.faults.levels.instruction.arena import arena, copy_result
 from mavfi.faults.levels.instruction.plan import DATA, changed_nothing, check_fault, injection_of
 from mavfi.faults.levels.instruction.variant import InjectionReport, Variant, variant_for
 from mavfi.flight.checkpoints import fill, put
@@ -517,8 +517,8 @@ class Forks(Listener):
             copies = tuple(copied(argument) for argument in args)
         else:
             copies = placed.args
-        golden = own((function(*copies), copies))  # the injected call reuses the arena
-        before = own(args)
+        golden = copy_result((function(*copies), copies))  # the injected call reuses the arena
+        before = copy_result(args)
 
         # The call with the fault.
         try:

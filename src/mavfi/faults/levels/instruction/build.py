@@ -47,19 +47,26 @@ class Built:
             parts.append(data[8:size])
             data = data[size:]
         head, tally, code = parts
-        rows, digest, constants, *others = json.loads(zlib.decompress(head))
-        placed = tuple(Constant(*constant) for constant in constants)
-        return Built(code, tally, SiteTable.from_json(rows), digest, placed, *others)
+        rows, digest, constants, owned, wrapper, environment = json.loads(zlib.decompress(head))
+        return Built(
+            code,
+            tally,
+            SiteTable.from_json(rows),
+            digest,
+            tuple(Constant(*constant) for constant in constants),
+            owned,
+            wrapper,
+            environment,
+        )
 
 
 def cached_build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Built:
     """The instrumented variant from the cache, or from `build` (whose errors it raises) if missing or invalid."""
     cache = ObjectCache("instruction", Path(__file__).parent)
-    if rewrite is None:
-        more = []
-    else:
-        more = [rewrite.key, folder_text(Path(inspect.getfile(type(rewrite))).parent)]
-    key = cache.key(kernel, signature, *more)
+    inputs: list[bytes] = []
+    if rewrite is not None:
+        inputs = [rewrite.key, folder_text(Path(inspect.getfile(type(rewrite))).parent)]
+    key = cache.key(kernel, signature, *inputs)
     data = cache.load(key)
     if data is not None:
         return Built.unpack(data)
@@ -85,10 +92,15 @@ def make(kernel: Any, signature: tuple[Any, ...], source: KernelSource, rewrite:
     return assemble(instrument(source.text, source.kernel, rewrite), source).pack()
 
 
-def assemble(made: Instrumented, source: KernelSource) -> Built:
+def assemble(instrumented: Instrumented, source: KernelSource) -> Built:
     """Translate instrumented IR into machine code."""
-    code = translate(made.text)
-    tally = translate(made.tally, optimised)
     return Built(
-        code, tally, made.table, made.ir_sha256, made.constants, made.owned, source.wrapper, source.environment
+        translate(instrumented.text),
+        translate(instrumented.tally, optimised),
+        instrumented.table,
+        instrumented.ir_sha256,
+        instrumented.constants,
+        instrumented.owned,
+        source.wrapper,
+        source.environment,
     )
