@@ -32,7 +32,7 @@ def full_plan(kernel: str, function: Any, signature: tuple[Any, ...]) -> Functio
         signature: Numba types of its arguments.
 
     Raises:
-        RefusedError: The function has an unknown construct.
+        NotInstrumentableError: The function has an unknown construct.
         BuildError: The compiler crashed.
     """
     source = cached_source(function, signature)

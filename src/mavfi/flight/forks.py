@@ -32,10 +32,10 @@ from mavfi.detectors.detector import Detector, part_of, split_noting_calls
 from mavfi.detectors.registry import check_kernel
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.fault import InstructionFault
-from mavfi.faults.levels.instruction import Ended, ForkPoint, MismatchError
-from mavfi.faults.levels.instruction.arena import arena, own
+from mavfi.faults.levels.instruction import ChildEnd, ForkPoint, MismatchError
+from mavfi.faults.levels.instruction.arena import arena, copy_result
 from mavfi.faults.levels.instruction.plan import DATA, changed_nothing, check_fault, injection_of
-from mavfi.faults.levels.instruction.variant import Report, Variant, variant_for
+from mavfi.faults.levels.instruction.variant import InjectionReport, Variant, variant_for
 from mavfi.flight.checkpoints import fill, put
 from mavfi.flight.compose import new_loop, watch
 from mavfi.flight.decide import INLINE, RecoveryPolicy
@@ -141,7 +141,7 @@ class FaultCase:
     kernel: str
     call: int
     time_us: int = 0
-    value: Report | None = None
+    value: InjectionReport | None = None
     how: str = WAITING
     detail: str = ""
     report: ChildReport | None = None
@@ -474,7 +474,7 @@ class Forks(Listener):
             return fault
         return None
 
-    def _fork(self, case: FaultCase, *, dead: bool) -> Ended | None:
+    def _fork(self, case: FaultCase, *, dead: bool) -> ChildEnd | None:
         """None in the child; in the golden flight the child's termination, retried after a wall-clock timeout."""
         for _ in range(_ATTEMPTS):
             point = ForkPoint()
@@ -514,9 +514,12 @@ class Forks(Listener):
 
         # The error-free call, on copies of the arguments.
         placed = arena().place(args)  # preserves strides, which a copy may not: they select the compiled variant
-        copies = tuple(copied(argument) for argument in args) if placed is None else placed.args
-        golden = own((function(*copies), copies))  # the injected call reuses the arena
-        before = own(args)
+        if placed is None:
+            copies = tuple(copied(argument) for argument in args)
+        else:
+            copies = placed.args
+        golden = copy_result((function(*copies), copies))  # the injected call reuses the arena
+        before = copy_result(args)
 
         # The call with the fault.
         try:
@@ -549,7 +552,7 @@ class Forks(Listener):
         self.child.point.finish(pickle.dumps(report))
 
 
-def _report_of(ended: Ended) -> ChildReport:
+def _report_of(ended: ChildEnd) -> ChildReport:
     """The report of a child; a MavfiError if it ended without one."""
     if ended.how != "done":
         raise MavfiError(f"the flight with a restarted node ended with {ended.how} ({ended.detail})")
@@ -557,7 +560,7 @@ def _report_of(ended: Ended) -> ChildReport:
     return report
 
 
-def _note_end(case: FaultCase, ended: Ended) -> None:
+def _note_end(case: FaultCase, ended: ChildEnd) -> None:
     """Note how the child with the injected call ended; a case whose instruction it missed waits for the next call."""
     case.how = ended.how
     case.detail = ended.detail

@@ -16,7 +16,7 @@ import numpy as np
 
 from mavfi.extras.hardening.duplicate import MESSAGE
 from mavfi.faults.levels.instruction.plan import budget_for
-from mavfi.faults.levels.instruction.table import Site
+from mavfi.faults.levels.instruction.table import InjectionSite
 from mavfi.faults.levels.instruction.variant import Passes, Variant
 from mavfi.ir.forked import run_in_child
 from mavfi.outcomes import Effect
@@ -252,7 +252,7 @@ class Battery:
             found.append(Place(call, block, number, offset, bit))
         return found
 
-    def site(self, block: int, offset: int) -> Site:
+    def site(self, block: int, offset: int) -> InjectionSite:
         """A static instruction."""
         return self.variant.table.blocks[block][offset]
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from mavfi.extras.hardening.battery import copied
 from mavfi.extras.hardening.duplicate import callees
-from mavfi.ir.build import Rewrite, Source, environment_of, load_code, translate
+from mavfi.ir.build import KernelSource, Rewrite, environment_of, load_code, translate
 from mavfi.ir.module import Function, Module
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source
@@ -39,7 +39,7 @@ class Compiled:
         environment: Numba's environment of the function, which the code points to.
     """
 
-    def __init__(self, source: Source, code: bytes, environment: Any) -> None:
+    def __init__(self, source: KernelSource, code: bytes, environment: Any) -> None:
         self._environment = environment
         self._engine, self._function = load_code(code, source.wrapper, source.environment, environment)
 
@@ -168,12 +168,12 @@ class Timed(Compiled):
         code: As of `code_of`.
     """
 
-    def __init__(self, source: Source, code: bytes, environment: Any) -> None:
+    def __init__(self, source: KernelSource, code: bytes, environment: Any) -> None:
         super().__init__(source, code, environment)
         self._repetitions, self._ticks = self.word(_REPETITIONS), self.word(_TICKS)
 
     @staticmethod
-    def code_of(source: Source, module: Module) -> bytes:
+    def code_of(source: KernelSource, module: Module) -> bytes:
         """Machine code of a variant of a function's module, with its loop."""
         return code_of(module, looping(text_of(module), source.wrapper, main_function(module, source.wrapper)))
 

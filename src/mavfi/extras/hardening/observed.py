@@ -109,7 +109,7 @@ def observe(scenario: Scenario, kernels: Sequence[str]) -> dict[str, list[Seen]]
 
     Raises:
         BadInputError: The mission cannot be flown.
-        RefusedError: A kernel cannot be instrumented exactly.
+        NotInstrumentableError: A kernel cannot be instrumented exactly.
     """
     names = entries_of(kernels)
     with ThreadPoolExecutor(1) as ahead, np.errstate(all="ignore"):

@@ -17,10 +17,9 @@ from mavfi.extras.hardening.battery import NOT_ACTIVATED, SDC, Battery
 from mavfi.extras.hardening.choose import Choice, Chooser, Value, values_of
 from mavfi.extras.hardening.observed import Seen
 from mavfi.extras.hardening.plan import Site
-from mavfi.faults.levels.instruction.table import Site as TableSite
-from mavfi.faults.levels.instruction.table import Table
+from mavfi.faults.levels.instruction.table import InjectionSite, SiteTable
 from mavfi.faults.sampling import stream
-from mavfi.ir.build import Source, name_of
+from mavfi.ir.build import KernelSource, name_of
 from mavfi.ir.module import Module
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source
@@ -98,13 +97,13 @@ class Rates:
         return rate
 
 
-def groups_of(site: TableSite) -> Groups:
+def groups_of(site: InjectionSite) -> Groups:
     """Groups of a site, from opcode and type over line and value class to the site itself."""
     opcode: Hashable = ("opcode", site.opcode, site.kind)
     return opcode, ("line", site.file, site.line, site.value_class), ("site", site.block, site.offset)
 
 
-def rates_of(injections: Sequence[Injected], table: Table) -> Rates:
+def rates_of(injections: Sequence[Injected], table: SiteTable) -> Rates:
     """Rates of silent corruption of a function's sites, from the injections in it."""
     return Rates((groups_of(table.blocks[one.block][one.offset]), one.sdc) for one in injections)
 
@@ -142,7 +141,7 @@ class Target:
         return self.key[0]
 
     @cached_property
-    def source(self) -> Source:
+    def source(self) -> KernelSource:
         """IR as in a fresh process."""
         return cached_source(self.seen.function, self.seen.signature)
 
@@ -168,7 +167,7 @@ class Target:
         return values_of(self.module, executions, addresses=self.addresses)
 
     @cached_property
-    def rows(self) -> list[TableSite]:
+    def rows(self) -> list[InjectionSite]:
         """Row of the table of sites for each value."""
         block = {place: number for number, place in enumerate(self.places)}
         table = self.seen.variant.table.blocks
@@ -204,7 +203,7 @@ class Target:
         return [(part, Chooser(self.values, self.benefit(own))) for part, own in zip(parts, rest, strict=True) if part]
 
     @cached_property
-    def masses(self) -> list[tuple[Site, TableSite, int, float]]:
+    def masses(self) -> list[tuple[Site, InjectionSite, int, float]]:
         """All executed sites: as in a plan, row of the table, executions, and expected silent corruptions."""
         rates = rates_of(self.injections, self.seen.variant.table)
         rows = self.seen.variant.table.executions(self.seen.executions)

@@ -39,7 +39,7 @@ _POINT_SIZE = 12
 
 
 @dataclass(frozen=True, slots=True)
-class Publications:
+class PublishedStates:
     """What the kernels of a flight published.
 
     Attributes:
@@ -88,7 +88,7 @@ def _orientation(wxyz: np.ndarray) -> dict[str, float]:
 
 
 def timeline(
-    log: FlightLog, world: World, published: Publications | None = None, golden: FlightLog | None = None
+    log: FlightLog, world: World, published: PublishedStates | None = None, golden: FlightLog | None = None
 ) -> Iterator[Message]:
     """All messages of a flight, in chronological order.
 
@@ -112,7 +112,7 @@ def timeline(
     yield from heapq.merge(ticks, lines, _published(published), key=lambda message: message.time_ns)
 
 
-def _published(published: Publications | None) -> Iterator[Message]:
+def _published(published: PublishedStates | None) -> Iterator[Message]:
     if published is not None:
         convert = Converter(published.grid)
         for time_us, state in published.states:

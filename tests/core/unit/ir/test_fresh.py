@@ -91,7 +91,7 @@ def test_forks_of_the_program_have_their_own():
 
 def test_other_settings_need_another_one(monkeypatch):
     template()
-    first = fresh._own.template
+    first = fresh._of_thread.template
     monkeypatch.setenv("NUMBA_OPT", "2")
     assert not first.usable()
     monkeypatch.delenv("NUMBA_OPT")
