@@ -11,7 +11,7 @@ from pathlib import Path
 from mavfi.campaign.fingerprint import processor
 from mavfi.extras.hardening.advise import codes_of, times_of
 from mavfi.extras.hardening.observed import observe
-from mavfi.extras.hardening.plan import FunctionPlan, Plan, save_plan
+from mavfi.extras.hardening.plan import FunctionPlan, ProtectionPlan, save_plan
 from mavfi.extras.hardening.target import targets_of
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
@@ -19,7 +19,7 @@ from mavfi.states import PLANNERS
 from tools.full_plan import full_plan
 
 
-def full(kernels: list[str], environment: str = "sparse", seed: int = 7) -> Plan:
+def full(kernels: list[str], environment: str = "sparse", seed: int = 7) -> ProtectionPlan:
     """The plan for some kernels; functions that the flight does not call are not in it."""
     planner = next((kernel for kernel in kernels if kernel in PLANNERS), "rrt_connect")
     seen = observe(resolve(MissionSpec(environment=environment, seed=seed, planner=planner)), kernels)
@@ -28,7 +28,7 @@ def full(kernels: list[str], environment: str = "sparse", seed: int = 7) -> Plan
         planned = full_plan(target.kernels[0], target.seen.function, target.seen.signature)
         _, (time,) = times_of(target, codes_of(target, [planned.sites]))
         functions.append(planned.model_copy(update={"time": round(time, 3)}))
-    return Plan(cpu=processor(), functions=tuple(functions))
+    return ProtectionPlan(cpu=processor(), functions=tuple(functions))
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from mavfi.extras.hardening.duplicate import candidates, is_fork, reads_memory
-from mavfi.extras.hardening.plan import Site
+from mavfi.extras.hardening.plan import ModuleSite
 from mavfi.ir.flow import back_edges
 from mavfi.ir.module import Function, Instruction, Module, is_floating
 
@@ -52,7 +52,7 @@ class Use(NamedTuple):
     compared: bool = False
 
 
-class Entry(NamedTuple):
+class PhiInput(NamedTuple):
     """An incoming value of a phi: its index or `OUTSIDE`, executions of the edge's block, whether it closes a loop."""
 
     value: int
@@ -75,13 +75,13 @@ class Value:
         weight: Cost of its instruction, in simple ones.
     """
 
-    site: Site
+    site: ModuleSite
     opcode: str
     kind: str
     executions: float
     operands: tuple[int, ...] = ()
     uses: list[Use] = field(default_factory=list)
-    entries: tuple[Entry, ...] = ()
+    entries: tuple[PhiInput, ...] = ()
     weight: float = 1.0
 
     @property
@@ -120,7 +120,7 @@ def values_of(module: Module, executions: Mapping[tuple[int, int], float], *, ad
         made: list[tuple[Value, Instruction, str]] = []
         for place, block in enumerate(function.blocks):
             for offset, instruction in enumerate(block.sites):
-                site = Site(number, place, offset)
+                site = ModuleSite(number, place, offset)
                 if site in allowed:
                     index[str(instruction.result)] = len(values) + len(made)
                     value = Value(site, instruction.opcode, instruction.kind, counts[block.label] or 0.0)
@@ -131,7 +131,7 @@ def values_of(module: Module, executions: Mapping[tuple[int, int], float], *, ad
             used = [name for name, _ in instruction.incoming] or instruction.uses()
             value.operands = tuple(dict.fromkeys(index[name] for name in used if name in index))
             value.entries = tuple(
-                Entry(index.get(name, OUTSIDE), counts.get(label) or 0.0, (label, header) in back)
+                PhiInput(index.get(name, OUTSIDE), counts.get(label) or 0.0, (label, header) in back)
                 for name, label in instruction.incoming
             )
         for name, use in _uses_of(function, index, counts, addresses=addresses):

@@ -17,7 +17,7 @@ from mavfi.files import is_file
 
 if TYPE_CHECKING:
     from mavfi.analysis.table import Table
-    from mavfi.extras.hardening.advise import Study
+    from mavfi.extras.hardening.advise import HardeningStudy
 
 EXIT_REFUTED = 3
 
@@ -55,7 +55,7 @@ def harden(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi harden out/kernels --plan plan.yaml --certify[/bold]
     """
-    from mavfi.extras.hardening.advise import Study
+    from mavfi.extras.hardening.advise import HardeningStudy
 
     check_number("--budget", budget, 0.0, 10.0)
     check_number("--faults", faults, 1, 100_000)
@@ -67,14 +67,14 @@ def harden(  # noqa: PLR0913 - one parameter per option
             if value is not None:
                 raise BadInputError(f"{option}: {value}: allowed: without --certify")
         check_file("--html", html, PAGES)
-        _certify(Study.open(directory, names), plan, faults or 400, html, as_json=as_json)
+        _certify(HardeningStudy.open(directory, names), plan, faults or 400, html, as_json=as_json)
         return
     if faults is not None:
         raise BadInputError(f"--faults: {faults}: allowed: with --certify")
     check_file("--plan", plan, (".yaml", ".yml"))
     check_file("--html", html, PAGES)
     share = 0.10 if budget is None else budget
-    _advise(Study.open(directory, names), share, plan, html, addresses=addresses, as_json=as_json)
+    _advise(HardeningStudy.open(directory, names), share, plan, html, addresses=addresses, as_json=as_json)
 
 
 def _tell(text: str) -> None:
@@ -82,7 +82,7 @@ def _tell(text: str) -> None:
 
 
 def _advise(
-    study: "Study", budget: float, path: Path | None, html: Path | None, *, addresses: bool, as_json: bool
+    study: "HardeningStudy", budget: float, path: Path | None, html: Path | None, *, addresses: bool, as_json: bool
 ) -> None:
     from mavfi.extras.hardening import certify, plan, report, summary
     from mavfi.extras.hardening.advise import advise, plan_of
@@ -104,7 +104,7 @@ def _advise(
     say_written(path, html)
 
 
-def _certify(study: "Study", path: Path, faults: int, html: Path | None, *, as_json: bool) -> None:
+def _certify(study: "HardeningStudy", path: Path, faults: int, html: Path | None, *, as_json: bool) -> None:
     from mavfi.extras.hardening import certify, plan, report
 
     planned = plan.load_plan(str(path))

@@ -17,7 +17,7 @@ from collections import defaultdict
 from collections.abc import Collection
 from dataclasses import replace
 
-from mavfi.extras.hardening.plan import Site
+from mavfi.extras.hardening.plan import ModuleSite
 from mavfi.ir.flow import back_edges, loop_depths, successors
 from mavfi.ir.module import Block, Function, Instruction, Module, width
 from mavfi.ir.parser import VOLATILE_LOAD
@@ -33,11 +33,11 @@ _SMALL = re.compile(r"i[1-7]")
 _VECTOR = re.compile(r"<\d+ x (?:double|float|i64|i32|i16|i8|ptr)>")
 
 
-def candidates(module: Module) -> list[Site]:
+def candidates(module: Module) -> list[ModuleSite]:
     """All sites that can be duplicated, in text order."""
     able = reporting(module)
     return [
-        Site(i, j, k)
+        ModuleSite(i, j, k)
         for i, function in enumerate(module.functions)
         if function.name in able
         for kinds in [kinds_of(function)]
@@ -123,7 +123,7 @@ _ARBITRARY = re.compile(r"\b(?:undef|poison)\b")
 _WEIGHTS = ['!1 = !{!"branch_weights", i32 1, i32 100000}', '!2 = !{!"branch_weights", i32 100000, i32 1}']
 
 
-def protect(module: Module, sites: Collection[Site], *, addresses: bool) -> Module:
+def protect(module: Module, sites: Collection[ModuleSite], *, addresses: bool) -> Module:
     """A module in which the values at the given sites are duplicated and compared.
 
     Fault-free results are bit-identical.  Results of the original instructions keep their names, so that the sites of

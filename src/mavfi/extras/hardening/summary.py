@@ -11,12 +11,12 @@ from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate, wilson
 from mavfi.campaign.plan import FI
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.advise import Advice, Curve, Step, Study, coverage_of, coverage_of_steps
+from mavfi.extras.hardening.advise import Advice, Curve, CurveStep, HardeningStudy, coverage_of, coverage_of_steps
 from mavfi.extras.hardening.certify import rate_of
 from mavfi.extras.hardening.choose import added
 from mavfi.extras.hardening.duplicate import candidates
-from mavfi.extras.hardening.plan import Plan, Site
-from mavfi.extras.hardening.target import Target
+from mavfi.extras.hardening.plan import ModuleSite, ProtectionPlan
+from mavfi.extras.hardening.target import FunctionTarget
 from mavfi.outcomes import Effect
 
 _SDC = Effect.SDC.label
@@ -193,7 +193,9 @@ class AdviceSummary:
     harm: Harm
 
 
-def summary(study: Study, advices: Sequence[Advice], harm: Harm, plan: Plan | None = None) -> AdviceSummary:
+def summary(
+    study: HardeningStudy, advices: Sequence[Advice], harm: Harm, plan: ProtectionPlan | None = None
+) -> AdviceSummary:
     """Sum up an advice; `plan` is the plan made from it, which states the certified coverage of functions."""
     first = advices[0]
     certified = {}
@@ -217,12 +219,12 @@ def summary(study: Study, advices: Sequence[Advice], harm: Harm, plan: Plan | No
     )
 
 
-def growth_of(curve: Curve, step: Step) -> float:
+def growth_of(curve: Curve, step: CurveStep) -> float:
     """Dynamic instructions of a step / those of the plain function."""
     return 1 + added(curve.target.values, step.choice.chosen) / max(curve.target.seen.instructions, 1)
 
 
-def _kernel(kernel: str, studied: Sequence[tuple[Curve, Step]]) -> KernelSummary:
+def _kernel(kernel: str, studied: Sequence[tuple[Curve, CurveStep]]) -> KernelSummary:
     steps = [(curve, step) for curve, step in studied if kernel in curve.target.kernels]
     share = sum(curve.share for curve, _ in steps)
     extra = sum(curve.extra(step) for curve, step in steps)
@@ -230,7 +232,7 @@ def _kernel(kernel: str, studied: Sequence[tuple[Curve, Step]]) -> KernelSummary
     return KernelSummary(kernel, share, extra, time, coverage_of_steps(steps))
 
 
-def _function(curve: Curve, chosen: Step, certified: Rate | None) -> FunctionSummary:
+def _function(curve: Curve, chosen: CurveStep, certified: Rate | None) -> FunctionSummary:
     target = curve.target
     sites = target.sites(chosen.choice)
     steps = tuple(
@@ -259,7 +261,7 @@ def _function(curve: Curve, chosen: Step, certified: Rate | None) -> FunctionSum
     )
 
 
-def _escapes(target: Target, sites: Collection[Site]) -> dict[str, float]:
+def _escapes(target: FunctionTarget, sites: Collection[ModuleSite]) -> dict[str, float]:
     """Shares of the expected silent corruptions: removed, not affordable, and not duplicable, the latter by opcode."""
     repeatable = set(candidates(target.module))
     masses: dict[str, float] = defaultdict(float)
@@ -275,7 +277,7 @@ def _escapes(target: Target, sites: Collection[Site]) -> dict[str, float]:
     return {name: mass / whole for name, mass in sorted(masses.items(), key=lambda item: -item[1]) if mass}
 
 
-def _lines(target: Target, sites: Collection[Site]) -> tuple[LineSummary, ...]:
+def _lines(target: FunctionTarget, sites: Collection[ModuleSite]) -> tuple[LineSummary, ...]:
     """Executed source lines, by file and number."""
     sums: dict[tuple[str, int], list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0])
     for site, row, executions, mass in target.masses:
