@@ -13,7 +13,7 @@ from mavfi.campaign.fingerprint import processor
 from mavfi.extras.hardening.advise import codes_of, times_of
 from mavfi.extras.hardening.duplicate import candidates
 from mavfi.extras.hardening.observed import observe
-from mavfi.extras.hardening.plan import FunctionPlan, Plan, save_plan, signature_text
+from mavfi.extras.hardening.plan import FunctionPlan, ProtectionPlan, save_plan, signature_text
 from mavfi.extras.hardening.target import targets_of
 from mavfi.flight.compose import resolve
 from mavfi.ir.module import digest_of
@@ -47,7 +47,7 @@ def full_plan(kernel: str, function: Any, signature: tuple[Any, ...]) -> Functio
     )
 
 
-def full(kernels: list[str], environment: str = "sparse", seed: int = 7) -> Plan:
+def full(kernels: list[str], environment: str = "sparse", seed: int = 7) -> ProtectionPlan:
     """The plan for some kernels; functions that the flight does not call are not in it."""
     planner = next((kernel for kernel in kernels if kernel in PLANNERS), "rrt_connect")
     seen = observe(resolve(MissionSpec(environment=environment, seed=seed, planner=planner)), kernels)
@@ -56,7 +56,7 @@ def full(kernels: list[str], environment: str = "sparse", seed: int = 7) -> Plan
         planned = full_plan(target.kernels[0], target.seen.function, target.seen.signature)
         _, (time,) = times_of(target, codes_of(target, [planned.sites]))
         functions.append(planned.model_copy(update={"time": round(time, 3)}))
-    return Plan(cpu=processor(), functions=tuple(functions))
+    return ProtectionPlan(cpu=processor(), functions=tuple(functions))
 
 
 if __name__ == "__main__":

@@ -19,11 +19,11 @@ from mavfi.extras.bench.bench import (
     ROWS,
     Bench,
     checksum,
-    entries,
     faults_of,
     frozen_faults,
     level_of,
     load_bench,
+    select_parts,
     with_only,
     with_schemes,
 )
@@ -41,14 +41,14 @@ LIBRARIES = set(trainable(["bench"])) - set(trainable())
 
 def test_every_part_of_a_shipped_bench_can_be_flown():
     for name in names("bench"):
-        for part, entry in entries(load_bench(name), "paper").items():
+        for part, entry in select_parts(load_bench(name), "paper").items():
             assert entry.campaign.arms, part
             assert entry.part.view in VIEWS
             assert not entry.campaign.on_design_seeds
 
 
 def test_every_field_of_the_estimate_that_is_read_is_struck_once_and_for_a_while():
-    campaign = entries(BENCH, "quick", parts=["estimator-state"])["estimator-state"].campaign
+    campaign = select_parts(BENCH, "quick", parts=["estimator-state"])["estimator-state"].campaign
     estimate = STATES["perception.odometry"]
     live = [f"{estimate.name}.{field.name}" for field in estimate.fields if field.read_in]
     lasting = {group.name: group.lifetime is not None for group in campaign.sampling.groups}
@@ -59,52 +59,53 @@ def test_every_field_of_the_estimate_that_is_read_is_struck_once_and_for_a_while
 
 
 def test_a_scheme_that_was_trained_for_other_flights_is_left_out_with_the_reason():
-    found = entries(SLOW, "quick")["slow"]
+    found = select_parts(SLOW, "quick")["slow"]
     assert "no model is trained" in found.left_out["gaussian"]
     assert "gaussian" not in found.campaign.arms and "recommended" in found.campaign.arms
 
 
 @pytest.mark.parametrize("part", ["cortex-a57", "rrt", "rrt-star", "other-profile"])
 def test_parts_that_detectors_were_not_trained_for_are_flown_with_the_models_there_are(part):
-    found = entries(BENCH, "quick", parts=[part])[part]
+    found = select_parts(BENCH, "quick", parts=[part])[part]
     arms = arms_of(found.campaign)
     used = model_hashes(found.campaign, scenarios_of(found.campaign, arms), None)
-    trained = entries(BENCH, "quick", parts=["sites"])["sites"].campaign
+    trained = select_parts(BENCH, "quick", parts=["sites"])["sites"].campaign
     assert used == model_hashes(trained, scenarios_of(trained, arms_of(trained)), None)
     assert {"gaussian", "limits", "recommended"} <= set(used)
 
 
 def test_schemes_of_libraries_that_are_not_installed_are_left_out_with_the_reason(monkeypatch):
     monkeypatch.setattr(library, "find_spec", lambda name: None)
-    found = entries(BENCH, "quick", parts=["sites"])["sites"]
+    found = select_parts(BENCH, "quick", parts=["sites"])["sites"]
     assert set(found.left_out) == {name for name, arm in BENCH.arms.items() if arm.detector in LIBRARIES}
     assert all("not installed; install it with: pip install 'mavfi[bench]'" in one for one in found.left_out.values())
 
 
 def test_schemes_of_libraries_without_a_model_are_left_out_with_the_command_that_fits_them(monkeypatch):
     monkeypatch.setattr(library, "find_spec", lambda name: True)
-    found = entries(BENCH, "quick", parts=["sites"])["sites"]
+    found = select_parts(BENCH, "quick", parts=["sites"])["sites"]
     assert set(found.left_out) == {name for name, arm in BENCH.arms.items() if arm.detector in LIBRARIES}
     assert all("train one (mavfi train --baselines --autopilot" in one for one in found.left_out.values())
 
 
 def test_parts_by_level_and_by_name():
     for level in ("instruction", "memory", "sensor", "message"):
-        found = entries(BENCH, "quick", levels=[level])
+        found = select_parts(BENCH, "quick", levels=[level])
         assert next(iter(found)) == level and all(level_of(one.campaign) == level for one in found.values())
         assert not any(name in found for name in ("state", "sites", "golden"))
-    assert list(entries(BENCH, "quick", parts=["sites"])) == ["sites"]
+    assert list(select_parts(BENCH, "quick", parts=["sites"])) == ["sites"]
 
 
 def test_policies_of_dead_nodes_are_flown_where_nodes_die():
     arms = {
-        name: entry.campaign.arms for name, entry in entries(BENCH, "quick", parts=["sites", "instruction"]).items()
+        name: entry.campaign.arms
+        for name, entry in select_parts(BENCH, "quick", parts=["sites", "instruction"]).items()
     }
     assert "readback" in arms["instruction"] and "readback" not in arms["sites"]
 
 
 def test_a_detector_of_ones_own_takes_the_place_of_the_schemes():
-    found = entries(with_only(BENCH, [DETECTOR]), "quick", parts=["sites"])["sites"].campaign
+    found = select_parts(with_only(BENCH, [DETECTOR]), "quick", parts=["sites"])["sites"].campaign
     assert list(found.arms) == ["FakeDetector"]
     assert found.arms["FakeDetector"].detector == DETECTOR
 
@@ -120,17 +121,17 @@ def test_a_detector_of_ones_own_takes_the_place_of_the_schemes():
 )
 def test_what_there_is_not_is_refused(ask, message):
     with pytest.raises(BadInputError, match=message):
-        entries(BENCH, **{"scale": "quick", **ask})
+        select_parts(BENCH, **{"scale": "quick", **ask})
 
 
 def test_a_bench_that_nobody_can_fly_is_refused():
     with pytest.raises(BadInputError, match="no scheme can fly: .*no model is trained"):
-        entries(with_only(SLOW, ["gaussian"]), "quick")
+        select_parts(with_only(SLOW, ["gaussian"]), "quick")
 
 
 def test_schemes_without_a_detector_fly_only_where_nodes_die():
     with pytest.raises(BadInputError, match="no scheme can fly: without a detector, .* only where nodes die"):
-        entries(with_schemes(BENCH, ["readback"]), "quick", parts=["sites"])
+        select_parts(with_schemes(BENCH, ["readback"]), "quick", parts=["sites"])
 
 
 @pytest.mark.parametrize("name", ["", " "])

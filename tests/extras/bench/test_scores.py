@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import average_precision_score, roc_auc_score
 
-from mavfi.extras.bench.scores import Scores, _Scorer, table, unscored
+from mavfi.extras.bench.scores import Scores, _ScoreRecorder, table, unscored
 from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.states import new_state
 from tests.core.unit.campaign.fakes import small
@@ -109,6 +109,6 @@ class CommandsAlarm:
 
 
 def test_a_message_that_a_fault_loses_has_the_lowest_score():
-    scorer = _Scorer({"one": CommandsAlarm()}, (StateFault(FaultSite("planning.path", "length_x"), 0, 31),))
+    scorer = _ScoreRecorder({"one": CommandsAlarm()}, (StateFault(FaultSite("planning.path", "length_x"), 0, 31),))
     scorer(new_state("planning.path", 3), 7)
     assert scorer.kept["one"].corrupted == {0: 0.0}

@@ -4,7 +4,7 @@ import pytest
 
 from mavfi.config import PlatformConfig, shipped
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.plan import Coverage, Plan, Site, load_plan, save_plan
+from mavfi.extras.hardening.plan import Coverage, ModuleSite, ProtectionPlan, load_plan, save_plan
 from mavfi.extras.hardening.protected import SOURCE
 from mavfi.faults.levels.instruction.variant import signature_of
 from mavfi.flight.compose import resolve
@@ -46,7 +46,7 @@ def golden():
 
 @pytest.fixture(scope="module")
 def plan(golden):
-    return Plan(functions=tuple(full_plan("pid", PLAIN.track, types) for types in golden[1]))
+    return ProtectionPlan(functions=tuple(full_plan("pid", PLAIN.track, types) for types in golden[1]))
 
 
 @pytest.fixture(scope="module")
@@ -190,7 +190,7 @@ def test_a_plan_for_other_code_is_refused_in_one_line(plan, folder):
     ("change", "message"),
     [
         ({"ir_sha256": "ab" * 32}, "planned for IR abababababab, this is"),
-        ({"sites": (Site(0, 999, 0),)}, "site 999:0 of function 0: not in its code"),
+        ({"sites": (ModuleSite(0, 999, 0),)}, "site 999:0 of function 0: not in its code"),
     ],
 )
 def test_a_golden_flight_refuses_a_plan_for_other_code(plan, folder, change, message):

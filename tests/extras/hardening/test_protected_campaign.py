@@ -7,7 +7,7 @@ from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.replay import replay
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
-from mavfi.extras.hardening.plan import Plan, load_plan, save_plan
+from mavfi.extras.hardening.plan import ProtectionPlan, load_plan, save_plan
 from mavfi.extras.hardening.protected import SOURCE
 
 pytestmark = pytest.mark.slow  # flies a campaign
@@ -23,7 +23,7 @@ def flown(tmp_path_factory):
     functions = tuple(
         one.model_copy(update={"time": 1.0}) for one in load_plan("full").functions if one.kernel == "pid"
     )
-    save_plan(Plan(functions=functions), folder / "plan.yaml")
+    save_plan(ProtectionPlan(functions=functions), folder / "plan.yaml")
     config = Campaign.model_validate(
         {
             "name": "combined",

@@ -13,13 +13,13 @@ from mavfi.extras.hardening.report import (
     HEIGHT,
     WIDTH,
     advice_table,
-    best,
     caveats,
     certificate_table,
     curve,
     headline,
     interval,
     page,
+    pareto_front,
     source,
     verdict_line,
     write_certificate,
@@ -131,7 +131,7 @@ def test_the_page_of_a_certificate_starts_with_its_verdict(tmp_path):
 
 def test_the_line_of_a_curve_joins_what_the_time_buys():
     times, rates = [1.0, 1.3, 1.1, 1.1, 1.4], [0.0, 0.6, 0.7, 0.2, 0.8]
-    assert best(times, rates) == [0, 2, 4]
+    assert pareto_front(times, rates) == [0, 2, 4]
     steps = [StepSummary(0.5, 1.5, time, rate(share), False) for time, share in zip(times, rates, strict=True)]
     drawn = curve(replace(summary().functions[0], steps=tuple(steps)))
     assert len(drawn.points) == 5
