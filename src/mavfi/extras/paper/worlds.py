@@ -40,7 +40,7 @@ class Mean:
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class MeanDifference:
     """A difference of means, first - second, and its p value."""
 
     first: Mean
@@ -51,7 +51,7 @@ class Difference:
     behind: tuple[str, ...]  # ids of the runs with a value
 
 
-def within_worlds(first: Runs, second: Runs, value: pl.Expr, *, by: str = "world") -> Difference | None:
+def within_worlds(first: Runs, second: Runs, value: pl.Expr, *, by: str = "world") -> MeanDifference | None:
     """Compare two groups of runs in the same worlds, with random signs of each world's difference.
 
     `by` names the column that identifies the world.  Runs with a null value are excluded; None if the groups share no
@@ -67,7 +67,7 @@ def within_worlds(first: Runs, second: Runs, value: pl.Expr, *, by: str = "world
     return _compared(first, second, value, len(shared), float(differences.mean()), p_value)
 
 
-def between_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | None:
+def between_worlds(first: Runs, second: Runs, value: pl.Expr) -> MeanDifference | None:
     """Compare two groups of runs in different worlds, with worlds permuted between them; None if a group is empty."""
     one = _by_world(first, value)
     other = _by_world(second, value)
@@ -81,10 +81,10 @@ def between_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | No
 
 def _compared(
     first: Runs, second: Runs, value: pl.Expr, worlds: int, difference: float, p_value: float | None
-) -> Difference:
+) -> MeanDifference:
     ids = (part.where(value.is_not_null()).ids for part in (first, second))
     behind = tuple(dict.fromkeys(run_id for part in ids for run_id in part))
-    return Difference(_mean(first, value), _mean(second, value), worlds, difference, p_value, behind)
+    return MeanDifference(_mean(first, value), _mean(second, value), worlds, difference, p_value, behind)
 
 
 CONTRAST = "[95 % interval]: bootstrap of worlds; p: randomization test, settings swapped in whole worlds"
