@@ -94,7 +94,7 @@ def test_a_yaml_file_that_is_a_trap_is_refused(outcomes, tmp_path):
 @pytest.mark.parametrize("name", ["ledger", "damaged"])
 def test_a_ledger_with_foreign_tables_is_refused_or_harmless(outcomes, tmp_path, name):
     found = outcomes(name, [ledger_of(ledgers()[0], trick) for trick in TRICKS], tmp_path)
-    assert len(found) == len(TRICKS) and set(found) == {ACCEPTED, REFUSED}
+    assert len(found) == len(TRICKS) and set(found) <= {ACCEPTED, REFUSED}
 
 
 @pytest.mark.parametrize(
