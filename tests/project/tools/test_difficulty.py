@@ -46,16 +46,6 @@ def test_the_effect_is_that_of_missions_whose_golden_flight_arrives():
     assert cell.effect(difficulty.FAILS, "nothing").rate is None
 
 
-def test_table_and_picture_come_from_the_cells(tmp_path):
-    effects = difficulty.effect_table(cells())
-    keys = [column.key for column in effects.columns]
-    first = dict(zip(keys, effects.rows[0], strict=True))
-    assert (first["fails_flag"].successes, first["fails_flag"].n) == (1, 2) and "hurt_epochs" in keys
-    assert len(effects.rows) == len(cells())
-    difficulty.draw(cells(), tmp_path / "figure.png")
-    assert 5_000 < (tmp_path / "figure.png").stat().st_size < 120_000
-
-
 def test_the_sweep_covers_both_profiles_on_evaluation_seeds():
     parts = {path.name: campaign for _, _, campaign, path in difficulty.campaigns(2)}
     assert {"published-3", "published-6", "hardened-3", "hardened-6"} <= set(parts)
