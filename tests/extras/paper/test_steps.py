@@ -111,11 +111,3 @@ def test_make_setup_writes_how_long_it_took_if_it_made_the_environment(tmp_path,
         if changed:
             os.utime(tmp_path / "requirements.lock", (2e9, 2e9))
         assert make_setup() == 0 and set_up_seconds() == 60.0
-
-
-def test_a_set_up_that_was_interrupted_has_no_time(tmp_path, make_setup):
-    (tmp_path / "stop").touch()
-    assert make_setup() == 2
-    (tmp_path / "stop").unlink()
-    assert make_setup() == 0 and (tmp_path / ".venv" / ".installed").exists()
-    assert not (tmp_path / ".venv" / SET_UP_FILE.name).exists(), "the time of a part is not that of all"

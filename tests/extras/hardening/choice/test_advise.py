@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from mavfi.campaign.config import Campaign
 from mavfi.extras.hardening import advise
 from mavfi.extras.hardening.advise import (
-    FRACTIONS,
     Advice,
     Curve,
     CurveStep,
@@ -47,14 +46,6 @@ def curve(name, share, mass, *points):
 
 SMALL = curve("track", 0.1, 50.0, (1.2, 0.8), (1.4, 0.95))
 LARGE = curve("insert_scan", 0.9, 100.0, (1.1, 0.2), (2.4, 1.0))
-
-
-def test_the_cheapest_steps_are_bought_first():
-    assert allocate([SMALL, LARGE], 0.03) == (1, 0)
-    assert allocate([SMALL, LARGE], 0.05) == (2, 0)
-    assert allocate([SMALL, LARGE], 0.14) == (2, 1)
-    assert allocate([SMALL, LARGE], 2.0) == (2, 2)
-    assert allocate([SMALL, LARGE], 0.0) == (0, 0)
 
 
 def test_a_step_is_chosen_by_a_time_that_did_not_lead_to_its_choice(monkeypatch):
@@ -94,19 +85,6 @@ def test_a_study_knows_whether_its_kernels_are_all_of_its_missions():
     assert not part.complete and part.selected == ("pid",)
 
 
-def test_the_steps_of_a_curve_are_dense():
-    """A throughput-bound kernel had no step between x1.12 and x1.60."""
-    steps = (0.0, *FRACTIONS)
-    assert steps[-1] == 1.0 and all(0 < other - one <= 0.051 for one, other in zip(steps, steps[1:], strict=False))
-
-
-def test_a_cheap_step_of_a_large_function_may_be_worth_more_than_all_others():
-    """The order of SDCs per time takes `apply` first, after which there is no room for the map."""
-    apply = curve("apply", 0.25, 20.0, (1.24, 0.6))
-    octomap = curve("map", 0.7, 75.0, (1.09, 0.4))
-    assert allocate([apply, octomap], 0.07) == (0, 1)
-
-
 @settings(max_examples=100, deadline=None)
 @given(
     st.lists(
@@ -133,16 +111,6 @@ def test_no_other_choice_within_the_budget_removes_more(rows, budget):
     advice = Advice(budget, tuple(curves), allocate(curves, budget))
     assert sum(own.removed(step) for own, step in advice.steps) >= max(worth) - 1e-9
     assert advice.spent <= budget + 1e-12
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    st.lists(st.tuples(st.floats(0.01, 1), st.floats(0, 9), st.floats(1, 3), st.floats(0, 1)), max_size=4),
-    st.floats(0, 2),
-)
-def test_the_budget_is_kept(rows, budget):
-    curves = [curve(str(i), share, mass, (time, gain)) for i, (share, mass, time, gain) in enumerate(rows)]
-    assert Advice(budget, tuple(curves), allocate(curves, budget)).spent <= budget + 1e-12
 
 
 def test_predicted_coverage_counts_calls_as_clusters():

@@ -6,16 +6,7 @@ import numpy as np
 import pytest
 
 from mavfi.analysis.statistics import wilson
-from mavfi.extras.hardening.advise import (
-    FRACTIONS,
-    Advice,
-    Curve,
-    CurveStep,
-    choices_of,
-    every_choice,
-    plan_of,
-    planned_of,
-)
+from mavfi.extras.hardening.advise import Advice, Curve, Step, choices_of, every_choice, plan_of, planned_of
 from mavfi.extras.hardening.battery import Battery
 from mavfi.extras.hardening.certify import Certification, FunctionPair, certified_plan, certify, with_certified
 from mavfi.extras.hardening.observed import GoldenCheck
@@ -56,18 +47,6 @@ def test_a_choice_from_other_calls_covers_what_it_has_not_seen(target):
     assert max(own for fraction, own in covered.items() if fraction <= 0.5) > 0.6
     assert [choice.cost for _, choice, _ in ladder] == sorted(choice.cost for _, choice, _ in ladder)
     assert all(len(judged) == sum(one.sdc for one in target.injections) for _, _, judged in ladder)
-
-
-def test_steps_that_remove_no_more_than_a_cheaper_one_are_left_out(target):
-    every, steps = every_choice(target), choices_of(target)
-    assert [fraction for fraction, *_ in every] == [0.0, *FRACTIONS]
-    assert len(steps) < len(every) and all(step in every for step in steps)
-    assert steps[0][0] == 0.0 and steps[-1][0] == 1.0
-    removed = {fraction: sum(hit for _, hit in judged) for fraction, _, judged in every}
-    kept = [fraction for fraction, *_ in steps]
-    for fraction, own in removed.items():
-        cheaper = [other for at, other in removed.items() if at < fraction]
-        assert (fraction in kept) == (fraction == 1.0 or all(own > other for other in cheaper))
 
 
 def test_sites_are_those_of_the_parsed_module(target):

@@ -93,13 +93,6 @@ def test_a_slice_is_cheaper_than_its_values_alone():
     assert sum(total_cost(values, {i}) for i in range(4)) == 4 * 50
 
 
-def test_the_slice_is_chosen_whole_where_greedy_choice_of_lines_finds_nothing():
-    values = graph([[], [0], [1], [], [3]], [10] * 5, outside=[2, 4], kinds=dict.fromkeys(range(5), "double"))
-    chooser = Chooser(values, [9, 9, 9, 5, 1])
-    budget = total_cost(values, {0, 1, 2})
-    assert chooser.within(budget).chosen == {0, 1, 2}
-
-
 def test_a_phi_of_a_loop_pays_for_the_copy_of_its_start_only():
     from mavfi.extras.hardening.choose import PhiInput
 

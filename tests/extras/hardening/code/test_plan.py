@@ -41,43 +41,42 @@ def test_sites_are_written_as_ranges_by_block(tmp_path):
     assert "'0': 0:0-2,5 2:1" in (tmp_path / "p.yaml").read_text()
 
 
-def test_the_digest_is_that_of_the_content_without_lines():
-    one = ProtectionPlan(functions=(of(sites=((0, 0, 1),)),))
-    assert one.digest == ProtectionPlan(functions=(of(sites=((0, 0, 1),), lines=("m.py:1",)),)).digest
-    assert one.digest != ProtectionPlan(functions=(of(sites=((0, 0, 2),)),)).digest
-    assert one.digest != ProtectionPlan(functions=(of(sites=((0, 0, 1),), time=1.5),)).digest
+PROTECTED = of(sites=((0, 0, 1),))
+KNOWN = Coverage(estimate=0.9, low=0.8, high=0.95)
 
 
-def test_flights_do_not_depend_on_what_is_not_protected_nor_on_coverage(tmp_path):
-    known = Coverage(estimate=0.9, low=0.8, high=0.95)
-    one, none = of(sites=((0, 0, 1),)), of(function="m.g", kind="none")
-    plan = ProtectionPlan(functions=(one.model_copy(update={"certified": known}), none))
-    assert plan.digest == ProtectionPlan(functions=(one,)).digest and plan.bare.functions == (one,)
-    assert ProtectionPlan(functions=(of(kind="none", time=1.5),)).bare.time_of("pid") == 1.5, "its time is charged"
+@pytest.mark.parametrize(
+    "functions",
+    [
+        (of(sites=((0, 0, 1),), lines=("m.py:1",)),),
+        (of(sites=((0, 0, 1),), function="n.o.f"),),
+        (of(sites=((0, 0, 1),), certified=KNOWN), of(function="m.g", kind="none")),
+    ],
+)
+def test_neither_lines_nor_modules_nor_coverage_identify_a_plan(functions, tmp_path):
+    plan = Plan(functions=functions, studied={"dense": (10_000, 10_007)}, budget=0.1)
+    assert plan.digest == Plan(functions=(PROTECTED,)).digest
     save_plan(plan, tmp_path / "p.yaml")
     assert load_plan(tmp_path / "p.yaml") == plan
-    assert "certified" not in ProtectionPlan(functions=(one,)).model_dump_json()
 
 
-def test_the_time_of_a_kernel_weights_its_functions_by_their_shares(tmp_path):
+@pytest.mark.parametrize("change", [{"sites": ((0, 0, 2),)}, {"time": 1.5}, {"function": "m.g"}])
+def test_what_a_flight_depends_on_identifies_a_plan(change):
+    assert Plan(functions=(of(**{"sites": ((0, 0, 1),), **change}),)).digest != Plan(functions=(PROTECTED,)).digest
+
+
+def test_a_plan_keeps_its_digest_in_later_versions():
+    plan = Plan(mavfi="1", numba="1", llvmlite="1", functions=(of(sites=((0, 0, 1),), time=1.5),))
+    assert plan.digest.startswith("09d426171a426501aa6ac895f2cf0653")
+
+
+def test_the_time_of_a_kernel_weights_its_functions_by_their_shares():
     parts = of(time=1.2, share=0.75), of(function="m.g", time=1.8, share=0.05), of(kernel="octomap", function="m.h")
     plan = ProtectionPlan(functions=parts)
     assert plan.time_of("pid") == pytest.approx(1 + 0.75 * 0.2 + 0.05 * 0.8) and plan.time_of("rrt") == 1.0
-    save_plan(plan, tmp_path / "p.yaml")
-    assert load_plan(tmp_path / "p.yaml") == plan
-    old = ProtectionPlan(functions=(of(time=1.2, share=0.75), of(function="m.g", time=1.8)))
+    old = Plan(functions=(of(time=1.2, share=0.75), of(function="m.g", time=1.8)))
     assert old.time_of("pid") == 1.8, "the largest, if a share is not known"
-
-
-def test_a_plan_without_shares_keeps_its_digest():
-    plan = ProtectionPlan(mavfi="1", numba="1", llvmlite="1", functions=(of(sites=((0, 0, 1),), time=1.5),))
-    assert plan.digest.startswith("09d426171a426501aa6ac895f2cf0653")
-    assert "share" not in ProtectionPlan(functions=(of(),)).model_dump_json()
-
-
-def test_modules_of_functions_are_not_in_the_digest():
-    one, moved, other = (ProtectionPlan(functions=(of(function=name, time=1.5),)) for name in ("m.f", "n.o.f", "m.g"))
-    assert one.digest == moved.digest != other.digest
+    assert Plan(functions=(of(kind="none", time=1.5),)).bare.time_of("pid") == 1.5, "unprotected, its time is charged"
 
 
 @pytest.mark.parametrize(
