@@ -141,12 +141,12 @@ def test_shipped_lists_have_one_entry_per_column():
 def test_what_cannot_be_flown_is_refused(schemes, selection, message):
     bench = with_schemes(BENCH, list(schemes)) if schemes else BENCH
     with pytest.raises(BadInputError, match=message):
-        entries(bench, **{"scale": "quick", **selection})
+        select_parts(bench, **{"scale": "quick", **selection})
 
 
 def test_a_bench_that_nobody_can_fly_is_refused():
     with pytest.raises(BadInputError, match="no scheme can fly: .*no model is trained"):
-        entries(with_only(SLOW, ["gaussian"]), "quick")
+        select_parts(with_only(SLOW, ["gaussian"]), "quick")
 
 
 @pytest.mark.parametrize(

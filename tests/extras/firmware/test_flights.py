@@ -16,7 +16,7 @@ from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.compose import new_loop, resolve
 from mavfi.flight.loop import Listener
 from mavfi.mission import MissionSpec, MissionStatus
-from mavfi.outcomes import LOST_TILT, Control, ControlErrors, control_of
+from mavfi.outcomes import LOST_TILT, ControlEffect, ControlErrors, control_of
 
 
 @pytest.fixture(scope="session", autouse=True)

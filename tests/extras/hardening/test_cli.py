@@ -56,7 +56,7 @@ def test_a_shipped_plan_is_certified_by_name(opened, tmp_path, capsys, monkeypat
 def test_a_certificate_is_stated_in_the_plan_and_by_the_exit_code(opened, silent, code, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     planned = FunctionPlan(kernel="pid", function="m.track", signature="f8", ir_sha256="ab" * 32, sites=((0, 0, 1),))
-    save_plan(Plan(functions=(planned,)), Path("plan.yaml"))
+    save_plan(ProtectionPlan(functions=(planned,)), Path("plan.yaml"))
     effects = {"masked": 50, "sdc": 50}, {"detected": 99, "sdc": silent}
     claim, paired = Coverage(estimate=0.95, low=0.9, high=0.98), mcnemar([True], [False])
     certificate = Certificate("pid", "m.track", "f8", 9, *effects, 1.0, claim, paired)

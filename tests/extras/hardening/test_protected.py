@@ -4,7 +4,7 @@ import pytest
 
 from mavfi.config import PlatformConfig, shipped
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.plan import Plan, Site, load_plan, save_plan
+from mavfi.extras.hardening.plan import ModuleSite, ProtectionPlan, load_plan, save_plan
 from mavfi.extras.hardening.protected import SOURCE
 from mavfi.faults.levels.instruction.variant import signature_of
 from mavfi.flight.compose import resolve
@@ -141,7 +141,7 @@ def test_a_detected_fault_is_explained(golden, paired_logs):
     ("changes", "function_changes", "message"),
     [
         ({}, {"ir_sha256": "ab" * 32}, r"^protection of \S+pid\.track: planned for IR abababababab, this is [^\n]*$"),
-        ({}, {"sites": (Site(0, 999, 0),)}, r"site 999:0 of function 0: not in its code[^\n]*$"),
+        ({}, {"sites": (ModuleSite(0, 999, 0),)}, r"site 999:0 of function 0: not in its code[^\n]*$"),
         ({}, {"kernel": "pidd"}, "kernel 'pidd': not known"),
         ({}, {"function": "m.f"}, "function 'm.f': not of kernel pid; allowed: mavfi.kernels.control.pid.track"),
         ({"numba": "0.1"}, {}, "planned with numba 0.1, this is"),

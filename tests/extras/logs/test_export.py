@@ -9,7 +9,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mavfi.cli.commands import run
 from mavfi.extras.logs.files import write_bag, write_csv, write_mcap
-from mavfi.extras.logs.timeline import FIRST_STAMP_NS, Publications, timeline
+from mavfi.extras.logs.timeline import FIRST_STAMP_NS, PublishedStates, timeline
 from mavfi.flight.compose import resolve
 from mavfi.flight.mission_flights import fly_recorded
 from mavfi.mission import MissionSpec

@@ -7,7 +7,7 @@ import pytest
 
 from mavfi.cli.commands import run
 from mavfi.errors import BadInputError
-from mavfi.extras.logs.watch import Judged, LogAlarm, LogWatch, Rates, read_recording, select
+from mavfi.extras.logs.watch import JudgedLog, LogAlarm, LogRates, LogWatch, read_recording, select
 from mavfi.flight.log_readers import open_flight_log
 
 

@@ -97,7 +97,7 @@ def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(ca
     steps = ["set-up (make setup)", "compilation", *flights, "timed flights", *reports]
     assert list(StepTimes.load(out).seconds) == steps and all(f"| {step} |" in written for step in steps)
     assert "- Machine: " in written and written.count("- Digest of the ledger in ") == 2
-    spent = Steps.load(out).seconds[FLIGHTS_STEP]
+    spent = StepTimes.load(out).seconds[FLIGHTS_STEP]
     monkeypatch.setattr("mavfi.campaign.training.record", never)
     monkeypatch.setattr("mavfi.extras.paper.overheads.measure", never)
     monkeypatch.setattr("mavfi.extras.paper.cli.FLIGHTS", 0)

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from examples.pictures import drawing
 
 from tests.core.flights.missions import golden, mission
 

@@ -23,8 +23,8 @@ from mavfi.extras.hardening.certify import (
     unprotected,
 )
 from mavfi.extras.hardening.duplicate import candidates
-from mavfi.extras.hardening.observed import GoldenCheck, Guarded
-from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan
+from mavfi.extras.hardening.observed import GoldenCheck, ProtectedFunction
+from mavfi.extras.hardening.plan import Coverage, FunctionPlan, ProtectionPlan
 from mavfi.extras.hardening.report import verdict_line
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source
@@ -77,9 +77,9 @@ def test_totals_weight_functions_by_their_silent_corruptions():
 
 def test_the_total_is_judged_by_predictions_with_the_same_weights():
     large, small = certificate(200, 10, predicted=CLAIM), certificate(20, 10, predicted=CLAIM)
-    assert foreseen([large, small]).rate == pytest.approx(0.9)
-    assert foreseen([large], [plain(3000, 200)]).rate == pytest.approx(0.225)
-    assert foreseen([large, certificate(20, 10)]).rate is None and foreseen([]).rate is None
+    assert predicted_coverage([large, small]).rate == pytest.approx(0.9)
+    assert predicted_coverage([large], [plain(3000, 200)]).rate == pytest.approx(0.225)
+    assert predicted_coverage([large, certificate(20, 10)]).rate is None and predicted_coverage([]).rate is None
     assert certification(large).verdict == "confirmed" and not certification(large).refuted
     weak = certification(*[certificate(200, 15, predicted=CLAIM)] * 6)  # each within its prediction, all together not
     assert weak.certificates[0].verdict == "confirmed"
@@ -173,4 +173,4 @@ def test_studied_seeds_are_those_of_an_environments_own_name(tmp_path):
     study = HardeningStudy(tmp_path, Campaign.model_validate(own), "other", ("pid",))
     assert study.worlds == ["dense"]
     with pytest.raises(BadInputError, match="mission dense 10008"):
-        check_fresh(study, Plan(ledger="made", studied={"dense": (10_000, 10_008)}))
+        check_fresh(study, ProtectionPlan(ledger="made", studied={"dense": (10_000, 10_008)}))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavfi.analysis.statistics import wilson
-from mavfi.extras.hardening.advise import Advice, Curve, Step, choices_of, every_choice, plan_of, planned_of
+from mavfi.extras.hardening.advise import Advice, Curve, CurveStep, choices_of, every_choice, plan_of, planned_of
 from mavfi.extras.hardening.battery import Battery
 from mavfi.extras.hardening.certify import Certification, FunctionPair, certified_plan, certify, with_certified
 from mavfi.extras.hardening.observed import GoldenCheck

@@ -54,19 +54,22 @@ KNOWN = Coverage(estimate=0.9, low=0.8, high=0.95)
     ],
 )
 def test_neither_lines_nor_modules_nor_coverage_identify_a_plan(functions, tmp_path):
-    plan = Plan(functions=functions, studied={"dense": (10_000, 10_007)}, budget=0.1)
-    assert plan.digest == Plan(functions=(PROTECTED,)).digest
+    plan = ProtectionPlan(functions=functions, studied={"dense": (10_000, 10_007)}, budget=0.1)
+    assert plan.digest == ProtectionPlan(functions=(PROTECTED,)).digest
     save_plan(plan, tmp_path / "p.yaml")
     assert load_plan(tmp_path / "p.yaml") == plan
 
 
 @pytest.mark.parametrize("change", [{"sites": ((0, 0, 2),)}, {"time": 1.5}, {"function": "m.g"}])
 def test_what_a_flight_depends_on_identifies_a_plan(change):
-    assert Plan(functions=(of(**{"sites": ((0, 0, 1),), **change}),)).digest != Plan(functions=(PROTECTED,)).digest
+    assert (
+        ProtectionPlan(functions=(of(**{"sites": ((0, 0, 1),), **change}),)).digest
+        != ProtectionPlan(functions=(PROTECTED,)).digest
+    )
 
 
 def test_a_plan_keeps_its_digest_in_later_versions():
-    plan = Plan(mavfi="1", numba="1", llvmlite="1", functions=(of(sites=((0, 0, 1),), time=1.5),))
+    plan = ProtectionPlan(mavfi="1", numba="1", llvmlite="1", functions=(of(sites=((0, 0, 1),), time=1.5),))
     assert plan.digest.startswith("09d426171a426501aa6ac895f2cf0653")
 
 
@@ -74,9 +77,11 @@ def test_the_time_of_a_kernel_weights_its_functions_by_their_shares():
     parts = of(time=1.2, share=0.75), of(function="m.g", time=1.8, share=0.05), of(kernel="octomap", function="m.h")
     plan = ProtectionPlan(functions=parts)
     assert plan.time_of("pid") == pytest.approx(1 + 0.75 * 0.2 + 0.05 * 0.8) and plan.time_of("rrt") == 1.0
-    old = Plan(functions=(of(time=1.2, share=0.75), of(function="m.g", time=1.8)))
+    old = ProtectionPlan(functions=(of(time=1.2, share=0.75), of(function="m.g", time=1.8)))
     assert old.time_of("pid") == 1.8, "the largest, if a share is not known"
-    assert Plan(functions=(of(kind="none", time=1.5),)).bare.time_of("pid") == 1.5, "unprotected, its time is charged"
+    assert ProtectionPlan(functions=(of(kind="none", time=1.5),)).bare.time_of("pid") == 1.5, (
+        "unprotected, its time is charged"
+    )
 
 
 @pytest.mark.parametrize(

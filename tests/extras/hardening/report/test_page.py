@@ -19,7 +19,6 @@ from mavfi.extras.hardening.report import (
     headline,
     interval,
     page,
-    pareto_front,
     source,
     verdict_line,
     write_certificate,

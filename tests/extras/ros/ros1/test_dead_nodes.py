@@ -16,7 +16,7 @@ flying = [*ros, pytest.mark.slow]
 ANSWERING_US = 2_920_000
 """The planner of this mission has begun to answer an alarm, and its path is not there yet."""
 AWAY_US = 1_000_000
-ESCALATING = Recovery("inline", "kernel", "escalate", 0.6)
+ESCALATING = RecoveryPolicy("inline", "kernel", "escalate", 0.6)
 
 
 def alarming(policy):
