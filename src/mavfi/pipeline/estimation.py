@@ -85,12 +85,13 @@ class StateEstimator(Remembers):
         return []
 
     def _take_fix(self, memory: _Filter, fix: np.ndarray) -> None:
+        """Correct the estimate by a fix; align the filter to it at the start, or after too many refused ones."""
         if memory.aligned:
             distance = filtering.correct(memory.nominal, memory.covariance, fix, self._noise)
             if distance <= filtering.GATE:
                 memory.refused = 0
             else:
-                memory.refused = memory.refused + 1
+                memory.refused += 1
             if memory.refused < PATIENCE:
                 return
         spread = IN_FLIGHT if memory.aligned else AT_REST

@@ -22,14 +22,21 @@ from mavfi.pipeline.trajectories import BRAKING
 from mavfi.states import Stage, State, floats, new_state, rows
 
 _RETRY_US = 500_000
+"""Time from a plan to the next one without a trajectory (us)."""
 _ADOPTION_US = 3_000_000
+"""Time within which a trajectory is expected to be adopted (us)."""
 _MARGIN = 0.3
+"""Distance along the trajectory: progress, and clearance of a junction from a blocked point (m)."""
 _STUCK_US = 4_000_000
+"""Time without progress along the trajectory after which another plan is made (us)."""
 _BACKTRACK_AFTER = 3
+"""Consecutive failures between two attempts to backtrack."""
 _BACKTRACK_UNTIL = 12
 """Number of consecutive failures after which backtracking is abandoned: no path exists."""
 _BACKTRACK_LENGTH = 4.0
+"""Length of the flown path that is flown back (m)."""
 _CRUMB = 0.5
+"""Distance between stored positions of the flown path (m)."""
 _EMERGENCY_STOP_TIME = 0.6
 """v_max / a_max of the published code (s)."""
 
@@ -108,10 +115,12 @@ class MotionPlanner(Remembers):
         return False
 
     def _take_status(self, state: State) -> None:
-        self.memory.status, decisions = state, self.memory.decisions
+        self.memory.status = state
+        decisions = self.memory.decisions
         seq = state.value("future_collision_seq")
         if state.value("collision") and seq > decisions.acted_seq:
-            decisions.acted_seq, decisions.alarm = seq, state.value("time_to_collision")
+            decisions.acted_seq = seq
+            decisions.alarm = state.value("time_to_collision")
 
     def _take_trajectory(self, state: State, time_us: int) -> None:
         if self._every_map and len(state.elements) == 0:
@@ -194,7 +203,8 @@ class MotionPlanner(Remembers):
         patience = self._config.autopilot.progress_timeout
         lost = patience > 0.0 and time_us - decisions.best_us > 1e6 * patience
         if stuck or lost:
-            decisions.progress_us = decisions.best_us = time_us
+            decisions.progress_us = time_us
+            decisions.best_us = time_us
         return stuck or lost or index >= len(memory.arc) - 1
 
     # ---- planning ---------------------------------------------------------------------------------------------------
@@ -207,8 +217,11 @@ class MotionPlanner(Remembers):
         else:
             alarm = decisions.alarm
             decisions.alarm = -1.0
-            path = self._plan_in_flight(alarm) if alarm >= 0.0 else None
-            path = path or self._plan_from_rest()
+            path = None
+            if alarm >= 0.0:
+                path = self._plan_in_flight(alarm)
+            if path is None:
+                path = self._plan_from_rest()
         decisions.retry_us = time_us + _RETRY_US
         decisions.settled_us = time_us + int(1e6 * config.plan_latency) + 2 * config.control_period_us
         if path is None:
@@ -257,7 +270,9 @@ class MotionPlanner(Remembers):
         vertices = self.routes.between(lead, clearance.wide)
         if vertices is None:
             return None
-        leading = [start] if speed < 0.2 else [start, lead]
+        leading = [start]
+        if not speed < 0.2:
+            leading.append(lead)
         if paths.distance(vertices[0], leading[-1]) < 1e-6:
             leading.pop()
         return self._path(np.vstack([*leading, vertices]), speed)

@@ -51,10 +51,14 @@ class Routes:
         local = make_search(small, config.seed, config.functions)
         local.random = search.random  # a single stream to roll back
         self._searches: Foreign[tuple[PathSearch, PathSearch]] = Foreign((search, local))
-        self.keeper: Keeper = search if isinstance(search, SamplingSearch) else self._searches
-        scratch = [planner.scratch for planner in (search, local) if isinstance(planner, SamplingSearch)]
-        known = tuple(arrays for arrays in scratch if arrays is not None)
-        self.scratch = known if len(known) == 2 else None
+        self.keeper: Keeper = self._searches
+        if isinstance(search, SamplingSearch):
+            self.keeper = search
+        scratch = []
+        for planner in (search, local):
+            if isinstance(planner, SamplingSearch) and planner.scratch is not None:
+                scratch.append(planner.scratch)
+        self.scratch = tuple(scratch) if len(scratch) == 2 else None
         v_max = config.v_max
         self._pace = travel.Pace(
             v_max,
@@ -80,7 +84,8 @@ class Routes:
         """Vertices from (near) `start` to (near) the goal (None = the mission's) in `counter`; None = no path."""
         config = self._config
         clearance = self.clearance_map
-        goal = config.goal if goal is None else goal
+        if goal is None:
+            goal = config.goal
         first = np.zeros(3)
         last = np.empty(3)
         box = config.flight_lower, config.flight_upper
@@ -123,7 +128,9 @@ class Routes:
                 if path is None:
                     break
                 path = _from(start, path)
-                path = self._quickened(self._widened(path) if tight else path, velocity, counter)
+                if tight:
+                    path = self._widened(path)
+                path = self._quickened(path, velocity, counter)
                 time = self._time(path, velocity)
                 if time < least:
                     best = path
