@@ -176,6 +176,7 @@ def pipeline_config(
     scenario: Scenario,
     world: World,
     directions: np.ndarray,
+    *,
     rewindable: bool = False,
     functions: KernelFunctions = PLAIN,
 ) -> PipelineConfig:
@@ -259,9 +260,8 @@ def new_loop(
     """
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
     plant = make_plant(world, scenario)
-    config = pipeline_config(scenario, world, plant.ray_directions, rewindable, functions)
-    make = partial(make_kernels, config)
-    return Loop(scenario, world, plant, make, want_profile=profile, marks=rewindable)
+    config = pipeline_config(scenario, world, plant.ray_directions, rewindable=rewindable, functions=functions)
+    return Loop(scenario, world, plant, partial(make_kernels, config), want_profile=profile, marks=rewindable)
 
 
 def watch(loop: Loop, detector: Detector | None, recovery: RecoveryPolicy = INLINE) -> None:
@@ -411,6 +411,7 @@ def limits_of(scenario: Scenario, world: World) -> MissionLimits:
     autopilot = scenario.autopilot
     platform = scenario.platform
     period = 1e-6 * CONTROL_PERIOD_US
+    # without an estimator there are no fixes to check
     noise = noise_of(scenario.localization)
     fix_noise = None
     if noise is not None:

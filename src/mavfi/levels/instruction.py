@@ -381,7 +381,7 @@ class InstructionSampler(Sampler):
             flights=flights if isinstance(flights, LocalFlights) else None,
             arm=arm,
         )
-        flights.know(arm, drawn.golden)
+        flights.register_golden(arm, drawn.golden)
         return Sampled(drawn.golden, drawn.counts, {(name, ""): faults for name, faults in drawn.faults.items()})
 
     def null(self, index: int, seed: int, environment: str, golden: Golden) -> Fault:

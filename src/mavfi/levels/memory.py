@@ -286,7 +286,7 @@ class MemorySampler(Sampler):
             every = exposures[NULL, ""] = Exposure(tuple((kernel, "") for kernel in self._known))
             every.drawings.append(_Drawing(stream(seed, "memory", NULL, environment), seed))
         golden = fly_exposed(setup, list(exposures.values()))
-        flights.know(arm, golden)
+        flights.register_golden(arm, golden)
         return Sampled(golden, faults={key: exposure.faults() for key, exposure in exposures.items()})
 
     def null(self, index: int, seed: int, environment: str, golden: Golden) -> Fault:
