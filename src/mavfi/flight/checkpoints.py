@@ -7,7 +7,7 @@ from typing import Any, cast
 from mavfi.detectors.detector import Detector
 from mavfi.faults.levels.state_injector import CounterWatch, StateInjector
 from mavfi.flight.loop import Loop, LoopMemory
-from mavfi.pipeline.memory import Foreign, Remembers, Saved, Scratch
+from mavfi.pipeline.memory import OpaqueKeeper, Remembers, Saved, Scratch
 from mavfi.record import AlarmRecord
 from mavfi.states import Stage
 
@@ -60,7 +60,7 @@ def can_save_detector(detector: Detector | None) -> bool:
 def can_save_kernels(loop: Loop) -> bool:
     """Whether checkpoints can contain all kernels: a user's own planner and map are copied whole."""
     keepers = [keeper for kernel in _kernels(loop).values() for keeper in kernel.keepers]
-    return all(_succeeds(keeper.save) for keeper in keepers if isinstance(keeper, Foreign))
+    return all(_succeeds(keeper.save) for keeper in keepers if isinstance(keeper, OpaqueKeeper))
 
 
 def _succeeds(save: Callable[[], object]) -> bool:

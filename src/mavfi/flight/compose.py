@@ -344,7 +344,7 @@ def detector_for(
     return load_detector(name, profile, models_dir, mission, options=options, trained_for=trained_for)
 
 
-class Watched(NamedTuple):
+class WatchedMission(NamedTuple):
     """A mission under a detector.
 
     Attributes:
@@ -364,7 +364,7 @@ def watched(
     profile: str = "paper",
     models: Path | None = None,
     options: Mapping[str, Any] | None = None,
-) -> Watched:
+) -> WatchedMission:
     """Resolve a mission, and load the detector that watches it.
 
     Args:
@@ -379,19 +379,19 @@ def watched(
         SpecMismatchError: The model was trained for a different configuration.
     """
     if detector is None:
-        return Watched(ArmSetup(resolve(mission), recovery=RecoveryPolicy.of(mission)))
+        return WatchedMission(ArmSetup(resolve(mission), recovery=RecoveryPolicy.of(mission)))
     mission = with_keys_of(mission, detector)
     scenario = resolve(mission)
     recovery = RecoveryPolicy.of(mission)
     if not isinstance(detector, str):
-        return Watched(ArmSetup(scenario, lambda: detector, recovery), type(detector).__name__)
+        return WatchedMission(ArmSetup(scenario, lambda: detector, recovery), type(detector).__name__)
     loaded, model = detector_for(scenario, detector, profile, models, mission.trained_for, options)
     label = detector
     if model:
         label += f" ({profile})"
     if model and mission.trained_for:
         label += f", trained for {mission.trained_for}"
-    return Watched(ArmSetup(scenario, lambda: loaded, recovery), label, model)
+    return WatchedMission(ArmSetup(scenario, lambda: loaded, recovery), label, model)
 
 
 def with_keys_of(spec: MissionSpec, detector: str | Detector) -> MissionSpec:

@@ -167,7 +167,7 @@ class Action:
     alone: bool = False
 
 
-class Awaited(NamedTuple):
+class PendingResult(NamedTuple):
     """A recomputation in progress: the rejected value (None = unreadable), and the index of its alarm in the record."""
 
     rejected: State | None

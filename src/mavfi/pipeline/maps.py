@@ -11,7 +11,7 @@ from mavfi.kernels.perception.key_sets import KeyFrame
 from mavfi.kernels.perception.octomap import UpdateRule, insert_scan, undo_scan
 from mavfi.kernels.perception.octree import Octree
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
-from mavfi.pipeline.memory import Change, Changes, Foreign, Keeper, common_length
+from mavfi.pipeline.memory import Change, Changes, Keeper, OpaqueKeeper, common_length
 from mavfi.plugins import build, load_object, reason
 
 FIRST_CAPACITY = 1 << 14
@@ -296,7 +296,7 @@ def _same_nodes(nodes: Octree, others: Octree) -> bool:
     return nodes is others or all(a.tobytes() == b.tobytes() for a, b in zip(nodes, others, strict=True))
 
 
-class GuardedMap(Foreign[OccupancyMap]):
+class GuardedMap(OpaqueKeeper[OccupancyMap]):
     """A user's map whose return values are validated before use."""
 
     def __init__(self, name: str, inner: OccupancyMap, size: int) -> None:

@@ -289,7 +289,7 @@ def common_length(left: Sequence[Any], right: Sequence[Any]) -> int:
 Content = TypeVar("Content")
 
 
-class Foreign(Generic[Content]):
+class OpaqueKeeper(Generic[Content]):
     """Keeper of a user's opaque object: copied whole, and compared by its pickle.
 
     Attributes:

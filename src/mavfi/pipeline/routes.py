@@ -12,7 +12,7 @@ from mavfi.kernels.planning import travel
 from mavfi.numerics.voxels import voxel_of
 from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.kernel import PipelineConfig
-from mavfi.pipeline.memory import Foreign, Keeper
+from mavfi.pipeline.memory import Keeper, OpaqueKeeper
 from mavfi.pipeline.planners import PathSearch, SamplingSearch, checked_path, make_search
 
 TIGHT_SPEED = 2.0
@@ -50,7 +50,7 @@ class Routes:
         small = config.planner.model_copy(update={"iterations": _LOCAL_ITERATIONS, "restarts": 1})
         local = make_search(small, config.seed, config.functions)
         local.random = search.random  # a single stream to roll back
-        self._searches: Foreign[tuple[PathSearch, PathSearch]] = Foreign((search, local))
+        self._searches: OpaqueKeeper[tuple[PathSearch, PathSearch]] = OpaqueKeeper((search, local))
         self.keeper: Keeper = self._searches
         if isinstance(search, SamplingSearch):
             self.keeper = search

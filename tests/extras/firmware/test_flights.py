@@ -15,7 +15,7 @@ from mavfi.extras.firmware.process import Firmware
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.compose import new_loop, resolve
 from mavfi.flight.host import ArmSetup
-from mavfi.flight.loop import Attached, Listener
+from mavfi.flight.loop import Listener, ObserverListener
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.outcomes import LOST_TILT, ControlEffect, ControlErrors, control_of
 from mavfi.record import Injection
@@ -114,7 +114,7 @@ def test_observers_receive_the_injection():
             self.items += news
 
     observer, fault = Observer(), register_fault(1_000_000, 5)
-    setup = ArmSetup(scenario(), observers=(Attached(observer),))
+    setup = ArmSetup(scenario(), observers=(ObserverListener(observer),))
     [(_, flight)] = FirmwareHost().mission({"": setup}).injected([("", fault)])
     assert flight.log.injections[0].activated
     assert [item for item in observer.items if isinstance(item, Injection)] == flight.log.injections
