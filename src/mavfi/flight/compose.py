@@ -38,6 +38,7 @@ from mavfi.states import INJECTED_KERNEL, PLANNERS, Stage
 _DEFAULT_V_MAX = 3.0
 """Speed limit where neither mission nor environment has one (m/s)."""
 _FILES = (".yaml", ".yml")
+"""File name extensions of configurations."""
 _NOMINAL_RADIUS = 0.35
 """Collision radius of the vehicle for which the radii of an autopilot profile are specified (m)."""
 _LEAST_POSITION_NOISE = 1e-3

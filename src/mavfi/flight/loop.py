@@ -43,8 +43,9 @@ from mavfi.states import (
 )
 
 CONTROL_PERIOD_US = 20_000
-_PHYSICS_US = 4_000
+"""Period of the periodic kernels, of the status and of the log's rows (us)."""
 _TICK = "tick"
+"""Action of a control period."""
 _REQUESTED_AT_TICKS = tuple(
     name for name, spec in KERNELS.items() if spec.stage is Stage.PLANNING and spec.trigger == "input"
 )
@@ -411,7 +412,7 @@ class Loop:
                 return
             self.now, _, action, arguments = heapq.heappop(self.queue)
             # the plant stops at the first physics step at or after this instant
-            self.plant.advance(-(-self.now // _PHYSICS_US) * _PHYSICS_US)
+            self.plant.advance(-(-self.now // STEP_US) * STEP_US)
             method = self.actions.get(action) or getattr(self, action)
             method(self.now, *arguments)
 

@@ -22,16 +22,23 @@ PLANNING_ACCELERATION = 2.5
 LATERAL_SHARE = 0.7
 """Planned lateral acceleration / a_max."""
 NOMINAL_SPEED = 3.0
+"""Speed limit for which lengths are specified (m/s); below it they scale with the speed."""
 BLEND = 3.5
 """Longest distance of a corner blend from its corner at the nominal speed (m)."""
 _REACH = 3.0
+"""Distance from a blocked start or goal within which a free point is searched for (m)."""
 _TRIES = 200
+"""Number of random improvements of a path."""
 _GOOD_ENOUGH = 1.15
 """Travel time of a path / of the straight line, below which no further search is made."""
 _STRETCH_STEP = 0.25
+"""Longest distance of the points at which a path is examined for narrow passages (m)."""
 _LOCAL_ITERATIONS = 300
+"""Iterations of the search for a bypass of a narrow passage."""
 _LOCAL_MARGIN = 6.0
+"""Margin of the box for bypasses around the passage (m)."""
 _SHORTCUTS = 80
+"""Number of random shortcuts of a path with bypasses."""
 
 
 class Routes:
@@ -119,23 +126,25 @@ class Routes:
         Start position (m) and velocity (m/s) are in the world frame.
         """
         straight = np.array([start, self._config.goal])
-        enough = _GOOD_ENOUGH * paths.path_length(straight, 2) / self._config.v_max
+        good_time = _GOOD_ENOUGH * paths.path_length(straight, 2) / self._config.v_max
         best = None
-        least = np.inf
-        for counter, tight in ((self.clearance_map.wide, False), (self.clearance_map.narrow, True)):
+        best_time = np.inf
+        wide = self.clearance_map.wide
+        narrow = self.clearance_map.narrow
+        for counter in (wide, narrow):
             for _ in range(self._config.autopilot.searches):
                 path = self.between(start, counter)
                 if path is None:
                     break
                 path = _from(start, path)
-                if tight:
+                if counter is narrow:
                     path = self._widened(path)
                 path = self._quickened(path, velocity, counter)
                 time = self._time(path, velocity)
-                if time < least:
+                if time < best_time:
                     best = path
-                    least = time
-                if least <= enough:
+                    best_time = time
+                if best_time <= good_time:
                     return best
         return best
 
@@ -172,15 +181,15 @@ class Routes:
         points = _samples(path)
         tight = [self._is_tight(point) for point in points]
         pieces: list[np.ndarray] = [points[:1]]
-        last = 0
+        done = 0  # index of the last point in `pieces`
         for i in range(1, len(points)):
             if tight[i] and i < len(points) - 1:
-                continue
-            if i > last + 1 and not tight[last]:
-                pieces.append(self._around(points[last : i + 1]))
+                continue  # within a narrow section
+            if i > done + 1 and not tight[done]:
+                pieces.append(self._around(points[done : i + 1]))
             else:
-                pieces.append(points[last + 1 : i + 1])
-            last = i
+                pieces.append(points[done + 1 : i + 1])
+            done = i
         return self._shortened(np.vstack(pieces))
 
     def _is_tight(self, point: np.ndarray) -> bool:
@@ -205,7 +214,7 @@ class Routes:
     def _shortened(self, path: np.ndarray) -> np.ndarray:
         """The path with collision-free straight shortcuts."""
         clearance = self.clearance_map
-        (work, buffer) = self._buffer
+        work, buffer = self._buffer
         if len(path) > len(work) - 2:
             return path
         work[: len(path)] = path

@@ -27,8 +27,9 @@ _STANDING = 0.3
 _CLOSE_BLEND = 2.0
 """Maximum distance of a corner blend from its corner at the nominal speed, if the path is followed closely (m)."""
 _CLOSE = 0.2
+"""Innermost control point of a blend close to the corner."""
 _ROUND = 1.0 / 3.0
-"""Innermost control point of a blend: close to the corner, or of minimum curvature and thus maximum speed."""
+"""Innermost control point of a blend of minimum curvature, and thus maximum speed."""
 _LOOK = 3.0
 """Look-ahead distance of the yaw reference at the nominal speed (m)."""
 
