@@ -38,7 +38,7 @@ ALARMS_WITHIN_US = 10_000_000
 MAX_ALARMS = 50
 """Number of hard alarms in `ALARMS_WITHIN_US` after which a detector that may restart nodes is disabled as faulty."""
 MAX_UNCHANGED = 5
-"""Number of recomputations without a change, in `ALARMS_WITHIN_US`, above which `same_twice: limit` does not respond."""
+"""Recomputations without a change in `ALARMS_WITHIN_US`, above which `same_twice: limit` does not respond."""
 SKIPPED_US = 50_000_000
 """Delay with which a skipped way-point counts as `MAX_UNCHANGED` alarms (us).
 

@@ -384,14 +384,14 @@ def record_of(alarm: Alarm, action: Action, state: str, time_us: int) -> AlarmRe
     else:
         outcome = "accepted"
     return AlarmRecord(
-        1e-6 * time_us,
-        alarm.source,
-        state,
-        alarm.stage,
-        alarm.score,
-        tuple(alarm.fields),
-        action.kind.value,
-        outcome,
+        time_s=1e-6 * time_us,
+        source=alarm.source,
+        state=state,
+        stage=alarm.stage,
+        score=alarm.score,
+        fields=tuple(alarm.fields),
+        action=action.kind.value,
+        outcome=outcome,
     )
 
 
@@ -438,8 +438,16 @@ class Duplicates:
 
     def _record_alarm(self, kernel: Kernel, state: str, outcome: str, now: int) -> None:
         """Add the alarm on a state in which two executions differ to the flight's record."""
-        stage = kernel.stage.value
-        alarm = AlarmRecord(1e-6 * now, SOURCE, state, stage, _SCORE, (state,), Response.RECOMPUTE.value, outcome)
+        alarm = AlarmRecord(
+            time_s=1e-6 * now,
+            source=SOURCE,
+            state=state,
+            stage=kernel.stage.value,
+            score=_SCORE,
+            fields=(state,),
+            action=Response.RECOMPUTE.value,
+            outcome=outcome,
+        )
         self._loop.record.alarms.append(alarm)
 
     def _execute_again(self, kernel: Kernel, now: int) -> list[State]:
