@@ -491,6 +491,7 @@ def record_of(log: FlightLog) -> FlightRecord:
     duration, distance, energy = _motion(log)
     meta = log.meta
     events = Counter(event.kind for event in log.events)
+    # the loss of a flight controller is a crash, even if the vehicle was flown on
     end = End.FLOWN
     if events[CONTROLLER_LOST]:
         end = End.DUE

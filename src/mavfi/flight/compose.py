@@ -75,6 +75,7 @@ def resolve(spec: MissionSpec) -> Scenario:
     Raises:
         BadInputError: A name is unknown, a value is out of range, or options are incompatible.
     """
+    # The environment, in which the mission may replace the vehicle.
     environment = find_environment(spec.environment)
     vehicle_source = spec.environment  # the file that names the vehicle, for messages
     if spec.vehicle is not None:

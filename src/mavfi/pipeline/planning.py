@@ -43,7 +43,19 @@ _EMERGENCY_STOP_TIME = 0.6
 
 @dataclass(slots=True)
 class _Decisions(Memory):
-    """Decision variables of the planner, which a rollback restores."""
+    """Decision variables of the planner, which a rollback restores.
+
+    Attributes:
+        acted_seq: Sequence number of the last collision alarm that was acted on.
+        alarm: Time to collision of an alarm that is to be acted on (s); -1 = none.
+        retry_us: Instant before which no plan follows the last one without a trajectory (us).
+        settled_us: Instant until which the last plan is in transit (us).
+        failures: Consecutive failed plans.
+        best_distance: Smallest distance from the goal so far (m).
+        best_us: When it was last reduced by 1 m (us).
+        progress: Arc length reached on the trajectory (m).
+        progress_us: When it last increased (us).
+    """
 
     acted_seq: int = 0
     alarm: float = -1.0
@@ -283,22 +295,30 @@ class MotionPlanner(Remembers):
         latency = self._config.plan_latency
         index, along = self._on_trajectory()
         if index < 0:
-            junction = -1
-            start = self._standing_point()
-            speed = 0.0
-            velocity = np.zeros(3)
-        else:
-            speed = length(floats(memory.waypoint.header, 7)[4:])  # type: ignore[union-attr]
-            distance = along
-            if speed > 0.1:
-                distance += 1.5 * speed * latency + speed * speed / (2.0 * PLANNING_ACCELERATION) + 0.2
-            blocked = memory.status.value("distance_to_blocked")  # type: ignore[union-attr]
-            soonest = along + speed * latency + speed * speed / (2.0 * BRAKING)
-            distance = max(min(distance, blocked - _MARGIN), soonest)
-            junction = min(int(np.searchsorted(memory.arc, distance)), len(memory.arc) - 1)
-            point = rows(memory.trajectory.elements, POINT_WIDTH)[junction]  # type: ignore[union-attr]
-            start = point[:3].copy()
-            velocity = point[4:7].copy()
+            return self._fastest_path(self._standing_point(), np.zeros(3), speed=0.0, junction=-1)
+        assert memory.waypoint is not None and memory.trajectory is not None  # it is on this trajectory
+        assert memory.status is not None  # no plan is wanted before the first one
+
+        # Arc length of the junction: ahead of the vehicle by one and a half latencies and the distance to stop gently,
+        # short of the blocked part, but not before it can stop at all.
+        speed = length(floats(memory.waypoint.header, 7)[4:])
+        distance = along
+        if speed > 0.1:
+            distance += 1.5 * speed * latency + speed * speed / (2.0 * PLANNING_ACCELERATION) + 0.2
+        blocked = memory.status.value("distance_to_blocked")
+        soonest = along + speed * latency + speed * speed / (2.0 * BRAKING)
+        distance = max(min(distance, blocked - _MARGIN), soonest)
+
+        # Plan from that point, at its velocity.
+        junction = min(int(np.searchsorted(memory.arc, distance)), len(memory.arc) - 1)
+        point = rows(memory.trajectory.elements, POINT_WIDTH)[junction]
+        return self._fastest_path(point[:3].copy(), point[4:7].copy(), speed=speed, junction=junction)
+
+    def _fastest_path(self, start: np.ndarray, velocity: np.ndarray, *, speed: float, junction: int) -> State | None:
+        """The fastest path to the goal from a point of the trajectory (-1 = none), at a velocity (m/s); None = none.
+
+        `speed` is the vehicle's current speed (m/s), with which the trajectory begins.
+        """
         vertices = self.routes.fastest(start, velocity)
         if vertices is None:
             return None
