@@ -16,7 +16,7 @@ import numpy as np
 from mavfi.extras.logs.live import LiveView
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.loop import Attached
+from mavfi.flight.loop import ObserverListener
 from mavfi.mission import MissionSpec
 from tests.extras.logs.viewer import Viewer
 from tools.markers import DOCS, fill
@@ -50,14 +50,14 @@ def flown(kind: str) -> float:
         if not ready.wait(30):
             raise SystemExit("the viewer did not subscribe within 30 s")
         time.sleep(0.2)  # the subscription arrives
-    seconds = _seconds((Attached(view),))
+    seconds = _seconds((ObserverListener(view),))
     view.close()
     if viewer is not None:
         viewer.join(30)
     return seconds
 
 
-def _seconds(observers: tuple[Attached, ...]) -> float:
+def _seconds(observers: tuple[ObserverListener, ...]) -> float:
     begin = time.thread_time()  # of the flight: the wall time would depend on other load
     fly(SCENARIO, observers=observers)
     return time.thread_time() - begin

@@ -235,7 +235,7 @@ def _flown(
     if fault is None:
         return golden or flights.golden(""), None
     golden = golden or flights.golden("golden")
-    flights.know("", golden)
+    flights.register_golden("", golden)
     ((_, flight),) = flights.injected([("", fault)])
     if isinstance(flight, Exception):
         raise flight

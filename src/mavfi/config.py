@@ -72,9 +72,11 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
         """Keys and values; duplicate keys are an error."""
         seen = set()
         for key, _ in node.value:
-            if isinstance(key, yaml.ScalarNode) and key.value in seen:
+            if not isinstance(key, yaml.ScalarNode):
+                continue  # a list or mapping as a key is refused below
+            if key.value in seen:
                 raise yaml.YAMLError(f"key {key.value!r} twice, again in line {key.start_mark.line + 1}")
-            seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
+            seen.add(key.value)
         mapping: dict[Any, Any] = super().construct_mapping(node, deep)
         return mapping
 
@@ -308,7 +310,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
         data = yaml.load(text, _Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        where = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
+        where = ""
+        if mark:
+            where = f":{mark.line + 1}:{mark.column + 1}"
         raise BadInputError(f"{path}{where}: not a YAML file ({error.problem or _first_line(error)})") from None
     except RecursionError:
         raise BadInputError(f"{path}: not a YAML file (too many lists and mappings within each other)") from None
@@ -332,11 +336,15 @@ def parse(model: type[ConfigType], data: dict[str, Any], source: str, *, stored:
     Raises:
         BadInputError: One line that names source, key, value and what is allowed.
     """
-    for key in data:
-        if key in KEYS and key not in model.model_fields and not stored:
-            raise BadInputError(f"{source}: {dropped_key(key)}")
+    context = None
+    if stored:
+        context = STORED
+    else:
+        for key in data:
+            if key in KEYS and key not in model.model_fields:
+                raise BadInputError(f"{source}: {dropped_key(key)}")
     try:
-        return model.model_validate(data, context=STORED if stored else None)
+        return model.model_validate(data, context=context)
     except ValidationError as error:
         raise BadInputError(f"{source}: {finding(error, model)}") from None
 
@@ -356,10 +364,10 @@ def checked(kind: type[Checked], data: object, source: str) -> Checked:
         BadInputError: One line that names source, key, value and what is allowed.
     """
     try:
-        found: Checked = _adapter(kind).validate_python(data)  # type: ignore[arg-type] # classes are hashable
+        instance: Checked = _adapter(kind).validate_python(data)  # type: ignore[arg-type] # classes are hashable
     except ValidationError as error:
         raise BadInputError(f"{source}: {finding(error)}") from None
-    return found
+    return instance
 
 
 @cache
@@ -385,16 +393,21 @@ def shipped(kind: str, model: type[ConfigType], name: str) -> ConfigType:
     if name.endswith((".yaml", ".yml")):
         return load(model, Path(name))
     path = config_root() / kind / f"{name}.yaml"
-    if not is_file(path):
-        if dropped_name(kind, name):
-            raise BadInputError(dropped_name(kind, name))
-        allowed = ", ".join(names(kind))
-        what = "is a folder" if is_dir(Path(name)) else "not known"
-        files = ".yaml, .bt or .ot" if kind == "environments" else ".yaml"  # scanned maps are environments too
-        text = f"{what}{hint(name, names(kind))}; allowed: {allowed}, or a path to a {files} file"
-        singular = "study" if kind == "studies" else kind.rstrip("s")
-        raise BadInputError(f"{singular} {name!r}: {text}")
-    return load(model, path)
+    if is_file(path):
+        return load(model, path)
+    raise BadInputError(dropped_name(kind, name) or _unknown_name(kind, name))
+
+
+def _unknown_name(kind: str, name: str) -> str:
+    """The message on a name that is none of a kind of shipped configurations."""
+    what = "is a folder" if is_dir(Path(name)) else "not known"
+    files = ".yaml"
+    if kind == "environments":
+        files = ".yaml, .bt or .ot"  # scanned maps are environments too
+    singular = "study" if kind == "studies" else kind.rstrip("s")
+    allowed = ", ".join(names(kind))
+    text = f"{what}{hint(name, names(kind))}; allowed: {allowed}, or a path to a {files} file"
+    return f"{singular} {name!r}: {text}"
 
 
 def names(kind: str) -> list[str]:

@@ -114,13 +114,9 @@ def dropped_key(name: str) -> str:
 
 def dropped_value(key: str, value: object) -> str:
     """The refusal of a value that earlier versions allowed for a key; "" = none did."""
-    if isinstance(value, str):
-        replacement = VALUES.get((key, value))
-    else:
-        replacement = None
-    if replacement:
-        return f"key {key!r}: {value!r}: dropped; use {replacement!r}"
-    return ""
+    if not isinstance(value, str) or (key, value) not in VALUES:
+        return ""
+    return f"key {key!r}: {value!r}: dropped; use {VALUES[key, value]!r}"
 
 
 def dropped_name(kind: str, name: str) -> str:

@@ -66,7 +66,10 @@ def machine_failure(error: BaseException | None) -> str:
         if isinstance(error, MemoryError) or _NO_MEMORY in str(error).lower():
             return "out of memory"
         if isinstance(error, OSError) and error.errno in _MACHINE:
-            return os.strerror(error.errno) + (f" ({error.filename})" if error.filename else "")
+            text = os.strerror(error.errno)
+            if error.filename:
+                text += f" ({error.filename})"
+            return text
         if isinstance(error, sqlite3.Error) and getattr(error, "sqlite_errorcode", 0) & 0xFF in _MACHINE_OF_SQLITE:
             return f"the ledger cannot be read or written ({error})"
         error = error.__cause__ or error.__context__
@@ -77,21 +80,19 @@ def allowed(names: Collection[str], wanted: str = "") -> str:
     """The allowed names for a message: the likeliest first, at most one line."""
     likely = get_close_matches(wanted, names, 3, 0.5)
     ordered = [*likely, *sorted(set(names) - set(likely))]
+    if not ordered:
+        return "none, there are none"
+    text = ", ".join(ordered[:_MOST_SHOWN])
     if len(ordered) > _MOST_SHOWN:
-        more = f", and {len(ordered) - _MOST_SHOWN} more"
-    else:
-        more = ""
-    if ordered:
-        return ", ".join(ordered[:_MOST_SHOWN]) + more
-    return "none, there are none"
+        text += f", and {len(ordered) - _MOST_SHOWN} more"
+    return text
 
 
 def hint(wanted: object, names: Iterable[str]) -> str:
     """A question after an unknown name: whether the most similar of some names is meant; "" = none is similar."""
-    if isinstance(wanted, str):
-        similar = get_close_matches(wanted, list(names), 1, 0.7)
-    else:
-        similar = []
+    if not isinstance(wanted, str):
+        return ""
+    similar = get_close_matches(wanted, list(names), 1, 0.7)
     if similar:
         return f" (did you mean {similar[0]!r}?)"
     return ""

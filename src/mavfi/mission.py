@@ -39,6 +39,7 @@ ARRIVAL_RADIUS = 2.0
 FLY_AWAY_MARGIN = 30.0
 """Distance outside the arena that ends a flight (m)."""
 LARGEST_SEED = 2**63 - 1
+"""Seeds are stored as 64-bit integers."""
 TIME_LIMIT_FACTOR = 4.5
 """Time limit / (course / v_max)."""
 
@@ -157,7 +158,9 @@ class MissionSpec(Config):
         """Ledgers and flights of earlier versions have the key `stack`, and the policy `restart` for dead nodes."""
         if info.context != STORED or not isinstance(data, dict):
             return data
-        renamed = {("autopilot" if key == "stack" else key): value for key, value in data.items()}
+        renamed = dict(data)
+        if "stack" in renamed:
+            renamed["autopilot"] = renamed.pop("stack")
         if renamed.get("dead_node") == "restart":
             renamed["dead_node"] = "fresh"
         return renamed
@@ -183,7 +186,9 @@ OF_THE_PIPELINE = (
 )
 """Mission keys without effect where another program flies the vehicle."""
 _OPTIONS = ("wind", "localization", "dead_node", "flight_controller", "protection")
+"""Attributes of a `Scenario` that its plain data omit at their defaults."""
 _AUTOPILOT_OPTIONS = ("alarm",)
+"""The same of its autopilot."""
 
 
 class Scenario(Config):

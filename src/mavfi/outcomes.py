@@ -122,6 +122,12 @@ COSTLIER = 0.25
 """Increase in flight time and in energy over the golden run, relative, beyond which a mission is degraded; largest
 of the same flights: 11 % and 17 %."""
 _ASTRAY = (MissionStatus.COLLISION.label, MissionStatus.FLY_AWAY.label)
+_OF_EFFECT = {
+    Effect.MASKED: ControlEffect.IDENTICAL,
+    Effect.CRASH: ControlEffect.ENDS,
+    Effect.HANG: ControlEffect.HANGS,
+}
+"""Class of a mission whose computation tells it."""
 
 
 def control_of(golden: FlightRecord | None, injected: FlightRecord) -> ControlEffect | None:
@@ -134,18 +140,19 @@ def control_of(golden: FlightRecord | None, injected: FlightRecord) -> ControlEf
     Returns:
         None: It cannot be judged, e.g. if errors were not measured.
     """
-    known = {Effect.MASKED: ControlEffect.IDENTICAL, Effect.CRASH: ControlEffect.ENDS, Effect.HANG: ControlEffect.HANGS}
     effect = effect_of(golden, injected)
+    if effect in _OF_EFFECT:
+        return _OF_EFFECT[effect]
     errors = ControlErrors.of(injected)
-    if effect in known:
-        return known[effect]
     if golden is None or effect is not Effect.SDC or errors is None:
         return None
-    follows = not errors.beyond(HEALTHY)
-    lost = errors.beyond(LOST) or injected.status == MissionStatus.INVALID_STATE.label
-    if lost or (injected.status in _ASTRAY and not follows):
+
+    # How well it followed its set-points; an accident of a vehicle that follows them well is not one of control.
+    is_healthy = not errors.beyond(HEALTHY)
+    is_lost = errors.beyond(LOST) or injected.status == MissionStatus.INVALID_STATE.label
+    if is_lost or (injected.status in _ASTRAY and not is_healthy):
         return ControlEffect.LOST
-    if follows and not _is_worse(golden, injected):
+    if is_healthy and not _is_worse(golden, injected):
         return ControlEffect.SLIGHT
     return ControlEffect.DEGRADED
 
@@ -155,9 +162,9 @@ def _is_worse(golden: FlightRecord, injected: FlightRecord) -> bool:
     success = MissionStatus.SUCCESS.label
     if golden.status != success:
         return False
-    longer = injected.flight_time_s > (1.0 + LONGER) * golden.flight_time_s
-    costlier = energy(injected.energy) > (1.0 + COSTLIER) * energy(golden.energy)
-    return injected.status != success or longer or costlier
+    is_longer = injected.flight_time_s > (1.0 + LONGER) * golden.flight_time_s
+    is_costlier = energy(injected.energy) > (1.0 + COSTLIER) * energy(golden.energy)
+    return injected.status != success or is_longer or is_costlier
 
 
 # ---- Quality of flight: flight time, energy and distance of a flight, computed from its record alone.

@@ -28,7 +28,7 @@ _ADDRESS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 _OWN = __name__.partition(".")[0]
 """The package of mavfi itself."""
 _loaded: dict[str, dict[str, Any]] = {}
-"""Plug-ins loaded in this process: by top-level package or module, the objects by the name that was asked for."""
+"""Plug-ins loaded in this process: by top-level package or module, the objects by the name that was requested."""
 
 
 class NotAllowedError(BadInputError):
@@ -139,31 +139,36 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
         BadInputError: Unknown name, not allowed (`allow_plugins`), or the object cannot be imported or called; the
             message says why.
     """
-    # entry points cannot take these names, and searching them takes milliseconds
-    place = shipped.get(name, name if _ADDRESS.fullmatch(name) else "")
-    if not place:
+    # Shipped names and addresses first: entry points cannot take these, and searching them takes milliseconds.
+    if name in shipped:
+        address = shipped[name]
+    elif _ADDRESS.fullmatch(name):
+        address = name
+    else:
         names = known(group, shipped)
-        place = names.get(name, "")
-    if not place:
-        text = f"not known{hint(name, names)}; allowed: {', '.join(sorted(names))}, or package:object"
-        raise BadInputError(f"{what} {name!r}: {text}")
-    module, _, attribute = place.partition(":")
-    if place == name:
+        if name not in names:
+            text = f"not known{hint(name, names)}; allowed: {', '.join(sorted(names))}, or package:object"
+            raise BadInputError(f"{what} {name!r}: {text}")
+        address = names[name]
+    module, _, attribute = address.partition(":")
+
+    # Code is run only if the user has typed or allowed it.
+    if address == name:
         require_allowed(what, name)
         # A console script does not search the working directory, where a user's own module usually is.
         if str(Path.cwd()) not in sys.path:
             sys.path.append(str(Path.cwd()))
     try:
-        found = getattr(importlib.import_module(module), attribute)
+        loaded = getattr(importlib.import_module(module), attribute)
     except MavfiError:
         raise
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's module raises while it is imported
         raise BadInputError(f"{what} {name!r}: cannot be imported ({reason(error)})") from None
-    if not callable(found):
+    if not callable(loaded):
         raise BadInputError(f"{what} {name!r}: cannot be called; allowed: a class or a function")
     if _package(module) != _OWN:
-        _loaded.setdefault(_package(module), {})[name] = found
-    return found
+        _loaded.setdefault(_package(module), {})[name] = loaded
+    return loaded
 
 
 def parameters_of(what: str, name: str, factory: Any) -> list[str]:  # noqa: ANN401 - a user's own
@@ -203,23 +208,23 @@ def build(
             of these takes other parameters.
     """
     if of_mission is not None:
-        options = _taken(what, name, factory, of_mission, options)
+        options = _arguments(what, name, factory, of_mission, options)
     try:
-        made = factory(*arguments, **options)
+        instance = factory(*arguments, **options)
     except MavfiError:
         raise
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's constructor raises
         raise BadInputError(f"{what} {name!r}: cannot be built ({reason(error)})") from None
     methods = needs or {}
-    lacking = [method for method in methods if not callable(getattr(made, method, None))]
+    lacking = [method for method in methods if not callable(getattr(instance, method, None))]
     if lacking:
         raise BadInputError(f"{what} {name!r}: lacks {', '.join(lacking)}")
     for method, parameters in methods.items():
-        _check_call(f"{what} {name!r}", method, getattr(made, method), parameters)
-    return made
+        _check_call(f"{what} {name!r}", method, getattr(instance, method), parameters)
+    return instance
 
 
-def _taken(
+def _arguments(
     what: str,
     name: str,
     factory: Any,
@@ -228,26 +233,26 @@ def _taken(
 ) -> dict[str, object]:
     """Arguments by name: what a class takes from the mission, and options, all of which it must have."""
     parameters = parameters_of(what, name, factory)
-    taken = {key: value for key, value in of_mission.items() if key in parameters}
-    for key, value in taken.items():
+    from_mission = {key: value for key, value in of_mission.items() if key in parameters}
+    for key, value in from_mission.items():
         if value is None:
             raise BadInputError(f"{what} {name!r}: needs the {key} of the mission")
     unknown = sorted(set(options) - set(parameters))
     if unknown:
         raise BadInputError(f"{what} {name!r}: has no option {', '.join(unknown)}")
-    return {**taken, **options}
+    return {**from_mission, **options}
 
 
-def _check_call(place: str, method: str, function: Any, parameters: str) -> None:  # noqa: ANN401
-    """Raise a BadInputError if a method cannot be called with these parameters in their order."""
+def _check_call(owner: str, method: str, function: Any, parameters: str) -> None:  # noqa: ANN401
+    """Raise a BadInputError if a method of the owner cannot be called with these parameters in their order."""
     try:
-        own = inspect.signature(function)
+        signature = inspect.signature(function)
     except (TypeError, ValueError):  # of some compiled functions it is not known
         return
     try:
-        own.bind(*filter(None, parameters.split(", ")))
+        signature.bind(*filter(None, parameters.split(", ")))
     except TypeError:
-        raise BadInputError(f"{place}: {method}{own}: allowed: {method}({parameters})") from None
+        raise BadInputError(f"{owner}: {method}{signature}: allowed: {method}({parameters})") from None
 
 
 def reason(error: BaseException) -> str:
@@ -264,13 +269,9 @@ def plugin_failure(error: BaseException) -> str:
     The innermost frame that belongs to either decides; those of libraries belong to their caller.  A machine without
     memory or space is nobody's fault: "".
     """
-    if machine_failure(error):
+    if machine_failure(error) or error.__traceback__ is None:
         return ""
-    if error.__traceback__ is None:
-        frames = []
-    else:
-        frames = list(walk_tb(error.__traceback__))
-    for frame, line in reversed(frames):
+    for frame, line in reversed(list(walk_tb(error.__traceback__))):
         package = _package(frame.f_globals.get("__name__") or "")
         if package == _OWN:
             break
@@ -301,5 +302,8 @@ def _package(module: str) -> str:
 
 def _plugin_in(frame: FrameType, plugins: Mapping[str, Any]) -> str:
     """Name of the plug-in whose method a frame executes, or else of the first one of its package."""
-    own = type(frame.f_locals.get("self"))
-    return next((name for name, found in plugins.items() if found is own), next(iter(plugins)))
+    executing_class = type(frame.f_locals.get("self"))
+    for name, plugin in plugins.items():
+        if plugin is executing_class:
+            return name
+    return next(iter(plugins))

@@ -47,7 +47,9 @@ LATEST_S = 1e9
 """Latest instant of a flight (s)."""
 _LARGEST_FILE = 1 << 27
 _LARGEST_CONTENT = 1 << 28
+"""Largest file that is read as a flight log, compressed and decompressed (bytes)."""
 _DIGESTED = len(COLUMNS) - 3
+"""Leading columns that the digest covers: all but the reference."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,8 +269,10 @@ class FlightLog:
         except (BadInputError, LookupError, RecursionError, ValueError) as error:
             why = str(error).removeprefix(f"{path}: ")
             raise BadInputError(f"{path}: is not a flight log ({why})") from None
+        # Readers compute with these times: none may be absurdly large.
         times = [1e-6 * event.time_us for event in events]
-        times += [item.time_s for item in stored.injections] + [item.time_s for item in stored.alarms]
+        times += [injection.time_s for injection in stored.injections]
+        times += [alarm.time_s for alarm in stored.alarms]
         if any(LATEST_S < abs(time) < math.inf for time in times) or not (abs(rows[:, 0]) <= LATEST_S).all():
             raise BadInputError(f"{path}: is not a flight log (times: allowed: {LATEST_S:g} s at most)")
         return FlightLog(rows, status, events, stored.injections, stored.alarms, stored.meta, stored.kernel)
@@ -307,10 +311,10 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         if size > _LARGEST_CONTENT:
             raise BadInputError(f"{path}: {size:,} bytes when decompressed; allowed: {_LARGEST_CONTENT:,}")
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-            found = {name: arrays[name] for name in arrays.files}
-        if not all(isinstance(array, np.ndarray) for array in found.values()):
+            contents = {name: arrays[name] for name in arrays.files}
+        if not all(isinstance(array, np.ndarray) for array in contents.values()):
             raise BadInputError(f"{path}: holds members that are no arrays")
-        return found
+        return contents
     except BadInputError:
         raise
     except Exception as error:  # noqa: BLE001 - whatever NumPy and zipfile raise at a damaged file
@@ -341,9 +345,9 @@ CONTROLLER_LOST = "controller_lost"
 class End(StrEnum):
     """How a run ended as a computation: with a log, with a crash of the process, or with a defect of mavfi."""
 
-    FLOWN = "flown"
-    DUE = "due"
-    UNKNOWN = "unknown"
+    FLOWN = "flown"  # with a log, also if the mission failed
+    DUE = "due"  # with a crash: a detected unrecoverable error
+    UNKNOWN = "unknown"  # with a defect of mavfi: it cannot be judged
 
 
 @dataclass(frozen=True, slots=True)
@@ -435,8 +439,11 @@ class FlightRecord:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; fields with default values are omitted."""
-        every = {f.name: getattr(self, f.name) for f in fields(self)}
-        data = {name: value for name, value in every.items() if name == "end" or value != _DEFAULTS[name]}
+        data = {}
+        for name, default in _DEFAULTS.items():
+            value = getattr(self, name)
+            if name == "end" or value != default:
+                data[name] = value
         for name in ("energy", "kernel"):
             if name in data:
                 data[name] = asdict(data[name])
@@ -455,8 +462,9 @@ class FlightRecord:
 _DEFAULTS: dict[str, Any] = {f.name: getattr(FlightRecord(End.FLOWN), f.name) for f in fields(FlightRecord)}
 
 
-_FOR_READERS = ("file", "line"), ("inlined", "line_is_near", "variable")
-"""Where in the source an injected instruction is: of its injection, and of the injection's details."""
+_SOURCE_KEYS = ("file", "line")
+_SOURCE_DETAILS = ("inlined", "line_is_near", "variable")
+"""Where in the source an injected instruction is: keys of its injection, and of the injection's details."""
 
 
 def without_source(text: str) -> str:
@@ -469,9 +477,10 @@ def without_source(text: str) -> str:
     record = json.loads(text)
     for injection in record.get("injections", ()):
         if injection["level"] == "instruction":
-            for part, names in zip((injection, injection["details"]), _FOR_READERS, strict=True):
-                for name in names:
-                    part.pop(name, None)
+            for key in _SOURCE_KEYS:
+                injection.pop(key, None)
+            for key in _SOURCE_DETAILS:
+                injection["details"].pop(key, None)
     for counted in record.get("counts", {}).values():
         counted.pop("lines", None)
     return canonical(record)
@@ -482,27 +491,29 @@ def record_of(log: FlightLog) -> FlightRecord:
     duration, distance, energy = _motion(log)
     meta = log.meta
     events = Counter(event.kind for event in log.events)
-    end = End.DUE if events[CONTROLLER_LOST] else End.FLOWN
+    # the loss of a flight controller is a crash, even if the vehicle was flown on
+    end = End.FLOWN
+    if events[CONTROLLER_LOST]:
+        end = End.DUE
     return FlightRecord(
-        end,
-        log.status.label,
-        log.digest(),
-        duration,
-        distance,
-        energy,
-        meta.get("course_m", 0.0),
-        meta.get("time_limit_s", 0.0),
-        tuple(log.injections),
-        tuple(kept_alarms(log.injections, log.alarms)),
-        len(log.alarms),
-        dict(Counter(f"{a.source}/{a.action}/{a.outcome}" for a in log.alarms)),
-        dict(events),
-        dict(meta.get("compute_us", {})),
-        dict(meta.get("recompute_us", {})),
-        dict(meta.get("publications", {})),
-        {},
-        meta.get("rejected_commands", 0),
-        log.kernel,
+        end=end,
+        status=log.status.label,
+        digest=log.digest(),
+        flight_time_s=duration,
+        distance_m=distance,
+        energy=energy,
+        course_m=meta.get("course_m", 0.0),
+        time_limit_s=meta.get("time_limit_s", 0.0),
+        injections=tuple(log.injections),
+        alarms=tuple(kept_alarms(log.injections, log.alarms)),
+        alarms_total=len(log.alarms),
+        alarm_counts=dict(Counter(f"{alarm.source}/{alarm.action}/{alarm.outcome}" for alarm in log.alarms)),
+        events=dict(events),
+        compute_us=dict(meta.get("compute_us", {})),
+        recompute_us=dict(meta.get("recompute_us", {})),
+        publications=dict(meta.get("publications", {})),
+        rejected_commands=meta.get("rejected_commands", 0),
+        kernel=log.kernel,
     )
 
 
@@ -510,29 +521,33 @@ def kept_alarms(injections: Sequence[Injection], alarms: Sequence[AlarmRecord]) 
     """The first alarms of a flight, and all within `AFTERMATH` of an activated injection, in order of time."""
     instants = [injection.time_s for injection in injections if injection.activated]
     most = MOST_ALARMS if injections else MOST_GOLDEN_ALARMS
-    return [
-        alarm
-        for place, alarm in enumerate(alarms)
-        if place < most or any(-INSTANT < alarm.time_s - time_s <= AFTERMATH for time_s in instants)
-    ]
+    selected = list(alarms[:most])
+    for alarm in alarms[most:]:
+        if any(-INSTANT < alarm.time_s - time_s <= AFTERMATH for time_s in instants):
+            selected.append(alarm)
+    return selected
 
 
 def _motion(log: FlightLog) -> tuple[float, float, EnergyTerms]:
     """Flight time (s), distance (m) and energy terms, from the rows before the first one that is not finite."""
     rows = log.columns("time", "x", "y", "z", "vx", "vy", "vz")
     finite = np.isfinite(rows).all(axis=1)
-    rows = rows if finite.all() else rows[: int(np.argmin(finite))]
+    if not finite.all():
+        rows = rows[: int(np.argmin(finite))]
     if len(rows) < 2:
         return 0.0, 0.0, EnergyTerms()
+    # means and differences over each interval between two rows
     time = rows[:, 0]
     position = rows[:, 1:4]
     velocity = rows[:, 4:7]
     interval = np.diff(time)
     acceleration = np.diff(velocity, axis=0) / interval[:, None]
     mean = 0.5 * (velocity[1:] + velocity[:-1])
-    speed_xy, acceleration_xy = (np.sqrt(v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1]) for v in (mean, acceleration))
+    speed_xy = _horizontal(mean)
+    acceleration_xy = _horizontal(acceleration)
     speed_z = np.abs(mean[:, 2])
     acceleration_z = np.abs(acceleration[:, 2])
+    # in the order of the attributes of `EnergyTerms`
     terms = (
         np.ones(len(interval)),
         speed_xy,
@@ -544,6 +559,14 @@ def _motion(log: FlightLog) -> tuple[float, float, EnergyTerms]:
     )
     distance = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
     return float(time[-1] - time[0]), distance, EnergyTerms(*(float((term * interval).sum()) for term in terms))
+
+
+def _horizontal(vectors: np.ndarray) -> np.ndarray:
+    """Length of the horizontal part of each vector. Shape (n,)."""
+    x = vectors[:, 0]
+    y = vectors[:, 1]
+    length: np.ndarray = np.sqrt(x * x + y * y)
+    return length
 
 
 def canonical(data: Any) -> str:

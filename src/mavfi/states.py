@@ -85,12 +85,19 @@ PLANNERS: dict[str, tuple[str, ...]] = {
 }
 """Functions called by the kernel `planner`, by the mission's planner: path search and shortening."""
 
-INJECTABLE: dict[str, tuple[str, ...]] = {
-    name: functions
-    for spec in _KERNEL_TABLE
-    for name, functions in (PLANNERS if spec.name == "planner" else {spec.name: spec.functions}).items()
-    if functions
-}
+
+def _injectable() -> dict[str, tuple[str, ...]]:
+    """See `INJECTABLE`."""
+    functions: dict[str, tuple[str, ...]] = {}
+    for spec in _KERNEL_TABLE:
+        if spec.name == "planner":
+            functions.update(PLANNERS)
+        elif spec.functions:
+            functions[spec.name] = spec.functions
+    return functions
+
+
+INJECTABLE = _injectable()
 """Functions by the kernel names of instruction faults, as in the paper's Fig. 3; for the planner, planner names."""
 INJECTED_KERNEL: dict[str, str] = {name: "planner" if name in PLANNERS else name for name in INJECTABLE}
 """Row of `KERNELS` by the same name."""
@@ -269,7 +276,10 @@ def new_state(name: str, count: int = 0) -> State:
     spec = STATES[name]
     # on plain bytes: NumPy takes several times as long to create a structured array of zeros
     header: np.ndarray = np.ndarray(1, spec.header_dtype, np.zeros(spec.header_dtype.itemsize, np.uint8))
-    return State(spec, header, np.zeros(count, spec.element_dtype) if count else spec.no_elements)
+    elements = spec.no_elements
+    if count:
+        elements = np.zeros(count, spec.element_dtype)
+    return State(spec, header, elements)
 
 
 _HARDENED = ("hardened",)

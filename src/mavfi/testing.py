@@ -5,7 +5,7 @@ Example: `class TestMyDetector(DetectorContract): detector = "my_package:MyDetec
 
 import json
 import pickle
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import FrozenInstanceError, replace
 from functools import cache
 from pathlib import Path
@@ -76,8 +76,9 @@ class LevelContract:
         level = find_level(self.level.fault.level)
         for fault in self.faults:
             for candidates in level.reductions.values():
-                found = list(candidates(fault, None))
-                assert fault not in found and {type(one) for one in found} <= {self.level.fault}
+                smaller = list(candidates(fault, None))
+                assert fault not in smaller
+                assert all(type(candidate) is self.level.fault for candidate in smaller)
 
     def test_its_faults_are_described(self) -> None:
         """Tables have columns of plain values; explanations have words for what did not happen."""
@@ -134,14 +135,12 @@ class HostContract:
 
     def make(self) -> Host:
         """The host."""
-        found = host_class(self.host)
-        make: Any = found
-        assert (found.config is None) == (self.under_test is None) == (not found.config_key)
-        if found.config is None:
-            host: Host = make()
-        else:
-            host = make(found.config.model_validate(self.under_test))
-        return host
+        tested_class = host_class(self.host)
+        make: Callable[..., Host] = tested_class
+        assert (tested_class.config is None) == (self.under_test is None) == (not tested_class.config_key)
+        if tested_class.config is None:
+            return make()
+        return make(tested_class.config.model_validate(self.under_test))
 
     def test_it_declares_what_it_is(self) -> None:
         """The declarations are of the declared types."""
@@ -162,7 +161,9 @@ class HostContract:
         from mavfi.campaign.config import Campaign
 
         host = host_class(self.host)
-        keys: dict[str, Any] = {} if self.under_test is None else {host.config_key: self.under_test}
+        keys: dict[str, Any] = {}
+        if self.under_test is not None:
+            keys[host.config_key] = self.under_test
         level = min(self.make().levels)
         content = {
             "name": "contract",
@@ -187,7 +188,9 @@ class HostContract:
 
 
 def _sampling(level: str) -> dict[str, Any]:
-    return {"level": level, **({"kernels": ["pid"]} if level == "instruction" else {})}
+    if level == "instruction":
+        return {"level": level, "kernels": ["pid"]}
+    return {"level": level}
 
 
 @cache
@@ -303,7 +306,7 @@ class DetectorContract:
         results = []
         for state, now in publications:
             alarm = detector.check(state, now)
-            results.append(alarm if alarm is None else alarm.to_json())
+            results.append(None if alarm is None else alarm.to_json())
             detector.accept(state, now)
         return results
 

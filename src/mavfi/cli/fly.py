@@ -16,7 +16,7 @@ from mavfi.plugins import extensions
 
 if TYPE_CHECKING:
     from mavfi.faults.fault import Fault
-    from mavfi.flight.compose import Watched
+    from mavfi.flight.compose import WatchedMission
     from mavfi.flight.host import ArmSetup, Host
     from mavfi.mission import Scenario
     from mavfi.report.flight_result import FlightResult
@@ -169,7 +169,7 @@ def _is_chosen(mission: MissionSpec, key: str) -> bool:
     return bool(getattr(mission, key) != MissionSpec.model_fields[key].default)
 
 
-def watched(mission: MissionSpec, detector: str, profile: str | None, models: Path | None) -> Watched:
+def watched(mission: MissionSpec, detector: str, profile: str | None, models: Path | None) -> WatchedMission:
     """A mission under a detector; refuses options for which the detector has no use."""
     from mavfi.flight.compose import watched as watched_by
 

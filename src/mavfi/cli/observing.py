@@ -13,7 +13,7 @@ from mavfi.errors import BadInputError
 from mavfi.plugins import extensions
 
 if TYPE_CHECKING:
-    from mavfi.flight.loop import Attached
+    from mavfi.flight.loop import ObserverListener
 
 OBSERVERS = "mavfi.observers"
 """Group of entry points, by the name of an option: objects with `options`, see `with_extra_options`, `chosen(values)`
@@ -42,18 +42,18 @@ def chosen_observers(values: Mapping[str, Any], pace: float, fault: str | None) 
 
 
 @contextmanager
-def observing(chosen: list[Any], values: Mapping[str, Any], pace: float) -> Iterator[tuple[Attached, ...]]:
+def observing(chosen: list[Any], values: Mapping[str, Any], pace: float) -> Iterator[tuple[ObserverListener, ...]]:
     """Observers of a flight, for `ArmSetup.observers`, until the end of the context."""
     if not chosen:
         yield ()
         return
-    from mavfi.flight.loop import Attached
+    from mavfi.flight.loop import ObserverListener
 
-    attached: list[Attached] = []
+    attached: list[ObserverListener] = []
     with ExitStack() as stack:
         for observer in chosen:
             view, text = observer.build(values)
             stack.callback(view.close)
             console(error=True).print(text, markup=False, highlight=False)
-            attached.append(Attached(view, 0.0 if attached else pace))  # only the first waits for the pace
+            attached.append(ObserverListener(view, 0.0 if attached else pace))  # only the first waits for the pace
         yield tuple(attached)

@@ -7,7 +7,7 @@ from typing import Any, cast
 from mavfi.detectors.detector import Detector
 from mavfi.faults.levels.state_injector import CounterWatch, StateInjector
 from mavfi.flight.loop import Loop, LoopMemory
-from mavfi.pipeline.memory import Foreign, Remembers, Saved, Scratch
+from mavfi.pipeline.memory import OpaqueKeeper, Remembers, Saved, Scratch
 from mavfi.record import AlarmRecord
 from mavfi.states import Stage
 
@@ -60,7 +60,7 @@ def can_save_detector(detector: Detector | None) -> bool:
 def can_save_kernels(loop: Loop) -> bool:
     """Whether checkpoints can contain all kernels: a user's own planner and map are copied whole."""
     keepers = [keeper for kernel in _kernels(loop).values() for keeper in kernel.keepers]
-    return all(_succeeds(keeper.save) for keeper in keepers if isinstance(keeper, Foreign))
+    return all(_succeeds(keeper.save) for keeper in keepers if isinstance(keeper, OpaqueKeeper))
 
 
 def _succeeds(save: Callable[[], object]) -> bool:
@@ -73,7 +73,7 @@ def _succeeds(save: Callable[[], object]) -> bool:
 
 def take(loop: Loop, *, scratch: bool = False) -> Instant:
     """The current instant of a loop; `scratch`: with the work arrays of all kernels, which must be known."""
-    _settle(loop)
+    _normalize(loop)
     kernels = {name: kernel.save() for name, kernel in _kernels(loop).items()}
     saved_arrays = None
     if scratch:
@@ -109,7 +109,7 @@ def is_at(loop: Loop, instant: Instant) -> bool:
     """Whether a loop is bit-identical to an instant; taps are not compared."""
     if not loop.plant.is_at(instant.plant):
         return False
-    _settle(loop)
+    _normalize(loop)
     return loop.memory().same(instant.loop) and all(
         kernel.same(instant.kernels[name]) for name, kernel in _kernels(loop).items()
     )
@@ -123,15 +123,15 @@ def _scratch(loop: Loop) -> dict[str, tuple[Scratch, ...]]:
     return {name: kernel.scratch or () for name, kernel in _kernels(loop).items()}
 
 
-def _settle(loop: Loop) -> None:
-    """Normalize state without effect on the flight, so that equivalent states compare equal.
+def _normalize(loop: Loop) -> None:
+    """Bring what has no effect on the flight into one form, so that equivalent states compare equal.
 
     Queue entries are renumbered from 0, as only their order matters.  Idle planning kernels are marked: they are rolled
     back only on one of their own publications, whose step marks them first.  A kernel with a pending recomputation
     request keeps its mark.
     """
-    waiting = sorted(loop.queue, key=lambda entry: entry[:2])
-    loop.queue = [(time, number, action, details) for number, (time, _, action, details) in enumerate(waiting)]
+    entries = sorted(loop.queue, key=lambda entry: entry[:2])
+    loop.queue = [(time, number, action, details) for number, (time, _, action, details) in enumerate(entries)]
     loop.order = len(loop.queue)
     for kernel in loop.kernels.values():
         if kernel.stage is Stage.PLANNING and kernel.name not in (*loop.busy, *loop.requests):

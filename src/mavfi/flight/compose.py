@@ -38,6 +38,7 @@ from mavfi.states import INJECTED_KERNEL, PLANNERS, Stage
 _DEFAULT_V_MAX = 3.0
 """Speed limit where neither mission nor environment has one (m/s)."""
 _FILES = (".yaml", ".yml")
+"""File name extensions of configurations."""
 _NOMINAL_RADIUS = 0.35
 """Collision radius of the vehicle for which the radii of an autopilot profile are specified (m)."""
 _LEAST_POSITION_NOISE = 1e-3
@@ -74,6 +75,7 @@ def resolve(spec: MissionSpec) -> Scenario:
     Raises:
         BadInputError: A name is unknown, a value is out of range, or options are incompatible.
     """
+    # The environment, in which the mission may replace the vehicle.
     environment = find_environment(spec.environment)
     vehicle_source = spec.environment  # the file that names the vehicle, for messages
     if spec.vehicle is not None:
@@ -176,6 +178,7 @@ def pipeline_config(
     scenario: Scenario,
     world: World,
     directions: np.ndarray,
+    *,
     rewindable: bool = False,
     functions: KernelFunctions = PLAIN,
 ) -> PipelineConfig:
@@ -259,9 +262,8 @@ def new_loop(
     """
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
     plant = make_plant(world, scenario)
-    config = pipeline_config(scenario, world, plant.ray_directions, rewindable, functions)
-    make = partial(make_kernels, config)
-    return Loop(scenario, world, plant, make, want_profile=profile, marks=rewindable)
+    config = pipeline_config(scenario, world, plant.ray_directions, rewindable=rewindable, functions=functions)
+    return Loop(scenario, world, plant, partial(make_kernels, config), want_profile=profile, marks=rewindable)
 
 
 def watch(loop: Loop, detector: Detector | None, recovery: RecoveryPolicy = INLINE) -> None:
@@ -344,7 +346,7 @@ def detector_for(
     return load_detector(name, profile, models_dir, mission, options=options, trained_for=trained_for)
 
 
-class Watched(NamedTuple):
+class WatchedMission(NamedTuple):
     """A mission under a detector.
 
     Attributes:
@@ -364,7 +366,7 @@ def watched(
     profile: str = "paper",
     models: Path | None = None,
     options: Mapping[str, Any] | None = None,
-) -> Watched:
+) -> WatchedMission:
     """Resolve a mission, and load the detector that watches it.
 
     Args:
@@ -379,19 +381,19 @@ def watched(
         SpecMismatchError: The model was trained for a different configuration.
     """
     if detector is None:
-        return Watched(ArmSetup(resolve(mission), recovery=RecoveryPolicy.of(mission)))
+        return WatchedMission(ArmSetup(resolve(mission), recovery=RecoveryPolicy.of(mission)))
     mission = with_keys_of(mission, detector)
     scenario = resolve(mission)
     recovery = RecoveryPolicy.of(mission)
     if not isinstance(detector, str):
-        return Watched(ArmSetup(scenario, lambda: detector, recovery), type(detector).__name__)
+        return WatchedMission(ArmSetup(scenario, lambda: detector, recovery), type(detector).__name__)
     loaded, model = detector_for(scenario, detector, profile, models, mission.trained_for, options)
     label = detector
     if model:
         label += f" ({profile})"
     if model and mission.trained_for:
         label += f", trained for {mission.trained_for}"
-    return Watched(ArmSetup(scenario, lambda: loaded, recovery), label, model)
+    return WatchedMission(ArmSetup(scenario, lambda: loaded, recovery), label, model)
 
 
 def with_keys_of(spec: MissionSpec, detector: str | Detector) -> MissionSpec:
@@ -411,6 +413,7 @@ def limits_of(scenario: Scenario, world: World) -> MissionLimits:
     autopilot = scenario.autopilot
     platform = scenario.platform
     period = 1e-6 * CONTROL_PERIOD_US
+    # without an estimator there are no fixes to check
     noise = noise_of(scenario.localization)
     fix_noise = None
     if noise is not None:

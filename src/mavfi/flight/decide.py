@@ -24,23 +24,26 @@ PATH = "planning.path"
 WAYPOINT = "planning.waypoint"
 
 RESTART_US = 20_000
+"""Down time of the first node that a detector restarts (us): the process survives, its memory is initialized."""
 BACK_OFF = 3
-"""Down time of a node that a detector restarts (us): the process survives, its memory is initialized; and the factor
-by which the down time grows with each restart in a flight.  Their sum exceeds the duration of a fault of 1 s."""
+"""Factor by which the down time grows with each restart in a flight: their sum exceeds a fault of 1 s."""
 MAX_RESTARTS = 5
 """Limit per flight: a faulty detector must not keep a vehicle from flying."""
 PERSISTS_US = 2_000_000
+"""Duration of a series of hard alarms beyond which they are persistent (us)."""
 GAP_US = 500_000
-"""Hard alarms are persistent if they span the first duration with gaps of at most the second (us)."""
+"""Longest gap between two hard alarms of a series (us)."""
 ALARMS_WITHIN_US = 10_000_000
 """Time within which alarms are counted against the detector (us)."""
 MAX_ALARMS = 50
 """Number of hard alarms in `ALARMS_WITHIN_US` after which a detector that may restart nodes is disabled as faulty."""
 MAX_UNCHANGED = 5
-"""Number of recomputations without a change, within the same time, above which `same_twice: limit` does not respond."""
+"""Recomputations without a change in `ALARMS_WITHIN_US`, above which `same_twice: limit` does not respond."""
 SKIPPED_US = 50_000_000
-"""A way-point that is skipped counts as `MAX_UNCHANGED` alarms, this much later (us), and until then there is no
-response either: it changes the route, and several can lead into an obstacle."""
+"""Delay with which a skipped way-point counts as `MAX_UNCHANGED` alarms (us).
+
+Until then there is no response either: skipping changes the route, and several times it can lead into an obstacle.
+"""
 
 
 # ---- the policy -----------------------------------------------------------------------------------------------------
@@ -167,8 +170,13 @@ class Action:
     alone: bool = False
 
 
-class Awaited(NamedTuple):
-    """A recomputation in progress: the rejected value (None = unreadable), and the index of its alarm in the record."""
+class PendingResult(NamedTuple):
+    """The result of a recomputation in progress.
+
+    Attributes:
+        rejected: The value that it replaces; None = unreadable.
+        alarm_index: Index of the alarm on that value in the flight's record.
+    """
 
     rejected: State | None
     alarm_index: int

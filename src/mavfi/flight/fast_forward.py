@@ -76,13 +76,13 @@ def check_prefix(loop: Loop, golden: FlightLog) -> None:
 
 
 # ---- functions whose calls are counted ------------------------------------------------------------------------------
-class Taken(NamedTuple):
+class CallResult(NamedTuple):
     """A call that was made by somebody else, with its result."""
 
     result: Any
 
 
-Intercept = Callable[[str, int, Callable[..., Any], tuple[Any, ...]], Taken | None]
+Intercept = Callable[[str, int, Callable[..., Any], tuple[Any, ...]], CallResult | None]
 """Called before each call with name, number of the call, function and arguments; None = the call is made as usual."""
 
 
@@ -125,15 +125,15 @@ class CountedFunction:
         call = loop.record.calls[self._name]
         loop.record.calls[self._name] = call + 1
         if self.intercept is not None:
-            taken = self.intercept(self._name, call, self._function, args)
-            if taken is not None:
-                return taken.result
+            intercepted = self.intercept(self._name, call, self._function, args)
+            if intercepted is not None:
+                return intercepted.result
         return self._function(*args)
 
 
 # ---- known flights --------------------------------------------------------------------------------------------------
 @dataclass(slots=True)
-class Share:
+class SimulatedShare:
     """Share of the flights that was simulated.
 
     Attributes:
@@ -176,8 +176,8 @@ def takes_part(detector: Detector | None, recovery: RecoveryPolicy) -> bool:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Track:
-    """A completed flight.
+class KnownFlight:
+    """A completed flight, which others may follow.
 
     Attributes:
         log: Its log.
@@ -204,8 +204,8 @@ class Track:
 
     def is_silent(self, rows: int) -> bool:
         """Whether its own detector, if there is one, raises no alarm before the checkpoint after the one at `rows`."""
-        here, there = next(self.pieces(rows))
-        return len(here.alarms) == len(there.alarms)
+        piece_start, piece_end = next(self.pieces(rows))
+        return len(piece_start.alarms) == len(piece_end.alarms)
 
 
 class FlightBranch:
@@ -230,8 +230,8 @@ class FlightBranch:
         self,
         forward: "FastForward",
         arm: FlownArm,
-        others: Sequence[Track] = (),
-        own_golden: Track | None = None,
+        others: Sequence[KnownFlight] = (),
+        own_golden: KnownFlight | None = None,
         *,
         keeps_checkpoints: bool = False,
         keeps_publications: bool = False,
@@ -302,14 +302,14 @@ class FlightBranch:
         record.alarms = []
         record.set_counts([0] * len(record.counts()))
 
-    def begin(self, track: Track, start: Checkpoint) -> None:
+    def begin(self, known_flight: KnownFlight, start: Checkpoint) -> None:
         """Start with another flight's record up to a checkpoint; the loop itself does not move."""
         record = self.loop.record
-        record.rows = track.rows[: start.rows]
-        record.events = track.log.events[: start.events]
+        record.rows = known_flight.rows[: start.rows]
+        record.events = known_flight.log.events[: start.events]
         record.alarms = list(start.alarms)
         record.set_counts(start.counts)
-        self.publications = track.publications[: start.publications]
+        self.publications = known_flight.publications[: start.publications]
         if self._restarts is not None:
             for state, now in self.publications:
                 self._restarts.keep(state, now)
@@ -337,64 +337,66 @@ class FlightBranch:
             self._detector_memory(),
         )
 
-    def _append(self, track: Track, here: Checkpoint, there: Checkpoint) -> None:
+    def _append(self, known_flight: KnownFlight, piece_start: Checkpoint, piece_end: Checkpoint) -> None:
         """Append another flight's record between two of its checkpoints; the loop itself does not move."""
         record = self.loop.record
-        log = track.log
-        record.rows += track.rows[here.rows : there.rows]
-        record.events += log.events[here.events : there.events]
-        record.alarms += log.alarms[len(here.alarms) : len(there.alarms)]
+        log = known_flight.log
+        record.rows += known_flight.rows[piece_start.rows : piece_end.rows]
+        record.events += log.events[piece_start.events : piece_end.events]
+        record.alarms += log.alarms[len(piece_start.alarms) : len(piece_end.alarms)]
         if self._keeps_publications:
-            self.publications += track.publications[here.publications : there.publications]
-        counts = zip(record.counts(), here.counts, there.counts, strict=True)
+            self.publications += known_flight.publications[piece_start.publications : piece_end.publications]
+        counts = zip(record.counts(), piece_start.counts, piece_end.counts, strict=True)
         record.set_counts(count + after - before for count, before, after in counts)
-        if there is track.end:
+        if piece_end is known_flight.end:
             self._log = self.loop.log(log.status, log.meta["rejected_commands"])
         elif self.keeps_checkpoints:
-            self.store_checkpoint(there.here)
+            self.store_checkpoint(piece_end.here)
 
-    def append_rest(self, track: Track, rows: int) -> None:
+    def append_rest(self, known_flight: KnownFlight, rows: int) -> None:
         """Reuse the remainder of another flight."""
         self._forward.share.converged += 1
         if self.keeps_checkpoints:
-            for here, there in track.pieces(rows):
-                self._append(track, here, there)
+            for piece_start, piece_end in known_flight.pieces(rows):
+                self._append(known_flight, piece_start, piece_end)
         else:
-            self._append(track, track.checkpoints[rows], track.end)
+            self._append(known_flight, known_flight.checkpoints[rows], known_flight.end)
 
     # ---- replay -----------------------------------------------------------------------------------------------------
-    def follow(self, track: Track, rows: int, *, loop_is_there: bool = False) -> None:
+    def follow(self, known_flight: KnownFlight, rows: int, *, loop_is_there: bool = False) -> None:
         """Reuse another flight, to its end, to an alarm of its own detector, or to the first one on its publications.
 
         `loop_is_there`: the loop is at the checkpoint at `rows`.
         """
-        for here, there in track.pieces(rows):
+        for piece_start, piece_end in known_flight.pieces(rows):
             if self._detector is None:
-                self.append_rest(track, here.rows)
+                self.append_rest(known_flight, piece_start.rows)
                 return
-            if self._own_golden is not None and self._continues_as_golden(self._own_golden, here):
-                self.append_rest(self._own_golden, here.rows)
+            if self._own_golden is not None and self._continues_as_golden(self._own_golden, piece_start):
+                self.append_rest(self._own_golden, piece_start.rows)
                 return
             memory = self._detector_memory()
-            if len(there.alarms) > len(here.alarms) or self._raises_alarm(track, here, there):
+            if len(piece_end.alarms) > len(piece_start.alarms) or self._raises_alarm(
+                known_flight, piece_start, piece_end
+            ):
                 # Simulate this piece again, from its start: the alarm changes the flight.
                 self.restore_detector(memory)
-                if not (loop_is_there and here.rows == rows):
-                    put(self.loop, here.here)
+                if not (loop_is_there and piece_start.rows == rows):
+                    put(self.loop, piece_start.here)
                 return
-            self._forward.share.shown += there.rows - here.rows
+            self._forward.share.shown += piece_end.rows - piece_start.rows
             if not self._has_simulated or isinstance(self.loop.taps.injector, CounterWatch):
-                self.loop.taps.injector = there.injector.copy()  # else it has the record of this flight's injection
-            self._append(track, here, there)
+                self.loop.taps.injector = piece_end.injector.copy()  # else it has the record of this flight's injection
+            self._append(known_flight, piece_start, piece_end)
 
-    def append_unless_alarm(self, track: Track, here: Checkpoint, there: Checkpoint) -> bool:
+    def append_unless_alarm(self, known_flight: KnownFlight, piece_start: Checkpoint, piece_end: Checkpoint) -> bool:
         """Reuse a flight without a detector between two of its checkpoints; False, without effect, at an alarm."""
-        if self._detector is None or self._raises_alarm(track, here, there):
+        if self._detector is None or self._raises_alarm(known_flight, piece_start, piece_end):
             return False
-        self._append(track, here, there)
+        self._append(known_flight, piece_start, piece_end)
         return True
 
-    def _raises_alarm(self, track: Track, here: Checkpoint, there: Checkpoint) -> bool:
+    def _raises_alarm(self, known_flight: KnownFlight, piece_start: Checkpoint, piece_end: Checkpoint) -> bool:
         """Whether the detector raises an alarm on publications of another flight, or fails on one.
 
         In the latter case it is called again in the simulated flight, which may disable it.
@@ -404,7 +406,7 @@ class FlightBranch:
             return False
         detector = self._detector
         watched_states = self.loop.taps.watched
-        for state, now in track.publications[here.publications : there.publications]:
+        for state, now in known_flight.publications[piece_start.publications : piece_end.publications]:
             if watched_states is not None and state.spec.name not in watched_states:
                 continue
             try:
@@ -415,15 +417,15 @@ class FlightBranch:
                 return True
         return False
 
-    def _continues_as_golden(self, own_golden: Track, here: Checkpoint) -> bool:
+    def _continues_as_golden(self, own_golden: KnownFlight, checkpoint: Checkpoint) -> bool:
         """Whether the remainder from a checkpoint of another flight equals that of the golden flight of this arm."""
-        golden_checkpoint = own_golden.checkpoints.get(here.rows)
-        if golden_checkpoint is None or golden_checkpoint.instant is not here.instant:
+        golden_checkpoint = own_golden.checkpoints.get(checkpoint.rows)
+        if golden_checkpoint is None or golden_checkpoint.instant is not checkpoint.instant:
             return False
         return self._is_settled() and self._has_detector_memory(golden_checkpoint)
 
     # ---- simulation -------------------------------------------------------------------------------------------------
-    def fly(self) -> Track:
+    def fly(self) -> KnownFlight:
         """Continue to the end; simulate where no known flight can be reused."""
         loop = self.loop
         record = self.loop.record
@@ -438,49 +440,49 @@ class FlightBranch:
             else:
                 self._log = loop.flight().log
         loop.taps.recorders.clear()
-        return Track(self._log, record.rows, self.publications, self._checkpoints, self._checkpoint(None))
+        return KnownFlight(self._log, record.rows, self.publications, self._checkpoints, self._checkpoint(None))
 
     def _arrive_at_checkpoint(self) -> None:
         """Take a checkpoint if others may start here; reuse a known flight if the current state has converged to it."""
         rows = len(self.loop.record.rows)
-        track = None
+        known_flight = None
         if self._is_settled() and self.comparable():
-            track = self._converged()
-        if track is None:
+            known_flight = self._converged()
+        if known_flight is None:
             if self.keeps_checkpoints:
                 # Instruction faults are injected after golden checkpoints: these need the work arrays of kernels, too.
                 self.store_checkpoint(take(self.loop, scratch=self._forward.scratch and self._own_golden is None))
             return
         if self.keeps_checkpoints:
             # the same object, by which flights recognize that they share a state
-            self.store_checkpoint(track.checkpoints[rows].here)
-        if track is self._own_golden:
-            self.append_rest(track, rows)
+            self.store_checkpoint(known_flight.checkpoints[rows].here)
+        if known_flight is self._own_golden:
+            self.append_rest(known_flight, rows)
         elif not takes_part(self._arm.detector, self._arm.recovery):
-            self.follow(track, rows, loop_is_there=True)
+            self.follow(known_flight, rows, loop_is_there=True)
 
     def _is_settled(self) -> bool:
         """Whether injector and recovery have no further effect."""
         injector = self.loop.taps.injector
         return not self.loop.awaited and not self.loop.requests and injector is not None and injector.spent
 
-    def _converged(self) -> Track | None:
+    def _converged(self) -> KnownFlight | None:
         """A known flight in the current state that can be followed from here; None = none."""
         loop = self.loop
         rows = len(self.loop.record.rows)
         is_here: dict[
             int, bool
         ] = {}  # result of the comparison, which takes long, by instant: several flights share one
-        tracks = list(self._others)
+        known_flights = list(self._others)
         if self._own_golden is not None:
-            tracks.append(self._own_golden)
-        for track in tracks:
-            checkpoint = track.checkpoints.get(rows)
+            known_flights.append(self._own_golden)
+        for known_flight in known_flights:
+            checkpoint = known_flight.checkpoints.get(rows)
             if checkpoint is None or not checkpoint.injector.spent:
                 continue  # the other flight's injection is still pending
-            if track is self._own_golden and not self._has_detector_memory(checkpoint):
+            if known_flight is self._own_golden and not self._has_detector_memory(checkpoint):
                 continue  # the detector remembers something else, and may act otherwise
-            if track is not self._own_golden and not track.is_silent(rows):
+            if known_flight is not self._own_golden and not known_flight.is_silent(rows):
                 continue  # nothing of it could be followed
             if isinstance(loop.taps.injector, CounterWatch) and not loop.taps.injector.same(checkpoint.injector):
                 continue  # a later injector would count publications otherwise
@@ -488,7 +490,7 @@ class FlightBranch:
             if key not in is_here:
                 is_here[key] = is_at(loop, checkpoint.here)
             if is_here[key]:
-                return track
+                return known_flight
         return None
 
 
@@ -525,12 +527,12 @@ class FastForward:
         self.scratch = scratch and has_scratch(self.loop)
         self.watched = True
         self.pitch = TICKS.get(scenario.map.kind, TICKS["octree"])
-        self.share = Share()
+        self.share = SimulatedShare()
         self._take_off: Instant | None = None
-        self._golden: dict[str, Track] = {}
+        self._golden: dict[str, KnownFlight] = {}
         self._profile: Profile | None = None
         self._latest_fault: StateFault | None = None
-        self._same_fault: dict[str, Track] = {}
+        self._same_fault: dict[str, KnownFlight] = {}
 
     def fly(
         self,
@@ -550,17 +552,17 @@ class FastForward:
         flown_arm = FlownArm(arm, detector, recovery)
         with np.errstate(all="ignore"):  # overflow of corrupted values is expected behaviour
             if fault is None:
-                track = self.golden(flown_arm)
+                known_flight = self.golden(flown_arm)
             else:
-                track = self._with_fault(fault, flown_arm)
+                known_flight = self._with_fault(fault, flown_arm)
         self.share.flights += 1
-        self.share.ticks += len(track.rows)
+        self.share.ticks += len(known_flight.rows)
         if fault is None and detector is None:
-            return Flight(track.log, self._profile)
-        return Flight(track.log)
+            return Flight(known_flight.log, self._profile)
+        return Flight(known_flight.log)
 
     # ---- golden flights ---------------------------------------------------------------------------------------------
-    def golden(self, arm: FlownArm = NO_DETECTOR) -> Track:
+    def golden(self, arm: FlownArm = NO_DETECTOR) -> KnownFlight:
         """The golden flight of an arm, flown on first use."""
         if arm.name not in self._golden:
             if arm.detector is None or takes_part(arm.detector, arm.recovery):
@@ -569,7 +571,7 @@ class FastForward:
                 self._golden[arm.name] = self._replayed(arm)
         return self._golden[arm.name]
 
-    def _simulated(self, arm: FlownArm) -> Track:
+    def _simulated(self, arm: FlownArm) -> KnownFlight:
         """A golden flight from take-off; the one without a detector leaves the profile."""
         loop = self.loop
         others = [self._golden[""]] if "" in self._golden else []
@@ -584,12 +586,12 @@ class FastForward:
             arm.detector.start()
         branch.store_checkpoint(self._take_off)
         loop.record.publications.want_profile = arm.detector is None
-        track = branch.fly()
+        known_flight = branch.fly()
         self._profile = loop.record.publications.profile() or self._profile  # None with a detector
         loop.record.publications.want_profile = False
-        return track
+        return known_flight
 
-    def _replayed(self, arm: FlownArm) -> Track:
+    def _replayed(self, arm: FlownArm) -> KnownFlight:
         """The golden flight with a detector that acts on alarms alone."""
         assert arm.detector is not None  # the other one is simulated
         plain = self.golden()
@@ -602,20 +604,20 @@ class FastForward:
         return branch.fly()
 
     # ---- flights with faults in states ------------------------------------------------------------------------------
-    def _with_fault(self, fault: StateFault, arm: FlownArm) -> Track:
+    def _with_fault(self, fault: StateFault, arm: FlownArm) -> KnownFlight:
         """The injected run; the one without a detector is kept for the other arms."""
-        if arm.detector is None and "" in self._tracks(fault):
-            return self._tracks(fault)[""]
+        if arm.detector is None and "" in self._known_flights(fault):
+            return self._known_flights(fault)[""]
         return self._injected(fault, arm)
 
-    def _tracks(self, fault: StateFault) -> dict[str, Track]:
+    def _known_flights(self, fault: StateFault) -> dict[str, KnownFlight]:
         """The injected runs that others may follow, by arm; those of the latest fault are kept."""
         if self._latest_fault != fault:
             self._latest_fault = fault
             self._same_fault = {}
         return self._same_fault
 
-    def _injected(self, fault: StateFault, arm: FlownArm) -> Track:
+    def _injected(self, fault: StateFault, arm: FlownArm) -> KnownFlight:
         # Start from the golden flight of the arm at its last checkpoint before the fault.
         own_golden = self.golden(arm)
         rows = own_golden.before(fault.time_us)
@@ -634,20 +636,24 @@ class FastForward:
             without_detector = self._with_fault(fault, NO_DETECTOR)
         others = [plain_golden]
         if arm.detector is not None:
-            others = [track for track in (*self._tracks(fault).values(), plain_golden) if track.checkpoints]
+            others = [
+                known_flight
+                for known_flight in (*self._known_flights(fault).values(), plain_golden)
+                if known_flight.checkpoints
+            ]
         branch = FlightBranch(self, arm, others, own_golden, keeps_checkpoints=self.watched)
-        track = self._fly_on(branch, own_golden, rows, injector, without_detector)
-        self._tracks(fault)[arm.name] = track
-        return track
+        known_flight = self._fly_on(branch, own_golden, rows, injector, without_detector)
+        self._known_flights(fault)[arm.name] = known_flight
+        return known_flight
 
     def _fly_on(
         self,
         branch: FlightBranch,
-        own_golden: Track,
+        own_golden: KnownFlight,
         rows: int,
         injector: StateInjector,
-        without_detector: Track | None = None,
-    ) -> Track:
+        without_detector: KnownFlight | None = None,
+    ) -> KnownFlight:
         """Fly from a golden checkpoint, along the run without a detector as far as that is the same."""
         start = own_golden.checkpoints[rows]
         branch.begin(own_golden, start)
@@ -682,19 +688,19 @@ class FastForward:
         loop = self.loop
         counted = list(loop.record.calls)  # these come first in the counts of a checkpoint
         with self.instrumented(functions), np.errstate(all="ignore"):
-            for here, there in golden.pieces(0):
+            for piece_start, piece_end in golden.pieces(0):
                 # Skip pieces of the flight without wanted calls.
                 calls = {}
                 for name in functions:
                     index = counted.index(name)
-                    calls[name] = range(here.counts[index], there.counts[index])
+                    calls[name] = range(piece_start.counts[index], piece_end.counts[index])
                 if not any(function.is_wanted(calls[name]) for name, function in functions.items()):
                     continue
 
                 # Fly the others again, as long as wanted calls are to come.
-                FlightBranch(self, NO_DETECTOR).begin(golden, here)
-                loop.taps.injector = here.injector.copy()
-                put(loop, here.here)
+                FlightBranch(self, NO_DETECTOR).begin(golden, piece_start)
+                loop.taps.injector = piece_start.injector.copy()
+                put(loop, piece_start.here)
                 for name, function in functions.items():
                     function.continue_at(calls[name].start)
                 while loop.status is None and any(

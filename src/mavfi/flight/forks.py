@@ -41,12 +41,12 @@ from mavfi.flight.compose import new_loop, watch
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.fast_forward import (
     NO_DETECTOR,
+    CallResult,
     CountedFunction,
     FastForward,
     FlightBranch,
     FlownArm,
-    Taken,
-    Track,
+    KnownFlight,
     check_prefix,
     fly_until,
 )
@@ -346,7 +346,8 @@ class Child:
     Attributes:
         point: The fork.
         case: The fault.
-        dead: Whether it is the second child of a fault: the node of the kernel is about to die, or to repeat its step.
+        step_fails: Whether it is the second child of a fault, and the step in progress has no result: at the end of it
+            the node of the kernel dies, or repeats it.
         call_same: Whether result and arguments of the injected call are bit-identical to the golden ones.
         planned: Whether the injected call could write its own memory only.
         comparable: Whether, moreover, all differences from the golden flight are in results and memory of kernels, so
@@ -356,7 +357,7 @@ class Child:
 
     point: ForkPoint
     case: FaultCase
-    dead: bool
+    step_fails: bool
     call_same: bool = False
     planned: bool = True
     comparable: bool = True
@@ -404,18 +405,20 @@ class Forks(Listener):
         return self.child is None and not self._awaited and all(case.how != WAITING for case in self.cases)
 
     # ---- in the golden flight ---------------------------------------------------------------------------------------
-    def intercept(self, entry: str, call: int, function: Callable[..., Any], args: tuple[Any, ...]) -> Taken | None:
+    def intercept(
+        self, entry: str, call: int, function: Callable[..., Any], args: tuple[Any, ...]
+    ) -> CallResult | None:
         """Fork at an injected call; the call is made with the fault in children, as usual in the golden flight."""
         if self.child is not None:
             return None
         for case in self.cases:
             if case.call == call and case.fault.entry == entry:
-                taken = self._inject(case, function, args)
-                if taken is not None:
-                    return taken
+                result = self._inject(case, function, args)
+                if result is not None:
+                    return result
         return None
 
-    def _inject(self, case: FaultCase, function: Any, args: tuple[Any, ...]) -> Taken | None:
+    def _inject(self, case: FaultCase, function: Any, args: tuple[Any, ...]) -> CallResult | None:
         # 1. Find the fault in the code of this call; if calls have shifted, it may be in a later one.
         variant = variant_for(function, args, self._rewriting)
         fault = self._fault_in(case.fault, variant, function, args)
@@ -426,9 +429,9 @@ class Forks(Listener):
         # 2. A child makes the call with the fault, and completes the flight.
         variant.own_report()
         case.time_us = self._loop.now
-        ended = self._fork(case, dead=False)
+        ended = self._fork(case, step_fails=False)
         if ended is None:
-            return Taken(self._injected_call(variant, fault, function, args))
+            return CallResult(self._injected_call(variant, fault, function, args))
         case.value = variant.report()
         _note_end(case, ended)
         if case.how == WAITING:
@@ -436,12 +439,12 @@ class Forks(Listener):
 
         # 3. If it died, or the fault was detected, a second child continues without the result of the call.
         if case.how != "done":
-            ended = self._fork(case, dead=True)
+            ended = self._fork(case, step_fails=True)
             if ended is None:
                 if not case.kernel and self._detector is not None:
                     down_us = round(1e6 * case.fault.restart_s)
                     self._approach.restarts().detector_dies(self._detector, self._loop.now, down_us)
-                return Taken(function(*args))
+                return CallResult(function(*args))
             case.report = _report_of(ended)
 
         # 4. The effect on the kernel is judged by the golden output of the same step.
@@ -474,13 +477,13 @@ class Forks(Listener):
             return fault
         return None
 
-    def _fork(self, case: FaultCase, *, dead: bool) -> ChildEnd | None:
+    def _fork(self, case: FaultCase, *, step_fails: bool) -> ChildEnd | None:
         """None in the child; in the golden flight the child's termination, retried after a wall-clock timeout."""
         for _ in range(_ATTEMPTS):
             point = ForkPoint()
             ended = split_noting_calls(point, TIMEOUT)
             if ended is None:
-                self.child = Child(point, case, dead)
+                self.child = Child(point, case, step_fails)
                 self._loop.forked = True
             if ended is None or ended.detail != WALL_CLOCK:
                 break
@@ -495,11 +498,11 @@ class Forks(Listener):
             return
         if child.case.kernel != kernel.name:
             return
-        if not child.dead:
+        if not child.step_fails:
             if child.output is None:
                 child.output = Output.of(kernel, states)
             return
-        child.dead = False
+        child.step_fails = False
         if child.case.how == DETECTED:
             self._loop.record.alarms.append(rewriter().alarm(kernel.stage.value, states, now))
             self._approach.restarts().recompute(kernel.name, now, states)
@@ -764,7 +767,7 @@ class FromCheckpoints(GoldenApproach):
             for function in functions:
                 function.intercept = None
 
-    def _checkpoint_before(self, golden: Track, case: FaultCase) -> int:
+    def _checkpoint_before(self, golden: KnownFlight, case: FaultCase) -> int:
         """Number of rows of the last checkpoint before the injected call."""
         count_index = list(self.loop.record.calls).index(case.fault.entry)  # calls come first in the counts
         checkpoints = golden.checkpoints.items()
@@ -795,16 +798,16 @@ class FromCheckpoints(GoldenApproach):
             forks.report(self._branch.fly().log)  # does not return
         if child.comparable and child.case.how == WAITING:  # else checkpoints do not contain all: a node has died, e.g.
             self._branch.store_checkpoints_from_now_on()
-        track = self._branch.fly()
+        without_detector = self._branch.fly()
         logs = {}
         for arm in self._watched:
             with suppress(Exception, SystemExit):  # the run is then flown on its own, where the error counts
-                log = self._under_detector(track, child.case, arm)
+                log = self._under_detector(without_detector, child.case, arm)
                 if log is not None:
                     logs[arm.name] = log
-        forks.report(track.log, logs)
+        forks.report(without_detector.log, logs)
 
-    def _under_detector(self, track: Track, case: FaultCase, arm: FlownArm) -> FlightLog | None:
+    def _under_detector(self, without_detector: KnownFlight, case: FaultCase, arm: FlownArm) -> FlightLog | None:
         """The log of a completed flight of this child under the detector of an arm; None = it must be flown."""
         golden = self._watched_golden[arm.name]
         plain = self._plain_golden
@@ -814,22 +817,22 @@ class FromCheckpoints(GoldenApproach):
 
         # Begin at the checkpoint before the fault.
         start = golden.checkpoints[rows]
-        branch = FlightBranch(self._forward, arm, [track, plain], golden)
+        branch = FlightBranch(self._forward, arm, [without_detector, plain], golden)
         branch.begin(golden, start)
         branch.restore_detector(start.detector)
 
         # Up to the first checkpoint after the fault there is none to continue from at an alarm.
-        first_rows = min(track.checkpoints, default=None)
-        first = track.end
+        first_rows = min(without_detector.checkpoints, default=None)
+        first = without_detector.end
         if first_rows is not None:
-            first = track.checkpoints[first_rows]
-        if not branch.append_unless_alarm(track, plain.checkpoints[rows], first):
+            first = without_detector.checkpoints[first_rows]
+        if not branch.append_unless_alarm(without_detector, plain.checkpoints[rows], first):
             return None
 
         # From there, follow the completed flight as far as the detector raises no alarm.
         if first_rows is not None:
             self.loop.taps.injector = first.injector.copy()
-            branch.follow(track, first_rows)
+            branch.follow(without_detector, first_rows)
         return branch.fly().log
 
     def followed(self, cases: Sequence[FaultCase]) -> dict[str, dict[int, Flight]]:
@@ -847,7 +850,7 @@ class FromCheckpoints(GoldenApproach):
                     flights[name][number] = flight_of(watched_case, Flight(golden.log))
         return flights
 
-    def _ends_as_golden(self, case: FaultCase, golden: Track) -> bool:
+    def _ends_as_golden(self, case: FaultCase, golden: KnownFlight) -> bool:
         """Whether a call without effect is the same one in an arm with a detector: the flight is golden then."""
         rows = self._checkpoint_before(self._plain_golden, case)
         if not self._is_plain(golden, rows):
@@ -855,7 +858,7 @@ class FromCheckpoints(GoldenApproach):
         alarms_before_call = sum(round(1e6 * alarm.time_s) <= case.time_us for alarm in golden.log.alarms)
         return alarms_before_call == len(golden.checkpoints[rows].alarms)
 
-    def _is_plain(self, golden: Track, rows: int) -> bool:
+    def _is_plain(self, golden: KnownFlight, rows: int) -> bool:
         """Whether a golden flight with a detector has the state, and the calls, of the one without at a checkpoint."""
         plain = self._plain_golden.checkpoints[rows]
         here = golden.checkpoints.get(rows)

@@ -98,7 +98,7 @@ class MissionFlights(Protocol):
     def golden(self, arm: str, *, profile: bool = False) -> Recorded:
         """The error-free flight of an arm; `profile` requests the publication times of each state."""
 
-    def know(self, arm: str, flight: Flight) -> None:
+    def register_golden(self, arm: str, flight: Flight) -> None:
         """Register an arm's golden flight that was flown elsewhere, e.g. while instructions were counted."""
 
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
@@ -149,8 +149,8 @@ class ArmFlights(ABC):
             self._golden[arm] = golden
         return golden
 
-    def know(self, arm: str, flight: Flight) -> None:
-        """See `MissionFlights.know`."""
+    def register_golden(self, arm: str, flight: Flight) -> None:
+        """See `MissionFlights.register_golden`."""
         self._golden[arm] = flight
 
     def _detector(self, arm: str) -> Detector | None:

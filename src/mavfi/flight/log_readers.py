@@ -18,7 +18,9 @@ from mavfi.states import State, StateSpec
 GROUP = "mavfi.log_readers"
 """Entry points of this group are readers by file name extension: classes constructed with a path."""
 _OLD_GROUP = "mavfi.flight_logs"
+"""Name of the group in earlier versions."""
 _MOST_FIELDS = 64
+"""Largest number of monitored fields."""
 LONGEST_LIST = 16
 """Longer lists in messages are left out."""
 

@@ -18,7 +18,7 @@ import numpy as np
 from mavfi.config import LocalizationConfig, PlatformConfig
 from mavfi.errors import BadInputError
 from mavfi.faults.levels.state_injector import ActedOn
-from mavfi.flight.decide import SCANNING, Action, Awaited, Response
+from mavfi.flight.decide import SCANNING, Action, PendingResult, Response
 from mavfi.flight.host import Flight
 from mavfi.flight.plant import Plant
 from mavfi.flight.taps import Taps
@@ -43,8 +43,9 @@ from mavfi.states import (
 )
 
 CONTROL_PERIOD_US = 20_000
-_PHYSICS_US = 4_000
+"""Period of the periodic kernels, of the status and of the log's rows (us)."""
 _TICK = "tick"
+"""Action of a control period."""
 _REQUESTED_AT_TICKS = tuple(
     name for name, spec in KERNELS.items() if spec.stage is Stage.PLANNING and spec.trigger == "input"
 )
@@ -77,7 +78,7 @@ def stage_latency(platform: PlatformConfig, stage: Stage) -> int:
 
 
 # ---- when a mission ends --------------------------------------------------------------------------------------------
-class Judge:
+class MissionJudge:
     """Termination conditions: goal, collision, arena, consecutive failed plans, and the time limit `limit_us` (us)."""
 
     def __init__(self, scenario: Scenario, world: World) -> None:
@@ -283,7 +284,7 @@ class LoopMemory(Memory):
     order: int
     queue: list[tuple[int, int, str, tuple[Any, ...]]]
     busy: dict[str, State | None]
-    awaited: dict[str, Awaited]
+    awaited: dict[str, PendingResult]
     requests: dict[str, Action]
     down: set[str]
     mapped: bool
@@ -342,7 +343,7 @@ class Loop:
             name: [kernel for kernel in self.kernels.values() if name in kernel.reads] for name in STATES
         }
         self.sensors = Sensors(plant, scenario.localization)
-        self.judge = Judge(scenario, world)
+        self.judge = MissionJudge(scenario, world)
         publications = PublicationCounts(states_with(scenario.localization.kind).values(), want_profile=want_profile)
         self.record = LoopRecord(self.kernels, publications)
 
@@ -357,7 +358,7 @@ class Loop:
         self.order = 0
         self.now = 0
         self.busy: dict[str, State | None] = {}
-        self.awaited: dict[str, Awaited] = {}
+        self.awaited: dict[str, PendingResult] = {}
         self.requests: dict[str, Action] = {}
         self.down: set[str] = set()
         self.repeating = False
@@ -411,7 +412,7 @@ class Loop:
                 return
             self.now, _, action, arguments = heapq.heappop(self.queue)
             # the plant stops at the first physics step at or after this instant
-            self.plant.advance(-(-self.now // _PHYSICS_US) * _PHYSICS_US)
+            self.plant.advance(-(-self.now // STEP_US) * STEP_US)
             method = self.actions.get(action) or getattr(self, action)
             method(self.now, *arguments)
 
@@ -673,7 +674,7 @@ _ROUTES: dict[str, Callable[[Loop, State, int], None]] = {
 
 
 # ---- observers ------------------------------------------------------------------------------------------------------
-Item = Event | AlarmRecord | Injection
+FlightItem = Event | AlarmRecord | Injection
 
 
 class Observer(Protocol):
@@ -685,7 +686,7 @@ class Observer(Protocol):
     def published(self, state: State, time_us: int) -> None:
         """A publication, as consumers receive it, and its instant (us)."""
 
-    def tick(self, row: np.ndarray, items: list[Item], status: MissionStatus | None) -> None:
+    def tick(self, row: np.ndarray, items: list[FlightItem], status: MissionStatus | None) -> None:
         """A control period has elapsed.
 
         Args:
@@ -695,7 +696,7 @@ class Observer(Protocol):
         """
 
 
-class Attached(Listener):
+class ObserverListener(Listener):
     """Shows a flight to an observer; alarms are reported with the outcome known at the end of their control period.
 
     Args:
@@ -726,7 +727,7 @@ class Attached(Listener):
             time.sleep(max(0.0, self._began + 1e-6 * now / self._pace - time.monotonic()))
 
 
-def _new_items(loop: Loop, seen: list[int]) -> list[Item]:
+def _new_items(loop: Loop, seen: list[int]) -> list[FlightItem]:
     """Items since the last call; `seen` counts the earlier ones, by table, and is updated."""
     injections: Any = getattr(loop.taps.injector, "injections", ())
     tables = (injections, loop.record.events, loop.record.alarms)

@@ -27,11 +27,11 @@ from mavfi.flight.decide import (
     PATH,
     WAYPOINT,
     Action,
-    Awaited,
     History,
     HoldPosition,
     Origin,
     PathDeadline,
+    PendingResult,
     RecoveryPolicy,
     Rejection,
     Response,
@@ -166,7 +166,7 @@ class DetectorTap:
             return state
         return self._settle(state, now, alarm, awaited, is_accepted=is_accepted)
 
-    def _is_checked(self, awaited: Awaited | None, now: int) -> bool:
+    def _is_checked(self, awaited: PendingResult | None, now: int) -> bool:
         """Whether the detector is asked about a value."""
         if self.memory.silenced:
             return False
@@ -175,7 +175,7 @@ class DetectorTap:
         return not (self._policy.limits and self.memory.has_counted(MAX_UNCHANGED, now))
 
     def _settle(
-        self, state: State, now: int, alarm: Alarm | None, awaited: Awaited | None, *, is_accepted: bool
+        self, state: State, now: int, alarm: Alarm | None, awaited: PendingResult | None, *, is_accepted: bool
     ) -> State | None:
         """Respond to an alarm on a value, or let it pass; returns the value to publish, None = it is withheld.
 
@@ -245,7 +245,7 @@ class DetectorTap:
         self._calls = NoDetector()
 
     # ---- decisions --------------------------------------------------------------------------------------------------
-    def _choose(self, alarm: Alarm | None, spec: StateSpec, now: int, awaited: Awaited | None) -> Action | None:
+    def _choose(self, alarm: Alarm | None, spec: StateSpec, now: int, awaited: PendingResult | None) -> Action | None:
         """Select the response to an alarm on a value of state `spec`; it is also in `action`, with its `alarm`."""
         if alarm is None:
             return None
@@ -259,7 +259,7 @@ class DetectorTap:
             self.alarm = None
         return self.action
 
-    def _origin(self, awaited: Awaited | None) -> Origin:
+    def _origin(self, awaited: PendingResult | None) -> Origin:
         """What produced a value; any action other than a retransmission counts as a recomputation."""
         if awaited is None:
             return Origin.STEP
@@ -313,7 +313,7 @@ class DetectorTap:
         """Add an alarm to the flight's record; its outcome may become known later."""
         self._loop.record.alarms.append(record_of(alarm, action, spec.name, now))
 
-    def _note_outcome(self, awaited: Awaited, state: State | None) -> None:
+    def _note_outcome(self, awaited: PendingResult, state: State | None) -> None:
         """Record the outcome of a recomputation, given the response to its result (None = an unreadable one)."""
         alarms = self._loop.record.alarms
         if alarms[awaited.alarm_index].action not in (Response.RECOMPUTE, Response.RESEND):
@@ -348,7 +348,7 @@ class DetectorTap:
     def _await_result(self, action: Action, rejected: State | None) -> None:
         """Recognize the next value of the awaited state as the result of an action."""
         if action.awaited:
-            self._loop.awaited[action.awaited] = Awaited(rejected, len(self._loop.record.alarms) - 1)
+            self._loop.awaited[action.awaited] = PendingResult(rejected, len(self._loop.record.alarms) - 1)
 
     def _resend(self, action: Action, now: int) -> None:
         """Retransmit the producer's copy of the value."""
@@ -384,14 +384,14 @@ def record_of(alarm: Alarm, action: Action, state: str, time_us: int) -> AlarmRe
     else:
         outcome = "accepted"
     return AlarmRecord(
-        1e-6 * time_us,
-        alarm.source,
-        state,
-        alarm.stage,
-        alarm.score,
-        tuple(alarm.fields),
-        action.kind.value,
-        outcome,
+        time_s=1e-6 * time_us,
+        source=alarm.source,
+        state=state,
+        stage=alarm.stage,
+        score=alarm.score,
+        fields=tuple(alarm.fields),
+        action=action.kind.value,
+        outcome=outcome,
     )
 
 
@@ -438,8 +438,16 @@ class Duplicates:
 
     def _record_alarm(self, kernel: Kernel, state: str, outcome: str, now: int) -> None:
         """Add the alarm on a state in which two executions differ to the flight's record."""
-        stage = kernel.stage.value
-        alarm = AlarmRecord(1e-6 * now, SOURCE, state, stage, _SCORE, (state,), Response.RECOMPUTE.value, outcome)
+        alarm = AlarmRecord(
+            time_s=1e-6 * now,
+            source=SOURCE,
+            state=state,
+            stage=kernel.stage.value,
+            score=_SCORE,
+            fields=(state,),
+            action=Response.RECOMPUTE.value,
+            outcome=outcome,
+        )
         self._loop.record.alarms.append(alarm)
 
     def _execute_again(self, kernel: Kernel, now: int) -> list[State]:

@@ -10,7 +10,7 @@ from mavfi.faults.injector import Injector
 from mavfi.faults.levels.sensor.failures import Failures
 from mavfi.faults.levels.sensor.fault import SensorFault, check_read
 from mavfi.flight.loop import Loop
-from mavfi.flight.taps import InTurn
+from mavfi.flight.taps import InjectorChain
 from mavfi.record import Injection
 from mavfi.sim.controller import Controller
 from mavfi.states import State, floats
@@ -139,5 +139,5 @@ def inject_sensor_fault(loop: Loop, fault: Fault | None) -> bool:
     if earlier is None:
         loop.taps.injector = injector
     else:
-        loop.taps.injector = InTurn(injector, earlier)
+        loop.taps.injector = InjectorChain(injector, earlier)
     return True

@@ -27,7 +27,7 @@ class InjectorTap(Protocol):
         """All injections of the flight."""
 
 
-class InTurn:
+class InjectorChain:
     """Two injectors as one: the second receives what the first leaves.
 
     Args:

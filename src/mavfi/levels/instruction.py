@@ -397,7 +397,7 @@ class InstructionSampler(Sampler):
             flights=local_flights,
             arm=arm,
         )
-        flights.know(arm, drawn.golden)
+        flights.register_golden(arm, drawn.golden)
         return Sampled(drawn.golden, drawn.counts, {(name, ""): faults for name, faults in drawn.faults.items()})
 
     def null(self, index: int, seed: int, environment: str, golden: Golden) -> Fault:

@@ -313,7 +313,7 @@ class MemorySampler(Sampler):
             all_kernels.drawings.append(_Drawing(stream(seed, "memory", NULL, environment), seed))
             exposures[NULL, ""] = all_kernels
         golden = fly_exposed(setup, list(exposures.values()))
-        flights.know(arm, golden)
+        flights.register_golden(arm, golden)
         return Sampled(golden, faults={key: exposure.faults() for key, exposure in exposures.items()})
 
     def null(self, index: int, seed: int, environment: str, golden: Golden) -> Fault:

@@ -28,10 +28,9 @@ class ClearanceMap:
         self.wide = np.zeros(self.grid.size, np.int16)
         self.narrow = np.zeros(self.grid.size, np.int16)
         boxes = config.autopilot.distance == "boxes"
-        wide_offsets, narrow_offsets = (
-            offsets_within(radius, self.grid.resolution, boxes) for radius in (config.plan_radius, config.check_radius)
-        )
-        self._counters = self.cells, self.wide, wide_offsets, self.narrow, narrow_offsets
+        wide_offsets = offsets_within(config.plan_radius, self.grid.resolution, boxes)
+        narrow_offsets = offsets_within(config.check_radius, self.grid.resolution, boxes)
+        self._counters = (self.cells, self.wide, wide_offsets, self.narrow, narrow_offsets)
         self._rewindable = config.rewindable
         self._changes = Changes(self.cells)
         self._marked = 0
@@ -50,8 +49,10 @@ class ClearanceMap:
 
     def _put(self, voxels: np.ndarray, cells: np.ndarray) -> None:
         """Set the states of voxels, and update the counters accordingly."""
-        backwards = np.ascontiguousarray(voxels[::-1]), np.ascontiguousarray(cells[::-1])
-        clearance.undo_updates(self.grid, *self._counters, *backwards, len(voxels))
+        # `undo_updates` begins with the last one
+        voxels_reversed = np.ascontiguousarray(voxels[::-1])
+        cells_reversed = np.ascontiguousarray(cells[::-1])
+        clearance.undo_updates(self.grid, *self._counters, voxels_reversed, cells_reversed, len(voxels))
 
     def mark(self) -> None:
         """Save the current map for `rollback`."""
@@ -80,7 +81,9 @@ class ClearanceMap:
         """Whether the map, and the map after a rollback, are equal; counters are implied by the cells."""
         changes, marked, updates = saved
         revocable = len(self._changes) - self._marked
-        return self.updates == updates and revocable == len(changes) - marked and self._changes.same(changes, revocable)
+        if self.updates != updates or revocable != len(changes) - marked:
+            return False
+        return self._changes.same(changes, revocable)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Cells and counters."""

@@ -43,13 +43,15 @@ class Tracker(Remembers):
         self._track = config.functions.track
         self._dt = 1e-6 * config.control_period_us
         self._slowdown = config.tracker_slowdown
-        held = autopilot.sampling == "held"
+        feed_forward = autopilot.velocity_feed_forward
+        if autopilot.sampling == "held":
+            feed_forward /= config.tracker_slowdown  # the reference advances more slowly
         self._gains = pid.Gains(
             np.array(autopilot.gain_p),
             np.array(autopilot.gain_i),
             np.array(autopilot.gain_d),
             autopilot.integral_limit,
-            autopilot.velocity_feed_forward / (config.tracker_slowdown if held else 1.0),
+            feed_forward,
             autopilot.acceleration_feed_forward,
             autopilot.command_limit * config.v_max,
             autopilot.slowdown_cap,
@@ -77,12 +79,10 @@ class Tracker(Remembers):
             return [command, tracking]
         waypoint = floats(memory.waypoint.header, POINT_WIDTH)
         if memory.fresh:
-            # the overrun of the last point is subtracted from this one
+            overrun = 0.0  # of the last point, subtracted from this one
             if -self._dt <= memory.remaining <= 0.0:
-                carry = memory.remaining
-            else:
-                carry = 0.0
-            memory.remaining = float(waypoint[10]) + carry
+                overrun = memory.remaining
+            memory.remaining = float(waypoint[10]) + overrun
             memory.fresh = False
         slowdown = self._track(waypoint, memory.odometry, memory.law, self._gains, self._dt, values[:4])
         memory.remaining -= self._dt / (slowdown * self._slowdown)

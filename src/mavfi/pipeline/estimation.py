@@ -9,16 +9,18 @@ from mavfi.kernels.perception import state_estimation as filtering
 from mavfi.pipeline.memory import Memory, Remembers, zeros
 from mavfi.states import ODOMETRY, Stage, State, floats, new_state
 
-AT_REST = filtering.Spread(velocity=0.02, tilt=0.01, force_bias=0.002, rate_bias=0.0002)
+AT_REST = filtering.InitialSpread(velocity=0.02, tilt=0.01, force_bias=0.002, rate_bias=0.0002)
 """Initial uncertainty: before take-off the vehicle is at rest and level."""
-IN_FLIGHT = filtering.Spread(velocity=2.0, tilt=0.3, force_bias=0.05, rate_bias=0.005)
-READ_BACK = filtering.Spread(velocity=0.2, tilt=0.03, force_bias=0.002, rate_bias=0.0002)
-"""After a restart with the last output, which is some control periods old."""
+IN_FLIGHT = filtering.InitialSpread(velocity=2.0, tilt=0.3, force_bias=0.05, rate_bias=0.005)
+"""Uncertainty after a re-initialization: of the motion nothing is known."""
+READ_BACK = filtering.InitialSpread(velocity=0.2, tilt=0.03, force_bias=0.002, rate_bias=0.0002)
+"""Uncertainty after a restart with the last output, which is some control periods old."""
 _MOVED = 1.0
-"""Standard deviation of the position then (m): the first fix corrects it."""
+"""Standard deviation of the position after such a restart (m): the first fix corrects it."""
 PATIENCE = 10
 """Consecutive rejected fixes (1 s at 10 Hz) after which the filter is re-initialized to the fix."""
 _ODOMETRY_WIDTH = 19
+"""Numbers of a published estimate, see the state table."""
 
 
 @dataclass(slots=True)
@@ -85,12 +87,13 @@ class StateEstimator(Remembers):
         return []
 
     def _take_fix(self, memory: _Filter, fix: np.ndarray) -> None:
+        """Correct the estimate by a fix; align the filter to it at the start, or after too many refused ones."""
         if memory.aligned:
             distance = filtering.correct(memory.nominal, memory.covariance, fix, self._noise)
             if distance <= filtering.GATE:
                 memory.refused = 0
             else:
-                memory.refused = memory.refused + 1
+                memory.refused += 1
             if memory.refused < PATIENCE:
                 return
         spread = IN_FLIGHT if memory.aligned else AT_REST

@@ -129,11 +129,14 @@ class PipelineConfig:
     @property
     def odometry(self) -> str:
         """Name of the state that carries the vehicle's odometry."""
-        return ODOMETRY["truth" if self.noise is None else "estimator"]
+        if self.noise is None:
+            return ODOMETRY["truth"]
+        return ODOMETRY["estimator"]
 
 
 HORIZONTAL_MARGIN = 5.0
 VERTICAL_MARGIN = 0.5
+"""Margins of the map around the arena (m)."""
 LARGEST_GRID = 1 << 27
 """Limit of voxels; the pipeline uses about 25 bytes per voxel."""
 

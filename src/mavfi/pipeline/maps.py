@@ -11,7 +11,7 @@ from mavfi.kernels.perception.key_sets import KeyFrame
 from mavfi.kernels.perception.octomap import UpdateRule, insert_scan, undo_scan
 from mavfi.kernels.perception.octree import Octree
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
-from mavfi.pipeline.memory import Change, Changes, Foreign, Keeper, common_length
+from mavfi.pipeline.memory import Change, Changes, Keeper, OpaqueKeeper, common_length
 from mavfi.plugins import build, load_object, reason
 
 FIRST_CAPACITY = 1 << 14
@@ -62,7 +62,7 @@ class ScanArrays:
     """
 
     def __init__(self, frame: KeyFrame, rule: UpdateRule, max_range: float) -> None:
-        self._settings = frame, rule, max_range
+        self._settings = (frame, rule, max_range)
         size = frame.nx * frame.ny * frame.nz
         self.log_odds = np.zeros(size, np.float32)
         self.stamp = np.zeros(size, np.int32)
@@ -71,7 +71,7 @@ class ScanArrays:
         self.number = 0
         self._count = 0
         self._scans: list[Scan] = []
-        self._again: ScanArrays | None = None
+        self._replica: ScanArrays | None = None  # in which the scans are integrated again
 
     def _all(self) -> tuple[np.ndarray, ...]:
         return self.log_odds, self.stamp, self.touched, self.before
@@ -103,13 +103,15 @@ class ScanArrays:
         Raises:
             MavfiError: The scans do not lead to the current map.
         """
-        again = self._again = self._again or ScanArrays(*self._settings)
-        again._repeat(self._scans)
-        if again.log_odds.tobytes() != self.log_odds.tobytes():
+        if self._replica is None:
+            self._replica = ScanArrays(*self._settings)
+        replica = self._replica
+        replica._repeat(self._scans)
+        if replica.log_odds.tobytes() != self.log_odds.tobytes():
             raise MavfiError("a map differs from its scans")
-        for array, content in zip(self._all(), again._all(), strict=True):
+        for array, content in zip(self._all(), replica._all(), strict=True):
             array[:] = content
-        self.number = again.number
+        self.number = replica.number
 
     def _repeat(self, scans: Sequence[Scan]) -> None:
         """Integrate scans; those that have been integrated already are not repeated."""
@@ -143,6 +145,7 @@ class DenseMap:
         rule: UpdateRule,
         max_range: float,
         functions: KernelFunctions = PLAIN,
+        *,
         rewindable: bool = False,
     ) -> None:
         self._functions = functions
@@ -217,6 +220,7 @@ class OctreeMap:
         rule: UpdateRule,
         max_range: float,
         functions: KernelFunctions = PLAIN,
+        *,
         rewindable: bool = False,
     ) -> None:
         del rewindable  # nodes are copied whole
@@ -248,7 +252,7 @@ class OctreeMap:
         voxels = self._touched[:count]
         after = np.zeros(count, np.float32)
         done = 0
-        while True:
+        while True:  # with a tree of twice the size whenever it is full
             done = self._functions.update_voxels(self.tree, self._frame, self._rule, voxels, n_free, done, after)
             capacity = len(self.tree.log_odds)
             if done == count or capacity >= self._largest:
@@ -292,7 +296,7 @@ def _same_nodes(nodes: Octree, others: Octree) -> bool:
     return nodes is others or all(a.tobytes() == b.tobytes() for a, b in zip(nodes, others, strict=True))
 
 
-class GuardedMap(Foreign[OccupancyMap]):
+class GuardedMap(OpaqueKeeper[OccupancyMap]):
     """A user's map whose return values are validated before use."""
 
     def __init__(self, name: str, inner: OccupancyMap, size: int) -> None:
@@ -307,8 +311,12 @@ class GuardedMap(Foreign[OccupancyMap]):
             values = np.asarray(self.content.log_odds)
         except AttributeError:
             raise self._wrong("lacks log_odds") from None
-        self._must(values.shape == (self._size,), f"log_odds has shape {values.shape}", f"({self._size},)")
-        self._must(values.dtype == np.float32, f"log_odds is {values.dtype}", "float32")
+        self._require(
+            condition=values.shape == (self._size,),
+            violation=f"log_odds has shape {values.shape}",
+            allowed=f"({self._size},)",
+        )
+        self._require(condition=values.dtype == np.float32, violation=f"log_odds is {values.dtype}", allowed="float32")
         return values
 
     def insert(self, points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -323,15 +331,24 @@ class GuardedMap(Foreign[OccupancyMap]):
             raise
         except Exception as error:  # noqa: BLE001 - any exception of a user's map
             raise self._wrong(f"insert raised {reason(error)}") from None
-        shapes = f"insert gave shapes {voxels.shape} and {log_odds.shape}"
-        self._must(voxels.ndim == 1 and voxels.shape == log_odds.shape, shapes, "(n,) and (n,)")
-        types = f"insert gave {voxels.dtype} and {log_odds.dtype}"
-        self._must(voxels.dtype == np.int32 and log_odds.dtype == np.float32, types, "int32 and float32")
+        self._require(
+            condition=voxels.ndim == 1 and voxels.shape == log_odds.shape,
+            violation=f"insert gave shapes {voxels.shape} and {log_odds.shape}",
+            allowed="(n,) and (n,)",
+        )
+        self._require(
+            condition=voxels.dtype == np.int32 and log_odds.dtype == np.float32,
+            violation=f"insert gave {voxels.dtype} and {log_odds.dtype}",
+            allowed="int32 and float32",
+        )
         if len(voxels) > 0:
             low = int(voxels.min())
             high = int(voxels.max())
-            inside = 0 <= low and high < self._size
-            self._must(inside, f"insert gave voxels from {low} to {high}", f"0 to {self._size - 1}")
+            self._require(
+                condition=0 <= low and high < self._size,
+                violation=f"insert gave voxels from {low} to {high}",
+                allowed=f"0 to {self._size - 1}",
+            )
         return voxels, log_odds
 
     def mark(self) -> None:
@@ -342,9 +359,9 @@ class GuardedMap(Foreign[OccupancyMap]):
         """Restore the map of the last mark."""
         self.content.rollback()
 
-    def _must(self, right: bool, fault: str, allowed: str) -> None:
-        if not right:
-            raise self._wrong(f"{fault}; allowed: {allowed}")
+    def _require(self, *, condition: bool, violation: str, allowed: str) -> None:
+        if not condition:
+            raise self._wrong(f"{violation}; allowed: {allowed}")
 
     def _wrong(self, text: str) -> BadInputError:
         return BadInputError(f"map {self._name!r}: {text}")
@@ -379,6 +396,7 @@ def make_map(
     rule: UpdateRule,
     max_range: float,
     functions: KernelFunctions = PLAIN,
+    *,
     rewindable: bool = False,
 ) -> OccupancyMap:
     """Construct an empty map.
@@ -395,8 +413,8 @@ def make_map(
         BadInputError: It cannot be constructed, or lacks a method.
     """
     if kind in MAPS:
-        return MAPS[kind](frame, rule, max_range, functions, rewindable)
-    made = build("map", kind, find_map(kind), frame, rule, max_range, needs=_METHODS)
-    guarded = GuardedMap(kind, made, frame.nx * frame.ny * frame.nz)
+        return MAPS[kind](frame, rule, max_range, functions, rewindable=rewindable)
+    user_map = build("map", kind, find_map(kind), frame, rule, max_range, needs=_METHODS)
+    guarded = GuardedMap(kind, user_map, frame.nx * frame.ny * frame.nz)
     _ = guarded.log_odds  # validated before the first scan
     return guarded

@@ -112,7 +112,9 @@ class Remembers:
         """Hash of the memory, equal in all processes."""
         total = hashlib.sha256()
         for part in _parts(self.save()):
-            total.update(part if isinstance(part, bytes) else part.encode())
+            if isinstance(part, str):
+                part = part.encode()
+            total.update(part)
         return total.digest()
 
 
@@ -155,9 +157,13 @@ def _parts(value: Any) -> Iterator[str | bytes]:  # noqa: ANN401
     elif isinstance(value, Memory):
         for name in value.__slots__:
             yield from _parts(getattr(value, name))
-    elif isinstance(value, (tuple, list, dict)):
+    elif isinstance(value, dict):
         yield str(len(value))
-        for item in value.items() if isinstance(value, dict) else value:
+        for item in value.items():
+            yield from _parts(item)
+    elif isinstance(value, (tuple, list)):
+        yield str(len(value))
+        for item in value:
             yield from _parts(item)
     elif isinstance(value, float):
         yield struct.pack("d", value)
@@ -269,11 +275,11 @@ class Changes:
         )
 
 
-def common_length(one: Sequence[Any], other: Sequence[Any]) -> int:
+def common_length(left: Sequence[Any], right: Sequence[Any]) -> int:
     """Number of leading changes that are identical objects."""
     count = 0
-    for mine, theirs in zip(one, other, strict=False):
-        if mine is not theirs:
+    for left_change, right_change in zip(left, right, strict=False):
+        if left_change is not right_change:
             break
         count += 1
     return count
@@ -283,7 +289,7 @@ def common_length(one: Sequence[Any], other: Sequence[Any]) -> int:
 Content = TypeVar("Content")
 
 
-class Foreign(Generic[Content]):
+class OpaqueKeeper(Generic[Content]):
     """Keeper of a user's opaque object: copied whole, and compared by its pickle.
 
     Attributes:

@@ -18,6 +18,7 @@ from mavfi.pipeline.memory import Memory, Remembers, zeros
 from mavfi.states import Stage, State, floats, new_state, rows
 
 _UNKNOWN_HORIZON = 15.0
+"""Distance along the trajectory within which unknown space is looked for (m)."""
 
 
 @dataclass(slots=True)
@@ -100,7 +101,12 @@ class OctoMap(Remembers):
             *(octomap.log_odds(p) for p in (rule.hit, rule.miss, rule.clamp_min, rule.clamp_max))
         )
         self.map = make_map(
-            rule.kind, self.frame, update_rule, config.camera.range, config.functions, config.rewindable
+            rule.kind,
+            self.frame,
+            update_rule,
+            config.camera.range,
+            config.functions,
+            rewindable=config.rewindable,
         )
         self.keepers = (self.map,)
         self.scratch = getattr(self.map, "scratch", None)
@@ -261,17 +267,24 @@ class CollisionCheck(Remembers):
         seq = memory.published.value("future_collision_seq")
         status = new_state("perception.collision_status")
         status.header[0] = (collision_check.NO_COLLISION, np.inf, np.inf, seq, -1, False)
+
+        # The inputs; a recomputation uses those of the original step.
         if memory.again:
-            memory.again = memory.rolled_back = False  # a recomputation uses the inputs of the original step
+            memory.again = False
+            memory.rolled_back = False
         else:
             memory.used = (*self._in_force(), memory.position, memory.remaining)
         assert memory.used is not None  # `again` requires an earlier step
         trajectory, index, alarm_seq, position, remaining = memory.used
+
+        # Without a trajectory there is nothing to check, nor after a single alarm that is not yet answered.
         if trajectory is None or index < 0 or index >= len(trajectory.elements):
             return [status]
         unanswered = alarm_seq < seq and not self._every_map
         if unanswered and config.autopilot.alarm == "one_shot":
             return [status]
+
+        # The check; with a check of every map also the distances that limit the speed of the reference.
         points = rows(trajectory.elements, POINT_WIDTH)
         time = config.functions.time_to_collision(
             clearance.narrow, clearance.grid, position, points, index, remaining, config.autopilot.geofence
@@ -292,7 +305,12 @@ class CollisionCheck(Remembers):
             header["trajectory_seq"] = number
             header["distance_to_blocked"] = blocked
             header["distance_to_unknown"] = unknown
-            time = max(time, 0.0) if blocked < np.inf else -1.0
+            if blocked < np.inf:
+                time = max(time, 0.0)
+            else:
+                time = -1.0
+
+        # An alarm; the first one after an answer gets the next sequence number, which wraps around as an int32.
         if time >= 0.0:
             header["time_to_collision"] = time
             if unanswered:

@@ -18,10 +18,11 @@ from mavfi.plugins import build, load_object
 
 GROUP = "mavfi.planners"
 _PURPOSE = 1
+"""Number of the planner's random stream among those of a mission's seed."""
 _SHORTCUT_ROOM = 2
 """Vertices that a random shortcut may add to a path."""
 _STAR_NODE_LIMIT = 200_001
-
+"""Largest tree of RRT* (nodes)."""
 
 _Problem = tuple[np.ndarray, Grid, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Arguments of `PathSearch.search`."""

@@ -22,21 +22,40 @@ from mavfi.pipeline.trajectories import BRAKING
 from mavfi.states import Stage, State, floats, new_state, rows
 
 _RETRY_US = 500_000
+"""Time from a plan to the next one without a trajectory (us)."""
 _ADOPTION_US = 3_000_000
+"""Time within which a trajectory is expected to be adopted (us)."""
 _MARGIN = 0.3
+"""Distance along the trajectory: progress, and clearance of a junction from a blocked point (m)."""
 _STUCK_US = 4_000_000
+"""Time without progress along the trajectory after which another plan is made (us)."""
 _BACKTRACK_AFTER = 3
+"""Consecutive failures between two attempts to backtrack."""
 _BACKTRACK_UNTIL = 12
 """Number of consecutive failures after which backtracking is abandoned: no path exists."""
 _BACKTRACK_LENGTH = 4.0
+"""Length of the flown path that is flown back (m)."""
 _CRUMB = 0.5
+"""Distance between stored positions of the flown path (m)."""
 _EMERGENCY_STOP_TIME = 0.6
 """v_max / a_max of the published code (s)."""
 
 
 @dataclass(slots=True)
 class _Decisions(Memory):
-    """Decision variables of the planner, which a rollback restores."""
+    """Decision variables of the planner, which a rollback restores.
+
+    Attributes:
+        acted_seq: Sequence number of the last collision alarm that was acted on.
+        alarm: Time to collision of an alarm that is to be acted on (s); -1 = none.
+        retry_us: Instant before which no plan follows the last one without a trajectory (us).
+        settled_us: Instant until which the last plan is in transit (us).
+        failures: Consecutive failed plans.
+        best_distance: Smallest distance from the goal so far (m).
+        best_us: When it was last reduced by 1 m (us).
+        progress: Arc length reached on the trajectory (m).
+        progress_us: When it last increased (us).
+    """
 
     acted_seq: int = 0
     alarm: float = -1.0
@@ -108,10 +127,12 @@ class MotionPlanner(Remembers):
         return False
 
     def _take_status(self, state: State) -> None:
-        self.memory.status, decisions = state, self.memory.decisions
+        self.memory.status = state
+        decisions = self.memory.decisions
         seq = state.value("future_collision_seq")
         if state.value("collision") and seq > decisions.acted_seq:
-            decisions.acted_seq, decisions.alarm = seq, state.value("time_to_collision")
+            decisions.acted_seq = seq
+            decisions.alarm = state.value("time_to_collision")
 
     def _take_trajectory(self, state: State, time_us: int) -> None:
         if self._every_map and len(state.elements) == 0:
@@ -194,7 +215,8 @@ class MotionPlanner(Remembers):
         patience = self._config.autopilot.progress_timeout
         lost = patience > 0.0 and time_us - decisions.best_us > 1e6 * patience
         if stuck or lost:
-            decisions.progress_us = decisions.best_us = time_us
+            decisions.progress_us = time_us
+            decisions.best_us = time_us
         return stuck or lost or index >= len(memory.arc) - 1
 
     # ---- planning ---------------------------------------------------------------------------------------------------
@@ -207,8 +229,11 @@ class MotionPlanner(Remembers):
         else:
             alarm = decisions.alarm
             decisions.alarm = -1.0
-            path = self._plan_in_flight(alarm) if alarm >= 0.0 else None
-            path = path or self._plan_from_rest()
+            path = None
+            if alarm >= 0.0:
+                path = self._plan_in_flight(alarm)
+            if path is None:
+                path = self._plan_from_rest()
         decisions.retry_us = time_us + _RETRY_US
         decisions.settled_us = time_us + int(1e6 * config.plan_latency) + 2 * config.control_period_us
         if path is None:
@@ -257,7 +282,9 @@ class MotionPlanner(Remembers):
         vertices = self.routes.between(lead, clearance.wide)
         if vertices is None:
             return None
-        leading = [start] if speed < 0.2 else [start, lead]
+        leading = [start]
+        if not speed < 0.2:
+            leading.append(lead)
         if paths.distance(vertices[0], leading[-1]) < 1e-6:
             leading.pop()
         return self._path(np.vstack([*leading, vertices]), speed)
@@ -268,22 +295,30 @@ class MotionPlanner(Remembers):
         latency = self._config.plan_latency
         index, along = self._on_trajectory()
         if index < 0:
-            junction = -1
-            start = self._standing_point()
-            speed = 0.0
-            velocity = np.zeros(3)
-        else:
-            speed = length(floats(memory.waypoint.header, 7)[4:])  # type: ignore[union-attr]
-            distance = along
-            if speed > 0.1:
-                distance += 1.5 * speed * latency + speed * speed / (2.0 * PLANNING_ACCELERATION) + 0.2
-            blocked = memory.status.value("distance_to_blocked")  # type: ignore[union-attr]
-            soonest = along + speed * latency + speed * speed / (2.0 * BRAKING)
-            distance = max(min(distance, blocked - _MARGIN), soonest)
-            junction = min(int(np.searchsorted(memory.arc, distance)), len(memory.arc) - 1)
-            point = rows(memory.trajectory.elements, POINT_WIDTH)[junction]  # type: ignore[union-attr]
-            start = point[:3].copy()
-            velocity = point[4:7].copy()
+            return self._fastest_path(self._standing_point(), np.zeros(3), speed=0.0, junction=-1)
+        assert memory.waypoint is not None and memory.trajectory is not None  # it is on this trajectory
+        assert memory.status is not None  # no plan is wanted before the first one
+
+        # Arc length of the junction: ahead of the vehicle by one and a half latencies and the distance to stop gently,
+        # short of the blocked part, but not before it can stop at all.
+        speed = length(floats(memory.waypoint.header, 7)[4:])
+        distance = along
+        if speed > 0.1:
+            distance += 1.5 * speed * latency + speed * speed / (2.0 * PLANNING_ACCELERATION) + 0.2
+        blocked = memory.status.value("distance_to_blocked")
+        soonest = along + speed * latency + speed * speed / (2.0 * BRAKING)
+        distance = max(min(distance, blocked - _MARGIN), soonest)
+
+        # Plan from that point, at its velocity.
+        junction = min(int(np.searchsorted(memory.arc, distance)), len(memory.arc) - 1)
+        point = rows(memory.trajectory.elements, POINT_WIDTH)[junction]
+        return self._fastest_path(point[:3].copy(), point[4:7].copy(), speed=speed, junction=junction)
+
+    def _fastest_path(self, start: np.ndarray, velocity: np.ndarray, *, speed: float, junction: int) -> State | None:
+        """The fastest path to the goal from a point of the trajectory (-1 = none), at a velocity (m/s); None = none.
+
+        `speed` is the vehicle's current speed (m/s), with which the trajectory begins.
+        """
         vertices = self.routes.fastest(start, velocity)
         if vertices is None:
             return None

@@ -11,13 +11,11 @@ from mavfi.pipeline.waypoints import SetpointGenerator
 
 def build_pipeline(config: PipelineConfig) -> dict[str, Kernel]:
     """All kernels by name: seven, plus the state estimator if the pipeline does not receive the true state."""
-    if config.noise is None:
-        estimators: tuple[StateEstimator, ...] = ()
-    else:
-        estimators = (StateEstimator(config.noise),)
+    kernels: list[Kernel] = []
+    if config.noise is not None:
+        kernels.append(StateEstimator(config.noise))
     planner = MotionPlanner(config)
-    kernels: tuple[Kernel, ...] = (
-        *estimators,
+    kernels += (
         PointCloud(config),
         OctoMap(config),
         CollisionCheck(config),

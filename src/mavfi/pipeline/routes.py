@@ -12,7 +12,7 @@ from mavfi.kernels.planning import travel
 from mavfi.numerics.voxels import voxel_of
 from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.kernel import PipelineConfig
-from mavfi.pipeline.memory import Foreign, Keeper
+from mavfi.pipeline.memory import Keeper, OpaqueKeeper
 from mavfi.pipeline.planners import PathSearch, SamplingSearch, checked_path, make_search
 
 TIGHT_SPEED = 2.0
@@ -22,16 +22,23 @@ PLANNING_ACCELERATION = 2.5
 LATERAL_SHARE = 0.7
 """Planned lateral acceleration / a_max."""
 NOMINAL_SPEED = 3.0
+"""Speed limit for which lengths are specified (m/s); below it they scale with the speed."""
 BLEND = 3.5
 """Longest distance of a corner blend from its corner at the nominal speed (m)."""
 _REACH = 3.0
+"""Distance from a blocked start or goal within which a free point is searched for (m)."""
 _TRIES = 200
+"""Number of random improvements of a path."""
 _GOOD_ENOUGH = 1.15
 """Travel time of a path / of the straight line, below which no further search is made."""
 _STRETCH_STEP = 0.25
+"""Longest distance of the points at which a path is examined for narrow passages (m)."""
 _LOCAL_ITERATIONS = 300
+"""Iterations of the search for a bypass of a narrow passage."""
 _LOCAL_MARGIN = 6.0
+"""Margin of the box for bypasses around the passage (m)."""
 _SHORTCUTS = 80
+"""Number of random shortcuts of a path with bypasses."""
 
 
 class Routes:
@@ -50,11 +57,15 @@ class Routes:
         small = config.planner.model_copy(update={"iterations": _LOCAL_ITERATIONS, "restarts": 1})
         local = make_search(small, config.seed, config.functions)
         local.random = search.random  # a single stream to roll back
-        self._searches: Foreign[tuple[PathSearch, PathSearch]] = Foreign((search, local))
-        self.keeper: Keeper = search if isinstance(search, SamplingSearch) else self._searches
-        scratch = [planner.scratch for planner in (search, local) if isinstance(planner, SamplingSearch)]
-        known = tuple(arrays for arrays in scratch if arrays is not None)
-        self.scratch = known if len(known) == 2 else None
+        self._searches: OpaqueKeeper[tuple[PathSearch, PathSearch]] = OpaqueKeeper((search, local))
+        self.keeper: Keeper = self._searches
+        if isinstance(search, SamplingSearch):
+            self.keeper = search
+        scratch = []
+        for planner in (search, local):
+            if isinstance(planner, SamplingSearch) and planner.scratch is not None:
+                scratch.append(planner.scratch)
+        self.scratch = tuple(scratch) if len(scratch) == 2 else None
         v_max = config.v_max
         self._pace = travel.Pace(
             v_max,
@@ -80,7 +91,8 @@ class Routes:
         """Vertices from (near) `start` to (near) the goal (None = the mission's) in `counter`; None = no path."""
         config = self._config
         clearance = self.clearance_map
-        goal = config.goal if goal is None else goal
+        if goal is None:
+            goal = config.goal
         first = np.zeros(3)
         last = np.empty(3)
         box = config.flight_lower, config.flight_upper
@@ -114,21 +126,25 @@ class Routes:
         Start position (m) and velocity (m/s) are in the world frame.
         """
         straight = np.array([start, self._config.goal])
-        enough = _GOOD_ENOUGH * paths.path_length(straight, 2) / self._config.v_max
+        good_time = _GOOD_ENOUGH * paths.path_length(straight, 2) / self._config.v_max
         best = None
-        least = np.inf
-        for counter, tight in ((self.clearance_map.wide, False), (self.clearance_map.narrow, True)):
+        best_time = np.inf
+        wide = self.clearance_map.wide
+        narrow = self.clearance_map.narrow
+        for counter in (wide, narrow):
             for _ in range(self._config.autopilot.searches):
                 path = self.between(start, counter)
                 if path is None:
                     break
                 path = _from(start, path)
-                path = self._quickened(self._widened(path) if tight else path, velocity, counter)
+                if counter is narrow:
+                    path = self._widened(path)
+                path = self._quickened(path, velocity, counter)
                 time = self._time(path, velocity)
-                if time < least:
+                if time < best_time:
                     best = path
-                    least = time
-                if least <= enough:
+                    best_time = time
+                if best_time <= good_time:
                     return best
         return best
 
@@ -165,15 +181,15 @@ class Routes:
         points = _samples(path)
         tight = [self._is_tight(point) for point in points]
         pieces: list[np.ndarray] = [points[:1]]
-        last = 0
+        done = 0  # index of the last point in `pieces`
         for i in range(1, len(points)):
             if tight[i] and i < len(points) - 1:
-                continue
-            if i > last + 1 and not tight[last]:
-                pieces.append(self._around(points[last : i + 1]))
+                continue  # within a narrow section
+            if i > done + 1 and not tight[done]:
+                pieces.append(self._around(points[done : i + 1]))
             else:
-                pieces.append(points[last + 1 : i + 1])
-            last = i
+                pieces.append(points[done + 1 : i + 1])
+            done = i
         return self._shortened(np.vstack(pieces))
 
     def _is_tight(self, point: np.ndarray) -> bool:
@@ -198,7 +214,7 @@ class Routes:
     def _shortened(self, path: np.ndarray) -> np.ndarray:
         """The path with collision-free straight shortcuts."""
         clearance = self.clearance_map
-        (work, buffer) = self._buffer
+        work, buffer = self._buffer
         if len(path) > len(work) - 2:
             return path
         work[: len(path)] = path

@@ -23,11 +23,13 @@ from mavfi.states import Stage, State, floats, new_state, rows
 BRAKING = 4.0
 """Maximum planned deceleration (m/s^2)."""
 _STANDING = 0.3
+"""Speed up to which the vehicle counts as standing (m/s)."""
 _CLOSE_BLEND = 2.0
 """Maximum distance of a corner blend from its corner at the nominal speed, if the path is followed closely (m)."""
 _CLOSE = 0.2
+"""Innermost control point of a blend close to the corner."""
 _ROUND = 1.0 / 3.0
-"""Innermost control point of a blend: close to the corner, or of minimum curvature and thus maximum speed."""
+"""Innermost control point of a blend of minimum curvature, and thus maximum speed."""
 _LOOK = 3.0
 """Look-ahead distance of the yaw reference at the nominal speed (m)."""
 
@@ -129,11 +131,11 @@ class TrajectoryGenerator(Remembers):
         vertices = _without_repeats(vertices)
         if len(vertices) < 2 or len(vertices) > MOST_VERTICES:
             return np.zeros((0, POINT_WIDTH))
+        n = 0
         if config.autopilot.smoothing == "minimum_snap":
             n = self._polynomials(vertices, motion)
-        else:
-            n = 0
-        n = n or self._blends(vertices, motion.speed)
+        if n == 0:
+            n = self._blends(vertices, motion.speed)
         step = self._step
         if n == 0 or config.autopilot.sampling == "interpolated":
             return self._dense[:n]
@@ -144,16 +146,20 @@ class TrajectoryGenerator(Remembers):
     def _limits(self) -> timing.Limits:
         config = self._config
         # held points are tracked with a small delay: a speed margin prevents the vehicle from falling behind
-        top = config.v_max if self._splices else 0.97 * config.v_max
-        slow = min(1.0, config.v_max / NOMINAL_SPEED)  # lengths scale with speed
+        top_speed = 0.97 * config.v_max
+        tight_speed = top_speed
+        if self._splices:
+            top_speed = config.v_max
+            tight_speed = min(TIGHT_SPEED, top_speed)
+        scale = min(1.0, config.v_max / NOMINAL_SPEED)  # lengths scale with speed
         return timing.Limits(
-            top,
-            min(TIGHT_SPEED, top) if self._splices else top,
+            top_speed,
+            tight_speed,
             LATERAL_SHARE * config.a_max,
             PLANNING_ACCELERATION,
             BRAKING,
-            self._blend * slow,
-            _LOOK * slow,
+            self._blend * scale,
+            _LOOK * scale,
         )
 
     def _blends(self, vertices: np.ndarray, entry: float) -> int:
@@ -179,6 +185,7 @@ class TrajectoryGenerator(Remembers):
         """Sample a minimum-snap curve; returns the number of dense points, 0 = infeasible."""
         clearance = self._clearance_map
         limits = self._limits()
+        # the limits of blends, for polynomials, which are rounder
         curve_limits = knots.CurveLimits(
             limits.speed,
             _ACCELERATION_SHARE * self._config.a_max,
@@ -189,6 +196,7 @@ class TrajectoryGenerator(Remembers):
             _REACH_SHARE * limits.blend,
             _KNOT_TIME * limits.speed,
         )
+        # the initial motion; a path may have been corrupted, and the current acceleration exceed the limit
         with np.errstate(over="ignore", invalid="ignore"):
             velocity = motion.velocity
             if velocity is None:
@@ -223,6 +231,8 @@ class TrajectoryGenerator(Remembers):
         index = memory.waypoint.value("index")
         if not 0 <= index < len(points) or not junction < len(points):
             return vertices, _Motion(entry)
+
+        # The junction must be one at which the vehicle can stand; else the path begins with a way back to it.
         arc = np.zeros(len(points))
         setpoint.arc_lengths(points, arc)
         waypoint = floats(memory.waypoint.header, POINT_WIDTH)
@@ -232,6 +242,8 @@ class TrajectoryGenerator(Remembers):
         if stand > junction and speed > _STANDING:
             junction = min(stand, len(points) - 1)
             tail = np.vstack([points[junction, :3], vertices])
+
+        # Vertices up to there, at least 0.7 m from each other and 0.5 m from the junction.
         head = [waypoint[:3].copy()]
         last = arc[index]
         for k in range(index, junction):

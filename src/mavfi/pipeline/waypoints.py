@@ -19,17 +19,37 @@ from mavfi.pipeline.routes import PLANNING_ACCELERATION
 from mavfi.states import Stage, State, floats, new_state, rows
 
 _EMERGENCY_STOP_TIME = 0.6
+"""v_max / a_max of the published code (s)."""
 _STANDING = 0.4
+"""Speed up to which a stopping vehicle counts as standing (m/s)."""
 _SPEED_STEP = 1.0
+"""Excess of the vehicle's speed over the first point's up to which a trajectory is adopted (m/s)."""
 _HOLD_TURN = 0.6
+"""Turn while no path exists, to look around (rad)."""
 _CREEP_SHARE = 1.0 / 3.0
+"""Largest speed of the reference at unknown space / v_max."""
 _CREEP_STEP = 0.3
+"""Largest distance of the reference between two maps at unknown space (m)."""
 _ADOPTION_WINDOW = 50
+"""Leading points of a spliced trajectory among which its start is searched for."""
 
 
 @dataclass(frozen=True, slots=True)
 class _InForce(Memory):
-    """The trajectory in force and the pending one; replaced, never modified, so that a mark is a reference."""
+    """The trajectory in force and the pending one; replaced, never modified, so that a mark is a reference.
+
+    Attributes:
+        trajectory: The one in force; None = none.
+        index: Its current point; -1 = none, the vehicle holds.
+        waiting: The pending one, adopted when the vehicle is slow enough; None = none.
+        last_seq: Sequence number of the last accepted trajectory; -1 = none yet.
+        epoch: Sequence number of the alarm that it answers.
+        seen_seq: Sequence number of the last alarm.
+        stop_us: When the vehicle shall stop (us); -1 = not.
+        stopping: Whether it has stopped, or is about to.
+        rejected_since: Since when trajectories have been rejected (us); -1 = the last one was accepted.
+        clock: Reading of the reference clock (points), its rate and the change of the rate, see `advance_clock`.
+    """
 
     trajectory: State | None = None
     index: int = -1
@@ -45,7 +65,20 @@ class _InForce(Memory):
 
 @dataclass(slots=True)
 class _SetpointMemory(Memory):
-    """Trajectory in force with its arc lengths, inputs, limits of the known space, and the marks."""
+    """Trajectory in force with its arc lengths, inputs, limits of the known space, and the marks.
+
+    Attributes:
+        now: Trajectories and sequence numbers.
+        inbox: Trajectories and collision statuses received since the last step.
+        odometry: See `Simulator.odometry`. Shape (13,).
+        remaining: Remaining time of the point in force (s).
+        limits: Distances along the trajectory to blocked and to unknown space (m), and its sequence number.
+        points: Points of the trajectory in force. Shape (n, POINT_WIDTH).
+        arc: Their arc lengths (m). Shape (n,).
+        published: The way-point in force; None = none yet.
+        marked: `now` at the last mark.
+        marked_inputs: `inbox`, `remaining` and `published` at the last mark.
+    """
 
     now: _InForce = field(default_factory=_InForce)
     inbox: list[State] = field(default_factory=list)
@@ -115,8 +148,10 @@ class SetpointGenerator(Remembers):
         """Skip from the way-point in force to the next one; before any trajectory there is the initial hold only."""
         now = self.memory.now
         if now.trajectory is None:
-            first = now.last_seq < 0  # nothing may have been received yet
-            return self.step(time_us) or ([self._hold()] if first else [])
+            published = self.step(time_us)
+            if not published and now.last_seq < 0:  # nothing may have been received yet
+                published = [self._hold()]
+            return published
         if self._governed:
             position, rate, change = now.clock
             self._set(clock=(position + 1.0, rate, change))
@@ -153,29 +188,40 @@ class SetpointGenerator(Remembers):
         trajectory = last.get("planning.trajectory")
         if waypoint is None:
             return ()
-        number, alarm_seq, index = map(waypoint.value, ("trajectory_seq", "future_collision_seq", "index"))
-        taken = False
+        last_seq = waypoint.value("trajectory_seq")
+        alarm_seq = waypoint.value("future_collision_seq")
+        index = waypoint.value("index")
+        is_holding = index < 0
+
+        # Whether the last trajectory is known to this node: if so, it is not received again.
+        is_known = False
         if trajectory is not None:
-            offered = trajectory.value("trajectory_seq")
-            if index >= 0:
-                taken = offered == number
+            seq = trajectory.value("trajectory_seq")
+            if is_holding:
+                is_known = trajectory.value("future_collision_seq") <= alarm_seq
             else:
-                taken = trajectory.value("future_collision_seq") <= alarm_seq
-            if taken:
-                number = offered
-        flown = trajectory if taken and index >= 0 else None
+                is_known = seq == last_seq
+            if is_known:
+                last_seq = seq
+
+        # Continue to fly it; a vehicle that holds continues to hold.
+        flown = None
+        flown_index = -1
+        if is_known and not is_holding:
+            flown = trajectory
+            flown_index = index
         self.memory.published = waypoint
         self._set(
             trajectory=flown,
-            index=-1 if flown is None else index,
-            last_seq=number,
+            index=flown_index,
+            last_seq=last_seq,
             epoch=alarm_seq,
             seen_seq=alarm_seq,
-            stopping=index < 0,
+            stopping=is_holding,
             clock=(float(max(index, 0)), 1.0, 0.0),
         )
         self._load(flown)
-        if taken:
+        if is_known:
             return ("planning.trajectory",)
         return ()
 
@@ -187,11 +233,11 @@ class SetpointGenerator(Remembers):
         """Accept or reject a trajectory by its sequence numbers."""
         now = self.memory.now
         autopilot = self._config.autopilot
-        seq, alarm_seq = map(state.value, ("trajectory_seq", "future_collision_seq"))
+        seq = state.value("trajectory_seq")
+        alarm_seq = state.value("future_collision_seq")
         if seq < now.last_seq or alarm_seq < now.epoch:
-            if now.rejected_since >= 0:
-                since = now.rejected_since
-            else:
+            since = now.rejected_since
+            if since < 0:
                 since = time_us
             patience = autopilot.epoch_liveness
             if not (patience > 0.0 and time_us - since > 1e6 * patience):
@@ -200,9 +246,8 @@ class SetpointGenerator(Remembers):
         if autopilot.consumer_check and not self._sane(state):
             self._set(stop_us=time_us)
             return
-        self._set(
-            waiting=state, last_seq=seq, epoch=alarm_seq, seen_seq=max(now.seen_seq, alarm_seq), rejected_since=-1
-        )
+        seen_seq = max(now.seen_seq, alarm_seq)
+        self._set(waiting=state, last_seq=seq, epoch=alarm_seq, seen_seq=seen_seq, rejected_since=-1)
 
     def _warn(self, state: State, time_us: int) -> None:
         """Respond to a collision status: stop at once, or after the grace period if time permits."""
@@ -216,10 +261,12 @@ class SetpointGenerator(Remembers):
         if not state.value("collision") or seq <= now.seen_seq:
             return
         grace = self._config.autopilot.grace
-        due = time_us
+        stop_us = time_us
         if state.value("time_to_collision") > grace + _EMERGENCY_STOP_TIME:
-            due += int(1e6 * grace)
-        self._set(seen_seq=seq, stop_us=due if now.stop_us < 0 else min(due, now.stop_us))
+            stop_us += int(1e6 * grace)
+        if now.stop_us >= 0:  # an earlier stop is due
+            stop_us = min(stop_us, now.stop_us)
+        self._set(seen_seq=seq, stop_us=stop_us)
 
     def _watch(self, time_us: int) -> None:
         """Deviation monitor: stop and replan if too far from the reference."""
@@ -253,7 +300,8 @@ class SetpointGenerator(Remembers):
         if trajectory is None:
             return
         points = rows(trajectory.elements, POINT_WIDTH)
-        self.memory.points, self.memory.arc = points, np.zeros(len(points))
+        self.memory.points = points
+        self.memory.arc = np.zeros(len(points))
         if len(points):
             setpoint.arc_lengths(points, self.memory.arc)
 
@@ -352,7 +400,9 @@ class SetpointGenerator(Remembers):
         """Hold at the predicted rest position; `turn`: yaw offset to look around (rad)."""
         waypoint = np.zeros(POINT_WIDTH)
         odometry = self.memory.odometry
-        lag = 0.0 if self._governed else self._config.velocity_lag
+        lag = self._config.velocity_lag
+        if self._governed:
+            lag = 0.0
         waypoint[:3] = odometry[:3] + lag * odometry[3:6]
         waypoint[3] = yaw_of(odometry[6:10]) + turn
         waypoint[10] = self._config.autopilot.point_period

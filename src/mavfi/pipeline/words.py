@@ -58,10 +58,10 @@ class Words:
 
 def collapsed(names: Iterable[str]) -> list[str]:
     """Names for a message, those that differ only in indices as one: `crumbs[...].x`."""
-    held: dict[str, list[str]] = {}
+    groups: dict[str, list[str]] = {}
     for name in names:
-        held.setdefault(_INDEX.sub("[...]", name), []).append(name)
-    return [general if len(alike) > 1 else alike[0] for general, alike in held.items()]
+        groups.setdefault(_INDEX.sub("[...]", name), []).append(name)
+    return [general if len(members) > 1 else members[0] for general, members in groups.items()]
 
 
 def words_of(kernel: Remembers) -> Iterator[Words]:
@@ -81,8 +81,8 @@ def change(kernel: Remembers, name: str, index: int, apply: Change) -> tuple[Any
         if array is not None:
             return _apply(array.reshape(-1)[index : index + 1], apply)
     first, *rest = _PARTS.findall(name)
-    changed, before, after = _changed(getattr(kernel.memory, first), rest, index, apply)
-    setattr(kernel.memory, first, changed)
+    changed_copy, before, after = _changed(getattr(kernel.memory, first), rest, index, apply)
+    setattr(kernel.memory, first, changed_copy)
     return before, after
 
 
@@ -96,15 +96,17 @@ def _in_memory(start: str, memory: Memory) -> Iterator[Words]:
 def _in_value(name: str, value: Any) -> Iterator[Words]:
     if isinstance(value, State):
         for field in dict.fromkeys(value.spec.fields):  # a name in both elements and header denotes the element field
-            in_list = field in value.spec.elements
-            if in_list or not value.spec.in_elements(field.name):
-                yield Words(f"{name}.{field.name}", field.dtype, len(value.elements) if in_list else 1)
+            if field in value.spec.elements:
+                yield Words(f"{name}.{field.name}", field.dtype, len(value.elements))
+            elif not value.spec.in_elements(field.name):
+                yield Words(f"{name}.{field.name}", field.dtype, 1)
     elif isinstance(value, np.ndarray):
         yield Words(name, _code(value), value.size)
     elif isinstance(value, Memory):
         yield from _in_memory(f"{name}.", value)
     elif isinstance(value, (list, tuple, dict)):
-        for position, item in enumerate(value.values() if isinstance(value, dict) else value):
+        items = value.values() if isinstance(value, dict) else value
+        for position, item in enumerate(items):
             yield from _in_value(f"{name}[{position}]", item)
     elif isinstance(value, (bool, int, float)):
         yield Words(name, _scalar_type(value), 1)
@@ -135,13 +137,13 @@ def _changed(value: Any, path: list[str], index: int, apply: Change) -> tuple[An
 
     `path` leads from the value to the word.
     """
+    # the word is in this value
     if isinstance(value, State):
         state = value.copy()
+        rows = state.header
         if state.spec.in_elements(path[0]):
-            container = state.elements
-        else:
-            container = state.header
-        return state, *_apply(container[path[0]][index : index + 1], apply)
+            rows = state.elements
+        return state, *_apply(rows[path[0]][index : index + 1], apply)
     if isinstance(value, np.ndarray):
         array = value.copy()
         return array, *_apply(array.reshape(-1)[index : index + 1], apply)
@@ -149,17 +151,23 @@ def _changed(value: Any, path: list[str], index: int, apply: Change) -> tuple[An
         word = np.array([value]).astype(_scalar_type(value))
         before, after = _apply(word, apply)
         return type(value)(after), before, after
+
+    # it is in an attribute, or in an item of a container
     first, *rest = path
     if isinstance(value, Memory):
         inner, before, after = _changed(getattr(value, first), rest, index, apply)
         memory = value.copy()
         object.__setattr__(memory, first, inner)  # the class may be frozen
         return memory, before, after
-    key = list(value)[int(first)] if isinstance(value, dict) else int(first)
+    key: Any = int(first)
+    if isinstance(value, dict):
+        key = list(value)[key]  # names have the position of an item
     inner, before, after = _changed(value[key], rest, index, apply)
     if isinstance(value, tuple):
         items = (*value[:key], inner, *value[key + 1 :])
-        return type(value)(*items) if hasattr(value, "_fields") else items, before, after
+        if hasattr(value, "_fields"):
+            return type(value)(*items), before, after
+        return items, before, after
     container = value.copy()
     container[key] = inner
     return container, before, after

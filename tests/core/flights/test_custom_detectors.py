@@ -88,7 +88,7 @@ def test_nor_does_it_look_as_if_the_injected_kernel_had_died(fast):
     arms = {"": ArmSetup(mission()), "own": ArmSetup(mission(), Brittle)}
     flights = LocalHost().mission(arms, fast_forward=fast)
     for arm in arms:
-        flights.know(arm, flights.golden(arm))
+        flights.register_golden(arm, flights.golden(arm))
     runs = [(arm, one) for arm in arms for one in faults]
     flown = {runs[place]: flight.log for place, flight in flights.injected(runs)}
     crashed = [one for one in faults if flown["own", one].count(CRASHED)]
@@ -122,7 +122,7 @@ def test_faults_in_instructions_are_flown_without_those_of_the_detector():
     faults = draw_instruction_faults(mission(), InstructionRequest({"pid": 6}), seed=3).faults["pid"]
     arms = {"": ArmSetup(mission()), "own": ArmSetup(mission(), lambda: EndingLate())}
     flights = LocalHost().mission(arms)
-    flights.know("", flights.golden(""))
+    flights.register_golden("", flights.golden(""))
     runs = [(arm, one) for arm in arms for one in faults]
     flown = {runs[place]: flight for place, flight in flights.injected(runs)}
     assert not any(isinstance(flown["", one], Exception) for one in faults)

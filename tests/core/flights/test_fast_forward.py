@@ -163,7 +163,7 @@ def test_to_stop_too_early_is_noticed(monkeypatch):
 
 @pytest.mark.slow
 def test_a_start_at_the_wrong_place_is_noticed(monkeypatch):
-    monkeypatch.setattr(fast_forward.Track, "before", lambda track, time_us: sorted(track.checkpoints)[-2])
+    monkeypatch.setattr(fast_forward.KnownFlight, "before", lambda flight, time_us: sorted(flight.checkpoints)[-2])
     assert every_fault("published", "", FastForward(mission()), None, FAULTS[:4]) != []
 
 

@@ -122,7 +122,7 @@ def test_faults_are_drawn_over_the_protected_program(protected, golden):
 
 def test_forks_from_checkpoints_have_the_records_of_those_from_take_off(protected, plain_faults, paired_logs):
     flights = LocalHost().mission({"": ArmSetup(protected)})
-    flights.know("", fly(protected))
+    flights.register_golden("", fly(protected))
     found = dict(flights.injected([("", fault) for fault in plain_faults]))
     for place, log in enumerate(paired_logs):
         assert found[place].record() == record_of(log)

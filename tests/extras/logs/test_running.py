@@ -12,7 +12,7 @@ from mavfi.extras.mavlink.tlog import Telemetry
 from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.loop import Attached, Listener
+from mavfi.flight.loop import Listener, ObserverListener
 from mavfi.mission import MissionSpec
 from mavfi.numerics.frames import ned_of
 from tests.extras.logs.viewer import Viewer
@@ -51,7 +51,7 @@ def test_a_ground_station_receives_the_flight_fault_and_end(golden, ground_stati
     receiver = threading.Thread(target=receive)
     receiver.start()
     telemetry = Telemetry(ground_station.getsockname()[1])
-    flight = fly(SCENARIO, FAULT, observers=[Attached(telemetry)])
+    flight = fly(SCENARIO, FAULT, observers=[ObserverListener(telemetry)])
     telemetry.close()
     threading.Event().wait(0.6)
     done.set()
@@ -80,7 +80,7 @@ def test_a_viewer_sees_the_flight(golden):
             viewers[0].start()
             threading.Event().wait(0.3)  # the subscription arrives
 
-    flight = fly(SCENARIO, FAULT, observers=[Attached(view), Connect()])
+    flight = fly(SCENARIO, FAULT, observers=[ObserverListener(view), Connect()])
     threading.Event().wait(0.3)
     view.close()
     viewers[0].join()

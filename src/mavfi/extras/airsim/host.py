@@ -399,8 +399,8 @@ class ProgramRuns:
         self._golden[arm] = runs[0]
         return RunResult(record_of_program(runs[0], runs[0]), tuple(runs[0].boundary.passed))
 
-    def know(self, arm: str, flight: Recorded) -> None:
-        """See `MissionFlights.know`; no operation, as no program is run elsewhere."""
+    def register_golden(self, arm: str, flight: Recorded) -> None:
+        """See `MissionFlights.register_golden`; no operation, as no program is run elsewhere."""
 
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
         """See `one_by_one`."""

@@ -22,7 +22,7 @@ from mavfi.extras.logs.timeline import (
     stamp_ns,
     tick_messages,
 )
-from mavfi.flight.loop import Item, Loop
+from mavfi.flight.loop import FlightItem, Loop
 from mavfi.mission import MissionStatus
 from mavfi.record import COLUMNS
 from mavfi.report.lines import INFO, lines_at
@@ -124,7 +124,7 @@ class LiveView:
             with self._clouds:
                 self._send(self._convert(state, time_us))
 
-    def tick(self, row: np.ndarray, items: list[Item], status: MissionStatus | None) -> None:
+    def tick(self, row: np.ndarray, items: list[FlightItem], status: MissionStatus | None) -> None:
         """See `Observer`."""
         if items or status is not None:
             self._send(map(log_message, lines_at(float(row[0]), items, status)))

@@ -17,7 +17,7 @@ import numpy as np
 from mavfi.errors import BadInputError, writing
 from mavfi.faults.levels.message.definition import FORMATS, Leaf
 from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, reading
-from mavfi.flight.loop import Item, Loop
+from mavfi.flight.loop import FlightItem, Loop
 from mavfi.mission import MissionStatus
 from mavfi.numerics.frames import Triple, euler, geodetic, ned_of
 from mavfi.record import FlightLog
@@ -252,7 +252,7 @@ class Telemetry:
     def published(self, state: State, time_us: int) -> None:
         """See `Observer`."""
 
-    def tick(self, row: np.ndarray, items: list[Item], status: MissionStatus | None) -> None:
+    def tick(self, row: np.ndarray, items: list[FlightItem], status: MissionStatus | None) -> None:
         """See `Observer`."""
         for message in self._messages.motion(row, self._rows):
             self._link.send(message)

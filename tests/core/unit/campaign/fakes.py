@@ -123,7 +123,7 @@ class FakeFlights:
             self.detectors[arm] = None if make is None else make()
         return self.detectors[arm]
 
-    def know(self, arm: str, flight: Flight) -> None:
+    def register_golden(self, arm: str, flight: Flight) -> None:
         self.known[arm] = flight
 
     def injected(self, runs: list[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:

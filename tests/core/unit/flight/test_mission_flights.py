@@ -199,7 +199,7 @@ def test_instruction_faults_are_flown_arm_by_arm_and_keep_their_places(calls, ar
 def test_runs_with_a_detector_that_follow_from_those_without_are_not_flown(calls, arms):
     flights = LocalHost().mission(arms)
     flights.count_instructions("", {})
-    flights.know("g", Flight("golden of g"))
+    flights.register_golden("g", Flight("golden of g"))
     calls.follow = True
     other = InstructionFault("f", "sha", 2)
     found = dict(flights.injected([("", DATA), ("g", DATA), ("", other), ("g", other)]))
@@ -216,7 +216,7 @@ def test_instruction_faults_are_flown_from_take_off_where_checkpoints_cannot_be_
     flights = LocalHost().mission(arms, fast_forward=why != "no fast-forward")
     flights.count_instructions("", {})
     if why != "unknown":
-        flights.know("g", Flight("golden"))
+        flights.register_golden("g", Flight("golden"))
     fault = InstructionFault("f", "sha", 1, kernel="acceptance") if why == "detector" else DATA
     [(_, flight)] = flights.injected([("g", fault)])
     assert flight.log is fault

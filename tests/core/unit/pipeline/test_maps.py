@@ -161,6 +161,6 @@ def test_a_voxel_outside_of_the_grid_ends_the_step(rewindable):
         return count
 
     functions = PLAIN.instrumented(("insert_scan",), lambda name, function: corrupted)
-    dense = DenseMap(FRAME, RULE, 5.0, functions, rewindable)
+    dense = DenseMap(FRAME, RULE, 5.0, functions, rewindable=rewindable)
     with pytest.raises(IndexError, match="8000 is out of bounds"):
         dense.insert(*scan((4.0, 5.0, 5.0)))

@@ -4,7 +4,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from mavfi.pipeline.memory import Foreign, Memory, Remembers, copied, same
+from mavfi.pipeline.memory import Memory, OpaqueKeeper, Remembers, copied, same
 from mavfi.states import new_state
 
 
@@ -126,7 +126,7 @@ class Own:
 
 
 def test_a_thing_of_a_users_own_is_copied_whole():
-    keeper = Foreign(Own())
+    keeper = OpaqueKeeper(Own())
     saved = keeper.save()
     assert keeper.same(saved)
     keeper.content.seen[0][0] = 1.0
@@ -140,5 +140,5 @@ def test_a_thing_of_a_users_own_is_copied_whole():
 
 def test_what_cannot_be_copied_is_an_error_and_what_cannot_be_compared_is_another():
     with pytest.raises(TypeError):
-        Foreign(number for number in ()).save()
-    assert not Foreign(lambda: 0).same(lambda: 0)
+        OpaqueKeeper(number for number in ()).save()
+    assert not OpaqueKeeper(lambda: 0).same(lambda: 0)

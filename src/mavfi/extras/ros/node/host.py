@@ -75,8 +75,8 @@ class NodeMission:
         self._outputs = tuple(trial.outputs)
         return RunResult(record_of_trial(trial))
 
-    def know(self, arm: str, flight: Recorded) -> None:
-        """See `MissionFlights.know`; no operation, as no trial is run elsewhere."""
+    def register_golden(self, arm: str, flight: Recorded) -> None:
+        """See `MissionFlights.register_golden`; no operation, as no trial is run elsewhere."""
 
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
         """See `one_by_one`."""
