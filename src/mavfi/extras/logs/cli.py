@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from mavfi.extras.logs.live import LiveView
     from mavfi.extras.logs.watch import JudgedLog, LogRates, LogWatch
 
-_MOST_FLIPS = 100_000
-_MOST_LISTED = 10
+_MAX_FLIPS = 100_000
+_MAX_LISTED = 10
 
 
 class LiveOption:
@@ -80,23 +80,27 @@ def watch(  # noqa: PLR0913 - one parameter per option
     check_name("--detector", detector, of_monitored_fields())
     check_name("--profile", profile, PROFILES)
     check_number("--split", split, 0.05, 0.95)
-    check_number("--inject", inject, 0, _MOST_FLIPS)
+    check_number("--inject", inject, 0, _MAX_FLIPS)
     check_seed("--seed", seed)
     if (split is None) == (not train):
         for path in logs:
             if not path.exists():
                 raise BadInputError(f"{path}: no such file")
-        reason = "neither given" if split is None else "both given"
+        reason = "both given"
+        if split is None:
+            reason = "neither given"
         raise BadInputError(f"--train, --split: {reason}; allowed: one of them, what a normal flight is learned from")
     _check_apart(logs, train or [])
     with stoppable("Stopped."):
         wanted = options.listed(fields)
         trained, judged = _judge(logs, train or [], split, (detector, profile), wanted, fault, (inject, seed))
+    # What was found, and how.
     rates = LogRates(judged)
     used = sum(watching.trained_on for watching in trained)
-    names = {
-        topic: [f.name for f in probe.spec.header] for watching in trained for topic, probe in watching.probes.items()
-    }
+    names: dict[str, list[str]] = {}
+    for watching in trained:
+        for topic, probe in watching.probes.items():
+            names[topic] = [field.name for field in probe.spec.header]
     if as_json:
         write_json(
             rates.to_json()
@@ -125,7 +129,9 @@ def _check_apart(logs: list[Path], train: list[Path]) -> None:
     for log in logs:
         for path in train:
             if log.is_file() and path.is_file() and (log.samefile(path) or cmp(log, path, shallow=False)):
-                copy = "" if log == path else f" (it is {path})"
+                copy = ""
+                if log != path:
+                    copy = f" (it is {path})"
                 raise BadInputError(
                     f"{log}: is also trained on{copy}: a detector has no false alarms on its own training data; "
                     "allowed: other flights for --train, or --split"
@@ -141,12 +147,23 @@ def _judge(
     fault: str,
     flips: tuple[int, int],
 ) -> tuple[list[LogWatch], list[JudgedLog]]:
-    """Train and judge; each LOG that is split trains its own detector."""
+    """Train and judge; each LOG that is split trains its own detector.
+
+    Args:
+        logs: The recordings to be judged.
+        train: Normal recordings.
+        split: Share of each LOG to train on, instead.
+        chosen: Detector and profile.
+        fields: Monitored fields; empty = the recommended ones, or all.
+        fault: Number that tells of a known fault; "" = none.
+        flips: Number of flips in each LOG, and their seed.
+    """
     from mavfi.extras.logs.watch import LogWatch, cut_text, judge_rest, read_recording, select
 
     recordings = [read_recording(path, fault) for path in logs]
     normal = [read_recording(path, fault, required=False).normal for path in train]
-    if cut := cut_text([*recordings, *normal]):
+    cut = cut_text([*recordings, *normal])
+    if cut:
         console(error=True).print(cut, markup=False, soft_wrap=True)
     if split is None:
         probes = select([*normal, *(recording.normal for recording in recordings)], fields)
@@ -162,11 +179,9 @@ def _summary(rates: LogRates) -> list[str]:
 
     lines = [f"flips detected, {bits} (%): {rate(share)}" for bits, share in rates.flips.items()]
     if rates.faults.n:
-        delays = rates.delays_s
-        if delays:
-            span = f", delay {delays[0]:.2f} to {delays[-1]:.2f} s"
-        else:
-            span = ""
+        span = ""
+        if rates.delays_s:
+            span = f", delay {rates.delays_s[0]:.2f} to {rates.delays_s[-1]:.2f} s"
         lines.append(f"known faults followed by an alarm (%): {rate(rates.faults)}{span}")
     return lines
 
@@ -175,8 +190,9 @@ def _table(judged: list[JudgedLog]) -> Table:
     from mavfi.extras.logs.watch import delay_text
 
     table = titled_table("Recordings")
-    for heading in ("recording", "normal flight", "messages", "false alarm events", "known fault"):
-        table.add_column(heading, justify="left" if heading == "recording" else "right")
+    table.add_column("recording", justify="left")
+    for heading in ("normal flight", "messages", "false alarm events", "known fault"):
+        table.add_column(heading, justify="right")
     for recording in judged:
         table.add_row(
             recording.name,
@@ -192,9 +208,9 @@ def _list_alarms(judged: list[JudgedLog]) -> None:
     """The first false alarms of each recording."""
     out = console()
     for recording in judged:
-        for alarm in recording.alarms[:_MOST_LISTED]:
-            named = ", ".join(alarm.fields)
-            text = f"{recording.name} {1e-6 * alarm.time_us:.3f} s: {alarm.topic} {named}, score {alarm.score:.3g}"
+        for alarm in recording.alarms[:_MAX_LISTED]:
+            fields = ", ".join(alarm.fields)
+            text = f"{recording.name} {1e-6 * alarm.time_us:.3f} s: {alarm.topic} {fields}, score {alarm.score:.3g}"
             out.print(text, markup=False, soft_wrap=True)
-        if len(recording.alarms) > _MOST_LISTED:
-            out.print(f"{recording.name}: {len(recording.alarms) - _MOST_LISTED} more alarms", markup=False)
+        if len(recording.alarms) > _MAX_LISTED:
+            out.print(f"{recording.name}: {len(recording.alarms) - _MAX_LISTED} more alarms", markup=False)
