@@ -190,7 +190,9 @@ class _Reader:
             instruction.variable = self.variables.get(instruction.result)
             instruction.result = names[instruction.result]
         try:
-            instruction.tokens = [names[token] if token[0] == "%" else token for token in instruction.tokens]
+            for index, token in enumerate(instruction.tokens):
+                if token[0] == "%":
+                    instruction.tokens[index] = names[token]
             instruction.incoming = [(names.get(value, value), names[label]) for value, label in instruction.incoming]
             instruction.addresses = [names[name] for name in instruction.addresses]
             instruction.conditions = [names[name] for name in instruction.conditions]

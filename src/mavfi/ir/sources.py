@@ -21,7 +21,7 @@ import llvmlite
 import numba
 import numpy as np
 
-from mavfi.ir.build import KernelSource, build_apart, name_of, source_of
+from mavfi.ir.build import KernelSource, name_of, run_in_fresh_process, source_of
 from mavfi.ir.module import Module, digest_of
 from mavfi.ir.parser import parse_module
 from mavfi.numerics.dependencies import UnknownDependencyError, content_digest, signature_digest
@@ -43,7 +43,7 @@ def cached_source(kernel: Any, signature: tuple[Any, ...]) -> KernelSource:
     key = cache.key(kernel, signature)
     data = cache.load(key)
     if data is None:
-        data = build_apart(kernel, signature, make)
+        data = run_in_fresh_process(kernel, signature, make)
         cache.store(key, data, _files(_unpack(data)))
     return _unpack(data)
 

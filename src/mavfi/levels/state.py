@@ -320,7 +320,7 @@ def _dtype(fault: StateFault) -> str:
     return STATES[fault.where.state].find(fault.where.field).dtype
 
 
-def fewer(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
+def shorter_faults(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
     """Shorter faults for a lasting one: by increasing number of publications, then fractions of its duration."""
     if not fault.lasting:
         return
@@ -333,14 +333,14 @@ def fewer(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
             yield replace(fault, lasts_s=round(fault.lasts_s * part, 3))
 
 
-def narrower(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
+def single_bit_faults(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
     """Single-bit faults for a multi-bit one."""
     if fault.bit is not None and fault.width > 1:
         for offset in range(fault.width):
             yield replace(fault, bit=fault.bit + offset, width=1)
 
 
-def lower(fault: Any, injection: Injection | None) -> Iterator[Fault]:
+def smaller_changes(fault: Any, injection: Injection | None) -> Iterator[Fault]:
     """Faults in other bits of the word, of a state or a memory, that change its value less."""
     if fault.bit is None:
         return
@@ -387,7 +387,7 @@ class StateLevel(Level):
         "lasts": SECONDS,
         "share": (DECIMAL, "a number above 0, to 1", float),
     }
-    reductions = {"publications": fewer, "width": narrower, "bit": lower}
+    reductions = {"publications": shorter_faults, "width": single_bit_faults, "bit": smaller_changes}
     absent = ("published", "no such publication came")
 
     def null(self) -> StateRequest:

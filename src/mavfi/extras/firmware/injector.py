@@ -68,6 +68,7 @@ class FirmwareInjector:
             BadInputError: It may not be traced.
             FirmwareLostError: It ended or hangs.
         """
+        # The main thread waits in front of an instruction: it becomes ours.
         call = firmware.calls - 1
         walked = firmware.instructions
         space = AddressSpace(firmware.pid)
@@ -92,7 +93,7 @@ class FirmwareInjector:
                 }
                 injection = injection_of(flipped, space, self.fault, details)
                 self.injections = [replace(injection, time_s=1e-6 * time_us)]
-            tracee.detach()
+            tracee.detach()  # it runs on to the end of the period
         except TargetGoneError as error:
             raise firmware.loss(error.code) from None
         finally:

@@ -259,7 +259,7 @@ class Battery:
     def run(self, places: Sequence[Place]) -> list[str]:
         """Effect of each injection, as if in a child process of its own: they share one as long as it lives."""
         indices = self._indices(places)
-        self.variant.own_report()
+        self.variant.claim_report()
         found = [""] * len(places)
         for call in {place.call for place in places}:
             left = [number for number, place in enumerate(places) if place.call == call]

@@ -77,6 +77,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     from mavfi.detectors.registry import of_monitored_fields
     from mavfi.extras.logs.watch import LogRates
 
+    # Check the options.
     check_name("--detector", detector, of_monitored_fields())
     check_name("--profile", profile, PROFILES)
     check_number("--split", split, 0.05, 0.95)
@@ -91,6 +92,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
             reason = "neither given"
         raise BadInputError(f"--train, --split: {reason}; allowed: one of them, what a normal flight is learned from")
     _check_apart(logs, train or [])
+    # Train and judge.
     with stoppable("Stopped."):
         wanted = options.listed(fields)
         trained, judged = _judge(logs, train or [], split, (detector, profile), wanted, fault, (inject, seed))

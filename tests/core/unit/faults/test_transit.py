@@ -14,7 +14,7 @@ from mavfi.extras.ros.ros1.messages import element_slots, header_slots, message_
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault, fault_from_json
 from mavfi.faults.levels.state_injector import StateInjector, flip
 from mavfi.faults.levels.transit import parse, serialize, with_length
-from mavfi.faults.sampling import draw_in_message, message_bits, locate_bit
+from mavfi.faults.sampling import draw_in_message, locate_bit, message_bits
 from mavfi.faults.strata import WORD_BITS
 from mavfi.record import Profile
 from mavfi.states import STATES, new_state

@@ -23,11 +23,11 @@ from mavfi.faults.levels.instruction.accesses import (
     Constant,
     accesses_of,
     constants_of,
+    exported,
     is_owned,
-    moved,
     planned_wrapper,
+    relocated,
     size_of,
-    visible,
 )
 from mavfi.faults.levels.instruction.arena import LINE
 from mavfi.faults.levels.instruction.runtime import (
@@ -101,11 +101,11 @@ def instrument(text: str, kernel: str, rewrite: Rewrite | None = None) -> Instru
     digest = digest_of(module)
     owned = is_owned(module)
     constants = constants_of(module)
-    tally = tallied(module)
+    tally = tally_text(module)
     # Write the module anew, with our runtime and the rewritten functions.
     names = [function.name for function in module.functions]
     others = [planned_wrapper(text, names) for text in module.others]
-    lines = [*(visible(line, constants) for line in module.preamble), RUNTIME, MEMORY]
+    lines = [*(exported(line, constants) for line in module.preamble), RUNTIME, MEMORY]
     first_block = 0
     for function in module.functions:
         _move(function, constants)
@@ -119,9 +119,9 @@ def _move(function: Function, constants: dict[str, Constant]) -> None:
     """Redirect a function to the arena's constants and runtime."""
     for block in function.blocks:
         for instruction in block.all():
-            instruction.tokens = [moved(token, constants) for token in instruction.tokens]
-            instruction.incoming = [(moved(value, constants), label) for value, label in instruction.incoming]
-            instruction.arguments = [(kind, moved(value, constants)) for kind, value in instruction.arguments]
+            instruction.tokens = [relocated(token, constants) for token in instruction.tokens]
+            instruction.incoming = [(relocated(value, constants), label) for value, label in instruction.incoming]
+            instruction.arguments = [(kind, relocated(value, constants)) for kind, value in instruction.arguments]
 
 
 class _Rewriter:
@@ -367,7 +367,7 @@ HISTOGRAM = "mavfi_histogram"
 """Global of the machine code: address of the histogram, int64 of shape (blocks,)."""
 
 
-def tallied(module: Module) -> str:
+def tally_text(module: Module) -> str:
     """IR of a module that counts the executions of its blocks with sites, which are numbered in text order."""
     lines = [*module.preamble, f"@{HISTOGRAM} = global ptr null"]
     first_block = 0

@@ -132,6 +132,7 @@ def injection_of(
     if report is None:
         details: dict[str, Any] = {"function": function, "replayable": True}
         return Injection(fault.level, fault.site, time_s, fault.bit, None, None, activated=False, details=details)
+    # What was planned, to compare it with what the machine code reports.
     site = report.site
     before = report.before
     after = report.after

@@ -124,7 +124,7 @@ class Variant:
             for constant in built.constants
         ]
         self._reader_pid = -1
-        self.own_report()
+        self.claim_report()
         self._control[ControlWord.STOP] = ctypes.cast(ctypes.CDLL(None)._exit, ctypes.c_void_p).value or 0
         self._set(RunMode.INJECT, NEVER)
 
@@ -132,7 +132,7 @@ class Variant:
         """Engine of an object file, and its function."""
         return load_code(code, self._built.wrapper, self._built.environment, self._environment)
 
-    def own_report(self) -> None:
+    def claim_report(self) -> None:
         """Direct reports of later injections to this process; called by the reading process before it forks.
 
         Forks share the memory, so that it survives a crashed child: two workers must not use their parent's report.
