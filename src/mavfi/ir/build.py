@@ -89,13 +89,13 @@ def run_in_fresh_process(kernel: Any, signature: tuple[Any, ...], make: Make) ->
     """
     check(kernel)
     work = partial(make_or_refuse, make)
-    ended = run_fresh(kernel, signature, work, _PATIENCE_S)
-    if ended is None:
-        ended = run_in_child(lambda: work(kernel, signature), _PATIENCE_S)
-    if ended.how != "done":
-        raise BuildError(f"{name_of(kernel)}: the compiler ended with {ended.detail}")
-    kind = ended.payload[:1]
-    content = ended.payload[1:]
+    end = run_fresh(kernel, signature, work, _PATIENCE_S)
+    if end is None:
+        end = run_in_child(lambda: work(kernel, signature), _PATIENCE_S)
+    if end.how != "done":
+        raise BuildError(f"{name_of(kernel)}: the compiler ended with {end.detail}")
+    kind = end.payload[:1]
+    content = end.payload[1:]
     if kind == _NOT_INSTRUMENTABLE:
         raise NotInstrumentableError(name_of(kernel), content.decode())
     if kind == _BAD_INPUT:

@@ -96,7 +96,7 @@ class ObjectCache:
     folder: str
     package: Path
 
-    def key(self, kernel: Any, signature: tuple[Any, ...], *more: bytes) -> str:
+    def key(self, kernel: Any, signature: tuple[Any, ...], *inputs: bytes) -> str:
         """Digest of all inputs of the machine code, except line tables; `more` are further inputs.
 
         A kernel that uses values of an unknown kind has a key of its own in each process.
@@ -107,7 +107,7 @@ class ObjectCache:
             digest.update(signature_digest(signature) + content_digest(kernel))
         except UnknownDependencyError:
             digest.update(os.urandom(32))
-        for part in (folder_text(Path(__file__).parent), folder_text(self.package), *more):
+        for part in (folder_text(Path(__file__).parent), folder_text(self.package), *inputs):
             digest.update(hashlib.sha256(part).digest())
         return digest.hexdigest()[:40]
 

@@ -396,7 +396,7 @@ class MemoryLevel(Level):
     def about(self, campaign: Any) -> dict[str, Any]:
         """See `Level.about`."""
         sampling = campaign.sampling
-        each = {"kernel": "kernel", "exposure": "environment"}[sampling.share]
+        unit = {"kernel": "kernel", "exposure": "environment"}[sampling.share]
         if sampling.groups:
-            each = "group"
-        return {"each": each, "how": "uniform over remembered bits and instants"}
+            unit = "group"
+        return {"each": unit, "how": "uniform over remembered bits and instants"}

@@ -95,12 +95,12 @@ class BetaflightController:
     def _channels(self, time_us: int, setpoint: np.ndarray, odometry: np.ndarray) -> list[int]:
         """Sticks for a velocity command: angles and throttle of the force that our own velocity loop wants."""
         airframe = self._airframe
-        wanted = wanted_thrust(airframe, self._memory, setpoint, odometry[3:6])
+        wanted_force = wanted_thrust(airframe, self._memory, setpoint, odometry[3:6])
         rotation_matrix(odometry[6:10], self._matrix)
         if self.tracking is not None:
-            self.tracking.sample(time_us, setpoint, odometry, wanted, self._matrix[:, 2])
+            self.tracking.sample(time_us, setpoint, odometry, wanted_force, self._matrix[:, 2])
         # The wanted force in the world frame, and its part along the rotors' axis, which is what they can give.
-        east, north, up = wanted.tolist()
+        east, north, up = wanted_force.tolist()
         along = self._matrix[0, 2] * east + self._matrix[1, 2] * north + self._matrix[2, 2] * up
         # Angles that turn this axis into the direction of the force, seen along the heading.
         yaw = yaw_of(odometry[6:10])

@@ -182,7 +182,7 @@ class Protection:
 def _trace(variant: Variant, args: tuple[Any, ...]) -> np.ndarray:
     """Executed blocks of a call, in order. Shape (n,)."""
     executions = run_apart(lambda: variant.tally(*args)[1])
-    trace: np.ndarray = run_apart(lambda: variant.profile(*args, room=int(executions.sum()))[2])
+    trace: np.ndarray = run_apart(lambda: variant.profile(*args, room=int(executions.sum())).trace)
     return trace
 
 

@@ -94,14 +94,14 @@ def watch(  # noqa: PLR0913 - one parameter per option
     _check_apart(logs, train or [])
     # Train and judge.
     with stoppable("Stopped."):
-        wanted = options.listed(fields)
-        trained, judged = _judge(logs, train or [], split, (detector, profile), wanted, fault, (inject, seed))
+        wanted_fields = options.listed(fields)
+        trained, judged = _judge(logs, train or [], split, (detector, profile), wanted_fields, fault, (inject, seed))
     # What was found, and how.
     rates = LogRates(judged)
-    used = sum(watching.trained_on for watching in trained)
+    trained_on = sum(log_watch.trained_on for log_watch in trained)
     names: dict[str, list[str]] = {}
-    for watching in trained:
-        for topic, probe in watching.probes.items():
+    for log_watch in trained:
+        for topic, probe in log_watch.probes.items():
             names[topic] = [field.name for field in probe.spec.header]
     if as_json:
         write_json(
@@ -110,7 +110,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
                 "detector": detector,
                 "profile": profile,
                 "fields": names,
-                "trained_on": used,
+                "trained_on": trained_on,
             }
         )
         return
@@ -119,7 +119,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     for line in _summary(rates):
         out.print(line, markup=False, soft_wrap=True)
     monitored = f"{sum(map(len, names.values()))} fields of {', '.join(names)}"
-    out.print(f"{detector} ({profile}), {monitored}; trained on {used} messages", markup=False, soft_wrap=True)
+    out.print(f"{detector} ({profile}), {monitored}; trained on {trained_on} messages", markup=False, soft_wrap=True)
     out.print(_table(judged))
     _list_alarms(judged)
 
@@ -144,7 +144,7 @@ def _judge(
     logs: list[Path],
     train: list[Path],
     split: float | None,
-    chosen: tuple[str, str],
+    detector_and_profile: tuple[str, str],
     fields: list[str],
     fault: str,
     flips: tuple[int, int],
@@ -155,7 +155,7 @@ def _judge(
         logs: The recordings to be judged.
         train: Normal recordings.
         split: Share of each LOG to train on, instead.
-        chosen: Detector and profile.
+        detector_and_profile: Their names.
         fields: Monitored fields; empty = the recommended ones, or all.
         fault: Number that tells of a known fault; "" = none.
         flips: Number of flips in each LOG, and their seed.
@@ -169,10 +169,10 @@ def _judge(
         console(error=True).print(cut, markup=False, soft_wrap=True)
     if split is None:
         probes = select([*normal, *(recording.normal for recording in recordings)], fields)
-        watching = LogWatch(*chosen, probes, normal)
-        return [watching], [watching.judge(recording, *flips) for recording in recordings]
-    pairs = [judge_rest(*chosen, recording, split, fields, *flips) for recording in recordings]
-    return [watching for watching, _ in pairs], [judged for _, judged in pairs]
+        log_watch = LogWatch(*detector_and_profile, probes, normal)
+        return [log_watch], [log_watch.judge(recording, *flips) for recording in recordings]
+    pairs = [judge_rest(*detector_and_profile, recording, split, fields, *flips) for recording in recordings]
+    return [log_watch for log_watch, _ in pairs], [judged for _, judged in pairs]
 
 
 def _summary(rates: LogRates) -> list[str]:

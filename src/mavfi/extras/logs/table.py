@@ -143,9 +143,9 @@ class RosReader:
             kind = "an mcap file of ROS 2"
         with reading(self._path, kind), AnyReader([self._path]) as reader:
             check_topics(self._path, topics, reader.topics)
-            chosen = [connection for connection in reader.connections if not topics or connection.topic in topics]
-            layouts = {connection.id: _layout(reader, connection) for connection in chosen}
-            for connection, time_ns, data in reader.messages(chosen):
+            connections = [connection for connection in reader.connections if not topics or connection.topic in topics]
+            layouts = {connection.id: _layout(reader, connection) for connection in connections}
+            for connection, time_ns, data in reader.messages(connections):
                 if reader.is2:
                     content: bytes | memoryview = reader.typestore.cdr_to_ros1(data, connection.msgtype)
                 else:

@@ -151,13 +151,13 @@ def _by_topic(recording: LogRecording) -> dict[str, list[LoggedMessage]]:
 
 
 def _candidates(
-    topic: str, message: LoggedMessage, wanted: Sequence[str], recommended: Mapping[str, Sequence[str]]
+    topic: str, message: LoggedMessage, requested: Sequence[str], recommended: Mapping[str, Sequence[str]]
 ) -> list[str]:
     """Numbers of a topic, given a message of it, that are wanted; by default those that are recommended."""
     numbers = message.layout.numbers(message.data, LONGEST_LIST)
-    if wanted:
-        named = [name.rpartition(":") for name in wanted]
-        return [path for topic_of_name, _, path in named if topic_of_name in ("", topic) and path in numbers]
+    if requested:
+        requested_names = [name.rpartition(":") for name in requested]
+        return [path for topic_of_name, _, path in requested_names if topic_of_name in ("", topic) and path in numbers]
     if not recommended:
         return numbers
     return [name for name in recommended.get(topic, ()) if name in numbers]
@@ -435,8 +435,8 @@ def judge_rest(
 ) -> tuple[LogWatch, JudgedLog]:
     """Train a detector on the first share of a recording, and judge the rest."""
     first, rest = recording.split(share)
-    watching = LogWatch(kind, profile, select([first.normal, rest.normal], fields), [first.normal])
-    return watching, watching.judge(rest, flips, seed)
+    log_watch = LogWatch(kind, profile, select([first.normal, rest.normal], fields), [first.normal])
+    return log_watch, log_watch.judge(rest, flips, seed)
 
 
 def _next_of_topic(samples: Sequence[Sample]) -> list[int | None]:

@@ -161,16 +161,16 @@ def run_forked(kernel: Any, fault: InstructionFault, *args: Any, timeout: float 
         result = variant.inject(armed.index, *armed.masks, armed.budget, *args)
         return digest((result, args))
 
-    ended = run_in_child(injected_run, timeout)
+    end = run_in_child(injected_run, timeout)
     report = variant.report()
     injection = injection_of(armed, report)
     if report is None:
-        return InjectedCall("not_activated", injection, ended.detail)
-    if ended.how == "done" and ended.payload == golden:
+        return InjectedCall("not_activated", injection, end.detail)
+    if end.how == "done" and end.payload == golden:
         return InjectedCall("masked", injection)
-    if ended.how == "done":
+    if end.how == "done":
         return InjectedCall("sdc", injection)
-    return InjectedCall(ended.how, injection, ended.detail)
+    return InjectedCall(end.how, injection, end.detail)
 
 
 def digest(value: Any) -> bytes:
@@ -200,7 +200,7 @@ def _bytes(value: Any) -> Iterator[bytes]:
 
 def run_apart(work: Callable[[], Any]) -> Any:
     """Result of a fault-free run in a forked child, which leaves the arguments unmodified; failure is a BuildError."""
-    ended = run_in_child(lambda: pickle.dumps(work()))
-    if ended.how != "done":
-        raise BuildError(f"a run without a fault ended with {ended.how} ({ended.detail})")
-    return pickle.loads(ended.payload)
+    end = run_in_child(lambda: pickle.dumps(work()))
+    if end.how != "done":
+        raise BuildError(f"a run without a fault ended with {end.how} ({end.detail})")
+    return pickle.loads(end.payload)

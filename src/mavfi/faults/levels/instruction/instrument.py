@@ -269,13 +269,13 @@ class _Rewriter:
         self.lines.append(f"  br label {block.label}.join")
         return names
 
-    def _injected(self, site: Instruction, raw: str, chosen: str, offset: int) -> str:
+    def _injected(self, site: Instruction, raw: str, chosen_offset: str, offset: int) -> str:
         """Write code that changes a value if chosen, and reports it before and after; returns its new name."""
         bits = width(site.kind)
         word = f"i{bits}"
         whole_bytes = f"i{-(-bits // 8) * 8}"
         # (value & keep) ^ flip, if this is the chosen site
-        is_chosen = self._let(f"icmp eq i64 {chosen}, {offset}")
+        is_chosen = self._let(f"icmp eq i64 {chosen_offset}, {offset}")
         value = self._to_bits(raw, site.kind, bits)
         keep = self._resized(self._let(f"load {whole_bytes}, ptr @mavfi_keep"), whole_bytes, word)
         flip = self._resized(self._let(f"load {whole_bytes}, ptr @mavfi_flip"), whole_bytes, word)
@@ -396,8 +396,8 @@ def _counting(function: Function, first_block: int) -> str:
     """Definition of a function whose blocks are numbered from `first_block`."""
     # The counters that are needed, by label, and those that make up the count of each block.
     terms = [block.runs_as or (block.label,) for block in _blocks_with_sites(function)]
-    needed = {label for labels in terms for label in labels}
-    counters = {block.label: index for index, block in enumerate(function.blocks) if block.label in needed}
+    counted_labels = {label for labels in terms for label in labels}
+    counters = {block.label: index for index, block in enumerate(function.blocks) if block.label in counted_labels}
     sums = {first_block + i: [counters[label] for label in labels] for i, labels in enumerate(terms)}
     # The function: counters start at 0 in its first block, and are added to the histogram where it returns.
     lines = [function.head()]
