@@ -158,7 +158,9 @@ def measure(name: str, missions: int) -> Cost:
             "null_runs": 0,
         }
     )
-    dask._AHEAD = 50  # emulates 50 times as many workers: a stand-in is shorter than the scheduler's round trip
+    dask._TASKS_PER_THREAD = (
+        50  # emulates 50 times as many workers: a stand-in is shorter than the scheduler's round trip
+    )
     with ExitStack() as stack:
         address, pid = stack.enter_context(cluster()) if name == "dask" else ("", 0)
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))

@@ -51,7 +51,7 @@ from mavfi.detectors.model import Model
 from mavfi.detectors.registry import SHIPPED_MODELS, DetectorConfig, load_detector
 from mavfi.detectors.training import MONITORED_FIELDS, WATCHED, Recorder
 from mavfi.errors import BadInputError
-from mavfi.extras.logs.cli_export import _write
+from mavfi.extras.logs.cli_export import ExportedFlight, _write
 from mavfi.extras.paper.study import load_study
 from mavfi.extras.ros.cli_attach import trained_on_file
 from mavfi.flight.compose import find_environment, find_planner, new_loop, resolve
@@ -390,7 +390,7 @@ def read_flight(path):
     for ending in (".csv", ".bag"):
         to = path.with_name(f"out{ending}")
         try:
-            _write(log, to, str(path), published=None, golden=None)
+            _write(ExportedFlight(log), to, str(path))
         finally:
             to.unlink(missing_ok=True)
 

@@ -32,22 +32,33 @@ MODELS: tuple[Model, ...] = get_args(Model)
 RESTART_S = 0.57
 """Restart time of a node after a crash: measured for a ROS 1 node killed and respawned by roslaunch (s)."""
 REGISTERS = ("all", "general", "fp")
+"""Values of `RegisterFault.registers`."""
 ACCESSES = ("either", "read", "write")
+"""Values of `RegisterFault.access`."""
 DEFAULT_WALK = 16
-"""With a symbol.  Longer than the loops at whose few instructions stops occur.  Longer walks spread injections no
-further, and stop the target for longer (docs/ros-attach.md)."""
+"""Default of `RegisterFault.walk` with a symbol.
+
+It is longer than the loops at whose few instructions stops occur.  Longer walks spread injections no further, and stop
+the target for longer (docs/ros-attach.md).
+"""
 LIFETIME = {"lasts_s": 0.0, "share": 1.0, "width": 1, "times": 1}
 """Defaults of the duration and width of a `StateFault`."""
-LONGEST_WALK = 100_000
-LONGEST_TIMEOUT = 3600.0
+MAX_WALK = 100_000
+"""Largest number of instructions in a walk."""
+MAX_TIMEOUT_S = 3600.0
+"""Longest wait for an injection."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Base of the planned faults of all levels; `level` is the name of theirs."""
+    """Base of the planned faults of all levels.
+
+    Attributes:
+        level: Name of the level.
+    """
 
     level: ClassVar[str]
-    if TYPE_CHECKING:  # subclasses have these as fields, in an order of their own
+    if TYPE_CHECKING:  # subclasses have these as fields, each in another order
 
         @property
         def bit(self) -> int | None:
@@ -423,10 +434,10 @@ class RegisterFault(Fault):
             raise BadInputError(f"registers: {self.registers!r}: allowed: {', '.join(REGISTERS)}")
         if self.access not in ACCESSES:
             raise BadInputError(f"access: {self.access!r}: allowed: {', '.join(ACCESSES)}")
-        if not 1 <= self.walk <= LONGEST_WALK:
-            raise BadInputError(f"walk: {self.walk}: allowed: 0 to {LONGEST_WALK} instructions")
-        if not 0.0 < self.timeout <= LONGEST_TIMEOUT:
-            raise BadInputError(f"timeout: {self.timeout}: allowed: above 0, to {LONGEST_TIMEOUT:g} s")
+        if not 1 <= self.walk <= MAX_WALK:
+            raise BadInputError(f"walk: {self.walk}: allowed: 0 to {MAX_WALK} instructions")
+        if not 0.0 < self.timeout <= MAX_TIMEOUT_S:
+            raise BadInputError(f"timeout: {self.timeout}: allowed: above 0, to {MAX_TIMEOUT_S:g} s")
         if self.thread:
             raise BadInputError(f"thread: {self.thread}: allowed: 0, the busiest or the first to call the symbol")
 

@@ -427,7 +427,7 @@ class Forks(Listener):
             return None
 
         # 2. A child makes the call with the fault, and completes the flight.
-        variant.own_report()
+        variant.claim_report()
         case.time_us = self._loop.now
         ended = self._fork(case, step_fails=False)
         if ended is None:

@@ -19,7 +19,9 @@ from mavfi.numerics.jit import uncached_copy
 
 _PATIENCE_S = 600.0
 """Time limit of a compilation."""
-_BUILT, _NOT_INSTRUMENTABLE, _BAD_INPUT = b"B", b"R", b"I"
+_BUILT = b"B"
+_NOT_INSTRUMENTABLE = b"R"
+_BAD_INPUT = b"I"
 """First byte of an answer of the other process: the code, or the text of an error."""
 _CALL = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)
 _OPTIMISATION = 3
@@ -77,7 +79,7 @@ def check(kernel: Any) -> None:
             raise NotInstrumentableError(name_of(kernel), f"{flag}={flags[flag]!r}")
 
 
-def build_apart(kernel: Any, signature: tuple[Any, ...], make: Make) -> bytes:
+def run_in_fresh_process(kernel: Any, signature: tuple[Any, ...], make: Make) -> bytes:
     """Result of `make` for a kernel and signature (Numba types of the arguments), from a fresh process if possible.
 
     Raises:
@@ -86,14 +88,14 @@ def build_apart(kernel: Any, signature: tuple[Any, ...], make: Make) -> bytes:
         BuildError: The compiler crashed.
     """
     check(kernel)
-    work = partial(answer, make)
-    ended = run_fresh(kernel, signature, work, _PATIENCE_S)
-    if ended is None:
-        ended = run_in_child(lambda: work(kernel, signature), _PATIENCE_S)
-    if ended.how != "done":
-        raise BuildError(f"{name_of(kernel)}: the compiler ended with {ended.detail}")
-    kind = ended.payload[:1]
-    content = ended.payload[1:]
+    work = partial(make_or_refuse, make)
+    end = run_fresh(kernel, signature, work, _PATIENCE_S)
+    if end is None:
+        end = run_in_child(lambda: work(kernel, signature), _PATIENCE_S)
+    if end.how != "done":
+        raise BuildError(f"{name_of(kernel)}: the compiler ended with {end.detail}")
+    kind = end.payload[:1]
+    content = end.payload[1:]
     if kind == _NOT_INSTRUMENTABLE:
         raise NotInstrumentableError(name_of(kernel), content.decode())
     if kind == _BAD_INPUT:
@@ -101,8 +103,8 @@ def build_apart(kernel: Any, signature: tuple[Any, ...], make: Make) -> bytes:
     return content
 
 
-def answer(make: Make, kernel: Any, signature: tuple[Any, ...]) -> bytes:
-    """The part of `build_apart` that runs in another process: the result of `make`, or why there is none."""
+def make_or_refuse(make: Make, kernel: Any, signature: tuple[Any, ...]) -> bytes:
+    """The part of `run_in_fresh_process` that runs in another process: the result of `make`, or why there is none."""
     try:
         return _BUILT + make(kernel, signature)
     except NotInstrumentableError as error:

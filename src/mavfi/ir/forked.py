@@ -87,12 +87,12 @@ class ForkPoint:
             return None
         os.close(writing)
         try:
-            ended = None
+            end = None
             if attend is not None:
-                ended = attend(pid)
-            if ended is None:
+                end = attend(pid)
+            if end is None:
                 return _wait(pid, reading, timeout)
-            return ended
+            return end
         finally:
             os.close(reading)
 
@@ -139,10 +139,10 @@ def run_in_child(work: Callable[[], bytes], timeout: float = 60.0, attend: Atten
     """Run `work`, which returns the report, in a forked child; otherwise as `ForkPoint.split`."""
     point = ForkPoint()
     with point.guard():
-        ended = point.split(timeout, attend)
-        if ended is None:
+        end = point.split(timeout, attend)
+        if end is None:
             point.finish(work())
-    return ended
+    return end
 
 
 def _isolate(parent: int) -> None:

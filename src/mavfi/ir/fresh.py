@@ -48,10 +48,10 @@ def run_fresh(kernel: Any, signature: tuple[Any, ...], work: Any, timeout: float
         request = pickle.dumps((*address, signature, work))
     except Exception:  # noqa: BLE001 - types of a user may refuse in any way
         return None
-    ended = _ask(pickle.dumps((timeout, os.getcwd(), dict(os.environ), sys.path, request)))
-    if ended.payload == _NOT_HERE:
+    end = _ask(pickle.dumps((timeout, os.getcwd(), dict(os.environ), sys.path, request)))
+    if end.payload == _NOT_HERE:
         return None
-    return ended
+    return end
 
 
 def _find(module: str, name: str) -> Any:

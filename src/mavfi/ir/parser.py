@@ -190,7 +190,9 @@ class _Reader:
             instruction.variable = self.variables.get(instruction.result)
             instruction.result = names[instruction.result]
         try:
-            instruction.tokens = [names[token] if token[0] == "%" else token for token in instruction.tokens]
+            for index, token in enumerate(instruction.tokens):
+                if token[0] == "%":
+                    instruction.tokens[index] = names[token]
             instruction.incoming = [(names.get(value, value), names[label]) for value, label in instruction.incoming]
             instruction.addresses = [names[name] for name in instruction.addresses]
             instruction.conditions = [names[name] for name in instruction.conditions]
@@ -463,115 +465,115 @@ _FORMS = {
 """Operands of instructions: types, values, an optional alignment, indices, and keywords."""
 
 
-def _operands(cursor: Cursor, new: Instruction) -> None:
+def _operands(cursor: Cursor, instruction: Instruction) -> None:
     """Read an instruction with a fixed operand form."""
     kinds = []
-    for part in _FORMS[new.opcode].split():
+    for part in _FORMS[instruction.opcode].split():
         if part == "kind":
             kinds.append(cursor.kind())
-            new.tokens.append(kinds[-1])
+            instruction.tokens.append(kinds[-1])
         elif part == "value":
-            new.tokens.append(cursor.value())
+            instruction.tokens.append(cursor.value())
         elif part == "align" and cursor.accept(","):
             cursor.expect("align")
-            new.tokens += [",", "align", cursor.number()]
+            instruction.tokens += [",", "align", cursor.number()]
         elif part == "indices":
             while cursor.accept(","):
-                new.tokens += [",", cursor.number()]
+                instruction.tokens += [",", cursor.number()]
         elif part != "align":
-            new.tokens.append(cursor.expect(part))
-    new.kind = _result(new, kinds)
-    if new.opcode == "select":
-        new.conditions = _locals(new.tokens[2])
-    elif new.opcode == "load":
-        new.addresses = _locals(new.tokens[4])
-    elif new.opcode == "store":
-        new.addresses = _locals(new.tokens[5])
+            instruction.tokens.append(cursor.expect(part))
+    instruction.kind = _result(instruction, kinds)
+    if instruction.opcode == "select":
+        instruction.conditions = _locals(instruction.tokens[2])
+    elif instruction.opcode == "load":
+        instruction.addresses = _locals(instruction.tokens[4])
+    elif instruction.opcode == "store":
+        instruction.addresses = _locals(instruction.tokens[5])
 
 
-def _result(new: Instruction, kinds: list[str]) -> str:
+def _result(instruction: Instruction, kinds: list[str]) -> str:
     """Type of the result, from those of the operands."""
-    if new.opcode in ("store", "unreachable"):
+    if instruction.opcode in ("store", "unreachable"):
         return "void"
-    if new.opcode == "alloca":
+    if instruction.opcode == "alloca":
         return "ptr"
-    if new.opcode == "extractvalue":
+    if instruction.opcode == "extractvalue":
         kind = kinds[0]
-        for index in new.tokens[4::2]:
+        for index in instruction.tokens[4::2]:
             kind = parts(kind)[int(index)]
         return kind
-    if new.opcode == "extractelement":
+    if instruction.opcode == "extractelement":
         return kinds[0].split(" x ", 1)[1][:-1]
-    if new.opcode == "shufflevector":
+    if instruction.opcode == "shufflevector":
         return f"{kinds[2].split(' x ')[0]} x {kinds[0].split(' x ', 1)[1]}"
-    if new.opcode in _CASTS or new.opcode == "select":
+    if instruction.opcode in _CASTS or instruction.opcode == "select":
         return kinds[1]
     return kinds[0]
 
 
-def _compare(cursor: Cursor, new: Instruction) -> None:
+def _compare(cursor: Cursor, instruction: Instruction) -> None:
     """Read a comparison."""
-    predicate = cursor.expect(*_PREDICATES[new.opcode])
+    predicate = cursor.expect(*_PREDICATES[instruction.opcode])
     kind = cursor.kind()
-    new.tokens += [predicate, kind, cursor.value(), cursor.expect(","), cursor.value()]
-    new.kind = _like("i1", kind)
+    instruction.tokens += [predicate, kind, cursor.value(), cursor.expect(","), cursor.value()]
+    instruction.kind = _like("i1", kind)
 
 
-def _phi(cursor: Cursor, new: Instruction) -> None:
+def _phi(cursor: Cursor, instruction: Instruction) -> None:
     """Read a phi: its type, and pairs of value and label."""
-    new.kind = cursor.kind()
-    new.tokens.append(new.kind)
+    instruction.kind = cursor.kind()
+    instruction.tokens.append(instruction.kind)
     while True:
         cursor.expect("[")
         value = cursor.value()
         cursor.expect(",")
-        new.incoming.append((value, cursor.local()))
+        instruction.incoming.append((value, cursor.local()))
         cursor.expect("]")
         if not cursor.accept(","):
             return
 
 
-def _element_address(cursor: Cursor, new: Instruction) -> None:
+def _element_address(cursor: Cursor, instruction: Instruction) -> None:
     """Read a getelementptr; with a vector of pointers or indices, the result is a vector."""
-    new.tokens += [cursor.kind(), cursor.expect(",")]
+    instruction.tokens += [cursor.kind(), cursor.expect(",")]
     kinds = [cursor.kind()]
-    new.tokens += [kinds[0], cursor.value()]
+    instruction.tokens += [kinds[0], cursor.value()]
     while cursor.accept(","):
         kinds.append(cursor.kind())
-        new.tokens += [",", kinds[-1], cursor.value()]
-    new.kind = _like("ptr", next((kind for kind in kinds if kind.startswith("<")), ""))
-    new.addresses = _locals(*new.tokens)
+        instruction.tokens += [",", kinds[-1], cursor.value()]
+    instruction.kind = _like("ptr", next((kind for kind in kinds if kind.startswith("<")), ""))
+    instruction.addresses = _locals(*instruction.tokens)
 
 
-def _call(cursor: Cursor, new: Instruction) -> None:
+def _call(cursor: Cursor, instruction: Instruction) -> None:
     """Read a call of a named function, or an empty assembly."""
     abi = skip_promises(cursor)
-    new.kind = cursor.kind()
-    new.tokens += [*abi, new.kind]
+    instruction.kind = cursor.kind()
+    instruction.tokens += [*abi, instruction.kind]
     if cursor.next == "(":
-        new.tokens += cursor.balanced()
+        instruction.tokens += cursor.balanced()
     if cursor.next == "asm":
-        _copy(cursor, new)
+        _copy(cursor, instruction)
         return
     if not cursor.next.startswith("@"):
         raise cursor.refused(f"indirect call or assembly in {' '.join(cursor.tokens)[:120]!r}")
-    new.callee = cursor.take()
-    _check_callee(cursor, new.callee)
-    new.tokens += [new.callee, cursor.expect("(")]
-    _arguments(cursor, new)
+    instruction.callee = cursor.take()
+    _check_callee(cursor, instruction.callee)
+    instruction.tokens += [instruction.callee, cursor.expect("(")]
+    _arguments(cursor, instruction)
     if cursor.next.startswith("#"):
         cursor.take()
 
 
-def _copy(cursor: Cursor, new: Instruction) -> None:
+def _copy(cursor: Cursor, instruction: Instruction) -> None:
     """An empty assembly: it copies a register, and hides from the compiler that it does."""
-    new.tokens.append(cursor.take())
+    instruction.tokens.append(cursor.take())
     if cursor.next != '""':
         raise cursor.refused(f"assembly {cursor.next}")
-    new.tokens += [cursor.take(), cursor.expect(","), cursor.expect(*COPIES), cursor.expect("(")]
-    _arguments(cursor, new)
-    if [kind for kind, _ in new.arguments] != [new.kind]:
-        raise cursor.refused(f"assembly of {new.kind}")
+    instruction.tokens += [cursor.take(), cursor.expect(","), cursor.expect(*COPIES), cursor.expect("(")]
+    _arguments(cursor, instruction)
+    if [kind for kind, _ in instruction.arguments] != [instruction.kind]:
+        raise cursor.refused(f"assembly of {instruction.kind}")
 
 
 def _check_callee(cursor: Cursor, callee: str) -> None:
@@ -584,9 +586,9 @@ def _check_callee(cursor: Cursor, callee: str) -> None:
         raise cursor.refused(f"intrinsic {callee}")
 
 
-def _arguments(cursor: Cursor, new: Instruction) -> None:
+def _arguments(cursor: Cursor, instruction: Instruction) -> None:
     """Read the arguments of a call, up to the closing bracket."""
-    callee = str(new.callee)
+    callee = str(instruction.callee)
     if _DROPPED.match(callee):  # skip them, from the opening bracket on
         cursor.at -= 1
         cursor.balanced()
@@ -597,41 +599,47 @@ def _arguments(cursor: Cursor, new: Instruction) -> None:
         value = cursor.value()
         if _POISON_ARGUMENT.match(callee) and cursor.next == ")":
             value = "false"
-        new.arguments.append((kind, value))
-        new.tokens += [kind, *abi, value]
+        instruction.arguments.append((kind, value))
+        instruction.tokens += [kind, *abi, value]
         is_length = callee.startswith("@llvm.mem") and kind == "i64"
         if holds_pointer(kind) or is_length:
-            new.addresses += _locals(value)
+            instruction.addresses += _locals(value)
         if cursor.accept(","):
-            new.tokens.append(",")
-    new.tokens.append(")")
+            instruction.tokens.append(",")
+    instruction.tokens.append(")")
 
 
-def _branch(cursor: Cursor, new: Instruction) -> None:
+def _branch(cursor: Cursor, instruction: Instruction) -> None:
     """Read a branch, with or without condition."""
     if cursor.next != "label":
-        new.tokens += [cursor.expect("i1"), cursor.value(), cursor.expect(",")]
-        new.conditions = _locals(new.tokens[2])
-        new.tokens += [cursor.expect("label"), cursor.local(), cursor.expect(",")]
-    new.tokens += [cursor.expect("label"), cursor.local()]
+        instruction.tokens += [cursor.expect("i1"), cursor.value(), cursor.expect(",")]
+        instruction.conditions = _locals(instruction.tokens[2])
+        instruction.tokens += [cursor.expect("label"), cursor.local(), cursor.expect(",")]
+    instruction.tokens += [cursor.expect("label"), cursor.local()]
 
 
-def _switch(cursor: Cursor, new: Instruction) -> None:
+def _switch(cursor: Cursor, instruction: Instruction) -> None:
     """Read a switch."""
-    new.tokens += [cursor.kind(), cursor.value(), cursor.expect(","), cursor.expect("label"), cursor.local()]
-    new.conditions = _locals(new.tokens[2])
-    new.tokens.append(cursor.expect("["))
+    instruction.tokens += [cursor.kind(), cursor.value(), cursor.expect(","), cursor.expect("label"), cursor.local()]
+    instruction.conditions = _locals(instruction.tokens[2])
+    instruction.tokens.append(cursor.expect("["))
     while not cursor.accept("]"):
-        new.tokens += [cursor.kind(), cursor.value(), cursor.expect(","), cursor.expect("label"), cursor.local()]
-    new.tokens.append("]")
+        instruction.tokens += [
+            cursor.kind(),
+            cursor.value(),
+            cursor.expect(","),
+            cursor.expect("label"),
+            cursor.local(),
+        ]
+    instruction.tokens.append("]")
 
 
-def _return(cursor: Cursor, new: Instruction) -> None:
+def _return(cursor: Cursor, instruction: Instruction) -> None:
     """Read a return."""
     kind = cursor.kind()
-    new.tokens.append(kind)
+    instruction.tokens.append(kind)
     if kind != "void":
-        new.tokens.append(cursor.value())
+        instruction.tokens.append(cursor.value())
 
 
 _READERS = {

@@ -21,7 +21,7 @@ import llvmlite
 import numba
 import numpy as np
 
-from mavfi.ir.build import KernelSource, build_apart, name_of, source_of
+from mavfi.ir.build import KernelSource, name_of, run_in_fresh_process, source_of
 from mavfi.ir.module import Module, digest_of
 from mavfi.ir.parser import parse_module
 from mavfi.numerics.dependencies import UnknownDependencyError, content_digest, signature_digest
@@ -43,7 +43,7 @@ def cached_source(kernel: Any, signature: tuple[Any, ...]) -> KernelSource:
     key = cache.key(kernel, signature)
     data = cache.load(key)
     if data is None:
-        data = build_apart(kernel, signature, make)
+        data = run_in_fresh_process(kernel, signature, make)
         cache.store(key, data, _files(_unpack(data)))
     return _unpack(data)
 
@@ -96,7 +96,7 @@ class ObjectCache:
     folder: str
     package: Path
 
-    def key(self, kernel: Any, signature: tuple[Any, ...], *more: bytes) -> str:
+    def key(self, kernel: Any, signature: tuple[Any, ...], *inputs: bytes) -> str:
         """Digest of all inputs of the machine code, except line tables; `more` are further inputs.
 
         A kernel that uses values of an unknown kind has a key of its own in each process.
@@ -107,7 +107,7 @@ class ObjectCache:
             digest.update(signature_digest(signature) + content_digest(kernel))
         except UnknownDependencyError:
             digest.update(os.urandom(32))
-        for part in (folder_text(Path(__file__).parent), folder_text(self.package), *more):
+        for part in (folder_text(Path(__file__).parent), folder_text(self.package), *inputs):
             digest.update(hashlib.sha256(part).digest())
         return digest.hexdigest()[:40]
 

@@ -370,6 +370,7 @@ class InstructionSampler(Sampler):
         self, arm: str, draws: Sequence[Draw], environment: str, flights: "MissionFlights", setup: "ArmSetup"
     ) -> Sampled:
         """Fly the golden run with instruction counters, and draw its faults."""
+        # Kernels whose instructions are counted in this flight.
         targets = [draw.target for draw in draws]
         in_detector = any(self.arms.get(name) == arm for name in DETECTORS)
         counted_arms = {arm}
@@ -380,6 +381,7 @@ class InstructionSampler(Sampler):
             return Sampled(flights.golden(arm))
         from mavfi.flight.mission_flights import LocalFlights
 
+        # Draw the faults, each kernel its number; other hosts' flights are flown here.
         sampling = self.sampling
         scenario = setup.scenario
         local_flights = None
@@ -431,12 +433,12 @@ def kernel_groups(sampling: InstructionSampling) -> list[tuple[str, ...]]:
     return [group for group in (*stages, *detectors) if group]
 
 
-def lower(fault: InstructionFault, _: Injection | None) -> Iterator[Fault]:
+def lower_bits(fault: InstructionFault, _: Injection | None) -> Iterator[Fault]:
     """Faults in less significant bits."""
     return (replace(fault, bits=(bit,), stratum="") for bit in range(fault.bit or 0))
 
 
-def narrower(fault: InstructionFault, _: Injection | None) -> Iterator[Fault]:
+def single_bit_faults(fault: InstructionFault, _: Injection | None) -> Iterator[Fault]:
     """Single-bit faults for a multi-bit one."""
     if len(fault.bits) > 1:
         yield from (replace(fault, bits=(bit,)) for bit in sorted(fault.bits))
@@ -451,7 +453,7 @@ class InstructionLevel(Level):
     local = True
     form = "instruction:KERNEL[:which=CLASS][:model=MODEL], or one instruction as printed by mavfi shrink"
     options = {"which": (".+", "a class of instructions", str), "model": (r"\w+", "a model", str)}
-    reductions = {"width": narrower, "bit": lower}
+    reductions = {"width": single_bit_faults, "bit": lower_bits}
     absent = ("executed", "the instruction was not executed")
 
     def parse(self, text: str, localization: str) -> InstructionRequest | InstructionSite:

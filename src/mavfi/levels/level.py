@@ -267,18 +267,18 @@ class Sampler:
         raise NotImplementedError
 
 
-def draws_of(blocks: Sequence[FaultBlock], missions: range, of: int) -> list[tuple[int, Draw]]:
+def draws_of(blocks: Sequence[FaultBlock], missions: range, total: int) -> list[tuple[int, Draw]]:
     """The draws of some missions of an environment, in plan order, each with its position.
 
     Args:
         blocks: Blocks of the environment.
         missions: Numbers of the missions, counted from 0.
-        of: Total number of missions.
+        total: Total number of missions.
     """
     draws = []
     for block in blocks:
         for mission in missions:
-            for index in range(mission, block.count, of):
+            for index in range(mission, block.count, total):
                 position = block.first + index * block.step
                 draws.append((position, block.draw(index)))
     return sorted(draws, key=lambda pair: pair[0])

@@ -30,7 +30,7 @@ from mavfi.levels.level import (
     check_distinct,
     check_strata,
 )
-from mavfi.levels.state import SiteGroup, group_json, lower
+from mavfi.levels.state import SiteGroup, group_json, smaller_changes
 from mavfi.pipeline.words import Words, collapsed, words_of
 from mavfi.states import KERNEL_STAGES, KERNELS, WATCHING
 
@@ -129,7 +129,7 @@ class Exposure:
     seen_in_words: int = 0
     latest: Mapping[str, Sequence[Words]] = field(default_factory=dict)
 
-    def look(self, remembered: Mapping[str, Sequence[Words]], now: int) -> None:
+    def observe(self, remembered: Mapping[str, Sequence[Words]], now: int) -> None:
         """Update the drawings with the words at an instant (us)."""
         self.latest = remembered
         # The exposed bits at this instant, and so far.
@@ -197,6 +197,7 @@ def fly_exposed(setup: "ArmSetup", exposures: Sequence[Exposure], time_us: int |
     from mavfi.flight.loop import CONTROL_PERIOD_US
     from mavfi.flight.memory_faults import memory_of
 
+    # The flight, with the detector whose memory is a target, or none.
     loop = new_loop(setup.scenario, profile=True)
     detector = setup.detector()
     watch(loop, detector, setup.recovery)
@@ -211,8 +212,9 @@ def fly_exposed(setup: "ArmSetup", exposures: Sequence[Exposure], time_us: int |
     def look(now: int) -> None:
         remembered = {name: words(name) for name in targets}
         for exposure in exposures:
-            exposure.look(remembered, now)
+            exposure.observe(remembered, now)
 
+    # Look at the memory of all targets at these instants, before the steps.
     loop.actions[_ACTION] = look
     instants: Sequence[int] = range(0, loop.judge.limit_us, CONTROL_PERIOD_US)
     if time_us is not None:
@@ -354,7 +356,7 @@ class MemoryLevel(Level):
     local = True
     form = "memory:KERNEL[.FIELD][[INDEX]][:bit=N][@SECONDS]"
     options = {"bit": WHOLE}
-    reductions = {"bit": lower}
+    reductions = {"bit": smaller_changes}
     absent = ("remembered", "the kernel did not remember such a word then")
 
     def parse(self, text: str, localization: str) -> MemoryRequest:
@@ -394,7 +396,7 @@ class MemoryLevel(Level):
     def about(self, campaign: Any) -> dict[str, Any]:
         """See `Level.about`."""
         sampling = campaign.sampling
-        each = {"kernel": "kernel", "exposure": "environment"}[sampling.share]
+        unit = {"kernel": "kernel", "exposure": "environment"}[sampling.share]
         if sampling.groups:
-            each = "group"
-        return {"each": each, "how": "uniform over remembered bits and instants"}
+            unit = "group"
+        return {"each": unit, "how": "uniform over remembered bits and instants"}

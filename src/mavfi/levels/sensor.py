@@ -31,11 +31,11 @@ class SensorRequest:
 
     Attributes:
         fault: The failure.
-        drawn: Whether its start is drawn from the golden run.
+        draws_start: Whether its start is drawn from the golden run.
     """
 
     fault: SensorFault
-    drawn: bool
+    draws_start: bool
 
     def draw(self, setup: "ArmSetup", seed: int) -> "tuple[SensorFault, Flight | None]":
         """See `Request.draw`."""
@@ -43,14 +43,14 @@ class SensorRequest:
 
         scenario = setup.scenario
         check_read(self.fault.unit, scenario.flight_controller, scenario.localization.kind)
-        if not self.drawn:
+        if not self.draws_start:
             return self.resolve(seed, 0), None
         golden = fly(scenario)
         return self.resolve(seed, round(1e6 * golden.record().flight_time_s)), golden
 
     def resolve(self, seed: int, flight_time_us: int, *address: int | str) -> SensorFault:
         """The failure; an instant that is not given is uniform over a flight of some length (us)."""
-        if not self.drawn:
+        if not self.draws_start:
             return replace(self.fault, seed=seed)
         random = stream(seed, "sensor", self.fault.unit, self.fault.kind, *address)
         return replace(self.fault, seed=seed, time_us=int(random.integers(flight_time_us)))
@@ -123,7 +123,7 @@ class SensorSampler(Sampler):
             flight_time_us = round(1e6 * golden[""].flight.record().flight_time_s)
         if not flight_time_us:
             return replace(planned, time_us=NO_SITE, seed=seed)
-        return SensorRequest(planned, drawn=True).resolve(seed, flight_time_us, *address)
+        return SensorRequest(planned, draws_start=True).resolve(seed, flight_time_us, *address)
 
 
 def _is_read(unit: str, mission: MissionSpec) -> bool:
@@ -167,7 +167,7 @@ class SensorLevel(Level):
             parts.options.get("lasts", float("inf")),
             int(device["instance"] or 0),
         )
-        return SensorRequest(fault, drawn=parts.time_us is None)
+        return SensorRequest(fault, draws_start=parts.time_us is None)
 
     def text_of(self, fault: SensorFault) -> str:
         """See `Level.text_of`."""
@@ -213,6 +213,6 @@ def parse_sensor(text: str, seed: int) -> SensorFault:
         request = SensorLevel().parse(text.partition(":")[2], "")
     except BadInputError as error:
         raise BadInputError(f"fault {text!r}: {error}") from None
-    if request.drawn:
+    if request.draws_start:
         raise BadInputError(f"fault {text!r}: without an instant; allowed: ...@SECONDS")
     return request.resolve(seed, 0)

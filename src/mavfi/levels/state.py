@@ -320,7 +320,7 @@ def _dtype(fault: StateFault) -> str:
     return STATES[fault.where.state].find(fault.where.field).dtype
 
 
-def fewer(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
+def shorter_faults(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
     """Shorter faults for a lasting one: by increasing number of publications, then fractions of its duration."""
     if not fault.lasting:
         return
@@ -333,14 +333,14 @@ def fewer(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
             yield replace(fault, lasts_s=round(fault.lasts_s * part, 3))
 
 
-def narrower(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
+def single_bit_faults(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
     """Single-bit faults for a multi-bit one."""
     if fault.bit is not None and fault.width > 1:
         for offset in range(fault.width):
             yield replace(fault, bit=fault.bit + offset, width=1)
 
 
-def lower(fault: Any, injection: Injection | None) -> Iterator[Fault]:
+def smaller_changes(fault: Any, injection: Injection | None) -> Iterator[Fault]:
     """Faults in other bits of the word, of a state or a memory, that change its value less."""
     if fault.bit is None:
         return
@@ -387,7 +387,7 @@ class StateLevel(Level):
         "lasts": SECONDS,
         "share": (DECIMAL, "a number above 0, to 1", float),
     }
-    reductions = {"publications": fewer, "width": narrower, "bit": lower}
+    reductions = {"publications": shorter_faults, "width": single_bit_faults, "bit": smaller_changes}
     absent = ("published", "no such publication came")
 
     def null(self) -> StateRequest:
@@ -405,22 +405,22 @@ class StateLevel(Level):
         element = None
         if match["element"] is not None:
             element = int(match["element"])
-        named = spec.name
+        site_name = spec.name
         fields = spec.fields
         has_elements = bool(spec.elements)
         if field is not None:
-            named = f"{spec.name}.{field}"
+            site_name = f"{spec.name}.{field}"
             fields = (spec.find(field),)
             has_elements = spec.in_elements(field)
         if element is not None and not has_elements:
-            raise BadInputError(f"element [{element}]: {named} is no list; allowed: no element")
+            raise BadInputError(f"element [{element}]: {site_name} is no list; allowed: no element")
         # Bits and duration.
         bits = max(WORD_BITS[candidate.dtype] for candidate in fields)
         lifetime = {"lasts_s" if name == "lasts" else name: value for name, value in parts.options.items()}
         bit = lifetime.pop("bit", None)
         last = (bit or 0) + lifetime.get("width", 1) - 1
         if last >= bits:
-            raise BadInputError(f"no bit {last} in {named}; allowed: 0 to {bits - 1}")
+            raise BadInputError(f"no bit {last} in {site_name}; allowed: 0 to {bits - 1}")
         StateFault(FaultSite(spec.name, field or spec.fields[0].name), **lifetime)  # refuses numbers out of range
         return StateRequest(spec, field, element, bit, parts.time_us, lifetime=lifetime)
 
@@ -449,24 +449,24 @@ class StateLevel(Level):
 
     def columns(self, fault: StateFault) -> dict[str, Any]:
         """See `Level.columns`."""
-        where = fault.where
+        site = fault.where
         spec = STATES[fault.where.state]
         return {
             "stage": str(spec.stage),
             "kernel": spec.writer,
-            "state": where.state,
-            "field": where.field,
-            "element": where.element,
+            "state": site.state,
+            "field": site.field,
+            "element": site.element,
             "population": fault.stratum,
         }
 
     def about(self, campaign: Any) -> dict[str, Any]:
         """See `Level.about`."""
         sampling = campaign.sampling
-        each = {"stage_balanced": "stage", "groups": "group", "messages": "message"}[sampling.scheme]
+        unit = {"stage_balanced": "stage", "groups": "group", "messages": "message"}[sampling.scheme]
         shares = sorted(sampling.strata.items(), reverse=True)
         strata = " : ".join(f"{WORDS.get(name, name)} {share:g}" for name, share in shares)
-        return {"each": each, "how": f"drawn {strata}, fields: {sampling.sites}"}
+        return {"each": unit, "how": f"drawn {strata}, fields: {sampling.sites}"}
 
 
 def _find(path: str, localization: str) -> tuple[StateSpec, str | None]:

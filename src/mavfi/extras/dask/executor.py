@@ -26,10 +26,14 @@ if TYPE_CHECKING:
     from distributed import Client, Future, LocalCluster
 
 LOOPBACK = "127.0.0.1"
-_AHEAD = 2  # tasks per worker thread: one in progress, one waiting
+_TASKS_PER_THREAD = 2
+"""Tasks per worker thread: one in progress, one waiting."""
 _SEND_EVERY_S = 0.5
+"""Least time between two events with the items of a mission."""
 _LOOK_EVERY_S = 1.0
-_PATIENCE_S = 60.0  # time-out for the last items of an ended task, and for the connection to a scheduler
+"""Time between two looks at the tasks."""
+_PATIENCE_S = 60.0
+"""Time-out for the last items of an ended task, and for the connection to a scheduler."""
 
 _GONE = "the Dask scheduler is gone"
 
@@ -59,8 +63,10 @@ class DaskExecutor:
         if workers < 1:
             raise BadInputError(f"executor 'dask': workers: {workers}: allowed: >= 1")
         self._scheduler = scheduler
-        self._answered = False
-        self.workers = 0 if scheduler else workers
+        self._has_connected = False
+        self.workers = workers
+        if scheduler:
+            self.workers = 0  # as many as the cluster has
 
     def map(
         self, function: Callable[[T], Iterator[R]], missions: Iterable[T]
@@ -90,10 +96,10 @@ class DaskExecutor:
                 client = stack.enter_context(Client(where, set_as_default=False, timeout=_PATIENCE_S))
             except (OSError, ValueError) as error:
                 reason = " ".join(str(error).split())
-                if self._answered:
+                if self._has_connected:
                     raise MachineError(f"{_GONE} ({reason})") from None
                 raise BadInputError(f"--scheduler: {self._scheduler}: no scheduler answers ({reason})") from None
-            self._answered = True
+            self._has_connected = True
             yield client
 
     def _local(self) -> "LocalCluster":
@@ -114,11 +120,17 @@ class DaskExecutor:
 
 @dataclass(slots=True)
 class _Ticket:
-    """A mission submitted to the scheduler."""
+    """A mission submitted to the scheduler.
+
+    Attributes:
+        mission: The mission.
+        future: Its task.
+        ended: When its task was seen to have ended (s); its last items may still be in transit. 0 = it runs.
+    """
 
     mission: Any
     future: "Future"
-    ended: float = 0.0  # when its task was seen to have ended; its last items may still be in transit
+    ended: float = 0.0
 
 
 class _Flights:
@@ -151,8 +163,9 @@ class _Flights:
 
     def _submit(self, missions: Iterator[Any]) -> None:
         """Submit missions to free workers, in large batches if there are many workers."""
-        free = _AHEAD * self._threads - len(self._tickets)
-        if 2 * free < _AHEAD * self._threads and self._tickets:
+        capacity = _TASKS_PER_THREAD * self._threads
+        free = capacity - len(self._tickets)
+        if 2 * free < capacity and self._tickets:
             return
         batch = {f"{self._topic}-{uuid.uuid4().hex}": mission for mission in itertools.islice(missions, free)}
         if not batch:
@@ -164,6 +177,7 @@ class _Flights:
             self._tickets[key] = _Ticket(mission, future)
 
     def _items(self, key: str, items: Sequence[Any]) -> Iterator[tuple[Any, Sequence[Any]]]:
+        """The items of an event with their mission; raises an error that its flights have raised."""
         if key not in self._tickets:
             return
         mission = self._tickets[key].mission
@@ -207,11 +221,12 @@ class _Flights:
             return None
         if status == "finished":
             ticket.ended = ticket.ended or self._looked
-            late = self._looked - ticket.ended > _PATIENCE_S
-            if late:
+            if self._looked - ticket.ended > _PATIENCE_S:
                 return Lost("its last items were lost on the way", died=False)
             return None
-        error = ticket.future.exception() if status == "error" else None
+        error = None
+        if status == "error":
+            error = ticket.future.exception()
         if error is None:
             raise MachineError(f"{_GONE}, or has cancelled a mission")
         if not isinstance(error, KilledWorker):
@@ -227,20 +242,25 @@ def _fly(mission: Any, key: str, order: bytes) -> None:  # noqa: ANN401
     """Fly a mission on a Dask worker, and send its items."""
     from distributed import get_worker
 
-    function, wanted, plugins, topic = loads(order)
+    # A worker with other code would give other results.
+    function, expected_fingerprint, plugins, topic = loads(order)
     dask = get_worker()
-    wrong = difference(wanted, fingerprint())
-    if wrong:
-        refused = BadInputError(f"Dask worker {dask.address}: has {wrong}")
+    mismatch = difference(expected_fingerprint, fingerprint())
+    if mismatch:
+        refused = BadInputError(f"Dask worker {dask.address}: has {mismatch}")
         dask.log_event(topic, dumps((key, [Raised(refused)])))
         return
+    # Fly in a process that a fault may crash, and send items now and then.
     allow_names(plugins)
     worker = _flyer(function, topic)
     worker.give(mission)
     items: list[Any] = []
     sent = time.monotonic()
     while not items or not is_last(items[-1]):
-        items += worker.take() if worker.pipe.poll(_LOOK_EVERY_S) else worker.overdue(TIME_LIMIT)
+        if worker.pipe.poll(_LOOK_EVERY_S):
+            items += worker.take()
+        else:
+            items += worker.overdue(TIME_LIMIT)
         task = dask.state.tasks.get(key)
         if task is None or task.state == "cancelled":
             items = [Lost("it was cancelled", died=False)]
@@ -248,6 +268,7 @@ def _fly(mission: Any, key: str, order: bytes) -> None:  # noqa: ANN401
             dask.log_event(topic, dumps((key, items)))
             sent = time.monotonic()
             items = []
+    # After a crash, the next mission gets a new process.
     if isinstance(items[-1], Lost):
         worker.end()
         _THREAD.worker = None

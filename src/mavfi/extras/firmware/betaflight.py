@@ -64,9 +64,10 @@ _ARM = 0
 _ANGLE = 1
 _HEAD = 5
 _MSP_WALL_S = 4.0
+"""Time limit of an answer on the serial port."""
 _ATTEMPTS = 5
-"""Time limit of an answer on the serial port (s), and number of starts.  A race of its threads at boot may cost the
-firmware the port that it has just opened; then it is started again."""
+"""Number of starts.  A race of its threads at boot may cost the firmware the port that it has just opened; then it is
+started again."""
 
 
 def packets(now_ns: int, state: Sequence[float], channels: Sequence[int] | None) -> bytes:
@@ -96,7 +97,9 @@ def state_of(
         rates: Body frame (rad/s). Shape (3,).
         force: Specific force, body frame (m/s^2). Shape (3,).
     """
-    (w, x, y, z), (p, q, r), (ax, ay, az) = quaternion.tolist(), rates.tolist(), force.tolist()
+    w, x, y, z = quaternion.tolist()
+    p, q, r = rates.tolist()
+    ax, ay, az = force.tolist()
     height = float(position[2])
     (latitude, longitude, _) = HOME
     pressure = _SEA_LEVEL_PA * max(0.0, 1.0 - 2.25577e-5 * height) ** 5.25588  # ISA, ICAO Doc 7488
@@ -122,6 +125,7 @@ def channels(roll: float, pitch: float, throttle: float, yaw_rate: float) -> lis
 
 
 def _stick(share: float) -> int:
+    """Value of a channel for a share of full stick."""
     return CENTRE + round((HIGH - CENTRE) * min(1.0, max(-1.0, share)))
 
 
@@ -208,7 +212,7 @@ def _configure(program: Path, shim: Path) -> tuple[str, bytes]:
 
 
 def _write(console: _Console) -> None:
-    """Write the configuration; places as in `MSP_RC_TUNING` and `MSP_PID`."""
+    """Write the configuration; indices as in `MSP_RC_TUNING` and `MSP_PID`."""
     console.ask(_SET_MODE_RANGE, bytes([0, _ARM, 0, 32, 48]))  # auxiliary 1 from 1700 us on; steps of 25 us from 900
     console.ask(_SET_MODE_RANGE, bytes([1, _ANGLE, 1, 0, 48]))  # auxiliary 2: always
     tuning = bytearray(console.ask(_RC_TUNING))
@@ -218,7 +222,8 @@ def _write(console: _Console) -> None:
         tuning[index] = value
     console.ask(_SET_RC_TUNING, bytes(tuning))
     gains = bytearray(console.ask(_PID))
-    gains[6:8], gains[9] = YAW_GAINS, ATTITUDE_GAIN  # P and I of the third loop, P of the fourth one, "level"
+    gains[6:8] = YAW_GAINS  # P and I of the third loop
+    gains[9] = ATTITUDE_GAIN  # P of the fourth one, "level"
     console.ask(_SET_PID, bytes(gains))
     console.ask(_EEPROM_WRITE)
 
@@ -234,10 +239,9 @@ def arm(firmware: Firmware, state: Sequence[float]) -> None:
         since = firmware.now_ns - FIRST_NS
         if since > ARMED_BY_NS:
             raise MavfiError(f"the firmware does not arm within {1e-9 * ARMED_BY_NS:g} s of its time")
-        if since < RC_FROM_NS:
-            rc = None
-        elif since < ARM_FROM_NS:
-            rc = DISARMED
-        else:
+        rc = None
+        if since >= ARM_FROM_NS:
             rc = ARMED
+        elif since >= RC_FROM_NS:
+            rc = DISARMED
         firmware.run(packets(firmware.now_ns, state, rc), BOOT_PERIOD_NS)

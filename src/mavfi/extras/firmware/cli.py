@@ -86,6 +86,7 @@ class RegisterFaultOptions:
 
 
 def _register_fault(text: str, kind: str, seed: int) -> RegisterFault:
+    """The fault of `--register-fault`, in a kind of registers."""
     from mavfi.extras.firmware.host import register_fault as fault_at
     from mavfi.extras.firmware.injector import NODE
 

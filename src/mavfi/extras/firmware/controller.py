@@ -26,7 +26,8 @@ from mavfi.sim.vehicle import airframe_of
 GYRO_NOISE = 0.01
 """White noise of each gyro sample at 1 kHz (rad/s), as of a vibrating airframe; without it, a hover is too still."""
 _PURPOSE_GYRO_NOISE = 40
-_BLOCK = 4_096
+_NOISE_BLOCK = 4_096
+"""Samples that are drawn at a time."""
 
 
 class BetaflightController:
@@ -51,8 +52,8 @@ class BetaflightController:
         self.lost: FirmwareLostError | None = None
         self.most_calls = 0
         self.tracking: Tracking | None = None
-        needed = installed()
-        self.firmware = Firmware(needed.program, needed.shim, {betaflight.EEPROM: needed.configuration})
+        parts = installed()
+        self.firmware = Firmware(parts.program, parts.shim, {betaflight.EEPROM: parts.configuration})
         try:
             betaflight.arm(self.firmware, _state(start.odometry, np.zeros(3), np.array([0.0, 0.0, GRAVITY])))
         except BaseException:
@@ -71,9 +72,8 @@ class BetaflightController:
         if self.lost is not None:
             return np.zeros(4)
         state = _state(odometry, self._gyro_noise(), force)
-        if time_us % STEP_US:
-            rc = None
-        else:
+        rc = None
+        if time_us % STEP_US == 0:  # sticks come at 250 Hz, sensors at 1 kHz
             rc = self._channels(time_us, setpoint, odometry)
         try:
             self._run(time_us, betaflight.packets(self.firmware.now_ns, state, rc))
@@ -84,10 +84,9 @@ class BetaflightController:
         return np.array([self._airframe.max_thrust * min(1.0, max(0.0, motor)) ** 2 for motor in self.firmware.motors])
 
     def _run(self, time_us: int, packets: bytes) -> None:
-        """Let the firmware run for a period, and inject if it stops at the place of the fault."""
-        if self.injector is None:
-            stop_at = NEVER
-        else:
+        """Let the firmware run for a period, and inject if it stops where the fault is."""
+        stop_at = NEVER
+        if self.injector is not None:
             stop_at = self.injector.stop_at(time_us)
         if self.firmware.run(packets, PERIOD_NS, stop_at):
             assert self.injector is not None  # only then it stops
@@ -96,16 +95,19 @@ class BetaflightController:
     def _channels(self, time_us: int, setpoint: np.ndarray, odometry: np.ndarray) -> list[int]:
         """Sticks for a velocity command: angles and throttle of the force that our own velocity loop wants."""
         airframe = self._airframe
-        wanted = wanted_thrust(airframe, self._memory, setpoint, odometry[3:6])
+        wanted_force = wanted_thrust(airframe, self._memory, setpoint, odometry[3:6])
         rotation_matrix(odometry[6:10], self._matrix)
         if self.tracking is not None:
-            self.tracking.sample(time_us, setpoint, odometry, wanted, self._matrix[:, 2])
-        forward, left, up = wanted.tolist()
-        along = self._matrix[0, 2] * forward + self._matrix[1, 2] * left + self._matrix[2, 2] * up
+            self.tracking.sample(time_us, setpoint, odometry, wanted_force, self._matrix[:, 2])
+        # The wanted force in the world frame, and its part along the rotors' axis, which is what they can give.
+        east, north, up = wanted_force.tolist()
+        along = self._matrix[0, 2] * east + self._matrix[1, 2] * north + self._matrix[2, 2] * up
+        # Angles that turn this axis into the direction of the force, seen along the heading.
         yaw = yaw_of(odometry[6:10])
-        ahead = cos(yaw)
-        aside = sin(yaw)
-        forward, left = ahead * forward + aside * left, ahead * left - aside * forward
+        c = cos(yaw)
+        s = sin(yaw)
+        forward = c * east + s * north
+        left = c * north - s * east
         pitch = atan2(forward, up)
         roll = atan2(-left, math.sqrt(forward * forward + up * up))
         throttle = math.sqrt(min(max(0.0, along) * airframe.mass / (4.0 * airframe.max_thrust), 1.0))
@@ -114,7 +116,7 @@ class BetaflightController:
     def _gyro_noise(self) -> np.ndarray:
         """Noise of the next gyro sample (rad/s). Shape (3,)."""
         if self._used == len(self._noise):
-            self._noise = self._random.normal(0.0, GYRO_NOISE, (_BLOCK, 3))
+            self._noise = self._random.normal(0.0, GYRO_NOISE, (_NOISE_BLOCK, 3))
             self._used = 0
         self._used += 1
         sample: np.ndarray = self._noise[self._used - 1]
@@ -138,4 +140,5 @@ class BetaflightController:
 
 
 def _state(odometry: np.ndarray, noise: np.ndarray, force: np.ndarray) -> tuple[float, ...]:
+    """The state that the firmware's sensors show, with noise of the gyro (rad/s)."""
     return betaflight.state_of(odometry[:3], odometry[6:10], odometry[3:6], odometry[10:] + noise, force)

@@ -127,12 +127,12 @@ def fly(
         check_flown(scenario.protection)
     finally:
         loop.plant.close()
+    # The log has the end of the firmware, the record how well it followed.
+    log = flight.log
     lost = controller.lost
+    if lost is not None:
+        log = replace(log, kernel=KernelEffect(lost.effect, lost.detail))
     extra = {"node": NODE, "most_calls": controller.most_calls, **_errors(controller, flight)}
-    if lost is None:
-        log = flight.log
-    else:
-        log = replace(flight.log, kernel=KernelEffect(lost.effect, lost.detail))
     return replace(flight, log=log, extra=extra)
 
 

@@ -12,7 +12,7 @@ import random
 from dataclasses import replace
 
 from mavfi.errors import BadInputError
-from mavfi.extras.firmware.process import NEVER, Firmware, fixed_addresses
+from mavfi.extras.firmware.process import NEVER, Firmware, StopPoint, fixed_addresses
 from mavfi.extras.registers.addresses import AddressSpace
 from mavfi.extras.registers.injector import flip_here, injection_of
 from mavfi.extras.registers.ptrace import TargetGoneError, Tracee
@@ -54,12 +54,12 @@ class FirmwareInjector:
         del time_us
         return state
 
-    def stop_at(self, time_us: int) -> tuple[int, int]:
+    def stop_at(self, time_us: int) -> StopPoint:
         """Where the firmware has to stop in the next period, see `Firmware.run`."""
         if self.injections or time_us < self.fault.time_us:
             return NEVER
         self._periods += 1
-        return self._choices.randrange(CALLS), self._choices.randrange(self.fault.walk)
+        return StopPoint(self._choices.randrange(CALLS), self._choices.randrange(self.fault.walk))
 
     def inject(self, firmware: Firmware, time_us: int) -> None:
         """Inject into a firmware that has stopped there, at an instant of the flight, and run it to the period's end.
@@ -68,6 +68,7 @@ class FirmwareInjector:
             BadInputError: It may not be traced.
             FirmwareLostError: It ended or hangs.
         """
+        # The main thread waits in front of an instruction: it becomes ours.
         call = firmware.calls - 1
         walked = firmware.instructions
         space = AddressSpace(firmware.pid)
@@ -75,13 +76,13 @@ class FirmwareInjector:
         try:
             tracee = _stopped(firmware)
 
-            def walk(count: int) -> bool:
+            def walk(count: int) -> bool:  # within the firmware's code
                 for _ in range(count):
                     tracee.step(_STOP_LIMIT_S)
                 return space.location_of(tracee.instruction_pointer()).library != str(firmware.shim)
 
-            done = flip_here(self.fault, self._choices, tracee, memory, walk)
-            if done is not None:
+            flipped = flip_here(self.fault, self._choices, tracee, memory, walk)
+            if flipped is not None:
                 details = {
                     "node": NODE,
                     "kernel": NODE,
@@ -90,8 +91,9 @@ class FirmwareInjector:
                     "periods": self._periods,
                     "replayable": bool(fixed_addresses()),
                 }
-                self.injections = [replace(injection_of(done, space, self.fault, details), time_s=1e-6 * time_us)]
-            tracee.detach()
+                injection = injection_of(flipped, space, self.fault, details)
+                self.injections = [replace(injection, time_s=1e-6 * time_us)]
+            tracee.detach()  # it runs on to the end of the period
         except TargetGoneError as error:
             raise firmware.loss(error.code) from None
         finally:

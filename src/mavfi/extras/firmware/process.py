@@ -15,18 +15,19 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple
 
 from mavfi.errors import MavfiError
 
 FIRST_NS = 1_000_000_000
 """Virtual time at which the process starts."""
-NEVER = (2**64 - 1, 0)
-"""Where the firmware has to stop: nowhere."""
 _REPORT = struct.Struct("<QQQQII4f")  # struct from_firmware of `lockstep.c`
 _HEAD = struct.Struct("<QQQ")  # of struct to_firmware
 _ARRIVED = 1
 _FOLLOW_EVERY = 64
+"""Periods between two looks at the CPU of this process."""
 _POLL_S = 1
+"""Time between two looks at a firmware that is silent."""
 _HANG_CPU_S = 2.0
 _HANG_WALL_S = 20.0
 """A period takes 0.1 ms of processor time; one that took this long, or waited this long, never ends."""
@@ -44,7 +45,10 @@ class FirmwareLostError(MavfiError):
     """
 
     def __init__(self, effect: str, detail: str = "") -> None:
-        super().__init__(f"the firmware {'hangs' if effect == 'hang' else f'ended ({detail})'}")
+        if effect == "hang":
+            super().__init__("the firmware hangs")
+        else:
+            super().__init__(f"the firmware ended ({detail})")
         self.effect = effect
         self.detail = detail
 
@@ -60,6 +64,22 @@ def fixed_addresses() -> tuple[str, ...]:
         if subprocess.run([*command, "true"], capture_output=True, check=False).returncode == 0:
             return command
     return ()
+
+
+class StopPoint(NamedTuple):
+    """Where the main thread of a firmware stops in a period.
+
+    Attributes:
+        call: Number of its call of the shim in this period, from 0.
+        instruction: Number of the instruction after this call, from 0.
+    """
+
+    call: int
+    instruction: int
+
+
+NEVER = StopPoint(2**64 - 1, 0)
+"""It does not stop."""
 
 
 class Firmware:
@@ -92,11 +112,13 @@ class Firmware:
             (self.folder / name).write_bytes(content)
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", _POLL_S, 0))
-        shared = [theirs.fileno(), *([] if msp is None else [msp.fileno()])]
-        # numbers of fixed width: the size of the environment moves the stack, which wild addresses may hit
-        environment = {"LD_PRELOAD": str(shim), "LOCKSTEP_CHANNEL": f"{shared[0]:06d}"}
+        # Numbers of fixed width: the size of the environment moves the stack, which wild addresses may hit.
+        shared = [theirs.fileno()]
+        environment = {"LD_PRELOAD": str(shim), "LOCKSTEP_CHANNEL": f"{theirs.fileno():06d}"}
         if msp is not None:
-            environment["LOCKSTEP_MSP"] = f"{shared[1]:06d}"
+            shared.append(msp.fileno())
+            environment["LOCKSTEP_MSP"] = f"{msp.fileno():06d}"
+        # It inherits nothing else.
         with theirs:
             self._process = subprocess.Popen(
                 [*fixed_addresses(), str(program), "127.0.0.1"],
@@ -116,14 +138,13 @@ class Firmware:
         self._periods = 0
         self._cpu = -1
 
-    def run(self, packets: bytes, period_ns: int, stop_at: tuple[int, int] = NEVER) -> bool:
+    def run(self, packets: bytes, period_ns: int, stop_at: StopPoint = NEVER) -> bool:
         """Run the next period; True = its main thread has stopped at an instruction before the end.
 
         Args:
             packets: Sensor and RC packets, `struct to_firmware` of `lockstep.c` from `has_rc` on.
             period_ns: Length of the period.
-            stop_at: Where its main thread stops: number of its call of the shim in this period, and number of the
-                instruction after it; both from 0.  If the next call comes first, it does not stop.
+            stop_at: Where its main thread stops; if the next call of the shim comes first, it does not.
 
         Raises:
             FirmwareLostError: The process ended or hangs.
@@ -163,18 +184,19 @@ class Firmware:
         data = self._receive()
         if len(data) < _REPORT.size:
             raise self.loss()
-        self.now_ns, self.calls, self.instructions, self.address, what, _, *motors = _REPORT.unpack(data)
+        self.now_ns, self.calls, self.instructions, self.address, event, _, *motors = _REPORT.unpack(data)
         self.motors = tuple(motors)
-        return bool(what == _ARRIVED)
+        return bool(event == _ARRIVED)
 
     def _receive(self) -> bytes:
+        """The next report; a FirmwareLostError if it takes too long."""
         cpu = 0.0
         end = time.monotonic() + _HANG_WALL_S
         while True:
             try:
                 return self._socket.recv(_REPORT.size)
             except BlockingIOError:  # SO_RCVTIMEO, which spares the poll of `settimeout`
-                cpu = cpu or self._cpu_s()
+                cpu = cpu or self._cpu_s()  # at the first silence
                 if self._cpu_s() - cpu > _HANG_CPU_S or time.monotonic() > end:
                     raise FirmwareLostError("hang") from None
 
@@ -185,7 +207,9 @@ class Firmware:
                 code = self._process.wait(_EXIT_WAIT_S)
             except subprocess.TimeoutExpired:
                 return FirmwareLostError("hang")
-        return FirmwareLostError("crash", signal.Signals(-code).name if code < 0 else f"exit code {code}")
+        if code < 0:
+            return FirmwareLostError("crash", signal.Signals(-code).name)
+        return FirmwareLostError("crash", f"exit code {code}")
 
     def close(self) -> None:
         """End the process, and delete its files; may be called twice."""

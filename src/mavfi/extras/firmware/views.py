@@ -16,7 +16,7 @@ from mavfi.plugins import Chapter
 
 FIRMWARE = "firmware"
 """Value of the column `kernel` for faults in a firmware."""
-_MOST = 12
+_MAX_FUNCTIONS = 12
 _OUTCOMES = {
     "identical": ("bit-identical", pl.col("effect") == "masked"),
     "arrives": ("other flight, arrives", (pl.col("effect") == "sdc") & pl.col("success")),
@@ -27,7 +27,7 @@ _OUTCOMES = {
 _MEASURES = (m.count("n", "runs"), *(m.rate(key, heading, test) for key, (heading, test) in _OUTCOMES.items()))
 _CLASSES = (
     m.count("n", "runs"),
-    *(m.rate(one.name.lower(), one.value, pl.col("control") == one.value) for one in ControlEffect),
+    *(m.rate(control.name.lower(), control.value, pl.col("control") == control.value) for control in ControlEffect),
 )
 _INTERVALS = "per cent, [95 % interval, Wilson, adjusted for runs that share a mission], count"
 
@@ -52,25 +52,29 @@ def _has_classes(runs: Runs) -> bool:
 
 def _by_third(runs: Runs) -> Runs:
     """Activated faults, from take-off to the goal."""
-    own = _faults(runs)
-    return replace(own, frame=own.frame.sort(pl.col("time_s") / pl.col("golden_flight_time_s"), maintain_order=True))
+    faults = _faults(runs)
+    share_of_flight = pl.col("time_s") / pl.col("golden_flight_time_s")
+    return replace(faults, frame=faults.frame.sort(share_of_flight, maintain_order=True))
 
 
 def _by_class(runs: Runs) -> Runs:
     """Activated faults, the classes from harmless to worst."""
-    own = _faults(runs)
-    place = pl.col("control").replace_strict({one.value: rank for rank, one in enumerate(ControlEffect)}, default=None)
-    return replace(own, frame=own.frame.sort(place, maintain_order=True))
+    faults = _faults(runs)
+    ranks = {control.value: rank for rank, control in enumerate(ControlEffect)}
+    rank = pl.col("control").replace_strict(ranks, default=None)
+    return replace(faults, frame=faults.frame.sort(rank, maintain_order=True))
 
 
 def _largest(column: str, scale: float = 1.0) -> Callable[[Runs], Cell]:
     """Largest value of a column; None if there is none."""
 
-    def of(own: Runs) -> Cell:
-        known = own.frame[column].drop_nulls()
-        return None if known.is_empty() else scale * float(known.max())  # type: ignore[arg-type]
+    def largest(runs: Runs) -> Cell:
+        values = runs.frame[column].drop_nulls()
+        if values.is_empty():
+            return None
+        return scale * float(values.max())  # type: ignore[arg-type]
 
-    return of
+    return largest
 
 
 def _definitions(_: Runs) -> tuple[str, ...]:
@@ -153,7 +157,7 @@ CHAPTER = Chapter(
             _MEASURES,
             where=_faults,
             largest="n",
-            limit=_MOST,
+            limit=_MAX_FUNCTIONS,
             applies=_in_firmware,
         ),
     ),

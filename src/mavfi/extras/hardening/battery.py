@@ -281,7 +281,7 @@ class Battery:
     def run(self, points: Sequence[InjectionPoint]) -> list[str]:
         """Effect of each injection, as if each had a child process: several share one for as long as it lives."""
         indices = self._indices(points)
-        self.variant.own_report()
+        self.variant.claim_report()
         effects = [""] * len(points)
         for call in {point.call for point in points}:
             left = [number for number, point in enumerate(points) if point.call == call]

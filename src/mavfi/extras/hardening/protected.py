@@ -28,7 +28,7 @@ from mavfi.extras.hardening.duplicate import MESSAGE, protect
 from mavfi.extras.hardening.plan import FunctionPlan, ProtectionPlan, check_code, load_plan, signature_text
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.levels.instruction import budget_for
-from mavfi.faults.levels.instruction.api import apart
+from mavfi.faults.levels.instruction.api import run_apart
 from mavfi.faults.levels.instruction.variant import Variant
 from mavfi.ir.build import name_of
 from mavfi.ir.module import Module
@@ -193,8 +193,8 @@ class Protection:
 # ---- calls of functions ---------------------------------------------------------------------------------------------
 def _trace(variant: Variant, args: tuple[Any, ...]) -> np.ndarray:
     """Executed blocks of a call, in order. Shape (n,)."""
-    executions = apart(lambda: variant.tally(*args)[1])
-    trace: np.ndarray = apart(lambda: variant.profile(*args, room=int(executions.sum()))[2])
+    executions = run_apart(lambda: variant.tally(*args)[1])
+    trace: np.ndarray = run_apart(lambda: variant.profile(*args, room=int(executions.sum())).trace)
     return trace
 
 

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from mavfi.extras.logs.live import LiveView
     from mavfi.extras.logs.watch import JudgedLog, LogRates, LogWatch
 
-_MOST_FLIPS = 100_000
-_MOST_LISTED = 10
+_MAX_FLIPS = 100_000
+_MAX_LISTED = 10
 
 
 class LiveOption:
@@ -77,26 +77,32 @@ def watch(  # noqa: PLR0913 - one parameter per option
     from mavfi.detectors.registry import of_monitored_fields
     from mavfi.extras.logs.watch import LogRates
 
+    # Check the options.
     check_name("--detector", detector, of_monitored_fields())
     check_name("--profile", profile, PROFILES)
     check_number("--split", split, 0.05, 0.95)
-    check_number("--inject", inject, 0, _MOST_FLIPS)
+    check_number("--inject", inject, 0, _MAX_FLIPS)
     check_seed("--seed", seed)
     if (split is None) == (not train):
         for path in logs:
             if not path.exists():
                 raise BadInputError(f"{path}: no such file")
-        reason = "neither given" if split is None else "both given"
+        reason = "both given"
+        if split is None:
+            reason = "neither given"
         raise BadInputError(f"--train, --split: {reason}; allowed: one of them, what a normal flight is learned from")
     _check_apart(logs, train or [])
+    # Train and judge.
     with stoppable("Stopped."):
-        wanted = options.listed(fields)
-        trained, judged = _judge(logs, train or [], split, (detector, profile), wanted, fault, (inject, seed))
+        wanted_fields = options.listed(fields)
+        trained, judged = _judge(logs, train or [], split, (detector, profile), wanted_fields, fault, (inject, seed))
+    # What was found, and how.
     rates = LogRates(judged)
-    used = sum(watching.trained_on for watching in trained)
-    names = {
-        topic: [f.name for f in probe.spec.header] for watching in trained for topic, probe in watching.probes.items()
-    }
+    trained_on = sum(log_watch.trained_on for log_watch in trained)
+    names: dict[str, list[str]] = {}
+    for log_watch in trained:
+        for topic, probe in log_watch.probes.items():
+            names[topic] = [field.name for field in probe.spec.header]
     if as_json:
         write_json(
             rates.to_json()
@@ -104,7 +110,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
                 "detector": detector,
                 "profile": profile,
                 "fields": names,
-                "trained_on": used,
+                "trained_on": trained_on,
             }
         )
         return
@@ -113,7 +119,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     for line in _summary(rates):
         out.print(line, markup=False, soft_wrap=True)
     monitored = f"{sum(map(len, names.values()))} fields of {', '.join(names)}"
-    out.print(f"{detector} ({profile}), {monitored}; trained on {used} messages", markup=False, soft_wrap=True)
+    out.print(f"{detector} ({profile}), {monitored}; trained on {trained_on} messages", markup=False, soft_wrap=True)
     out.print(_table(judged))
     _list_alarms(judged)
 
@@ -125,7 +131,9 @@ def _check_apart(logs: list[Path], train: list[Path]) -> None:
     for log in logs:
         for path in train:
             if log.is_file() and path.is_file() and (log.samefile(path) or cmp(log, path, shallow=False)):
-                copy = "" if log == path else f" (it is {path})"
+                copy = ""
+                if log != path:
+                    copy = f" (it is {path})"
                 raise BadInputError(
                     f"{log}: is also trained on{copy}: a detector has no false alarms on its own training data; "
                     "allowed: other flights for --train, or --split"
@@ -136,24 +144,35 @@ def _judge(
     logs: list[Path],
     train: list[Path],
     split: float | None,
-    chosen: tuple[str, str],
+    detector_and_profile: tuple[str, str],
     fields: list[str],
     fault: str,
     flips: tuple[int, int],
 ) -> tuple[list[LogWatch], list[JudgedLog]]:
-    """Train and judge; each LOG that is split trains its own detector."""
+    """Train and judge; each LOG that is split trains its own detector.
+
+    Args:
+        logs: The recordings to be judged.
+        train: Normal recordings.
+        split: Share of each LOG to train on, instead.
+        detector_and_profile: Their names.
+        fields: Monitored fields; empty = the recommended ones, or all.
+        fault: Number that tells of a known fault; "" = none.
+        flips: Number of flips in each LOG, and their seed.
+    """
     from mavfi.extras.logs.watch import LogWatch, cut_text, judge_rest, read_recording, select
 
     recordings = [read_recording(path, fault) for path in logs]
     normal = [read_recording(path, fault, required=False).normal for path in train]
-    if cut := cut_text([*recordings, *normal]):
+    cut = cut_text([*recordings, *normal])
+    if cut:
         console(error=True).print(cut, markup=False, soft_wrap=True)
     if split is None:
         probes = select([*normal, *(recording.normal for recording in recordings)], fields)
-        watching = LogWatch(*chosen, probes, normal)
-        return [watching], [watching.judge(recording, *flips) for recording in recordings]
-    pairs = [judge_rest(*chosen, recording, split, fields, *flips) for recording in recordings]
-    return [watching for watching, _ in pairs], [judged for _, judged in pairs]
+        log_watch = LogWatch(*detector_and_profile, probes, normal)
+        return [log_watch], [log_watch.judge(recording, *flips) for recording in recordings]
+    pairs = [judge_rest(*detector_and_profile, recording, split, fields, *flips) for recording in recordings]
+    return [log_watch for log_watch, _ in pairs], [judged for _, judged in pairs]
 
 
 def _summary(rates: LogRates) -> list[str]:
@@ -162,11 +181,9 @@ def _summary(rates: LogRates) -> list[str]:
 
     lines = [f"flips detected, {bits} (%): {rate(share)}" for bits, share in rates.flips.items()]
     if rates.faults.n:
-        delays = rates.delays_s
-        if delays:
-            span = f", delay {delays[0]:.2f} to {delays[-1]:.2f} s"
-        else:
-            span = ""
+        span = ""
+        if rates.delays_s:
+            span = f", delay {rates.delays_s[0]:.2f} to {rates.delays_s[-1]:.2f} s"
         lines.append(f"known faults followed by an alarm (%): {rate(rates.faults)}{span}")
     return lines
 
@@ -175,8 +192,9 @@ def _table(judged: list[JudgedLog]) -> Table:
     from mavfi.extras.logs.watch import delay_text
 
     table = titled_table("Recordings")
-    for heading in ("recording", "normal flight", "messages", "false alarm events", "known fault"):
-        table.add_column(heading, justify="left" if heading == "recording" else "right")
+    table.add_column("recording", justify="left")
+    for heading in ("normal flight", "messages", "false alarm events", "known fault"):
+        table.add_column(heading, justify="right")
     for recording in judged:
         table.add_row(
             recording.name,
@@ -192,9 +210,9 @@ def _list_alarms(judged: list[JudgedLog]) -> None:
     """The first false alarms of each recording."""
     out = console()
     for recording in judged:
-        for alarm in recording.alarms[:_MOST_LISTED]:
-            named = ", ".join(alarm.fields)
-            text = f"{recording.name} {1e-6 * alarm.time_us:.3f} s: {alarm.topic} {named}, score {alarm.score:.3g}"
+        for alarm in recording.alarms[:_MAX_LISTED]:
+            fields = ", ".join(alarm.fields)
+            text = f"{recording.name} {1e-6 * alarm.time_us:.3f} s: {alarm.topic} {fields}, score {alarm.score:.3g}"
             out.print(text, markup=False, soft_wrap=True)
-        if len(recording.alarms) > _MOST_LISTED:
-            out.print(f"{recording.name}: {len(recording.alarms) - _MOST_LISTED} more alarms", markup=False)
+        if len(recording.alarms) > _MAX_LISTED:
+            out.print(f"{recording.name}: {len(recording.alarms) - _MAX_LISTED} more alarms", markup=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -21,13 +21,19 @@ if TYPE_CHECKING:
     from mavfi.mission import Scenario
     from mavfi.record import FlightLog
 
-    Recorded = tuple[FlightLog, list[Publication] | None, FlightLog | None]
-    """A flight, its publications, and its golden run; None = unknown."""
 
 _GROUP = "mavfi.exporters"
 """Writers of other formats: functions (log, path) -> number of messages, by file name extension."""
 ROS_ENDINGS = (".bag", ".mcap")
 """Formats with publications, for which the flight is flown again."""
+
+
+class ExportedFlight(NamedTuple):
+    """A flight to be exported, its publications, and the log of its golden run; None = unknown."""
+
+    log: FlightLog
+    published: list[Publication] | None = None
+    golden: FlightLog | None = None
 
 
 class SavedRequest(Config):
@@ -75,10 +81,15 @@ def export(
     if run_id and not is_dir(flight):
         raise BadInputError(f"{flight}: is not the folder of a campaign, so there is no run {run_id!r}")
     check_writable(to)
-    read = _recorded if to.suffix in ROS_ENDINGS else _stored
-    log, published, golden = read(flight, run_id)
-    count = _write(log, to, str(flight), published, golden)
-    unit = "rows" if to.suffix == ".csv" else "messages"
+    if to.suffix in ROS_ENDINGS:
+        exported = _recorded(flight, run_id)
+    else:
+        exported = ExportedFlight(_stored(flight, run_id))
+    count = _write(exported, to, str(flight))
+    log = exported.log
+    unit = "messages"
+    if to.suffix == ".csv":
+        unit = "rows"
     if as_json:
         write_json({"file": str(to), "written": count, "unit": unit})
         return
@@ -86,48 +97,52 @@ def export(
     console().print(text, markup=False, soft_wrap=True)
 
 
-def _stored(source: Path, run_id: str) -> Recorded:
-    """The flight alone."""
+def _stored(source: Path, run_id: str) -> FlightLog:
+    """The log of a saved flight, or of a run of a campaign, which is flown again."""
     if run_id:
         from mavfi.campaign.replay import flight_again
         from mavfi.campaign.store import Store
 
         with Store.open(source) as store:
-            return flight_again(store, store.run(run_id).spec).log, None, None
+            return flight_again(store, store.run(run_id).spec).log
     from mavfi.record import FlightLog
 
-    return FlightLog.load(source), None, None
+    return FlightLog.load(source)
 
 
-def _recorded(source: Path, run_id: str) -> Recorded:
+def _recorded(source: Path, run_id: str) -> ExportedFlight:
     """The flight with publications and golden run, flown again; a saved flight must be bit-identical to the second."""
     from mavfi.campaign.replay import fly_recorded, recorded_again
     from mavfi.faults.fault import fault_from_json
 
     if run_id:
         flight, published, reference = recorded_again(source, run_id)
-        return flight.log, published, None if reference is None else reference.log
-    log, _, _ = _stored(source, "")
+        if reference is None:
+            return ExportedFlight(flight.log, published)
+        return ExportedFlight(flight.log, published, reference.log)
+    log = _stored(source, "")
     scenario = _scenario(log, str(source))
     try:
-        if log.meta.get("request") is None:
-            request = None
-        else:
+        # Fly it again, with the fault and detector of its request.
+        request = None
+        fault = None
+        if log.meta.get("request") is not None:
             request = parse(SavedRequest, log.meta["request"], "request", stored=True)
-        if request is None or request.fault is None:
-            fault = None
-        else:
-            fault = fault_from_json(request.fault)
+            if request.fault is not None:
+                fault = fault_from_json(request.fault)
         setup = _setup(request, scenario)
         flight, published = fly_recorded(setup, fault)
         if flight.log.digest() != log.digest():
             raise BadInputError("another flight resulted, e.g. by another version or after edits of a file")
-        golden = None if fault is None else fly_recorded(setup, None)[0].log
+        # Its golden run, which is another one only with a fault.
+        golden = None
+        if fault is not None:
+            golden = fly_recorded(setup, None)[0].log
     except MavfiError as error:
         text = f"{source}: cannot be flown again ({error}); exported without publications and golden path"
         console(error=True).print(text, markup=False, soft_wrap=True)
-        return log, None, None
-    return log, published, golden
+        return ExportedFlight(log)
+    return ExportedFlight(log, published, golden)
 
 
 def _setup(request: SavedRequest | None, scenario: Scenario) -> ArmSetup:
@@ -140,10 +155,11 @@ def _setup(request: SavedRequest | None, scenario: Scenario) -> ArmSetup:
     return watched(request.mission, request.detector, request.profile, request.models).setup
 
 
-def _write(log: FlightLog, to: Path, source: str, published: list[Publication] | None, golden: FlightLog | None) -> int:
-    """Write a file by its ending; returns the number of messages or rows."""
+def _write(exported: ExportedFlight, to: Path, source: str) -> int:
+    """Write a file by its ending; returns the number of messages or rows.  Errors name the `source`."""
     from mavfi.extras.logs.files import write_bag, write_csv, write_mcap
 
+    log = exported.log
     if to.suffix == ".csv":
         return write_csv(log, to)
     if to.suffix not in ROS_ENDINGS:
@@ -156,17 +172,21 @@ def _write(log: FlightLog, to: Path, source: str, published: list[Publication] |
     from mavfi.pipeline.kernel import map_grid
     from mavfi.sim.environments import build_world
 
+    # Messages of the flight in its world.
     scenario = _scenario(log, source)
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
     publications = None
-    if published is not None:
+    if exported.published is not None:
         grid = map_grid(pipeline_config(scenario, world, np.zeros((1, 3))))
-        publications = PublishedStates([(item.time_us, item.state) for item in published], grid)
-    write = write_bag if to.suffix == ".bag" else write_mcap
-    return write(timeline(log, world, publications, golden), to)
+        publications = PublishedStates([(item.time_us, item.state) for item in exported.published], grid)
+    messages = timeline(log, world, publications, exported.golden)
+    if to.suffix == ".bag":
+        return write_bag(messages, to)
+    return write_mcap(messages, to)
 
 
 def _scenario(log: FlightLog, source: str) -> Scenario:
+    """The mission of a flight."""
     from mavfi.mission import Scenario
 
     return parse(Scenario, log.meta.get("scenario", {}), f"{source}: scenario", stored=True)

@@ -30,16 +30,14 @@ class Maker:
 
     def __init__(self, *, is_ros1: bool) -> None:
         self._is_ros1 = is_ros1
-        self.store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
         if is_ros1:
+            self.store = get_typestore(Stores.ROS1_NOETIC)
             self.store.register(get_types_from_msg(_TRANSFORMS, "tf2_msgs/msg/TFMessage"))
-        if is_ros1:
             self.serialize = self.store.serialize_ros1
-        else:
-            self.serialize = self.store.serialize_cdr
-        if is_ros1:
             self._levels = {INFO: 2, WARN: 4, ERROR: 8}
         else:
+            self.store = get_typestore(Stores.ROS2_HUMBLE)
+            self.serialize = self.store.serialize_cdr
             self._levels = {INFO: 20, WARN: 30, ERROR: 40}
 
     def name(self, kind: str) -> str:
@@ -55,50 +53,54 @@ class Maker:
         """Convert to a `rosbags` message."""
         fields = message.fields
         if message.kind == "Log":
-            stamp = fields["time"]
+            stamped = {"stamp": fields["time"]}
             if self._is_ros1:
-                stamped = {"header": {"stamp": stamp}}
-            else:
-                stamped = {"stamp": stamp}
+                stamped = {"header": stamped}
             fields = {**fields, **stamped, "level": self._levels[fields["level"]]}
         return self._make(self.name(message.kind), fields)
 
     def _make(self, name: str, fields: dict[str, Any]) -> Any:
+        """A message of the type with this full name."""
         _, definition = self.store.fielddefs[name]
         values = {field: self._value(kind, fields.get(field)) for field, kind in definition}
         return self.store.types[name](**values)
 
     def _value(self, kind: Any, value: Any) -> Any:
-        node, what = kind
+        """Value of a field of a kind as in the type store; None = zero or empty."""
+        node, detail = kind
         if node == Nodetype.BASE:
             if value is None:
-                return _ZEROS.get(what[0], 0)
+                return _ZEROS.get(detail[0], 0)
             return value
         if node == Nodetype.NAME:
-            return self._make(what, value or {})
-        inner, length = what
-        if inner[0] == Nodetype.NAME or inner[1][0] == "string":
-            return [self._value(inner, item) for item in value or ()]
-        return np.asarray(np.zeros(length) if value is None else value, _DTYPES.get(inner[1][0], inner[1][0]))
+            return self._make(detail, value or {})
+        # An array or a sequence of elements.
+        element, length = detail
+        element_node, element_detail = element
+        if element_node == Nodetype.NAME or element_detail[0] == "string":
+            return [self._value(element, item) for item in value or ()]
+        if value is None:
+            value = np.zeros(length)
+        return np.asarray(value, _DTYPES.get(element_detail[0], element_detail[0]))
 
 
 def write_bag(messages: Iterable[Message], path: Path) -> int:
     """Write a ROS 1 bag, for `rosbag info`, `rosbag play` and rqt; return the number of messages."""
     with _temporary_folder(path) as folder:
-        part = folder / "flight.bag"
-        with rosbag1.Writer(part) as writer:
+        file = folder / "flight.bag"
+        with rosbag1.Writer(file) as writer:
             count = _write(writer, messages, Maker(is_ros1=True))
-        _put(part, path)
+        _put(file, path)
     return count
 
 
 def write_mcap(messages: Iterable[Message], path: Path) -> int:
     """Write a ROS 2 mcap file, for Foxglove, PlotJuggler and `ros2 bag`; return the number of messages."""
     with _temporary_folder(path) as folder:
-        part = folder / "flight"
-        with rosbag2.Writer(part, version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
+        file = folder / "flight"
+        with rosbag2.Writer(file, version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
             count = _write(writer, messages, Maker(is_ros1=False))
-        _put(next(part.glob("*.mcap")), path)
+        _put(next(file.glob("*.mcap")), path)
     return count
 
 
@@ -121,6 +123,7 @@ def _temporary_folder(path: Path) -> Iterator[Path]:
 
 
 def _write(writer: Any, messages: Iterable[Message], maker: Maker) -> int:
+    """Write messages, with a connection for each topic; returns their number."""
     connections: dict[str, Any] = {}
     count = 0
     for message in messages:
@@ -132,6 +135,7 @@ def _write(writer: Any, messages: Iterable[Message], maker: Maker) -> int:
     return count
 
 
-def _put(part: Path, path: Path) -> None:
+def _put(finished: Path, path: Path) -> None:
+    """Put a finished file in its place."""
     with writing(path):
-        part.replace(path)
+        finished.replace(path)

@@ -59,7 +59,8 @@ class Allowance:
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
-        self._begin = self._next = 0.0
+        self._begin = 0.0
+        self._next = 0.0
 
     def due(self, now: float) -> bool:
         """Whether there is work at a time (s, `time.monotonic`)."""
@@ -96,7 +97,9 @@ class LiveView:
             raise BadInputError(f"--live: port {port}: cannot be served ({error}); allowed: a free port") from None
         self._maker = Maker(is_ros1=False)
         self._channels = {topic: self._channel(topic, kind) for topic, kind in _KINDS.items()}
-        self._motion, self._clouds, self._planning = (Allowance(_PERIOD_S) for _ in range(3))
+        self._motion = Allowance(_PERIOD_S)
+        self._clouds = Allowance(_PERIOD_S)
+        self._planning = Allowance(_PERIOD_S)
         self._scene = Allowance(_SCENERY_PERIOD_S)
         self._plans: dict[str, tuple[State, int]] = {}
         self._scenery: list[Message] = []
@@ -154,12 +157,15 @@ class LiveView:
         """Advertise a topic; the library that serializes its messages compiles their type now, not in flight."""
         name = self._maker.name(kind)
         text, _ = self._maker.store.generate_msgdef(name, ros_version=2)
-        empty = {"time": {}, "level": INFO} if kind == "Log" else {}
+        empty: dict[str, Any] = {}
+        if kind == "Log":
+            empty = {"time": {}, "level": INFO}
         self._maker.serialize(self._maker.make(Message(topic, kind, 0, empty)), name)
         schema = self._sdk.Schema(name=name, encoding="ros2msg", data=text.encode())
         return self._sdk.Channel(topic, schema=schema, message_encoding="cdr", context=self._context)
 
     def _send(self, messages: Iterable[Message]) -> None:
+        """Send messages to the viewers of their topics."""
         for message in messages:
             channel = self._channels[message.topic]
             if channel.has_sinks():

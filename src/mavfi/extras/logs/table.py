@@ -16,11 +16,13 @@ from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, 
 
 TOPIC = "row"
 """The only topic of a table."""
-_LARGEST = 1 << 28
+_MAX_BYTES = 1 << 28
 _TIME = re.compile(r"#?\s*(time|timestamp|stamp|t)([^a-z]|$)", re.IGNORECASE)
+_UNIT_IN_NAME = re.compile(r"(?:[\[(_])(ns|us|ms|s)(?:[\])]|$)")
 _UNITS = {"ns": 1e-3, "us": 1.0, "ms": 1e3, "s": 1e6}
+"""Microseconds of each unit."""
 _MAGNITUDES = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
-"""Units of times since 1970 without a fraction, by their smallest value."""
+"""Smallest values of times since 1970 in a unit, largest first: those of 1973."""
 
 
 class CsvReader:
@@ -38,17 +40,22 @@ class CsvReader:
         """See `FlightLogReader`."""
         check_topics(self._path, topics, [TOPIC])
         names, lines = self._lines()
-        clock = next((index for index, name in enumerate(names) if _TIME.match(name)), None)
-        if clock is None:
+        # The time.
+        clocks = [index for index, name in enumerate(names) if _TIME.match(name)]
+        if not clocks:
             raise BadInputError(f"{self._path}: no column of time; allowed: a name like time, timestamp or t")
+        clock = clocks[0]
         times = self._times(names[clock], [line[clock] for line in lines])
-        chosen = {
-            name: column
-            for index, name in enumerate(names)
-            if index != clock and (column := _column(lines, index)) is not None
-        }
-        rows = np.zeros(len(lines), [(name, np.float64) for name in chosen])
-        for name, column in chosen.items():
+        # All other numeric columns, row by row.
+        columns = {}
+        for index, name in enumerate(names):
+            if index == clock:
+                continue
+            column = _column(lines, index)
+            if column is not None:
+                columns[name] = column
+        rows = np.zeros(len(lines), [(name, np.float64) for name in columns])
+        for name, column in columns.items():
             rows[name] = column
         layout = RecordLayout.of(TOPIC, rows.dtype)
         for time_us, row in zip(times, rows, strict=True):
@@ -58,7 +65,7 @@ class CsvReader:
         """Names of the columns and the rows."""
         path = self._path
         try:
-            text = read_file(path, _LARGEST).decode()
+            text = read_file(path, _MAX_BYTES).decode()
             names, *lines = csv.reader(text.splitlines())
         except (UnicodeDecodeError, ValueError, csv.Error) as error:
             raise BadInputError(f"{path}: is not a table of comma-separated values ({error})") from None
@@ -73,21 +80,44 @@ class CsvReader:
         return names, lines
 
     def _times(self, name: str, cells: Sequence[str]) -> list[int]:
-        """Times in us."""
-        named = re.search(r"(?:[\[(_])(ns|us|ms|s)(?:[\])]|$)", name)
+        """The column of times (us), given its name and cells."""
         try:
-            values = [int(cell) if cell.strip().isdigit() else float(cell) for cell in cells]
-            whole = isinstance(values[0], int)
-            guessed = next((unit for least, unit in _MAGNITUDES if whole and values[0] >= least), "s")
-            scale = _UNITS[named[1] if named else guessed]
-            return [
-                value // 1000 if isinstance(value, int) and scale == 1e-3 else round(value * scale) for value in values
-            ]
+            values = [_number(cell) for cell in cells]
+            unit_in_name = _UNIT_IN_NAME.search(name)
+            if unit_in_name is not None:
+                unit = unit_in_name[1]
+            else:
+                unit = _guess_unit(values[0])
+            return [_microseconds(value, unit) for value in values]
         except (ValueError, OverflowError) as error:
             raise BadInputError(f"{self._path}: column {name}: is not a time ({error})") from None
 
 
+def _number(cell: str) -> int | float:
+    """A number; whole ones are exact: nanoseconds since 1970 exceed the digits of a float."""
+    if cell.strip().isdigit():
+        return int(cell)
+    return float(cell)
+
+
+def _guess_unit(first: int | float) -> str:
+    """Unit of a column of times, given the first one: seconds, unless it is a whole number of a calendar date."""
+    if isinstance(first, int):
+        for smallest, unit in _MAGNITUDES:
+            if first >= smallest:
+                return unit
+    return "s"
+
+
+def _microseconds(value: int | float, unit: str) -> int:
+    """A time in microseconds."""
+    if isinstance(value, int) and unit == "ns":
+        return value // 1000
+    return round(value * _UNITS[unit])
+
+
 def _column(lines: Sequence[Sequence[str]], index: int) -> np.ndarray | None:
+    """The numbers of a column; None if it has other values."""
     try:
         return np.array([float(line[index]) for line in lines])
     except ValueError:
@@ -113,9 +143,9 @@ class RosReader:
             kind = "an mcap file of ROS 2"
         with reading(self._path, kind), AnyReader([self._path]) as reader:
             check_topics(self._path, topics, reader.topics)
-            chosen = [connection for connection in reader.connections if not topics or connection.topic in topics]
-            layouts = {connection.id: _layout(reader, connection) for connection in chosen}
-            for connection, time_ns, data in reader.messages(chosen):
+            connections = [connection for connection in reader.connections if not topics or connection.topic in topics]
+            layouts = {connection.id: _layout(reader, connection) for connection in connections}
+            for connection, time_ns, data in reader.messages(connections):
                 if reader.is2:
                     content: bytes | memoryview = reader.typestore.cdr_to_ros1(data, connection.msgtype)
                 else:

@@ -29,7 +29,8 @@ _CUBE = 1
 _SPHERE = 2
 _CUBE_LIST = 6
 _GOAL_SIZE = 1.0
-_POSES = 1000
+_MAX_POSES = 1000
+"""About the largest number of poses in the path of a flight."""
 TICK_TOPICS = ("/clock", "/tf", "/odometry", "/command", "/reference")
 """Topics of `tick_messages`."""
 _MAP_PERIOD_US = 1_000_000
@@ -75,15 +76,18 @@ def _in_map(time_ns: int) -> dict[str, Any]:
 
 
 def _time(time_ns: int) -> dict[str, int]:
+    """A stamp, as in ROS 2."""
     seconds, rest = divmod(time_ns, 1_000_000_000)
     return {"sec": seconds, "nanosec": rest}
 
 
 def _xyz(values: np.ndarray) -> dict[str, float]:
+    """A vector or point."""
     return dict(zip("xyz", map(float, values), strict=True))
 
 
 def _orientation(wxyz: np.ndarray) -> dict[str, float]:
+    """A quaternion."""
     return dict(zip("wxyz", map(float, wxyz), strict=True))
 
 
@@ -113,6 +117,7 @@ def timeline(
 
 
 def _published(published: PublishedStates | None) -> Iterator[Message]:
+    """The messages of all publications."""
     if published is not None:
         convert = Converter(published.grid)
         for time_us, state in published.states:
@@ -121,6 +126,7 @@ def _published(published: PublishedStates | None) -> Iterator[Message]:
 
 def tick_messages(row: np.ndarray) -> Iterator[Message]:
     """The messages of one row of a flight log."""
+    # Columns as in `record.COLUMNS`; the velocity is in the world's frame, a twist in the vehicle's.
     time_ns = stamp_ns(row[0])
     position = _xyz(row[1:4])
     orientation = _orientation(row[7:11])
@@ -128,6 +134,7 @@ def tick_messages(row: np.ndarray) -> Iterator[Message]:
     rotation_matrix(row[7:11], to_map)
     in_map = _in_map(time_ns)
     transform = {"translation": position, "rotation": orientation}
+    # What a robot publishes: clock, frames and state ...
     yield Message("/clock", "rosgraph_msgs/Clock", time_ns, {"clock": _time(time_ns)})
     yield Message(
         "/tf",
@@ -148,6 +155,7 @@ def tick_messages(row: np.ndarray) -> Iterator[Message]:
             "twist": {"twist": {"linear": _xyz(row[4:7] @ to_map), "angular": _xyz(row[11:14])}},
         },
     )
+    # ... and what the controller has commanded and followed.
     yield Message(
         "/command",
         "geometry_msgs/TwistStamped",
@@ -216,8 +224,8 @@ def _cloud(topic: str, points: np.ndarray, time_ns: int) -> Message:
             "row_step": _POINT_SIZE * len(points),
             "data": np.frombuffer(points.tobytes(), np.uint8),
             "fields": [
-                {"name": axis, "offset": 4 * place, "datatype": _FLOAT32, "count": 1}
-                for place, axis in enumerate("xyz")
+                {"name": axis, "offset": 4 * index, "datatype": _FLOAT32, "count": 1}
+                for index, axis in enumerate("xyz")
             ],
         },
     )
@@ -259,16 +267,18 @@ def _flown(topic: str, log: FlightLog) -> Message:
     in_map = _in_map(FIRST_STAMP_NS)
     poses = [
         {"header": in_map, "pose": {"position": _xyz(row[1:4]), "orientation": _orientation(row[7:11])}}
-        for row in log.rows[:: max(1, len(log.rows) // _POSES)]
+        for row in log.rows[:: max(1, len(log.rows) // _MAX_POSES)]
     ]
     return Message(topic, "nav_msgs/Path", FIRST_STAMP_NS, {"header": in_map, "poses": poses})
 
 
 def _at(position: np.ndarray) -> dict[str, Any]:
+    """A pose without rotation."""
     return {"position": _xyz(position), "orientation": {"w": 1.0}}
 
 
 def _boxes(world: World, header: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """One marker for each box."""
     for number, (lower, upper) in enumerate(zip(world.lower, world.upper, strict=True)):
         yield {
             "header": header,

@@ -26,6 +26,7 @@ _HEADER = struct.Struct("<HB")
 
 
 def _indexed(name: str, count: int) -> tuple[str, ...]:
+    """Names of the elements of an array."""
     return tuple(f"{name}[{index}]" for index in range(count))
 
 
@@ -97,20 +98,25 @@ class UlogReader:
         try:
             import pyulog
         except ImportError:
-            needed = "allowed: pip install 'mavfi[logs]'"
-            raise BadInputError(f"{path}: reading ULog files needs pyulog; {needed}") from None
+            remedy = "allowed: pip install 'mavfi[logs]'"
+            raise BadInputError(f"{path}: reading ULog files needs pyulog; {remedy}") from None
         with reading(path, "a ULog file"):
             with path.open("rb") as file, redirect_stdout(StringIO()):
                 log: Any = pyulog.ULog(file)
             lacking = [
                 data_set.name for data_set in log.data_list if not _required(data_set.name) <= set(data_set.data)
             ]
-            if log.file_corruption or lacking:
-                raise ValueError(f"damaged{' in ' if lacking else ''}{', '.join(lacking)}")
-            return {
-                f"{data_set.name}.{data_set.multi_id}" if data_set.multi_id else data_set.name: data_set.data
-                for data_set in log.data_list
-            }
+            if lacking:
+                raise ValueError(f"damaged in {', '.join(lacking)}")
+            if log.file_corruption:
+                raise ValueError("damaged")
+            columns = {}
+            for data_set in log.data_list:
+                topic = data_set.name
+                if data_set.multi_id:
+                    topic = f"{data_set.name}.{data_set.multi_id}"
+                columns[topic] = data_set.data
+            return columns
 
 
 def _required(topic: str) -> set[str]:
@@ -122,13 +128,13 @@ def _required(topic: str) -> set[str]:
 
 def _rows(columns: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Time stamps (us), and all other numbers as a structured array, row by row."""
-    chosen = {
+    numbers = {
         name: column
         for name, column in columns.items()
         if name != "timestamp" and not name.startswith("_padding") and numeric(column.dtype)
     }
-    rows = np.zeros(len(columns["timestamp"]), [(name, column.dtype) for name, column in chosen.items()])
-    for name, column in chosen.items():
+    rows = np.zeros(len(columns["timestamp"]), [(name, column.dtype) for name, column in numbers.items()])
+    for name, column in numbers.items():
         rows[name] = column
     return columns["timestamp"].astype(np.int64), rows
 
@@ -138,8 +144,10 @@ def _airborne(landed: dict[str, np.ndarray] | None) -> list[tuple[int, int]]:
     forever = np.iinfo(np.int64).max
     if landed is None or not len(landed["timestamp"]) or landed["landed"].all():
         return [(0, forever)]
-    times = [*landed["timestamp"].astype(np.int64).tolist(), forever]
-    return [(begin, end) for begin, end, on in zip(times, times[1:], landed["landed"], strict=False) if not on]
+    times = [*landed["timestamp"].astype(np.int64).tolist(), forever]  # each state lasts until the next one
+    return [
+        (begin, end) for begin, end, is_landed in zip(times, times[1:], landed["landed"], strict=False) if not is_landed
+    ]
 
 
 # ---- writer ------------------------------------------------------------------------------------------------------
@@ -171,6 +179,7 @@ def write_ulog(log: FlightLog, path: Path) -> int:
 
 
 def _message(kind: str, body: bytes) -> bytes:
+    """A message of a type, a letter."""
     return struct.pack("<HB", len(body), ord(kind)) + body
 
 
@@ -178,7 +187,7 @@ def _definitions(log: FlightLog) -> bytes:
     """Flag bits, information, formats, and one subscription per topic."""
     scenario = log.meta.get("scenario", {})
     information = {"sys_name": "mavfi", "ver_hw": "simulation", "mavfi_status": log.status.label}
-    information |= {"mavfi_environment": str(scenario.get("environment", {}).get("name", ""))}
+    information["mavfi_environment"] = str(scenario.get("environment", {}).get("name", ""))
     parts = [_message("B", bytes(40))]
     for key, value in information.items():
         typed = f"char[{len(value.encode())}] {key}".encode()
@@ -190,6 +199,7 @@ def _definitions(log: FlightLog) -> bytes:
 
 def _samples(log: FlightLog) -> list[tuple[int, bytes]]:
     """Instant and bytes of every data sample."""
+    # The topics of the flight, in the order of `FORMATS`.
     ned = ned_of(log.rows)
     tables = (
         np.hstack([ned.position, ned.velocity]),
@@ -203,11 +213,17 @@ def _samples(log: FlightLog) -> list[tuple[int, bytes]]:
     for row, time_us in enumerate(ned.time_us.tolist()):
         for number, table in enumerate(narrow):
             samples.append((time_us, _message("D", struct.pack("<HQ", number, time_us) + table[row].tobytes())))
+    # The fault: 0 at the start, 1 from the first activated injection on.
     number = list(FORMATS).index(FAULT_TOPIC)
-    active = [line.time_us for item in log.injections if item.activated and (line := line_of(item)) is not None]
-    onset = [(0, 0), *((instant, 1) for instant in active[:1])]
-    return samples + [(instant, _message("D", struct.pack("<HQB", number, instant, on))) for instant, on in onset]
+    samples.append((0, _message("D", struct.pack("<HQB", number, 0, 0))))
+    for injection in log.injections:
+        line = line_of(injection)
+        if injection.activated and line is not None:
+            samples.append((line.time_us, _message("D", struct.pack("<HQB", number, line.time_us, 1))))
+            break
+    return samples
 
 
 def _logged(line: LogLine) -> bytes:
+    """A line of the log."""
     return _message("L", _LEVELS[line.level] + struct.pack("<Q", line.time_us) + line.text.encode())

@@ -1,5 +1,6 @@
 """GAD or AAD on recorded flights: trained on some, applied to others, with injected flips and known faults."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -20,7 +21,8 @@ _EVENT_GAP_US = 1_000_000
 BIT_CLASSES = ("sign", "exponent", "mantissa")
 _LONGEST_GAP_US = 1_000_000
 """Longer times without a message do not count as exposure (us)."""
-_LEAST_MESSAGES = 20
+_MIN_MESSAGES = 20
+"""Messages that a monitored topic has in each recording."""
 _FLOATS = {"float32": "f4", "float64": "f8"}
 _INJECTION_STREAM = 1
 
@@ -53,7 +55,9 @@ class LogRecording:
     def split(self, share: float) -> tuple["LogRecording", "LogRecording"]:
         """The first share of its messages, and the rest."""
         count = round(share * len(self.messages))
-        return replace(self, messages=self.messages[:count]), replace(self, messages=self.messages[count:])
+        first = replace(self, messages=self.messages[:count])
+        rest = replace(self, messages=self.messages[count:])
+        return first, rest
 
 
 def read_recording(path: Path, fault: str = "", *, required: bool = True) -> LogRecording:
@@ -72,16 +76,16 @@ def read_recording(path: Path, fault: str = "", *, required: bool = True) -> Log
         raise BadInputError(f"--fault: {fault!r}: allowed: TOPIC:FIELD, a number that is 0 before the fault")
     reader = open_flight_log(path)
     messages = list(reader.messages([]))
-    if fault and required:
-        check_topics(path, [topic], {message.topic for message in messages})
+    # The topic that tells of the fault is not monitored.
+    onset = None
     if fault:
+        if required:
+            check_topics(path, [topic], {message.topic for message in messages})
         onset = _onset([message for message in messages if message.topic == topic], number)
-    else:
-        onset = None
-    others = [message for message in messages if not fault or message.topic != topic]
+        messages = [message for message in messages if message.topic != topic]
     is_cut = getattr(reader, "is_cut", None)
     cut = is_cut is not None and is_cut()
-    return LogRecording(path.name, others, onset, getattr(reader, "recommended", {}), cut)
+    return LogRecording(path.name, messages, onset, getattr(reader, "recommended", {}), cut)
 
 
 def _onset(messages: Sequence[LoggedMessage], number: str) -> int | None:
@@ -108,7 +112,8 @@ def select(recordings: Sequence[LogRecording], wanted: Sequence[str] = ()) -> di
         BadInputError: A wanted field is not in all recordings, or there is none at all.
     """
     groups = [_by_topic(recording) for recording in recordings]
-    shared = [topic for topic in groups[0] if all(len(group.get(topic, ())) >= _LEAST_MESSAGES for group in groups)]
+    shared = [topic for topic in groups[0] if all(len(group.get(topic, ())) >= _MIN_MESSAGES for group in groups)]
+    # In each topic the numbers that are wanted, or recommended, and finite throughout.
     probes = {}
     for topic in shared:
         first = groups[0][topic][0]
@@ -116,12 +121,14 @@ def select(recordings: Sequence[LogRecording], wanted: Sequence[str] = ()) -> di
         usable = [name for name in names if all(_is_finite(group[topic], name) for group in groups)]
         if usable:
             probes[topic] = Probe(first.layout, foreign_spec(topic, usable))
-    cut = f" ({text})" if (text := cut_text(recordings)) else ""
+    cut = cut_text(recordings)
+    if cut:
+        cut = f" ({cut})"
     _check_wanted(wanted, probes, groups, shared, cut)
     if not probes:
         files = ", ".join(recording.name for recording in recordings)
         raise BadInputError(
-            f"{files}: no numbers in common{cut}; allowed: topics with {_LEAST_MESSAGES} messages or more "
+            f"{files}: no numbers in common{cut}; allowed: topics with {_MIN_MESSAGES} messages or more "
             "in each recording, with finite numbers"
         )
     return probes
@@ -136,6 +143,7 @@ def cut_text(recordings: Sequence[LogRecording]) -> str:
 
 
 def _by_topic(recording: LogRecording) -> dict[str, list[LoggedMessage]]:
+    """The messages of each topic."""
     groups: dict[str, list[LoggedMessage]] = {}
     for message in recording.messages:
         groups.setdefault(message.topic, []).append(message)
@@ -143,12 +151,13 @@ def _by_topic(recording: LogRecording) -> dict[str, list[LoggedMessage]]:
 
 
 def _candidates(
-    topic: str, message: LoggedMessage, wanted: Sequence[str], recommended: Mapping[str, Sequence[str]]
+    topic: str, message: LoggedMessage, requested: Sequence[str], recommended: Mapping[str, Sequence[str]]
 ) -> list[str]:
+    """Numbers of a topic, given a message of it, that are wanted; by default those that are recommended."""
     numbers = message.layout.numbers(message.data, LONGEST_LIST)
-    if wanted:
-        named = [name.rpartition(":") for name in wanted]
-        return [path for topic_of_name, _, path in named if topic_of_name in ("", topic) and path in numbers]
+    if requested:
+        requested_names = [name.rpartition(":") for name in requested]
+        return [path for topic_of_name, _, path in requested_names if topic_of_name in ("", topic) and path in numbers]
     if not recommended:
         return numbers
     return [name for name in recommended.get(topic, ()) if name in numbers]
@@ -174,42 +183,69 @@ def _check_wanted(
     monitored = {(topic, field.name) for topic, probe in probes.items() for field in probe.spec.header}
     for name in wanted:
         topic, _, path = name.rpartition(":")
-        if any(path == name_of_topic and topic in ("", held) for held, name_of_topic in monitored):
+        if any(path == monitored_path and topic in ("", owner) for owner, monitored_path in monitored):
             continue
-        held = [topic] if topic in shared else shared
-        numbers = [
-            f"{name_of_topic}:{number}" if topic else number
-            for name_of_topic in held
-            for number in groups[0][name_of_topic][0].layout.numbers(groups[0][name_of_topic][0].data, LONGEST_LIST)
-            if all(_is_finite(group[name_of_topic], number) for group in groups)
-        ]
+        # What could be named instead: in the same topic if there is one, and in the same form.
+        candidates: Sequence[str] = shared
+        if topic in shared:
+            candidates = [topic]
+        numbers = []
+        for candidate in candidates:
+            first = groups[0][candidate][0]
+            for number in first.layout.numbers(first.data, LONGEST_LIST):
+                if not all(_is_finite(group[candidate], number) for group in groups):
+                    continue
+                if topic:
+                    numbers.append(f"{candidate}:{number}")
+                else:
+                    numbers.append(number)
         raise BadInputError(
-            f"--fields: {name}: not a finite number in all recordings, in {_LEAST_MESSAGES} messages or more of "
+            f"--fields: {name}: not a finite number in all recordings, in {_MIN_MESSAGES} messages or more of "
             f"each{cut}; allowed: {allowed(numbers, name)}"
         )
 
 
 # ---- judging -------------------------------------------------------------------------------------------------------
+Sample = tuple[LoggedMessage, State]
+"""A message, and its monitored fields."""
+
+
 @dataclass(frozen=True)
 class LogAlarm:
-    """An alarm on one message of a recording."""
+    """An alarm on one message of a recording; its attributes are keys of the JSON output.
 
-    place: int  # index of the message among the judged ones
+    Attributes:
+        place: Index of the message among the judged ones.
+        time_us: Its time (us).
+        topic: Its topic.
+        score: Relative to the threshold.
+        fields: The fields that raised the alarm.
+    """
+
+    place: int
     time_us: int
     topic: str
-    score: float  # relative to the threshold
+    score: float
     fields: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Flip:
-    """An injected flip."""
+    """An injected flip; its attributes are keys of the JSON output.
+
+    Attributes:
+        topic: Topic of the message.
+        field: The changed number.
+        bit: The flipped bit.
+        bit_class: Its class, as in `BIT_CLASSES`.
+        detected: Whether there was an alarm on the message, or on the next one of its topic.
+    """
 
     topic: str
     field: str
     bit: int
     bit_class: str
-    detected: bool  # an alarm on the message, or on the next one of its topic
+    detected: bool
 
 
 @dataclass(frozen=True)
@@ -241,8 +277,10 @@ class JudgedLog:
     @property
     def events(self) -> int:
         """Alarms, with those within `_EVENT_GAP_US` of each other counted as one."""
+        if not self.alarms:
+            return 0
         times = [alarm.time_us for alarm in self.alarms]
-        return len(times) and 1 + sum(b - a > _EVENT_GAP_US for a, b in zip(times, times[1:], strict=False))
+        return 1 + sum(later - earlier > _EVENT_GAP_US for earlier, later in zip(times, times[1:], strict=False))
 
 
 class LogWatch:
@@ -259,12 +297,10 @@ class LogWatch:
     """
 
     def __init__(self, kind: str, profile: str, probes: Mapping[str, Probe], training: Sequence[LogRecording]) -> None:
+        # Read all topics, then drop those with too few messages.
         self.probes = dict(probes)
         flights = [[state for _, state in self._states(recording)] for recording in training]
-        counts = {
-            topic: sum(state.spec is probe.spec for states in flights for state in states)
-            for topic, probe in probes.items()
-        }
+        counts = Counter(state.spec.name for states in flights for state in states)
         self.probes = {topic: probe for topic, probe in probes.items() if counts[topic] >= SMALLEST_SAMPLE}
         if not self.probes:
             raise BadInputError(f"--train: no topic has {SMALLEST_SAMPLE} messages; allowed: longer recordings")
@@ -273,7 +309,8 @@ class LogWatch:
         self.detector: Any = learn(kind, profile, training_states, specs)
         self.trained_on = sum(map(len, training_states))
 
-    def _states(self, recording: LogRecording) -> Iterator[tuple[LoggedMessage, State]]:
+    def _states(self, recording: LogRecording) -> Iterator[Sample]:
+        """The messages of a recording with monitored fields."""
         for message in recording.messages:
             state = self._read(message, message.data)
             if state is not None:
@@ -295,59 +332,69 @@ class LogWatch:
                 afterwards, as many in each of `BIT_CLASSES`.
             seed: Draws messages, fields and bits.
         """
-        judged = list(self._states(recording))
+        samples = list(self._states(recording))
+        alarms = list(self._run(samples))
+        # The normal part, and what follows the known fault.
         onset = recording.onset_us
-        alarms = list(self._run(judged))
-        normal = [index for index, (m, _) in enumerate(judged) if onset is None or m.time_us < onset]
-        clean = [alarm for alarm in alarms if onset is None or alarm.time_us < onset]
-        late = [alarm for alarm in alarms if onset is not None and alarm.time_us >= onset]
-        times = [judged[index][0].time_us for index in normal]
+        normal = samples
+        faulty: list[Sample] = []
+        false_alarms = alarms
+        fault_delay_s = None
+        if onset is not None:
+            count = sum(message.time_us < onset for message, _ in samples)
+            normal = samples[:count]
+            faulty = samples[count:]
+            false_alarms = [alarm for alarm in alarms if alarm.time_us < onset]
+            for alarm in alarms:
+                if alarm.time_us >= onset:
+                    fault_delay_s = 1e-6 * (alarm.time_us - onset)
+                    break
+        injected = self._inject(normal, {alarm.place for alarm in false_alarms}, flips, seed)
         return JudgedLog(
             recording.name,
-            _exposure_s(times),
+            _exposure_s(normal),
             len(normal),
-            clean,
-            list(self._inject(judged[: len(normal)], {alarm.place for alarm in clean}, flips, seed)),
-            onset is not None,
-            None if onset is None or not late else 1e-6 * (late[0].time_us - onset),
-            _exposure_s([m.time_us for m, _ in judged[len(normal) :]]),
-            recording.cut,
+            false_alarms,
+            list(injected),
+            has_fault=onset is not None,
+            fault_delay_s=fault_delay_s,
+            after_fault_s=_exposure_s(faulty),
+            cut=recording.cut,
         )
 
-    def _run(self, judged: Sequence[tuple[LoggedMessage, State]]) -> Iterator[LogAlarm]:
+    def _run(self, samples: Sequence[Sample]) -> Iterator[LogAlarm]:
+        """The alarms of a flight."""
         self.detector.start()
-        for index, (message, state) in enumerate(judged):
+        for index, (message, state) in enumerate(samples):
             alarm = self._step(state, message.time_us)
             if alarm is not None:
                 fields = tuple(name.removeprefix(f"{message.topic}.") for name in alarm.fields)
                 yield LogAlarm(index, message.time_us, message.topic, alarm.score, fields)
 
     def _step(self, state: State, time_us: int) -> Any:
+        """The alarm on a message, which the detector accepts in any case; None = there is none."""
         alarm = self.detector.check(state, time_us)
         self.detector.accept(state, time_us)
         return alarm
 
-    def _inject(
-        self, judged: Sequence[tuple[LoggedMessage, State]], alarmed: set[int], count: int, seed: int
-    ) -> Iterator[Flip]:
-        """Flips in order of time; messages with an alarm of their own, or before one, are not drawn."""
-        following = _next_of_topic(judged)
-        usable = [
-            (index, follower)
-            for index, follower in enumerate(following)
-            if follower is not None and not alarmed & {index, follower} and self._floats(judged[index][0])
-        ]
+    def _inject(self, samples: Sequence[Sample], alarmed: set[int], count: int, seed: int) -> Iterator[Flip]:
+        """Flips in order of time; messages that raise an alarm without it, or before such a one, are not drawn."""
+        usable = []
+        for index, follower in enumerate(_next_of_topic(samples)):
+            if follower is not None and not alarmed & {index, follower} and self._floats(samples[index][0]):
+                usable.append((index, follower))
         if not usable or not count:
             return
         random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_INJECTION_STREAM,)))
         drawn = sorted((*usable[int(random.integers(len(usable)))], number) for number in range(count))
+        # One run through the flight: each flip is undone before it goes on.
         self.detector.start()
-        done = 0
+        position = 0
         for index, follower, number in drawn:
-            for message, state in judged[done:index]:
+            for message, state in samples[position:index]:
                 self._step(state, message.time_us)
-            done = max(done, index)
-            yield self._flip(judged[index : follower + 1], BIT_CLASSES[number % len(BIT_CLASSES)], random)
+            position = max(position, index)
+            yield self._flip(samples[index : follower + 1], BIT_CLASSES[number % len(BIT_CLASSES)], random)
 
     def _floats(self, message: LoggedMessage) -> list[tuple[str, str]]:
         """Monitored floating-point fields of a message, each with its kind."""
@@ -355,21 +402,24 @@ class LogWatch:
         kinds = [(name, message.layout.check(name)) for name in names]
         return [(name, kind) for name, kind in kinds if kind in _FLOATS]
 
-    def _flip(self, judged: Sequence[tuple[LoggedMessage, State]], bit_class: str, random: np.random.Generator) -> Flip:
-        """Flip a bit of the first message, and judge until the next one of its topic; the detector's memory is kept."""
-        message = judged[0][0]
+    def _flip(self, samples: Sequence[Sample], bit_class: str, random: np.random.Generator) -> Flip:
+        """Flip a bit of the first message, and judge until the next one of its topic; the detector forgets it."""
+        # Draw a number and its bit.
+        message = samples[0][0]
         floats = self._floats(message)
         name, kind = floats[int(random.integers(len(floats)))]
-        typed = Field(name, _FLOATS[kind], "-")
-        bits = bits_of(typed, bit_class)
+        bits = bits_of(Field(name, _FLOATS[kind], "-"), bit_class)
         bit = int(random.integers(bits.start, bits.stop))
         leaf = Leaf(message.layout.locate(message.data, name).offset, kind)
         changed = self._read(message, flip_bit(message.data, leaf, bit))
         assert changed is not None  # it has the numbers of the original
+        # Judge, and restore the detector.
         memory = self.detector.memory()
         detected = self._step(changed, message.time_us) is not None
-        for later, state in judged[1:]:
-            detected |= self._step(state, later.time_us) is not None and later.topic == message.topic
+        for later, state in samples[1:]:
+            alarm = self._step(state, later.time_us)
+            if alarm is not None and later.topic == message.topic:
+                detected = True
         self.detector.restore(memory)
         return Flip(message.topic, name, bit, bit_class, detected)
 
@@ -385,31 +435,31 @@ def judge_rest(
 ) -> tuple[LogWatch, JudgedLog]:
     """Train a detector on the first share of a recording, and judge the rest."""
     first, rest = recording.split(share)
-    watching = LogWatch(kind, profile, select([first.normal, rest.normal], fields), [first.normal])
-    return watching, watching.judge(rest, flips, seed)
+    log_watch = LogWatch(kind, profile, select([first.normal, rest.normal], fields), [first.normal])
+    return log_watch, log_watch.judge(rest, flips, seed)
 
 
-def _next_of_topic(judged: Sequence[tuple[LoggedMessage, State]]) -> list[int | None]:
+def _next_of_topic(samples: Sequence[Sample]) -> list[int | None]:
     """Index of the next message of the same topic, for each message."""
-    following: list[int | None] = [None] * len(judged)
+    following: list[int | None] = [None] * len(samples)
     latest: dict[str, int] = {}
-    for index, (message, _) in enumerate(judged):
+    for index, (message, _) in enumerate(samples):
         if message.topic in latest:
             following[latest[message.topic]] = index
         latest[message.topic] = index
     return following
 
 
-def _exposure_s(times: Sequence[int]) -> float:
-    """Duration without longer gaps (s)."""
-    gaps = np.diff(np.array(times, np.int64))
+def _exposure_s(samples: Sequence[Sample]) -> float:
+    """Duration of some messages without longer gaps (s)."""
+    gaps = np.diff(np.array([message.time_us for message, _ in samples], np.int64))
     return 1e-6 * float(gaps[gaps <= _LONGEST_GAP_US].sum())
 
 
 # ---- rates -----------------------------------------------------------------------------------------------------------
 
-_MINUTE = 60.0
-_HOUR = 3600.0
+_MINUTE_S = 60.0
+_HOUR_S = 3600.0
 
 
 @dataclass(frozen=True)
@@ -426,14 +476,18 @@ class LogRates:
     @property
     def alarms(self) -> EventRate:
         """Alarm events per hour of normal flight, with the exact interval of Poisson counts."""
-        return event_rate(sum(judged.events for judged in self.recordings), self.exposure_s / _HOUR)
+        return event_rate(sum(judged.events for judged in self.recordings), self.exposure_s / _HOUR_S)
 
     @property
     def flips(self) -> Mapping[str, Rate]:
         """Share of detected flips by class of the bit."""
-        every = [flip for judged in self.recordings for flip in judged.flips]
-        groups = {name: [flip.detected for flip in every if flip.bit_class == name] for name in BIT_CLASSES}
-        return {name: wilson(sum(detected), len(detected)) for name, detected in groups.items() if detected}
+        flips = [flip for judged in self.recordings for flip in judged.flips]
+        rates = {}
+        for name in BIT_CLASSES:
+            detected = [flip.detected for flip in flips if flip.bit_class == name]
+            if detected:
+                rates[name] = wilson(sum(detected), len(detected))
+        return rates
 
     @property
     def faults(self) -> Rate:
@@ -455,10 +509,11 @@ class LogRates:
     def headline(self) -> str:
         """Alarm events per hour and share of messages with an alarm, in one line."""
         rate = self.alarms
-        minutes = self.exposure_s / _MINUTE
-        events = f"{rate.events} false alarm event{'' if rate.events == 1 else 's'}"
-        exposed = f"{minutes:.1f} min of normal flight"
-        return f"{events} in {exposed}: {rate_text(rate)} per hour; {self.alarm_percent:.2g} % of messages"
+        events = f"{rate.events} false alarm events"
+        if rate.events == 1:
+            events = "1 false alarm event"
+        exposure = f"{self.exposure_s / _MINUTE_S:.1f} min of normal flight"
+        return f"{events} in {exposure}: {rate_text(rate)} per hour; {self.alarm_percent:.2g} % of messages"
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -476,9 +531,15 @@ def rate_text(rate: EventRate) -> str:
     """Events per hour with interval; three digits, as rates in minutes of flight span decades."""
     if rate.per_hour is None or rate.low is None or rate.high is None:
         return "not counted"
-    values = (rate.per_hour, rate.low, rate.high)
-    value, low, high = (f"{number:,.0f}" if number >= 1000.0 else f"{number:.3g}" for number in values)
+    value, low, high = map(_three_digits, (rate.per_hour, rate.low, rate.high))
     return f"{value} [{low}, {high}]"
+
+
+def _three_digits(number: float) -> str:
+    """A number with three digits, or in full if it has more of them before the point."""
+    if number >= 1000.0:
+        return f"{number:,.0f}"
+    return f"{number:.3g}"
 
 
 def delay_text(judged: JudgedLog) -> str:

@@ -11,7 +11,7 @@ from typing import Any, Literal, NoReturn
 from pydantic import Field, model_validator
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Fault, RegisterFault
+from mavfi.faults.fault import ACCESSES, MAX_WALK, Fault, RegisterFault
 from mavfi.faults.sampling import stream
 from mavfi.levels.level import Draw, Golden, Level, Sampler, Sampling, check_distinct, check_known
 
@@ -28,7 +28,7 @@ class RegisterSampling(Sampling):
     )
     access: str = Field("either", description="a register that an instruction reads, or one that it has written")
     symbol: str = Field("", description="stop at the next call of this function; a part of its name that no other has")
-    walk: int = Field(64, ge=1, le=LONGEST_WALK, description="instructions from the stop to the injection, at most")
+    walk: int = Field(64, ge=1, le=MAX_WALK, description="instructions from the stop to the injection, at most")
 
     @model_validator(mode="after")
     def _consistent(self) -> "RegisterSampling":
@@ -102,15 +102,15 @@ class RegisterLevel(Level):
 
     def about(self, campaign: Any) -> dict[str, Any]:
         """See `Level.about`; of a node under test, its command."""
-        each = "kind of registers"
+        unit = "kind of registers"
         sampling = campaign.sampling
         node = campaign.under_test
         if node is None:
-            return {"each": each, "how": "uniform over the firmware's instructions"}
+            return {"each": unit, "how": "uniform over the firmware's instructions"}
         if sampling.symbol:
-            where = f"from the next call of {sampling.symbol!r} on"
+            start = f"from the next call of {sampling.symbol!r} on"
         else:
-            where = "from a random instant on"
-        line = f"{node.command[0]} · one bit per trial, {where}, after up to {sampling.walk} instructions"
+            start = "from a random instant on"
+        line = f"{node.command[0]} · one bit per trial, {start}, after up to {sampling.walk} instructions"
         title = f"campaign {campaign.name} · node {', '.join(campaign.environments)}"
-        return {"each": each, "profile": "", "title": title, "lines": [line]}
+        return {"each": unit, "profile": "", "title": title, "lines": [line]}

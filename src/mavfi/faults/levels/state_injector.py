@@ -12,7 +12,7 @@ import numpy as np
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.faults.injector import Injector
-from mavfi.faults.levels.transit import Change, changed_bits, is_length, with_length
+from mavfi.faults.levels.transit import ChangedPublication, changed_bits, is_length, with_length
 from mavfi.faults.sampling import stream
 from mavfi.faults.strata import WORD_BITS
 from mavfi.record import Injection
@@ -52,7 +52,7 @@ def mask_of(bit: int | None, width: int) -> int:
     return ((1 << width) - 1) << bit
 
 
-def _with_bits(state: State, site: FaultSite, mask: int, stuck: int | None = None) -> Change:
+def _with_bits(state: State, site: FaultSite, mask: int, stuck: int | None = None) -> ChangedPublication:
     """A copy with masked bits of a field flipped, or set as in `stuck`."""
     if is_length(state.spec, site.field):
         raise BadInputError(f"{site}: is the length of a list; allowed: a field of the state")
@@ -75,7 +75,7 @@ def _with_bits(state: State, site: FaultSite, mask: int, stuck: int | None = Non
     word = int.from_bytes(raw.tobytes(), "little")
     word = changed_bits(word, mask, stuck)
     raw[:] = np.frombuffer(word.to_bytes(size, "little"), np.uint8)
-    return Change(changed, before, container[site.field][row].item(), word)
+    return ChangedPublication(changed, before, container[site.field][row].item(), word)
 
 
 class ActedOn:
@@ -220,7 +220,7 @@ class StateInjector(Injector):
             self.injections.append(self._record(state, time_us, site, change))
         return change.state
 
-    def _record(self, state: State, time_us: int, site: FaultSite, change: Change) -> Injection:
+    def _record(self, state: State, time_us: int, site: FaultSite, change: ChangedPublication) -> Injection:
         """The record of the first change."""
         fault = self._fault
         details: dict[str, Any] = {}

@@ -54,7 +54,7 @@ def parse(spec: StateSpec, data: bytes | bytearray) -> State | None:
     return State(spec, header, elements)
 
 
-class Change(NamedTuple):
+class ChangedPublication(NamedTuple):
     """A publication with changed bits.
 
     Attributes:
@@ -77,7 +77,7 @@ def changed_bits(word: int, mask: int, stuck: int | None) -> int:
     return (word & ~mask) | (stuck & mask)
 
 
-def with_length(state: State, name: str, mask: int, stuck: int | None = None) -> Change:
+def with_length(state: State, name: str, mask: int, stuck: int | None = None) -> ChangedPublication:
     """The state as read after masked bits of a list's length were flipped, or set as in `stuck`.
 
     Args:
@@ -95,4 +95,4 @@ def with_length(state: State, name: str, mask: int, stuck: int | None = None) ->
     before = len(state.elements)
     after = changed_bits(before, mask, stuck)
     data[start : start + _LENGTH.itemsize] = np.array([after], _LENGTH).tobytes()
-    return Change(parse(state.spec, data), before, after, after)
+    return ChangedPublication(parse(state.spec, data), before, after, after)

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import (
     ACCESSES,
-    LONGEST_TIMEOUT,
-    LONGEST_WALK,
+    MAX_TIMEOUT_S,
+    MAX_WALK,
     MODELS,
     NO_SITE,
     REGISTERS,
@@ -94,8 +94,8 @@ register_faults = st.builds(
     st.sampled_from(ACCESSES),
     st.text(),
     st.just(0),
-    st.integers(1, LONGEST_WALK),
-    st.floats(0, LONGEST_TIMEOUT, exclude_min=True),
+    st.integers(1, MAX_WALK),
+    st.floats(0, MAX_TIMEOUT_S, exclude_min=True),
     st.booleans(),
     st.text(),
     seed=seeds,

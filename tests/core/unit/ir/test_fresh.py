@@ -15,7 +15,7 @@ import pytest
 from mavfi.errors import MachineError
 from mavfi.extras.ros.ros1.ports import is_alive
 from mavfi.ir import fresh
-from mavfi.ir.build import BuildError, build_apart
+from mavfi.ir.build import BuildError, run_in_fresh_process
 from mavfi.ir.forked import run_in_child
 from mavfi.numerics.jit import KernelDispatcher, kernel_jit
 
@@ -49,7 +49,7 @@ def die(kernel, signature):
 
 
 def asked():
-    return eval(build_apart(half, (numba.float64,), surroundings_of))  # noqa: S307
+    return eval(run_in_fresh_process(half, (numba.float64,), surroundings_of))  # noqa: S307
 
 
 def template():
@@ -112,7 +112,7 @@ def test_a_fork_that_hangs_or_dies_leaves_the_template():
     first = template()
     assert fresh.run_fresh(half, (numba.float64,), hang, 0.2).detail == "wall clock"
     with pytest.raises(BuildError, match="half: the compiler ended with SIGABRT"):
-        build_apart(half, (numba.float64,), die)
+        run_in_fresh_process(half, (numba.float64,), die)
     assert template() == first
 
 
@@ -121,7 +121,7 @@ def test_what_is_prepared_for_a_program_that_is_killed_is_given_up(tmp_path):
     program = os.fork()
     if program == 0:
         try:
-            build_apart(half, (numba.float64,), partial(report_and_hang, found=found))
+            run_in_fresh_process(half, (numba.float64,), partial(report_and_hang, found=found))
         finally:
             os._exit(0)
     while not found.exists():

@@ -25,7 +25,7 @@ def drawn(count=1, sites=EVERYTHING, stratum="", bit=None, seed=0):
     drawings = [_Drawing(np.random.default_rng([seed, number]), number) for number in range(count)]
     exposure = Exposure(sites, stratum, bit, drawings)
     for now, remembered in INSTANTS.items():
-        exposure.look(remembered, now)
+        exposure.observe(remembered, now)
     return exposure.faults()
 
 

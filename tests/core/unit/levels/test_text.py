@@ -175,9 +175,9 @@ def test_failures_name_unit_type_duration_and_instant():
     for text in ("sensor:gyro:drift@10.0", "sensor:motor2:off:lasts=5.0@0.5", "sensor:depth_camera:stuck@3.25"):
         request = parse(text)
         fault = request.resolve(7, 0)
-        assert not request.drawn and fault.seed == 7 and text_of(fault) == text
+        assert not request.draws_start and fault.seed == 7 and text_of(fault) == text
     drawn = {parse("sensor:position:wrong").resolve(seed, 5_000_000).time_us for seed in range(100)}
-    assert parse("sensor:position:wrong").drawn and 0 <= min(drawn) < max(drawn) < 5_000_000 and len(drawn) > 90
+    assert parse("sensor:position:wrong").draws_start and 0 <= min(drawn) < max(drawn) < 5_000_000 and len(drawn) > 90
     assert parse_sensor("sensor:motor:off@2", 3) == SensorFault("motor", "off", 2_000_000, seed=3)
     with pytest.raises(BadInputError, match="without an instant"):
         parse_sensor("sensor:motor:off", 3)

@@ -103,7 +103,7 @@ class Constant:
 def constants_of(module: Module) -> dict[str, Constant]:
     """Arrays used in the fault space, with their addresses in the arena, in order of first use.
 
-    Pickled exceptions are not moved: only Python reads them, and their length depends on a file path.
+    Pickled exceptions are not relocated: only Python reads them, and their length depends on a file path.
     """
     arrays = (match for match in map(_ARRAY.match, module.preamble) if match is not None)
     kinds = {match[1]: match[3] for match in arrays if ".const.pickle" not in match[1]}
@@ -117,7 +117,7 @@ def constants_of(module: Module) -> dict[str, Constant]:
     return constants
 
 
-def visible(line: str, constants: dict[str, Constant]) -> str:
+def exported(line: str, constants: dict[str, Constant]) -> str:
     """A global of the module; constants to be copied to the arena become externally visible."""
     match = _ARRAY.match(line)
     if match is None or match[1] not in constants:
@@ -125,7 +125,7 @@ def visible(line: str, constants: dict[str, Constant]) -> str:
     return line.replace(" = private ", " = ", 1).replace(" = internal ", " = ", 1)
 
 
-def moved(token: str, constants: dict[str, Constant]) -> str:
+def relocated(token: str, constants: dict[str, Constant]) -> str:
     """A token of an instruction, with arrays replaced by planned addresses, and Numba's runtime by ours."""
     if "@" not in token:
         return token

@@ -88,15 +88,16 @@ def draw(
     """
     variant = variant_for(kernel, args)
     selection = parse_selection(which)
+    # How many instructions there are.
     random = np.random.default_rng(seed)
-    total = int(apart(partial(count, kernel, *args)))
+    total = int(run_apart(partial(count, kernel, *args)))
     if total == 0:
         raise BadInputError(f"{name_of(kernel)}: it writes no value that could be injected")
     # Indices are drawn from all instructions; those outside the class are dropped.
     faults: list[InstructionFault] = []
     for _ in range(_MAX_ROUNDS):
         indices = random.integers(total, size=max(_MIN_BATCH, n)).tolist()
-        sites: list[InjectionSite] = apart(partial(resolve, kernel, indices, *args))
+        sites: list[InjectionSite] = run_apart(partial(resolve, kernel, indices, *args))
         for index, site in zip(indices, sites, strict=True):
             if site in selection and len(faults) < n:
                 fault = plan(
@@ -132,7 +133,7 @@ def inject(kernel: Any, fault: InstructionFault, *args: Any) -> tuple[Any, Injec
     """
     variant = variant_for(kernel, args)
     check_fault(fault, variant, kernel)
-    budget = fault.budget or budget_for(int(apart(partial(count, kernel, *args))))
+    budget = fault.budget or budget_for(int(run_apart(partial(count, kernel, *args))))
     result = variant.inject(fault.index, *fault.masks, budget, *args)
     return result, injection_of(fault, variant.report())
 
@@ -147,29 +148,29 @@ def run_forked(kernel: Any, fault: InstructionFault, *args: Any, timeout: float 
     """
     variant = variant_for(kernel, args)
     check_fault(fault, variant, kernel)
-    variant.own_report()
+    variant.claim_report()
 
     def golden_run() -> tuple[bytes, int]:
         result, total = variant.count(*args)
         return digest((result, args)), total
 
-    golden, total = apart(golden_run)
+    golden, total = run_apart(golden_run)
     armed = replace(fault, budget=fault.budget or budget_for(total))
 
     def injected_run() -> bytes:
         result = variant.inject(armed.index, *armed.masks, armed.budget, *args)
         return digest((result, args))
 
-    ended = run_in_child(injected_run, timeout)
+    end = run_in_child(injected_run, timeout)
     report = variant.report()
     injection = injection_of(armed, report)
     if report is None:
-        return InjectedCall("not_activated", injection, ended.detail)
-    if ended.how == "done" and ended.payload == golden:
+        return InjectedCall("not_activated", injection, end.detail)
+    if end.how == "done" and end.payload == golden:
         return InjectedCall("masked", injection)
-    if ended.how == "done":
+    if end.how == "done":
         return InjectedCall("sdc", injection)
-    return InjectedCall(ended.how, injection, ended.detail)
+    return InjectedCall(end.how, injection, end.detail)
 
 
 def digest(value: Any) -> bytes:
@@ -197,9 +198,9 @@ def _bytes(value: Any) -> Iterator[bytes]:
         yield type(value).__name__.encode() + number
 
 
-def apart(work: Callable[[], Any]) -> Any:
+def run_apart(work: Callable[[], Any]) -> Any:
     """Result of a fault-free run in a forked child, which leaves the arguments unmodified; failure is a BuildError."""
-    ended = run_in_child(lambda: pickle.dumps(work()))
-    if ended.how != "done":
-        raise BuildError(f"a run without a fault ended with {ended.how} ({ended.detail})")
-    return pickle.loads(ended.payload)
+    end = run_in_child(lambda: pickle.dumps(work()))
+    if end.how != "done":
+        raise BuildError(f"a run without a fault ended with {end.how} ({end.detail})")
+    return pickle.loads(end.payload)

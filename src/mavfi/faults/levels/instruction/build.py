@@ -11,7 +11,7 @@ from typing import Any
 from mavfi.faults.levels.instruction.accesses import Constant
 from mavfi.faults.levels.instruction.instrument import Instrumented, instrument, optimised
 from mavfi.faults.levels.instruction.table import SiteTable
-from mavfi.ir.build import KernelSource, Rewrite, build_apart, translate
+from mavfi.ir.build import KernelSource, Rewrite, run_in_fresh_process, translate
 from mavfi.ir.sources import ObjectCache, cached_source, folder_text
 
 
@@ -84,7 +84,7 @@ def build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = Non
         BadInputError: `rewrite` was made for another module.
     """
     source = cached_source(kernel, signature)
-    return Built.unpack(build_apart(kernel, signature, partial(make, source=source, rewrite=rewrite)))
+    return Built.unpack(run_in_fresh_process(kernel, signature, partial(make, source=source, rewrite=rewrite)))
 
 
 def make(kernel: Any, signature: tuple[Any, ...], source: KernelSource, rewrite: Rewrite | None = None) -> bytes:

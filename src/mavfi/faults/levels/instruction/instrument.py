@@ -23,11 +23,11 @@ from mavfi.faults.levels.instruction.accesses import (
     Constant,
     accesses_of,
     constants_of,
+    exported,
     is_owned,
-    moved,
     planned_wrapper,
+    relocated,
     size_of,
-    visible,
 )
 from mavfi.faults.levels.instruction.arena import LINE
 from mavfi.faults.levels.instruction.runtime import (
@@ -101,11 +101,11 @@ def instrument(text: str, kernel: str, rewrite: Rewrite | None = None) -> Instru
     digest = digest_of(module)
     owned = is_owned(module)
     constants = constants_of(module)
-    tally = tallied(module)
+    tally = tally_text(module)
     # Write the module anew, with our runtime and the rewritten functions.
     names = [function.name for function in module.functions]
     others = [planned_wrapper(text, names) for text in module.others]
-    lines = [*(visible(line, constants) for line in module.preamble), RUNTIME, MEMORY]
+    lines = [*(exported(line, constants) for line in module.preamble), RUNTIME, MEMORY]
     first_block = 0
     for function in module.functions:
         _move(function, constants)
@@ -119,9 +119,9 @@ def _move(function: Function, constants: dict[str, Constant]) -> None:
     """Redirect a function to the arena's constants and runtime."""
     for block in function.blocks:
         for instruction in block.all():
-            instruction.tokens = [moved(token, constants) for token in instruction.tokens]
-            instruction.incoming = [(moved(value, constants), label) for value, label in instruction.incoming]
-            instruction.arguments = [(kind, moved(value, constants)) for kind, value in instruction.arguments]
+            instruction.tokens = [relocated(token, constants) for token in instruction.tokens]
+            instruction.incoming = [(relocated(value, constants), label) for value, label in instruction.incoming]
+            instruction.arguments = [(kind, relocated(value, constants)) for kind, value in instruction.arguments]
 
 
 class _Rewriter:
@@ -269,13 +269,13 @@ class _Rewriter:
         self.lines.append(f"  br label {block.label}.join")
         return names
 
-    def _injected(self, site: Instruction, raw: str, chosen: str, offset: int) -> str:
+    def _injected(self, site: Instruction, raw: str, chosen_offset: str, offset: int) -> str:
         """Write code that changes a value if chosen, and reports it before and after; returns its new name."""
         bits = width(site.kind)
         word = f"i{bits}"
         whole_bytes = f"i{-(-bits // 8) * 8}"
         # (value & keep) ^ flip, if this is the chosen site
-        is_chosen = self._let(f"icmp eq i64 {chosen}, {offset}")
+        is_chosen = self._let(f"icmp eq i64 {chosen_offset}, {offset}")
         value = self._to_bits(raw, site.kind, bits)
         keep = self._resized(self._let(f"load {whole_bytes}, ptr @mavfi_keep"), whole_bytes, word)
         flip = self._resized(self._let(f"load {whole_bytes}, ptr @mavfi_flip"), whole_bytes, word)
@@ -367,7 +367,7 @@ HISTOGRAM = "mavfi_histogram"
 """Global of the machine code: address of the histogram, int64 of shape (blocks,)."""
 
 
-def tallied(module: Module) -> str:
+def tally_text(module: Module) -> str:
     """IR of a module that counts the executions of its blocks with sites, which are numbered in text order."""
     lines = [*module.preamble, f"@{HISTOGRAM} = global ptr null"]
     first_block = 0
@@ -396,8 +396,8 @@ def _counting(function: Function, first_block: int) -> str:
     """Definition of a function whose blocks are numbered from `first_block`."""
     # The counters that are needed, by label, and those that make up the count of each block.
     terms = [block.runs_as or (block.label,) for block in _blocks_with_sites(function)]
-    needed = {label for labels in terms for label in labels}
-    counters = {block.label: index for index, block in enumerate(function.blocks) if block.label in needed}
+    counted_labels = {label for labels in terms for label in labels}
+    counters = {block.label: index for index, block in enumerate(function.blocks) if block.label in counted_labels}
     sums = {first_block + i: [counters[label] for label in labels] for i, labels in enumerate(terms)}
     # The function: counters start at 0 in its first block, and are added to the histogram where it returns.
     lines = [function.head()]

@@ -41,19 +41,19 @@ def plan(
     index: int,
     model: Model = "one_bit",
     count: int = 2,
-    **more: Any,
+    **fields: Any,
 ) -> InstructionFault:
     """Choose how the result of a dynamic instruction is changed.
 
     Args:
         random: Random stream of the fault.
-        function: Module and name of a custom function; "" for one of a kernel, which `more` names.
+        function: Module and name of a custom function; "" for one of a kernel, which `fields` name.
         ir_sha256: Digest of the IR.
         site: The static instruction.
         index: Dynamic index.
         model: "one_bit", uniform; "bits": `count` distinct bits, or all if fewer; "random": any value; "zero".
         count: Number of bits for "bits".
-        more: Further fields of the fault.
+        **fields: Further fields of the fault.
 
     Raises:
         BadInputError: Unknown model.
@@ -81,7 +81,7 @@ def plan(
         model=model,
         value_class=site.value_class,
         stratum=stratum_of(site.kind, single_bit),
-        **more,
+        **fields,
     )
 
 
@@ -132,6 +132,7 @@ def injection_of(
     if report is None:
         details: dict[str, Any] = {"function": function, "replayable": True}
         return Injection(fault.level, fault.site, time_s, fault.bit, None, None, activated=False, details=details)
+    # What was planned, to compare it with what the machine code reports.
     site = report.site
     before = report.before
     after = report.after

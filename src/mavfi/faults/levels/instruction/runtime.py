@@ -222,8 +222,8 @@ allocator."""
 def _planned(yes: str, no: str) -> str:
     """IR that branches on whether the call uses planned memory."""
     return f"""{_load("planned", ControlWord.PLANNED)}
-  %here = icmp ne i64 %planned, 0
-  br i1 %here, label %{yes}, label %{no}"""
+  %is.planned = icmp ne i64 %planned, 0
+  br i1 %is.planned, label %{yes}, label %{no}"""
 
 
 def _allocation(name: str, parameters: str) -> str:
@@ -234,10 +234,10 @@ define ptr @mavfi_{name}({parameters}) noinline {{
 entry:
 {_planned("in_arena", "elsewhere")}
 in_arena:
-  %whole = add i64 %size, {_HEADER}
-  %at = call ptr @mavfi_room(i64 %whole)
-  %none = icmp eq ptr %at, null
-  br i1 %none, label %done, label %write
+  %total = add i64 %size, {_HEADER}
+  %at = call ptr @mavfi_room(i64 %total)
+  %is.null = icmp eq ptr %at, null
+  br i1 %is.null, label %done, label %write
 write:                  ; references, destructor and its argument, data, size, allocator
   store i64 {_HELD + 1}, ptr %at
   %destructor = getelementptr i8, ptr %at, i64 8
@@ -255,8 +255,8 @@ write:                  ; references, destructor and its argument, data, size, a
 done:
   ret ptr %at
 elsewhere:
-  %numbas = call ptr @{name}({parameters})
-  ret ptr %numbas
+  %result = call ptr @{name}({parameters})
+  ret ptr %result
 }}
 """
 
@@ -291,7 +291,8 @@ def declarations(text: str) -> str:
     )
 
 
-MEMORY = f"""
+# Checks of memory accesses and of the stack: `mavfi_check` is called before each access on the slow path.
+_CHECKS = f"""
 define void @mavfi_check(ptr %pointer, i64 %size) noinline {{
 entry:                  ; only accesses of a planned call, after the injection, and of more than no byte
 {_load("planned", ControlWord.PLANNED)}
@@ -310,8 +311,8 @@ test:                   ; BASE <= address and address + size <= BASE + SIZE, wit
   %wild = or i1 %large, %beyond
   br i1 %wild, label %stop, label %fine
 stop:                   ; the status tells the parent of a wild access
-{_load("end", ControlWord.STOP, "ptr")}
-  call void %end(i32 {WILD_EXIT})
+{_load("end.process", ControlWord.STOP, "ptr")}
+  call void %end.process(i32 {WILD_EXIT})
   br label %fine
 fine:
   ret void
@@ -321,12 +322,16 @@ entry:                  ; stack frames end where the constants begin
   %fits = icmp ule i64 %end, {CONSTANTS}
   br i1 %fits, label %fine, label %stop
 stop:
-{_load("end.of.it", ControlWord.STOP, "ptr")}
-  call void %end.of.it(i32 {WILD_EXIT})
+{_load("end.process", ControlWord.STOP, "ptr")}
+  call void %end.process(i32 {WILD_EXIT})
   br label %fine
 fine:
   ret void
 }}
+"""
+
+# The heap: `mavfi_room` takes memory from it; the functions of Numba's runtime use it in a planned call.
+_HEAP = f"""
 define ptr @mavfi_room(i64 %size) noinline {{
 entry:                  ; a multiple of a cache line, if the rest of the arena is large enough
 {_load("heap", ControlWord.HEAP)}
@@ -353,8 +358,8 @@ in_arena:
   %at = call ptr @mavfi_room(i64 %size)
   ret ptr %at
 elsewhere:
-  %numbas = call ptr @NRT_Allocate(i64 %size)
-  ret ptr %numbas
+  %result = call ptr @NRT_Allocate(i64 %size)
+  ret ptr %result
 }}
 define void @mavfi_NRT_Free(ptr %at) noinline {{
 entry:
@@ -368,8 +373,8 @@ elsewhere:
 }}
 define void @mavfi_reference(ptr %at) noinline {{
 entry:                  ; null has no header
-  %none = icmp eq ptr %at, null
-  br i1 %none, label %fine, label %test
+  %is.null = icmp eq ptr %at, null
+  br i1 %is.null, label %fine, label %test
 test:
   call void @mavfi_check(ptr %at, i64 {_HEADER})
   br label %fine
@@ -378,11 +383,15 @@ fine:
 }}
 {_allocation("NRT_MemInfo_alloc", "i64 %size")}
 {_allocation("NRT_MemInfo_alloc_aligned", "i64 %size, i32 %alignment")}
+"""
+
+# Counts of references to arrays, whose headers are checked like other memory.
+_REFERENCES = f"""
 define void @mavfi_NRT_incref(ptr %at) noinline {{
 entry:
   call void @mavfi_reference(ptr %at)
-  %none = icmp eq ptr %at, null
-  br i1 %none, label %done, label %count
+  %is.null = icmp eq ptr %at, null
+  br i1 %is.null, label %done, label %count
 count:
   %before = atomicrmw add ptr %at, i64 1 monotonic
   br label %done
@@ -392,8 +401,8 @@ done:
 define void @mavfi_NRT_decref(ptr %at) noinline {{
 entry:                  ; a corrupted pointer is a wild access
   call void @mavfi_reference(ptr %at)
-  %none = icmp eq ptr %at, null
-  br i1 %none, label %done, label %count
+  %is.null = icmp eq ptr %at, null
+  br i1 %is.null, label %done, label %count
 count:
   %before = atomicrmw sub ptr %at, i64 1 acq_rel
 {_planned("in_arena", "elsewhere")}
@@ -434,8 +443,8 @@ detach:                 ; without owner, the kernel counts no references to it
   store ptr null, ptr %array
   %parent = getelementptr i8, ptr %array, i64 8
   store ptr null, ptr %parent
-  %none = icmp eq ptr %held, null
-  br i1 %none, label %done, label %release
+  %is.null = icmp eq ptr %held, null
+  br i1 %is.null, label %done, label %release
 release:                ; the reference that the conversion has taken
   %before = atomicrmw sub ptr %held, i64 1 acq_rel
   %last = icmp eq i64 %before, 1
@@ -447,4 +456,6 @@ done:
   ret i32 %status
 }}
 """
+
+MEMORY = f"{_CHECKS}{_HEAP}{_REFERENCES}"
 """Numba's runtime for kernels: a planned call allocates arrays in the arena, without Python's reference counts."""

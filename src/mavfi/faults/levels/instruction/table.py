@@ -132,8 +132,10 @@ class SiteTable:
 
 def make_table(module: Module) -> SiteTable:
     """The sites of all blocks that have any, in text order."""
+    # Values of all functions together: roles depend on callers and callees.
     roles_by_function = roles(module)
     locations = Locations(module.metadata)
+    # Blocks are numbered in text order; those without sites have no number.
     blocks: list[tuple[InjectionSite, ...]] = []
     for function in module.functions:
         for block in function.blocks:

@@ -9,7 +9,7 @@ import os
 import weakref
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numba
 import numpy as np
@@ -81,6 +81,20 @@ class Passes:
         return int(self.starts[self._index_of[block, number]])
 
 
+class BlockProfile(NamedTuple):
+    """Block executions of a call.
+
+    Attributes:
+        result: Result of the call.
+        histogram: Execution counts of blocks. Shape (blocks,).
+        trace: The first blocks in order. Shape (n,).
+    """
+
+    result: Any
+    histogram: np.ndarray
+    trace: np.ndarray
+
+
 @dataclass(frozen=True, slots=True)
 class _TallyCode:
     """Machine code that counts block executions only: the engine that owns it, and where it finds its histogram."""
@@ -124,7 +138,7 @@ class Variant:
             for constant in built.constants
         ]
         self._reader_pid = -1
-        self.own_report()
+        self.claim_report()
         self._control[ControlWord.STOP] = ctypes.cast(ctypes.CDLL(None)._exit, ctypes.c_void_p).value or 0
         self._set(RunMode.INJECT, NEVER)
 
@@ -132,7 +146,7 @@ class Variant:
         """Engine of an object file, and its function."""
         return load_code(code, self._built.wrapper, self._built.environment, self._environment)
 
-    def own_report(self) -> None:
+    def claim_report(self) -> None:
         """Direct reports of later injections to this process; called by the reading process before it forks.
 
         Forks share the memory, so that it survives a crashed child: two workers must not use their parent's report.
@@ -191,8 +205,8 @@ class Variant:
         """Number of values written, from the execution count of each block. Shape (blocks,)."""
         return int(times @ self.sizes)
 
-    def profile(self, *args: Any, room: int = 0) -> tuple[Any, np.ndarray, np.ndarray]:
-        """Run without a fault; returns the result, execution counts of blocks, and the first `room` blocks in order."""
+    def profile(self, *args: Any, room: int = 0) -> BlockProfile:
+        """Run without a fault, and note at most `room` blocks in the order of their execution."""
         histogram = np.zeros(len(self.table.blocks), np.int64)
         trace = np.zeros(max(room, 1), np.int32)
         result = self._run(
@@ -204,7 +218,7 @@ class Variant:
             TRACE_ROOM=room,
             TRACE_LENGTH=0,
         )
-        return result, histogram, trace[: int(self._control[ControlWord.TRACE_LENGTH])]
+        return BlockProfile(result, histogram, trace[: int(self._control[ControlWord.TRACE_LENGTH])])
 
     def resolve(self, indices: Sequence[int], *args: Any) -> tuple[Any, list[InjectionSite | None]]:
         """Run without a fault; returns the result and the site of each dynamic index, None beyond the last."""

@@ -136,15 +136,15 @@ class Failures:
             ranges = failure(source, time_us, ranges)
         return ranges
 
-    def rotors(self, time_us: int, wanted: np.ndarray, max_thrust: float) -> np.ndarray:
+    def rotors(self, time_us: int, thrusts: np.ndarray, max_thrust: float) -> np.ndarray:
         """Commanded thrusts (N), of motors that can give `max_thrust`. Shape (4,)."""
         for failure in self._of("motor"):
             number = failure.fault.instance
             motors = slice(None)
             if number:
                 motors = slice(number - 1, number)
-            wanted = _with(wanted, motors, failure("rotors", time_us, wanted[motors], max_thrust))
-        return wanted
+            thrusts = _with(thrusts, motors, failure("rotors", time_us, thrusts[motors], max_thrust))
+        return thrusts
 
     def _of(self, unit: str) -> list[Failure]:
         """The failures of a device."""
@@ -196,7 +196,7 @@ class Signal:
         self._spread = self._device.spread
         if spread is not None:
             self._spread = spread
-        self._held: np.ndarray | None = None  # the value that readers keep
+        self._kept: np.ndarray | None = None  # the value that readers keep
         self._due_us = fault.time_us  # of `slow`: next update
         self._block = -1  # of `intermittent`: number of the block of time
         self._lost = False  # and whether it is lost
@@ -214,8 +214,8 @@ class Signal:
             self._remember(time_us, values)
         if not fault.time_us <= time_us < fault.end_us:
             return values
-        if self._held is None:
-            self._held = values.copy()
+        if self._kept is None:
+            self._kept = values.copy()
         sample: np.ndarray = getattr(self, fault.kind)(time_us, values)  # the method of this name
         return sample
 
@@ -233,8 +233,8 @@ class Signal:
     def stuck(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """The held value: that at the start of the failure."""
         del time_us, values
-        assert self._held is not None  # set by the first sample
-        return self._held.copy()
+        assert self._kept is not None  # set by the first sample
+        return self._kept.copy()
 
     def garbage(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """Noise, drawn from the seed and the instant."""
@@ -266,7 +266,7 @@ class Signal:
     def slow(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """Updates at a low rate."""
         if time_us >= self._due_us:
-            self._held = values.copy()
+            self._kept = values.copy()
             self._due_us = time_us + SLOW_US
         return self.stuck(time_us, values)
 
@@ -290,5 +290,5 @@ class Signal:
             self._lost = bool(random.random() < 0.5)
         if self._lost:
             return self.off(time_us, values)
-        self._held = values.copy()
+        self._kept = values.copy()
         return values
