@@ -111,4 +111,4 @@ class CommandsAlarm:
 def test_a_message_that_a_fault_loses_has_the_lowest_score():
     scorer = _ScoreRecorder({"one": CommandsAlarm()}, (StateFault(FaultSite("planning.path", "length_x"), 0, 31),))
     scorer(new_state("planning.path", 3), 7)
-    assert scorer.kept["one"].corrupted == {0: 0.0}
+    assert scorer.scores["one"].corrupted == {0: 0.0}
