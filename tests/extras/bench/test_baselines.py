@@ -360,7 +360,9 @@ def test_a_forest_sums_the_leaves_that_a_naive_walk_reaches(seed):
     wanted = np.array(sums) / [states[slot].unit for slot in slots]
     assert rates(codes, slots, forest_of(states, FIELDS)).tolist() == wanted.tolist()
     decayed = np.where(slots == 1, 0.0, -0.5 - np.exp(-wanted))
-    assert rates(codes, slots, forest_of(states, FIELDS, True, -1.0, -0.5)) == pytest.approx(decayed, rel=1e-12)
+    assert rates(codes, slots, forest_of(states, FIELDS, decays=True, sign=-1.0, shift=-0.5)) == pytest.approx(
+        decayed, rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -493,9 +495,9 @@ def test_after_an_anomaly_normal_values_are_normal_again():
     slot, scores = field_codes.slots["control.tracking"], []
     for value in [0] * LENGTH + [9] + [1] * (2 * LENGTH):
         own.codes[slice(*field_codes.range_of(slot))] = value
-        own.place[:] = slot, 0, own.place[residual_state.ACCEPTED], own.place[residual_state.LEARNED]
+        own.status[:] = slot, 0, own.status[residual_state.ACCEPTED], own.status[residual_state.LEARNED]
         judge_stretch(own, judged, limit, series)
         scores.append(float(judged.distance[slot]))
-        own.place[residual_state.LEARNED] = slot
+        own.status[residual_state.LEARNED] = slot
     assert scores[:LENGTH] == [0.0] * LENGTH and scores[LENGTH] > 8.0
     assert scores[-LENGTH - 1 :] == [0.0] * (LENGTH + 1), "a subsequence after the anomaly"

@@ -143,13 +143,13 @@ def spans_of(counts: Sequence[int] | np.ndarray) -> np.ndarray:
 
 
 def forest_of(
-    states: Sequence[StateTrees], inputs: Inputs, decays: bool = False, sign: float = 1.0, shift: float = 0.0
+    states: Sequence[StateTrees], inputs: Inputs, *, decays: bool = False, sign: float = 1.0, shift: float = 0.0
 ) -> Forest:
     """The tables of a forest.
 
     Args:
         states: Trees of each state.
-        inputs: What their columns are.
+        inputs: The inputs that they compare.
         decays: See `Forest`.
         sign: See `Forest`.
         shift: See `Forest`.
