@@ -258,11 +258,13 @@ def reconstruct_part(inputs: np.ndarray, network: Network, first: int, last: int
         neurons = sizes[layer]
         hidden = layer < len(sizes) - 1
         intercepts = start + sources * neurons
+        # hidden layers are computed as a whole
         low = 0
         high = neurons
         if not hidden:
             low = first
             high = last
+        # weighted sums of the layer before, source by source: rows are contiguous
         total = sums[low:high]
         total[:] = 0.0
         for source in range(sources):

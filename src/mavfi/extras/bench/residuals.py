@@ -158,13 +158,17 @@ def path(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values: np
     velocity = known[_VEHICLE + 3 : _VEHICLE + 6]
     speed = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
     values[:] = 0.0
+
+    # Entry speed (0 = none) against that of the vehicle, and numbers against those of other states.
     values[0] = 0.0 * entry  # NaN propagates
     if entry != 0.0 and known[_VEHICLE_KNOWN] != 0.0:
         values[0] = entry - speed
     values[1] = epoch - known[_COUNTER]
     junction = float(new["junction"])
-    if junction != -1.0:  # -1: the path starts at the vehicle
+    if junction != -1.0:  # -1 = none
         values[2] = junction - known[_INDEX]
+
+    # Start against the vehicle, end against that of the last path.
     if count:
         if known[_VEHICLE_KNOWN] != 0.0:
             values[3] = farthest(elements[0], known[_VEHICLE : _VEHICLE + 3])
