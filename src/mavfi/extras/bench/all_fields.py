@@ -247,29 +247,19 @@ def reconstruct_part(inputs: np.ndarray, network: Network, first: int, last: int
     A publication is judged by its own fields: the last layer computes no others.  `reconstruct` is not built of this
     function, since faults are drawn in its instructions.
     """
-    sizes = network.sizes
-    weights = network.weights
-    values = network.work[0]
-    sums = network.work[1]
+    sizes, weights = network.sizes, network.weights
+    values, sums = network.work[0], network.work[1]
     values[: sizes[0]] = inputs
     start = 0  # of the layer's weights, which its intercepts follow
     for layer in range(1, len(sizes)):
-        sources = sizes[layer - 1]
-        neurons = sizes[layer]
-        hidden = layer < len(sizes) - 1
-        intercepts = start + sources * neurons
-        # hidden layers are computed as a whole
-        low = 0
-        high = neurons
-        if not hidden:
-            low = first
-            high = last
+        sources, neurons = sizes[layer - 1], sizes[layer]
+        hidden, intercepts = layer < len(sizes) - 1, start + sources * neurons
+        low, high = (0, neurons) if hidden else (first, last)  # hidden layers are computed as a whole
         # weighted sums of the layer before, source by source: rows are contiguous
         total = sums[low:high]
         total[:] = 0.0
         for source in range(sources):
-            value = values[source]
-            row = weights[start + source * neurons + low : start + source * neurons + high]
+            value, row = values[source], weights[start + source * neurons + low : start + source * neurons + high]
             for neuron in range(high - low):
                 total[neuron] += value * row[neuron]
         for neuron in range(high - low):

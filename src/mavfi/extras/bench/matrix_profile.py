@@ -71,8 +71,7 @@ def least_square(stretch: np.ndarray, history: np.ndarray, first: int, last: int
     count = last - first
     squares[:count] = 0.0
     for position in range(LENGTH):  # all columns side by side: several per machine instruction
-        value = stretch[position]
-        row = history[position, first:last]
+        value, row = stretch[position], history[position, first:last]
         for index in range(count):
             away = value - row[index]
             squares[index] += away * away
@@ -158,13 +157,9 @@ def distance_of(slot: int, series: Series) -> float:
 def judge_stretch(measured: ResidualState, judged: JudgedPublication, limit: np.ndarray, series: Series) -> float:
     """Score of the subsequence that a publication completes; 0 until the first is complete."""
     learn(measured, judged, limit, series)
-    slot = measured.status[SLOT]
-    complete = extend(measured, series)
+    slot, complete = measured.status[SLOT], extend(measured, series)
     if measured.status[REGIME] >= 0:
-        distance = 0.0
-        if complete:
-            distance = distance_of(slot, series)
-        judged.distance[slot] = distance
+        judged.distance[slot] = distance_of(slot, series) if complete else 0.0
     return conclude(slot, slot + 1, measured, judged, limit)
 
 

@@ -64,9 +64,7 @@ def settle(measured: ResidualState) -> None:
     """Commit the publication measured last, if accepted."""
     if measured.status[ACCEPTED] != 0:
         measured.known[:] = measured.after
-        slot = measured.status[SLOT]
-        measured.status[ACCEPTED] = 0
-        measured.status[LEARNED] = slot
+        measured.status[ACCEPTED], measured.status[LEARNED] = 0, measured.status[SLOT]
 
 
 @kernel_jit
@@ -86,8 +84,7 @@ def _finish(slot: int, regime: int, measured: ResidualState) -> None:
         regime = -1
     elif not finite:
         regime = -1 - regime
-    measured.status[SLOT] = slot
-    measured.status[REGIME] = regime
+    measured.status[SLOT], measured.status[REGIME] = slot, regime
 
 
 @kernel_jit

@@ -7,6 +7,8 @@ The function of a state computes its residuals (SI units; NaN or infinity propag
 publication as the reference for the next one; it returns the regime of the state.  Arguments: `header`, shape (1,);
 `elements`, shape (n, fields), float64; `known`, memory of earlier publications, shape (SIZE,), zeros at first;
 `values`, output, shape (residuals of the state,); `keep`.
+
+The shape of statements decides the compiled instructions, in which faults are drawn: conditional expressions stay.
 """
 
 import math
@@ -74,25 +76,19 @@ def octaves(value: float) -> float:
     if math.isnan(value):
         return value
     size = log(min(max(abs(value), _NEAREST), _FARTHEST)) / _LOG_2
-    if value < 0.0:
-        return -_NEGATIVE - size
-    return size
+    return -_NEGATIVE - size if value < 0.0 else size
 
 
 @kernel_jit
 def wrapped(angle: float) -> float:
     """An angle wrapped to ±pi (rad); large ones unchanged."""
-    if abs(angle) < _LARGEST_WRAPPED:
-        return atan2(sin(angle), cos(angle))
-    return angle
+    return atan2(sin(angle), cos(angle)) if abs(angle) < _LARGEST_WRAPPED else angle
 
 
 @kernel_jit
 def larger(worst: float, value: float) -> float:
     """The larger of two numbers; NaN if either is."""
-    if not math.isnan(worst) and not value <= worst:
-        return value
-    return worst
+    return value if not math.isnan(worst) and not value <= worst else worst
 
 
 @kernel_jit
@@ -107,43 +103,22 @@ def farthest(point: np.ndarray, other: np.ndarray) -> float:
 @kernel_jit
 def status(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values: np.ndarray, keep: bool) -> int:
     """Collision status; see the module. Returns its regime."""
-    new = header[0]
+    new, seen = header[0], known[_STATUS_SEEN] != 0.0
     counter = float(new["future_collision_seq"])
     growth = counter - known[_COUNTER]
-
     # Times and distances against the last publication; the first one equals its prediction.
-    time = octaves(new["time_to_collision"])
-    blocked = octaves(new["distance_to_blocked"])
+    time, blocked = octaves(new["time_to_collision"]), octaves(new["distance_to_blocked"])
     unknown = octaves(new["distance_to_unknown"])
-    last_time = time
-    last_blocked = blocked
-    last_unknown = unknown
-    if known[_STATUS_SEEN] != 0.0:
-        last_time = known[_TIME]
-        last_blocked = known[_BLOCKED]
-        last_unknown = known[_UNKNOWN]
-    values[0] = time - last_time
-    values[1] = blocked - last_blocked
-    values[2] = unknown - last_unknown
+    values[0] = time - (known[_TIME] if seen else time)
+    values[1] = blocked - (known[_BLOCKED] if seen else blocked)
+    values[2] = unknown - (known[_UNKNOWN] if seen else unknown)
     values[3] = growth
-
-    # Numbers of the trajectory (-1 = none) and of the collision, which must grow when there is one.
+    # Number of the trajectory (-1 = none); the counter of collisions must grow when there is one.
     number = float(new["trajectory_seq"])
-    values[4] = 0.0
-    if number != -1.0:
-        values[4] = number - known[_NUMBER]
-    collision = 0.0
-    if new["collision"]:
-        collision = 1.0
-    grows = 0.0
-    if growth > 0.0:
-        grows = 1.0
-    values[5] = collision - grows
+    values[4] = 0.0 if number == -1.0 else number - known[_NUMBER]
+    values[5] = (1.0 if new["collision"] else 0.0) - (1.0 if growth > 0.0 else 0.0)
     if keep:
-        known[_COUNTER] = counter
-        known[_TIME] = time
-        known[_BLOCKED] = blocked
-        known[_UNKNOWN] = unknown
+        known[_COUNTER], known[_TIME], known[_BLOCKED], known[_UNKNOWN] = counter, time, blocked, unknown
         known[_STATUS_SEEN] = 1.0
     return since(known, _STATUS, keep)
 
@@ -151,23 +126,16 @@ def status(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values: 
 @kernel_jit
 def path(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values: np.ndarray, keep: bool) -> int:
     """Path; see the module. Returns its regime."""
-    new = header[0]
-    count = len(elements)
-    epoch = float(new["future_collision_seq"])
-    entry = new["entry_speed"]
+    new, count = header[0], len(elements)
+    epoch, entry = float(new["future_collision_seq"]), new["entry_speed"]
     velocity = known[_VEHICLE + 3 : _VEHICLE + 6]
     speed = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
     values[:] = 0.0
-
-    # Entry speed (0 = none) against that of the vehicle, and numbers against those of other states.
-    values[0] = 0.0 * entry  # NaN propagates
-    if entry != 0.0 and known[_VEHICLE_KNOWN] != 0.0:
-        values[0] = entry - speed
+    # Entry speed (0 = none; NaN propagates) against that of the vehicle, and numbers against those of other states.
+    values[0] = entry - speed if entry != 0.0 and known[_VEHICLE_KNOWN] != 0.0 else 0.0 * entry
     values[1] = epoch - known[_COUNTER]
     junction = float(new["junction"])
-    if junction != -1.0:  # -1 = none
-        values[2] = junction - known[_INDEX]
-
+    values[2] = 0.0 if junction == -1.0 else junction - known[_INDEX]
     # Start against the vehicle, end against that of the last path.
     if count:
         if known[_VEHICLE_KNOWN] != 0.0:
@@ -176,10 +144,8 @@ def path(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values: np
             values[4] = farthest(elements[count - 1], known[_GOAL : _GOAL + 3])
         values[5] = detour(elements)
     if keep:
-        known[_EPOCH] = epoch
-        known[_HAS_END] = 0.0
+        known[_EPOCH], known[_HAS_END] = epoch, 1.0 if count else 0.0
         if count:
-            known[_HAS_END] = 1.0
             known[_END : _END + 3] = elements[count - 1]
             known[_GOAL : _GOAL + 3] = elements[count - 1]
             known[_HAS_GOAL] = 1.0
@@ -203,8 +169,7 @@ def _distance(point: np.ndarray, other: np.ndarray) -> float:
 @kernel_jit
 def trajectory(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values: np.ndarray, keep: bool) -> int:
     """Trajectory; see the module. Returns its regime."""
-    new = header[0]
-    count = len(elements)
+    new, count = header[0], len(elements)
     number = float(new["trajectory_seq"])
     values[:] = 0.0
     values[0] = number - known[_NUMBER] - 1.0
@@ -246,52 +211,35 @@ def _points(points: np.ndarray, values: np.ndarray) -> None:
 @kernel_jit
 def waypoint(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values: np.ndarray, keep: bool) -> int:
     """Way-point, whose single element repeats the leading header fields; see the module. Returns its regime."""
-    new = header[0]
-    point = elements[0]
-    last = known[_POINT : _POINT + 11]
-    number = float(new["trajectory_seq"])
-    index = float(new["index"])
+    new, point, last = header[0], elements[0], known[_POINT : _POINT + 11]
+    number, index = float(new["trajectory_seq"]), float(new["index"])
     epoch = float(new["future_collision_seq"])
     same = known[_WAYPOINT_SEEN] != 0.0 and number == known[_OF_TRAJECTORY]
-
     # Position and velocity against the last way-point, or against the vehicle at the start of a trajectory.
     from_vehicle = not same and known[_VEHICLE_KNOWN] != 0.0
     for axis in range(3):
-        start = last[axis]
-        before = last[_VELOCITY + axis]
+        start, before = last[axis], last[_VELOCITY + axis]
         if from_vehicle:
-            start = known[_VEHICLE + axis]
-            before = known[_VEHICLE + 3 + axis]
+            start, before = known[_VEHICLE + axis], known[_VEHICLE + 3 + axis]
         velocity = point[_VELOCITY + axis]
         values[axis] = point[axis] - start - velocity * point[_DURATION]
         values[4 + axis] = velocity - before
         values[7 + axis] = point[_ACCELERATION + axis] - last[_ACCELERATION + axis]
     values[3] = wrapped(point[_YAW] - last[_YAW])
     values[10] = point[_DURATION] - last[_DURATION]
-
     # Numbers of its trajectory (0 = none), of the collision that this answers, and in the trajectory (-1 = none).
-    values[11] = 0.0
-    if number != 0.0 and known[_OF_TRAJECTORY] != 0.0:
-        values[11] = number - known[_OF_TRAJECTORY]
+    values[11] = 0.0 if number == 0.0 or known[_OF_TRAJECTORY] == 0.0 else number - known[_OF_TRAJECTORY]
     values[12] = epoch - known[_ANSWERS]
     values[13] = 0.0
     if index != -1.0:
-        values[13] = index
-        if same:
-            values[13] = index - known[_INDEX] - 1.0
+        values[13] = index - known[_INDEX] - 1.0 if same else index
     if known[_WAYPOINT_SEEN] == 0.0:
         values[:] = 0.0 * values  # nothing is predicted for the first one except finite numbers
-
-    regime = NEW_TRAJECTORY
-    if same:
-        regime = SWITCH
+    regime = SWITCH if same else NEW_TRAJECTORY
     if keep:
         known[_POINT : _POINT + 11] = point
-        known[_OF_TRAJECTORY] = number
-        known[_INDEX] = index
-        known[_ANSWERS] = epoch
-        known[_WAYPOINT_SEEN] = 1.0
-        known[_FRESH] = 1.0
+        known[_OF_TRAJECTORY], known[_INDEX], known[_ANSWERS] = number, index, epoch
+        known[_WAYPOINT_SEEN], known[_FRESH] = 1.0, 1.0
         for slot in range(SLOTS):
             known[_REGIME + slot] = max(known[_REGIME + slot], float(regime))
     return regime
@@ -302,10 +250,7 @@ def command(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values:
     """Command, whose single element repeats the header; see the module. Returns its regime."""
     for index in range(5):
         value = elements[0, index]
-        last = value  # the first command equals its prediction
-        if known[_COMMAND_SEEN] != 0.0:
-            last = known[_LAW + index]
-        values[index] = value - last
+        values[index] = value - (known[_LAW + index] if known[_COMMAND_SEEN] != 0.0 else value)
     if keep:
         known[_LAW : _LAW + 5] = elements[0]
         known[_COMMAND_SEEN] = 1.0
@@ -316,13 +261,11 @@ def command(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values:
 def tracking(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values: np.ndarray, keep: bool) -> int:
     """Remaining time of the way-point in force, the single element; see the module. Returns its regime."""
     remaining = elements[0, 0]
-    expected = known[_REMAINING]
-    if known[_FRESH] != 0.0:  # a way-point has come into force
-        expected = known[_POINT + _DURATION]
+    # A way-point that has just come into force has all of its duration left.
+    expected = known[_POINT + _DURATION] if known[_FRESH] != 0.0 else known[_REMAINING]
     values[0] = remaining - expected
     if keep:
-        known[_REMAINING] = remaining
-        known[_FRESH] = 0.0
+        known[_REMAINING], known[_FRESH] = remaining, 0.0
     return since(known, _TRACKING, keep)
 
 
@@ -333,11 +276,7 @@ def since(known: np.ndarray, slot: int, keep: bool) -> int:
     if keep:
         known[_REGIME + slot] = float(PLAIN)
     # compared, not converted: a corrupted number must not become an index
-    if largest == NEW_TRAJECTORY:
-        return NEW_TRAJECTORY
-    if largest == SWITCH:
-        return SWITCH
-    return PLAIN
+    return NEW_TRAJECTORY if largest == NEW_TRAJECTORY else SWITCH if largest == SWITCH else PLAIN
 
 
 @kernel_jit
@@ -366,7 +305,6 @@ def quantize(values: np.ndarray, quanta: np.ndarray, codes: np.ndarray) -> bool:
         if quanta[index] > 0.0:
             code = values[index] / quanta[index]
             if not math.isfinite(code):
-                finite = False
-                code = 0.0
+                finite, code = False, 0.0
         codes[index] = int(round(min(max(code, -float(INT16_MAX)), float(INT16_MAX))))
     return finite
