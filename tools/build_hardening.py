@@ -154,7 +154,7 @@ def certificates(
                     if not pairs:
                         continue
                     print(planned.function, step.fraction, flush=True)
-                    row = records.put(key, certify(pairs[0], n, key).to_json())
+                    row = records.put(key, {**certify(pairs[0], n, key).to_json()})
                 row["verdict"] = verdict_of(Rate(**row["coverage"]), rate_of(planned.predicted))
                 yield curve, step, row
 

@@ -289,7 +289,9 @@ def test_a_forest_sums_the_leaves_that_a_naive_walk_reaches(seed):
     wanted = np.array(sums) / [states[slot].unit for slot in slots]
     assert rates(codes, slots, forest_of(states, FIELDS)).tolist() == wanted.tolist()
     decayed = np.where(slots == 1, 0.0, -0.5 - np.exp(-wanted))
-    assert rates(codes, slots, forest_of(states, FIELDS, True, -1.0, -0.5)) == pytest.approx(decayed, rel=1e-12)
+    assert rates(codes, slots, forest_of(states, FIELDS, decays=True, sign=-1.0, shift=-0.5)) == pytest.approx(
+        decayed, rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))

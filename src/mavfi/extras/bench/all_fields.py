@@ -40,7 +40,7 @@ class JudgedPublication(NamedTuple):
 @kernel_jit
 def conclude(first: int, last: int, measured: ResidualState, judged: JudgedPublication, limit: np.ndarray) -> float:
     """Score of the distances [first, last), also stored."""
-    reading = Reading(judged.distance, judged.unit, first, last, measured.place[REGIME])
+    reading = Reading(judged.distance, judged.unit, first, last, measured.status[REGIME])
     judged.score[0] = score_of(reading, limit, judged.ratios)
     return float(judged.score[0])
 
@@ -69,7 +69,8 @@ class CodeScorer(Scorer):
         self.fields = field_codes.fields
         self.stages = field_codes.stages
         self.states = field_codes.states
-        self._distance, self._unit = np.zeros(len(self.fields)), np.ones(len(self.fields))
+        self._distance = np.zeros(len(self.fields))
+        self._unit = np.ones(len(self.fields))
         self._tables: tuple[Any, ...] = tables
         self._slots = field_codes.slots
 
@@ -122,9 +123,9 @@ class CodeScorer(Scorer):
     def judged(self) -> Reading:
         """Reading of the publication scored last."""
         judged = self._judged_last
-        place = self.field_codes.measured.place
-        first, last = self.span(int(place[SLOT]))
-        return Reading(judged.distance, judged.unit, first, last, int(place[REGIME]))
+        status = self.field_codes.measured.status
+        first, last = self.span(int(status[SLOT]))
+        return Reading(judged.distance, judged.unit, first, last, int(status[REGIME]))
 
     def accept(self, state: State) -> None:
         """Record a published value."""
@@ -174,7 +175,8 @@ class StateScorer(CodeScorer):
         super().__init__(field_codes, *tables)
         self.fields = tuple(field_codes.slots)
         self.stages = tuple(STATES[name].stage.value for name in self.fields)
-        self._distance, self._unit = np.zeros(len(self.fields)), np.ones(len(self.fields))
+        self._distance = np.zeros(len(self.fields))
+        self._unit = np.ones(len(self.fields))
 
     def span(self, slot: int) -> tuple[int, int]:
         """See `CodeScorer.span`."""
@@ -193,10 +195,10 @@ def state_peaks(scores: np.ndarray, sample: Sample, slots: int) -> tuple[np.ndar
         sample: The publications.
         slots: Number of states.
     """
-    place = sample.slots * REGIMES + sample.regimes
-    peaks = np.full(slots * REGIMES, 1e-9)
-    np.maximum.at(peaks, place, scores)
-    counts = np.bincount(place, minlength=slots * REGIMES)
+    group = sample.slots * REGIMES + sample.regimes
+    peaks = np.full(slots * REGIMES, 1e-9)  # limits, by which scores are divided, must not be 0
+    np.maximum.at(peaks, group, scores)
+    counts = np.bincount(group, minlength=slots * REGIMES)
     return peaks.reshape(slots, REGIMES), counts.reshape(slots, REGIMES)
 
 
@@ -213,8 +215,8 @@ def from_centre(codes: np.ndarray, centre: np.ndarray, regime: int, distance: np
 @kernel_jit
 def judge_limits(measured: ResidualState, judged: JudgedPublication, limit: np.ndarray, centre: np.ndarray) -> float:
     """Score of the distances from the centre of each field and regime, shape (n, regimes)."""
-    first, last = measured.spans[measured.place[SLOT]]
-    regime = measured.place[REGIME]
+    first, last = measured.spans[measured.status[SLOT]]
+    regime = measured.status[REGIME]
     if regime >= 0:
         from_centre(measured.codes[first:last], centre[first:last], regime, judged.distance[first:last])
     return conclude(first, last, measured, judged, limit)
@@ -246,17 +248,18 @@ def reconstruct_part(inputs: np.ndarray, network: Network, first: int, last: int
     function, since faults are drawn in its instructions.
     """
     sizes, weights = network.sizes, network.weights
-    now, after = network.work[0], network.work[1]
-    now[: sizes[0]] = inputs
-    start = 0
+    values, sums = network.work[0], network.work[1]
+    values[: sizes[0]] = inputs
+    start = 0  # of the layer's weights, which its intercepts follow
     for layer in range(1, len(sizes)):
-        before, neurons = sizes[layer - 1], sizes[layer]
-        hidden, intercepts = layer < len(sizes) - 1, start + before * neurons
-        low, high = (0, neurons) if hidden else (first, last)
-        total = after[low:high]
+        sources, neurons = sizes[layer - 1], sizes[layer]
+        hidden, intercepts = layer < len(sizes) - 1, start + sources * neurons
+        low, high = (0, neurons) if hidden else (first, last)  # hidden layers are computed as a whole
+        # weighted sums of the layer before, source by source: rows are contiguous
+        total = sums[low:high]
         total[:] = 0.0
-        for source in range(before):
-            value, row = now[source], weights[start + source * neurons + low : start + source * neurons + high]
+        for source in range(sources):
+            value, row = values[source], weights[start + source * neurons + low : start + source * neurons + high]
             for neuron in range(high - low):
                 total[neuron] += value * row[neuron]
         for neuron in range(high - low):
@@ -265,7 +268,7 @@ def reconstruct_part(inputs: np.ndarray, network: Network, first: int, last: int
             for neuron in range(high - low):
                 total[neuron] = quick_tanh(total[neuron])
         start = intercepts + neurons
-        now[low:high] = total
+        values[low:high] = total
 
 
 @kernel_jit
@@ -284,12 +287,12 @@ def hold(
     measured: ResidualState, judged: JudgedPublication, limit: np.ndarray, network: Network, holding: Holding
 ) -> None:
     """Hold the codes of a normal publication; 0 for an anomalous one."""
-    if measured.place[LEARNED] == NEVER:
+    if measured.status[LEARNED] == NEVER:
         return
-    first, last = measured.spans[measured.place[LEARNED]]
+    first, last = measured.spans[measured.status[LEARNED]]
     for index in range(first, last):
         holding.held[index] = holding.vector[index] if judged.score[0] <= 1.0 else 0
-    measured.place[LEARNED] = NEVER
+    measured.status[LEARNED] = NEVER
 
 
 @kernel_jit
@@ -298,10 +301,10 @@ def judge_reconstruction(
 ) -> float:
     """Score of the reconstruction errors of the latest codes; see `hold`."""
     hold(measured, judged, limit, network, holding)
-    first, last = measured.spans[measured.place[SLOT]]
+    first, last = measured.spans[measured.status[SLOT]]
     holding.vector[:] = holding.held
     holding.vector[first:last] = measured.codes[first:last]
-    if measured.place[REGIME] >= 0:
+    if measured.status[REGIME] >= 0:
         residuals_of_part(holding.vector, network, first, last, judged.distance)
     return conclude(first, last, measured, judged, limit)
 
@@ -363,13 +366,14 @@ class LimitsDetector(AllFieldsDetector):
         peaks = np.ones(shape)
         counts = np.zeros(shape, np.int64)
         for slot in range(len(features.slots)):
-            own = slice(*features.range_of(slot))
+            fields = slice(*features.range_of(slot))
             for regime in range(REGIMES):
-                values = sample.vectors[(sample.slots == slot) & (sample.regimes == regime), own].astype(np.float64)
-                counts[own, regime] = len(values)
+                rows = (sample.slots == slot) & (sample.regimes == regime)
+                values = sample.vectors[rows, fields].astype(np.float64)
+                counts[fields, regime] = len(values)
                 if len(values):
-                    centre[own, regime] = values.mean(axis=0)
-                    peaks[own, regime] = np.maximum(1.0, np.abs(values - centre[own, regime]).max(axis=0))
+                    centre[fields, regime] = values.mean(axis=0)
+                    peaks[fields, regime] = np.maximum(1.0, np.abs(values - centre[fields, regime]).max(axis=0))
         return {
             "centre": centre.tolist(),
             "limit": regime_limits(peaks, counts, figures["margin"], figures["smallest_regime"]),

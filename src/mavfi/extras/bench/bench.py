@@ -69,7 +69,7 @@ class Bench(Config):
 
 @dataclass(frozen=True, slots=True)
 class SelectedPart:
-    """A part with its campaign; `left_out`: schemes that cannot fly it, with the reason."""
+    """A part with its campaign, whose arms can fly; `left_out`: schemes that cannot, with the reason."""
 
     part: BenchPart
     campaign: Campaign
@@ -116,8 +116,8 @@ def with_schemes(bench: Bench, names: Sequence[str]) -> Bench:
 
 def scales(bench: Bench) -> list[str]:
     """Scales at which every part can be flown."""
-    own = [{*load_campaign(part.campaign).scales, *part.scales} for part in bench.parts.values()]
-    return ["quick", *sorted(set.intersection(*own) - {"quick"})]
+    scales_of_parts = [{*load_campaign(part.campaign).scales, *part.scales} for part in bench.parts.values()]
+    return ["quick", *sorted(set.intersection(*scales_of_parts) - {"quick"})]
 
 
 def select_parts(
@@ -139,25 +139,27 @@ def select_parts(
         if name not in bench.parts:
             raise BadInputError(f"bench {bench.name}: part {name!r}: not known; allowed: {', '.join(bench.parts)}")
     campaigns = {name: _campaign(bench, name, scale) for name in parts or bench.parts}
-    known = {level_of(campaign) for campaign in campaigns.values()}
+    all_levels = {level_of(campaign) for campaign in campaigns.values()}
     for level in levels:
-        if level not in known:
-            where = f"bench {bench.name}: " + (f"in part {', '.join(parts)}: " if parts else "")
-            raise BadInputError(f"{where}level {level!r}: not known; allowed: {', '.join(sorted(known))}")
-    wanted = set(levels) or known
-    found = {
-        name: _entry(bench, name, campaign, models_dir)
-        for name, campaign in campaigns.items()
-        if level_of(campaign) in wanted
-    }
-    if not any(entry.campaign.arms for entry in found.values()):
-        reasons = [reason for entry in found.values() for reason in entry.left_out.values()]
-        if reasons:
-            why = reasons[0]
-        else:
-            why = "without a detector, a scheme flies only where nodes die (level instruction)"
-        raise BadInputError(f"bench {bench.name}: no scheme can fly: {why}")
-    return {name: entry for name, entry in found.items() if entry.campaign.arms}
+        if level not in all_levels:
+            where = f"bench {bench.name}: "
+            if parts:
+                where += f"in part {', '.join(parts)}: "
+            raise BadInputError(f"{where}level {level!r}: not known; allowed: {', '.join(sorted(all_levels))}")
+
+    # A part in which no scheme can fly is left out; it is an error if that holds for all of them.
+    selected = {}
+    reasons: list[str] = []
+    for name, campaign in campaigns.items():
+        if not levels or level_of(campaign) in levels:
+            part = _selected(bench, name, campaign, models_dir)
+            reasons += part.left_out.values()
+            if part.campaign.arms:
+                selected[name] = part
+    if not selected:
+        reasons.append("without a detector, a scheme flies only where nodes die (level instruction)")
+        raise BadInputError(f"bench {bench.name}: no scheme can fly: {reasons[0]}")
+    return selected
 
 
 def level_of(campaign: Campaign) -> str:
@@ -168,18 +170,25 @@ def level_of(campaign: Campaign) -> str:
 
 
 def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
+    """The campaign of a part at a scale, with the schemes of the bench as its arms."""
     part = bench.parts[name]
-    own = load_campaign(part.campaign)
+    campaign = load_campaign(part.campaign)
     if scale in part.scales:
-        own = own.resized(part.scales[scale])
+        campaign = campaign.resized(part.scales[scale])
     else:
-        own = own.at_scale(scale)
-    changed = {"name": f"{bench.name}-{name}", "mission": {**own.mission, **part.mission}, "scales": {}, "null_runs": 0}
-    arms = {arm: config.model_dump() for arm, config in bench.arms.items() if config.detector or part.nodes_die}
-    return parse(Campaign, {**own.to_json(), **changed, "arms": arms}, f"bench {bench.name}: {name}")
+        campaign = campaign.at_scale(scale)
+    content = campaign.to_json()
+    content["name"] = f"{bench.name}-{name}"
+    content["mission"] = {**campaign.mission, **part.mission}
+    content["scales"] = {}
+    content["null_runs"] = 0
+    content["arms"] = {
+        arm: config.model_dump() for arm, config in bench.arms.items() if config.detector or part.nodes_die
+    }
+    return parse(Campaign, content, f"bench {bench.name}: {name}")
 
 
-def _entry(bench: Bench, name: str, campaign: Campaign, models_dir: Path | None) -> SelectedPart:
+def _selected(bench: Bench, name: str, campaign: Campaign, models_dir: Path | None) -> SelectedPart:
     """The part without schemes whose detectors were trained for a different configuration, or are not installed."""
     check_names(campaign, f"bench {bench.name}: {name}")
     left_out = {}
@@ -197,21 +206,15 @@ def _entry(bench: Bench, name: str, campaign: Campaign, models_dir: Path | None)
 
 def faults_of(directory: Path) -> str:
     """The faults of a ledger as CSV text, one row per fault, in plan order."""
+    rows: list[tuple[Any, ...]] = []
     with Store.open(directory) as store:
-        rows = [
-            (
-                spec.environment,
-                spec.seed,
-                spec.target,
-                spec.index,
-                spec.fault.site,
-                _time_of(spec.fault),
-                "" if spec.fault.bit is None else spec.fault.bit,
-                spec.fault.stratum,
-            )
-            for spec in (run.spec for run in store.runs(done=True))
-            if spec.kind == "injected" and spec.setting == FI and spec.fault is not None
-        ]
+        for run in store.runs(done=True):
+            spec = run.spec
+            fault = spec.fault
+            if spec.kind == "injected" and spec.setting == FI and fault is not None:
+                bit = "" if fault.bit is None else fault.bit
+                mission = (spec.environment, spec.seed)
+                rows.append((*mission, spec.target, spec.index, fault.site, _time_of(fault), bit, fault.stratum))
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([COLUMNS, *rows])
     return text.getvalue()

@@ -15,7 +15,7 @@ from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 from mavfi.files import check_folder
 
-_BENCH = "mavfi-bench-1"
+_DEFAULT_BENCH = "mavfi-bench-1"
 app = typer.Typer(
     help="Compare schemes on the same flights and faults.\n\nExample: [bold]mavfi bench detectors --level state[/bold]",
     no_args_is_help=False,
@@ -29,7 +29,9 @@ def _bench() -> None:
 
 @app.command("detectors")
 def detectors(  # noqa: PLR0913 - one parameter per option
-    bench: Annotated[str, typer.Argument(metavar="[BENCH.yaml]", help="A YAML file, or a shipped bench.")] = _BENCH,
+    bench: Annotated[
+        str, typer.Argument(metavar="[BENCH.yaml]", help="A YAML file, or a shipped bench.")
+    ] = _DEFAULT_BENCH,
     level: Annotated[
         list[str] | None,
         typer.Option(help="Only faults of this level: state, message, memory, instruction, sensor; may be repeated."),
@@ -63,6 +65,7 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     from mavfi.extras.bench.leaderboard import BenchFlights, write_leaderboard
     from mavfi.report.text import show_table
 
+    # Check the options, and select schemes and parts.
     chosen = load_bench(bench)
     if scale not in scales(chosen):
         raise BadInputError(
@@ -79,33 +82,42 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     selected = select_parts(chosen, scale, levels=level or (), parts=part or (), models_dir=models)
     out = out or Path("out") / "-".join(["bench", scale, *(chosen.arms if detector or scheme else ())])
     check_folder(out)
-    flown = BenchFlights(chosen, selected, scale, out)
+
+    # Fly, and write the tables; a bench with other schemes than its own is shown beside its published rows.
+    flights = BenchFlights(chosen, selected, scale, out)
     with stoppable(f"Stopped. What is done is kept in {out}; the same command resumes."):
-        flown.fly(workers, models)
-        scored = flown.scores(workers, models)
-    own = flown.tables(scored)
+        flights.fly(workers, models)
+        scored = flights.scores(workers, models)
+    flown = flights.tables(scored)
+    shown = flown
     if detector or scheme:
-        shown = {name: flown.beside_published(name, table) for name, table in own.items()}
-    else:
-        shown = own
-    write_leaderboard(flown, own, shown, scored, _command(bench, level or (), part or (), scale))
+        shown = {name: flights.beside_published(name, table) for name, table in flown.items()}
+    write_leaderboard(flights, flown, shown, scored, _command(bench, level or (), part or (), scale))
     if as_json:
-        write_json({name: table.to_json() for name, table in own.items()})
+        write_json({name: table.to_json() for name, table in flown.items()})
         return
+
+    # A note that several tables share is printed once, below the last of them.
     terminal = console()
-    names = list(shown)
-    for place, table in enumerate(shown.values()):
-        later = {note for name in names[place + 1 :] for note in shown[name].notes}  # shared ones once
+    tables = list(shown.values())
+    for number, table in enumerate(tables):
+        later = {note for other in tables[number + 1 :] for note in other.notes}
         show_table(replace(table, notes=tuple(note for note in table.notes if note not in later)), terminal)
     terminal.print(Text(f"The tables are in {out / 'leaderboard.md'}."), soft_wrap=True)
 
 
 def _command(bench: str, levels: Sequence[str], parts: Sequence[str], scale: str) -> str:
     """The command that flies the same parts of the same bench with a custom detector."""
-    words = ["mavfi", "bench", "detectors", *([] if bench == _BENCH else [bench])]
-    words += [word for level in levels for word in ("--level", level)]
-    words += [word for part in parts for word in ("--part", part)]
-    words += ["--detector", "my_package:MyDetector", *([] if scale == "quick" else ["--scale", scale])]
+    words = ["mavfi", "bench", "detectors"]
+    if bench != _DEFAULT_BENCH:
+        words.append(bench)
+    for level in levels:
+        words += ["--level", level]
+    for part in parts:
+        words += ["--part", part]
+    words += ["--detector", "my_package:MyDetector"]
+    if scale != "quick":
+        words += ["--scale", scale]
     return shlex.join(words)
 
 
@@ -136,9 +148,9 @@ def overheads(
     with stoppable("Stopped. Nothing is written."), Bar("timed flights") as bar:
         measured = measure(campaign, missions, models, bar.show)
     path = save(measured, directory)
-    found = table(Runs.read(directory), "overheads_as_in_the_paper")
+    shares = table(Runs.read(directory), "overheads_as_in_the_paper")
     if as_json:
-        write_json(found.to_json())
+        write_json(shares.to_json())
         return
-    show_table(found, console())
+    show_table(shares, console())
     console().print(Text(f"The measured shares are in {path}."), soft_wrap=True)

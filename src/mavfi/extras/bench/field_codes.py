@@ -24,21 +24,35 @@ QUANTA = {"m": 0.01, "m/s": 0.01, "m/s^2": 0.1, "rad": 0.01, "rad/s": 0.01, "s":
 """Quantum by unit."""
 
 
-class _Watched(NamedTuple):
-    """A state: its residuals, and the number of leading columns of the header or of an element that they read.
+class _Residual(NamedTuple):
+    """A residual: its name, a field of the state in whose unit it is, and its unit if that differs."""
 
-    `names` are (name, field of the table, unit; "" = the field's); `from_vehicle`: they depend on its odometry.
+    name: str
+    field: str
+    unit: str = ""
+
+
+class _Watched(NamedTuple):
+    """A state with its residuals.
+
+    Attributes:
+        measure: Compiled function that computes their codes.
+        residuals: The residuals.
+        in_list: Whether they are those of a list of elements, not of the header.
+        width: Number of leading columns of the header or of an element that they read.
+        from_vehicle: Whether they depend on the vehicle's odometry.
     """
 
     measure: Callable[..., None]
-    names: tuple[tuple[str, str, str], ...]
+    residuals: tuple[_Residual, ...]
     in_list: bool
     width: int
     from_vehicle: bool = False
 
 
-def _fields(*names: str, unit: str = "") -> tuple[tuple[str, str, str], ...]:
-    return tuple((name, name, unit) for name in names)
+def _fields(*names: str, unit: str = "") -> tuple[_Residual, ...]:
+    """Residuals that have the names of fields."""
+    return tuple(_Residual(name, name, unit) for name in names)
 
 
 _WATCHED = {
@@ -48,71 +62,62 @@ _WATCHED = {
             *_fields("time_to_collision", "distance_to_blocked", "distance_to_unknown", unit="octave"),
             *_fields("future_collision_seq", "trajectory_seq", "collision"),
         ),
-        False,
-        0,
+        in_list=False,
+        width=0,
     ),
     "planning.path": _Watched(
         residual_state.measure_path,
         (
             *_fields("entry_speed", "future_collision_seq", "junction"),
-            ("start", "x", ""),
-            ("end", "x", ""),
-            ("detour", "x", ""),
+            _Residual("start", "x"),
+            _Residual("end", "x"),
+            _Residual("detour", "x"),
         ),
-        True,
-        3,
-        True,
+        in_list=True,
+        width=3,
+        from_vehicle=True,
     ),
     "planning.trajectory": _Watched(
         residual_state.measure_trajectory,
         (
             *_fields("trajectory_seq", "future_collision_seq"),
-            ("step", "x", ""),
-            ("change", "vx", ""),
-            ("speed", "vx", ""),
-            ("acceleration", "ax", ""),
-            ("duration", "duration", ""),
-            ("turn", "yaw", ""),
-            ("start", "x", ""),
-            ("end", "x", ""),
+            _Residual("step", "x"),
+            _Residual("change", "vx"),
+            _Residual("speed", "vx"),
+            _Residual("acceleration", "ax"),
+            _Residual("duration", "duration"),
+            _Residual("turn", "yaw"),
+            _Residual("start", "x"),
+            _Residual("end", "x"),
         ),
-        True,
-        11,
-        True,
+        in_list=True,
+        width=11,
+        from_vehicle=True,
     ),
     "planning.waypoint": _Watched(
         residual_state.measure_waypoint,
-        _fields(
-            "x",
-            "y",
-            "z",
-            "yaw",
-            "vx",
-            "vy",
-            "vz",
-            "ax",
-            "ay",
-            "az",
-            "duration",
-            "trajectory_seq",
-            "future_collision_seq",
-            "index",
+        (
+            *_fields("x", "y", "z", "yaw", "vx", "vy", "vz", "ax", "ay", "az", "duration"),
+            *_fields("trajectory_seq", "future_collision_seq", "index"),
         ),
-        False,
-        11,
-        True,
+        in_list=False,
+        width=11,
+        from_vehicle=True,
     ),
     "control.command": _Watched(
-        residual_state.measure_command, _fields("vx", "vy", "vz", "yaw_rate", "duration"), False, 5
+        residual_state.measure_command,
+        _fields("vx", "vy", "vz", "yaw_rate", "duration"),
+        in_list=False,
+        width=5,
     ),
-    "control.tracking": _Watched(residual_state.measure_tracking, _fields("remaining"), False, 1),
+    "control.tracking": _Watched(residual_state.measure_tracking, _fields("remaining"), in_list=False, width=1),
 }
 
-_ALONE = "control.tracking"
+_PREDICTS_NO_OTHER = "control.tracking"
 """State that predicts nothing but its own residual."""
 
 COMPILED: dict[str, Callable[..., Any]] = {
-    **{own.measure.__name__: own.measure for own in _WATCHED.values()},
+    **{watched.measure.__name__: watched.measure for watched in _WATCHED.values()},
     "note_vehicle": residual_state.note_vehicle,
 }
 """Compiled functions that compute the codes, by name."""
@@ -138,20 +143,24 @@ class FieldCodes:
 
     def __init__(self, autopilot: str) -> None:
         self.slots = {name: slot for slot, name in enumerate(_WATCHED)}
-        self.fields = tuple(f"{state}.{name}" for state, own in _WATCHED.items() for name, *_ in own.names)
-        self.stages = tuple(STATES[state].stage.value for state, own in _WATCHED.items() for _ in own.names)
-        quanta = []
+        fields: list[str] = []
+        stages: list[str] = []
+        quanta: list[float] = []
+        self._ranges: list[tuple[int, int]] = []
         for state, watched in _WATCHED.items():
-            for _, name, unit in watched.names:
-                field = STATES[state].find(name)
+            self._ranges.append((len(fields), len(fields) + len(watched.residuals)))
+            for residual in watched.residuals:
+                fields.append(f"{state}.{residual.name}")
+                stages.append(STATES[state].stage.value)
+                field = STATES[state].find(residual.field)
                 dead = autopilot in AUTOPILOTS and field.dead_in(autopilot)
-                quanta.append(0.0 if dead else QUANTA[unit or field.unit])
+                quanta.append(0.0 if dead else QUANTA[residual.unit or field.unit])
+        self.fields = tuple(fields)
+        self.stages = tuple(stages)
         self.quanta = np.array(quanta)
-        ends = np.cumsum([len(own.names) for own in _WATCHED.values()])
-        self._ranges = [(int(end) - len(own.names), int(end)) for end, own in zip(ends, _WATCHED.values(), strict=True)]
         self.states = frozenset(filter(self._is_read, self.slots)).union(ODOMETRY.values())
         self._watched = tuple(_WATCHED.values())
-        self._empty = [np.zeros((0, own.width)) for own in self._watched]
+        self._empty = [np.zeros((0, watched.width)) for watched in self._watched]
         self.measured = residual_state.initial_state(self.quanta, np.array(self._ranges, np.int64))
         self.vehicles = VehicleQueue(self.measured)
         self.instrument({})
@@ -187,12 +196,12 @@ class FieldCodes:
     def forget(self) -> None:
         """Forget the publication measured last; the memory stays."""
         self.vehicles.forget()
-        self.measured.place[residual_state.ACCEPTED] = 0
-        self.measured.place[residual_state.LEARNED] = residual_state.NEVER
+        self.measured.status[residual_state.ACCEPTED] = 0
+        self.measured.status[residual_state.LEARNED] = residual_state.NEVER
 
     def _is_read(self, name: str) -> bool:
         """Whether something of a state is watched, or predicts residuals of other states."""
-        return name != _ALONE or bool(self.quanta[slice(*self._ranges[self.slots[name]])].any())
+        return name != _PREDICTS_NO_OTHER or bool(self.quanta[slice(*self._ranges[self.slots[name]])].any())
 
     def range_of(self, slot: int) -> tuple[int, int]:
         """First and one past the last index of a state's residuals."""
@@ -213,9 +222,9 @@ class FieldCodes:
 
     def accept(self) -> None:
         """The publication measured last was published: it is the reference for the next one."""
-        self.measured.place[residual_state.ACCEPTED] = 1
+        self.measured.status[residual_state.ACCEPTED] = 1
 
-    def measure(self, state: State, slot: int, codes: np.ndarray, keep: bool = False) -> int:
+    def measure(self, state: State, slot: int, codes: np.ndarray, *, keep: bool = False) -> int:
         """Compute the codes of a publication.
 
         Args:
@@ -228,11 +237,11 @@ class FieldCodes:
             The regime, or -1 - regime if a watched number is not finite; -1 for a regime that does not exist.
         """
         self.read(state, slot)
-        own = slice(*self._ranges[slot])
-        codes[own] = self.measured.codes[own]
+        fields = slice(*self._ranges[slot])
+        codes[fields] = self.measured.codes[fields]
         if keep:
             self.accept()
-        return int(self.measured.place[residual_state.REGIME])
+        return int(self.measured.status[residual_state.REGIME])
 
     def note(self, state: State) -> None:
         """Store position and velocity of the vehicle, if this state is odometry."""
@@ -255,7 +264,8 @@ class FieldCodes:
 
 
 _POSITIONS = tuple(ODOMETRY.values())
-_SIZES = np.array([len(own.names) for own in _WATCHED.values()])
+_SIZES = np.array([len(watched.residuals) for watched in _WATCHED.values()])
+"""Number of residuals of each state."""
 
 
 class CodeRecorder(Detector):
@@ -268,14 +278,14 @@ class CodeRecorder(Detector):
     def __init__(self, autopilot: str) -> None:
         self._field_codes = FieldCodes(autopilot)
         self._codes = np.zeros(len(self._field_codes.fields), np.int16)
-        self._own: list[bytes] = []
+        self._recorded: list[bytes] = []
         self._slots: list[int] = []
         self._regimes: list[int] = []
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
         self._field_codes.start()
-        self._own = []
+        self._recorded = []
         self._slots = []
         self._regimes = []
 
@@ -288,11 +298,11 @@ class CodeRecorder(Detector):
         self._regimes.append(self._field_codes.measure(state, slot, self._codes, keep=True))
         self._slots.append(slot)
         first, last = self._field_codes.range_of(slot)
-        self._own.append(self._codes[first:last].tobytes())
+        self._recorded.append(self._codes[first:last].tobytes())
 
     def recording(self) -> "Codes":
         """Codes of all publications since `start`."""
-        codes = np.frombuffer(b"".join(self._own), np.int16)
+        codes = np.frombuffer(b"".join(self._recorded), np.int16)
         return Codes(np.array(self._slots, np.int8), np.array(self._regimes, np.int8), codes)
 
 

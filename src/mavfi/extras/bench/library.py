@@ -32,7 +32,7 @@ from mavfi.extras.bench.field_codes import FieldCodes
 from mavfi.extras.bench.residual_state import REGIME, SLOT, ResidualState
 from mavfi.numerics.jit import kernel_jit
 
-_FITTED = 16
+_CACHED_MODELS = 16
 """Fitted models that a process keeps."""
 RATES: dict[type, Callable[..., float]] = {}
 """Score functions, by the type of a model's tables, see `rate`."""
@@ -57,9 +57,9 @@ class Inputs(NamedTuple):
 
 
 @kernel_jit
-def input_of(codes: np.ndarray, place: int, inputs: Inputs) -> float:
-    """One input, in [0, w), of codes of shape (n,)."""
-    return float(min(max(codes[inputs.columns[place]] / inputs.scale[place], -INPUT_LIMIT), INPUT_LIMIT))
+def input_of(codes: np.ndarray, column: int, inputs: Inputs) -> float:
+    """The input of a column in [0, w), from codes of shape (n,)."""
+    return float(min(max(codes[inputs.columns[column]] / inputs.scale[column], -INPUT_LIMIT), INPUT_LIMIT))
 
 
 def rate(codes: np.ndarray, slot: int, model: Any) -> float:  # noqa: ANN401 - a type in `RATES`
@@ -75,17 +75,17 @@ def rate(codes: np.ndarray, slot: int, model: Any) -> float:  # noqa: ANN401 - a
 
 @overload(rate)
 def _rate(codes, slot, model):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN202 - Numba compares the signatures
-    own = RATES[model.instance_class]
-    return lambda codes, slot, model: own(codes, slot, model)
+    function = RATES[model.instance_class]
+    return lambda codes, slot, model: function(codes, slot, model)
 
 
 @kernel_jit
 def rates(codes: np.ndarray, slots: np.ndarray, model: Any) -> np.ndarray:  # noqa: ANN401
     """Scores of publications of states `slots`, shape (m,), see `rate`; codes have shape (m, n)."""
-    found = np.zeros(len(codes))
+    scores = np.zeros(len(codes))
     for index in range(len(codes)):
-        found[index] = rate(codes[index], slots[index], model)
-    return found
+        scores[index] = rate(codes[index], slots[index], model)
+    return scores
 
 
 @kernel_jit
@@ -104,7 +104,7 @@ def learn(
 @kernel_jit
 def update(measured: ResidualState, holding: Holding) -> None:
     """The latest codes of all states: those held, and those of the publication measured last."""
-    first, last = measured.spans[measured.place[SLOT]]
+    first, last = measured.spans[measured.status[SLOT]]
     holding.vector[:] = holding.held
     holding.vector[first:last] = measured.codes[first:last]
 
@@ -121,8 +121,8 @@ def judge_model(
     """Score of the latest codes by a model, in units of the limit of their state and regime."""
     learn(measured, judged, limit, model, holding, floor)
     update(measured, holding)
-    slot = measured.place[SLOT]
-    if measured.place[REGIME] >= 0:
+    slot = measured.status[SLOT]
+    if measured.status[REGIME] >= 0:
         judged.distance[slot] = max(0.0, rate(holding.vector, slot, model) - floor)
     return conclude(slot, slot + 1, measured, judged, limit)
 
@@ -147,15 +147,19 @@ class ModelScorer(StateScorer):
 
 def scaled(vectors: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Codes, shape (m, n), scaled and clamped as inputs of a model."""
-    found: np.ndarray = np.clip(vectors / scale, -INPUT_LIMIT, INPUT_LIMIT)
-    return found
+    inputs: np.ndarray = np.clip(vectors / scale, -INPUT_LIMIT, INPUT_LIMIT)
+    return inputs
 
 
 def columns_of(field_codes: FieldCodes) -> list[np.ndarray]:
     """By state, the columns of its fields among all watched fields."""
-    place = np.cumsum(field_codes.quanta > 0.0) - 1
-    spans = [np.arange(*field_codes.range_of(slot)) for slot in range(len(field_codes.slots))]
-    return [place[own[field_codes.quanta[own] > 0.0]] for own in spans]
+    watched = field_codes.quanta > 0.0
+    column_of_field = np.cumsum(watched) - 1
+    columns = []
+    for slot in range(len(field_codes.slots)):
+        fields = np.arange(*field_codes.range_of(slot))
+        columns.append(column_of_field[fields[watched[fields]]])
+    return columns
 
 
 class LibraryDetector(AllFieldsDetector):
@@ -172,8 +176,9 @@ class LibraryDetector(AllFieldsDetector):
     def scorer_of(cls, model: Model, field_codes: FieldCodes) -> CodeScorer:
         """Scores of the library's model, refitted to the rows stored in `model`."""
         count = len(field_codes.fields)
-        given = model.parameters.get("rows")
-        rows = model.numbers("rows", len(given) if isinstance(given, list) else 0, count)
+        stored = model.parameters.get("rows")
+        row_count = len(stored) if isinstance(stored, list) else 0
+        rows = model.numbers("rows", row_count, count)
         slots = model.numbers("slots", len(rows), least=0.0).astype(np.int64)
         scale = model.numbers("scale", count, least=1.0)
         tables = _refitted(cls.learned, model.provenance["stack"], rows.tobytes(), slots.tobytes(), scale.tobytes())
@@ -215,15 +220,20 @@ class LibraryDetector(AllFieldsDetector):
             figures: `largest_class`, training publications per state and regime; `calibrated`, publications per state
                 and regime from which limits are derived; `margin` and `smallest_regime`, see `regime_limits`.
         """
+        # 1. Fit the model to some publications of each state and regime.
         scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))
         rows = representative(sample, int(figures["largest_class"]))
         model = cls.learned(sample.vectors[rows].astype(np.float64), sample.slots[rows], scale, features)
+
+        # 2. Derive limits from its scores of others.
         chosen = representative(sample, int(figures["calibrated"]))
         part = Sample(*(getattr(sample, name)[chosen] for name in Sample.__annotations__))
         scores = rates(part.vectors, part.slots, model)
         floor = float(scores.min())
         peaks, counts = state_peaks(scores - floor, part, len(features.slots))
         limit = regime_limits(peaks, counts, float(figures["margin"]), int(figures["smallest_regime"]))
+
+        # 3. What is stored: the rows, to which the model is fitted again.
         return {
             "rows": sample.vectors[rows].tolist(),
             "slots": sample.slots[rows].tolist(),
@@ -233,7 +243,7 @@ class LibraryDetector(AllFieldsDetector):
         }
 
 
-@functools.lru_cache(_FITTED)
+@functools.lru_cache(_CACHED_MODELS)
 def _refitted(learned: Callable[..., Any], autopilot: str, rows: bytes, slots: bytes, scale: bytes) -> Any:  # noqa: ANN401
     """Tables of a model, fitted once per process to what the model stores: a campaign has a detector per mission."""
     field_codes = FieldCodes(autopilot)

@@ -27,8 +27,9 @@ BLOCK = 64
 """Subsequences compared at a time."""
 _ROUNDING = 1e-9
 """More than sums of LENGTH inputs can be wrong by."""
-_NEVER = 1e17
-"""Limit for states without a training subsequence."""
+_NO_LIMIT = 1e17
+"""Limit for states without a training subsequence: no distance exceeds it."""
+_SMALLEST_LIMIT = 1e-3
 
 
 class Series(NamedTuple):
@@ -69,10 +70,10 @@ def least_square(stretch: np.ndarray, history: np.ndarray, first: int, last: int
     """Smallest squared distance of a subsequence from the columns [first, last), at most BLOCK."""
     count = last - first
     squares[:count] = 0.0
-    for place in range(LENGTH):  # all columns side by side: several per machine instruction
-        value, column = stretch[place], history[place, first:last]
+    for position in range(LENGTH):  # all columns side by side: several per machine instruction
+        value, row = stretch[position], history[position, first:last]
         for index in range(count):
-            away = value - column[index]
+            away = value - row[index]
             squares[index] += away * away
     best = np.inf
     for index in range(count):
@@ -125,22 +126,22 @@ def learn(measured: ResidualState, judged: JudgedPublication, limit: np.ndarray,
 
     After an anomaly that was left out, the subsequence ended before it, and any next value was an anomaly as well.
     """
-    if measured.place[LEARNED] == NEVER:
+    if measured.status[LEARNED] == NEVER:
         return
-    recent = series.recent[measured.place[LEARNED]]
-    for place in range(LENGTH - 1):
-        recent[place] = series.stretch[place + 1]
-    series.published[measured.place[LEARNED]] += 1.0
-    measured.place[LEARNED] = NEVER
+    recent = series.recent[measured.status[LEARNED]]
+    for position in range(LENGTH - 1):
+        recent[position] = series.stretch[position + 1]
+    series.published[measured.status[LEARNED]] += 1.0
+    measured.status[LEARNED] = NEVER
 
 
 @kernel_jit
 def extend(measured: ResidualState, series: Series) -> bool:
     """Subsequence that ends with the publication measured last; whether it is complete."""
-    slot = measured.place[SLOT]
+    slot = measured.status[SLOT]
     first, last = measured.spans[slot]
-    for place in range(LENGTH - 1):
-        series.stretch[place] = series.recent[slot, place]
+    for position in range(LENGTH - 1):
+        series.stretch[position] = series.recent[slot, position]
     series.stretch[LENGTH - 1] = largest_code(measured.codes[first:last], series.scale[first:last])
     return bool(series.published[slot] >= LENGTH - 1)
 
@@ -156,8 +157,8 @@ def distance_of(slot: int, series: Series) -> float:
 def judge_stretch(measured: ResidualState, judged: JudgedPublication, limit: np.ndarray, series: Series) -> float:
     """Score of the subsequence that a publication completes; 0 until the first is complete."""
     learn(measured, judged, limit, series)
-    slot, complete = measured.place[SLOT], extend(measured, series)
-    if measured.place[REGIME] >= 0:
+    slot, complete = measured.status[SLOT], extend(measured, series)
+    if measured.status[REGIME] >= 0:
         judged.distance[slot] = distance_of(slot, series) if complete else 0.0
     return conclude(slot, slot + 1, measured, judged, limit)
 
@@ -166,8 +167,8 @@ def subsequences(series: np.ndarray) -> np.ndarray:
     """The different subsequences of a series, shape (k,), in columns, by their sums; often half of them are equal."""
     if len(series) < LENGTH:
         return np.zeros((LENGTH, 0))
-    found = np.unique(np.lib.stride_tricks.sliding_window_view(series, LENGTH), axis=0).T
-    return found[:, np.argsort(found.sum(axis=0), kind="stable")]
+    columns = np.unique(np.lib.stride_tricks.sliding_window_view(series, LENGTH), axis=0).T
+    return columns[:, np.argsort(columns.sum(axis=0), kind="stable")]
 
 
 class StretchScorer(StateScorer):
@@ -184,20 +185,21 @@ class StretchScorer(StateScorer):
 
     def __init__(self, field_codes: FieldCodes, histories: list[np.ndarray], scale: np.ndarray) -> None:
         slots = len(field_codes.slots)
-        parts = [subsequences(one) for one in histories]
-        counts = np.array([part.shape[1] for part in parts], np.int64)
+        columns_of_slot = [subsequences(history) for history in histories]
+        counts = np.array([columns.shape[1] for columns in columns_of_slot], np.int64)
         series = Series(
-            np.zeros((slots, LENGTH, max(counts))),
-            np.zeros((slots, max(counts))),
-            counts,
-            scale,
-            np.zeros((slots, LENGTH - 1)),
-            np.zeros(slots),
-            np.zeros(LENGTH),
-            np.zeros(BLOCK),
+            history=np.zeros((slots, LENGTH, max(counts))),
+            sums=np.zeros((slots, max(counts))),
+            counts=counts,
+            scale=scale,
+            recent=np.zeros((slots, LENGTH - 1)),
+            published=np.zeros(slots),
+            stretch=np.zeros(LENGTH),
+            squares=np.zeros(BLOCK),
         )
-        for own, sums, part in zip(series.history, series.sums, parts, strict=True):
-            own[:, : part.shape[1]], sums[: part.shape[1]] = part, part.sum(axis=0)
+        for slot, columns in enumerate(columns_of_slot):
+            series.history[slot, :, : counts[slot]] = columns
+            series.sums[slot, : counts[slot]] = columns.sum(axis=0)
         super().__init__(field_codes, series)
         self.kept = {**self.kept, "recent": series.recent, "published": series.published}
 
@@ -213,13 +215,12 @@ class MatrixProfileDetector(AllFieldsDetector):
         """Scorer of the distance between the newest subsequence of each state and those of training."""
         cls.check_installed()
         states = len(field_codes.slots)
-        given = model.parameters.get("history")
-        if isinstance(given, list) and len(given) == states:
-            rows = given
-        else:
-            rows = [[]] * states
-        history = [Model.numbers(_of(model, row), "row", len(row)) for row in rows]
-        return StretchScorer(field_codes, history, model.numbers("scale", len(field_codes.fields), least=1.0))
+        stored = model.parameters.get("history")
+        rows: list[list[float]] = [[]] * states
+        if isinstance(stored, list) and len(stored) == states:
+            rows = stored
+        histories = [_with_row(model, row).numbers("row", len(row)) for row in rows]
+        return StretchScorer(field_codes, histories, model.numbers("scale", len(field_codes.fields), least=1.0))
 
     @classmethod
     def check_installed(cls) -> None:
@@ -241,23 +242,25 @@ class MatrixProfileDetector(AllFieldsDetector):
 
         scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))
         histories = []
-        limit = np.full((len(features.slots), REGIMES), _NEVER)
+        limit = np.full((len(features.slots), REGIMES), _NO_LIMIT)
         for slot in range(len(limit)):
-            own = slice(*features.range_of(slot))
-            series = np.abs(scaled(sample.vectors[sample.slots == slot, own], scale[own])).max(axis=1)
+            # 1. The series of a state: its first half is stored.
+            fields = slice(*features.range_of(slot))
+            series = np.abs(scaled(sample.vectors[sample.slots == slot, fields], scale[fields])).max(axis=1)
             half = len(series) // 2
             history = series[: min(half, int(figures["history"]))]
             rest = series[half:]
             histories.append(history.tolist())
+
+            # 2. Its limit: the largest distance of the second half from it, times the margin.
             if len(history) >= LENGTH:
                 ends = range(LENGTH, min(len(rest), LENGTH + int(figures["calibrated"])))
-                found = [float(mass_absolute(rest[end - LENGTH : end], history).min()) for end in ends]
-                if found:
-                    limit[slot] = max(float(figures["margin"]) * max(found), 1e-3)
-                else:
-                    limit[slot] = _NEVER
+                distances = [float(mass_absolute(rest[end - LENGTH : end], history).min()) for end in ends]
+                if distances:
+                    limit[slot] = max(float(figures["margin"]) * max(distances), _SMALLEST_LIMIT)
         return {"history": histories, "scale": scale.tolist(), "limit": limit.tolist()}
 
 
-def _of(model: Model, row: list[float]) -> Model:
+def _with_row(model: Model, row: list[float]) -> Model:
+    """A model with a row of another one as its only parameter, so that it is checked in the same way."""
     return Model(model.kind, model.profile, model.monitored, model.prediction, {"row": row}, model.provenance)

@@ -1,6 +1,6 @@
 """Codes of one publication after the other, compiled: one function for each state that has residuals.
 
-A function commits the publication measured last, if that was accepted, and then measures its measured: each publication
+Each function commits the publication measured last, if that was accepted, and then measures its own: a publication
 costs one call.
 """
 
@@ -13,10 +13,11 @@ from mavfi.extras.bench import residuals
 from mavfi.numerics.jit import kernel_jit
 
 SLOT, REGIME, ACCEPTED, LEARNED = range(4)
-"""Indices in `ResidualState.place`."""
+"""Indices in `ResidualState.status`, whose docstring says what they are."""
 NEVER = -1
 """`LEARNED` if there is nothing to learn."""
 _MOTION = 6
+"""Numbers at the start of odometry: position and velocity."""
 _STATUS, _PATH, _TRAJECTORY, _WAYPOINT, _COMMAND, _TRACKING = range(residuals.SLOTS)
 
 
@@ -30,7 +31,7 @@ class ResidualState(NamedTuple):
         quanta: Quantum of each; 0 = not watched. Shape (n,).
         codes: Their latest codes. Shape (n,), int16.
         spans: First and one past the last residual of each state. Shape (SLOTS, 2), int64.
-        place: Slot of its state; its regime, -1 - regime if a watched number is not finite, or -1 for a regime that
+        status: Slot of its state; its regime, -1 - regime if a watched number is not finite, or -1 for a regime that
             does not exist; whether it was accepted; slot of an accepted publication that a scorer has not learned yet.
             Shape (4,), int64.
     """
@@ -41,7 +42,7 @@ class ResidualState(NamedTuple):
     quanta: np.ndarray
     codes: np.ndarray
     spans: np.ndarray
-    place: np.ndarray
+    status: np.ndarray
 
 
 def initial_state(quanta: np.ndarray, spans: np.ndarray) -> ResidualState:
@@ -61,9 +62,9 @@ def initial_state(quanta: np.ndarray, spans: np.ndarray) -> ResidualState:
 @kernel_jit
 def settle(measured: ResidualState) -> None:
     """Commit the publication measured last, if accepted."""
-    if measured.place[ACCEPTED] != 0:
+    if measured.status[ACCEPTED] != 0:
         measured.known[:] = measured.after
-        measured.place[ACCEPTED], measured.place[LEARNED] = 0, measured.place[SLOT]
+        measured.status[ACCEPTED], measured.status[LEARNED] = 0, measured.status[SLOT]
 
 
 @kernel_jit
@@ -76,13 +77,14 @@ def _begin(slot: int, measured: ResidualState) -> np.ndarray:
 
 @kernel_jit
 def _finish(slot: int, regime: int, measured: ResidualState) -> None:
+    """Compute the codes of a state from its residuals, and store its slot and regime."""
     first, last = measured.spans[slot]
     finite = residuals.quantize(measured.values[first:last], measured.quanta[first:last], measured.codes[first:last])
     if not 0 <= regime < REGIMES:  # corrupted: never an index
         regime = -1
     elif not finite:
         regime = -1 - regime
-    measured.place[SLOT], measured.place[REGIME] = slot, regime
+    measured.status[SLOT], measured.status[REGIME] = slot, regime
 
 
 @kernel_jit

@@ -3,10 +3,12 @@
 They cover each consumed field, and for paths and trajectories the largest deviations over their elements.  They depend
 on publications only, not on limits of the mission.  Clouds and map updates have none, see `acceptance`.
 
-Each function computes the residuals of one state (SI units; NaN or infinity propagates) and, with `keep`, stores the
-publication as the reference for the next one.  Arguments: `header`, shape (1,); `elements`, shape (n, fields), float64;
-`known`, memory of earlier publications, shape (SIZE,), zeros at first; `values`, output, shape (residuals of the
-state,); `keep`.
+The function of a state computes its residuals (SI units; NaN or infinity propagates) and, with `keep`, stores the
+publication as the reference for the next one; it returns the regime of the state.  Arguments: `header`, shape (1,);
+`elements`, shape (n, fields), float64; `known`, memory of earlier publications, shape (SIZE,), zeros at first;
+`values`, output, shape (residuals of the state,); `keep`.
+
+The shape of statements decides the compiled instructions, in which faults are drawn: conditional expressions stay.
 """
 
 import math
@@ -43,6 +45,7 @@ _STATUS, _PATH, _TRAJECTORY, _WAYPOINT, _COMMAND, _TRACKING = range(SLOTS)
     _FRESH,
     _VEHICLE_KNOWN,
 ) = range(17)
+"""Indices of single numbers in `known`: those of the last publications, and whether there was one."""
 _END = 17
 _GOAL = 20
 _VEHICLE = 23
@@ -56,10 +59,14 @@ _YAW = 3
 _VELOCITY = 4
 _ACCELERATION = 7
 _DURATION = 10
+"""First columns of a point of a trajectory: after x y z."""
 _LARGEST_WRAPPED = 20.0
+"""Largest angle that is wrapped (rad): a larger one is corrupted, and must stay visible."""
 _NEAREST = 0.25
 _FARTHEST = 64.0
+"""Bounds of `octaves` (m, or s): changes beyond them mean nothing."""
 _NEGATIVE = 20.0
+"""Octaves by which negative values are set apart."""
 _LOG_2 = 0.6931471805599453
 
 
@@ -85,11 +92,11 @@ def larger(worst: float, value: float) -> float:
 
 
 @kernel_jit
-def farthest(place: np.ndarray, other: np.ndarray) -> float:
+def farthest(point: np.ndarray, other: np.ndarray) -> float:
     """Largest distance of two points along an axis (m). Shapes (3,)."""
     worst = 0.0
     for axis in range(3):
-        worst = larger(worst, abs(place[axis] - other[axis]))
+        worst = larger(worst, abs(point[axis] - other[axis]))
     return worst
 
 
@@ -99,12 +106,14 @@ def status(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values: 
     new, seen = header[0], known[_STATUS_SEEN] != 0.0
     counter = float(new["future_collision_seq"])
     growth = counter - known[_COUNTER]
+    # Times and distances against the last publication; the first one equals its prediction.
     time, blocked = octaves(new["time_to_collision"]), octaves(new["distance_to_blocked"])
     unknown = octaves(new["distance_to_unknown"])
     values[0] = time - (known[_TIME] if seen else time)
     values[1] = blocked - (known[_BLOCKED] if seen else blocked)
     values[2] = unknown - (known[_UNKNOWN] if seen else unknown)
     values[3] = growth
+    # Number of the trajectory (-1 = none); the counter of collisions must grow when there is one.
     number = float(new["trajectory_seq"])
     values[4] = 0.0 if number == -1.0 else number - known[_NUMBER]
     values[5] = (1.0 if new["collision"] else 0.0) - (1.0 if growth > 0.0 else 0.0)
@@ -122,10 +131,12 @@ def path(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values: np
     velocity = known[_VEHICLE + 3 : _VEHICLE + 6]
     speed = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
     values[:] = 0.0
+    # Entry speed (0 = none; NaN propagates) against that of the vehicle, and numbers against those of other states.
     values[0] = entry - speed if entry != 0.0 and known[_VEHICLE_KNOWN] != 0.0 else 0.0 * entry
     values[1] = epoch - known[_COUNTER]
     junction = float(new["junction"])
     values[2] = 0.0 if junction == -1.0 else junction - known[_INDEX]
+    # Start against the vehicle, end against that of the last path.
     if count:
         if known[_VEHICLE_KNOWN] != 0.0:
             values[3] = farthest(elements[0], known[_VEHICLE : _VEHICLE + 3])
@@ -146,13 +157,13 @@ def detour(vertices: np.ndarray) -> float:
     """Length of a path minus the distance from its start to its end (m). Shape (n, 3)."""
     flown = 0.0
     for index in range(1, len(vertices)):
-        flown += _apart(vertices[index], vertices[index - 1])
-    return flown - _apart(vertices[len(vertices) - 1], vertices[0])
+        flown += _distance(vertices[index], vertices[index - 1])
+    return flown - _distance(vertices[len(vertices) - 1], vertices[0])
 
 
 @kernel_jit
-def _apart(place: np.ndarray, other: np.ndarray) -> float:
-    return math.sqrt((place[0] - other[0]) ** 2 + (place[1] - other[1]) ** 2 + (place[2] - other[2]) ** 2)
+def _distance(point: np.ndarray, other: np.ndarray) -> float:
+    return math.sqrt((point[0] - other[0]) ** 2 + (point[1] - other[1]) ** 2 + (point[2] - other[2]) ** 2)
 
 
 @kernel_jit
@@ -204,6 +215,7 @@ def waypoint(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values
     number, index = float(new["trajectory_seq"]), float(new["index"])
     epoch = float(new["future_collision_seq"])
     same = known[_WAYPOINT_SEEN] != 0.0 and number == known[_OF_TRAJECTORY]
+    # Position and velocity against the last way-point, or against the vehicle at the start of a trajectory.
     from_vehicle = not same and known[_VEHICLE_KNOWN] != 0.0
     for axis in range(3):
         start, before = last[axis], last[_VELOCITY + axis]
@@ -215,6 +227,7 @@ def waypoint(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values
         values[7 + axis] = point[_ACCELERATION + axis] - last[_ACCELERATION + axis]
     values[3] = wrapped(point[_YAW] - last[_YAW])
     values[10] = point[_DURATION] - last[_DURATION]
+    # Numbers of its trajectory (0 = none), of the collision that this answers, and in the trajectory (-1 = none).
     values[11] = 0.0 if number == 0.0 or known[_OF_TRAJECTORY] == 0.0 else number - known[_OF_TRAJECTORY]
     values[12] = epoch - known[_ANSWERS]
     values[13] = 0.0
@@ -248,6 +261,7 @@ def command(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values:
 def tracking(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values: np.ndarray, keep: bool) -> int:
     """Remaining time of the way-point in force, the single element; see the module. Returns its regime."""
     remaining = elements[0, 0]
+    # A way-point that has just come into force has all of its duration left.
     expected = known[_POINT + _DURATION] if known[_FRESH] != 0.0 else known[_REMAINING]
     values[0] = remaining - expected
     if keep:

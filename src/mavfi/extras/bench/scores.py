@@ -53,6 +53,12 @@ class Scores:
     corrupted: np.ndarray
     harmful: np.ndarray
 
+    @property
+    def harmful_scores(self) -> np.ndarray:
+        """Scores of the publications that harmful faults corrupted."""
+        scores: np.ndarray = self.corrupted[self.harmful]
+        return scores
+
     def threshold_at(self, per_hour: float) -> float | None:
         """Lowest threshold with at most this rate of false alarms; None if the exposure is too short for the rate."""
         allowed = int(per_hour * self.hours)
@@ -67,8 +73,8 @@ class Scores:
         threshold = self.threshold_at(per_hour)
         if threshold is None:
             return None
-        own = self.corrupted[self.harmful]
-        return wilson(int((own > threshold).sum()), len(own))
+        harmful = self.harmful_scores
+        return wilson(int((harmful > threshold).sum()), len(harmful))
 
     def area(self) -> float | None:
         """Area under the ROC curve of harmful corrupted publications against golden ones; None without both."""
@@ -85,25 +91,26 @@ class Scores:
         """A metric of the scores as a classifier of harmful publications; None without both kinds."""
         from sklearn import metrics
 
-        own = self.corrupted[self.harmful]
-        if not len(own) or not self.judged:
+        harmful = self.harmful_scores
+        if not len(harmful) or not self.judged:
             return None
-        scores = np.concatenate([own, self.golden, [0.0]])
+        scores = np.concatenate([harmful, self.golden, [0.0]])
         weights = np.ones(len(scores))
         weights[-1] = self.judged - len(self.golden)  # the last sample stands for all golden scores of 0
-        labels = np.arange(len(scores)) < len(own)
-        return float(getattr(metrics, metric)(labels, np.minimum(scores, np.finfo(float).max), sample_weight=weights))
+        labels = np.arange(len(scores)) < len(harmful)
+        finite = np.minimum(scores, np.finfo(float).max)
+        return float(getattr(metrics, metric)(labels, finite, sample_weight=weights))
 
     def curve(self) -> list[tuple[float, float, float]]:
         """Steps of the curve, descending: threshold, false alarms per hour, share of harmful faults detected."""
-        own = self.corrupted[self.harmful]
-        thresholds = np.unique(np.concatenate([self.golden, own[own > 0]]))[::-1]
-        alarms = _above(self.golden, thresholds) / self.hours
-        shares = _above(own, thresholds) / max(len(own), 1)
+        harmful = self.harmful_scores
+        thresholds = np.unique(np.concatenate([self.golden, harmful[harmful > 0]]))[::-1]
+        alarms = _count_above(self.golden, thresholds) / self.hours
+        shares = _count_above(harmful, thresholds) / max(len(harmful), 1)
         return list(zip(thresholds.tolist(), alarms.tolist(), shares.tolist(), strict=True))
 
 
-def _above(scores: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
+def _count_above(scores: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
     """Number of scores above each threshold; both without NaN."""
     counts: np.ndarray = len(scores) - np.searchsorted(np.sort(scores), thresholds, side="right")
     return counts
@@ -125,7 +132,14 @@ class _ScoringTask:
 
 @dataclass(slots=True)
 class _FlightScores:
-    """Scores of one detector in one flight."""
+    """Scores of one detector in one flight.
+
+    Attributes:
+        golden: Positive scores of publications.
+        judged: Number of scored publications.
+        hours: Flight time (h).
+        corrupted: Score of the corrupted publication, by index of the fault.
+    """
 
     golden: list[float] = field(default_factory=list)
     judged: int = 0
@@ -138,29 +152,36 @@ class _ScoreRecorder:
 
     def __init__(self, detectors: Mapping[str, Detector], faults: Sequence[StateFault]) -> None:
         self._detectors: Mapping[str, Any] = detectors  # those that have `score`
-        self._injectors = {place: StateInjector(fault) for place, fault in enumerate(faults)}
-        self.kept = {name: _FlightScores() for name in detectors}
+        self._injectors = {number: StateInjector(fault) for number, fault in enumerate(faults)}
+        self.scores = {name: _FlightScores() for name in detectors}
         for detector in detectors.values():
             detector.start()
 
     def __call__(self, state: State, time_us: int) -> None:
-        corrupted = {place: injector(state, time_us) for place, injector in self._injectors.items()}
-        changed = {place: other for place, other in corrupted.items() if other is not state}
+        # 1. Faults whose site this publication is: None = the message is lost.
+        corrupted = {}
+        for number, injector in self._injectors.items():
+            other = injector(state, time_us)
+            if other is not state:
+                corrupted[number] = other
+
+        # 2. Score the corrupted copies before the publication itself, which alone is accepted.
         for name, detector in self._detectors.items():
-            kept = self.kept[name]
-            for place, other in changed.items():  # None = the message is lost
-                if other is None:
-                    kept.corrupted[place] = 0.0
-                else:
-                    kept.corrupted[place] = detector.score(other, time_us) or 0.0
+            scores = self.scores[name]
+            for number, other in corrupted.items():
+                scores.corrupted[number] = 0.0
+                if other is not None:
+                    scores.corrupted[number] = detector.score(other, time_us) or 0.0
             score = detector.score(state, time_us)
             if score is not None:
-                kept.judged += 1
+                scores.judged += 1
                 if score > 0.0:
-                    kept.golden.append(score)
+                    scores.golden.append(score)
             detector.accept(state, time_us)
-        for place in changed:
-            del self._injectors[place]
+
+        # 3. Each fault strikes once.
+        for number in corrupted:
+            del self._injectors[number]
 
 
 def scored_arms(campaign: Campaign) -> list[Arm]:
@@ -168,36 +189,34 @@ def scored_arms(campaign: Campaign) -> list[Arm]:
     return [arm for arm in arms_of(campaign) if arm.detector and set(arm.overrides) <= set(OF_A_DETECTOR)]
 
 
-def unscored(campaigns: Iterable[Campaign], found: Mapping[str, Scores]) -> dict[str, str]:
+def unscored(campaigns: Iterable[Campaign], scores_of_arms: Mapping[str, Scores]) -> dict[str, str]:
     """Arms with a detector that have no scores, with the reason."""
     reasons: dict[str, str] = {}
     for campaign in campaigns:
         for arm in arms_of(campaign):
-            if arm.detector and arm.name not in found:
-                other = sorted(set(arm.overrides) - set(OF_A_DETECTOR))
-                flown = f"its mission differs ({', '.join(other)})"
-                if other:
-                    reasons[arm.name] = flown
-                else:
-                    reasons[arm.name] = "it compares with a seal, or has no scores"
+            if arm.detector and arm.name not in scores_of_arms:
+                reasons[arm.name] = "it compares with a seal, or has no scores"
+                other_keys = sorted(set(arm.overrides) - set(OF_A_DETECTOR))
+                if other_keys:
+                    reasons[arm.name] = f"its mission differs ({', '.join(other_keys)})"
     return reasons
 
 
 def _score(task: _ScoringTask) -> dict[str, _FlightScores]:
     """Fly a golden flight; returns the scores by arm."""
     scenario = resolve(task.mission)
-    judging = {}
+    detectors = {}
     for arm in task.arms:
         trained_for = arm.overrides.get("trained_for", task.mission.trained_for)
         detector = detector_for(scenario, arm.detector, arm.profile, task.models_dir, trained_for, arm.options).detector
         if not detector.seals:
-            judging[arm.name] = detector
-    scorer = _ScoreRecorder(judging, task.faults)
-    log = fly(scenario, recorders=[scorer]).log
+            detectors[arm.name] = detector
+    recorder = _ScoreRecorder(detectors, task.faults)
+    log = fly(scenario, recorders=[recorder]).log
     hours = quality_of_flight(log).flight_time_s / 3600
-    for kept in scorer.kept.values():
-        kept.hours = hours
-    return scorer.kept
+    for flight_scores in recorder.scores.values():
+        flight_scores.hours = hours
+    return recorder.scores
 
 
 def scores(
@@ -222,16 +241,21 @@ def scores(
         MavfiError: A worker was lost.
     """
     tasks = _tasks(directories, models_dir)
-    places = {id(task): place for place, task in enumerate(tasks)}
     flown: list[tuple[_ScoringTask, dict[str, _FlightScores]]] = []
     progress(0, len(tasks))
-    for pair in map_each(executor, _score, tasks):
-        flown.append(pair)
+    for task_and_scores in map_each(executor, _score, tasks):
+        flown.append(task_and_scores)
         progress(len(flown), len(tasks))
-    flown.sort(key=lambda pair: places[id(pair[0])])
-    names = dict.fromkeys(arm.name for task in tasks for arm in task.arms)
-    found = {name: _joined([(task, kept[name]) for task, kept in flown if name in kept]) for name in names}
-    return {name: own for name, own in found.items() if own.judged}
+    # Flights end in any order: sums of floats must not depend on it.
+    order = {id(task): number for number, task in enumerate(tasks)}
+    flown.sort(key=lambda task_and_scores: order[id(task_and_scores[0])])
+
+    scores_of_arms = {}
+    for name in dict.fromkeys(arm.name for task in tasks for arm in task.arms):
+        joined = _joined([(task, by_arm[name]) for task, by_arm in flown if name in by_arm])
+        if joined.judged:
+            scores_of_arms[name] = joined
+    return scores_of_arms
 
 
 def _tasks(directories: Sequence[Path], models_dir: Path | None) -> list[_ScoringTask]:
@@ -247,42 +271,59 @@ def _tasks(directories: Sequence[Path], models_dir: Path | None) -> list[_Scorin
         for environment in campaign.environments:
             for seed in campaign.seeds:
                 mission = campaign.spec(environment, seed)
-                own = [spec for spec in specs if spec.world == (environment, seed)]
-                task = tasks.setdefault(mission.model_dump_json(), _ScoringTask(mission, arms, (), (), models_dir))
-                tasks[mission.model_dump_json()] = replace(
+                here = [spec for spec in specs if spec.world == (environment, seed)]
+                key = mission.model_dump_json()
+                task = tasks.get(key, _ScoringTask(mission, arms, (), (), models_dir))
+                tasks[key] = replace(
                     task,
                     arms=tuple({arm.name: arm for arm in (*task.arms, *arms)}.values()),
-                    faults=(*task.faults, *(cast(StateFault, spec.fault) for spec in own)),
-                    harmful=(*task.harmful, *(lost[spec.run_id] for spec in own)),
+                    faults=(*task.faults, *(cast(StateFault, spec.fault) for spec in here)),
+                    harmful=(*task.harmful, *(lost[spec.run_id] for spec in here)),
                 )
     return list(tasks.values())
 
 
 def _joined(flown: Sequence[tuple[_ScoringTask, _FlightScores]]) -> Scores:
-    golden = np.sort(np.array([score for _, kept in flown for score in kept.golden]))[::-1]
-    corrupted = [kept.corrupted.get(place, 0.0) for task, kept in flown for place in range(len(task.faults))]
-    harmful = [lost for task, _ in flown for lost in task.harmful]
-    hours = sum(kept.hours for _, kept in flown)
-    judged = sum(kept.judged for _, kept in flown)
-    return Scores(golden, judged, hours, np.array(corrupted), np.array(harmful, bool))
+    """Scores of a detector over all flights."""
+    golden: list[float] = []
+    corrupted: list[float] = []
+    harmful: list[bool] = []
+    for task, scores_of_flight in flown:
+        golden += scores_of_flight.golden
+        corrupted += [scores_of_flight.corrupted.get(number, 0.0) for number in range(len(task.faults))]
+        harmful += task.harmful
+    return Scores(
+        golden=np.sort(np.array(golden))[::-1],
+        judged=sum(scores_of_flight.judged for _, scores_of_flight in flown),
+        hours=sum(scores_of_flight.hours for _, scores_of_flight in flown),
+        corrupted=np.array(corrupted),
+        harmful=np.array(harmful, bool),
+    )
 
 
-def table(found: Mapping[str, Scores], parts: Sequence[str], left_out: Mapping[str, str] | None = None) -> Table:
+def table(
+    scores_of_schemes: Mapping[str, Scores], parts: Sequence[str], left_out: Mapping[str, str] | None = None
+) -> Table:
     """Detection of harmful faults at fixed false-alarm rates, and the areas under the ROC and PR curves.
 
     Args:
-        found: Scores by scheme.
+        scores_of_schemes: Scores by scheme.
         parts: Names of the parts whose missions and faults these are.
         left_out: Schemes without scores, with the reason (`unscored`).
     """
-    columns = [Column("arm", "scheme"), Column("harmful", "harmful", NUMBER), Column("auc", "ROC area", "number .4f")]
-    columns.append(Column("precision", "PR area", "number .4f"))
-    columns += [Column(f"at_{rate:g}", f"detected at {rate:g}/h", RATE) for rate in RATES_PER_HOUR]
-    columns += [Column("hours", "exposure", "number .2f h")]
-    rows = [
-        (name, int(own.harmful.sum()), own.area(), own.precision(), *map(own.detected_at, RATES_PER_HOUR), own.hours)
-        for name, own in found.items()
-    ]
+    columns = (
+        Column("arm", "scheme"),
+        Column("harmful", "harmful", NUMBER),
+        Column("auc", "ROC area", "number .4f"),
+        Column("precision", "PR area", "number .4f"),
+        *(Column(f"at_{rate:g}", f"detected at {rate:g}/h", RATE) for rate in RATES_PER_HOUR),
+        Column("hours", "exposure", "number .2f h"),
+    )
+    rows = []
+    for name, scheme in scores_of_schemes.items():
+        detected = map(scheme.detected_at, RATES_PER_HOUR)
+        harmful = int(scheme.harmful.sum())
+        rows.append((name, harmful, scheme.area(), scheme.precision(), *detected, scheme.hours))
     notes = (
         "threshold of each detector moved to so many false alarms per hour of golden flight, counted as publications "
         "above it; — = the exposure is too short to show the rate",
@@ -292,4 +333,4 @@ def table(found: Mapping[str, Scores], parts: Sequence[str], left_out: Mapping[s
         "recall for the same publications (average precision), which falls with their share",
         *(f"{name}: not scored: {reason}" for name, reason in (left_out or {}).items()),
     )
-    return Table("scores", "Detection at fixed rates of false alarms", tuple(columns), rows, notes=notes)
+    return Table("scores", "Detection at fixed rates of false alarms", columns, rows, notes=notes)

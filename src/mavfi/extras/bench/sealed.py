@@ -30,7 +30,7 @@ SMALL = frozenset(name for name in ALL if not _is_large(STATES[name]))
 
 
 class Sealed(Detector):
-    """Base of both, without memory between publications.
+    """Base of detectors that compare a value with the one sent; they have no memory between publications.
 
     Args:
         states: Names of the sealed states.
@@ -96,8 +96,9 @@ class Checksum(Sealed):
 
     source = "checksum"
 
-    def __init__(self, large: bool = False) -> None:
-        super().__init__(ALL if large else SMALL)
+    def __init__(self, *, large: bool = False) -> None:
+        states = ALL if large else SMALL
+        super().__init__(states)
         self._sum = 0
         self.instrument({})
 
@@ -166,8 +167,10 @@ class Duplicate(Detector):
 # ---- random alarms --------------------------------------------------------------------------------------------------
 
 _STREAM = 7
+"""Number of the random streams of these alarms among those of a mission."""
 _SCORE = 2.0
 _HOUR_US = 3.6e9
+"""An hour (us)."""
 
 
 class RandomAlarms(Detector):
@@ -195,7 +198,7 @@ class RandomAlarms(Detector):
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
         self._passed = dict.fromkeys(self._order, 0)
-        self._instants = {name: self._process(place) for name, place in self._order.items()}
+        self._instants = {name: self._process(number) for name, number in self._order.items()}
         self._next = {name: next(instants) for name, instants in self._instants.items()}
 
     def check(self, state: State, time_us: int) -> Alarm | None:
@@ -234,9 +237,9 @@ class RandomAlarms(Detector):
         self._passed[name] += 1
         self._next[name] = next(self._instants[name])
 
-    def _process(self, place: int) -> Iterator[float]:
-        """Instants of the alarms of a state (us), ascending."""
-        sequence = np.random.SeedSequence(self._seed, spawn_key=(_STREAM, place))
+    def _process(self, state_number: int) -> Iterator[float]:
+        """Instants of the alarms of a state (us), ascending; each state has its own random stream."""
+        sequence = np.random.SeedSequence(self._seed, spawn_key=(_STREAM, state_number))
         generator = np.random.Generator(np.random.PCG64(sequence))
         now = 0.0
         while True:

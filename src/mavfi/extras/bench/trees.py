@@ -30,8 +30,8 @@ class Split(NamedTuple):
     Attributes:
         column: The input that it compares.
         threshold: The largest input that goes to `low`.
-        low: A child.
-        high: The other.
+        low: The child of smaller inputs.
+        high: The child of larger inputs.
     """
 
     column: int
@@ -71,7 +71,7 @@ class Forest(NamedTuple):
 
 
 class StateTrees(NamedTuple):
-    """Trees of a state, and the unit of the sum of their leaves."""
+    """Trees of a state, and the unit of the sum of their leaves (> 0)."""
 
     trees: Sequence[Tree]
     unit: float
@@ -79,7 +79,7 @@ class StateTrees(NamedTuple):
 
 CODES_FROM = -(1 << 15) - 1
 _CODES_TO = 1 << 15
-"""All codes are between these."""
+"""All codes are between these: they have 16 bits."""
 
 
 def limit_of(branch: Split, inputs: Inputs) -> int:
@@ -89,12 +89,13 @@ def limit_of(branch: Split, inputs: Inputs) -> int:
         if branch.threshold < 0.0:
             return CODES_FROM
         return _CODES_TO - 1
-    found = min(max(math.floor(branch.threshold * scale), CODES_FROM), _CODES_TO - 1)
-    while found < _CODES_TO - 1 and (found + 1) / scale <= branch.threshold:
-        found += 1
-    while found > CODES_FROM and found / scale > branch.threshold:
-        found -= 1
-    return found
+    # The product is rounded: correct it by the division that computes inputs.
+    limit = min(max(math.floor(branch.threshold * scale), CODES_FROM), _CODES_TO - 1)
+    while limit < _CODES_TO - 1 and (limit + 1) / scale <= branch.threshold:
+        limit += 1
+    while limit > CODES_FROM and limit / scale > branch.threshold:
+        limit -= 1
+    return limit
 
 
 def pack(limit: int, field: int, below: int) -> int:
@@ -103,7 +104,7 @@ def pack(limit: int, field: int, below: int) -> int:
     Args:
         limit: Largest code that goes to the lower child.
         field: Index of the code, < 256.
-        below: The lower child, followed by the upper one; a leaf is its own.
+        below: Index of the lower child, which the upper one follows; a leaf names itself.
     """
     return (below << 40) + (field << 32) + (limit - CODES_FROM)
 
@@ -136,19 +137,19 @@ RATES[Forest] = rate_by_forest
 
 
 def spans_of(counts: Sequence[int] | np.ndarray) -> np.ndarray:
-    """First and one past the last of parts that follow each other. Shape (k, 2), int64."""
+    """First and one past the last index of parts of these sizes that follow each other. Shape (k, 2), int64."""
     ends = np.cumsum(counts, dtype=np.int64)
     return np.stack([ends - counts, ends], axis=1).astype(np.int64)
 
 
 def forest_of(
-    states: Sequence[StateTrees], inputs: Inputs, decays: bool = False, sign: float = 1.0, shift: float = 0.0
+    states: Sequence[StateTrees], inputs: Inputs, *, decays: bool = False, sign: float = 1.0, shift: float = 0.0
 ) -> Forest:
     """The tables of a forest.
 
     Args:
         states: Trees of each state.
-        inputs: What their columns are.
+        inputs: The inputs that they compare.
         decays: See `Forest`.
         sign: See `Forest`.
         shift: See `Forest`.
@@ -158,31 +159,36 @@ def forest_of(
     roots: list[int] = []
     depths: list[int] = []
 
-    def leaf() -> int:
-        """Append a leaf; returns its place."""
+    def append_leaf() -> int:
+        """Append a leaf; returns its index."""
         words.append(pack(_CODES_TO, 0, len(words)))
         values.append(0.0)
         return len(words) - 1
 
-    def fill(place: int, tree: Tree) -> list[tuple[int, Tree]]:
-        """Fill in a node; returns its children with their places."""
+    def fill(node: int, tree: Tree) -> list[tuple[int, Tree]]:
+        """Fill in a node; returns its children with their indices."""
         if not isinstance(tree, Split):
-            values[place] = tree
+            values[node] = tree
             return []
-        words[place] = pack(limit_of(tree, inputs), int(inputs.columns[tree.column]), len(words))
-        return [(leaf(), tree.low), (leaf(), tree.high)]
+        words[node] = pack(limit_of(tree, inputs), int(inputs.columns[tree.column]), len(words))
+        return [(append_leaf(), tree.low), (append_leaf(), tree.high)]
 
-    for tree in (tree for own in states for tree in own.trees):
-        roots.append(len(words))
-        level = [(leaf(), tree)]
-        depth = -1
-        while level:
-            level = [pair for place, part in level for pair in fill(place, part)]
-            depth = depth + 1
-        depths.append(depth)
+    # Each tree is written level by level, so that the children of a node follow each other.
+    for state in states:
+        for tree in state.trees:
+            roots.append(len(words))
+            level = [(append_leaf(), tree)]
+            depth = -1
+            while level:
+                next_level = []
+                for node, subtree in level:
+                    next_level += fill(node, subtree)
+                level = next_level
+                depth += 1
+            depths.append(depth)
     return Forest(
-        spans_of([len(own.trees) for own in states]),
-        np.array([own.unit for own in states], np.float64),
+        spans_of([len(state.trees) for state in states]),
+        np.array([state.unit for state in states], np.float64),
         decays,
         sign,
         shift,
@@ -205,10 +211,11 @@ class IsolationForestDetector(OutlierDetector):
     def tables_of(cls, fitted: Any, inputs: Inputs, states: int) -> Any:  # noqa: ANN401
         """See the base class."""
         forest = fitted.detector_
-        trees = [_isolation_tree(one.tree_, 0, 0) for one in forest.estimators_]
+        trees = [_isolation_tree(estimator.tree_, 0, 0) for estimator in forest.estimators_]
         unit = len(trees) * path_length(forest.max_samples_) / log(2.0)
-        found = forest_of([StateTrees(trees, unit)], inputs, decays=True, shift=float(forest.offset_))
-        return found._replace(spans=np.tile(found.spans, (states, 1)), unit=np.full(states, unit))
+        # One forest judges the codes of all states.
+        tables = forest_of([StateTrees(trees, unit)], inputs, decays=True, shift=float(forest.offset_))
+        return tables._replace(spans=np.tile(tables.spans, (states, 1)), unit=np.full(states, unit))
 
 
 def path_length(rows: int) -> float:
@@ -231,10 +238,10 @@ def _isolation_tree(tree: Any, node: int, depth: int) -> Tree:  # noqa: ANN401 -
 def single_limit(threshold: float) -> float:
     """Largest double that is at most the threshold once it is rounded to single precision, as the library does."""
     single = np.float32(threshold)
-    if single <= threshold:
-        below = single
-    else:
+    below = single
+    if single > threshold:
         below = np.nextafter(single, np.float32(-np.inf))
+    # Doubles up to the middle between two singles are rounded to the lower one, in the middle itself to the even one.
     middle = (float(below) + float(np.nextafter(below, np.float32(np.inf)))) / 2.0
     if np.float32(middle) == below:
         return middle
@@ -246,7 +253,8 @@ def single_limit(threshold: float) -> float:
 _TREES = 25
 _HEIGHT = 8
 _WINDOW = 100
-_LEAST = 0.1
+"""Rows from which the masses of the nodes are counted (the paper's window size)."""
+_SIZE_LIMIT = 0.1
 """Mass of a node / window below which the path ends (the paper's SizeLimit)."""
 
 
@@ -259,7 +267,7 @@ def half_spaces(rows: np.ndarray, slots: np.ndarray, columns: Sequence[np.ndarra
         columns: By state, the columns of its codes; a state without codes or rows scores 0.
         inputs: What the columns are.
     """
-    states = [_half_space_trees(rows[slots == slot], own) for slot, own in enumerate(columns)]
+    states = [_half_space_trees(rows[slots == slot], of_state) for slot, of_state in enumerate(columns)]
     return forest_of(states, inputs, sign=-1.0, shift=1.0)
 
 
@@ -267,30 +275,32 @@ def fitted(rows: np.ndarray) -> Any:  # noqa: ANN401 - of the library
     """River's forest of rows of one state, shape (m, w), m and w > 0."""
     from river.anomaly import HalfSpaceTrees
 
-    make: Any = HalfSpaceTrees  # its types are those of dictionaries with any key
+    untyped: Any = HalfSpaceTrees  # its type annotations allow text as keys only
     limits = dict.fromkeys(range(rows.shape[1]), (-INPUT_LIMIT, INPUT_LIMIT))
-    forest = make(n_trees=_TREES, height=_HEIGHT, window_size=min(_WINDOW, len(rows)), limits=limits, seed=0)
+    forest = untyped(n_trees=_TREES, height=_HEIGHT, window_size=min(_WINDOW, len(rows)), limits=limits, seed=0)
     for row in rows:
         forest.learn_one(dict(enumerate(row.tolist())))
     return forest
 
 
-def _half_space_trees(rows: np.ndarray, own: np.ndarray) -> StateTrees:
-    if not len(own) or not len(rows):
+def _half_space_trees(rows: np.ndarray, columns: np.ndarray) -> StateTrees:
+    """Trees fitted to these columns of the rows of a state, in units of the largest possible sum."""
+    if not len(columns) or not len(rows):
         return StateTrees([], 1.0)
-    forest = fitted(rows[:, own])
-    trees = [_half_space_tree(tree, own, 0, 0.0, _LEAST * forest.window_size) for tree in forest.trees]
-    most = float(_TREES * forest.window_size * (2 ** (_HEIGHT + 1) - 1))
-    return StateTrees(trees, most)
+    forest = fitted(rows[:, columns])
+    trees = [_half_space_tree(tree, columns, 0, 0.0, _SIZE_LIMIT * forest.window_size) for tree in forest.trees]
+    largest_sum = float(_TREES * forest.window_size * (2 ** (_HEIGHT + 1) - 1))
+    return StateTrees(trees, largest_sum)
 
 
-def _half_space_tree(node: Any, own: np.ndarray, depth: int, above: float, least: float) -> Tree:  # noqa: ANN401
+def _half_space_tree(node: Any, columns: np.ndarray, depth: int, above: float, min_mass: float) -> Tree:  # noqa: ANN401
     """A subtree; the value of a leaf is the sum of mass * 2^depth on the path to it."""
     total = above + float(node.r_mass) * 2.0**depth
-    if depth == _HEIGHT or node.r_mass < least:
+    if depth == _HEIGHT or node.r_mass < min_mass:
         return total
-    low, high = (_half_space_tree(child, own, depth + 1, total, least) for child in node.children)
-    return Split(int(own[node.feature]), math.nextafter(float(node.threshold), -math.inf), low, high)
+    low, high = (_half_space_tree(child, columns, depth + 1, total, min_mass) for child in node.children)
+    # the library sends an input equal to the threshold to the upper child
+    return Split(int(columns[node.feature]), math.nextafter(float(node.threshold), -math.inf), low, high)
 
 
 class HalfSpaceTreesDetector(LibraryDetector):
@@ -322,10 +332,10 @@ OPTIONS: Mapping[str, Any] = {
 """Of every regressor: one thread, since sums of several change their order, and threads do not survive a fork."""
 QUANTILE = 0.99
 """Share of residuals below the unit of the score."""
-FEWEST = 8
+MIN_ROWS = 8
 """Rows of a state below which its codes have no regressors, and it scores 0."""
-_SMALLEST = 1e-6
-_ALL = (1 << 16) - 1
+_SMALLEST_UNIT = 1e-6
+_ALL_LEAVES = (1 << 16) - 1
 """All leaves of a tree, one bit each."""
 _PRIME = 19
 """2^k modulo 19 differs for k < 18: the remainder of a bit is a place for its leaf."""
@@ -367,15 +377,15 @@ class Regressors(NamedTuple):
 @kernel_jit
 def drop_leaves(codes: np.ndarray, slot: int, trees: int, model: Regressors) -> None:
     """Remove the leaves that codes, shape (n,), do not reach from `left`, for all trees of a state."""
-    model.left[:trees] = _ALL
-    for place in range(len(model.inputs.columns)):
-        code = np.int64(codes[model.inputs.columns[place]])
-        starts = model.starts[slot, place, int(code < 0)]
+    model.left[:trees] = _ALL_LEAVES
+    for column in range(len(model.inputs.columns)):
+        code = np.int64(codes[model.inputs.columns[column]])
+        starts = model.starts[slot, column, int(code < 0)]
         for index in range(starts[0], starts[1]):
             word = model.branches[index]
             if word >> 32 >= abs(code):
                 break
-            model.left[(word >> 16) & _ALL] &= word & _ALL
+            model.left[(word >> 16) & _ALL_LEAVES] &= word & _ALL_LEAVES
 
 
 @kernel_jit
@@ -416,60 +426,83 @@ def regressors(rows: np.ndarray, slots: np.ndarray, columns: Sequence[np.ndarray
         columns: By state, the columns of its codes.
         inputs: What the columns are.
     """
-    states = [
-        [_fitted(rows[slots == slot], int(column)) for column in own] if (slots == slot).sum() >= FEWEST else []
-        for slot, own in enumerate(columns)
-    ]
+    states: list[list[Regressor]] = []
+    for slot, of_state in enumerate(columns):
+        rows_of_state = rows[slots == slot]
+        if len(rows_of_state) >= MIN_ROWS:
+            states.append([_fitted(rows_of_state, int(column)) for column in of_state])
+        else:
+            states.append([])
     return tables_of(states, inputs)
 
 
 def tables_of(states: Sequence[Sequence[Regressor]], inputs: Inputs) -> Regressors:
     """The tables of the regressors of each state."""
-    every = [one for own in states for one in own]
-    trees = [tree for one in every for tree in one.trees]
-    leaves = np.zeros((len(trees), _PRIME))
+    all_regressors = [regressor for of_state in states for regressor in of_state]
+    tree_counts = np.array([len(regressor.trees) for regressor in all_regressors], np.int64)
+    leaves = np.zeros((tree_counts.sum(), _PRIME))
     starts = np.zeros((len(states), len(inputs.columns), 2, 2), np.int64)
-    first = 0
     branches: list[int] = []
-    for slot, own in enumerate(states):
-        words = Words(list)
-        trees_of_state = [tree for one in own for tree in one.trees]
-        for number, tree in enumerate(trees_of_state):
+    most_trees = 0
+    first = 0  # index of the state's first tree
+    for slot, of_state in enumerate(states):
+        trees = [tree for regressor in of_state for tree in regressor.trees]
+
+        # 1. Number the leaves of each tree, and collect its branches by the code that they compare.
+        words = BranchWords(list)
+        for number, tree in enumerate(trees):
             values = _leaves(tree, number, 0, inputs, words)
             leaves[first + number, [(1 << bit) % _PRIME for bit in range(len(values))]] = values
-        first += len(trees_of_state)
-        for (place, below), found in words.items():
-            starts[slot, place, int(below)] = len(branches), len(branches) + len(found)
-            branches += sorted(found)
-    counts = np.array([len(one.trees) for one in every], np.int64)
+        first += len(trees)
+        most_trees = max(most_trees, len(trees))
+
+        # 2. Store the branches, sorted by the magnitude of the code.
+        for (column, is_below), of_column in words.items():
+            starts[slot, column, int(is_below)] = len(branches), len(branches) + len(of_column)
+            branches += sorted(of_column)
     return Regressors(
-        spans_of([len(own) for own in states]),
-        spans_of(counts),
-        np.array([one.column for one in every], np.int64),
-        np.array([one.unit for one in every], np.float64),
-        starts,
-        np.array(branches, np.int64),
-        leaves,
-        np.zeros(max((sum(len(one.trees) for one in own) for own in states), default=0), np.int64),
-        inputs,
+        spans=spans_of([len(of_state) for of_state in states]),
+        trees=spans_of(tree_counts),
+        column=np.array([regressor.column for regressor in all_regressors], np.int64),
+        unit=np.array([regressor.unit for regressor in all_regressors], np.float64),
+        starts=starts,
+        branches=np.array(branches, np.int64),
+        leaves=leaves,
+        left=np.zeros(most_trees, np.int64),
+        inputs=inputs,
     )
 
 
-Words = defaultdict[tuple[int, bool], list[int]]
+BranchWords = defaultdict[tuple[int, bool], list[int]]
 """Branches by input, and whether a code below 0 goes to the other child, see `Regressors`."""
 
 
-def _leaves(tree: Tree, number: int, first: int, inputs: Inputs, words: Words) -> list[float]:
-    """Values of the leaves of a subtree of tree `number`, whose branches it adds; its first leaf has bit `first`."""
+def _leaves(tree: Tree, number: int, first: int, inputs: Inputs, words: BranchWords) -> list[float]:
+    """Values of the leaves of a subtree, those of the child to which the code 0 goes first.
+
+    Args:
+        tree: The subtree.
+        number: Number of its tree within the state.
+        first: Bit of its first leaf.
+        inputs: What its columns are.
+        words: Receives its branches.
+    """
     if not isinstance(tree, Split):
         return [tree]
     limit = limit_of(tree, inputs)
-    below = limit < 0  # 0 goes to the upper child
-    values = _leaves(tree.high if below else tree.low, number, first, inputs, words)
-    stay = _ALL & ~(((1 << len(values)) - 1) << first)
-    magnitude = -1 - limit if below else limit
-    words[tree.column, below].append((magnitude << 32) + (number << 16) + stay)
-    return values + _leaves(tree.low if below else tree.high, number, first + len(values), inputs, words)
+    is_below = limit < 0  # 0 goes to the upper child, and some codes below 0 to the other one
+    if is_below:
+        near = tree.high
+        far = tree.low
+        magnitude = -1 - limit
+    else:
+        near = tree.low
+        far = tree.high
+        magnitude = limit
+    values = _leaves(near, number, first, inputs, words)
+    stay = _ALL_LEAVES & ~(((1 << len(values)) - 1) << first)
+    words[tree.column, is_below].append((magnitude << 32) + (number << 16) + stay)
+    return values + _leaves(far, number, first + len(values), inputs, words)
 
 
 def regressor(rows: np.ndarray, column: int) -> Any:  # noqa: ANN401 - of the library
@@ -481,16 +514,17 @@ def regressor(rows: np.ndarray, column: int) -> Any:  # noqa: ANN401 - of the li
 
 
 def _fitted(rows: np.ndarray, column: int) -> Regressor:
-    """A regressor of a column, fitted to every other row."""
+    """A regressor of a column, fitted to every other row; the rows between give the quantile of its residual."""
     trees = regressor(rows[::2], column)
     predicted = trees.predict(np.delete(rows[1::2], column, axis=1), num_threads=1)
     quantile = float(np.quantile(np.abs(rows[1::2, column] - predicted), QUANTILE))
-    structures = [one["tree_structure"] for one in trees.dump_model()["tree_info"]]
-    return Regressor([_boosted_tree(one, column) for one in structures], column, max(quantile, _SMALLEST))
+    structures = [info["tree_structure"] for info in trees.dump_model()["tree_info"]]
+    converted = [_boosted_tree(structure, column) for structure in structures]
+    return Regressor(converted, column, max(quantile, _SMALLEST_UNIT))
 
 
 def _boosted_tree(node: Mapping[str, Any], left_out: int) -> Tree:
-    """A subtree; its inputs are all columns but one."""
+    """A subtree; its inputs are all columns but `left_out`."""
     if "leaf_value" in node:
         return float(node["leaf_value"])
     column = int(node["split_feature"])

@@ -67,44 +67,44 @@ def _schemes_on(runs: Runs, level: str) -> bool:
     return has(runs.injected, level=level, setting=FI) and len(runs.settings()) > 1
 
 
-def _only_the_scheme(own: Runs) -> int:
-    pairs = own.where(pl.col("kind") == PAIR, "golden_success", "success", ~pl.col("dr_success"))
-    return len(pairs) + len(own.golden.where("bare_success", ~pl.col("success")))
+def _only_the_scheme(runs: Runs) -> int:
+    pairs = runs.where(pl.col("kind") == PAIR, "golden_success", "success", ~pl.col("dr_success"))
+    return len(pairs) + len(runs.golden.where("bare_success", ~pl.col("success")))
 
 
-def _only_it_by_same_value(own: Runs) -> int:
+def _only_it_by_same_value(runs: Runs) -> int:
     """As `_only_the_scheme`, without pairs in which the flip meets another value: its harm is not the scheme's."""
-    return _only_the_scheme(own.where((pl.col("kind") != PAIR) | _SAME_VALUE))
+    return _only_the_scheme(runs.where((pl.col("kind") != PAIR) | _SAME_VALUE))
 
 
 def _golden(of: Callable[[Runs], object]) -> Callable[[Runs], object]:
-    return lambda own: of(own.golden.where(end="flown"))
+    return lambda runs: of(runs.golden.where(end="flown"))
 
 
 def _lost_by(test: pl.Expr | str, key: str, heading: str, *where: pl.Expr) -> Measure:
     return m.rate(key, heading, test, LOST, *where)
 
 
-def _mcnemar(own: Runs) -> Paired:
+def _mcnemar(runs: Runs) -> Paired:
     """Missions with the fault, without and with the scheme."""
-    pairs = own.where(kind=PAIR)
+    pairs = runs.where(kind=PAIR)
     return mcnemar(pairs["success"], pairs["dr_success"], pairs["world"])
 
 
 def _ranking(runs: Runs) -> list[str]:
     """Notes with paired tests of the paper's ranking: its AAD against its GAD, and the same at equal fields."""
-    arms = {str(arm): own.frame for (arm,), own in pairs_only(runs).groups("arm").items()}
-    found = []
+    arms = {str(arm): of_arm.frame for (arm,), of_arm in pairs_only(runs).groups("arm").items()}
+    notes = []
     for first, second in RANKED:
         if first in arms and second in arms:
             other = arms[second].select("world", "target", "index", second=pl.col("dr_success"))
             both = arms[first].join(other, on=["world", "target", "index"])
             test = mcnemar(both["dr_success"].to_list(), both["second"].to_list(), both["world"].to_list())
-            found.append(
+            notes.append(
                 f"{first} against {second}: missions that only one of them flies to the end {test.first_only} : "
                 f"{test.second_only} of {test.n}, p = {test.p_value:.2g}"
             )
-    return found
+    return notes
 
 
 _COUNTED = (
@@ -112,13 +112,13 @@ _COUNTED = (
     m.count("lost", "lost", LOST),
     _lost_by("dr_success", "back", "brought back"),
 )
-_P = Measure("p", "p", "number .2g", lambda own: _mcnemar(own).p_value)
+_P = Measure("p", "p", "number .2g", lambda runs: _mcnemar(runs).p_value)
 _TESTED = (*_COUNTED, _P)
 _BACK_MONITORED = _lost_by("dr_success", "back_monitored", "of monitored", pl.col("monitored"))
 _TESTED_CALLS = (
     *_COUNTED[:2],
     _lost_by("dr_success", "back", "brought back", _SAME_VALUE),
-    replace(_P, of=lambda own: _mcnemar(own.where(_SAME_VALUE)).p_value),
+    replace(_P, of=lambda runs: _mcnemar(runs.where(_SAME_VALUE)).p_value),
     _lost_by("dr_success", "died_back", "died, back", _SAME_VALUE, DIED),
     _lost_by("dr_success", "sdc_back", "sdc, back", _SAME_VALUE, ~DIED),
 )
@@ -126,7 +126,7 @@ _LOST_UNDER = Measure(
     "lost_under",
     "lost under it",
     NUMBER,
-    lambda own: len(own.where(pl.col("kind") == PAIR, "golden_success", ~pl.col("dr_success"))),
+    lambda runs: len(runs.where(pl.col("kind") == PAIR, "golden_success", ~pl.col("dr_success"))),
 )
 _IN_TIME_AGAIN = m.rate("late_in_time", "late, in time", _IN_TIME, LATE)
 _HARM = (_LOST_UNDER, Measure("newly_lost", "only it lost", NUMBER, _only_the_scheme), _IN_TIME_AGAIN)
@@ -138,11 +138,11 @@ _HARM_OF_CALLS = (
 )
 _DETECTED = _lost_by("dr_detected", "detected", "detected")
 _ALARM_AFTER = Measure(
-    "alarm_after", "alarm after", "number .2f s", lambda own: own.where(LOST).frame["dr_alarm_after_s"].median()
+    "alarm_after", "alarm after", "number .2f s", lambda runs: runs.where(LOST).frame["dr_alarm_after_s"].median()
 )
 _ALARMS = (
     Measure("per_hour", "false alarms", PER_HOUR, _golden(m.alarm_rate)),
-    Measure("hours", "exposure", "number .2f h", _golden(lambda own: sum(own["flight_time_s"]) / 3600)),
+    Measure("hours", "exposure", "number .2f h", _golden(lambda runs: sum(runs["flight_time_s"]) / 3600)),
     Measure("recomputed", "recomputation", SMALL, _golden(m.recomputed)),
 )
 _LOST_NOTE = (

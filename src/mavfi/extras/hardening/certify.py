@@ -9,13 +9,13 @@ Coverage is the share of silent corruptions per call that protection removes, wi
 import json
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from functools import cached_property
 from math import hypot, inf, sqrt
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, TypedDict
 
 import numpy as np
 
@@ -141,6 +141,53 @@ MAX_HALF_WIDTH = 0.2
 would contain 0 for almost any prediction."""
 
 
+class PairedJson(TypedDict):
+    """Paired injections as stored; see `mavfi.analysis.statistics.Paired`."""
+
+    n: int
+    plain_only: int
+    protected_only: int
+    p: float
+
+
+class CertificateJson(TypedDict):
+    """A certificate of a function as stored; see `Certificate`.  Rates are the fields of `Rate`."""
+
+    kernel: str
+    function: str
+    signature: str
+    instructions: int
+    verdict: str
+    growth: float
+    time: float | None
+    planned_time: float
+    before: dict[str, int]
+    after: dict[str, int]
+    coverage: dict[str, Any]
+    sdc_before: dict[str, Any]
+    sdc_after: dict[str, Any]
+    predicted: dict[str, Any] | None
+    paired: PairedJson
+
+
+class CertificationJson(TypedDict):
+    """A certificate of a plan as stored in PLAN.certificate.json; see `Certification`."""
+
+    plan: str
+    faults: int
+    missions: list[str]
+    refuted: bool
+    golden: dict[str, int]
+    coverage: dict[str, Any]
+    predicted: dict[str, Any]
+    verdict: str
+    cpu: str
+    kernels: list[str] | Literal["all"]
+    functions: list[CertificateJson]
+    unprotected: list[dict[str, Any]]
+    spending: list[dict[str, Any]]
+
+
 @dataclass(frozen=True, slots=True)
 class FunctionResult:
     """Result of fresh faults in one function.
@@ -210,9 +257,9 @@ class Certificate(FunctionResult):
         """See `verdict_of`."""
         return verdict_of(self.coverage, self.predicted_rate)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> CertificateJson:
         """Plain data."""
-        paired = zip(("n", "plain_only", "protected_only", "p"), astuple(self.paired), strict=True)
+        paired = self.paired
         return {
             "kernel": self.kernel,
             "function": self.function,
@@ -227,8 +274,13 @@ class Certificate(FunctionResult):
             "coverage": asdict(self.coverage),
             "sdc_before": asdict(self.sdc_before),
             "sdc_after": asdict(self.sdc_after),
-            "predicted": self.predicted and self.predicted.model_dump(),
-            "paired": dict(paired),
+            "predicted": None if self.predicted is None else self.predicted.model_dump(),
+            "paired": {
+                "n": paired.n,
+                "plain_only": paired.first_only,
+                "protected_only": paired.second_only,
+                "p": paired.p_value,
+            },
         }
 
 
@@ -726,7 +778,7 @@ def save_certification(certification: Certification, plan_path: Path) -> Path:
     return path
 
 
-def certification_json(certification: Certification) -> dict[str, Any]:
+def certification_json(certification: Certification) -> CertificationJson:
     """A certificate as plain data."""
     return {
         "plan": certification.plan,

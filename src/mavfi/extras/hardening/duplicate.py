@@ -167,7 +167,8 @@ def protect(module: Module, sites: Collection[ModuleSite], *, addresses: bool) -
     functions = []
     for number, function in enumerate(module.functions):
         if function.name in detecting:
-            function = _Duplicator(_without_undefined(function), chosen[number], addresses, detecting).run()
+            plain = _without_undefined(function)
+            function = _Duplicator(plain, chosen[number], detecting, addresses=addresses).run()
         functions.append(function)
     declared = {line.split(" ")[0] for line in module.preamble}
     added = [line for line in GLOBALS if line.split(" ")[0] not in declared]
@@ -181,8 +182,8 @@ class _Duplicator:
     Args:
         function: The function, without undefined values.
         chosen: Names of the values to duplicate.
-        addresses: Whether addresses are compared before loads, too.
         detecting: Names of the functions that may return `DETECTED`.
+        addresses: Whether addresses are compared before loads, too.
 
     Attributes:
         kinds: Types of all values, by name.
@@ -202,7 +203,7 @@ class _Duplicator:
         checked: Values compared in this block.
     """
 
-    def __init__(self, function: Function, chosen: set[str], addresses: bool, detecting: set[str]) -> None:
+    def __init__(self, function: Function, chosen: set[str], detecting: set[str], *, addresses: bool) -> None:
         self.function = function
         self.addresses = addresses
         self.detecting = detecting
