@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 from rich.markup import escape
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from mavfi.extras.ros.node.injector import MessageInjector
     from mavfi.extras.ros.node.relay import Relay
     from mavfi.extras.ros.node.survey import Survey
-    from mavfi.extras.ros.node.watch import Listener
+    from mavfi.extras.ros.node.watch import TopicListener
     from mavfi.faults.levels.message.definition import Definition
     from mavfi.flight.log_readers import Probe
     from mavfi.record import Injection
@@ -83,11 +83,11 @@ def _table(title: str, *columns: str) -> Table:
 def _tables(graph: Survey) -> tuple[Table, Table]:
     nodes = _table(f"Nodes at {graph.master}", "node", "pid", "executable", "publishes", "reads")
     for node in graph.nodes:
-        pid = str(node.pid) if node.is_alive else "[red]dead[/red]"
+        pid = "[red]dead[/red]"
+        executable = "[dim]registered only; `rosnode cleanup` removes it[/dim]"
         if node.is_alive:
+            pid = str(node.pid)
             executable = node.executable
-        else:
-            executable = "[dim]registered only; `rosnode cleanup` removes it[/dim]"
         nodes.add_row(node.name, pid, executable, "\n".join(node.publishes), "\n".join(node.reads))
     topics = _table("Topics", "topic", "type", "Hz", "publishers", "readers")
     for topic in graph.topics:
@@ -189,18 +189,20 @@ def watch(  # noqa: PLR0913 - one parameter per option
     check_number("--duration", duration, 0.0, _LONGEST_S)
     check_name("--profile", profile, PROFILES)
     from mavfi.extras.ros.node.master import Master
-    from mavfi.extras.ros.node.watch import Listener, Watch
+    from mavfi.extras.ros.node.watch import TopicListener, TopicWatch
 
     names = options.listed(topics)
     if not names:
         raise BadInputError(f"--topics: {topics!r}: allowed: names, with commas between")
-    listener = Listener(Master(), names)
+    listener = TopicListener(Master(), names)
     out = console()
     with stoppable("Stopped. The graph is as it was."), listener:
-        probes, trained, used = _trained(listener, (detector, profile), options.listed(fields), train, learn_s)
-        watching = Watch(listener, probes, trained)
+        # learn what is normal, then judge each message
+        training = _trained(listener, (detector, profile), options.listed(fields), train, learn_s)
+        watching = TopicWatch(listener, training.probes, training.detector)
         if not as_json:
-            out.print(f"learned from {used} messages; watching " + ", ".join(sorted(probes)), markup=False)
+            topic_names = ", ".join(sorted(training.probes))
+            out.print(f"learned from {training.messages} messages; watching {topic_names}", markup=False)
         try:
             for topic, message in listener.take(_LONGEST_S if duration is None else duration):
                 alarm = watching.judge(topic, message)
@@ -211,7 +213,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
             if as_json:
                 write_json(
                     {
-                        "learned_from": used,
+                        "learned_from": training.messages,
                         "judged": dict(watching.judged),
                         "skipped": dict(watching.skipped),
                         "alarms": [alarm.to_json() for alarm in watching.alarms],
@@ -221,10 +223,24 @@ def watch(  # noqa: PLR0913 - one parameter per option
         out.print(f"{watching.judged.total()} messages judged, {len(watching.alarms)} alarms")
 
 
+class MonitorTraining(NamedTuple):
+    """A detector trained on messages.
+
+    Attributes:
+        probes: The monitored fields, by topic.
+        detector: Trained on them.
+        messages: Number of training messages.
+    """
+
+    probes: dict[str, Probe]
+    detector: Detector
+    messages: int
+
+
 def _trained(
-    listener: Listener, chosen: tuple[str, str], fields: list[str], source: str, seconds: float
-) -> tuple[dict[str, Probe], Detector, int]:
-    """Monitored fields, trained detector, and number of training messages."""
+    listener: TopicListener, chosen: tuple[str, str], fields: list[str], source: str, seconds: float
+) -> MonitorTraining:
+    """Train a detector (name, profile) on what the topics publish now, or on a file."""
     from mavfi.detectors.registry import of_monitored_fields
     from mavfi.extras.ros.node.watch import train
     from mavfi.flight.log_readers import make_probes
@@ -232,7 +248,7 @@ def _trained(
     check_name("--detector", chosen[0], of_monitored_fields())
     if source == "online":
         probes = make_probes(listener.first(), fields)
-        return probes, *train(*chosen, probes, listener.take(seconds))
+        return MonitorTraining(probes, *train(*chosen, probes, listener.take(seconds)))
     return trained_on_file(Path(source), listener.topics, listener.definitions, chosen, fields)
 
 
@@ -242,8 +258,8 @@ def trained_on_file(
     definitions: Mapping[str, Definition],
     chosen: tuple[str, str],
     fields: list[str],
-) -> tuple[dict[str, Probe], Detector, int]:
-    """Monitored fields, detector trained on a file, and number of training messages.
+) -> MonitorTraining:
+    """Train a detector (name, profile) on the messages of a file.
 
     Raises:
         BadInputError: The file cannot be read, lacks a topic, has another type for it, or has an invalid message.
@@ -259,6 +275,6 @@ def trained_on_file(
                 raise BadInputError(f"{topic} has another type there than now ({definition.kind})")
         probes = make_probes(first, fields)
         parts = ((message.topic, message.data) for message in messages)
-        return probes, *train(*chosen, probes, parts)
+        return MonitorTraining(probes, *train(*chosen, probes, parts))
     except MavfiError as error:
         raise BadInputError(f"{source}: {str(error).removeprefix(f'{source}: ')}") from None

@@ -14,7 +14,7 @@ import pytest
 from mavfi.cli import run
 from mavfi.extras.ros.node.injector import MessageInjector, check_fault
 from mavfi.extras.ros.node.master import CALLER, Master, call
-from mavfi.extras.ros.node.peer import Source
+from mavfi.extras.ros.node.peer import TopicSource
 from mavfi.extras.ros.node.relay import Relay
 from mavfi.faults.fault import MessageFault
 from tests.extras.ros.node.conftest import POSITION, until
@@ -30,7 +30,7 @@ class Transforms:
     """Every message on /tf: the rotations of both joints, by name of the child frame, and the time stamp (ns)."""
 
     def __init__(self, master, node):
-        self.source = Source(node, master.node_uri(node), "/tf")
+        self.source = TopicSource(node, master.node_uri(node), "/tf")
         self.definition = self.source.definition()
         self.found, self.stamps = [], []
         self.thread = threading.Thread(target=self._listen, daemon=True)
@@ -275,7 +275,7 @@ def test_the_autoencoder_learns_online_and_publishes_its_alarms(arm, capsys):
     def hear():
         until(lambda: "/mavfi/alarm" in arm.master.graph().publishers, 30)
         node = arm.master.graph().publishers["/mavfi/alarm"][0]
-        source = Source(node, arm.master.node_uri(node), "/mavfi/alarm")
+        source = TopicSource(node, arm.master.node_uri(node), "/mavfi/alarm")
         injecting = inject_when(lambda: True)
         heard.extend(json.loads(message[4:]) for message in source.messages())
         injecting.join()

@@ -80,7 +80,9 @@ def publishers_of(master: str, topic: str) -> list[str]:
     """Addresses of a topic's publishers according to the master, without unreachable ones."""
     addresses = []
     for name, nodes in call(master, "getSystemState", CALLER)[0]:
-        for node in nodes if name == topic else ():
+        if name != topic:
+            continue
+        for node in nodes:
             with suppress(MavfiError):
                 addresses.append(call(master, "lookupNode", CALLER, node))
     return addresses

@@ -55,7 +55,7 @@ class ForeignAlarm:
         return asdict(self)
 
 
-class Listener:
+class TopicListener:
     """Subscribes to topics of a running graph, as a node, from `__enter__` to `__exit__`; collects one queue.
 
     Raises:
@@ -74,7 +74,7 @@ class Listener:
             for source in sources:
                 source.close()
 
-    def __enter__(self) -> "Listener":
+    def __enter__(self) -> "TopicListener":
         self._guardian = Guardian(self._master.uri)
         self._peer = Peer(self._master, f"/mavfi_watch_{os.getpid()}")
         for topic in self.topics:
@@ -115,7 +115,7 @@ class Listener:
         raise MavfiError(f"topic {silent[0]}: no message within {FIRST_PATIENCE_S:g} s; nothing can be watched")
 
 
-class Watch:
+class TopicWatch:
     """Checks messages of an open listener, and publishes alarms on a topic, as JSON in a `std_msgs/String`.
 
     Attributes:
@@ -124,7 +124,7 @@ class Watch:
         skipped: Number of messages that lack a monitored field, by topic.
     """
 
-    def __init__(self, listener: Listener, probes: dict[str, Probe], detector: Detector) -> None:
+    def __init__(self, listener: TopicListener, probes: dict[str, Probe], detector: Detector) -> None:
         self._probes = probes
         self._detector = detector
         self.alarms: list[ForeignAlarm] = []
@@ -137,10 +137,9 @@ class Watch:
 
     def judge(self, topic: str, message: bytes) -> ForeignAlarm | None:
         """Check a message; an alarm is published, stored and returned."""
+        state = None
         if topic in self._probes:
             state = self._probes[topic].read(message)
-        else:
-            state = None
         if state is None:
             self.skipped[topic] += 1
             return None
@@ -168,7 +167,10 @@ def train(
     Raises:
         BadInputError: See `learn`.
     """
-    states = [
-        state for topic, message in messages if topic in probes and (state := probes[topic].read(message)) is not None
-    ]
+    states = []
+    for topic, message in messages:
+        if topic in probes:
+            state = probes[topic].read(message)
+            if state is not None:
+                states.append(state)
     return learn(kind, profile, [states], {topic: probe.spec for topic, probe in probes.items()}), len(states)
