@@ -13,7 +13,7 @@ import pytest
 from mavfi.extras.airsim.boundary import Boundary
 from mavfi.extras.airsim.frames import LEVEL, geo_point, pose, vector
 from mavfi.extras.airsim.host import make_api
-from mavfi.extras.airsim.server import Real, Server, Steps
+from mavfi.extras.airsim.server import AirsimServer, RealClock, StepClock
 from mavfi.extras.airsim.table import CALLS
 from mavfi.mission import MissionSpec
 from mavfi.sim.environments import build_world
@@ -31,7 +31,7 @@ class Client:
     """Calls a server as its own protocol does; `wait` lets its task end first."""
 
     def __init__(self, *, clock=None, **options):
-        self.server = Server(make_api(SPEC, **options), clock or Steps(limit_us=10**9), Boundary())
+        self.server = AirsimServer(make_api(SPEC, **options), clock or StepClock(limit_us=10**9), Boundary())
         self.vehicle = self.server.api.vehicle
         self.answers = {}
 
@@ -195,7 +195,7 @@ def test_time_passes_in_calls_only_and_a_pause_stops_it():
 
 
 def test_the_clock_of_the_wall_pauses_too():
-    clock = Real(1000.0)
+    clock = RealClock(1000.0)
     client = Client(clock=clock).ready()
     client("simContinueForTime", 0.1)
     before = client.vehicle.now_us

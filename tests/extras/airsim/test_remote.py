@@ -11,8 +11,8 @@ import pytest
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.airsim.host import make_api, world_address
 from mavfi.extras.airsim.remote import Remote
-from mavfi.extras.airsim.server import Server, Steps
-from mavfi.extras.airsim.table import CALLS, Call
+from mavfi.extras.airsim.server import AirsimServer, StepClock
+from mavfi.extras.airsim.table import CALLS, ApiCall
 from mavfi.flight.compose import new_loop, resolve
 from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec
@@ -29,7 +29,7 @@ def served(environment="sparse", *, single=False, image="", on_ground=False, **m
 @contextmanager
 def serving(api, *, single=False):
     """A server of an API, in a thread of its own; its port."""
-    server = Server(api, Steps(), single=single)
+    server = AirsimServer(api, StepClock(), single=single)
     port, ready = [], threading.Event()
 
     def note(at):
@@ -146,7 +146,7 @@ def test_a_server_that_refuses_later_on_is_not_left_paused(monkeypatch):
     def refuse(api, *given):
         raise BadInputError("no pose today")
 
-    monkeypatch.setitem(CALLS, "simSetVehiclePose", Call("simSetVehiclePose", refuse, False))
+    monkeypatch.setitem(CALLS, "simSetVehiclePose", ApiCall("simSetVehiclePose", refuse, False))
     api = make_api(MissionSpec(environment="sparse", seed=7), "64x48")
     with serving(api) as port:
         with pytest.raises(MavfiError, match="no pose today"):

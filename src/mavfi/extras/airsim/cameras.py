@@ -24,7 +24,7 @@ from mavfi.extras.airsim.table import (
     NARROWEST,
     WIDEST,
     Api,
-    Camera,
+    ApiCamera,
     Wanted,
     call,
     camera_call,
@@ -58,7 +58,7 @@ _THICKNESS = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class CameraView:
     """What a camera sees.
 
     Attributes:
@@ -93,7 +93,7 @@ def check_kind(kind: int) -> None:
         raise BadInputError(f"image type {kind}: not drawn; allowed: {', '.join(map(str, _KINDS))}")
 
 
-def floats(view: View, kind: int, sky: float) -> list[float]:
+def floats(view: CameraView, kind: int, sky: float) -> list[float]:
     """An image of numbers: depth (m), or the disparity."""
     check_kind(kind)
     if kind not in (PLANAR, PERSPECTIVE, DISPARITY):
@@ -105,7 +105,7 @@ def floats(view: View, kind: int, sky: float) -> list[float]:
     return values
 
 
-def encoded(api: Api, view: View, kind: int, compress: bool = True) -> bytes:
+def encoded(api: Api, view: CameraView, kind: int, compress: bool = True) -> bytes:
     """A picture as PNG, or as bytes R G B."""
     check_kind(kind)
     picture = _picture(api, view, kind)
@@ -114,7 +114,7 @@ def encoded(api: Api, view: View, kind: int, compress: bool = True) -> bytes:
     return picture.tobytes()
 
 
-def _picture(api: Api, view: View, kind: int) -> np.ndarray:
+def _picture(api: Api, view: CameraView, kind: int) -> np.ndarray:
     """Shape (height, width, 3), uint8."""
     if kind in (SEGMENTATION, INFRARED):
         return _segments(api, view, kind)
@@ -132,16 +132,15 @@ def _shaded(api: Api, planar: np.ndarray) -> np.ndarray:
     """Brightness by nearness and slope, veiled by fog and dust. Shape (height, width)."""
     slope = np.abs(np.gradient(planar, axis=1)) + np.abs(np.gradient(planar, axis=0))
     grey: np.ndarray = 230.0 - 1.6 * planar - 40.0 * np.clip(slope, 0.0, 2.0)
+    haze = 0.0
     if api.weather_on:
         haze = sum(api.weather.get(kind, 0.0) for kind in (FOG, DUST))
-    else:
-        haze = 0.0
     clear = np.array([exp(value) for value in (-_THICKNESS * haze * planar).ravel().tolist()]).reshape(planar.shape)
     seen: np.ndarray = clear * grey + (1.0 - clear) * 200.0
     return seen
 
 
-def owners(api: Api, view: View) -> np.ndarray:
+def owners(api: Api, view: CameraView) -> np.ndarray:
     """The object that each pixel shows, by its place among `Api.objects`; -1 = ground, -2 = sky. Shape (pixels,)."""
     points = view.points()
     world = api.vehicle.sim.world
@@ -153,7 +152,7 @@ def owners(api: Api, view: View) -> np.ndarray:
     return owner
 
 
-def _segments(api: Api, view: View, kind: int) -> np.ndarray:
+def _segments(api: Api, view: CameraView, kind: int) -> np.ndarray:
     """Colours by segmentation id: 0 = sky, 1 = ground, then the boxes. Shape (height, width, 3), uint8."""
     segments = [*map(api.segment, api.objects), 0, api.segment(GROUND)]
     ids = np.array(segments, np.int64)[owners(api, view)]
@@ -202,7 +201,7 @@ FILM = "16:9 Digital Film"
 """The only presets: Unreal's default film."""
 
 
-def find_camera(api: Api, name: Any) -> Camera:  # noqa: ANN401 - a client's
+def find_camera(api: Api, name: Any) -> ApiCamera:  # noqa: ANN401 - a client's
     """A camera by name or number.
 
     Raises:
@@ -212,20 +211,20 @@ def find_camera(api: Api, name: Any) -> Camera:  # noqa: ANN401 - a client's
     if camera_name not in _CAMERAS:
         raise BadInputError(f"camera {name!r}: not known; allowed: {', '.join([*_NUMBERS, *_CAMERAS])}")
     if camera_name not in api.cameras:
-        api.cameras[camera_name] = Camera((0.0, 0.0, 0.0), looking(*_CAMERAS[camera_name]))
+        api.cameras[camera_name] = ApiCamera((0.0, 0.0, 0.0), looking(*_CAMERAS[camera_name]))
     return api.cameras[camera_name]
 
 
-def view(api: Api, name: Any, kind: int) -> View:  # noqa: ANN401 - a client's
+def view(api: Api, name: Any, kind: int) -> CameraView:  # noqa: ANN401 - a client's
     """What a camera sees now; images of a kind with depth are those of a depth camera, which can fail."""
     camera = find_camera(api, name)
-    (width, height) = api.pixels
+    width, height = api.pixels
     config = CameraConfig(width=width, height=height, field_of_view=math.radians(camera.fov_deg), range=CAMERA_RANGE)
     camera_mount = mount(camera.position, camera.orientation)
     ranges, rays = api.vehicle.sim.ranges(config, camera_mount)
     if kind in DEPTH:
         ranges = api.vehicle.failures.ranges(api.vehicle.now_us, ranges, f"{name} {width}x{height}")
-    return View(ranges, rays, width, height, api.vehicle.sim.sensor_pose(camera_mount))
+    return CameraView(ranges, rays, width, height, api.vehicle.sim.sensor_pose(camera_mount))
 
 
 def _camera_pose(api: Api, name: Any) -> tuple[Any, Any]:
@@ -256,10 +255,16 @@ def _response(api: Api, request: Any) -> Data:
     except (KeyError, TypeError, ValueError):
         raise BadInputError(f"{request!r}: allowed: an ImageRequest") from None
     seen = view(api, name, kind)
+    data = b""
+    numbers: list[float] = []
+    if as_float:
+        numbers = floats(seen, kind, SKY)
+    else:
+        data = encoded(api, seen, kind, compress)
     position, orientation = _camera_pose(api, name)
     return {
-        "image_data_uint8": b"" if as_float else encoded(api, seen, kind, compress),
-        "image_data_float": floats(seen, kind, SKY) if as_float else [],
+        "image_data_uint8": data,
+        "image_data_float": numbers,
         "camera_position": vector(position),
         "camera_name": str(name),
         "camera_orientation": rotated(orientation),
@@ -288,7 +293,7 @@ def simSetCameraPose(api: Api, camera_name: str, pose: Any) -> None:
     place_camera(find_camera(api, camera_name), *pose_numbers(pose))
 
 
-def place_camera(camera: Camera, position: Triple, orientation: Quaternion) -> None:
+def place_camera(camera: ApiCamera, position: Triple, orientation: Quaternion) -> None:
     """Set position and orientation in the body frame FRD (m, w x y z).
 
     Raises:
@@ -316,12 +321,12 @@ def simSetCameraOrientation(api: Api, camera_name: str, orientation: Any) -> Non
 
 
 # ---- lens, film and focus --------------------------------------------------------------------------------------------
-def focal_length(camera: Camera) -> float:
+def focal_length(camera: ApiCamera) -> float:
     """Focal length (mm) of the field of view on the film."""
     return 0.5 * camera.film_mm[0] / tan(math.radians(0.5 * camera.fov_deg))
 
 
-def _set_optics(name: str, camera: Camera, film: tuple[float, float], focal: float) -> None:
+def _set_optics(name: str, camera: ApiCamera, film: tuple[float, float], focal: float) -> None:
     """Set film and focal length (mm), which make the field of view.
 
     Raises:
@@ -349,7 +354,7 @@ def _film(width: float, height: float) -> str:
     )
 
 
-def _field_of_view(camera: Camera) -> str:
+def _field_of_view(camera: ApiCamera) -> str:
     vertical = math.degrees(2.0 * atan2(0.5 * camera.film_mm[1], focal_length(camera)))
     return (
         f"Current Field Of View:\n\tHorizontal Field Of View: {camera.fov_deg:g};"
@@ -357,7 +362,7 @@ def _field_of_view(camera: Camera) -> str:
     )
 
 
-_READINGS: dict[str, Callable[[Camera], Any]] = {
+_READINGS: dict[str, Callable[[ApiCamera], Any]] = {
     "simGetPresetLensSettings": lambda _: [f"Name: {LENS}"],
     "simGetLensSettings": lambda _: f"Name: {LENS}",
     "simGetFocalLength": focal_length,
@@ -371,7 +376,7 @@ _READINGS: dict[str, Callable[[Camera], Any]] = {
 """What calls return of a camera; pictures are sharp and without distortion."""
 
 
-def _add_reading(name: str, read: Callable[[Camera], Any]) -> None:
+def _add_reading(name: str, read: Callable[[ApiCamera], Any]) -> None:
     def get(api: Api, camera_name: str) -> Any:
         return read(find_camera(api, camera_name))
 
@@ -476,7 +481,7 @@ def simGetDetections(api: Api, camera_name: str, image_type: int) -> list[Data]:
 
 
 def _detection(
-    api: Api, seen: View, name: str, box: tuple[np.ndarray, np.ndarray], rows: np.ndarray, columns: np.ndarray
+    api: Api, seen: CameraView, name: str, box: tuple[np.ndarray, np.ndarray], rows: np.ndarray, columns: np.ndarray
 ) -> Data:
     """DetectionInfo of a box, lower and upper corner in the world (m), that is seen in these pixels."""
     matrix = np.empty((3, 3))
