@@ -22,7 +22,7 @@ FASTEST = 12.0
 _POLL_S = 0.004
 
 
-class Server:
+class MavlinkServer:
     """Serves one vehicle until `close`.
 
     Args:
