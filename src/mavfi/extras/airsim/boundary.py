@@ -172,7 +172,7 @@ _TEXT = re.compile(
 )
 _BITS = 64
 _FORM = "CALL.PATH[:bit=B][@SECONDS], e.g. moveByVelocity.vx:bit=62@10 or simGetVehiclePose.return.position.z_val"
-_LONGEST = 16
+_MAX_OBSERVED_NUMBERS = 16
 """Values with more numbers (images, point clouds) are not observed."""
 
 
@@ -241,7 +241,7 @@ def parse_fault(text: str, seed: int = 0) -> BoundaryFault | SensorFault:
 
 
 @dataclass(frozen=True, slots=True)
-class Passed:
+class PassedCall:
     """A call that passed the boundary: its name, and the numbers in its arguments and its return value."""
 
     name: str
@@ -269,7 +269,7 @@ class Boundary:
     recording: "CallRecording | None" = None
     failure: Failure | None = None
     injection: Injection | None = None
-    passed: list[Passed] = field(default_factory=list)
+    passed: list[PassedCall] = field(default_factory=list)
     _count: int = 0
 
     @classmethod
@@ -307,7 +307,7 @@ class Boundary:
     def returned(self, name: str, arguments: Sequence[Any], value: Any, now_us: int) -> Any:
         """Return value of a call, perhaps changed."""
         if self.keeps:
-            self.passed.append(Passed(name, sum(map(count, arguments)), count(value)))
+            self.passed.append(PassedCall(name, sum(map(count, arguments)), count(value)))
         value = self._inject(name, value, now_us, in_return=True)
         self._observe(f"{name}({RETURN})", value, now_us)
         return value
@@ -413,7 +413,7 @@ class CallRecording:
     def check(self, source: str, value: Any, now_us: int) -> None:
         """Record one value."""
         numbers = dict(leaves(value))
-        if 0 < len(numbers) <= _LONGEST:
+        if 0 < len(numbers) <= _MAX_OBSERVED_NUMBERS:
             call = RecordedCall.of(now_us, source, numbers)
             self._calls.append(call)
             if self._file is not None:

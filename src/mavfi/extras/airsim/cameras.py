@@ -21,11 +21,11 @@ from mavfi.extras.airsim.frames import rotation as rotated
 from mavfi.extras.airsim.table import (
     FILM_MM,
     GROUND,
-    NARROWEST,
-    WIDEST,
+    MAX_FIELD_OF_VIEW,
+    MIN_FIELD_OF_VIEW,
     Api,
     ApiCamera,
-    Wanted,
+    DetectionFilter,
     call,
     camera_call,
     vehicle_call,
@@ -309,8 +309,10 @@ def place_camera(camera: ApiCamera, position: Triple, orientation: Quaternion) -
 
 @camera_call
 def simSetCameraFov(api: Api, camera_name: str, fov_degrees: float) -> None:
-    if not NARROWEST <= fov_degrees <= WIDEST:
-        raise BadInputError(f"simSetCameraFov: {fov_degrees}: allowed: {NARROWEST:g} to {WIDEST:g} deg")
+    if not MIN_FIELD_OF_VIEW <= fov_degrees <= MAX_FIELD_OF_VIEW:
+        raise BadInputError(
+            f"simSetCameraFov: {fov_degrees}: allowed: {MIN_FIELD_OF_VIEW:g} to {MAX_FIELD_OF_VIEW:g} deg"
+        )
     find_camera(api, camera_name).fov_deg = float(fov_degrees)
 
 
@@ -335,8 +337,10 @@ def _set_optics(name: str, camera: ApiCamera, film: tuple[float, float], focal: 
     if not (0.0 < focal < math.inf and all(0.0 < side < math.inf for side in film)):
         raise BadInputError(f"{name}: film of {film} mm, focal length {focal} mm: allowed: finite numbers above 0")
     fov = math.degrees(2.0 * atan2(0.5 * film[0], focal))
-    if not NARROWEST <= fov <= WIDEST:
-        raise BadInputError(f"{name}: a field of view of {fov:.4g} deg: allowed: {NARROWEST:g} to {WIDEST:g} deg")
+    if not MIN_FIELD_OF_VIEW <= fov <= MAX_FIELD_OF_VIEW:
+        raise BadInputError(
+            f"{name}: a field of view of {fov:.4g} deg: allowed: {MIN_FIELD_OF_VIEW:g} to {MAX_FIELD_OF_VIEW:g} deg"
+        )
     camera.film_mm = film
     camera.fov_deg = fov
 
@@ -434,7 +438,7 @@ def simSetFocusAperture(api: Api, value: float, camera_name: str) -> None:
 
 
 # ---- detections ------------------------------------------------------------------------------------------------------
-def _wanted(api: Api, camera_name: str, kind: int) -> Wanted:
+def _detection_filter(api: Api, camera_name: str, kind: int) -> DetectionFilter:
     """What is detected in a camera's pictures of a kind.
 
     Raises:
@@ -442,30 +446,30 @@ def _wanted(api: Api, camera_name: str, kind: int) -> Wanted:
     """
     find_camera(api, camera_name)
     check_kind(kind)
-    return api.detected.setdefault((str(camera_name), int(kind)), Wanted())
+    return api.detected.setdefault((str(camera_name), int(kind)), DetectionFilter())
 
 
 @camera_call
 def simSetDetectionFilterRadius(api: Api, camera_name: str, image_type: int, radius_cm: float) -> None:
     if not radius_cm >= 0.0:
         raise BadInputError(f"simSetDetectionFilterRadius: {radius_cm}: allowed: 0 or more (cm)")
-    _wanted(api, camera_name, image_type).radius = 0.01 * radius_cm
+    _detection_filter(api, camera_name, image_type).radius = 0.01 * radius_cm
 
 
 @camera_call
 def simAddDetectionFilterMeshName(api: Api, camera_name: str, image_type: int, mesh_name: str) -> None:
-    _wanted(api, camera_name, image_type).names.append(str(mesh_name))
+    _detection_filter(api, camera_name, image_type).names.append(str(mesh_name))
 
 
 @camera_call
 def simClearDetectionMeshNames(api: Api, camera_name: str, image_type: int) -> None:
-    _wanted(api, camera_name, image_type).names.clear()
+    _detection_filter(api, camera_name, image_type).names.clear()
 
 
 @camera_call
 def simGetDetections(api: Api, camera_name: str, image_type: int) -> list[Data]:
     """DetectionInfo of each object with a wanted name, within the radius, of which a pixel is seen."""
-    wanted = _wanted(api, camera_name, image_type)
+    wanted = _detection_filter(api, camera_name, image_type)
     seen = view(api, camera_name, image_type)
     owner = owners(api, seen).reshape(seen.height, seen.width)
     world = api.vehicle.sim.world

@@ -14,8 +14,8 @@ GROUND = "Ground"
 """Name of the ground plane."""
 FILM_MM = (23.76, 13.365)
 """Width and height of Unreal's default film (mm)."""
-NARROWEST = 1.0
-WIDEST = 170.0
+MIN_FIELD_OF_VIEW = 1.0
+MAX_FIELD_OF_VIEW = 170.0
 """Fields of view of cameras (deg)."""
 DESTROYED = -3
 """`Contact.obstacle` of an obstacle that was destroyed after the contact."""
@@ -48,7 +48,7 @@ class ApiCamera:
 
 
 @dataclass(slots=True)
-class Wanted:
+class DetectionFilter:
     """What is detected in a camera's pictures: patterns of names, largest distance (m) of an object's centre."""
 
     names: list[str] = field(default_factory=list)
@@ -85,7 +85,7 @@ class Api:
     resume_until_us: int | None = None
     objects: list[str] = field(default_factory=list)
     segments: dict[str, int] = field(default_factory=dict)
-    detected: dict[tuple[str, int], Wanted] = field(default_factory=dict)
+    detected: dict[tuple[str, int], DetectionFilter] = field(default_factory=dict)
     weather: dict[int, float] = field(default_factory=dict)
     weather_on: bool = False
     sticks: dict[str, float] = field(default_factory=dict)

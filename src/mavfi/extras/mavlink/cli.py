@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from mavfi.extras.mavlink.server import MavlinkServer
     from mavfi.extras.mavlink.tlog import Telemetry
 
-_LONGEST_S = 7 * 86_400.0
-_LAST_PORT = 65_535
+_MAX_DURATION_S = 7 * 86_400.0
+_MAX_PORT = 65_535
 
 
 class GroundStationOption:
@@ -33,7 +33,7 @@ class GroundStationOption:
     @staticmethod
     def chosen(values: dict[str, Any]) -> bool:
         """Whether the option is set; raises `BadInputError` for a value that is not allowed."""
-        check_number("--mavlink", values["mavlink"], 1, _LAST_PORT)
+        check_number("--mavlink", values["mavlink"], 1, _MAX_PORT)
         return values["mavlink"] is not None
 
     @staticmethod
@@ -72,9 +72,9 @@ def serve(
 
     Example: [bold]mavfi mavlink serve --environment farm --seed 7[/bold]
     """
-    check_number("--port", port, 0, _LAST_PORT)
+    check_number("--port", port, 0, _MAX_PORT)
     check_number("--speed", speed, 0.1, 100.0)
-    check_number("--seconds", seconds, 0.0, _LONGEST_S)
+    check_number("--seconds", seconds, 0.0, _MAX_DURATION_S)
     from mavfi.extras.mavlink.server import MavlinkServer
 
     server = MavlinkServer(mission, port, speed=speed)
@@ -82,7 +82,7 @@ def serve(
         console().print(f"autopilot at udp://127.0.0.1:{server.port}, telemetry to 14540 and 14550", markup=False)
     with stoppable("Stopped."):
         try:
-            server.run(_LONGEST_S if seconds is None else seconds)
+            server.run(_MAX_DURATION_S if seconds is None else seconds)
         finally:
             _show(server, as_json)
             server.close()

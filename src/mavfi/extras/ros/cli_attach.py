@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from mavfi.flight.log_readers import Probe
     from mavfi.record import Injection
 
-_LONGEST_S = 7 * 86_400.0
+_MAX_DURATION_S = 7 * 86_400.0
 _AFTERWARDS_S = 0.2
 """Time of relaying after the last injection, so that the corrupted message is delivered (s)."""
 _POLL_S = 0.01
@@ -116,7 +116,7 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
     Example: [bold]mavfi ros corrupt --topic /joint_states --field 'position\[0]' --bit 51 --at 10[/bold]
     """
     check_seed("--seed", seed)
-    check_number("--duration", duration, 0.0, _LONGEST_S)
+    check_number("--duration", duration, 0.0, _MAX_DURATION_S)
     from mavfi.extras.ros.node.injector import MessageInjector, check_fault
     from mavfi.extras.ros.node.master import Master
     from mavfi.extras.ros.node.relay import Relay
@@ -141,7 +141,7 @@ def _run(relay: Relay, injector: MessageInjector, duration: float | None) -> Non
     """Relay messages until the fault has been injected, or the duration has elapsed."""
     for failure in relay.failures:
         console(error=True).print(f"not turned: {failure}", markup=False)
-    end = time.monotonic() + (_LONGEST_S if duration is None else duration)
+    end = time.monotonic() + (_MAX_DURATION_S if duration is None else duration)
     while time.monotonic() < end:
         if relay.error is not None:
             raise MavfiError(f"topic {relay.topic}: {relay.error}")
@@ -185,8 +185,8 @@ def watch(  # noqa: PLR0913 - one parameter per option
     """
     from mavfi.detectors.preprocess import PROFILES
 
-    check_number("--learn", learn_s, 0.1, _LONGEST_S)
-    check_number("--duration", duration, 0.0, _LONGEST_S)
+    check_number("--learn", learn_s, 0.1, _MAX_DURATION_S)
+    check_number("--duration", duration, 0.0, _MAX_DURATION_S)
     check_name("--profile", profile, PROFILES)
     from mavfi.extras.ros.node.master import Master
     from mavfi.extras.ros.node.watch import TopicListener, TopicWatch
@@ -204,7 +204,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
             topic_names = ", ".join(sorted(training.probes))
             out.print(f"learned from {training.messages} messages; watching {topic_names}", markup=False)
         try:
-            for topic, message in listener.take(_LONGEST_S if duration is None else duration):
+            for topic, message in listener.take(_MAX_DURATION_S if duration is None else duration):
                 alarm = watching.judge(topic, message)
                 if alarm is not None and not as_json:
                     named = ", ".join(f"{f} = {v}" for f, v in zip(alarm.fields, alarm.values, strict=False))

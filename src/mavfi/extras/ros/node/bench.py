@@ -129,7 +129,7 @@ class NodeBench:
         raise MavfiError(f"node {name}: is not there after {_START_PATIENCE_S:g} s")
 
 
-class Drive:
+class NodeDriver:
     """Sends inputs to a node one at a time, and waits for each output; `definition`: message definition of outputs."""
 
     def __init__(self, bench: NodeBench, node: NodeConfig) -> None:
@@ -192,12 +192,12 @@ class Drive:
 
 # ---- a trial ---------------------------------------------------------------------------------------------------------
 
-_LONGEST_S = 300.0
+_TRIAL_PATIENCE_S = 300.0
 _PACE_S = 0.005
 """Pause between two rounds of inputs while the injection is prepared, as the tracer needs processor time (s)."""
 _DYING_S = 0.5
 """Time limit from the end of a process's connections to its own (s)."""
-_MOST_DIFFERENCES = 4
+_MAX_DIFFERENCES = 4
 
 
 @dataclass
@@ -237,7 +237,7 @@ def run_trial(node: NodeConfig, golden: tuple[str, ...] = (), fault: RegisterFau
         command,
         input=json.dumps(order).encode(),
         capture_output=True,
-        timeout=_LONGEST_S,
+        timeout=_TRIAL_PATIENCE_S,
         check=False,
         env={**os.environ, "PYTHONPATH": absolute_python_path()},
         start_new_session=True,
@@ -264,7 +264,7 @@ class _Session:
         self._trial = NodeTrial()
         self._process = bench.start(list(node.command))
         bench.wait_for_node(node.name, self._process)
-        self._drive = Drive(bench, node)
+        self._drive = NodeDriver(bench, node)
         self._golden: list[bytes] = []
 
     def run(self, fault: RegisterFault | None) -> NodeTrial:
@@ -370,7 +370,7 @@ def differences(definition: Definition, golden: bytes, output: bytes) -> list[di
                 differing.append({"field": path, "before": repr(before), "after": repr(after)})
     except (MavfiError, struct.error, OverflowError):
         return differing
-    return differing[:_MOST_DIFFERENCES]
+    return differing[:_MAX_DIFFERENCES]
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from mavfi.errors import BadInputError, MavfiError, allowed
-from mavfi.extras.ros.node.guardian import Guardian, Turned
+from mavfi.extras.ros.node.guardian import Guardian, RedirectedSubscriber
 from mavfi.extras.ros.node.master import MASTER_CALLER, Master, RosGraph, call, check_known
 from mavfi.extras.ros.node.peer import Peer, Reader, TopicSource
 from mavfi.faults.levels.message.definition import Definition
@@ -184,7 +184,7 @@ class Relay:
         with self._lock:
             if self._ended.is_set():
                 return
-            self._guardian.remember(Turned(self.topic, node, uri, tuple(publishers)))
+            self._guardian.remember(RedirectedSubscriber(self.topic, node, uri, tuple(publishers)))
             call(uri, "publisherUpdate", MASTER_CALLER, self.topic, [*publishers, self._peer.uri])
             reader = self._wait_for(node)
             call(uri, "publisherUpdate", MASTER_CALLER, self.topic, [self._peer.uri])

@@ -16,7 +16,7 @@ from typing import Any
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.foreign import foreign_state, learn
 from mavfi.errors import MavfiError
-from mavfi.extras.ros.node.guardian import Guardian, Registered
+from mavfi.extras.ros.node.guardian import Guardian, Registration
 from mavfi.extras.ros.node.master import Master, absolute
 from mavfi.extras.ros.node.message import Composer
 from mavfi.extras.ros.node.peer import Outlet, Peer
@@ -78,7 +78,7 @@ class TopicListener:
         self._guardian = Guardian(self._master.uri)
         self._peer = Peer(self._master, f"/mavfi_watch_{os.getpid()}")
         for topic in self.topics:
-            self._guardian.remember(Registered(topic, self._peer.name, self._peer.uri, "Subscriber"))
+            self._guardian.remember(Registration(topic, self._peer.name, self._peer.uri, "Subscriber"))
             self._peer.subscribe(topic, partial(self._arrived, topic))
         return self
 
@@ -92,7 +92,7 @@ class TopicListener:
     def speak(self, topic: str, kind: str) -> tuple[Outlet, Composer]:
         """Publish on a topic until `__exit__`."""
         composer = Composer(kind)
-        self._guardian.remember(Registered(topic, self._peer.name, self._peer.uri))
+        self._guardian.remember(Registration(topic, self._peer.name, self._peer.uri))
         return self._peer.advertise(topic, composer.header), composer
 
     def take(self, seconds: float) -> Iterator[tuple[str, bytes]]:

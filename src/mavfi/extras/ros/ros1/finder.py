@@ -82,7 +82,10 @@ def roots() -> list[Path]:
 
 def find_file(name: str) -> Path:
     """Path of a ROS file, e.g. "usr/bin/rosmaster"; a missing file yields its path under the system prefix."""
-    return next((path for root in roots() if (path := root / name).exists()), _SYSTEM / name)
+    for root in roots():
+        if (root / name).exists():
+            return root / name
+    return _SYSTEM / name
 
 
 def enable(generated: Path | None = None) -> None:

@@ -20,7 +20,7 @@ _POLL_S = 0.005
 _REPEAT_S = 1.0
 _Argument = TypeVar("_Argument")
 _Answer = TypeVar("_Answer")
-Arrived = Callable[[State, int, int], None]
+OnArrival = Callable[[State, int, int], None]
 """Receives a value, its sequence number, and its instant (us)."""
 
 
@@ -108,7 +108,7 @@ class Ports:
         self._outlets.append(outlet)
         return outlet
 
-    def read(self, state: str, topic: str, arrived: Arrived) -> None:
+    def read(self, state: str, topic: str, arrived: OnArrival) -> None:
         """Subscribe to values of a state."""
         import rospy
 
