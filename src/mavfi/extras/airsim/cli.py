@@ -179,6 +179,7 @@ def _recording(path: Path | None) -> Iterator[CallRecording | None]:
 
 
 def _serve(server: AirsimServer, port: int, once: bool) -> None:
+    """Serve until Ctrl-C or, if `once`, until the last client leaves; then print a summary."""
     import asyncio
 
     out = console()

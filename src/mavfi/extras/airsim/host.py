@@ -198,6 +198,7 @@ class _Run:
         return None
 
     def _result(self, code: int | None, output: str, errors: str) -> ProgramResult:
+        """How the program ended, by its exit code; None = it hangs."""
         vehicle = self._api.vehicle
         reason = _exception_line(errors)
         # a program that crashes before its first call does not work at all: no fault has done that

@@ -56,6 +56,7 @@ class MessageSampler(Sampler):
         return fault or MessageFault(NO_CALL, f"{sides[0]}#0")
 
     def _fault(self, side: str, index: int, seed: int, golden: Golden, *, null: bool = False) -> MessageFault | None:
+        """Draw a fault on one side of the calls; None if the golden run has no number there."""
         # all calls of the golden run with a number on this side
         passed: Sequence[Any] = getattr(golden[""].flight, "passed", ()) if "" in golden else ()
         seen: Counter[str] = Counter()

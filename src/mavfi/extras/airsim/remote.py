@@ -185,6 +185,7 @@ class Remote:
         self.collided = False
 
     def _observe(self) -> None:
+        """Read the state of the vehicle, and the time of the server."""
         state = self.rpc.call("getMultirotorState", "")
         try:
             kinematics = state["kinematics_estimated"]

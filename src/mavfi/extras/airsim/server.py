@@ -180,6 +180,7 @@ class AirsimServer:
         reply(text, None)
 
     def _serve(self, name: Any, arguments: list[Any], reply: Reply) -> None:
+        """Serve a call of the API: check it, pass it through the boundary, and answer now or when its task ends."""
         api = self.api
         call = find_call(name)
         self.calls[name] += 1

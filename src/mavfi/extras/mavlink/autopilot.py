@@ -263,6 +263,7 @@ class Mission:
         return True
 
     def _item(self, item: Any) -> Task:
+        """Fly one item."""
         autopilot = self._autopilot
         vehicle = self._autopilot.vehicle
         command = item.command

@@ -81,6 +81,7 @@ def _table(title: str, *columns: str) -> Table:
 
 
 def _tables(graph: Survey) -> tuple[Table, Table]:
+    """Tables of the nodes and of the topics of a graph."""
     nodes = _table(f"Nodes at {graph.master}", "node", "pid", "executable", "publishes", "reads")
     for node in graph.nodes:
         pid = "[red]dead[/red]"

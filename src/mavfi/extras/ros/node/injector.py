@@ -79,6 +79,7 @@ class MessageInjector:
         return self._choices.random() < self.fault.rate
 
     def _inject(self, message: bytes, leaf: Leaf, outlet: MessageSink) -> bytes:
+        """Flip a bit, send the message, and record the injection."""
         bit = self.fault.bit
         if bit is None:
             bit = self._choices.randrange(leaf.bits)

@@ -58,6 +58,7 @@ class Composer:
         return _store().types[name](**values)
 
     def _value(self, kind: Any, value: Any, path: str) -> Any:
+        """The value of a field in the form that rosbags serializes; None = zero or empty."""
         # rosbags describes a field as (kind of node, its details): a message, a scalar, or (element, length) of a list
         node, details = kind
         if node == Nodetype.NAME:

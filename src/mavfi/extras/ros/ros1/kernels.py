@@ -69,6 +69,7 @@ class KernelNode:
         self._ports.serve(self._drive)
 
     def _drive(self, request: Any) -> Any:
+        """Execute the operations of a call in order; the response is what came of them."""
         from mavfi_msgs.srv import DriveResponse
 
         response = DriveResponse()

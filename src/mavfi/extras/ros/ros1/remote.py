@@ -177,6 +177,7 @@ class Link:
             return None
 
     def _send(self) -> Any:
+        """Send all pending operations; `NodeLostError` if the node does not answer."""
         import rospy
 
         cause = ""

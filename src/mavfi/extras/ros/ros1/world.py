@@ -209,6 +209,7 @@ class TopicTap:
         return any(node in self._links and self._links[node].lost for node in nodes[1:])
 
     def _pass(self, state: State, time_us: int) -> State:
+        """Publish a value, by its node or here, and wait until it has passed its route."""
         if isinstance(state, RemotePublication) and state.link is not None:
             number = state.number
             if not state.sent and state.link.call(NodeAction.PUBLISH, state.kernel, number, time_us) is None:
