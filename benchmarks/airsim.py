@@ -14,7 +14,7 @@ import numpy as np
 
 from mavfi.extras.airsim.boundary import Boundary
 from mavfi.extras.airsim.config import ProgramConfig
-from mavfi.extras.airsim.host import Ended, run_program
+from mavfi.extras.airsim.host import ProgramResult, run_program
 from mavfi.mission import MissionSpec
 from mavfi.report.text import markdown_grid
 from tools.markers import DOCS, ROOT, fill
@@ -29,7 +29,7 @@ HEADINGS = (
     "simulated / wall",
     "simulated / CPU",
 )
-Run = tuple[Ended, float, float]
+Run = tuple[ProgramResult, float, float]
 
 
 def cpu_s() -> float:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from mavfi.campaign.config import load_campaign
 from mavfi.extras.registers import inject
-from mavfi.extras.ros.node.bench import MASTER_URI, Bench
+from mavfi.extras.ros.node.bench import MASTER_URI, NodeBench
 from mavfi.extras.ros.node.config import NodeConfig
 from mavfi.extras.ros.node.message import Composer
 from mavfi.extras.ros.node.peer import Outlet
@@ -70,7 +70,7 @@ def wait_for(condition: Callable[[], object]) -> None:
         time.sleep(0.01)
 
 
-def measure_relay(bench: Bench) -> None:
+def measure_relay(bench: NodeBench) -> None:
     """Latency of a joint state between two processes, direct and relayed by mavfi, alternating."""
     composer = Composer("sensor_msgs/JointState")
     message = composer.pack({"name": ["a", "b"], "position": [0.5, 0.25]})
@@ -92,7 +92,7 @@ def measure_relay(bench: Bench) -> None:
     print(f"{'added':32} p50 {statistics.median(relayed) - statistics.median(straight):7.0f} us")
 
 
-def measure_stops(bench: Bench) -> None:
+def measure_stops(bench: NodeBench) -> None:
     """Stop time of robot_state_publisher for an injection at a symbol."""
     node = load_campaign("ros_robot_state_publisher").under_test
     assert isinstance(node, NodeConfig)
@@ -118,7 +118,7 @@ def main() -> None:
     """Print all results."""
     loopback_up()
     os.environ["ROS_MASTER_URI"] = MASTER_URI
-    with tempfile.TemporaryDirectory() as folder, Bench(Path(folder)) as bench:
+    with tempfile.TemporaryDirectory() as folder, NodeBench(Path(folder)) as bench:
         measure_relay(bench)
         measure_stops(bench)
 

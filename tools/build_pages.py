@@ -11,7 +11,7 @@ from mavfi.extras.mavlink.autopilot import UNITS as MAVLINK_UNITS
 from mavfi.extras.ros.ros1.host import configure
 from mavfi.extras.ros.ros1.messages import PACKAGE as PACKAGE_OF_MESSAGES
 from mavfi.extras.ros.ros1.messages import type_name
-from mavfi.extras.ros.ros1.plan import WORLD, Graph
+from mavfi.extras.ros.ros1.plan import WORLD, FlightGraph
 from mavfi.faults.levels.sensor.fault import NULL, TYPES, UNITS, Device, SensorFault, check_read
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight.compose import new_loop, resolve
@@ -50,9 +50,9 @@ def state_table() -> str:
     return "\n".join(rows)
 
 
-def _graph() -> Graph:
+def _graph() -> FlightGraph:
     config = configure(resolve(MissionSpec(environment="sparse", seed=0)))
-    return Graph(build_pipeline(config))
+    return FlightGraph(build_pipeline(config))
 
 
 def memory_table() -> str:
@@ -77,19 +77,19 @@ def memory_table() -> str:
 def ros_topics() -> str:
     """The table of the loop's topics on ROS."""
     lines = ["| topic | type | published by | read by |", "|---|---|---|---|"]
-    for state, way in _graph().ways.items():
+    for state, route in _graph().routes.items():
         kind = f"{PACKAGE_OF_MESSAGES}/{type_name(STATES[state])}"
-        lines.append(f"| `{way.final}` | `{kind}` | {way.writer} | {', '.join(way.readers)} |")
+        lines.append(f"| `{route.final}` | `{kind}` | {route.writer} | {', '.join(route.readers)} |")
     return "\n".join(lines)
 
 
 def ros_graph() -> str:
     """Nodes and topics of a flight as a diagram."""
     arrows: dict[tuple[str, str], list[str]] = {}
-    for state, way in _graph().ways.items():
-        for reader in way.readers or (WORLD,):
-            if reader != way.writer:
-                arrows.setdefault((way.writer, reader), []).append(state.split(".")[1])
+    for state, route in _graph().routes.items():
+        for reader in route.readers or (WORLD,):
+            if reader != route.writer:
+                arrows.setdefault((route.writer, reader), []).append(state.split(".")[1])
     lines = [f"    {writer} -- {', '.join(names)} --> {reader}" for (writer, reader), names in arrows.items()]
     return "\n".join(["```mermaid", "flowchart LR", *lines, "```"])
 

@@ -33,7 +33,7 @@ class Client:
     """Calls a server as its own protocol does; `wait` lets its task end first."""
 
     def __init__(self, *, clock=None, **options):
-        self.server = Server(make_api(SPEC, **options), clock or Steps(limit_us=10**9), Boundary())
+        self.server = AirsimServer(make_api(SPEC, **options), clock or StepClock(limit_us=10**9), Boundary())
         self.vehicle = self.server.api.vehicle
         self.answers = {}
 

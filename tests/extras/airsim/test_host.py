@@ -12,9 +12,9 @@ from mavfi.campaign.plan import Flown
 from mavfi.config import parse
 from mavfi.errors import BadInputError
 from mavfi.extras.airsim import host as module
-from mavfi.extras.airsim.boundary import Boundary, Passed
+from mavfi.extras.airsim.boundary import Boundary, PassedCall
 from mavfi.extras.airsim.config import ProgramConfig
-from mavfi.extras.airsim.host import AirsimProgramHost, Ended, record_of_program
+from mavfi.extras.airsim.host import AirsimProgramHost, ProgramResult, record_of_program
 from mavfi.faults.fault import MessageFault
 from mavfi.flight.host import ArmSetup, find_host
 from mavfi.mission import MissionSpec
@@ -24,7 +24,9 @@ from mavfi.record import End, Injection
 BOX = Path(__file__).parents[3] / "examples" / "airsim" / "box.py"
 PROGRAM = ProgramConfig(script=str(BOX))
 HIT = Boundary(injection=Injection("message", "moveToZ.z", 1.0, 1, 0.0, 1.0, True))
-ENDED = Ended("ended", "", False, "aa", 12.0, {"moveToZ": 1}, {}, "", Boundary(passed=[Passed("moveToZ", 8, 1)]))
+ENDED = ProgramResult(
+    "ended", "", False, "aa", 12.0, {"moveToZ": 1}, {}, "", Boundary(passed=[PassedCall("moveToZ", 8, 1)])
+)
 
 
 @pytest.mark.parametrize(
@@ -71,7 +73,7 @@ def runs_of(monkeypatch, results):
 
 def test_golden_runs_come_first_and_must_be_the_same(monkeypatch):
     runs = runs_of(monkeypatch, [ENDED, ENDED, replace(ENDED, boundary=HIT, digest="bb")])
-    assert runs.golden("").passed == (Passed("moveToZ", 8, 1),)
+    assert runs.golden("").passed == (PassedCall("moveToZ", 8, 1),)
     ((place, found),) = runs.injected([("", MessageFault("moveToZ", "z", 1))])
     assert place == 0 and found.record().digest == "bb"
     with pytest.raises(BadInputError, match="2 error-free runs differ"):

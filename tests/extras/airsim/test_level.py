@@ -7,7 +7,7 @@ import pytest
 from mavfi.campaign.config import Campaign
 from mavfi.config import parse
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim.boundary import Passed
+from mavfi.extras.airsim.boundary import PassedCall
 from mavfi.extras.airsim.level import MessageLevel
 from mavfi.faults.fault import MessageFault
 from mavfi.flight.host import RunResult
@@ -15,7 +15,7 @@ from mavfi.levels.level import Sampled, draws_of, sampler_for
 from mavfi.record import End, FlightRecord
 from mavfi.testing import HostContract, LevelContract
 
-CALLS = [Passed("ping", 0, 1), Passed("moveToZ", 8, 1), Passed("moveToZ", 8, 1), Passed("reset", 0, 0)]
+CALLS = [PassedCall("ping", 0, 1), PassedCall("moveToZ", 8, 1), PassedCall("moveToZ", 8, 1), PassedCall("reset", 0, 0)]
 PROGRAM = {"host": "airsim_program", "sampling": {"level": "message"}}
 
 

@@ -27,7 +27,7 @@ def served(environment="sparse", *, single=False, image="", on_ground=False, **m
 @contextmanager
 def serving(api, *, single=False):
     """A server of an API, in a thread of its own; its port."""
-    server = Server(api, Steps(), single=single)
+    server = AirsimServer(api, StepClock(), single=single)
     port, ready = [], threading.Event()
 
     def note(at):

@@ -8,7 +8,7 @@ import socket
 import pytest
 
 from mavfi.extras.airsim.host import make_api
-from mavfi.extras.airsim.server import Server, Steps
+from mavfi.extras.airsim.server import AirsimServer, StepClock
 from mavfi.mission import MissionSpec
 
 PLANAR = {
@@ -41,7 +41,7 @@ def cancelled(server, client, until):
 
 
 def make_server():
-    return Server(make_api(MISSION, "256x144"), Steps(limit_us=10**9))
+    return AirsimServer(make_api(MISSION, "256x144"), StepClock(limit_us=10**9))
 
 
 def test_a_server_ends_while_answers_wait_for_a_client_that_does_not_read():

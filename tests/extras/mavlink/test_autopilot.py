@@ -14,12 +14,12 @@ from mavfi.extras.mavlink.autopilot import (  # noqa: E402
     DENIED,
     REJECTED,
     TYPES,  # noqa: E402
-    UNSUPPORTED,
     Autopilot,
-    Mode,
+    FlightMode,
+    MavResult,
 )
 from mavfi.extras.mavlink.flying import MavVehicle  # noqa: E402
-from mavfi.extras.mavlink.server import Server  # noqa: E402
+from mavfi.extras.mavlink.server import MavlinkServer  # noqa: E402
 from mavfi.mission import MissionSpec  # noqa: E402
 from mavfi.numerics.frames import geodetic  # noqa: E402
 
@@ -71,8 +71,8 @@ class Client:
             self.autopilot.step(self.vehicle.now_us + 20_000)
 
     def fly_up(self):
-        assert self.command(400, 1) == ACCEPTED and self.command(22, 0, 0, 0, NAN) == ACCEPTED
-        self.wait(20, lambda: self.autopilot.mode is Mode.HOLD)
+        assert self.command(400, 1) == MavResult.ACCEPTED and self.command(22, 0, 0, 0, NAN) == MavResult.ACCEPTED
+        self.wait(20, lambda: self.autopilot.mode is FlightMode.HOLD)
         assert self.vehicle.position[2] == pytest.approx(-2.5, abs=0.6)
 
 
@@ -99,21 +99,21 @@ def test_take_off_and_land(client):
         "EXTENDED_SYS_STATE",
     } <= kinds
     assert client.of("HEARTBEAT")[0].autopilot == 12 and client.of("EXTENDED_SYS_STATE")[0].landed_state == 1
-    assert client.command(22) == REJECTED, "motors are off"
+    assert client.command(22) == MavResult.REJECTED, "motors are off"
     client.fly_up()
     client.received.clear()
     client.wait(1.1)
     assert client.of("EXTENDED_SYS_STATE")[0].landed_state == 2
     assert client.of("HEARTBEAT")[-1].custom_mode == 4 << 16 | 3 << 24
-    assert client.command(400, 0) == DENIED, "in flight"
-    assert client.command(21) == ACCEPTED
+    assert client.command(400, 0) == MavResult.DENIED, "in flight"
+    assert client.command(21) == MavResult.ACCEPTED
     client.wait(40, lambda: not client.vehicle.sim.armed)
     assert client.vehicle.landed and "Disarmed by landing" in client.texts()
 
 
 def test_reposition(flying):
     latitude, longitude, altitude = geodetic((10.0, -4.0, -4.0))
-    assert flying.command(192, -1, 1, 0, NAN, latitude, longitude, altitude) == ACCEPTED
+    assert flying.command(192, -1, 1, 0, NAN, latitude, longitude, altitude) == MavResult.ACCEPTED
     flying.wait(15)
     assert flying.vehicle.position == pytest.approx((10.0, -4.0, -4.0), abs=0.8)
 
@@ -122,8 +122,8 @@ def offboard(client, mask, seconds, **values):
     given = dict.fromkeys(("x", "y", "z", "vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate"), 0.0) | values
     for _ in range(round(seconds / 0.2)):
         client.send(mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, mask, *given.values()))
-        if client.autopilot.mode is not Mode.OFFBOARD:
-            assert client.command(176, 1, 6) == ACCEPTED
+        if client.autopilot.mode is not FlightMode.OFFBOARD:
+            assert client.command(176, 1, 6) == MavResult.ACCEPTED
         client.wait(0.2)
 
 
@@ -142,7 +142,7 @@ def test_offboard_position(flying):
 
 def test_orbit(flying):
     latitude, longitude, altitude = geodetic((0.0, 0.0, -4.0))
-    assert flying.command(34, 5.0, 2.0, 0, NAN, latitude, longitude, altitude) == ACCEPTED
+    assert flying.command(34, 5.0, 2.0, 0, NAN, latitude, longitude, altitude) == MavResult.ACCEPTED
     flying.wait(12)
     north, east, down = flying.vehicle.position
     assert math.hypot(north, east) == pytest.approx(5.0, abs=1.0) and down == pytest.approx(-4.0, abs=0.5)
@@ -177,7 +177,7 @@ def upload(client, items):
 
 def test_a_mission(client):
     upload(client, [(16, 0.0, 0.0, 5.0), (16, 6.0, 0.0, 5.0), (21, 6.0, 6.0, 0.0)])
-    assert client.command(400, 1) == ACCEPTED and client.command(300) == ACCEPTED
+    assert client.command(400, 1) == MavResult.ACCEPTED and client.command(300) == MavResult.ACCEPTED
     client.wait(90, lambda: "Mission finished" in client.texts())
     assert [m.seq for m in client.of("MISSION_ITEM_REACHED")] == [0, 1, 2]
     assert client.vehicle.landed and not client.vehicle.sim.armed
@@ -196,11 +196,11 @@ def test_parameters(client):
 @pytest.mark.parametrize(
     ("unit", "kind", "instance", "result"),
     [
-        (GYRO, OFF, 1, UNSUPPORTED),
-        (8, OFF, 0, UNSUPPORTED),
-        (MOTOR, 9, 0, UNSUPPORTED),
-        (MOTOR, OFF, 5, UNSUPPORTED),
-        (GYRO, STUCK, 0, REJECTED),
+        (GYRO, OFF, 1, MavResult.UNSUPPORTED),
+        (8, OFF, 0, MavResult.UNSUPPORTED),
+        (MOTOR, 9, 0, MavResult.UNSUPPORTED),
+        (MOTOR, OFF, 5, MavResult.UNSUPPORTED),
+        (GYRO, STUCK, 0, MavResult.REJECTED),
     ],
 )
 def test_failures_that_are_not_possible_are_not_acknowledged(client, unit, kind, instance, result):
@@ -214,14 +214,14 @@ def test_every_type_of_failure_changes_a_value_before_it_is_acknowledged(flying,
         assert flying.command(420, unit, kind, 0) is None
         failure = flying.autopilot.failures[-1]
         flying.wait(1.5, lambda: flying.result(420) is not None)
-        assert flying.result(420) == ACCEPTED, failure
+        assert flying.result(420) == MavResult.ACCEPTED, failure
         found = failure.injection
         assert found.time_s >= 1e-6 * failure.fault.time_us and found.before != found.after
         first = flying.of("STATUSTEXT")[0]
         text = "".join(m.text for m in flying.of("STATUSTEXT") if m.id == first.id)
         before, after = (f"{value:.4g}" for value in (found.before, found.after))
         assert text == f"fault: {failure.fault.site}: {before} -> {after}", "not cut off"
-        assert flying.command(420, unit, 0, 0) == ACCEPTED and not flying.autopilot.failures
+        assert flying.command(420, unit, 0, 0) == MavResult.ACCEPTED and not flying.autopilot.failures
         flying.vehicle.place((0.0, 0.0, -6.0), (1.0, 0.0, 0.0, 0.0))
 
 
@@ -229,8 +229,8 @@ def test_a_repeated_command_is_acknowledged_and_starts_no_second_failure(flying)
     """Programs repeat a command whose answer is late."""
     flying.command(420, MOTOR, OFF, 1)
     flying.wait(0.1)
-    assert flying.result(420) == ACCEPTED
-    assert flying.command(420, MOTOR, OFF, 1) == ACCEPTED
+    assert flying.result(420) == MavResult.ACCEPTED
+    assert flying.command(420, MOTOR, OFF, 1) == MavResult.ACCEPTED
     assert len(flying.autopilot.failures) == 1
 
 
@@ -253,7 +253,7 @@ def test_over_udp():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
         station.bind(("127.0.0.1", 0))
         station.settimeout(5)
-        server = Server(MissionSpec(environment="farm", seed=7), 0, (station.getsockname()[1],))
+        server = MavlinkServer(MissionSpec(environment="farm", seed=7), 0, (station.getsockname()[1],))
         serving = threading.Thread(target=server.run, args=(1.5,))
         serving.start()
         parser, link, found = mavlink.MAVLink(None), mavlink.MAVLink(None, srcSystem=245), []

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from mavfi.errors import BadInputError
 from mavfi.extras.paper.failure_rate import (
     Estimate,
-    Exposed,
+    ExposedKernel,
     UpsetConfig,
     altitude_factor,
     find_upsets,
@@ -59,7 +59,7 @@ def test_the_band_has_the_ends_of_flux_and_fit():
 
 
 def test_kernels_add_up_and_their_intervals_as_standard_errors_do():
-    parts = [Exposed(10.0, Estimate(0.5, 0.2, 0.9)), Exposed(10.0, Estimate(0.1, -0.3, 0.4))]
+    parts = [ExposedKernel(10.0, Estimate(0.5, 0.2, 0.9)), ExposedKernel(10.0, Estimate(0.1, -0.3, 0.4))]
     total = total_failures(parts, 1.0)
     assert total.value == 6.0
     assert total.low == pytest.approx(6.0 - 5.0) and total.high == pytest.approx(6.0 + 5.0), "3, 4, 5"
@@ -95,9 +95,9 @@ def test_wrong_upsets_are_refused(tmp_path, changes, message):
 def test_idle_instructions_raise_the_coverage_and_save_no_mission(instructions, harm, idle):
     """Of the faults in a diluted kernel, the share instructions / (instructions + idle) goes where harm is done."""
     share = instructions / (instructions + idle)
-    own = Exposed(instructions, Estimate(harm, harm / 2, harm))
-    diluted = Exposed(instructions + idle, Estimate(harm * share, harm * share / 2, harm * share))
+    own = ExposedKernel(instructions, Estimate(harm, harm / 2, harm))
+    diluted = ExposedKernel(instructions + idle, Estimate(harm * share, harm * share / 2, harm * share))
     assert 1 - diluted.harm.value >= 1 - own.harm.value
     assert math.isclose(diluted.failures(1e-20).value, own.failures(1e-20).value, rel_tol=1e-9)
-    apart = total_failures([own, Exposed(idle, Estimate(0.0, 0.0, 0.0))], 1e-20)
+    apart = total_failures([own, ExposedKernel(idle, Estimate(0.0, 0.0, 0.0))], 1e-20)
     assert math.isclose(apart.value, own.failures(1e-20).value, rel_tol=1e-9)

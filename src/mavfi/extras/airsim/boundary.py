@@ -14,12 +14,12 @@ import re
 import struct
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TextIO
+from typing import Any, NamedTuple, TextIO
 
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec, foreign_state, learn
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim.calls import Call
+from mavfi.extras.airsim.calls import RecordedCall
 from mavfi.extras.airsim.table import CALLS
 from mavfi.faults.fault import MessageFault
 from mavfi.faults.levels.sensor.failures import Failure
@@ -55,13 +55,7 @@ def path_of(value: Any, number: int) -> Path | None:
         if number < len(value):
             return (number,)
         return None
-    if isinstance(value, dict):
-        items: Iterable[tuple[Any, Any]] = value.items()
-    elif isinstance(value, list):
-        items = enumerate(value)
-    else:
-        items = ()
-    for key, item in items:
+    for key, item in _items(value):
         inside = count(item)
         if number < inside:
             path = path_of(item, number)
@@ -76,9 +70,19 @@ def leaves(value: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
     """Every number of a value with its path; bytes are left out."""
     if isinstance(value, (bool, int, float)):
         yield prefix, float(value)
-    elif isinstance(value, (dict, list)):
-        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from leaves(item, f"{prefix}.{key}" if prefix else str(key))
+        return
+    for key, item in _items(value):
+        path = f"{prefix}.{key}" if prefix else str(key)
+        yield from leaves(item, path)
+
+
+def _items(value: Any) -> Iterable[tuple[Any, Any]]:
+    """Keys and members of a map or a list; none of anything else."""
+    if isinstance(value, dict):
+        return value.items()
+    if isinstance(value, list):
+        return enumerate(value)
+    return ()
 
 
 def keys_of(text: str) -> Path:
@@ -116,12 +120,24 @@ def flipped(value: Any, bit: int) -> Any:
     return struct.unpack("<d", struct.pack("<Q", raw ^ (1 << bit)))[0]
 
 
-def flip(holder: Any, path: Path, bit: int) -> tuple[Any, Any, Any, int]:
-    """Flip a bit of the number at a path.
+class Flip(NamedTuple):
+    """What a flipped bit has done.
 
-    Returns:
-        The value, changed (lists and maps in place), the number before and after, and the bit: the given one modulo
-        the width of the number.
+    Attributes:
+        holder: The value that holds the number, changed; lists and maps are changed in place.
+        before: The number before.
+        after: The number after.
+        bit: The flipped bit: the requested one modulo the width of the number.
+    """
+
+    holder: Any
+    before: Any
+    after: Any
+    bit: int
+
+
+def flip(holder: Any, path: Path, bit: int) -> Flip:
+    """Flip a bit of the number at a path.
 
     Raises:
         BadInputError: There is no number at this path.
@@ -131,19 +147,20 @@ def flip(holder: Any, path: Path, bit: int) -> tuple[Any, Any, Any, int]:
             raise BadInputError("not a number")
         bit %= bits_of(holder)
         after = flipped(holder, bit)
-        return after, holder, after, bit
+        return Flip(after, holder, after, bit)
     key, *rest = path
     if isinstance(holder, bytes) and isinstance(key, int) and key < len(holder):
         bit %= 8
         changed = bytearray(holder)
         changed[key] ^= 1 << bit
-        return bytes(changed), holder[key], changed[key], bit
+        return Flip(bytes(changed), holder[key], changed[key], bit)
     try:
         inner = holder[key]
     except (KeyError, IndexError, TypeError):
         raise BadInputError(f"no number at {key!r}") from None
-    holder[key], before, after, bit = flip(inner, tuple(rest), bit)
-    return holder, before, after, bit
+    inner_flip = flip(inner, tuple(rest), bit)
+    holder[key] = inner_flip.holder
+    return inner_flip._replace(holder=holder)
 
 
 # ---- the boundary ----------------------------------------------------------------------------------------------------
@@ -155,7 +172,7 @@ _TEXT = re.compile(
 )
 _BITS = 64
 _FORM = "CALL.PATH[:bit=B][@SECONDS], e.g. moveByVelocity.vx:bit=62@10 or simGetVehiclePose.return.position.z_val"
-_LONGEST = 16
+_MAX_OBSERVED_NUMBERS = 16
 """Values with more numbers (images, point clouds) are not observed."""
 
 
@@ -193,6 +210,8 @@ def parse_fault(text: str, seed: int = 0) -> BoundaryFault | SensorFault:
     match = _TEXT.fullmatch(text)
     if match is None:
         raise BadInputError(f"--fault: {text!r}: allowed: {_FORM}")
+
+    # check each part
     name = match["call"]
     path = match["path"]
     bit = match["bit"]
@@ -211,16 +230,18 @@ def parse_fault(text: str, seed: int = 0) -> BoundaryFault | SensorFault:
         raise BadInputError(f"--fault: {text!r}: {head!r}: not known; allowed: {', '.join([*arguments, RETURN])}")
     if bit is not None and int(bit) >= _BITS:
         raise BadInputError(f"--fault: {text!r}: bit {bit}: allowed: 0 to {_BITS - 1}")
-    if bit is not None:
-        chosen = int(bit)
+
+    # what the text leaves out: a bit drawn from the seed, in the first call
+    if bit is None:
+        bit_number = random.Random(seed).randrange(_BITS)
     else:
-        chosen = random.Random(seed).randrange(_BITS)
-    nth = int(match["nth"]) if match["nth"] else 1
-    return BoundaryFault(MessageFault(name, path, chosen, nth, seed=seed), round(1e6 * since_s))
+        bit_number = int(bit)
+    nth = int(match["nth"] or 1)
+    return BoundaryFault(MessageFault(name, path, bit_number, nth, seed=seed), round(1e6 * since_s))
 
 
 @dataclass(frozen=True, slots=True)
-class Passed:
+class PassedCall:
     """A call that passed the boundary: its name, and the numbers in its arguments and its return value."""
 
     name: str
@@ -245,10 +266,10 @@ class Boundary:
     planned: BoundaryFault | None = None
     keeps: bool = False
     watch: "BoundaryWatch | None" = None
-    recording: "Recording | None" = None
+    recording: "CallRecording | None" = None
     failure: Failure | None = None
     injection: Injection | None = None
-    passed: list[Passed] = field(default_factory=list)
+    passed: list[PassedCall] = field(default_factory=list)
     _count: int = 0
 
     @classmethod
@@ -256,16 +277,14 @@ class Boundary:
         cls,
         fault: BoundaryFault | MessageFault | SensorFault | None,
         watch: "BoundaryWatch | None" = None,
-        recording: "Recording | None" = None,
+        recording: "CallRecording | None" = None,
     ) -> "Boundary":
         """The boundary with a fault, in a call or in the vehicle behind it."""
         if isinstance(fault, SensorFault):
             return cls(watch=watch, recording=recording, failure=Failure(fault))
         if isinstance(fault, MessageFault):
-            planned: BoundaryFault | None = BoundaryFault(fault)
-        else:
-            planned = fault
-        return cls(planned, watch=watch, recording=recording)
+            fault = BoundaryFault(fault)
+        return cls(fault, watch=watch, recording=recording)
 
     @property
     def faulty(self) -> bool:
@@ -280,7 +299,7 @@ class Boundary:
         return self.failure.injection
 
     def arguments(self, name: str, values: list[Any], now_us: int) -> list[Any]:
-        """Arguments of a call, perhaps changed; `given` is changed in place."""
+        """Arguments of a call, perhaps changed, in place."""
         self._inject(name, values, now_us, in_return=False)
         self._observe(f"{name}({ARGUMENTS})", dict(zip(CALLS[name].arguments, values, strict=False)), now_us)
         return values
@@ -288,7 +307,7 @@ class Boundary:
     def returned(self, name: str, arguments: Sequence[Any], value: Any, now_us: int) -> Any:
         """Return value of a call, perhaps changed."""
         if self.keeps:
-            self.passed.append(Passed(name, sum(map(count, arguments)), count(value)))
+            self.passed.append(PassedCall(name, sum(map(count, arguments)), count(value)))
         value = self._inject(name, value, now_us, in_return=True)
         self._observe(f"{name}({RETURN})", value, now_us)
         return value
@@ -300,6 +319,7 @@ class Boundary:
 
     def _inject(self, name: str, value: Any, now_us: int, *, in_return: bool) -> Any:
         """Flip the planned bit (a null fault: twice) in its call; without such a number the fault is not activated."""
+        # whether this is the call of the fault, and has its number
         planned = self.planned
         if planned is None or self.injection is not None or in_return != planned.in_return:
             return value
@@ -307,17 +327,26 @@ class Boundary:
         if name != fault.topic or now_us < planned.since_us:
             return value
         self._count += 1
-        path = planned.path_in(value) if self._count >= fault.at else None
+        if self._count < fault.at:
+            return value
+        path = planned.path_in(value)
         if path is None:
             return value
+
+        # flip; a client may send a whole number where AirSim's signature has a double
         if not in_return and CALLS[name].is_double(path):
             make_double(value, path)
         try:
-            value, before, after, bit = flip(value, path, fault.bit or 0)
+            flipped_once = flip(value, path, fault.bit or 0)
+            after = flipped_once.after
+            value = flipped_once.holder
             if fault.bit is None:
-                value, _, after, _ = flip(value, path, bit)
+                flipped_back = flip(value, path, flipped_once.bit)
+                after = flipped_back.after
+                value = flipped_back.holder
         except BadInputError:
             return value
+
         if in_return:
             names = (RETURN, *path)
         else:
@@ -326,8 +355,8 @@ class Boundary:
             "message",
             fault.site,
             1e-6 * now_us,
-            None if fault.bit is None else bit,
-            before,
+            None if fault.bit is None else flipped_once.bit,
+            flipped_once.before,
             after,
             True,
             details={"call": fault.topic, "number": self._count, "path": ".".join(map(str, names))},
@@ -370,7 +399,7 @@ class BoundaryWatch:
         self._detector.accept(state, now_us)
 
 
-class Recording:
+class CallRecording:
     """Values at the boundary, e.g. error-free ones to train a detector.
 
     Args:
@@ -378,14 +407,14 @@ class Recording:
     """
 
     def __init__(self, file: TextIO | None = None) -> None:
-        self._calls: list[Call] = []
+        self._calls: list[RecordedCall] = []
         self._file = file
 
     def check(self, source: str, value: Any, now_us: int) -> None:
         """Record one value."""
         numbers = dict(leaves(value))
-        if 0 < len(numbers) <= _LONGEST:
-            call = Call.of(now_us, source, numbers)
+        if 0 < len(numbers) <= _MAX_OBSERVED_NUMBERS:
+            call = RecordedCall.of(now_us, source, numbers)
             self._calls.append(call)
             if self._file is not None:
                 self._file.write(call.line())
@@ -397,14 +426,13 @@ class Recording:
             BadInputError: There is no such call, or a number is not finite.
         """
         values = [(call.topic, call.values) for call in self._calls]
-        shapes: dict[str, list[tuple[str, ...]]] = {}
+        field_names: dict[str, list[tuple[str, ...]]] = {}
         for source, numbers in values:
-            shapes.setdefault(source, []).append(tuple(numbers))
-        specs = {
-            source: foreign_spec(source, every[0])
-            for source, every in shapes.items()
-            if len(every) >= SMALLEST_SAMPLE and len(set(every)) == 1
-        }
+            field_names.setdefault(source, []).append(tuple(numbers))
+        specs = {}
+        for source, samples in field_names.items():
+            if len(samples) >= SMALLEST_SAMPLE and len(set(samples)) == 1:
+                specs[source] = foreign_spec(source, samples[0])
         if not specs:
             raise BadInputError(
                 f"--detector: no call happened {SMALLEST_SAMPLE} times; allowed: programs that fly longer"

@@ -19,7 +19,7 @@ _LARGEST = 1 << 28
 
 
 @dataclass(frozen=True, slots=True)
-class Call:
+class RecordedCall:
     """The numbers in the arguments or in the answer of one call.
 
     Attributes:
@@ -33,10 +33,13 @@ class Call:
     numbers: Mapping[str, float | str]
 
     @staticmethod
-    def of(time_us: int, topic: str, numbers: Mapping[str, float]) -> "Call":
+    def of(time_us: int, topic: str, numbers: Mapping[str, float]) -> "RecordedCall":
         """A call from its numbers."""
-        plain = {name: value if math.isfinite(value) else str(value) for name, value in numbers.items()}
-        return Call(time_us, topic, plain)
+        plain: dict[str, float | str] = dict(numbers)
+        for name, value in numbers.items():
+            if not math.isfinite(value):
+                plain[name] = str(value)
+        return RecordedCall(time_us, topic, plain)
 
     @property
     def values(self) -> dict[str, float]:
@@ -48,7 +51,7 @@ class Call:
         return json.dumps(asdict(self)) + "\n"
 
 
-def read_calls(path: Path) -> list[Call]:
+def read_calls(path: Path) -> list[RecordedCall]:
     """Calls of a file, in order.
 
     Raises:
@@ -61,7 +64,7 @@ def read_calls(path: Path) -> list[Call]:
     calls = []
     for number, line in enumerate(lines, 1):
         try:
-            call = checked(Call, json.loads(line), "call")
+            call = checked(RecordedCall, json.loads(line), "call")
             if not call.values or abs(call.time_us) > 1e6 * LATEST_S:
                 raise ValueError(f"numbers, time_us: allowed: one or more; {LATEST_S:g} s at most")
         except (BadInputError, OverflowError, RecursionError, ValueError) as error:

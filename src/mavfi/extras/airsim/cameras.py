@@ -21,11 +21,11 @@ from mavfi.extras.airsim.frames import rotation as rotated
 from mavfi.extras.airsim.table import (
     FILM_MM,
     GROUND,
-    NARROWEST,
-    WIDEST,
+    MAX_FIELD_OF_VIEW,
+    MIN_FIELD_OF_VIEW,
     Api,
-    Camera,
-    Wanted,
+    ApiCamera,
+    DetectionFilter,
     call,
     camera_call,
     vehicle_call,
@@ -58,7 +58,7 @@ _THICKNESS = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class CameraView:
     """What a camera sees.
 
     Attributes:
@@ -93,7 +93,7 @@ def check_kind(kind: int) -> None:
         raise BadInputError(f"image type {kind}: not drawn; allowed: {', '.join(map(str, _KINDS))}")
 
 
-def floats(view: View, kind: int, sky: float) -> list[float]:
+def floats(view: CameraView, kind: int, sky: float) -> list[float]:
     """An image of numbers: depth (m), or the disparity."""
     check_kind(kind)
     if kind not in (PLANAR, PERSPECTIVE, DISPARITY):
@@ -105,7 +105,7 @@ def floats(view: View, kind: int, sky: float) -> list[float]:
     return values
 
 
-def encoded(api: Api, view: View, kind: int, compress: bool = True) -> bytes:
+def encoded(api: Api, view: CameraView, kind: int, compress: bool = True) -> bytes:
     """A picture as PNG, or as bytes R G B."""
     check_kind(kind)
     picture = _picture(api, view, kind)
@@ -114,7 +114,7 @@ def encoded(api: Api, view: View, kind: int, compress: bool = True) -> bytes:
     return picture.tobytes()
 
 
-def _picture(api: Api, view: View, kind: int) -> np.ndarray:
+def _picture(api: Api, view: CameraView, kind: int) -> np.ndarray:
     """Shape (height, width, 3), uint8."""
     if kind in (SEGMENTATION, INFRARED):
         return _segments(api, view, kind)
@@ -132,16 +132,15 @@ def _shaded(api: Api, planar: np.ndarray) -> np.ndarray:
     """Brightness by nearness and slope, veiled by fog and dust. Shape (height, width)."""
     slope = np.abs(np.gradient(planar, axis=1)) + np.abs(np.gradient(planar, axis=0))
     grey: np.ndarray = 230.0 - 1.6 * planar - 40.0 * np.clip(slope, 0.0, 2.0)
+    haze = 0.0
     if api.weather_on:
         haze = sum(api.weather.get(kind, 0.0) for kind in (FOG, DUST))
-    else:
-        haze = 0.0
     clear = np.array([exp(value) for value in (-_THICKNESS * haze * planar).ravel().tolist()]).reshape(planar.shape)
     seen: np.ndarray = clear * grey + (1.0 - clear) * 200.0
     return seen
 
 
-def owners(api: Api, view: View) -> np.ndarray:
+def owners(api: Api, view: CameraView) -> np.ndarray:
     """The object that each pixel shows, by its place among `Api.objects`; -1 = ground, -2 = sky. Shape (pixels,)."""
     points = view.points()
     world = api.vehicle.sim.world
@@ -153,7 +152,7 @@ def owners(api: Api, view: View) -> np.ndarray:
     return owner
 
 
-def _segments(api: Api, view: View, kind: int) -> np.ndarray:
+def _segments(api: Api, view: CameraView, kind: int) -> np.ndarray:
     """Colours by segmentation id: 0 = sky, 1 = ground, then the boxes. Shape (height, width, 3), uint8."""
     segments = [*map(api.segment, api.objects), 0, api.segment(GROUND)]
     ids = np.array(segments, np.int64)[owners(api, view)]
@@ -202,7 +201,7 @@ FILM = "16:9 Digital Film"
 """The only presets: Unreal's default film."""
 
 
-def find_camera(api: Api, name: Any) -> Camera:  # noqa: ANN401 - a client's
+def find_camera(api: Api, name: Any) -> ApiCamera:  # noqa: ANN401 - a client's
     """A camera by name or number.
 
     Raises:
@@ -212,20 +211,20 @@ def find_camera(api: Api, name: Any) -> Camera:  # noqa: ANN401 - a client's
     if camera_name not in _CAMERAS:
         raise BadInputError(f"camera {name!r}: not known; allowed: {', '.join([*_NUMBERS, *_CAMERAS])}")
     if camera_name not in api.cameras:
-        api.cameras[camera_name] = Camera((0.0, 0.0, 0.0), looking(*_CAMERAS[camera_name]))
+        api.cameras[camera_name] = ApiCamera((0.0, 0.0, 0.0), looking(*_CAMERAS[camera_name]))
     return api.cameras[camera_name]
 
 
-def view(api: Api, name: Any, kind: int) -> View:  # noqa: ANN401 - a client's
+def view(api: Api, name: Any, kind: int) -> CameraView:  # noqa: ANN401 - a client's
     """What a camera sees now; images of a kind with depth are those of a depth camera, which can fail."""
     camera = find_camera(api, name)
-    (width, height) = api.pixels
+    width, height = api.pixels
     config = CameraConfig(width=width, height=height, field_of_view=math.radians(camera.fov_deg), range=CAMERA_RANGE)
     camera_mount = mount(camera.position, camera.orientation)
     ranges, rays = api.vehicle.sim.ranges(config, camera_mount)
     if kind in DEPTH:
         ranges = api.vehicle.failures.ranges(api.vehicle.now_us, ranges, f"{name} {width}x{height}")
-    return View(ranges, rays, width, height, api.vehicle.sim.sensor_pose(camera_mount))
+    return CameraView(ranges, rays, width, height, api.vehicle.sim.sensor_pose(camera_mount))
 
 
 def _camera_pose(api: Api, name: Any) -> tuple[Any, Any]:
@@ -256,10 +255,16 @@ def _response(api: Api, request: Any) -> Data:
     except (KeyError, TypeError, ValueError):
         raise BadInputError(f"{request!r}: allowed: an ImageRequest") from None
     seen = view(api, name, kind)
+    data = b""
+    numbers: list[float] = []
+    if as_float:
+        numbers = floats(seen, kind, SKY)
+    else:
+        data = encoded(api, seen, kind, compress)
     position, orientation = _camera_pose(api, name)
     return {
-        "image_data_uint8": b"" if as_float else encoded(api, seen, kind, compress),
-        "image_data_float": floats(seen, kind, SKY) if as_float else [],
+        "image_data_uint8": data,
+        "image_data_float": numbers,
         "camera_position": vector(position),
         "camera_name": str(name),
         "camera_orientation": rotated(orientation),
@@ -288,7 +293,7 @@ def simSetCameraPose(api: Api, camera_name: str, pose: Any) -> None:
     place_camera(find_camera(api, camera_name), *pose_numbers(pose))
 
 
-def place_camera(camera: Camera, position: Triple, orientation: Quaternion) -> None:
+def place_camera(camera: ApiCamera, position: Triple, orientation: Quaternion) -> None:
     """Set position and orientation in the body frame FRD (m, w x y z).
 
     Raises:
@@ -304,8 +309,10 @@ def place_camera(camera: Camera, position: Triple, orientation: Quaternion) -> N
 
 @camera_call
 def simSetCameraFov(api: Api, camera_name: str, fov_degrees: float) -> None:
-    if not NARROWEST <= fov_degrees <= WIDEST:
-        raise BadInputError(f"simSetCameraFov: {fov_degrees}: allowed: {NARROWEST:g} to {WIDEST:g} deg")
+    if not MIN_FIELD_OF_VIEW <= fov_degrees <= MAX_FIELD_OF_VIEW:
+        raise BadInputError(
+            f"simSetCameraFov: {fov_degrees}: allowed: {MIN_FIELD_OF_VIEW:g} to {MAX_FIELD_OF_VIEW:g} deg"
+        )
     find_camera(api, camera_name).fov_deg = float(fov_degrees)
 
 
@@ -316,12 +323,12 @@ def simSetCameraOrientation(api: Api, camera_name: str, orientation: Any) -> Non
 
 
 # ---- lens, film and focus --------------------------------------------------------------------------------------------
-def focal_length(camera: Camera) -> float:
+def focal_length(camera: ApiCamera) -> float:
     """Focal length (mm) of the field of view on the film."""
     return 0.5 * camera.film_mm[0] / tan(math.radians(0.5 * camera.fov_deg))
 
 
-def _set_optics(name: str, camera: Camera, film: tuple[float, float], focal: float) -> None:
+def _set_optics(name: str, camera: ApiCamera, film: tuple[float, float], focal: float) -> None:
     """Set film and focal length (mm), which make the field of view.
 
     Raises:
@@ -330,8 +337,10 @@ def _set_optics(name: str, camera: Camera, film: tuple[float, float], focal: flo
     if not (0.0 < focal < math.inf and all(0.0 < side < math.inf for side in film)):
         raise BadInputError(f"{name}: film of {film} mm, focal length {focal} mm: allowed: finite numbers above 0")
     fov = math.degrees(2.0 * atan2(0.5 * film[0], focal))
-    if not NARROWEST <= fov <= WIDEST:
-        raise BadInputError(f"{name}: a field of view of {fov:.4g} deg: allowed: {NARROWEST:g} to {WIDEST:g} deg")
+    if not MIN_FIELD_OF_VIEW <= fov <= MAX_FIELD_OF_VIEW:
+        raise BadInputError(
+            f"{name}: a field of view of {fov:.4g} deg: allowed: {MIN_FIELD_OF_VIEW:g} to {MAX_FIELD_OF_VIEW:g} deg"
+        )
     camera.film_mm = film
     camera.fov_deg = fov
 
@@ -349,7 +358,7 @@ def _film(width: float, height: float) -> str:
     )
 
 
-def _field_of_view(camera: Camera) -> str:
+def _field_of_view(camera: ApiCamera) -> str:
     vertical = math.degrees(2.0 * atan2(0.5 * camera.film_mm[1], focal_length(camera)))
     return (
         f"Current Field Of View:\n\tHorizontal Field Of View: {camera.fov_deg:g};"
@@ -357,7 +366,7 @@ def _field_of_view(camera: Camera) -> str:
     )
 
 
-_READINGS: dict[str, Callable[[Camera], Any]] = {
+_READINGS: dict[str, Callable[[ApiCamera], Any]] = {
     "simGetPresetLensSettings": lambda _: [f"Name: {LENS}"],
     "simGetLensSettings": lambda _: f"Name: {LENS}",
     "simGetFocalLength": focal_length,
@@ -371,7 +380,7 @@ _READINGS: dict[str, Callable[[Camera], Any]] = {
 """What calls return of a camera; pictures are sharp and without distortion."""
 
 
-def _add_reading(name: str, read: Callable[[Camera], Any]) -> None:
+def _add_reading(name: str, read: Callable[[ApiCamera], Any]) -> None:
     def get(api: Api, camera_name: str) -> Any:
         return read(find_camera(api, camera_name))
 
@@ -429,7 +438,7 @@ def simSetFocusAperture(api: Api, value: float, camera_name: str) -> None:
 
 
 # ---- detections ------------------------------------------------------------------------------------------------------
-def _wanted(api: Api, camera_name: str, kind: int) -> Wanted:
+def _detection_filter(api: Api, camera_name: str, kind: int) -> DetectionFilter:
     """What is detected in a camera's pictures of a kind.
 
     Raises:
@@ -437,30 +446,30 @@ def _wanted(api: Api, camera_name: str, kind: int) -> Wanted:
     """
     find_camera(api, camera_name)
     check_kind(kind)
-    return api.detected.setdefault((str(camera_name), int(kind)), Wanted())
+    return api.detected.setdefault((str(camera_name), int(kind)), DetectionFilter())
 
 
 @camera_call
 def simSetDetectionFilterRadius(api: Api, camera_name: str, image_type: int, radius_cm: float) -> None:
     if not radius_cm >= 0.0:
         raise BadInputError(f"simSetDetectionFilterRadius: {radius_cm}: allowed: 0 or more (cm)")
-    _wanted(api, camera_name, image_type).radius = 0.01 * radius_cm
+    _detection_filter(api, camera_name, image_type).radius = 0.01 * radius_cm
 
 
 @camera_call
 def simAddDetectionFilterMeshName(api: Api, camera_name: str, image_type: int, mesh_name: str) -> None:
-    _wanted(api, camera_name, image_type).names.append(str(mesh_name))
+    _detection_filter(api, camera_name, image_type).names.append(str(mesh_name))
 
 
 @camera_call
 def simClearDetectionMeshNames(api: Api, camera_name: str, image_type: int) -> None:
-    _wanted(api, camera_name, image_type).names.clear()
+    _detection_filter(api, camera_name, image_type).names.clear()
 
 
 @camera_call
 def simGetDetections(api: Api, camera_name: str, image_type: int) -> list[Data]:
     """DetectionInfo of each object with a wanted name, within the radius, of which a pixel is seen."""
-    wanted = _wanted(api, camera_name, image_type)
+    wanted = _detection_filter(api, camera_name, image_type)
     seen = view(api, camera_name, image_type)
     owner = owners(api, seen).reshape(seen.height, seen.width)
     world = api.vehicle.sim.world
@@ -476,7 +485,7 @@ def simGetDetections(api: Api, camera_name: str, image_type: int) -> list[Data]:
 
 
 def _detection(
-    api: Api, seen: View, name: str, box: tuple[np.ndarray, np.ndarray], rows: np.ndarray, columns: np.ndarray
+    api: Api, seen: CameraView, name: str, box: tuple[np.ndarray, np.ndarray], rows: np.ndarray, columns: np.ndarray
 ) -> Data:
     """DetectionInfo of a box, lower and upper corner in the world (m), that is seen in these pixels."""
     matrix = np.empty((3, 3))

@@ -20,9 +20,9 @@ from mavfi.mission import OF_THE_PIPELINE, MissionSpec
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from mavfi.extras.airsim.boundary import Boundary, BoundaryFault, Recording
-    from mavfi.extras.airsim.host import Ended
-    from mavfi.extras.airsim.server import Server
+    from mavfi.extras.airsim.boundary import Boundary, BoundaryFault, CallRecording
+    from mavfi.extras.airsim.host import ProgramResult
+    from mavfi.extras.airsim.server import AirsimServer
     from mavfi.faults.levels.sensor.fault import SensorFault
     from mavfi.flight.mission_flights import LocalHost
 
@@ -144,13 +144,15 @@ def serve(  # noqa: PLR0913 - one parameter per option
     planned = _planned(fault, fault_seed)
     with compiling():
         from mavfi.extras.airsim.host import make_api
-        from mavfi.extras.airsim.server import Real, Server, Steps
+        from mavfi.extras.airsim.server import AirsimServer, RealClock, StepClock
 
         api = make_api(mission, image, vehicle_name, version, on_ground=not in_flight)
     with _recording(save) as recording:
         boundary = Boundary.of(planned, recording=recording)
-        time: Steps | Real = Steps() if steps else Real(speed)
-        _serve(Server(api, time, boundary, single=single), port, once)
+        time: StepClock | RealClock = RealClock(speed)
+        if steps:
+            time = StepClock()
+        _serve(AirsimServer(api, time, boundary, single=single), port, once)
 
 
 def _check_detector(detector: str, profile: str) -> None:
@@ -163,9 +165,9 @@ def _check_detector(detector: str, profile: str) -> None:
 
 
 @contextmanager
-def _recording(path: Path | None) -> Iterator[Recording | None]:
+def _recording(path: Path | None) -> Iterator[CallRecording | None]:
     """A recording that writes to a file; None without one."""
-    from mavfi.extras.airsim.boundary import Recording
+    from mavfi.extras.airsim.boundary import CallRecording
 
     if path is None:
         yield None
@@ -173,10 +175,11 @@ def _recording(path: Path | None) -> Iterator[Recording | None]:
     with writing(path):
         file = path.open("w", encoding="utf-8", buffering=1)  # line by line: none is lost
     with file:
-        yield Recording(file=file)
+        yield CallRecording(file=file)
 
 
-def _serve(server: Server, port: int, once: bool) -> None:
+def _serve(server: AirsimServer, port: int, once: bool) -> None:
+    """Serve until Ctrl-C or, if `once`, until the last client leaves; then print a summary."""
     import asyncio
 
     out = console()
@@ -197,7 +200,7 @@ def _serve(server: Server, port: int, once: bool) -> None:
                 _summarize(server)
 
 
-def _summarize(server: Server) -> None:
+def _summarize(server: AirsimServer) -> None:
     """Print what the clients did: time, collision, digest, fault, refused calls."""
     out = console()
     vehicle = server.api.vehicle
@@ -245,6 +248,7 @@ def run(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi airsim run --fault moveToPosition.x:bit=54@0 examples/airsim/box.py[/bold]
     """
+    # refuse what cannot run, before anything is compiled
     check_number("--seconds", seconds, 0.1, 1e5)
     _hint_at_order(context, arguments or ())
     _check_detector(detector, profile)
@@ -263,15 +267,16 @@ def run(  # noqa: PLR0913 - one parameter per option
     from mavfi.extras.airsim.server import msgpack
 
     msgpack()
+
+    # the error-free run, on which a detector is trained; then the run that is injected or watched
     with compiling():
-        from mavfi.extras.airsim.boundary import Boundary, Recording
+        from mavfi.extras.airsim.boundary import Boundary, CallRecording
         from mavfi.extras.airsim.host import run_program
 
-        recording = Recording() if detector != "none" else None
+        recording = CallRecording() if detector != "none" else None
         golden = run_program(program, mission, Boundary(recording=recording))
-        if recording is None:
-            watch = None
-        else:
+        watch = None
+        if recording is not None:
             watch = recording.train(detector, profile)
         if planned is None and watch is None:
             _report(program, golden, None, as_json)
@@ -289,48 +294,52 @@ def _hint_at_order(context: typer.Context, arguments: Sequence[str]) -> None:
         typer.echo(text, err=True)
 
 
-def _report(program: ProgramConfig, golden: Ended, injected: Ended | None, as_json: bool) -> None:
+def _report(program: ProgramConfig, golden: ProgramResult, injected: ProgramResult | None, as_json: bool) -> None:
     """Print how a program ended, the effect of a fault first."""
     from mavfi.extras.airsim.host import effect_on, shown
 
-    faulty = injected is not None and injected.boundary.faulty
-    if faulty and injected is not None:
+    effect = None
+    if injected is not None and injected.boundary.faulty:
         effect = effect_on(golden, injected)
-    else:
-        effect = None
     if as_json:
-        result = {"golden": shown(golden), "injected": None if injected is None else shown(injected), "effect": effect}
-        write_json({"script": program.script, **result})
+        injected_data = None if injected is None else shown(injected)
+        write_json({"script": program.script, "golden": shown(golden), "injected": injected_data, "effect": effect})
         return
     out = console()
-    if effect is not None and injected is not None:
+    if injected is None:
+        _print_run(out, "golden", golden)
+    elif effect is None:
+        _print_run(out, "golden", golden)
+        _print_run(out, "watched", injected)
+        _print_alarms(out, injected.boundary)
+    else:
         out.print(f"effect: {effect}", markup=False)
         out.print(_line(injected.boundary), markup=False)
-    for label, ended in (("golden", golden), ("injected" if faulty else "watched", injected)):
-        if ended is None:
-            continue
-        hit = ", collision" if ended.collided else ""
-        reason = f" ({ended.reason})" if ended.reason else ""
-        calls = sum(ended.calls.values())
-        text = f"{ended.how}{hit}{reason}, {ended.seconds:.3f} s simulated, {calls} calls, digest {ended.digest[:16]}"
-        out.print(f"{label}: {text}", markup=False)
-        for error, count in ended.errors.items():
-            out.print(f"  refused {count} x: {error}", markup=False)
-    if injected is not None:
+        _print_run(out, "golden", golden)
+        _print_run(out, "injected", injected)
         _print_alarms(out, injected.boundary)
-    last = (injected or golden).output.strip().splitlines()[-3:]
-    for line in last:
+    for line in (injected or golden).output.strip().splitlines()[-3:]:
         out.print(f"  | {line}", style="dim", markup=False)
+
+
+def _print_run(out: Console, label: str, run: ProgramResult) -> None:
+    """Print how a run ended, and the calls that were refused."""
+    hit = ", collision" if run.collided else ""
+    reason = f" ({run.reason})" if run.reason else ""
+    calls = sum(run.calls.values())
+    text = f"{run.how}{hit}{reason}, {run.seconds:.3f} s simulated, {calls} calls, digest {run.digest[:16]}"
+    out.print(f"{label}: {text}", markup=False)
+    for error, count in run.errors.items():
+        out.print(f"  refused {count} x: {error}", markup=False)
 
 
 def _print_alarms(out: Console, boundary: Boundary) -> None:
     """Print the number of alarms and the first one, if a detector observed."""
     if boundary.watch is not None:
         alarms = boundary.watch.alarms
+        first = ""
         if alarms:
             first = f", first at {alarms[0].time_s:.3f} s: {', '.join(alarms[0].fields)}"
-        else:
-            first = ""
         out.print(f"alarms: {len(alarms)}{first}", markup=False)
 
 

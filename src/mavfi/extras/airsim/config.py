@@ -58,10 +58,9 @@ class ProgramConfig(Config):
 
     def to_json(self) -> dict[str, Any]:
         """Plain data, with a digest of the program's text."""
+        text = b""
         if is_file(Path(self.script)):
             text = Path(self.script).read_bytes()
-        else:
-            text = b""
         return {**self.model_dump(mode="json"), "sha256": hashlib.sha256(text).hexdigest()}
 
 

@@ -144,10 +144,9 @@ def _add_velocity_task(name: str, arguments: str) -> None:
         api: Api, vx: float, vy: float, vertical: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None
     ) -> Task:
         yaw = yaw_of(yaw_mode, drivetrain)
+        horizontal = (vx, vy)
         if along_heading:
             horizontal = from_body(api.vehicle, vx, vy)
-        else:
-            horizontal = (vx, vy)
         if at_height:
             return fly_velocity_at(api.vehicle, horizontal, vertical, duration, yaw)
         return fly_velocity(api.vehicle, (*horizontal, vertical), duration, yaw)
@@ -249,23 +248,14 @@ def _add_attitude_task(name: str, arguments: str) -> None:
     numbers = (*arguments.split(), "duration")
 
     def fly(api: Api, *values: Any) -> Task:
-        arguments_by_name = dict(zip(numbers, values, strict=False))
-        vertical = Vertical(arguments_by_name.get("throttle"), arguments_by_name.get("z", 0.0))
-        if "roll_rate" in arguments_by_name:
-            rotors = at_rates(
-                api.vehicle,
-                arguments_by_name["roll_rate"],
-                arguments_by_name["pitch_rate"],
-                arguments_by_name["yaw_rate"],
-                vertical,
-            )
+        target = dict(zip(numbers, values, strict=False))
+        vertical = Vertical(target.get("throttle"), target.get("z", 0.0))
+        if "roll_rate" in target:
+            rotors = at_rates(api.vehicle, target["roll_rate"], target["pitch_rate"], target["yaw_rate"], vertical)
         else:
-            yaw = arguments_by_name.get("yaw", 0.0)
-            yaw_rate = arguments_by_name.get("yaw_rate")
-            rotors = at_attitude(
-                api.vehicle, arguments_by_name["roll"], arguments_by_name["pitch"], yaw, yaw_rate, vertical
-            )
-        return fly_rotors(api.vehicle, rotors, arguments_by_name["duration"])
+            yaw = target.get("yaw", 0.0)
+            rotors = at_attitude(api.vehicle, target["roll"], target["pitch"], yaw, target.get("yaw_rate"), vertical)
+        return fly_rotors(api.vehicle, rotors, target["duration"])
 
     task(_with_signature(fly, numbers), name)
 

@@ -22,7 +22,7 @@ from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.extras.airsim.boundary import Boundary
 from mavfi.extras.airsim.config import IMAGE, VEHICLE, ProgramConfig, pixels
 from mavfi.extras.airsim.runner import EXIT_CRASH, EXIT_TIME_IS_UP
-from mavfi.extras.airsim.server import HOST, Server, Steps, msgpack
+from mavfi.extras.airsim.server import HOST, AirsimServer, StepClock, msgpack
 from mavfi.extras.airsim.table import Api
 from mavfi.faults.fault import Fault, MessageFault
 from mavfi.faults.levels.sensor.fault import SensorFault
@@ -60,12 +60,13 @@ def make_api(
         spec = spec.model_copy(update={"v_max": V_MAX})
     vehicle = PilotedVehicle(spec, on_ground=on_ground)
     camera = vehicle.scenario.camera
-    size = pixels(image or (IMAGE if on_ground else f"{camera.width}x{camera.height}"))
-    return Api(vehicle, name, size, version, paused=not on_ground)
+    if not image:
+        image = IMAGE if on_ground else f"{camera.width}x{camera.height}"
+    return Api(vehicle, name, pixels(image), version, paused=not on_ground)
 
 
 @dataclass(frozen=True, slots=True)
-class Ended:
+class ProgramResult:
     """A program that ran.
 
     Attributes:
@@ -92,7 +93,7 @@ class Ended:
     boundary: Boundary = field(repr=False)
     code: int | None = 0
 
-    def ends_like(self, other: "Ended") -> bool:
+    def ends_like(self, other: "ProgramResult") -> bool:
         """Whether both ended in the same way, e.g. with the same exit code."""
         return (self.how, self.code) == (other.how, other.code)
 
@@ -104,7 +105,7 @@ class Ended:
         return MissionStatus.SUCCESS
 
 
-def effect_on(golden: Ended, injected: Ended) -> str:
+def effect_on(golden: ProgramResult, injected: ProgramResult) -> str:
     """What a fault did to a program: masked, deviates, collision, program crash, hang, or not activated."""
     if injected.boundary.injected is None:
         return "not activated"
@@ -119,7 +120,7 @@ def effect_on(golden: Ended, injected: Ended) -> str:
     return "deviates"
 
 
-def run_program(program: ProgramConfig, spec: MissionSpec, boundary: Boundary) -> Ended:
+def run_program(program: ProgramConfig, spec: MissionSpec, boundary: Boundary) -> ProgramResult:
     """Run a program to its end, with its own vehicle and port.
 
     Args:
@@ -142,11 +143,11 @@ class _Run:
         self._boundary = boundary
         version = program.version or client_version(program.python, program.script)
         self._api = make_api(spec, program.image, program.vehicle, version)
-        clock = Steps(program.call_us, round(1e6 * program.seconds / STEP_US) * STEP_US)
-        self._server = Server(self._api, clock, boundary)
+        clock = StepClock(program.call_us, round(1e6 * program.seconds / STEP_US) * STEP_US)
+        self._server = AirsimServer(self._api, clock, boundary)
         self._process: subprocess.Popen[bytes] | None = None
 
-    async def run(self) -> Ended:
+    async def run(self) -> ProgramResult:
         """Serve the program until it ends."""
         with tempfile.TemporaryDirectory(prefix="mavfi-airsim-") as folder:
             output = Path(folder, "stdout")
@@ -168,6 +169,7 @@ class _Run:
                         env=_environment(),
                     )
 
+            # the program is started when the server is ready, and the server is stopped when the program has ended
             serving = asyncio.create_task(self._server.run(0, start))
             try:
                 code = await self._wait(serving)
@@ -178,7 +180,7 @@ class _Run:
                     self._process.kill()
                     self._process.wait(_PATIENCE_S)
                 self._api.vehicle.sim.close()
-            return self._ended(code, output.read_text(errors="replace"), errors.read_text(errors="replace"))
+            return self._result(code, output.read_text(errors="replace"), errors.read_text(errors="replace"))
 
     async def _wait(self, serving: "asyncio.Task[None]") -> int | None:
         """Exit code of the program; None = it hangs."""
@@ -195,11 +197,15 @@ class _Run:
             await asyncio.sleep(0.01)
         return None
 
-    def _ended(self, code: int | None, output: str, errors: str) -> Ended:
+    def _result(self, code: int | None, output: str, errors: str) -> ProgramResult:
+        """How the program ended, by its exit code; None = it hangs."""
         vehicle = self._api.vehicle
         reason = _exception_line(errors)
+        # a program that crashes before its first call does not work at all: no fault has done that
         if not self._server.calls and code == EXIT_CRASH:
             raise BadInputError(f"{self._program.script}: made no call ({reason or 'without a message'})")
+
+        # how it ended
         if code is None:
             how = "hang"
             reason = f"still running after {self._program.wall_s:g} s of wall-clock time"
@@ -213,7 +219,7 @@ class _Run:
             how = "program crash"
             reason = reason or f"exit code {code}"
         digest = hashlib.sha256(f"{vehicle.digest()} {how} {code}".encode()).hexdigest()
-        return Ended(
+        return ProgramResult(
             how,
             reason,
             vehicle.has_ever_collided,
@@ -230,13 +236,16 @@ class _Run:
 def _exception_line(errors: str) -> str:
     """The exception of the last traceback in what a program wrote to stderr; without one, the last line."""
     lines = [line for line in errors.splitlines() if line.strip()]
+    if not lines:
+        return ""
     start = max((index for index, line in enumerate(lines) if line.startswith("Traceback ")), default=len(lines))
-    return next((line for line in lines[start + 1 :] if not line[0].isspace()), lines[-1] if lines else "")
+    return next((line for line in lines[start + 1 :] if not line[0].isspace()), lines[-1])
 
 
 def _environment() -> dict[str, str]:
     """Variables of the program: mavfi's, without its own Python path."""
-    return {**{k: v for k, v in os.environ.items() if k != "PYTHONPATH"}, "PYTHONHASHSEED": "0"}
+    variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    return {**variables, "PYTHONHASHSEED": "0"}
 
 
 _VERSION = """
@@ -264,12 +273,12 @@ def client_version(python: str, script: str) -> int:
     Raises:
         BadInputError: It has no such client.
     """
-    chosen = python, str(Path(script).absolute().parent)
-    if chosen not in _VERSIONS:
+    folder = str(Path(script).absolute().parent)
+    if (python, folder) not in _VERSIONS:
         program = python or sys.executable
         try:
             done = subprocess.run(
-                [program, "-c", _VERSION, chosen[1]],
+                [program, "-c", _VERSION, folder],
                 capture_output=True,
                 text=True,
                 check=False,
@@ -279,13 +288,13 @@ def client_version(python: str, script: str) -> int:
         except OSError as error:
             raise BadInputError(f"--python: {program}: {error.strerror}; allowed: a Python interpreter") from None
         with suppress(ValueError):
-            _VERSIONS[chosen] = int(done.stdout)
-        if chosen not in _VERSIONS:
+            _VERSIONS[python, folder] = int(done.stdout)
+        if (python, folder) not in _VERSIONS:
             last = (done.stderr.strip().splitlines() or ["no version"])[-1]
             raise BadInputError(
                 f"--python: {program}: has no AirSim client ({last}); allowed: with the package airsim or cosysairsim"
             )
-    return _VERSIONS[chosen]
+    return _VERSIONS[python, folder]
 
 
 def world_address(text: str) -> tuple[str, int]:
@@ -300,18 +309,18 @@ def world_address(text: str) -> tuple[str, int]:
     raise BadInputError(f"--world: {text!r}: allowed: airsim://127.0.0.1:PORT, on this machine")
 
 
-def shown(ended: Ended) -> dict[str, Any]:
+def shown(result: ProgramResult) -> dict[str, Any]:
     """A run as plain data."""
-    injection = ended.boundary.injected
-    watch = ended.boundary.watch
+    injection = result.boundary.injected
+    watch = result.boundary.watch
     return {
-        "how": ended.how,
-        "reason": ended.reason,
-        "collision": ended.collided,
-        "digest": ended.digest,
-        "seconds": round(ended.seconds, 6),
-        "calls": ended.calls,
-        "errors": ended.errors,
+        "how": result.how,
+        "reason": result.reason,
+        "collision": result.collided,
+        "digest": result.digest,
+        "seconds": round(result.seconds, 6),
+        "calls": result.calls,
+        "errors": result.errors,
         "injection": None if injection is None else injection.to_json(),
         "alarms": [] if watch is None else [alarm.to_json() for alarm in watch.alarms],
     }
@@ -376,7 +385,7 @@ class ProgramRuns:
 
     def __init__(self, missions: Mapping[str, ProgramMission]) -> None:
         self._missions = missions
-        self._golden: dict[str, Ended] = {}
+        self._golden: dict[str, ProgramResult] = {}
 
     def golden(self, arm: str, *, profile: bool = False) -> RunResult:
         """The error-free runs.
@@ -408,34 +417,38 @@ class ProgramRuns:
         def run(arm: str, fault: Fault) -> RunResult:
             mission = self._missions[arm]
             boundary = Boundary.of(cast(MessageFault | SensorFault, fault))
-            ended = run_program(mission.program, mission.spec, boundary)
-            return RunResult(record_of_program(ended, ended if ended.how == "ended" else self._golden_run(arm)))
+            result = run_program(mission.program, mission.spec, boundary)
+            # that of a program that ended by itself does not depend on the error-free run, which need not be flown
+            golden = result if result.how == "ended" else self._golden_run(arm)
+            return RunResult(record_of_program(result, golden))
 
         return one_by_one(runs, run)
 
-    def _golden_run(self, arm: str) -> Ended:
+    def _golden_run(self, arm: str) -> ProgramResult:
         """The error-free run, which is run now if it was not before: a replay begins with a fault."""
         if arm not in self._golden:
             self.golden(arm)
         return self._golden[arm]
 
 
-def record_of_program(ended: Ended, golden: Ended) -> FlightRecord:
+def record_of_program(result: ProgramResult, golden: ProgramResult) -> FlightRecord:
     """The record of a run.
 
     A program that still runs when its time is up hangs, if the error-free one (`golden`) ended.  An exit code other
     than 0 is a crash, if it is not that of the error-free one.
     """
-    injection = ended.boundary.injected
+    injection = result.boundary.injected
     injections = () if injection is None else (injection,)
-    extra = {"how": ended.how, "calls": sum(ended.calls.values()), "refused": sum(ended.errors.values())}
+    extra = {"how": result.how, "calls": sum(result.calls.values()), "refused": sum(result.errors.values())}
     effects = {"program crash": Effect.EXCEPTION, "hang": Effect.HANG}
     if golden.how == "ended":
         effects["time is up"] = Effect.HANG
-    effect = None if ended.ends_like(golden) else effects.get(ended.how)
-    if effect is not None:
-        reason = ended.reason or "its time is up"
+    effect = effects.get(result.how)
+    if effect is not None and not result.ends_like(golden):
+        reason = result.reason or "its time is up"
         return FlightRecord(
             End.DUE, injections=injections, kernel=KernelEffect(effect.label, reason), extra=extra, error=reason
         )
-    return FlightRecord(End.FLOWN, ended.status.label, ended.digest, ended.seconds, injections=injections, extra=extra)
+    return FlightRecord(
+        End.FLOWN, result.status.label, result.digest, result.seconds, injections=injections, extra=extra
+    )

@@ -56,19 +56,20 @@ class MessageSampler(Sampler):
         return fault or MessageFault(NO_CALL, f"{sides[0]}#0")
 
     def _fault(self, side: str, index: int, seed: int, golden: Golden, *, null: bool = False) -> MessageFault | None:
+        """Draw a fault on one side of the calls; None if the golden run has no number there."""
+        # all calls of the golden run with a number on this side
         passed: Sequence[Any] = getattr(golden[""].flight, "passed", ()) if "" in golden else ()
         seen: Counter[str] = Counter()
         calls: list[tuple[str, int, int]] = []  # name, number among those of this name, numbers on this side
         for call in passed:
             seen[call.name] += 1
-            if side == "arguments":
-                numbers = call.arguments
-            else:
-                numbers = call.returned
+            numbers = call.arguments if side == "arguments" else call.returned
             if numbers and (not self.sampling.calls or call.name in self.sampling.calls):
                 calls.append((call.name, seen[call.name], numbers))
         if not calls:
             return None
+
+        # one of them, one of its numbers, one of 64 bits
         key = (_PURPOSE, index, ("arguments", "return").index(side), int(null))
         random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
         name, at, numbers = calls[int(random.integers(len(calls)))]
@@ -91,9 +92,8 @@ class MessageLevel(Level):
     def about(self, campaign: Any) -> dict[str, Any]:
         """See `Level.about`: the program under test."""
         calls = campaign.sampling.calls
-        if campaign.under_test is None:
-            what = ""
-        else:
+        what = ""
+        if campaign.under_test is not None:
             what = campaign.under_test.script
         named = f" of {', '.join(calls)}" if calls else ""
         line = f"{what} · one bit per run, in a number of a call{named}, uniform over calls"

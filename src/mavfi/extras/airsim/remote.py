@@ -33,7 +33,7 @@ _TOLERANCE_US = 2_000
 """Largest delay of a server that advances in its own period (us)."""
 
 
-class RefusedError(MavfiError):
+class CallRefusedError(MavfiError):
     """A call that the server answers with an error."""
 
 
@@ -43,7 +43,8 @@ class Rpc:
     def __init__(self, host: str, port: int) -> None:
         self._where = f"airsim://{host}:{port}"
         package = msgpack()
-        self._pack, self._unpacker = package.Packer(use_bin_type=True).pack, package.Unpacker(raw=False)
+        self._pack = package.Packer(use_bin_type=True).pack
+        self._unpacker = package.Unpacker(raw=False)
         self._malformed = package.exceptions.UnpackException
         self._number = 0
         try:
@@ -67,14 +68,15 @@ class Rpc:
         """The result of a call.
 
         Raises:
-            RefusedError: The server refuses it, or a call that was posted.
+            CallRefusedError: The server refuses it, or a call that was posted.
             MavfiError: The server is gone, or does not answer.
         """
         number = self.post(method, *arguments)
         while True:
             for answered, error, result in self._answers():
                 if error is not None:  # also of a call that was posted
-                    raise RefusedError(f"{self._where}: {method if answered == number else 'refused'}: {error}")
+                    refused_call = method if answered == number else "refused"
+                    raise CallRefusedError(f"{self._where}: {refused_call}: {error}")
                 if answered == number:
                     return result
             try:
@@ -130,7 +132,7 @@ class Remote:
         self._directions = pixel_directions(scenario.camera)
         self._directions.flags.writeable = False
         self._origin = np.zeros(3)
-        self._found: tuple[bool, bool] | None = None
+        self._initial_state: tuple[bool, bool] | None = None  # paused, under control of a program
         try:
             self._check(world)
             self._begin_at(world)
@@ -149,7 +151,7 @@ class Remote:
         self.depth()
         try:
             there = reported(self.rpc.call("getSettingsString"))
-        except RefusedError:
+        except CallRefusedError:
             there = {}
         different = difference(there, identity(self._scenario, world))
         if different:
@@ -160,7 +162,9 @@ class Remote:
 
     def _begin_at(self, world: World) -> None:
         """Take over the vehicle, at the mission's start."""
-        self._found = bool(self.rpc.call("simIsPaused")), bool(self.rpc.call("isApiControlEnabled", ""))
+        paused = bool(self.rpc.call("simIsPaused"))
+        controlled = bool(self.rpc.call("isApiControlEnabled", ""))
+        self._initial_state = (paused, controlled)
         self.rpc.call("reset")
         self.rpc.call("enableApiControl", True, "")
         self.rpc.call("simPause", True)
@@ -173,26 +177,29 @@ class Remote:
     def _go_to_start(self, world: World) -> None:
         """Put a vehicle that stands elsewhere to the start; its own origin is the ground below that."""
         self._origin = world.start - np.array([0.0, 0.0, world.start[2]])
-        way = world.goal - world.start
-        yaw = atan2(way[1], way[0])
+        course = world.goal - world.start
+        yaw = atan2(course[1], course[0])
         facing = turned((cos(0.5 * yaw), 0.0, 0.0, sin(0.5 * yaw)))
         self.rpc.call("simSetVehiclePose", pose(flipped(world.start - self._origin), facing), True, "")
         self._observe()
         self.collided = False
 
     def _observe(self) -> None:
+        """Read the state of the vehicle, and the time of the server."""
         state = self.rpc.call("getMultirotorState", "")
         try:
             kinematics = state["kinematics_estimated"]
             self._stamp = int(state["timestamp"])
-            moving = triple(kinematics["linear_velocity"]), triple(kinematics["angular_velocity"])
+            velocity = triple(kinematics["linear_velocity"])
+            rates = triple(kinematics["angular_velocity"])
             self.collided = self.collided or bool(state["collision"]["has_collided"])
         except (KeyError, TypeError, ValueError) as error:
             raise MavfiError(f"server of --world: getMultirotorState: not a MultirotorState ({error!r})") from None
         position, orientation = pose_numbers(kinematics)
         self.odometry[:3] = np.array(flipped(position)) + self._origin
-        self.odometry[3:6], self.odometry[10:] = flipped(moving[0]), flipped(moving[1])
+        self.odometry[3:6] = flipped(velocity)
         self.odometry[6:10] = turned(orientation)
+        self.odometry[10:] = flipped(rates)
 
     @property
     def ray_directions(self) -> np.ndarray:
@@ -277,9 +284,9 @@ class Remote:
 
     def close(self) -> None:
         """See `Plant.close`; the server is paused or not, and under control of a program or not, as it was found."""
-        if self._found is not None:
-            (paused, controlled) = self._found
-            self._found = None
+        if self._initial_state is not None:
+            paused, controlled = self._initial_state
+            self._initial_state = None
             self.rpc.hurry()
             with suppress(MavfiError):
                 self.rpc.call("enableApiControl", controlled, "")

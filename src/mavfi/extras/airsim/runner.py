@@ -38,6 +38,7 @@ def _patch(port):
     from msgpackrpc.future import Future
     from msgpackrpc.session import Session
 
+    # the originals, which the replacements below call
     make = airsim.VehicleClient.__init__
     join = Future.join
     get = Future.get
@@ -47,6 +48,7 @@ def _patch(port):
         make(self, "127.0.0.1", port, timeout_value)
         _FIRST.append(self.client)
 
+    # answers: the end of the time limit ends the program
     def result(future):
         join(future)
         try:
@@ -61,6 +63,7 @@ def _patch(port):
             return result(Session.send_request(_FIRST[0], method, arguments))
         return None
 
+    # the program waits for a task: time must pass in the server, which advances it in calls only
     def wait(future):
         """Let the server finish the task first."""
         while not future._set_flag:
@@ -72,6 +75,7 @@ def _patch(port):
         wait(future)
         return result(future)
 
+    # patch; a key is not awaited, its message is printed
     airsim.VehicleClient.__init__ = made
     Session.call = lambda self, method, *arguments: result(self.send_request(method, arguments))
     Future.join = wait
@@ -115,12 +119,15 @@ def _without_windows():
 
 def main():
     """Run the program; its exit code, or `EXIT_TIME_IS_UP` or `EXIT_CRASH`."""
+    # as Python would start the script: its arguments, and its folder first on the path
     port = int(sys.argv[1])
     script = sys.argv[2]
     folder = os.path.dirname(os.path.abspath(script))
     sys.argv = sys.argv[2:]
     sys.path[0] = folder
     os.environ.setdefault("MPLBACKEND", "Agg")
+
+    # repeatable: seeds, clocks, no windows
     import random
 
     random.seed(0)
@@ -132,6 +139,8 @@ def main():
         pass
     _clocks(_patch(port))
     _without_windows()
+
+    # run it; a crash has an exit code of its own
     with io.open_code(os.path.abspath(script)) as source:
         code = compile(source.read(), script, "exec")
     module = types.ModuleType("__main__")

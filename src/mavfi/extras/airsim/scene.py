@@ -96,7 +96,7 @@ def simContinueForFrames(api: Api, frames: int) -> None:
 
 
 # ---- objects ---------------------------------------------------------------------------------------------------------
-def _place(api: Api, name: str) -> int:
+def _index_of(api: Api, name: str) -> int:
     if name not in api.objects:
         raise BadInputError(f"object {name!r}: not known; allowed: names of simListSceneObjects")
     return api.objects.index(name)
@@ -105,11 +105,11 @@ def _place(api: Api, name: str) -> int:
 def _box(api: Api, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Centre and size of an object (m), in the world. Shapes (3,)."""
     world = api.vehicle.sim.world
-    index = _place(api, name)
+    index = _index_of(api, name)
     return 0.5 * (world.lower[index] + world.upper[index]), world.upper[index] - world.lower[index]
 
 
-def _put(api: Api, index: int | None, centre: np.ndarray, size: np.ndarray) -> None:
+def _set_box(api: Api, index: int | None, centre: np.ndarray, size: np.ndarray) -> None:
     """Set one box; None = add it."""
     world = api.vehicle.sim.world
     if world.is_voxels:
@@ -160,7 +160,7 @@ def simGetObjectPose(api: Api, object_name: str, ned: bool = True) -> Data:
 @call
 def simSetObjectPose(api: Api, object_name: str, pose: Any, teleport: bool = True) -> bool:
     centre = api.vehicle.to_world(_box_position(pose))
-    _put(api, _place(api, object_name), centre, _box(api, object_name)[1])
+    _set_box(api, _index_of(api, object_name), centre, _box(api, object_name)[1])
     return True
 
 
@@ -172,7 +172,7 @@ def simGetObjectScale(api: Api, object_name: str) -> dict[str, float]:
 @call
 def simSetObjectScale(api: Api, object_name: str, scale_vector: Any) -> bool:
     centre, _ = _box(api, object_name)
-    _put(api, _place(api, object_name), centre, np.array(triple(scale_vector)))
+    _set_box(api, _index_of(api, object_name), centre, np.array(triple(scale_vector)))
     return True
 
 
@@ -194,7 +194,7 @@ def simSpawnObject(
     while name in api.objects:
         tries += 1
         name = f"{object_name}_{tries}"
-    _put(api, None, api.vehicle.to_world(_box_position(pose)), np.array(triple(scale)))
+    _set_box(api, None, api.vehicle.to_world(_box_position(pose)), np.array(triple(scale)))
     api.objects.append(name)
     return name
 
@@ -203,23 +203,24 @@ def simSpawnObject(
 def simDestroyObject(api: Api, object_name: str) -> bool:
     if object_name not in api.objects:
         return False
-    index = _place(api, object_name)
+    index = _index_of(api, object_name)
     world = api.vehicle.sim.world
     api.vehicle.sim.set_boxes(np.delete(world.lower, index, axis=0), np.delete(world.upper, index, axis=0))
     del api.objects[index]
+
+    # the last contact names its obstacle by number: the later ones have moved up
     contact = api.vehicle.sim.touched
-    if contact is not None and contact.obstacle >= index:  # obstacles are counted
-        if contact.obstacle == index:
-            number = DESTROYED
-        else:
-            number = contact.obstacle - 1
-        api.vehicle.sim.touched = replace(contact, obstacle=number)
+    if contact is not None and contact.obstacle == index:
+        api.vehicle.sim.touched = replace(contact, obstacle=DESTROYED)
+    elif contact is not None and contact.obstacle > index:
+        api.vehicle.sim.touched = replace(contact, obstacle=contact.obstacle - 1)
     return True
 
 
 @call
 def simSetSegmentationObjectID(api: Api, mesh_name: str, object_id: int, is_name_regex: bool = False) -> bool:
-    matching = _matching((*api.objects, GROUND), mesh_name if is_name_regex else re.escape(mesh_name))
+    pattern = mesh_name if is_name_regex else re.escape(mesh_name)
+    matching = _matching((*api.objects, GROUND), pattern)
     api.segments.update(dict.fromkeys(matching, int(object_id)))
     return bool(matching)
 
@@ -249,15 +250,15 @@ def simGetWorldExtents(api: Api) -> list[dict[str, float]]:
 
 @vehicle_call
 def simTestLineOfSightToPoint(api: Api, point: Any) -> bool:
-    return api.vehicle.sim.is_free(api.vehicle.sim.odometry[:3].copy(), _geo(api, point))
+    return api.vehicle.sim.is_free(api.vehicle.sim.odometry[:3].copy(), _in_world(api, point))
 
 
 @call
 def simTestLineOfSightBetweenPoints(api: Api, point1: Any, point2: Any) -> bool:
-    return api.vehicle.sim.is_free(_geo(api, point1), _geo(api, point2))
+    return api.vehicle.sim.is_free(_in_world(api, point1), _in_world(api, point2))
 
 
-def _geo(api: Api, point: Any) -> np.ndarray:
+def _in_world(api: Api, point: Any) -> np.ndarray:
     return api.vehicle.to_world(from_geo_point(point))
 
 
@@ -433,7 +434,8 @@ def difference(there: dict[str, Any], here: dict[str, Any]) -> str:
     keys = [key for key in here if key in there and there[key] != here[key]]
     if not keys:
         return ""
-    theirs, ours = (", ".join(f"{key} {_text(report[key])}" for key in keys) for report in (there, here))
+    theirs = ", ".join(f"{key} {_text(there[key])}" for key in keys)
+    ours = ", ".join(f"{key} {_text(here[key])}" for key in keys)
     return f"it has {theirs}; this flight has {ours}"
 
 

@@ -52,12 +52,12 @@ def kinematics(api: Api, odometry: np.ndarray) -> Data:
 
 def collision(api: Api) -> Data:
     """CollisionInfo."""
-    v = api.vehicle
-    contact = api.vehicle.collision
+    vehicle = api.vehicle
+    contact = vehicle.collision
     if contact is None:
         zero = vector((0, 0, 0))
         return {
-            "has_collided": v.has_collided,
+            "has_collided": vehicle.has_collided,
             "normal": zero,
             "impact_point": zero,
             "position": zero,
@@ -67,17 +67,17 @@ def collision(api: Api) -> Data:
             "object_id": -1,
         }
     others = {grounded.GROUND: GROUND, grounded.SCAN: "scan", DESTROYED: ""}
-    if contact.obstacle < 0:
+    if contact.obstacle < 0:  # not one of the world's boxes
         name = others[contact.obstacle]
     else:
         name = api.objects[contact.obstacle]
     return {
-        "has_collided": v.has_collided,
+        "has_collided": vehicle.has_collided,
         "normal": vector(flipped(contact.normal)),
-        "impact_point": vector(v.to_ned(contact.point)),
-        "position": vector(v.to_ned(contact.vehicle)),
+        "impact_point": vector(vehicle.to_ned(contact.point)),
+        "position": vector(vehicle.to_ned(contact.vehicle)),
         "penetration_depth": contact.depth,
-        "time_stamp": v.stamp - 1000 * (v.sim.time_us - contact.time_us),
+        "time_stamp": vehicle.stamp - 1000 * (vehicle.sim.time_us - contact.time_us),
         "object_name": name,
         "object_id": contact.obstacle,
     }
@@ -174,16 +174,16 @@ def getMagnetometerData(api: Api, magnetometer_name: str = "") -> Data:
 
 @vehicle_call
 def getGpsData(api: Api, gps_name: str = "") -> Data:
-    v = api.vehicle
+    vehicle = api.vehicle
     gnss = {
-        "geo_point": geo_point(v.position),
+        "geo_point": geo_point(vehicle.position),
         "eph": 0.1,
         "epv": 0.1,
-        "velocity": vector(v.velocity),
+        "velocity": vector(vehicle.velocity),
         "fix_type": 3,
-        "time_utc": v.stamp // 1000,
+        "time_utc": vehicle.stamp // 1000,
     }
-    return {"time_stamp": v.stamp, "gnss": gnss, "is_valid": True}
+    return {"time_stamp": vehicle.stamp, "gnss": gnss, "is_valid": True}
 
 
 @vehicle_call
@@ -211,16 +211,16 @@ def lidar_rays() -> np.ndarray:
 @vehicle_call
 def getLidarData(api: Api, lidar_name: str = "") -> Data:
     """Points in NED (AirSim's frame VehicleInertialFrame)."""
-    v = api.vehicle
+    vehicle = api.vehicle
     rays = lidar_rays()
-    ranges = v.sim.cast(rays, _LIDAR_RANGE)
+    ranges = vehicle.sim.cast(rays, _LIDAR_RANGE)
     seen = np.isfinite(ranges)
-    points = v.sim.points(rays[seen], ranges[seen]) - v.origin
+    points = vehicle.sim.points(rays[seen], ranges[seen]) - vehicle.origin
     points[:, 1:] *= -1.0
     return {
         "point_cloud": points.astype(np.float32).ravel().tolist(),
-        "time_stamp": v.stamp,
-        "pose": pose(v.position, v.orientation),
+        "time_stamp": vehicle.stamp,
+        "pose": pose(vehicle.position, vehicle.orientation),
         "segmentation": [],
     }
 

@@ -22,7 +22,7 @@ from mavfi.sim.scene import STEP_US
 
 
 # ---- how simulated time passes ---------------------------------------------------------------------------------------
-class Steps:
+class StepClock:
     """Time passes in calls.
 
     Attributes:
@@ -69,7 +69,7 @@ class Steps:
         api.vehicle.step(min(self.limit_us, api.vehicle.now_us + duration_us))
 
 
-class Real:
+class RealClock:
     """Time passes with wall-clock time, times `speed`."""
 
     def __init__(self, speed: float = 1.0) -> None:
@@ -78,10 +78,10 @@ class Real:
         self._left_us = 0.0
 
     def before_call(self, api: Api) -> None:
-        """See `Steps.before_call`; a call takes no simulated time."""
+        """See `StepClock.before_call`; a call takes no simulated time."""
 
     def after_call(self, api: Api) -> None:
-        """See `Steps.after_call`; `tick` lets time pass."""
+        """See `StepClock.after_call`; `tick` lets time pass."""
 
     def tick(self, api: Api) -> None:
         """Let the time since the last tick pass."""
@@ -126,7 +126,7 @@ def msgpack() -> Any:
     return found
 
 
-class Server:
+class AirsimServer:
     """Serves one vehicle.
 
     Args:
@@ -142,9 +142,11 @@ class Server:
     """
 
     def __init__(
-        self, api: Api, clock: Real | Steps, boundary: Boundary | None = None, *, single: bool = False
+        self, api: Api, clock: RealClock | StepClock, boundary: Boundary | None = None, *, single: bool = False
     ) -> None:
-        self.api, self.clock, self.boundary = api, clock, boundary or Boundary()
+        self.api = api
+        self.clock = clock
+        self.boundary = boundary or Boundary()
         if self.boundary.failure is not None:
             api.vehicle.failures.active.append(self.boundary.failure)
         self._msgpack = msgpack()
@@ -160,7 +162,7 @@ class Server:
     def serve_call(self, name: Any, arguments: list[Any], reply: Reply) -> None:
         """Serve one call; `reply` is called with error and result, now or when its task ends."""
         try:
-            if isinstance(self.clock, Steps) and isinstance(name, str) and name.startswith("mavfi"):
+            if isinstance(self.clock, StepClock) and isinstance(name, str) and name.startswith("mavfi"):
                 result = self._of_runner(self.clock, name, arguments)
                 self.flush()  # a task's answer comes before that of the call that waited for it
                 reply(None, result)
@@ -178,6 +180,7 @@ class Server:
         reply(text, None)
 
     def _serve(self, name: Any, arguments: list[Any], reply: Reply) -> None:
+        """Serve a call of the API: check it, pass it through the boundary, and answer now or when its task ends."""
         api = self.api
         call = find_call(name)
         self.calls[name] += 1
@@ -194,7 +197,7 @@ class Server:
         self.clock.after_call(api)
         reply(None, self.boundary.returned(name, arguments, result, api.vehicle.now_us))
 
-    def _of_runner(self, clock: Steps, name: str, arguments: list[Any]) -> Any:
+    def _of_runner(self, clock: StepClock, name: str, arguments: list[Any]) -> Any:
         """Calls of the runner in the client's process."""
         api = self.api
         if name == "mavfiSleep":
@@ -209,7 +212,7 @@ class Server:
         return None
 
     def _check_time(self) -> None:
-        if isinstance(self.clock, Steps) and self.api.vehicle.now_us >= self.clock.limit_us:
+        if isinstance(self.clock, StepClock) and self.api.vehicle.now_us >= self.clock.limit_us:
             raise BadInputError(f"{TIME_IS_UP} ({1e-6 * self.clock.limit_us:g} s)")
 
     def flush(self) -> None:
@@ -264,7 +267,9 @@ class Server:
             with contextlib.suppress(ConnectionError):
                 writer.write(self._pack([_RESPONSE, number, error, result]))
 
-        self.serve_call(name, list(arguments) if isinstance(arguments, (list, tuple)) else [arguments], reply)
+        if not isinstance(arguments, (list, tuple)):
+            arguments = [arguments]
+        self.serve_call(name, list(arguments), reply)
 
     async def run(self, port: int, ready: Callable[[int], None], *, once: bool = False) -> None:
         """Serve on loopback until cancelled, or (`once`) until the last client has left.
@@ -282,13 +287,16 @@ class Server:
         except OSError as error:
             raise BadInputError(f"--port: {port}: {error.strerror or error}; allowed: a free port") from None
         ready(server.sockets[0].getsockname()[1])
-        if isinstance(self.clock, Real):
+        ticking = None
+        if isinstance(self.clock, RealClock):
             ticking = asyncio.create_task(self._tick())
-        else:
-            ticking = None
         try:
-            await (self.finished.wait() if once else asyncio.Event().wait())
+            if once:
+                await self.finished.wait()
+            else:
+                await asyncio.Event().wait()  # until cancelled
         finally:
+            # no further calls, then no further clients, then the ones that are connected
             if ticking is not None:
                 ticking.cancel()
             self._ending = True
@@ -302,7 +310,7 @@ class Server:
                     writer.transport.abort()
 
     async def _tick(self) -> None:
-        assert isinstance(self.clock, Real)  # precondition
+        assert isinstance(self.clock, RealClock)  # precondition
         while True:
             await asyncio.sleep(0.004)
             self.clock.tick(self.api)

@@ -14,8 +14,8 @@ GROUND = "Ground"
 """Name of the ground plane."""
 FILM_MM = (23.76, 13.365)
 """Width and height of Unreal's default film (mm)."""
-NARROWEST = 1.0
-WIDEST = 170.0
+MIN_FIELD_OF_VIEW = 1.0
+MAX_FIELD_OF_VIEW = 170.0
 """Fields of view of cameras (deg)."""
 DESTROYED = -3
 """`Contact.obstacle` of an obstacle that was destroyed after the contact."""
@@ -27,7 +27,7 @@ _DOUBLES = frozenset(
 
 
 @dataclass(slots=True)
-class Camera:
+class ApiCamera:
     """A camera.
 
     Attributes:
@@ -48,7 +48,7 @@ class Camera:
 
 
 @dataclass(slots=True)
-class Wanted:
+class DetectionFilter:
     """What is detected in a camera's pictures: patterns of names, largest distance (m) of an object's centre."""
 
     names: list[str] = field(default_factory=list)
@@ -80,12 +80,12 @@ class Api:
     name: str
     pixels: tuple[int, int]
     version: int
-    cameras: dict[str, Camera] = field(default_factory=dict)
+    cameras: dict[str, ApiCamera] = field(default_factory=dict)
     paused: bool = False
     resume_until_us: int | None = None
     objects: list[str] = field(default_factory=list)
     segments: dict[str, int] = field(default_factory=dict)
-    detected: dict[tuple[str, int], Wanted] = field(default_factory=dict)
+    detected: dict[tuple[str, int], DetectionFilter] = field(default_factory=dict)
     weather: dict[int, float] = field(default_factory=dict)
     weather_on: bool = False
     sticks: dict[str, float] = field(default_factory=dict)
@@ -104,11 +104,15 @@ class Api:
         Raises:
             ValueError: There is no such object.
         """
-        return self.segments.get(name, 1 if name == GROUND else 2 + self.objects.index(name) % 253)
+        if name in self.segments:
+            return self.segments[name]
+        if name == GROUND:
+            return 1
+        return 2 + self.objects.index(name) % 253
 
 
 @dataclass(frozen=True)
-class Call:
+class ApiCall:
     """A call of the API.
 
     Attributes:
@@ -166,7 +170,7 @@ class Call:
                 raise BadInputError(f"{self.name}: vehicle {value!r}: not known; allowed: {api.name}, or none")
 
 
-CALLS: dict[str, Call] = {}
+CALLS: dict[str, ApiCall] = {}
 
 
 _KIND = Parameter.POSITIONAL_OR_KEYWORD
@@ -180,7 +184,7 @@ def call(
 ) -> Callable[..., Any]:
     """Register a function as the call of its own or another name."""
     name = name or function.__name__
-    CALLS[name] = Call(name, function, is_task, ending)
+    CALLS[name] = ApiCall(name, function, is_task, ending)
     return function
 
 
@@ -198,7 +202,7 @@ def add_readings(register: Callable[..., Any], readings: Mapping[str, Callable[[
         register(read, name)
 
 
-def find_call(name: Any) -> Call:
+def find_call(name: Any) -> ApiCall:
     """The call of a name.
 
     Raises:

@@ -4,7 +4,7 @@ import math
 import struct
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from enum import Enum
+from enum import Enum, IntEnum
 from typing import Any
 
 from mavfi.errors import BadInputError
@@ -25,8 +25,38 @@ from mavfi.faults.levels.sensor.fault import NULL, SensorFault
 from mavfi.flight.piloted import TICK_US, Task, Vertical, at_attitude, at_rates, land
 from mavfi.numerics.frames import HOME, Triple, euler, geodetic, local
 
-ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
-"""MAV_RESULT; 1 = temporarily rejected."""
+
+class MavResult(IntEnum):
+    """MAV_RESULT, also MAV_MISSION_RESULT of the first member: answers to a command."""
+
+    ACCEPTED = 0
+    REJECTED = 1  # temporarily, e.g. while the motors are off
+    DENIED = 2
+    UNSUPPORTED = 3
+    FAILED = 4
+
+
+class MavCommand(IntEnum):
+    """MAV_CMD: commands, and items of a mission."""
+
+    WAYPOINT = 16
+    RETURN_TO_LAUNCH = 20
+    LAND = 21
+    TAKEOFF = 22
+    DO_ORBIT = 34
+    DO_SET_MODE = 176
+    CHANGE_SPEED = 178
+    REPOSITION = 192
+    MISSION_START = 300
+    ARM_DISARM = 400
+    INJECT_FAILURE = 420
+    SET_MESSAGE_INTERVAL = 511
+    REQUEST_MESSAGE = 512
+    REQUEST_PROTOCOL_VERSION = 519
+    REQUEST_CAPABILITIES = 520
+
+
+# MAV_SEVERITY
 INFO = 6
 ERROR = 3
 UNITS = {0: "gyro", 1: "accelerometer", 2: "compass", 4: "position", 101: "motor"}
@@ -35,11 +65,15 @@ TYPES = dict(enumerate(("ok", "off", "stuck", "garbage", "wrong", "slow", "delay
 """Its types by FAILURE_TYPE, which has no drift."""
 PROOF_US = 1_000_000
 """Time within which a failure must change a value (us)."""
+_AUTOPILOT_VERSION = 148
+"""Id of the message AUTOPILOT_VERSION."""
 _FORCE = 21_196
+"""Second parameter of a command that disarms in flight."""
 _BODY_FRAMES = (8, 9, 12)
+"""MAV_FRAME: velocities along the heading."""
 
 
-class Mode(Enum):
+class FlightMode(Enum):
     """PX4's custom modes: main mode and sub-mode."""
 
     MANUAL = (1, 0)
@@ -80,49 +114,54 @@ class Parameters:
 
     def answer(self, message: Any, send: Callable[..., None]) -> None:
         """Answer PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET; unknown names are ignored."""
+        kind = message.get_type()
+        if kind == "PARAM_SET" and message.param_id in self._values:
+            self._set(message.param_id, message.param_value)
+        for name in self._requested(message):
+            self._send(name, send)
+
+    def _requested(self, message: Any) -> list[str]:
+        """Names of the parameters whose values answer a message."""
         names = list(self._values)
         kind = message.get_type()
         if kind == "PARAM_REQUEST_LIST":
-            wanted = names
-        elif kind == "PARAM_REQUEST_READ" and message.param_index >= 0:
-            wanted = names[message.param_index : message.param_index + 1]
-        elif kind in ("PARAM_REQUEST_READ", "PARAM_SET"):
-            if message.param_id in self._values:
-                wanted = [message.param_id]
-            else:
-                wanted = []
+            return names
+        if kind == "PARAM_REQUEST_READ" and message.param_index >= 0:
+            return names[message.param_index : message.param_index + 1]
+        if kind in ("PARAM_REQUEST_READ", "PARAM_SET") and message.param_id in self._values:
+            return [message.param_id]
+        return []
+
+    def _set(self, name: str, value: float) -> None:
+        if isinstance(self._values[name], int):
+            self._values[name] = _integer_bits(value)
         else:
-            return
-        for name in wanted:
-            if kind == "PARAM_SET":
-                whole = isinstance(self._values[name], int)
-                if whole:
-                    self._values[name] = _from_wire(message.param_value)
-                else:
-                    self._values[name] = float(message.param_value)
-            value = self._values[name]
-            whole = isinstance(value, int)
-            if whole:
-                encoded = struct.unpack("<f", struct.pack("<i", value))[0]
-            else:
-                encoded = value
-            send("param_value", name.encode(), encoded, _INT32 if whole else _REAL32, len(names), names.index(name))
+            self._values[name] = float(value)
+
+    def _send(self, name: str, send: Callable[..., None]) -> None:
+        names = list(self._values)
+        value = self._values[name]
+        if isinstance(value, int):
+            send("param_value", name.encode(), _float_bits(value), _INT32, len(names), names.index(name))
+        else:
+            send("param_value", name.encode(), value, _REAL32, len(names), names.index(name))
 
 
-def _from_wire(value: float) -> int:
+def _integer_bits(value: float) -> int:
+    """The integer that PARAM_VALUE and PARAM_SET carry in the bits of a float."""
     return int(struct.unpack("<i", struct.pack("<f", value))[0])
 
 
+def _float_bits(value: int) -> float:
+    """Inverse of `_integer_bits`."""
+    return float(struct.unpack("<f", struct.pack("<i", value))[0])
+
+
 # ---- missions --------------------------------------------------------------------------------------------------------
-_WAYPOINT = 16
-_TAKEOFF = 22
-_LAND = 21
-_RETURN = 20
-_SPEED = 178
 _RELATIVE_FRAMES = (3, 6)
 """MAV_FRAME: global, relative to home."""
-_SCALE = 1e-7
-_MISSING = 2**31 - 1
+_SCALE = 1e-7  # degrees
+_MISSING = 2**31 - 1  # a coordinate that is left out
 _MISSION = 0
 _ALL_TYPES = 255
 """MAV_MISSION_TYPE."""
@@ -130,8 +169,15 @@ _ALL_TYPES = 255
 
 def place_of(item: Any) -> Triple:
     """Place (NED, m) of a MISSION_ITEM_INT or COMMAND_INT; NaN where a coordinate is left out."""
-    latitude, longitude = (math.nan if value == _MISSING else value * _SCALE for value in (item.x, item.y))
-    return local(latitude, longitude, item.z + (HOME[2] if item.frame in _RELATIVE_FRAMES else 0.0))
+    origin = HOME[2] if item.frame in _RELATIVE_FRAMES else 0.0
+    return local(_degrees(item.x), _degrees(item.y), item.z + origin)
+
+
+def _degrees(coordinate: int) -> float:
+    """Latitude or longitude of an item (1e-7 deg) in degrees; NaN if it is left out."""
+    if coordinate == _MISSING:
+        return math.nan
+    return coordinate * _SCALE
 
 
 class Mission:
@@ -150,14 +196,18 @@ class Mission:
         kind = message.get_type()
         which = getattr(message, "mission_type", _MISSION)
         items = self._items[which]
+
+        # upload: the number of items, then each item, which is asked for
         if kind == "MISSION_COUNT":
             items.clear()
             self._expected = message.count
             self._next(which, sender)
         elif kind == "MISSION_ITEM_INT":
-            if message.seq == len(items):
+            if message.seq == len(items):  # not one that was sent twice
                 items.append(message)
             self._next(which, sender)
+
+        # download
         elif kind == "MISSION_REQUEST_LIST":
             send("mission_count", *sender, len(items), which)
         elif kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and message.seq < len(items):
@@ -174,13 +224,19 @@ class Mission:
                 *parameters,
                 which,
             )
+
+        # where to begin, and deletion
         elif kind == "MISSION_SET_CURRENT":
             self._current = message.seq
             send("mission_current", message.seq)
         elif kind == "MISSION_CLEAR_ALL":
-            for cleared in self._items.values() if which == _ALL_TYPES else (items,):
-                cleared.clear()
-            send("mission_ack", *sender, ACCEPTED, which)
+            # in place: a mission that is being flown ends
+            stored_lists = [items]
+            if which == _ALL_TYPES:
+                stored_lists = list(self._items.values())
+            for stored in stored_lists:
+                stored.clear()
+            send("mission_ack", *sender, MavResult.ACCEPTED, which)
 
     def _next(self, which: int, sender: tuple[int, int]) -> None:
         """Ask for the next item, or acknowledge the last one."""
@@ -190,7 +246,7 @@ class Mission:
             return
         if which == _MISSION:
             self._current = 0
-        self._autopilot.send("mission_ack", *sender, ACCEPTED, which)
+        self._autopilot.send("mission_ack", *sender, MavResult.ACCEPTED, which)
 
     def fly(self) -> Task:
         """Fly the items from the current one on, once the motors run."""
@@ -207,24 +263,22 @@ class Mission:
         return True
 
     def _item(self, item: Any) -> Task:
+        """Fly one item."""
         autopilot = self._autopilot
         vehicle = self._autopilot.vehicle
         command = item.command
         target = place_of(item)
-        if command == _TAKEOFF or (command == _WAYPOINT and vehicle.landed):
+        if command == MavCommand.TAKEOFF or (command == MavCommand.WAYPOINT and vehicle.landed):
             yield from climb(vehicle, -target[2])
-        if command == _WAYPOINT:
-            if math.isnan(item.param4):
-                yaw = None
-            else:
-                yaw = math.radians(item.param4)
+        if command == MavCommand.WAYPOINT:
+            yaw = None if math.isnan(item.param4) else math.radians(item.param4)
             yield from go_to(vehicle, target, autopilot.speed, yaw)
-        elif command == _SPEED and item.param2 > 0:
+        elif command == MavCommand.CHANGE_SPEED and item.param2 > 0:
             autopilot.speed = float(item.param2)
-        elif command == _RETURN:
+        elif command == MavCommand.RETURN_TO_LAUNCH:
             yield from return_to_launch(vehicle, autopilot.speed)
             vehicle.sim.arm(False)
-        elif command == _LAND:
+        elif command == MavCommand.LAND:
             if item.x or item.y:  # PX4: without coordinates it lands where it is
                 yield from go_to(vehicle, (target[0], target[1], vehicle.position[2]), autopilot.speed)
             yield from land(vehicle, FOREVER_S)
@@ -243,7 +297,7 @@ class Autopilot:
     def __init__(self, vehicle: MavVehicle, link: Any) -> None:
         self.vehicle = vehicle
         self._link = link
-        self.mode = Mode.HOLD
+        self.mode = FlightMode.HOLD
         self.parameters = Parameters()
         self.mission = Mission(self)
         self.speed = 5.0
@@ -285,26 +339,26 @@ class Autopilot:
                 continue
             if isinstance(task.result, Exception):
                 self.text(f"{self.mode.name.lower()} failed: {task.result}", ERROR)
-            if self.mode in (Mode.LAND, Mode.RETURN):
+            if self.mode in (FlightMode.LAND, FlightMode.RETURN):
                 self.vehicle.sim.arm(False)
                 self.text("Disarmed by landing")
-            self.set_mode(Mode.HOLD)
+            self.set_mode(FlightMode.HOLD)
 
     def _start(self, task: Task) -> None:
         self._task = self.vehicle.start(task)
         self.vehicle.ended = [task for task in self.vehicle.ended if task.number == self._task]
 
-    def set_mode(self, mode: Mode) -> None:
+    def set_mode(self, mode: FlightMode) -> None:
         """Change the mode and start its task."""
         self.mode = mode
         self._schedule.request("heartbeat")
         vehicle = self.vehicle
-        tasks: dict[Mode, Callable[[], Task]] = {
-            Mode.TAKEOFF: lambda: climb(vehicle, self.parameters["MIS_TAKEOFF_ALT"]),
-            Mode.LAND: lambda: land(vehicle, FOREVER_S),
-            Mode.RETURN: lambda: return_to_launch(vehicle, self.speed),
-            Mode.MISSION: self.mission.fly,
-            Mode.OFFBOARD: lambda: offboard(vehicle, self._latest),
+        tasks: dict[FlightMode, Callable[[], Task]] = {
+            FlightMode.TAKEOFF: lambda: climb(vehicle, self.parameters["MIS_TAKEOFF_ALT"]),
+            FlightMode.LAND: lambda: land(vehicle, FOREVER_S),
+            FlightMode.RETURN: lambda: return_to_launch(vehicle, self.speed),
+            FlightMode.MISSION: self.mission.fly,
+            FlightMode.OFFBOARD: lambda: offboard(vehicle, self._latest),
         }
         self._start(tasks.get(mode, lambda: hold(vehicle))())
 
@@ -333,9 +387,11 @@ class Autopilot:
         elif kind == "SET_MODE":
             self._set_custom_mode(message.custom_mode >> 16 & 255, message.custom_mode >> 24)
         elif kind == "SET_POSITION_TARGET_LOCAL_NED":
-            self._setpoint, self._setpoint_us = position_target(message), self.vehicle.now_us
+            self._setpoint = position_target(message)
+            self._setpoint_us = self.vehicle.now_us
         elif kind == "SET_ATTITUDE_TARGET":
-            self._setpoint, self._setpoint_us = self._attitude_target(message), self.vehicle.now_us
+            self._setpoint = self._attitude_target(message)
+            self._setpoint_us = self.vehicle.now_us
         elif kind == "TIMESYNC" and message.tc1 == 0:
             self.send("timesync", 1000 * self.vehicle.now_us, message.ts1)
         elif kind.startswith("PARAM_"):
@@ -354,7 +410,10 @@ class Autopilot:
     # ---- commands ---------------------------------------------------------------------------------------------------
     def _command(self, message: Any) -> None:
         handler = _COMMANDS.get(message.command)
-        result = UNSUPPORTED if handler is None else handler(self, message)
+        if handler is None:
+            self._acknowledge(message, MavResult.UNSUPPORTED)
+            return
+        result = handler(self, message)
         if result is not None:
             self._acknowledge(message, result)
 
@@ -366,35 +425,35 @@ class Autopilot:
         """MAV_CMD_COMPONENT_ARM_DISARM; disarming in flight needs the magic number of PX4."""
         on = message.param1 > 0.5
         if not on and not self.vehicle.landed and message.param2 != _FORCE:
-            return DENIED
+            return MavResult.DENIED
         if on != self.vehicle.sim.armed:
             self.vehicle.sim.arm(on)
             self.text("Armed" if on else "Disarmed")
-            if self.mode not in (Mode.OFFBOARD, Mode.MISSION):
-                self.set_mode(Mode.HOLD)
+            if self.mode not in (FlightMode.OFFBOARD, FlightMode.MISSION):
+                self.set_mode(FlightMode.HOLD)
         self._schedule.request("heartbeat")
-        return ACCEPTED
+        return MavResult.ACCEPTED
 
     def take_off(self, message: Any) -> int:
         """MAV_CMD_NAV_TAKEOFF; needs motors."""
         if not self.vehicle.sim.armed:
-            return REJECTED
-        self.set_mode(Mode.TAKEOFF)
+            return MavResult.REJECTED
+        self.set_mode(FlightMode.TAKEOFF)
         self.text("Takeoff detected")
-        return ACCEPTED
+        return MavResult.ACCEPTED
 
-    def change_mode(self, mode: Mode, text: str) -> int:
+    def change_mode(self, mode: FlightMode, text: str) -> int:
         """Change the mode on command."""
         self.set_mode(mode)
         self.text(text)
-        return ACCEPTED
+        return MavResult.ACCEPTED
 
     def _set_custom_mode(self, main: int, sub: int) -> int:
-        found = next((mode for mode in Mode if mode.value == (main, sub)), None)
-        if found is None:
-            return DENIED
-        self.set_mode(found)
-        return ACCEPTED
+        for mode in FlightMode:
+            if mode.value == (main, sub):
+                self.set_mode(mode)
+                return MavResult.ACCEPTED
+        return MavResult.DENIED
 
     def do_set_mode(self, message: Any) -> int:
         """MAV_CMD_DO_SET_MODE."""
@@ -404,14 +463,14 @@ class Autopilot:
         """MAV_CMD_DO_CHANGE_SPEED."""
         if message.param2 > 0:
             self.speed = float(message.param2)
-        return ACCEPTED
+        return MavResult.ACCEPTED
 
     def reposition(self, message: Any) -> int:
         """MAV_CMD_DO_REPOSITION."""
         yaw = None if math.isnan(message.param4) else message.param4
-        self.mode = Mode.HOLD
+        self.mode = FlightMode.HOLD
         self._start(self._go_and_hold(self._target(message), yaw))
-        return ACCEPTED
+        return MavResult.ACCEPTED
 
     def _go_and_hold(self, target: Triple, yaw: float | None) -> Task:
         yield from go_to(self.vehicle, target, self.speed, yaw)
@@ -422,11 +481,12 @@ class Autopilot:
         radius = float(message.param1)
         speed = float(message.param2)
         if not (math.isfinite(radius) and abs(radius) >= 1.0):
-            return DENIED
-        self.set_mode(Mode.ORBIT)
-        speed = speed if math.isfinite(speed) and speed != 0 else self.speed
+            return MavResult.DENIED
+        self.set_mode(FlightMode.ORBIT)
+        if not math.isfinite(speed) or speed == 0:
+            speed = self.speed
         self._start(orbit(self.vehicle, self._target(message), abs(radius), abs(speed), radius > 0))
-        return ACCEPTED
+        return MavResult.ACCEPTED
 
     def _target(self, message: Any) -> Triple:
         """Place (NED, m) of a command; coordinates that it leaves out are those of the vehicle."""
@@ -442,47 +502,53 @@ class Autopilot:
 
     def request_message(self, message: Any) -> int:
         """MAV_CMD_REQUEST_MESSAGE and older forms: AUTOPILOT_VERSION, or any message of the telemetry by its id."""
-        wanted = _integer(message.param1) if message.command == 512 else 148
-        if wanted != 148:
-            return self._repeat(wanted)
+        if message.command == MavCommand.REQUEST_MESSAGE:
+            message_id = _integer(message.param1)
+            if message_id != _AUTOPILOT_VERSION:
+                return self._repeat(message_id)
         can = 0x1 | 0x2 | 0x4 | 0x8 | 0x10 | 0x40 | 0x80 | 0x2000  # MAV_PROTOCOL_CAPABILITY
         self.send("autopilot_version", can, 0x010E0000, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 42)
-        return ACCEPTED
+        return MavResult.ACCEPTED
 
-    def _repeat(self, wanted: int) -> int:
-        message_class = mavlink_dialect().mavlink_map.get(wanted)
-        name = "" if message_class is None else message_class.msgname.lower()
+    def _repeat(self, message_id: int) -> int:
+        """Send a message of the telemetry at once."""
+        message_class = mavlink_dialect().mavlink_map.get(message_id)
+        if message_class is None:
+            return MavResult.DENIED
+        name = message_class.msgname.lower()
         if name not in {message.__name__ for _, message in STREAMS}:
-            return DENIED
+            return MavResult.DENIED
         self._schedule.request(name)
-        return ACCEPTED
+        return MavResult.ACCEPTED
 
     # ---- failures ---------------------------------------------------------------------------------------------------
     def inject_failure(self, message: Any) -> int | None:
         """MAV_CMD_INJECT_FAILURE: acknowledged once a value has changed; failed if none has within a second."""
+        # what fails, and how; an instance of 0 = all
         unit = UNITS.get(_integer(message.param1))
         kind = TYPES.get(_integer(message.param2))
-        if math.isnan(message.param3):
-            instance = 0
-        else:
+        instance = 0
+        if not math.isnan(message.param3):
             instance = _integer(message.param3)
         if unit is None or kind is None:
-            return UNSUPPORTED
+            return MavResult.UNSUPPORTED
         try:
             fault = SensorFault(unit, kind, self.vehicle.now_us, instance=instance, seed=self.vehicle.spec.seed)
         except BadInputError:
-            return UNSUPPORTED
+            return MavResult.UNSUPPORTED
+
+        # end a failure, or begin one
         if kind == NULL:
             if self.vehicle.failures.end(unit, instance):
-                return ACCEPTED
-            return FAILED
+                return MavResult.ACCEPTED
+            return MavResult.FAILED
         if not self.vehicle.sim.armed:
-            return REJECTED
-        for same in self.failures:  # a repeated command, which would change nothing
-            if (same.fault.unit, same.fault.kind, same.fault.instance) == (unit, kind, instance):
-                if same.injection is None:
+            return MavResult.REJECTED
+        for failure in self.failures:  # a repeated command would change nothing
+            if (failure.fault.unit, failure.fault.kind, failure.fault.instance) == (unit, kind, instance):
+                if failure.injection is None:
                     return None
-                return ACCEPTED
+                return MavResult.ACCEPTED
         self._pending.append((self.vehicle.failures.begin(fault), message))
         return None
 
@@ -493,11 +559,11 @@ class Autopilot:
                 before = failure.injection.before
                 after = failure.injection.after
                 self.text(f"fault: {failure.fault.site}: {before:.4g} -> {after:.4g}", ERROR)
-                self._acknowledge(message, ACCEPTED)
+                self._acknowledge(message, MavResult.ACCEPTED)
             elif self.vehicle.now_us - failure.fault.time_us >= PROOF_US:
                 if failure in self.failures:
                     self.vehicle.failures.remove(failure)
-                self._acknowledge(message, FAILED)
+                self._acknowledge(message, MavResult.FAILED)
             else:
                 continue
             self._pending.remove((failure, message))
@@ -529,22 +595,24 @@ def position_target(message: Any) -> Setpoint:
 
 
 _COMMANDS: dict[int, Callable[[Autopilot, Any], int | None]] = {
-    400: Autopilot.arm,
-    22: Autopilot.take_off,
-    176: Autopilot.do_set_mode,
-    178: Autopilot.change_speed,
-    192: Autopilot.reposition,
-    34: Autopilot.do_orbit,
-    420: Autopilot.inject_failure,
-    512: Autopilot.request_message,
-    519: Autopilot.request_message,
-    520: Autopilot.request_message,
-    21: lambda autopilot, _: autopilot.change_mode(Mode.LAND, "Landing"),
-    20: lambda autopilot, _: autopilot.change_mode(Mode.RETURN, "Returning to launch"),
-    300: lambda autopilot, _: autopilot.change_mode(Mode.MISSION, "Mission started"),
-    511: lambda *_: ACCEPTED,  # message intervals: all rates are fixed, and high enough
+    MavCommand.ARM_DISARM: Autopilot.arm,
+    MavCommand.TAKEOFF: Autopilot.take_off,
+    MavCommand.DO_SET_MODE: Autopilot.do_set_mode,
+    MavCommand.CHANGE_SPEED: Autopilot.change_speed,
+    MavCommand.REPOSITION: Autopilot.reposition,
+    MavCommand.DO_ORBIT: Autopilot.do_orbit,
+    MavCommand.INJECT_FAILURE: Autopilot.inject_failure,
+    MavCommand.REQUEST_MESSAGE: Autopilot.request_message,
+    MavCommand.REQUEST_PROTOCOL_VERSION: Autopilot.request_message,
+    MavCommand.REQUEST_CAPABILITIES: Autopilot.request_message,
+    MavCommand.LAND: lambda autopilot, _: autopilot.change_mode(FlightMode.LAND, "Landing"),
+    MavCommand.RETURN_TO_LAUNCH: lambda autopilot, _: autopilot.change_mode(FlightMode.RETURN, "Returning to launch"),
+    MavCommand.MISSION_START: lambda autopilot, _: autopilot.change_mode(FlightMode.MISSION, "Mission started"),
+    MavCommand.SET_MESSAGE_INTERVAL: lambda *_: (
+        MavResult.ACCEPTED
+    ),  # message intervals: all rates are fixed, and high enough
 }
-"""By MAV_CMD."""
+"""What answers each command."""
 
 
 # ---- messages that it sends periodically -----------------------------------------------------------------------------
@@ -590,8 +658,13 @@ def heartbeat(autopilot: Autopilot) -> Arguments:
     """HEARTBEAT."""
     main, sub = autopilot.mode.value
     armed = autopilot.vehicle.sim.armed
-    state = _ACTIVE if armed and not autopilot.vehicle.landed else _STANDBY
-    return _QUADROTOR, _PX4, _MODE_FLAGS | (_ARMED_FLAG if armed else 0), main << 16 | sub << 24, state
+    flags = _MODE_FLAGS
+    if armed:
+        flags |= _ARMED_FLAG
+    state = _STANDBY
+    if armed and not autopilot.vehicle.landed:
+        state = _ACTIVE
+    return _QUADROTOR, _PX4, flags, main << 16 | sub << 24, state
 
 
 def sys_status(autopilot: Autopilot) -> Arguments:
@@ -608,14 +681,15 @@ def home_position(autopilot: Autopilot) -> Arguments:
 
 def extended_sys_state(autopilot: Autopilot) -> Arguments:
     """EXTENDED_SYS_STATE."""
-    name = autopilot.mode.name
-    if name == "TAKEOFF":
-        moving = _TAKING_OFF
-    elif name == "LAND":
-        moving = _LANDING
+    if autopilot.vehicle.landed:
+        landed_state = _ON_GROUND
+    elif autopilot.mode is FlightMode.TAKEOFF:
+        landed_state = _TAKING_OFF
+    elif autopilot.mode is FlightMode.LAND:
+        landed_state = _LANDING
     else:
-        moving = _IN_AIR
-    return 0, _ON_GROUND if autopilot.vehicle.landed else moving
+        landed_state = _IN_AIR
+    return 0, landed_state
 
 
 def gps_raw_int(autopilot: Autopilot) -> Arguments:

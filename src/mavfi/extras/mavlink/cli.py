@@ -13,11 +13,11 @@ from mavfi.cli.stopping import stoppable
 from mavfi.mission import OF_THE_PIPELINE, MissionSpec
 
 if TYPE_CHECKING:
-    from mavfi.extras.mavlink.server import Server
+    from mavfi.extras.mavlink.server import MavlinkServer
     from mavfi.extras.mavlink.tlog import Telemetry
 
-_LONGEST_S = 7 * 86_400.0
-_LAST_PORT = 65_535
+_MAX_DURATION_S = 7 * 86_400.0
+_MAX_PORT = 65_535
 
 
 class GroundStationOption:
@@ -33,7 +33,7 @@ class GroundStationOption:
     @staticmethod
     def chosen(values: dict[str, Any]) -> bool:
         """Whether the option is set; raises `BadInputError` for a value that is not allowed."""
-        check_number("--mavlink", values["mavlink"], 1, _LAST_PORT)
+        check_number("--mavlink", values["mavlink"], 1, _MAX_PORT)
         return values["mavlink"] is not None
 
     @staticmethod
@@ -72,23 +72,23 @@ def serve(
 
     Example: [bold]mavfi mavlink serve --environment farm --seed 7[/bold]
     """
-    check_number("--port", port, 0, _LAST_PORT)
+    check_number("--port", port, 0, _MAX_PORT)
     check_number("--speed", speed, 0.1, 100.0)
-    check_number("--seconds", seconds, 0.0, _LONGEST_S)
-    from mavfi.extras.mavlink.server import Server
+    check_number("--seconds", seconds, 0.0, _MAX_DURATION_S)
+    from mavfi.extras.mavlink.server import MavlinkServer
 
-    server = Server(mission, port, speed=speed)
+    server = MavlinkServer(mission, port, speed=speed)
     if not as_json:
         console().print(f"autopilot at udp://127.0.0.1:{server.port}, telemetry to 14540 and 14550", markup=False)
     with stoppable("Stopped."):
         try:
-            server.run(_LONGEST_S if seconds is None else seconds)
+            server.run(_MAX_DURATION_S if seconds is None else seconds)
         finally:
             _show(server, as_json)
             server.close()
 
 
-def _show(server: Server, as_json: bool) -> None:
+def _show(server: MavlinkServer, as_json: bool) -> None:
     """Print the final state."""
     vehicle = server.vehicle
     autopilot = server.autopilot
@@ -107,10 +107,12 @@ def _show(server: Server, as_json: bool) -> None:
         return
     north, east, down = vehicle.position
     whereabouts = "on the ground" if vehicle.landed else "in the air"
+    motors = "armed" if vehicle.sim.armed else "disarmed"
+    collision = "after a" if vehicle.has_collided else "without"
     console().print(
         f"{state['time_s']:.1f} s simulated, {server.received} messages received: the vehicle is {whereabouts}, "
         f"{north:z.1f} m north, {east:z.1f} m east and {-down:z.1f} m above its start, in mode {state['mode']}, "
-        f"{'armed' if state['armed'] else 'disarmed'}, {'after a' if state['collided'] else 'without'} collision; "
+        f"{motors}, {collision} collision; "
         f"digest {vehicle.digest()[:16]}",
         markup=False,
         soft_wrap=True,

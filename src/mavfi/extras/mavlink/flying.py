@@ -124,6 +124,8 @@ def _velocity_for(vehicle: PilotedVehicle, setpoint: Setpoint) -> Triple:
 
 
 def _yaw_rate_for(vehicle: PilotedVehicle, setpoint: Setpoint) -> float:
-    absolute = setpoint.yaw is not None
-    yaw = Yaw(is_rate=not absolute, value=(setpoint.yaw if absolute else setpoint.yaw_rate) or 0.0)
+    if setpoint.yaw is not None:
+        yaw = Yaw(is_rate=False, value=setpoint.yaw or 0.0)  # -0 becomes 0
+    else:
+        yaw = Yaw(is_rate=True, value=setpoint.yaw_rate or 0.0)
     return yaw.rate(vehicle, (0.0, 0.0, 0.0))

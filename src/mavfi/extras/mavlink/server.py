@@ -17,12 +17,12 @@ PORT = 14_580
 """UDP port of the autopilot, as of PX4's simulation."""
 OFFBOARD_PORT = 14_540
 GROUND_STATION_PORT = 14_550
-FASTEST = 12.0
+MAX_SPEED = 12.0
 """Largest speed that may be commanded (m/s)."""
 _POLL_S = 0.004
 
 
-class Server:
+class MavlinkServer:
     """Serves one vehicle until `close`.
 
     Args:
@@ -47,7 +47,7 @@ class Server:
         self._peers = {(HOST, peer) for peer in peers}
         self._parsers: dict[tuple[str, int], Any] = {}
         self.vehicle = MavVehicle(spec)
-        self.vehicle.sim.limit_speed(FASTEST)
+        self.vehicle.sim.limit_speed(MAX_SPEED)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((HOST, port))

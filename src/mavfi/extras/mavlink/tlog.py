@@ -96,8 +96,9 @@ class TlogReader:
                 return True
             if magic[0] not in _HEADERS:
                 return False  # damaged elsewhere
-            signed = magic[0] == _MAVLINK_2 and magic[2] & 1
-            offset += _STAMP + _HEADERS[magic[0]] + magic[1] + _CHECKSUM + (_SIGNATURE if signed else 0)
+            offset += _STAMP + _HEADERS[magic[0]] + magic[1] + _CHECKSUM
+            if magic[0] == _MAVLINK_2 and magic[2] & 1:  # signed
+                offset += _SIGNATURE
         return offset != len(data)
 
 
@@ -128,10 +129,9 @@ def _leaves(kind: Any) -> dict[str, Leaf]:
     for name, code, length in zip(kind.ordered_fieldnames, codes, kind.array_lengths, strict=True):
         size = struct.calcsize(f"<{code}")
         if code in _KINDS:
+            names = [name]
             if length:
                 names = [f"{name}[{index}]" for index in range(length)]
-            else:
-                names = [name]
             leaves |= {path: Leaf(offset + index * size, _KINDS[code]) for index, path in enumerate(names)}
         offset += size * max(1, length)
     return leaves
@@ -159,15 +159,13 @@ def write_tlog(log: FlightLog, path: Path) -> int:
         BadInputError: pymavlink is not installed, or the file cannot be written.
     """
     messages = FlightMessages()
-    texts = [
-        (line.time_us, part) for number, line in enumerate(lines_of(log)) for part in messages.text(line, number + 1)
-    ]
-    motion = [
-        (int(1e6 * max(0.0, row[0]) + 0.5), message)
-        for index, row in enumerate(log.rows)
-        for message in messages.motion(row, index)
-    ]
-    records = sorted([*motion, *texts], key=lambda record: record[0])
+    records: list[tuple[int, Any]] = []
+    for index, row in enumerate(log.rows):
+        time_us = int(1e6 * max(0.0, row[0]) + 0.5)
+        records += [(time_us, message) for message in messages.motion(row, index)]
+    for number, line in enumerate(lines_of(log), 1):
+        records += [(line.time_us, message) for message in messages.text(line, number)]
+    records.sort(key=lambda record: record[0])  # stable: at one instant motion comes before text
     with writing(path), path.open("wb") as file:
         link = messages.link(file)
         for time_us, message in records:

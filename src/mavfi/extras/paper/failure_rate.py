@@ -59,12 +59,12 @@ class UpsetConfig(Config):
             if name not in type(self).model_fields:
                 allowed = ", ".join(key for key in type(self).model_fields if key not in ("name", "sources"))
                 raise ValueError(f"sources: {name!r}: not known; allowed: {allowed}")
-        if self.altitude.high > HIGHEST:
-            raise ValueError(f"altitude: {self.altitude.high:g} m: allowed: up to {HIGHEST:g}")
+        if self.altitude.high > MAX_ALTITUDE:
+            raise ValueError(f"altitude: {self.altitude.high:g} m: allowed: up to {MAX_ALTITUDE:g}")
         return self
 
 
-HIGHEST = 18_000.0
+MAX_ALTITUDE = 18_000.0
 """Highest altitude at which the flux formula is valid (m)."""
 
 
@@ -113,7 +113,7 @@ def upsets_per_instruction(upsets: UpsetConfig) -> Estimate:
 
 
 @dataclass(frozen=True, slots=True)
-class Exposed:
+class ExposedKernel:
     """A kernel or detector in the fault space of a setting.
 
     Attributes:
@@ -129,7 +129,7 @@ class Exposed:
         return self.harm.times(self.instructions * upset)
 
 
-def total_failures(exposed: Iterable[Exposed], upset: float) -> Estimate:
+def total_failures(exposed: Iterable[ExposedKernel], upset: float) -> Estimate:
     """Failures per flight hour, summed over kernels.
 
     Distances to the bounds are added in quadrature (MOVER; Zou and Donner 2008), since the faults of different kernels
@@ -164,7 +164,7 @@ class KernelFaults(NamedTuple):
     """The faults of a campaign in one kernel or detector, and what they cost."""
 
     run_ids: list[str]
-    exposed: Exposed
+    exposed: ExposedKernel
 
 
 ExposedKernels = dict[tuple[str, str], dict[str, KernelFaults]]
@@ -187,6 +187,7 @@ def exposed(runs: Runs, success: str = "success") -> ExposedKernels:
 
 
 def _exposed(runs: Runs, success: str) -> ExposedKernels:
+    """See `exposed`."""
     golden_runs = _golden(runs)
     kernels_by_setting: ExposedKernels = {}
     injected = runs.injected.where("judged", level=INSTRUCTION)
@@ -204,7 +205,7 @@ def _exposed(runs: Runs, success: str) -> ExposedKernels:
             with_fault = [row[success] for row in rows]
             harm = Estimate(*paired_difference(without_fault, with_fault, worlds, weights))
             kernels = kernels_by_setting.setdefault((environment, setting), {})
-            kernels[kernel] = KernelFaults([row["run_id"] for row in rows], Exposed(counts[kernel], harm))
+            kernels[kernel] = KernelFaults([row["run_id"] for row in rows], ExposedKernel(counts[kernel], harm))
     return kernels_by_setting
 
 
@@ -244,13 +245,13 @@ def payoff(runs: Runs, environment: str, setting: str, upset: float, kernels: Co
     return total_failures([*changes, *_detector_parts(runs, environment, setting)], upset)
 
 
-def _detector_parts(runs: Runs, environment: str, setting: str) -> list[Exposed]:
+def _detector_parts(runs: Runs, environment: str, setting: str) -> list[ExposedKernel]:
     """What the faults in a setting's own detector cause."""
     kernels = exposed(runs).get((environment, setting), {})
     return [faults.exposed for kernel, faults in kernels.items() if kernel in DETECTORS]
 
 
-def _changes(runs: Runs, environment: str, setting: str, kernels: Collection[str]) -> list[Exposed]:
+def _changes(runs: Runs, environment: str, setting: str, kernels: Collection[str]) -> list[ExposedKernel]:
     """Change of the failures by faults in kernels under a setting, in pairs with the same fault.
 
     A pair counts if the mission succeeds without a fault in both settings: what a detector loses by false alarms is no
@@ -271,7 +272,7 @@ def _changes(runs: Runs, environment: str, setting: str, kernels: Collection[str
     golden_runs = _golden(runs)
     golden = runs.golden.where(environment=environment)
     counts = {arm: instructions_per_hour(golden.where(arm=arm)) for arm in ("", *pairs.values("arm"))}
-    parts_by_kernel: dict[str, list[Exposed]] = {}
+    parts_by_kernel: dict[str, list[ExposedKernel]] = {}
     for (kernel, arm), kernel_pairs in pairs.groups("kernel", "arm").items():
         counted_arm = arm if counts[arm] else ""
         if kernel in DETECTORS or kernel not in counts[counted_arm]:
@@ -295,20 +296,20 @@ def _changes(runs: Runs, environment: str, setting: str, kernels: Collection[str
 
 def _changed(
     pairs: Runs, kernel: str, instructions: tuple[float, float], with_setting: Sequence[str], without_arm: Sequence[str]
-) -> list[Exposed]:
+) -> list[ExposedKernel]:
     """The parts of `_changes` of a kernel, from instructions and golden runs with the setting and without an arm."""
     worlds = pairs["world"]
     fault_alone = pairs["fi_success"]
     weights = _weights(pairs, kernel, with_setting, worlds)
     harm_change = Estimate(*paired_difference(fault_alone, pairs["dr_success"], worlds, weights))
     with_setting_count, without_arm_count = instructions
-    parts = [Exposed(with_setting_count, harm_change)]
+    parts = [ExposedKernel(with_setting_count, harm_change)]
     if without_arm_count:
         added = with_setting_count - without_arm_count
         if added:
             weights = _weights(pairs, kernel, without_arm, worlds)
             harm = Estimate(*paired_difference([True] * len(pairs), fault_alone, worlds, weights))
-            parts.append(Exposed(added, harm))
+            parts.append(ExposedKernel(added, harm))
     return parts
 
 
@@ -382,7 +383,7 @@ def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
         }
 
 
-def _parts(kernels: Mapping[str, KernelFaults]) -> list[Exposed]:
+def _parts(kernels: Mapping[str, KernelFaults]) -> list[ExposedKernel]:
     return [faults.exposed for faults in kernels.values()]
 
 

@@ -71,29 +71,11 @@ def _rows(runs: Runs, select: Callable[[Runs], Runs], column: str) -> Figure | N
     for (left, right), (environment, groups) in zip(panels, environments.items(), strict=True):
         names = [str(name) for (name,) in groups]
         golden = names.index(GOLDEN_ROW) if GOLDEN_ROW in names else None
-        # left: flight times, which link to the missions that succeed
         _times(left, [flights.where("success") for flights in groups.values()], golden)
         for row, flights in enumerate(groups.values()):
             label = {"environment": environment, column: names[row]}
             _link_times(left, flights, row, label)
-            # right: share of missions that succeed, with its interval
-            rate = rate_of(flights, "success")
-            if rate.rate is None or rate.low is None or rate.high is None:
-                continue
-            look = _look(names[row])
-            links.points(right, [rate.rate], [row], [links.to_runs(flights, **label)])
-            right.errorbar(
-                rate.rate,
-                row,
-                xerr=[[rate.rate - rate.low], [rate.high - rate.rate]],
-                markersize=6,
-                linestyle="",
-                elinewidth=1.8,
-                capsize=2,
-                clip_on=False,
-                zorder=4,
-                **look,
-            )
+            _success_mark(right, flights, row, _look(names[row]), label)
         labels = [f"{name}  (n = {len(flights)})" for name, flights in zip(names, groups.values(), strict=True)]
         left.set_yticks(range(len(names)), labels)
         right.set_yticks(range(len(names)), [])
@@ -108,6 +90,26 @@ def _rows(runs: Runs, select: Callable[[Runs], Runs], column: str) -> Figure | N
     panels[-1][1].xaxis.set_major_formatter(PercentFormatter(1, 0, " %"))
     panels[-1][1].xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
     return figure
+
+
+def _success_mark(axes: Axes, flights: Runs, row: int, look: dict[str, Any], label: Mapping[str, str]) -> None:
+    """Draw the share of missions that succeed, with its interval."""
+    rate = rate_of(flights, "success")
+    if rate.rate is None or rate.low is None or rate.high is None:
+        return
+    links.points(axes, [rate.rate], [row], [links.to_runs(flights, **label)])
+    axes.errorbar(
+        rate.rate,
+        row,
+        xerr=[[rate.rate - rate.low], [rate.high - rate.rate]],
+        markersize=6,
+        linestyle="",
+        elinewidth=1.8,
+        capsize=2,
+        clip_on=False,
+        zorder=4,
+        **look,
+    )
 
 
 def _look(name: str) -> dict[str, str]:
@@ -173,33 +175,17 @@ def distributions(runs: Runs) -> Figure | None:
     panels = figure.subplots(1, len(environments), squeeze=False, sharey=True)[0]
     looks = style.setting_looks(settings)
     for axes, environment in zip(panels, environments, strict=True):
-        # a box of all flights, the mean of the slowest, and the worst with its time
         flights = shown.where(environment=environment)
         for column, setting in enumerate(settings):
-            part = flights.where(setting=setting)
-            arrived = part.where("success")
-            values = arrived["flight_time_s"]
-            if values:
-                _box(axes, arrived, column, looks[setting]["color"], upright=True)
-                tail = value_at_risk(values)
-                axes.plot([column], [tail], "_", color=style.INK, markersize=15, markeredgewidth=1.2, zorder=4)
-                axes.plot([column], [max(values)], linestyle="", markersize=6.5, zorder=5, **looks[setting])
-                _link_times(axes, part, column, {"environment": environment, "setting": setting}, upright=True)
-                worst = part.where("success", flight_time_s=max(values)).first("run_id")
-                links.points(axes, [column], [max(values)], [links.to_run(worst)])
-                axes.annotate(
-                    f"{max(values):.0f} s",
-                    (column, max(values)),
-                    (0, 6),
-                    textcoords="offset points",
-                    ha="center",
-                    fontsize=8,
-                )
+            label = {"environment": environment, "setting": setting}
+            _setting_column(axes, flights.where(setting=setting), column, looks[setting], label)
+        title = environment
         limit = flights.frame["time_limit_s"].max()
-        axes.set_title(f"{environment} (limit {limit:.0f} s)" if isinstance(limit, float) else environment)
-        axes.set_xticks(
-            range(len(settings)), [f"{_short(name)}\n{_count(flights, name)}" for name in settings], fontsize=8
-        )
+        if isinstance(limit, float):
+            title = f"{environment} (limit {limit:.0f} s)"
+        axes.set_title(title)
+        names = [f"{_short(name)}\n{_count(flights, name)}" for name in settings]
+        axes.set_xticks(range(len(settings)), names, fontsize=8)
         axes.set_xlim(-0.6, len(settings) - 0.4)
         axes.tick_params(axis="x", length=0)
         axes.grid(axis="y")
@@ -215,6 +201,23 @@ def distributions(runs: Runs) -> Figure | None:
     ]
     figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=8.5)
     return figure
+
+
+def _setting_column(axes: Axes, flights: Runs, column: int, look: dict[str, Any], label: Mapping[str, str]) -> None:
+    """Draw a box of the flights of a setting, the mean of the slowest, and the worst with its time."""
+    arrived = flights.where("success")
+    times = arrived["flight_time_s"]
+    tail = value_at_risk(times)
+    if tail is None:  # no mission has succeeded
+        return
+    _box(axes, arrived, column, look["color"], upright=True)
+    axes.plot([column], [tail], "_", color=style.INK, markersize=15, markeredgewidth=1.2, zorder=4)
+    worst = max(times)
+    axes.plot([column], [worst], linestyle="", markersize=6.5, zorder=5, **look)
+    _link_times(axes, flights, column, label, upright=True)
+    worst_run = arrived.where(flight_time_s=worst).first("run_id")
+    links.points(axes, [column], [worst], [links.to_run(worst_run)])
+    axes.annotate(f"{worst:.0f} s", (column, worst), (0, 6), textcoords="offset points", ha="center", fontsize=8)
 
 
 def _short(setting: str) -> str:
@@ -268,25 +271,7 @@ def flight_times(runs: Runs) -> Figure | None:
     for axes, (environment, platform) in zip(panels, platform_of.items(), strict=True):
         for column, setting in enumerate(settings):
             flights = flown.where(environment=environment, setting=setting)
-            times = np.sort(flights.frame["flight_time_s"].to_numpy())
-            if not len(times):
-                continue
-            spread = column - 0.32 + 0.64 * ((np.arange(len(times)) * 0.618034) % 1.0)
-            axes.plot(spread, times, linestyle="", markersize=3, alpha=0.45, markeredgewidth=0, **looks[setting])
-            links.band(axes, column, links.to_runs(flights, platform=platform, setting=setting), upright=True)
-            # quartiles as a bar, the median on it, and the worst time as a number
-            low, middle, high = np.quantile(times, (0.25, 0.5, 0.75))
-            axes.plot([column, column], [low, high], color=style.INK, linewidth=3.2, solid_capstyle="butt")
-            axes.plot(column, middle, "o", color="white", markeredgecolor=style.INK, markersize=5, zorder=5)
-            axes.annotate(
-                f"{times[-1]:.0f}",
-                (column, times[-1]),
-                (0, 4),
-                textcoords="offset points",
-                ha="center",
-                fontsize=7.5,
-                color=style.INK,
-            )
+            _time_column(axes, flights, column, looks[setting], {"platform": platform, "setting": setting})
         if paper.comparable(runs.campaign, ""):
             printed = paper.figure("platforms", quantity="flight_time_s", platform=platform)
             if printed is not None:
@@ -300,7 +285,6 @@ def flight_times(runs: Runs) -> Figure | None:
                     textcoords="offset points",
                     color=style.INK,
                 )
-        # a row of settings below each platform
         names = [style.setting_label(setting).replace(" + ", " +\n") for setting in settings]
         axes.set_xticks(range(len(settings)), names, fontsize=8)
         axes.tick_params(axis="x", length=0)
@@ -311,6 +295,28 @@ def flight_times(runs: Runs) -> Figure | None:
     panels[0].set_ylabel("flight time (s) of missions that succeed")
     figure.supxlabel("one fault per mission; bar: quartiles; number: worst", fontsize=8.5, color=style.GREY)
     return figure
+
+
+def _time_column(axes: Axes, flights: Runs, column: int, look: dict[str, Any], label: Mapping[str, str]) -> None:
+    """Draw all flights as points, quartiles as a bar with the median on it, and the worst time as a number."""
+    times = np.sort(flights.frame["flight_time_s"].to_numpy())
+    if not len(times):
+        return
+    spread = column - 0.32 + 0.64 * ((np.arange(len(times)) * 0.618034) % 1.0)  # golden ratio: even, without overlap
+    axes.plot(spread, times, linestyle="", markersize=3, alpha=0.45, markeredgewidth=0, **look)
+    links.band(axes, column, links.to_runs(flights, **label), upright=True)
+    low, middle, high = np.quantile(times, (0.25, 0.5, 0.75))
+    axes.plot([column, column], [low, high], color=style.INK, linewidth=3.2, solid_capstyle="butt")
+    axes.plot(column, middle, "o", color="white", markeredgecolor=style.INK, markersize=5, zorder=5)
+    axes.annotate(
+        f"{times[-1]:.0f}",
+        (column, times[-1]),
+        (0, 4),
+        textcoords="offset points",
+        ha="center",
+        fontsize=7.5,
+        color=style.INK,
+    )
 
 
 # ---- Fig. 8 of the paper: flight time with redundant processors relative to that with a detector -------------------
@@ -332,20 +338,12 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
         finite = _finite_ratios(variants)
         top = 1.0 + 1.08 * max(0.05, max(finite) - 1.0)
 
-        # our ratios: a band and a mark by design and scheme; what cannot hover is a triangle at the upper edge
+        # our ratios by design and scheme, the designs side by side
         for design in variants:
             calibration = calibrations.index(design.calibration)
-            colour, marker = _DESIGN_LOOKS[calibration % len(_DESIGN_LOOKS)]
+            look = _DESIGN_LOOKS[calibration % len(_DESIGN_LOOKS)]
             for x, name in enumerate(names):
-                at = x + (calibration - (len(calibrations) - 1) / 2) * width
-                low, high = band(design, name)
-                axes.plot([at, at], [low, min(high, top)], color=colour, linewidth=1.8)
-                if math.isinf(high):
-                    axes.plot(at, top, "^", color=colour, markersize=6, clip_on=False)
-                axes.plot(at, min(ratio(design, name), top), marker, color=colour, markersize=6)
-                energy = _energy(design, name)
-                if math.isfinite(energy):
-                    axes.plot(at, energy, marker, color=colour, markersize=6, fillstyle="none")
+                _design_mark(axes, design, name, x + (calibration - (len(calibrations) - 1) / 2) * width, top, look)
 
         # those of the paper
         for x, name in enumerate(names):
@@ -379,6 +377,19 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
     return figure
 
 
+def _design_mark(axes: Axes, design: DesignConfig, scheme: str, x: float, top: float, look: tuple[str, str]) -> None:
+    """Draw the band and the ratios of flight time and energy; what cannot hover is a triangle at the upper edge."""
+    colour, marker = look
+    low, high = band(design, scheme)
+    axes.plot([x, x], [low, min(high, top)], color=colour, linewidth=1.8)
+    if math.isinf(high):
+        axes.plot(x, top, "^", color=colour, markersize=6, clip_on=False)
+    axes.plot(x, min(ratio(design, scheme), top), marker, color=colour, markersize=6)
+    energy = _energy(design, scheme)
+    if math.isfinite(energy):
+        axes.plot(x, energy, marker, color=colour, markersize=6, fillstyle="none")
+
+
 def _finite_ratios(designs: Sequence[DesignConfig]) -> list[float]:
     """All ratios of designs with which the vehicle can fly, for the scale of the axis."""
     ratios = []
@@ -395,7 +406,7 @@ def _energy(design: DesignConfig, scheme: str) -> float:
 # ---- Fig. 7: rule-based selection of the runs of a ledger whose paths are drawn, which excludes hand-picking -------
 
 ENVIRONMENT = "dense"
-LEAST = 0.01
+MIN_SHORTENING = 0.01
 """Smallest reduction that counts as shortened, as a fraction of the golden run's flight time."""
 STAGES = ("perception", "planning")
 RULE = (
@@ -440,7 +451,7 @@ def _case(runs: Runs, stage: str) -> PathCase | None:
     # or the mission
     with_detector = against_fi(faults).frame.filter("dr_success")
     gain = pl.col("inflation") - pl.col("dr_inflation").clip(lower_bound=0.0)
-    shortened = with_detector.filter("fi_success", gain >= LEAST).sort(-gain, "run_id", "arm")
+    shortened = with_detector.filter("fi_success", gain >= MIN_SHORTENING).sort(-gain, "run_id", "arm")
     saved = with_detector.filter(~pl.col("fi_success")).sort(-pl.col("distance_m"), "run_id", "arm")
     row: dict[str, Any]
     if len(shortened):
@@ -476,7 +487,8 @@ def _case(runs: Runs, stage: str) -> PathCase | None:
 
 # ---- Fig. 7: paths of a golden run, with a fault, and with the fault and a detector, in plan view and 3-D ----------
 
-_SOLID, _EDGE = "#D4D4D4", "#9A9A9A"
+_SOLID = "#D4D4D4"
+_EDGE = "#9A9A9A"
 _MARGIN = 2.0
 """Margin around the paths (m)."""
 _WIDTH = 40.0
@@ -520,6 +532,7 @@ def trajectories(runs: Runs) -> Figure | None:
 
 
 def _from_above(axes: Axes, flights: Sequence["Flight"]) -> None:
+    """Draw obstacles, paths and events in plan view."""
     world = flights[0].world
     # paths first: `trajectories` links the first lines of the axes to the runs
     points = [positions(flight) for flight in flights]
@@ -554,6 +567,7 @@ def _from_above(axes: Axes, flights: Sequence["Flight"]) -> None:
 
 
 def _in_space(axes: Any, flights: Sequence["Flight"]) -> None:
+    """Draw the obstacles near the paths, and the paths, in 3-D; heights are drawn three times as large."""
     world = flights[0].world
     lower, upper = _limits(flights)
     points = [positions(flight) for flight in flights]

@@ -111,6 +111,7 @@ def _papers(key: str, of_stage: str, of_all: str = "") -> Measure:
 
 
 def _overhead_notes(runs: Runs) -> list[str]:
+    """Notes on what is divided by what, and on how it was measured."""
     measured = runs.campaign.get("overheads", {})
     if measured:
         where = (
@@ -123,7 +124,9 @@ def _overhead_notes(runs: Runs) -> list[str]:
             "columns measured and detection, modelled, are empty: no measurement of these flights stored; mavfi bench "
             "overheads DIR makes one"
         )
-    lacking = any("detection_modelled" not in row for row in measured.get("rows", ()))
+    not_modelled = []
+    if any("detection_modelled" not in row for row in measured.get("rows", ())):  # measured by an earlier version
+        not_modelled = ["detection, modelled: not in this measurement; mavfi bench overheads DIR repeats it"]
     return [
         "recovery, modelled: recomputations with the latencies of the platform / compute time of the pipeline, all "
         "flights with the detector and a fault, as the paper's",
@@ -131,7 +134,7 @@ def _overhead_notes(runs: Runs) -> list[str]:
         "flights with the latencies of the platform; no latency of a detector is published, so it is taken to be as "
         "fast on the platform as here, a lower bound for a slower processor (docs/models.md); the modelled computer is "
         "not charged for it",
-        *(["detection, modelled: not in this measurement; mavfi bench overheads DIR repeats it"] if lacking else []),
+        *not_modelled,
         where,
         "the paper does not say what its times are divided by; its figures below 0.0001 % stand as that bound; an "
         "alarm at a way-point charges the planning stage, as in the paper, but only repeats the setpoint generator, "

@@ -353,6 +353,7 @@ _COLUMNS = (
 
 
 def _row(name: str, parts: list[Runs]) -> tuple[object, ...]:
+    """A row of the table of times, for the runs of one campaign or of all."""
     golden = [wall for runs in parts for wall in runs.golden["wall_s"] if wall is not None]
     faulty = [wall for runs in parts for wall in runs.injected["wall_s"] if wall is not None]
     every = [wall for runs in parts for wall in runs["wall_s"] if wall is not None]

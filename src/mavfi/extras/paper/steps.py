@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -100,14 +100,21 @@ def machine() -> str:
 
 def program() -> str:
     """This program in words: its version, and its commit if it runs in a clone."""
-    root = Path(__file__).parents[4]
-    done = None
-    if (root / ".git").exists():
-        command = ["git", "-C", str(root), "rev-parse", "--short=12", "HEAD"]
-        with suppress(OSError):
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done is not None and done.returncode == 0:
-        commit = done.stdout.strip()
-    else:
-        commit = ""
-    return f"mavfi {__version__}" + (f", commit {commit}" if commit else "")
+    commit = _commit(Path(__file__).parents[4])
+    if commit:
+        return f"mavfi {__version__}, commit {commit}"
+    return f"mavfi {__version__}"
+
+
+def _commit(root: Path) -> str:
+    """The commit of the clone in a folder; "" if it is none."""
+    if not (root / ".git").exists():
+        return ""
+    command = ["git", "-C", str(root), "rev-parse", "--short=12", "HEAD"]
+    try:
+        result = subprocess.run(command, capture_output=True, text=True, check=False)
+    except OSError:
+        return ""
+    if result.returncode != 0:
+        return ""
+    return result.stdout.strip()

@@ -64,10 +64,13 @@ class Study(Config):
         except ValueError as error:
             raise BadInputError(str(error)) from None
         sizes = self.scales.get(scale, {})
-        return {
-            folder: campaign.resized(sizes[folder]) if folder in sizes else campaign.at_scale(scale)
-            for folder, campaign in campaigns.items()
-        }
+        resized = {}
+        for folder, campaign in campaigns.items():
+            if folder in sizes:
+                resized[folder] = campaign.resized(sizes[folder])
+            else:
+                resized[folder] = campaign.at_scale(scale)
+        return resized
 
 
 def load_study(name: str | Path) -> Study:

@@ -98,6 +98,7 @@ def _shown(
     *,
     leads: bool = False,
 ) -> View:
+    """A view of flight time and success with one fault, one row per environment and value of the column `by`."""
     return View(
         name,
         title,
@@ -328,10 +329,11 @@ def _papers_power(runs: Runs) -> float | None:
 
 def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     """Columns computed across groups: ratios to the first platform, and the recovered share of worst flight time."""
-    del by
+    del by  # always by environment, i.e. platform, and setting
     groups = runs.groups("environment", "setting")
     first = next(iter(platforms(runs)), "")
 
+    # ratios to the same setting on the first platform
     def on_both(group: Runs) -> tuple[Runs, ...]:
         base = groups.get((first, group.first("setting")))
         if base is None or group.first("environment") == first:
@@ -348,6 +350,7 @@ def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
         printed: float = paper.figure("platforms_worst", quantity="flight_time_ratio")
         return printed
 
+    # recovery: fault alone, fault with detector, and golden flights on one platform
     def recoverable(group: Runs) -> tuple[Runs, ...]:
         golden = groups.get((group.first("environment"), GOLDEN))
         faulty = groups.get((group.first("environment"), FI))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mavfi.extras.ros.ros1.host import RosFlight
-    from mavfi.extras.ros.ros1.plan import Plan
+    from mavfi.extras.ros.ros1.plan import FlightPlan
     from mavfi.faults.fault import RegisterFault
     from mavfi.flight.host import Flight
     from mavfi.levels.level import Request
@@ -81,6 +81,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi ros fly --environment sparse --seed 7 --kill octomap@20[/bold]
     """
+    # refuse what cannot be flown, before ROS is looked for
     mission = mission_with(mission, detector)
     check_company(mission, fault, fault_seed, detector, profile, models)
     check_file("--save", save, FLIGHTS)
@@ -92,10 +93,10 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     finder.require()
     from mavfi.extras.ros.ros1.host import configure
-    from mavfi.extras.ros.ros1.plan import Plan
+    from mavfi.extras.ros.ros1.plan import FlightPlan
 
     setup, label, _ = watched(mission, detector, profile, models)
-    plan = Plan(
+    plan = FlightPlan(
         setup.scenario,
         configure(setup.scenario),
         drawn(setup.scenario, request, fault_seed),
@@ -111,16 +112,15 @@ def fly(  # noqa: PLR0913 - one parameter per option
     _show(plan, result, flight, as_json, save)
 
 
-def _fly(plan: Plan, label: str, allow_bind_all: bool, *, quiet: bool) -> tuple[FlightResult, RosFlight]:
+def _fly(plan: FlightPlan, label: str, allow_bind_all: bool, *, quiet: bool) -> tuple[FlightResult, RosFlight]:
     """Fly the plan; the result includes the golden run if there is a fault."""
     from mavfi.extras.ros.ros1.host import fly as fly_there
     from mavfi.report.flight_result import FlightResult
 
     tell = _invite if plan.pace > 0 and not quiet else None
     flight = fly_there(plan, allow_bind_all=allow_bind_all, tell=tell)
-    if plan.fault is None:
-        golden = None
-    else:
+    golden = None
+    if plan.fault is not None:
         golden = without_registers(plan, with_fault=False)
     return FlightResult(plan.scenario, flight.flight, golden, plan.fault, label), flight
 
@@ -131,15 +131,17 @@ def _invite(folder: Path) -> None:
     console(error=True).print(f"[dim]join the flight:[/dim] {folder / JOIN} rostopic list", soft_wrap=True)
 
 
-def _show(plan: Plan, result: FlightResult, flight: RosFlight, as_json: bool, written: Path | None) -> None:
+def _show(plan: FlightPlan, result: FlightResult, flight: RosFlight, as_json: bool, written: Path | None) -> None:
+    """Print the flight, or write it as JSON, with what happened to its nodes and registers."""
     log = flight.flight.log
     if written is not None:
         log.save(written)
     nodes = [event for event in log.events if event.kind in _NODE_EVENTS]
     if as_json:
+        coupling = None if plan.detector is None else plan.recovery.coupling
         ros = {
             "nodes": list(plan.nodes),
-            "coupling": plan.recovery.coupling if plan.detector is not None else None,
+            "coupling": coupling,
             "wall_s": flight.times,
             "lives": [{"time_s": 1e-6 * event.time_us, "event": event.kind, **event.data} for event in nodes],
             "register_effect": effect(plan, log),
@@ -148,6 +150,7 @@ def _show(plan: Plan, result: FlightResult, flight: RosFlight, as_json: bool, wr
         return
     from mavfi.cli.flight_text import panel
 
+    # the mission, then the events of nodes and the faults in registers, then the wall time
     out = console()
     out.print(panel(result))
     for event in nodes:
@@ -209,11 +212,14 @@ def register_faults(texts: Sequence[str], registers: str | None, seed: int | Non
     from mavfi.extras.ros.ros1.register_injector import fault_in_node
 
     kind, first_seed = register_options(registers, seed, has_fault=bool(texts))
-    named = (instant("--register-fault", text) for text in texts)
-    return tuple(fault_in_node(*each, kind, first_seed + index) for index, each in enumerate(named))
+    faults = []
+    for index, text in enumerate(texts):
+        node, time_us = instant("--register-fault", text)
+        faults.append(fault_in_node(node, time_us, kind, first_seed + index))
+    return tuple(faults)
 
 
-def check(plan: Plan) -> None:
+def check(plan: FlightPlan) -> None:
     """Refuse nodes that are not part of the flight."""
     named = [("--kill", node) for node, _ in plan.kills]
     named += [("--register-fault", fault.node) for fault in plan.register_faults]
@@ -222,17 +228,18 @@ def check(plan: Plan) -> None:
             raise BadInputError(f"{option}: no node {node!r} in this flight; allowed: {', '.join(plan.nodes)}")
 
 
-def without_registers(plan: Plan, with_fault: bool) -> Flight:
+def without_registers(plan: FlightPlan, with_fault: bool) -> Flight:
     """The flight in this process, without faults in registers, with or without the fault in a state.
 
     Its digest is that of the flight on ROS.
     """
     from mavfi.flight.fly import fly
 
-    return fly(plan.scenario, plan.fault if with_fault else None, plan.detector, recovery=plan.recovery)
+    fault = plan.fault if with_fault else None
+    return fly(plan.scenario, fault, plan.detector, recovery=plan.recovery)
 
 
-def effect(plan: Plan, log: FlightLog) -> str | None:
+def effect(plan: FlightPlan, log: FlightLog) -> str | None:
     """Effect of the faults in registers; None without an injection.
 
     "crash" or "hang": an injected node died, or was killed because it did not respond; "masked" or "sdc": the flight is
@@ -255,9 +262,8 @@ def _line(injection: Injection) -> str:
     details = injection.details
     what = details.get("why")
     if what is None:
+        instruction = ""
         if "instruction" in details:
             instruction = f" of {details['instruction']!r}"
-        else:
-            instruction = ""
         what = f"{injection.site} bit {injection.bit}{instruction}: {injection.before} → {injection.after}"
     return f"{injection.time_s:8.3f} s  register of {details['node']}: {what}"

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 from rich.markup import escape
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from mavfi.extras.ros.node.injector import MessageInjector
     from mavfi.extras.ros.node.relay import Relay
     from mavfi.extras.ros.node.survey import Survey
-    from mavfi.extras.ros.node.watch import Listener
+    from mavfi.extras.ros.node.watch import TopicListener
     from mavfi.faults.levels.message.definition import Definition
     from mavfi.flight.log_readers import Probe
     from mavfi.record import Injection
 
-_LONGEST_S = 7 * 86_400.0
+_MAX_DURATION_S = 7 * 86_400.0
 _AFTERWARDS_S = 0.2
 """Time of relaying after the last injection, so that the corrupted message is delivered (s)."""
 _POLL_S = 0.01
@@ -81,13 +81,14 @@ def _table(title: str, *columns: str) -> Table:
 
 
 def _tables(graph: Survey) -> tuple[Table, Table]:
+    """Tables of the nodes and of the topics of a graph."""
     nodes = _table(f"Nodes at {graph.master}", "node", "pid", "executable", "publishes", "reads")
     for node in graph.nodes:
-        pid = str(node.pid) if node.is_alive else "[red]dead[/red]"
+        pid = "[red]dead[/red]"
+        executable = "[dim]registered only; `rosnode cleanup` removes it[/dim]"
         if node.is_alive:
+            pid = str(node.pid)
             executable = node.executable
-        else:
-            executable = "[dim]registered only; `rosnode cleanup` removes it[/dim]"
         nodes.add_row(node.name, pid, executable, "\n".join(node.publishes), "\n".join(node.reads))
     topics = _table("Topics", "topic", "type", "Hz", "publishers", "readers")
     for topic in graph.topics:
@@ -116,7 +117,7 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
     Example: [bold]mavfi ros corrupt --topic /joint_states --field 'position\[0]' --bit 51 --at 10[/bold]
     """
     check_seed("--seed", seed)
-    check_number("--duration", duration, 0.0, _LONGEST_S)
+    check_number("--duration", duration, 0.0, _MAX_DURATION_S)
     from mavfi.extras.ros.node.injector import MessageInjector, check_fault
     from mavfi.extras.ros.node.master import Master
     from mavfi.extras.ros.node.relay import Relay
@@ -141,7 +142,7 @@ def _run(relay: Relay, injector: MessageInjector, duration: float | None) -> Non
     """Relay messages until the fault has been injected, or the duration has elapsed."""
     for failure in relay.failures:
         console(error=True).print(f"not turned: {failure}", markup=False)
-    end = time.monotonic() + (_LONGEST_S if duration is None else duration)
+    end = time.monotonic() + (_MAX_DURATION_S if duration is None else duration)
     while time.monotonic() < end:
         if relay.error is not None:
             raise MavfiError(f"topic {relay.topic}: {relay.error}")
@@ -185,24 +186,26 @@ def watch(  # noqa: PLR0913 - one parameter per option
     """
     from mavfi.detectors.preprocess import PROFILES
 
-    check_number("--learn", learn_s, 0.1, _LONGEST_S)
-    check_number("--duration", duration, 0.0, _LONGEST_S)
+    check_number("--learn", learn_s, 0.1, _MAX_DURATION_S)
+    check_number("--duration", duration, 0.0, _MAX_DURATION_S)
     check_name("--profile", profile, PROFILES)
     from mavfi.extras.ros.node.master import Master
-    from mavfi.extras.ros.node.watch import Listener, Watch
+    from mavfi.extras.ros.node.watch import TopicListener, TopicWatch
 
     names = options.listed(topics)
     if not names:
         raise BadInputError(f"--topics: {topics!r}: allowed: names, with commas between")
-    listener = Listener(Master(), names)
+    listener = TopicListener(Master(), names)
     out = console()
     with stoppable("Stopped. The graph is as it was."), listener:
-        probes, trained, used = _trained(listener, (detector, profile), options.listed(fields), train, learn_s)
-        watching = Watch(listener, probes, trained)
+        # learn what is normal, then judge each message
+        training = _trained(listener, (detector, profile), options.listed(fields), train, learn_s)
+        watching = TopicWatch(listener, training.probes, training.detector)
         if not as_json:
-            out.print(f"learned from {used} messages; watching " + ", ".join(sorted(probes)), markup=False)
+            topic_names = ", ".join(sorted(training.probes))
+            out.print(f"learned from {training.messages} messages; watching {topic_names}", markup=False)
         try:
-            for topic, message in listener.take(_LONGEST_S if duration is None else duration):
+            for topic, message in listener.take(_MAX_DURATION_S if duration is None else duration):
                 alarm = watching.judge(topic, message)
                 if alarm is not None and not as_json:
                     named = ", ".join(f"{f} = {v}" for f, v in zip(alarm.fields, alarm.values, strict=False))
@@ -211,7 +214,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
             if as_json:
                 write_json(
                     {
-                        "learned_from": used,
+                        "learned_from": training.messages,
                         "judged": dict(watching.judged),
                         "skipped": dict(watching.skipped),
                         "alarms": [alarm.to_json() for alarm in watching.alarms],
@@ -221,10 +224,24 @@ def watch(  # noqa: PLR0913 - one parameter per option
         out.print(f"{watching.judged.total()} messages judged, {len(watching.alarms)} alarms")
 
 
+class MonitorTraining(NamedTuple):
+    """A detector trained on messages.
+
+    Attributes:
+        probes: The monitored fields, by topic.
+        detector: Trained on them.
+        messages: Number of training messages.
+    """
+
+    probes: dict[str, Probe]
+    detector: Detector
+    messages: int
+
+
 def _trained(
-    listener: Listener, chosen: tuple[str, str], fields: list[str], source: str, seconds: float
-) -> tuple[dict[str, Probe], Detector, int]:
-    """Monitored fields, trained detector, and number of training messages."""
+    listener: TopicListener, chosen: tuple[str, str], fields: list[str], source: str, seconds: float
+) -> MonitorTraining:
+    """Train a detector (name, profile) on what the topics publish now, or on a file."""
     from mavfi.detectors.registry import of_monitored_fields
     from mavfi.extras.ros.node.watch import train
     from mavfi.flight.log_readers import make_probes
@@ -232,7 +249,7 @@ def _trained(
     check_name("--detector", chosen[0], of_monitored_fields())
     if source == "online":
         probes = make_probes(listener.first(), fields)
-        return probes, *train(*chosen, probes, listener.take(seconds))
+        return MonitorTraining(probes, *train(*chosen, probes, listener.take(seconds)))
     return trained_on_file(Path(source), listener.topics, listener.definitions, chosen, fields)
 
 
@@ -242,8 +259,8 @@ def trained_on_file(
     definitions: Mapping[str, Definition],
     chosen: tuple[str, str],
     fields: list[str],
-) -> tuple[dict[str, Probe], Detector, int]:
-    """Monitored fields, detector trained on a file, and number of training messages.
+) -> MonitorTraining:
+    """Train a detector (name, profile) on the messages of a file.
 
     Raises:
         BadInputError: The file cannot be read, lacks a topic, has another type for it, or has an invalid message.
@@ -259,6 +276,6 @@ def trained_on_file(
                 raise BadInputError(f"{topic} has another type there than now ({definition.kind})")
         probes = make_probes(first, fields)
         parts = ((message.topic, message.data) for message in messages)
-        return probes, *train(*chosen, probes, parts)
+        return MonitorTraining(probes, *train(*chosen, probes, parts))
     except MavfiError as error:
         raise BadInputError(f"{source}: {str(error).removeprefix(f'{source}: ')}") from None

@@ -8,7 +8,7 @@ import time
 import pytest
 
 from mavfi.errors import MavfiError
-from mavfi.extras.ros.node.bench import MASTER_URI, Bench
+from mavfi.extras.ros.node.bench import MASTER_URI, NodeBench
 from mavfi.extras.ros.node.message import Composer
 from mavfi.extras.ros.ros1 import finder
 from mavfi.extras.ros.ros1.supervisor import loopback_up
@@ -55,7 +55,7 @@ def bench(private_network, tmp_path_factory):
     """A master, as the environment says."""
     before = os.environ.get("ROS_MASTER_URI")
     os.environ["ROS_MASTER_URI"] = MASTER_URI
-    with Bench(tmp_path_factory.mktemp("ros")) as made:
+    with NodeBench(tmp_path_factory.mktemp("ros")) as made:
         yield made
     if before is None:
         del os.environ["ROS_MASTER_URI"]

@@ -14,7 +14,7 @@ import pytest
 from mavfi.cli import run
 from mavfi.extras.ros.node.injector import MessageInjector, check_fault
 from mavfi.extras.ros.node.master import CALLER, Master, call
-from mavfi.extras.ros.node.peer import Source
+from mavfi.extras.ros.node.peer import TopicSource
 from mavfi.extras.ros.node.relay import Relay
 from mavfi.faults.fault import MessageFault
 from tests.extras.ros.node.conftest import POSITION, until
@@ -30,7 +30,7 @@ class Transforms:
     """Every message on /tf: the rotations of both joints, by name of the child frame, and the time stamp (ns)."""
 
     def __init__(self, master, node):
-        self.source = Source(node, master.node_uri(node), "/tf")
+        self.source = TopicSource(node, master.node_uri(node), "/tf")
         self.definition = self.source.definition()
         self.found, self.stamps = [], []
         self.thread = threading.Thread(target=self._listen, daemon=True)

@@ -10,7 +10,7 @@ from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.ros.node import host
-from mavfi.extras.ros.node.bench import Trial
+from mavfi.extras.ros.node.bench import NodeTrial
 from mavfi.outcomes import effect_of
 
 PLAIN = {
@@ -45,16 +45,16 @@ DIFFERENCE = {"field": "data", "before": "1.0", "after": "2.0"}
 def made_up(node, golden=(), fault=None):
     """Effects by the seed of the fault."""
     if fault is None:
-        return Trial(outputs=["a"])
+        return NodeTrial(outputs=["a"])
     assert golden == ("a",)
     if fault.null:
-        return Trial(outputs=["a"], injection=INJECTION)
+        return NodeTrial(outputs=["a"], injection=INJECTION)
     number = fault.seed - 10_000
     if number == 3:
         raise MavfiError("the machine is on fire")
     effect = ("masked", "sdc", "crash")[number]
     differing = ["b"] if effect == "sdc" else []
-    return Trial(
+    return NodeTrial(
         effect, {"crash": "SIGSEGV"}.get(effect, ""), ["a"], 10, differing, [DIFFERENCE] * len(differing), INJECTION
     )
 
@@ -116,7 +116,7 @@ def test_each_trial_has_the_effect_that_its_node_showed(campaign, tmp_path):
 
 def test_golden_trials_that_differ_or_fail_end_the_campaign(campaign, tmp_path, monkeypatch):
     outputs = iter("ab")
-    monkeypatch.setattr(host, "run_trial", lambda node: Trial(outputs=[next(outputs)]))
+    monkeypatch.setattr(host, "run_trial", lambda node: NodeTrial(outputs=[next(outputs)]))
     with pytest.raises(BadInputError, match=r"golden trials differ.*outputs\.ignore"):
         run(campaign, tmp_path / "a")
 

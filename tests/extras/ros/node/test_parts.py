@@ -8,7 +8,7 @@ import pytest
 from mavfi.cli import run
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.ros.node.message import Composer
-from mavfi.extras.ros.node.peer import Peer, Source, decode_header, encode_header
+from mavfi.extras.ros.node.peer import Peer, TopicSource, decode_header, encode_header
 from mavfi.faults.levels.message.definition import Definition
 from mavfi.flight.log_readers import make_probes
 
@@ -41,7 +41,7 @@ def test_headers_survive_the_wire():
 
 def test_a_peer_is_read_like_a_node_and_listens_on_loopback_only(peer):
     outlet = peer.advertise("/t", COMPOSER.header)
-    source = Source("/writer", peer.uri, "/t", "/reader")
+    source = TopicSource("/writer", peer.uri, "/t", "/reader")
     assert source.header["md5sum"] == COMPOSER.header["md5sum"] and not source.is_latched
     assert source.definition().kind == "sensor_msgs/JointState"
     while outlet.reader("/reader") is None:
@@ -53,9 +53,9 @@ def test_a_peer_is_read_like_a_node_and_listens_on_loopback_only(peer):
 
 def test_a_topic_that_is_not_offered_and_a_type_that_does_not_fit_are_refused(peer):
     with pytest.raises(MavfiError, match="no such topic"):
-        Source("/writer", peer.uri, "/other")
+        TopicSource("/writer", peer.uri, "/other")
     with pytest.raises(MavfiError, match="does not answer"):
-        Source("/writer", "http://127.0.0.1:9/", "/other")
+        TopicSource("/writer", "http://127.0.0.1:9/", "/other")
 
 
 def test_a_reader_follows_the_publishers_of_an_update(peer):

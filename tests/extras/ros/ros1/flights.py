@@ -3,7 +3,7 @@
 import json
 
 from mavfi.extras.ros.ros1.host import configure, fly
-from mavfi.extras.ros.ros1.plan import Plan
+from mavfi.extras.ros.ros1.plan import FlightPlan
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
 
@@ -16,7 +16,7 @@ def short(**changes):
 
 
 def there(scenario, fault=None, detector=None, **options):
-    return fly(Plan(scenario, configure(scenario), fault, detector, **options)).flight.log
+    return fly(FlightPlan(scenario, configure(scenario), fault, detector, **options)).flight.log
 
 
 def same(log, other):

@@ -19,7 +19,7 @@ from mavfi.extras.ros.cli import effect
 from mavfi.extras.ros.ros1.folder import PID
 from mavfi.extras.ros.ros1.host import configure
 from mavfi.extras.ros.ros1.host import fly as fly_there
-from mavfi.extras.ros.ros1.plan import Plan
+from mavfi.extras.ros.ros1.plan import FlightPlan
 from mavfi.extras.ros.ros1.ports import is_alive
 from mavfi.extras.ros.ros1.register_injector import fault_in_node
 from mavfi.extras.ros.ros1.supervisor import children
@@ -62,7 +62,7 @@ def test_a_node_is_a_process_of_its_own():
 
     threads = []
     scenario = short()
-    fly_there(Plan(scenario, configure(scenario)), tell=look)
+    fly_there(FlightPlan(scenario, configure(scenario)), tell=look)
     threads[0].join()
     assert set(seen) == {*NODES, "world"}
     assert len(set(seen.values())) == len(seen)
@@ -187,7 +187,7 @@ def test_a_hung_node_is_ended_and_restarted():
 @pytest.mark.alone
 def test_time_passes_as_on_the_wall_if_wanted():
     scenario = short()
-    flight = fly_there(Plan(scenario, configure(scenario), pace=2.0))
+    flight = fly_there(FlightPlan(scenario, configure(scenario), pace=2.0))
     same(flight.flight.log, fly_here(scenario).log)
     assert flight.times["flight"] >= 0.45 * flight.flight.log.column("time")[-1]
 
@@ -196,7 +196,7 @@ def test_time_passes_as_on_the_wall_if_wanted():
 def test_a_fault_in_a_register_of_a_node():
     scenario = short()
     for pace in (1.0, 0.3, 0.1):  # on a busy machine the tracer may attach only after a flight of five seconds
-        plan = Plan(scenario, configure(scenario), register_faults=(fault_in_node("pid", 500_000),), pace=pace)
+        plan = FlightPlan(scenario, configure(scenario), register_faults=(fault_in_node("pid", 500_000),), pace=pace)
         log = fly_there(plan).flight.log
         (injection,) = log.injections
         if injection.activated:
@@ -217,7 +217,7 @@ def test_a_flight_whose_supervisor_is_killed_is_a_failure_of_the_machine():
     before = set(Path(tempfile.gettempdir()).glob("mavfi-ros-*"))
     scenario = short()
     with pytest.raises(MachineError, match="^ROS: the process that starts the nodes was killed$"):
-        fly_there(Plan(scenario, configure(scenario)), tell=kill)
+        fly_there(FlightPlan(scenario, configure(scenario)), tell=kill)
     assert set(Path(tempfile.gettempdir()).glob("mavfi-ros-*")) <= before
 
 

@@ -19,18 +19,18 @@ def pipeline():
     return build_pipeline(configure(mission()))
 
 
-def ways(injected):
-    return Graph(pipeline(), injected).ways
+def routes(injected):
+    return FlightGraph(pipeline(), injected).routes
 
 
 def test_every_kernel_is_run_by_one_node():
-    nodes = Graph(pipeline()).nodes
+    nodes = FlightGraph(pipeline()).nodes
     assert sorted(kernel for kernels in nodes.values() for kernel in kernels) == sorted(pipeline())
     assert nodes["planner"] == ("planner", "trajectory")
 
 
 def test_without_taps_values_go_straight_to_their_readers():
-    found = ways(None)
+    found = routes(None)
     written = {state for kernel in pipeline().values() for state in kernel.writes}
     assert set(found) == written | {"sensor.depth", "sensor.odometry"} <= set(STATES)
     for name, way in found.items():
@@ -45,12 +45,12 @@ def test_detectors_that_take_part_in_what_is_not_published_are_refused(detector)
     with pytest.raises(
         BadInputError, match=rf"{type(detector).__name__}: takes part in what is not published; allowed"
     ):
-        Plan(scenario := mission(), configure(scenario), detector=detector)
+        FlightPlan(scenario := mission(), configure(scenario), detector=detector)
 
 
 def test_with_an_estimator_its_kernel_is_a_node_and_the_world_reads_what_it_says():
-    plan = Plan(scenario := mission(localization="estimator"), configure(scenario))
-    found = plan.graph.ways
+    plan = FlightPlan(scenario := mission(localization="estimator"), configure(scenario))
+    found = plan.graph.routes
     assert plan.nodes[0] == "state_estimation" and "sensor.odometry" not in found
     for sensor in ("sensor.imu", "sensor.position"):
         assert (found[sensor].writer, found[sensor].readers) == (WORLD, ("state_estimation",))
@@ -61,7 +61,7 @@ def test_with_an_estimator_its_kernel_is_a_node_and_the_world_reads_what_it_says
 
 
 def test_an_injector_sits_at_one_state():
-    found = ways("planning.waypoint")
+    found = routes("planning.waypoint")
     way = found["planning.waypoint"]
     assert (way.first, way.nodes, way.sender) == (f"{way.final}/raw", ("waypoint", INJECTOR), INJECTOR)
     assert [name for name, other in found.items() if INJECTOR in other.nodes] == ["planning.waypoint"]
@@ -86,9 +86,9 @@ def test_only_triggers_make_steps_due(autopilot):
     for kernel in loop.kernels.values():
         watch_inputs(kernel)
     loop.fly()
-    faces = Graph(pipeline()).faces.values()
-    assert seen and seen <= {(face.name, state) for face in faces for state in face.triggers}
-    assert not any(face.triggers for face in faces if face.name in PERIODIC)
+    interfaces = FlightGraph(pipeline()).interfaces.values()
+    assert seen and seen <= {(interface.name, state) for interface in interfaces for state in interface.triggers}
+    assert not any(interface.triggers for interface in interfaces if interface.name in PERIODIC)
 
 
 def test_without_a_private_network_there_is_no_flight(monkeypatch, tmp_path):

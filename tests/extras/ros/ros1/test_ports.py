@@ -39,7 +39,7 @@ def race(self, topic, uris):
 RegManager.publisher_update = race
 
 rospy.init_node("subscriber")
-ports = Ports("subscriber", SimpleNamespace(patience_s=float(sys.argv[1]), graph=SimpleNamespace(ways={})))
+ports = Ports("subscriber", SimpleNamespace(patience_s=float(sys.argv[1]), graph=SimpleNamespace(routes={})))
 ports._subscribers.append(rospy.Subscriber("/talk", String))  # without a flight's message types
 ports.wait_until_connected()
 print(len(lost), ports._subscribers[0].get_num_connections())

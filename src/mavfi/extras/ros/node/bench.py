@@ -22,9 +22,9 @@ from mavfi.extras.registers import inject
 from mavfi.extras.ros.node.config import NodeConfig
 from mavfi.extras.ros.node.master import URI_VARIABLE, Master, absolute
 from mavfi.extras.ros.node.message import Composer
-from mavfi.extras.ros.node.peer import Peer, Source
+from mavfi.extras.ros.node.peer import Peer, TopicSource
 from mavfi.extras.ros.ros1 import finder
-from mavfi.extras.ros.ros1.folder import own_path
+from mavfi.extras.ros.ros1.folder import absolute_python_path
 from mavfi.extras.ros.ros1.supervisor import adopt_orphans, end_all, end_with_parent, loopback_up, private_network
 from mavfi.faults.fault import RegisterFault, fault_from_json
 from mavfi.faults.levels.message.definition import Definition
@@ -42,7 +42,7 @@ _START_PATIENCE_S = 60.0
 """Time limit for the start of a program (s)."""
 
 
-class Bench:
+class NodeBench:
     """A ROS master in the (private) network of this process, and ROS programs; their logs go to `folder`."""
 
     def __init__(self, folder: Path) -> None:
@@ -51,7 +51,7 @@ class Bench:
         self._processes: list[subprocess.Popen[bytes]] = []
         self._peers: list[Peer] = []
 
-    def __enter__(self) -> "Bench":
+    def __enter__(self) -> "NodeBench":
         try:
             self.start(["/usr/bin/rosmaster", "--core", "-p", str(PORT)])
             self.master = self._wait_for_master()
@@ -79,6 +79,7 @@ class Bench:
 
     def start(self, command: list[str], extra: Mapping[str, str] | None = None) -> "subprocess.Popen[bytes]":
         """Start a program that ends with the bench; `extra`: additional environment variables."""
+        # Debian's ROS modules, the master of this bench, and logs in its folder
         variables = {
             **os.environ,
             **finder.environment(),
@@ -90,10 +91,9 @@ class Bench:
             **(extra or {}),
         }
         name = command[0]
+        program = name
         if name.startswith("/usr/"):
             program = str(finder.find_file(name.lstrip("/")))
-        else:
-            program = name
         log = self._folder / f"{len(self._processes)}-{Path(name).name}.log"
         try:
             with log.open("wb") as output:
@@ -129,10 +129,10 @@ class Bench:
         raise MavfiError(f"node {name}: is not there after {_START_PATIENCE_S:g} s")
 
 
-class Drive:
+class NodeDriver:
     """Sends inputs to a node one at a time, and waits for each output; `definition`: message definition of outputs."""
 
-    def __init__(self, bench: Bench, node: NodeConfig) -> None:
+    def __init__(self, bench: NodeBench, node: NodeConfig) -> None:
         self._node = node
         self._patience = node.patience_s
         self._composer = Composer(node.inputs.type)
@@ -144,13 +144,13 @@ class Drive:
         self.definition = self._source.definition()
         threading.Thread(target=self._listen, daemon=True).start()
 
-    def _connect(self, master: Master, node: str, output: str) -> Source:
+    def _connect(self, master: Master, node: str, output: str) -> TopicSource:
         """Wait until the node subscribes to its input and publishes its output."""
         end = time.monotonic() + self._patience
         source = None
         while source is None or self._outlet.reader(node) is None:
             try:
-                source = source or Source(node, master.node_uri(node), output)
+                source = source or TopicSource(node, master.node_uri(node), output)
             except MavfiError as error:
                 if time.monotonic() > end:
                     raise MavfiError(f"node {node}: {error}") from None
@@ -192,23 +192,23 @@ class Drive:
 
 # ---- a trial ---------------------------------------------------------------------------------------------------------
 
-_LONGEST_S = 300.0
+_TRIAL_PATIENCE_S = 300.0
 _PACE_S = 0.005
 """Pause between two rounds of inputs while the injection is prepared, as the tracer needs processor time (s)."""
 _DYING_S = 0.5
 """Time limit from the end of a process's connections to its own (s)."""
-_MOST_DIFFERENCES = 4
+_MAX_DIFFERENCES = 4
 
 
 @dataclass
-class Trial:
+class NodeTrial:
     """The result of a trial.
 
     Attributes:
         effect: Label of an `Effect`: "masked" = no output differs, "sdc" = some do, "crash" = the process ended,
             "hang" = an output is missing, "unknown" = inconclusive; `reason` explains the last three.
         outputs: Hash of the output to each input, before the injection.
-        asked: Number of inputs since the injection.
+        inputs_sent: Number of inputs since the injection.
         differing: Hashes of the outputs that differ.
         differences: Sample of differing numbers: path, before, after.
         injection: The injection, as plain data.
@@ -217,28 +217,29 @@ class Trial:
     effect: str = Effect.MASKED.label
     reason: str = ""
     outputs: list[str] = field(default_factory=list)
-    asked: int = 0
+    inputs_sent: int = 0
     differing: list[str] = field(default_factory=list)
     differences: list[dict[str, Any]] = field(default_factory=list)
     injection: dict[str, Any] | None = None
 
 
-def run_trial(node: NodeConfig, golden: tuple[str, ...] = (), fault: RegisterFault | None = None) -> Trial:
+def run_trial(node: NodeConfig, golden: tuple[str, ...] = (), fault: RegisterFault | None = None) -> NodeTrial:
     """Run a trial in a private network; `golden`: hash of the output to each input, empty = unknown.
 
     Raises:
         BadInputError: ROS is not installed, no private network, unknown program or type, ptrace refused.
         MavfiError: The node does not start, or the trial's process ended without a result.
     """
-    order = {"node": node.to_json(), "golden": golden, "fault": None if fault is None else fault.to_json()}
+    fault_data = None if fault is None else fault.to_json()
+    order = {"node": node.to_json(), "golden": golden, "fault": fault_data}
     command = [*private_network(), sys.executable, "-m", "mavfi.extras.ros.node.bench"]
     done = subprocess.run(
         command,
         input=json.dumps(order).encode(),
         capture_output=True,
-        timeout=_LONGEST_S,
+        timeout=_TRIAL_PATIENCE_S,
         check=False,
-        env={**os.environ, "PYTHONPATH": own_path()},
+        env={**os.environ, "PYTHONPATH": absolute_python_path()},
         start_new_session=True,
     )
     try:
@@ -251,43 +252,50 @@ def run_trial(node: NodeConfig, golden: tuple[str, ...] = (), fault: RegisterFau
         raise BadInputError(answer["refused"])
     if "failed" in answer:
         raise MavfiError(answer["failed"])
-    return Trial(**answer)
+    return NodeTrial(**answer)
 
 
 class _Session:
     """A trial, within its own process."""
 
-    def __init__(self, node: NodeConfig, golden: tuple[str, ...], bench: Bench) -> None:
-        self._node, self._known, self._trial = node, golden, Trial()
+    def __init__(self, node: NodeConfig, golden: tuple[str, ...], bench: NodeBench) -> None:
+        self._node = node
+        self._earlier_hashes = golden
+        self._trial = NodeTrial()
         self._process = bench.start(list(node.command))
         bench.wait_for_node(node.name, self._process)
-        self._drive = Drive(bench, node)
+        self._drive = NodeDriver(bench, node)
         self._golden: list[bytes] = []
 
-    def run(self, fault: RegisterFault | None) -> Trial:
+    def run(self, fault: RegisterFault | None) -> NodeTrial:
         """Run the complete trial."""
         trial = self._trial
         if not self._learn() or fault is None:
             return trial
+
+        # inject while the node computes: the tracer needs it to run, which it does only while it gets inputs
         done: list[Injection | Exception] = []
         injecting = threading.Thread(target=self._inject, args=(fault, done))
         injecting.start()
         while injecting.is_alive() and self._ask_all(injecting.is_alive):
             time.sleep(_PACE_S)
         injecting.join()
-        if isinstance(done[0], Exception):
-            if isinstance(done[0], BadInputError):
-                raise done[0]
-            return self._unknown(str(done[0]))
-        trial.injection = done[0].to_json()
+        injection = done[0]
+        if isinstance(injection, BadInputError):
+            raise injection
+        if isinstance(injection, Exception):
+            return self._unknown(str(injection))
+        trial.injection = injection.to_json()
+
+        # what the fault does to the outputs from now on
         for _ in range(self._node.cycles):
             if not self._ask_all():
                 break
-        if done[0].activated:
+        if injection.activated:
             return trial
         return self._unknown("the register was not injected")
 
-    def _unknown(self, reason: str) -> Trial:
+    def _unknown(self, reason: str) -> NodeTrial:
         """Mark the trial as inconclusive, unless an effect has been observed."""
         if self._trial.effect == Effect.MASKED.label:
             self._trial.effect = Effect.UNKNOWN.label
@@ -305,7 +313,7 @@ class _Session:
                 )
             self._golden.append(output)
         self._trial.outputs = [_hash(output) for output in self._golden]
-        if self._known and tuple(self._trial.outputs) != self._known:
+        if self._earlier_hashes and tuple(self._trial.outputs) != self._earlier_hashes:
             self._unknown("before the injection its output is not the golden one")
             return False
         return True
@@ -321,7 +329,7 @@ class _Session:
         trial = self._trial
         for number, golden in enumerate(self._golden):
             output = self._drive.ask(number, is_held)
-            trial.asked += 1
+            trial.inputs_sent += 1
             if output is None:
                 return self._gone()
             if output != golden:
@@ -334,18 +342,16 @@ class _Session:
     def _gone(self) -> bool:
         """Classify a missing output: the process terminated, or it hangs."""
         try:
-            code: int | None = self._process.wait(_DYING_S)
+            code = self._process.wait(_DYING_S)
         except subprocess.TimeoutExpired:
-            code = None
-        if code is None:
-            self._trial.effect, self._trial.reason = Effect.HANG.label, f"no output within {self._node.patience_s:g} s"
+            self._trial.effect = Effect.HANG.label
+            self._trial.reason = f"no output within {self._node.patience_s:g} s"
+            return False
+        self._trial.effect = Effect.CRASH.label
+        if code < 0:
+            self._trial.reason = signal.Signals(-code).name
         else:
-            if code < 0:
-                name = signal.Signals(-code).name
-            else:
-                name = f"exit code {code}"
-            self._trial.effect = Effect.CRASH.label
-            self._trial.reason = name
+            self._trial.reason = f"exit code {code}"
         return False
 
 
@@ -358,12 +364,13 @@ def differences(definition: Definition, golden: bytes, output: bytes) -> list[di
     differing = []
     try:
         for path in definition.numbers(golden, LONGEST_LIST):
-            before, after = (definition.locate(data, path).value(data) for data in (golden, output))
+            before = definition.locate(golden, path).value(golden)
+            after = definition.locate(output, path).value(output)
             if struct.pack("<d", before) != struct.pack("<d", after):
                 differing.append({"field": path, "before": repr(before), "after": repr(after)})
     except (MavfiError, struct.error, OverflowError):
         return differing
-    return differing[:_MOST_DIFFERENCES]
+    return differing[:_MAX_DIFFERENCES]
 
 
 def main() -> None:
@@ -374,14 +381,14 @@ def main() -> None:
     loopback_up()
     order = json.load(sys.stdin)
     node = NodeConfig.model_validate(order["node"])
-    if order["fault"] is None:
-        fault = None
-    else:
-        fault = fault_from_json(order["fault"])
-    assert fault is None or isinstance(fault, RegisterFault)
+    fault: RegisterFault | None = None
+    if order["fault"] is not None:
+        any_fault = fault_from_json(order["fault"])
+        assert isinstance(any_fault, RegisterFault)
+        fault = any_fault
     answer: dict[str, Any]
     try:
-        with tempfile.TemporaryDirectory(prefix="mavfi-trial-") as folder, Bench(Path(folder)) as bench:
+        with tempfile.TemporaryDirectory(prefix="mavfi-trial-") as folder, NodeBench(Path(folder)) as bench:
             for name, value in node.parameters.items():
                 bench.master.call("setParam", name, value)
             answer = asdict(_Session(node, tuple(order["golden"]), bench).run(fault))

@@ -21,7 +21,7 @@ _POLL_S = 0.005
 
 
 @dataclass(frozen=True, slots=True)
-class Turned:
+class RedirectedSubscriber:
     """A subscriber redirected to mavfi: its name and address, and the addresses of its original publishers."""
 
     topic: str
@@ -31,7 +31,7 @@ class Turned:
 
 
 @dataclass(frozen=True, slots=True)
-class Registered:
+class Registration:
     """A publisher or subscriber (`role`) registered by mavfi, with the node name and address used."""
 
     topic: str
@@ -45,15 +45,15 @@ class Guardian:
 
     def __init__(self, master: str) -> None:
         self._master = master
-        self._turned: dict[tuple[str, str], Turned] = {}
-        self._registered: list[Registered] = []
+        self._turned: dict[tuple[str, str], RedirectedSubscriber] = {}
+        self._registered: list[Registration] = []
         self._process = subprocess.Popen(
             [sys.executable, "-m", "mavfi.extras.ros.node.guardian"], stdin=subprocess.PIPE, start_new_session=True
         )
 
-    def remember(self, what: Turned | Registered) -> None:
+    def remember(self, what: RedirectedSubscriber | Registration) -> None:
         """Add a change to be undone; to be called before the change is made."""
-        if isinstance(what, Turned):
+        if isinstance(what, RedirectedSubscriber):
             self._turned[what.topic, what.uri] = what
         else:
             self._registered.append(what)
@@ -80,7 +80,9 @@ def publishers_of(master: str, topic: str) -> list[str]:
     """Addresses of a topic's publishers according to the master, without unreachable ones."""
     addresses = []
     for name, nodes in call(master, "getSystemState", CALLER)[0]:
-        for node in nodes if name == topic else ():
+        if name != topic:
+            continue
+        for node in nodes:
             with suppress(MavfiError):
                 addresses.append(call(master, "lookupNode", CALLER, node))
     return addresses

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, cast
 
 from mavfi.errors import BadInputError
-from mavfi.extras.ros.node.bench import Trial, run_trial
+from mavfi.extras.ros.node.bench import NodeTrial, run_trial
 from mavfi.extras.ros.node.config import NodeConfig
 from mavfi.extras.ros.ros1 import finder
 from mavfi.extras.ros.ros1.supervisor import private_network
@@ -87,7 +87,7 @@ class NodeMission:
         return one_by_one(runs, run)
 
 
-def golden_trial(node: NodeConfig) -> Trial:
+def golden_trial(node: NodeConfig) -> NodeTrial:
     """Run the error-free trials; returns the last one.
 
     Raises:
@@ -103,18 +103,17 @@ def golden_trial(node: NodeConfig) -> Trial:
     return trials[-1]
 
 
-def record_of_trial(trial: Trial) -> FlightRecord:
+def record_of_trial(trial: NodeTrial) -> FlightRecord:
     """The record of a trial; its digest is that of its outputs, so that golden outputs count as masked."""
     extra = {
         "outputs": trial.outputs,
-        "asked": trial.asked,
+        "asked": trial.inputs_sent,
         "differing": len(trial.differing),
         "differences": trial.differences,
         "reason": trial.reason,
     }
-    if trial.injection is None:
-        injections: tuple[Injection, ...] = ()
-    else:
+    injections: tuple[Injection, ...] = ()
+    if trial.injection is not None:
         injections = (Injection.from_json(trial.injection),)
     if trial.effect == Effect.UNKNOWN.label:
         return FlightRecord(End.UNKNOWN, injections=injections, extra=extra, error=trial.reason)

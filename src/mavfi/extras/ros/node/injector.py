@@ -12,7 +12,7 @@ from mavfi.faults.levels.message.definition import AbsentError, Definition, Leaf
 from mavfi.record import Injection
 
 
-class Outlet(Protocol):
+class MessageSink(Protocol):
     """Forwards messages of one definition to a topic."""
 
     definition: Definition
@@ -52,7 +52,7 @@ class MessageInjector:
         self._choices = random.Random(fault.seed)
         self._lock = threading.Lock()
 
-    def __call__(self, message: bytes, outlet: Outlet) -> bytes:
+    def __call__(self, message: bytes, outlet: MessageSink) -> bytes:
         """Forward a message, changed or unchanged."""
         with self._lock:
             self._seen += 1
@@ -78,13 +78,14 @@ class MessageInjector:
             return not self.done.is_set()
         return self._choices.random() < self.fault.rate
 
-    def _inject(self, message: bytes, leaf: Leaf, outlet: Outlet) -> bytes:
-        if self.fault.bit is None:
+    def _inject(self, message: bytes, leaf: Leaf, outlet: MessageSink) -> bytes:
+        """Flip a bit, send the message, and record the injection."""
+        bit = self.fault.bit
+        if bit is None:
             bit = self._choices.randrange(leaf.bits)
-        else:
-            bit = self.fault.bit
         changed = flip_bit(message, leaf, bit)
         readers = outlet.send(changed)
+        # activated: exactly this bit has left, and somebody received it
         difference = int.from_bytes(message, "little") ^ int.from_bytes(changed, "little")
         activated = len(message) == len(changed) and difference == 1 << (8 * leaf.offset + bit) and readers > 0
         injection = Injection(

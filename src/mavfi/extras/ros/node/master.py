@@ -69,7 +69,7 @@ def call(uri: str, method: str, *arguments: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Graph:
+class RosGraph:
     """Publishers, subscribers and types by topic, providers by service; type "*" = unknown, subscribers only."""
 
     publishers: dict[str, list[str]]
@@ -109,10 +109,10 @@ class Master:
         """Call the master; see `call`."""
         return call(self.uri, method, caller, *arguments)
 
-    def graph(self) -> Graph:
+    def graph(self) -> RosGraph:
         """The current graph."""
         publishers, subscribers, services = (dict(table) for table in self.call("getSystemState"))
-        return Graph(publishers, subscribers, services, dict(self.call("getTopicTypes")))
+        return RosGraph(publishers, subscribers, services, dict(self.call("getTopicTypes")))
 
     def node_uri(self, name: str) -> str:
         """Address of a node; `BadInputError` if it is not registered."""

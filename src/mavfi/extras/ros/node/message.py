@@ -58,15 +58,18 @@ class Composer:
         return _store().types[name](**values)
 
     def _value(self, kind: Any, value: Any, path: str) -> Any:
-        node, what = kind
+        """The value of a field in the form that rosbags serializes; None = zero or empty."""
+        # rosbags describes a field as (kind of node, its details): a message, a scalar, or (element, length) of a list
+        node, details = kind
         if node == Nodetype.NAME:
-            return self._make(what, {} if value is None else value, path)
+            return self._make(details, {} if value is None else value, path)
         if node == Nodetype.BASE:
-            return _scalar(what[0], value, path)
-        inner, length = what
+            return _scalar(details[0], value, path)
+        inner, length = details
         items = [None] * length if value is None else value
         if not isinstance(items, (list, tuple)) or (length and len(items) != length):
-            raise BadInputError(f"message {path}: {value!r}: allowed: a list" + (f" of {length}" if length else ""))
+            count = f" of {length}" if length else ""
+            raise BadInputError(f"message {path}: {value!r}: allowed: a list{count}")
         if inner[0] == Nodetype.NAME or inner[1][0] == "string":
             return [self._value(inner, item, path) for item in items]
         base = inner[1][0]
@@ -74,7 +77,11 @@ class Composer:
 
 
 def _scalar(base: str, value: Any, path: str) -> Any:
-    wanted: type = str if base == "string" else float if base in _FLOATS else int
+    wanted: type = int
+    if base == "string":
+        wanted = str
+    elif base in _FLOATS:
+        wanted = float
     if value is None:
         return wanted()
     if isinstance(value, wanted) or (wanted is float and isinstance(value, int)):

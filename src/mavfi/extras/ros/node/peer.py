@@ -61,7 +61,7 @@ def frame(data: bytes) -> bytes:
     return _LENGTH.pack(len(data)) + data
 
 
-class Source:
+class TopicSource:
     """A connection to one publisher of a topic, as node `caller`; not registered with the master.
 
     Raises:
@@ -201,7 +201,7 @@ class Inlet:
         self.topic = topic
         self._arrived = arrived
         self._caller = caller
-        self.sources: dict[str, Source] = {}
+        self.sources: dict[str, TopicSource] = {}
         self.failures: list[str] = []
         self._lock = threading.Lock()
 
@@ -213,14 +213,14 @@ class Inlet:
             for uri in uris:
                 if uri not in self.sources:
                     try:
-                        source = Source(uri, uri, self.topic, self._caller)
+                        source = TopicSource(uri, uri, self.topic, self._caller)
                     except MavfiError as error:
                         self.failures.append(str(error))
                         continue
                     self.sources[uri] = source
                     threading.Thread(target=self._read, args=(uri, source), daemon=True).start()
 
-    def _read(self, uri: str, source: Source) -> None:
+    def _read(self, uri: str, source: TopicSource) -> None:
         for message in source.messages():
             self._arrived(message)
         with self._lock:
@@ -296,12 +296,13 @@ class Peer:
             request = decode_header(read_frame(stream, LARGEST_HEADER))
             outlet = self._outlets.get(request.get("topic", ""))
             if outlet is None:
-                refusal = "no such topic here"
-            else:
-                refusal = _mismatch(request, outlet.header)
-            if outlet is None or refusal:
-                connection.sendall(encode_header({"error": refusal}))
+                connection.sendall(encode_header({"error": "no such topic here"}))
                 return
+            mismatch = _mismatch(request, outlet.header)
+            if mismatch:
+                connection.sendall(encode_header({"error": mismatch}))
+                return
+            # messages are small and time-critical; a subscriber that reads none for a second is dropped
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _SEND_PATIENCE)
             connection.sendall(encode_header(outlet.header))

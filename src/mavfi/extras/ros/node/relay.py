@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from mavfi.errors import BadInputError, MavfiError, allowed
-from mavfi.extras.ros.node.guardian import Guardian, Turned
-from mavfi.extras.ros.node.master import MASTER_CALLER, Graph, Master, call, check_known
-from mavfi.extras.ros.node.peer import Peer, Reader, Source
+from mavfi.extras.ros.node.guardian import Guardian, RedirectedSubscriber
+from mavfi.extras.ros.node.master import MASTER_CALLER, Master, RosGraph, call, check_known
+from mavfi.extras.ros.node.peer import Peer, Reader, TopicSource
 from mavfi.faults.levels.message.definition import Definition
 
 TURN_PATIENCE_S = 2.0
@@ -25,7 +25,7 @@ Change = Callable[[bytes, "Relay"], bytes]
 """Sends the replacement of a message through the relay, and returns it."""
 
 
-def sources_of(master: Master, graph: Graph, topic: str, skipped: Sequence[str] = ()) -> list[Source]:
+def sources_of(master: Master, graph: RosGraph, topic: str, skipped: Sequence[str] = ()) -> list[TopicSource]:
     """Connect to every live publisher of a topic.
 
     Raises:
@@ -37,7 +37,7 @@ def sources_of(master: Master, graph: Graph, topic: str, skipped: Sequence[str] 
     for node in graph.publishers.get(topic, ()):
         if node not in skipped:
             try:
-                sources.append(Source(node, master.node_uri(node), topic))
+                sources.append(TopicSource(node, master.node_uri(node), topic))
             except BadInputError:
                 raise
             except MavfiError as error:
@@ -79,10 +79,9 @@ class Relay:
         self._change = change
         graph = master.graph()
         self.topic = check_known("topic", topic, graph.topics)
-        if reader is None:
-            self._only = None
-        else:
-            self._only = check_known("node", reader, graph.nodes)
+        self._only_reader = None
+        if reader is not None:
+            self._only_reader = check_known("node", reader, graph.nodes)
         self._check(graph)
         self._sources = sources_of(master, graph, self.topic)
         self.definition: Definition = self._sources[0].definition()
@@ -98,10 +97,10 @@ class Relay:
         self.failures: list[str] = []
         self.error: Exception | None = None
 
-    def _check(self, graph: Graph) -> None:
+    def _check(self, graph: RosGraph) -> None:
         readers = graph.subscribers.get(self.topic, [])
-        if self._only is not None and self._only not in readers:
-            raise BadInputError(f"node {self._only}: does not read {self.topic}; allowed: {allowed(readers)}")
+        if self._only_reader is not None and self._only_reader not in readers:
+            raise BadInputError(f"node {self._only_reader}: does not read {self.topic}; allowed: {allowed(readers)}")
         if not readers:
             raise BadInputError(f"topic {self.topic}: nobody reads it, so a change would have no effect")
 
@@ -138,11 +137,11 @@ class Relay:
             source.close()
 
     # ---- messages ---------------------------------------------------------------------------------------------------
-    def _pump(self, sources: Sequence[Source]) -> None:
+    def _pump(self, sources: Sequence[TopicSource]) -> None:
         for source in sources:
             threading.Thread(target=self._pass_on, args=(source,), daemon=True).start()
 
-    def _pass_on(self, source: Source) -> None:
+    def _pass_on(self, source: TopicSource) -> None:
         try:
             for message in source.messages():
                 if not self._begun:  # not all subscribers are redirected yet
@@ -158,12 +157,11 @@ class Relay:
         return self._outlet.send(message)
 
     # ---- subscribers ------------------------------------------------------------------------------------------------
-    def _turn_all(self, graph: Graph) -> None:
+    def _turn_all(self, graph: RosGraph) -> None:
         """Redirect the remaining subscribers; `MavfiError` if none is redirected in the end."""
-        if self._only:
-            readers = [self._only]
-        else:
-            readers = graph.subscribers.get(self.topic, [])
+        readers = graph.subscribers.get(self.topic, [])
+        if self._only_reader:
+            readers = [self._only_reader]
         failures: list[str] = []
         for node in readers:
             reader = self._outlet.reader(node)
@@ -176,7 +174,7 @@ class Relay:
         if failures and not any(reader.active for reader in self._outlet.readers):
             raise MavfiError(failures[0])
 
-    def _turn(self, node: str, graph: Graph) -> None:
+    def _turn(self, node: str, graph: RosGraph) -> None:
         """Connect a subscriber to mavfi in addition to its publishers, then remove those: no message is lost."""
         uri = self.master.node_uri(node)
         publishers = []
@@ -186,7 +184,7 @@ class Relay:
         with self._lock:
             if self._ended.is_set():
                 return
-            self._guardian.remember(Turned(self.topic, node, uri, tuple(publishers)))
+            self._guardian.remember(RedirectedSubscriber(self.topic, node, uri, tuple(publishers)))
             call(uri, "publisherUpdate", MASTER_CALLER, self.topic, [*publishers, self._peer.uri])
             reader = self._wait_for(node)
             call(uri, "publisherUpdate", MASTER_CALLER, self.topic, [self._peer.uri])
@@ -212,12 +210,12 @@ class Relay:
                     self._read_new(graph)
                     self._turn_all(graph)
 
-    def _read_new(self, graph: Graph) -> None:
+    def _read_new(self, graph: RosGraph) -> None:
         """Connect to publishers that have joined."""
         connected = {source.uri for source in self._sources}
         for node in graph.publishers.get(self.topic, ()):
             uri = self.master.node_uri(node)
             if uri not in connected and node != self._peer.name:
-                source = Source(node, uri, self.topic)
+                source = TopicSource(node, uri, self.topic)
                 self._sources.append(source)
                 self._pump([source])

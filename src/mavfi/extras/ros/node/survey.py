@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from mavfi.errors import MavfiError
-from mavfi.extras.ros.node.master import CALLER, Graph, Master, call, is_here
-from mavfi.extras.ros.node.peer import Source
+from mavfi.extras.ros.node.master import CALLER, Master, RosGraph, call, is_here
+from mavfi.extras.ros.node.peer import TopicSource
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +58,9 @@ def survey(master: Master, seconds: float = 1.0) -> Survey:
     """Survey the graph, and listen to every topic for a duration (s); 0 = rates are not measured."""
     graph = master.graph()
     nodes = tuple(_node(master, graph, name) for name in graph.nodes)
+    rates = {}
     if seconds > 0:
         rates = _rates(graph, {node.name: node.uri for node in nodes if node.is_alive}, seconds)
-    else:
-        rates = {}
     topics = tuple(
         Topic(
             name,
@@ -75,7 +74,7 @@ def survey(master: Master, seconds: float = 1.0) -> Survey:
     return Survey(master.uri, nodes, topics)
 
 
-def _node(master: Master, graph: Graph, name: str) -> Node:
+def _node(master: Master, graph: RosGraph, name: str) -> Node:
     uri = ""
     pid = None
     executable = ""
@@ -94,18 +93,18 @@ def _node(master: Master, graph: Graph, name: str) -> Node:
     )
 
 
-def _rates(graph: Graph, uris: dict[str, str], seconds: float) -> dict[str, float]:
+def _rates(graph: RosGraph, uris: dict[str, str], seconds: float) -> dict[str, float]:
     """Messages per second of each topic with a live publisher, excluding earlier latched messages."""
-    sources: list[Source] = []
+    sources: list[TopicSource] = []
     for topic, nodes in graph.publishers.items():
         for node in nodes:
             with suppress(MavfiError):
                 if node in uris:
-                    sources.append(Source(node, uris[node], topic))
+                    sources.append(TopicSource(node, uris[node], topic))
     counts: Counter[str] = Counter({source.topic: 0 for source in sources})
     latched = Counter(source.topic for source in sources if source.is_latched)
 
-    def listen(source: Source) -> None:
+    def listen(source: TopicSource) -> None:
         for _ in source.messages():
             counts[source.topic] += 1
 

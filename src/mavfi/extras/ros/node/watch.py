@@ -16,7 +16,7 @@ from typing import Any
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.foreign import foreign_state, learn
 from mavfi.errors import MavfiError
-from mavfi.extras.ros.node.guardian import Guardian, Registered
+from mavfi.extras.ros.node.guardian import Guardian, Registration
 from mavfi.extras.ros.node.master import Master, absolute
 from mavfi.extras.ros.node.message import Composer
 from mavfi.extras.ros.node.peer import Outlet, Peer
@@ -55,7 +55,7 @@ class ForeignAlarm:
         return asdict(self)
 
 
-class Listener:
+class TopicListener:
     """Subscribes to topics of a running graph, as a node, from `__enter__` to `__exit__`; collects one queue.
 
     Raises:
@@ -74,11 +74,11 @@ class Listener:
             for source in sources:
                 source.close()
 
-    def __enter__(self) -> "Listener":
+    def __enter__(self) -> "TopicListener":
         self._guardian = Guardian(self._master.uri)
         self._peer = Peer(self._master, f"/mavfi_watch_{os.getpid()}")
         for topic in self.topics:
-            self._guardian.remember(Registered(topic, self._peer.name, self._peer.uri, "Subscriber"))
+            self._guardian.remember(Registration(topic, self._peer.name, self._peer.uri, "Subscriber"))
             self._peer.subscribe(topic, partial(self._arrived, topic))
         return self
 
@@ -92,7 +92,7 @@ class Listener:
     def speak(self, topic: str, kind: str) -> tuple[Outlet, Composer]:
         """Publish on a topic until `__exit__`."""
         composer = Composer(kind)
-        self._guardian.remember(Registered(topic, self._peer.name, self._peer.uri))
+        self._guardian.remember(Registration(topic, self._peer.name, self._peer.uri))
         return self._peer.advertise(topic, composer.header), composer
 
     def take(self, seconds: float) -> Iterator[tuple[str, bytes]]:
@@ -115,7 +115,7 @@ class Listener:
         raise MavfiError(f"topic {silent[0]}: no message within {FIRST_PATIENCE_S:g} s; nothing can be watched")
 
 
-class Watch:
+class TopicWatch:
     """Checks messages of an open listener, and publishes alarms on a topic, as JSON in a `std_msgs/String`.
 
     Attributes:
@@ -124,7 +124,7 @@ class Watch:
         skipped: Number of messages that lack a monitored field, by topic.
     """
 
-    def __init__(self, listener: Listener, probes: dict[str, Probe], detector: Detector) -> None:
+    def __init__(self, listener: TopicListener, probes: dict[str, Probe], detector: Detector) -> None:
         self._probes = probes
         self._detector = detector
         self.alarms: list[ForeignAlarm] = []
@@ -137,10 +137,9 @@ class Watch:
 
     def judge(self, topic: str, message: bytes) -> ForeignAlarm | None:
         """Check a message; an alarm is published, stored and returned."""
+        state = None
         if topic in self._probes:
             state = self._probes[topic].read(message)
-        else:
-            state = None
         if state is None:
             self.skipped[topic] += 1
             return None
@@ -168,7 +167,10 @@ def train(
     Raises:
         BadInputError: See `learn`.
     """
-    states = [
-        state for topic, message in messages if topic in probes and (state := probes[topic].read(message)) is not None
-    ]
+    states = []
+    for topic, message in messages:
+        if topic in probes:
+            state = probes[topic].read(message)
+            if state is not None:
+                states.append(state)
     return learn(kind, profile, [states], {topic: probe.spec for topic, probe in probes.items()}), len(states)

@@ -82,7 +82,10 @@ def roots() -> list[Path]:
 
 def find_file(name: str) -> Path:
     """Path of a ROS file, e.g. "usr/bin/rosmaster"; a missing file yields its path under the system prefix."""
-    return next((path for root in roots() if (path := root / name).exists()), _SYSTEM / name)
+    for root in roots():
+        if (root / name).exists():
+            return root / name
+    return _SYSTEM / name
 
 
 def enable(generated: Path | None = None) -> None:
@@ -121,11 +124,11 @@ def environment() -> dict[str, str]:
     folders = roots()
     variables = {"ROS_PACKAGE_PATH": _path(root / "usr/share" for root in folders)}
     if len(folders) > 1:
-        own = folders[0]
-        variables["PYTHONPATH"] = str(own / DIST_PACKAGES)
+        unpacked = folders[0]
+        variables["PYTHONPATH"] = str(unpacked / DIST_PACKAGES)
         # for the programs that they start
-        variables["PATH"] = os.pathsep.join([str(own / "usr/bin"), os.environ.get("PATH", os.defpath)])
-        variables["LD_LIBRARY_PATH"] = _path(own / name for name in _LIBRARIES)
+        variables["PATH"] = os.pathsep.join([str(unpacked / "usr/bin"), os.environ.get("PATH", os.defpath)])
+        variables["LD_LIBRARY_PATH"] = _path(unpacked / name for name in _LIBRARIES)
         variables["CMAKE_PREFIX_PATH"] = _path(root / "usr" for root in folders)
     return variables
 

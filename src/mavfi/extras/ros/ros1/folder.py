@@ -108,7 +108,7 @@ def free_port() -> dict[str, str]:
         return {_PORT_VARIABLE: str(any_socket.getsockname()[1])}
 
 
-def own_path() -> str:
+def absolute_python_path() -> str:
     """PYTHONPATH of this process with absolute folders, as nodes have other working directories."""
     folders = os.environ.get("PYTHONPATH", "")
     return os.pathsep.join(os.path.abspath(folder) for folder in folders.split(os.pathsep) if folder)
@@ -117,7 +117,9 @@ def own_path() -> str:
 def environment(folder: Path) -> dict[str, str]:
     """Environment of all ROS programs of a flight."""
     variables = finder.environment()
-    paths = [str(folder / MESSAGES), *([variables["PYTHONPATH"]] if "PYTHONPATH" in variables else [])]
+    paths = [str(folder / MESSAGES)]
+    if "PYTHONPATH" in variables:
+        paths.append(variables["PYTHONPATH"])
     return {
         **os.environ,
         **variables,
@@ -136,11 +138,10 @@ def environment(folder: Path) -> dict[str, str]:
 
 def write_join(folder: Path, isolated: bool, own_users: bool) -> None:
     """Write the script `join`, which enters the flight's network namespace and, if present, its user namespace."""
-    enter = "--user --preserve-credentials --net" if own_users else "--net"
+    prefix = ""
     if isolated:
+        enter = "--user --preserve-credentials --net" if own_users else "--net"
         prefix = f"nsenter --target \"$(cat '{folder / PID}')\" {enter} "
-    else:
-        prefix = ""
     variables = environment(folder)
     exports = " ".join(f"{name}='{variables[name]}'" for name in _EXPORTED if name in variables)
     path = folder / JOIN

@@ -13,9 +13,9 @@ from typing import Any
 from mavfi.errors import BadInputError, MachineError, MavfiError
 from mavfi.extras.ros.ros1 import finder
 from mavfi.extras.ros.ros1 import folder as files
-from mavfi.extras.ros.ros1.kernels import fly_begin
+from mavfi.extras.ros.ros1.kernels import warm_up
 from mavfi.extras.ros.ros1.messages import generate
-from mavfi.extras.ros.ros1.plan import Plan, check_supported
+from mavfi.extras.ros.ros1.plan import FlightPlan, check_supported
 from mavfi.extras.ros.ros1.supervisor import private_network
 from mavfi.faults.fault import StateFault
 from mavfi.faults.levels.sensor.fault import SensorFault
@@ -69,7 +69,7 @@ class Ros1Flights(ArmFlights):
     def _fly(self, arm: str, fault: StateFault | SensorFault | None, *, profile: bool = False) -> Flight:
         setup = self._arms[arm]
         first = arm not in self._detectors
-        plan = Plan(
+        plan = FlightPlan(
             setup.scenario,
             configure(setup.scenario),
             fault,
@@ -80,7 +80,7 @@ class Ros1Flights(ArmFlights):
         )
         if first:
             # compile in advance: a detector that is compiled in its node would be mistaken for a hung one
-            fly_begin(plan.scenario, plan.detector, setup.recovery)
+            warm_up(plan.scenario, plan.detector, setup.recovery)
         return fly(plan).flight
 
 
@@ -119,7 +119,7 @@ def isolation(allow_bind_all: bool = False) -> list[str]:
         raise
 
 
-def fly(plan: Plan, *, allow_bind_all: bool = False, tell: Callable[[Path], None] | None = None) -> RosFlight:
+def fly(plan: FlightPlan, *, allow_bind_all: bool = False, tell: Callable[[Path], None] | None = None) -> RosFlight:
     """Fly one mission on ROS.
 
     Args:
@@ -142,7 +142,7 @@ def fly(plan: Plan, *, allow_bind_all: bool = False, tell: Callable[[Path], None
         return RosFlight(flight, _spent(folder, began, prepared))
 
 
-def _prepare(plan: Plan, folder: Path, command: list[str]) -> None:
+def _prepare(plan: FlightPlan, folder: Path, command: list[str]) -> None:
     """Write all files of the flight to its folder."""
     finder.enable(folder / files.MESSAGES)
     generate(folder / files.MESSAGES)
@@ -160,7 +160,7 @@ def _run(folder: Path, command: list[str], tell: Callable[[Path], None] | None) 
         MachineError: The supervisor was killed, as no fault can.
     """
     program = [*command, sys.executable, "-m", "mavfi.extras.ros.ros1.supervisor", str(os.getpid())]
-    variables = {**files.environment(folder), "PYTHONPATH": files.own_path()}
+    variables = {**files.environment(folder), "PYTHONPATH": files.absolute_python_path()}
     with (folder / files.LOG / "supervisor.out").open("wb") as output:
         supervisor = subprocess.Popen(
             program,
@@ -195,7 +195,7 @@ def _end(supervisor: "subprocess.Popen[bytes]") -> None:
         supervisor.wait()
 
 
-def _result(folder: Path, plan: Plan) -> Flight:
+def _result(folder: Path, plan: FlightPlan) -> Flight:
     """The flight record of the world; `MavfiError` if there is none."""
     failure = folder / files.FAILURE
     if failure.exists():

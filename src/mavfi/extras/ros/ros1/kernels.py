@@ -8,8 +8,8 @@ import numpy as np
 
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.extras.ros.ros1.folder import read_injections, write_injections
-from mavfi.extras.ros.ros1.messages import Action, deserialized, message_type, to_stamp
-from mavfi.extras.ros.ros1.plan import ALARM, DETECTOR, INJECTOR, Plan
+from mavfi.extras.ros.ros1.messages import NodeAction, deserialized, message_type, to_stamp
+from mavfi.extras.ros.ros1.plan import ALARM, DETECTOR, INJECTOR, FlightPlan
 from mavfi.extras.ros.ros1.ports import Inbox, Ports
 from mavfi.faults.levels.state_injector import StateInjector
 from mavfi.flight.compose import new_loop, watch
@@ -26,29 +26,29 @@ _LOADING_FLIGHT_US = 3_000_000
 class KernelNode:
     """Executes the world's operations in order, on values received over the topics."""
 
-    def __init__(self, name: str, plan: Plan) -> None:
+    def __init__(self, name: str, plan: FlightPlan) -> None:
         self._ports = Ports(name, plan)
         self._build()
         self._inbox = Inbox()
         self._taken: dict[int, tuple[State, int]] = {}
         self._due: dict[str, tuple[int, State]] = {}
         self._results: dict[int, State] = {}
-        self._given: dict[int, State] = {}
-        self._at_once = plan.published_at_once()
+        self._restored: dict[int, State] = {}
+        self._immediate = plan.immediate_states()
         written = [state for kernel in self._kernels.values() for state in kernel.writes]
-        self._outlets = {state: self._ports.outlet(state, self._ports.ways[state].first) for state in written}
+        self._outlets = {state: self._ports.outlet(state, self._ports.routes[state].first) for state in written}
         self._actions: dict[int, Callable[[Kernel, Any], Any]] = {
-            Action.STEP: lambda kernel, order: kernel.step(order.time_us),
-            Action.MARK: lambda kernel, order: kernel.mark(),
-            Action.ROLLBACK: lambda kernel, order: kernel.rollback(),
-            Action.STOP: lambda kernel, order: kernel.stop(),  # type: ignore[attr-defined]
-            Action.ABANDON: lambda kernel, order: kernel.abandon(order.time_us),  # type: ignore[attr-defined]
-            Action.AGAIN: lambda kernel, order: repeat(kernel),
-            Action.RECEIVE: self._receive,
-            Action.PUBLISH: self._publish,
-            Action.GIVE: self._note_given,
-            Action.RESUME: self._resume,
-            Action.RESET: self._reset,
+            NodeAction.STEP: lambda kernel, order: kernel.step(order.time_us),
+            NodeAction.MARK: lambda kernel, order: kernel.mark(),
+            NodeAction.ROLLBACK: lambda kernel, order: kernel.rollback(),
+            NodeAction.STOP: lambda kernel, order: kernel.stop(),  # type: ignore[attr-defined]
+            NodeAction.ABANDON: lambda kernel, order: kernel.abandon(order.time_us),  # type: ignore[attr-defined]
+            NodeAction.AGAIN: lambda kernel, order: repeat(kernel),
+            NodeAction.RECEIVE: self._receive,
+            NodeAction.PUBLISH: self._publish,
+            NodeAction.GIVE: self._restore,
+            NodeAction.RESUME: self._resume,
+            NodeAction.RESET: self._reset,
         }
 
     def _build(self) -> None:
@@ -63,23 +63,24 @@ class KernelNode:
 
     def run(self) -> None:
         """Serve until shutdown."""
-        for state, way in self._ports.ways.items():
+        for state, route in self._ports.routes.items():
             if self._reading(state):
-                self._ports.read(state, way.final, lambda state, number, time_us: self._inbox.put(number, state))
+                self._ports.read(state, route.final, lambda state, number, time_us: self._inbox.put(number, state))
         self._ports.serve(self._drive)
 
     def _drive(self, request: Any) -> Any:
+        """Execute the operations of a call in order; the response is what came of them."""
         from mavfi_msgs.srv import DriveResponse
 
         response = DriveResponse()
         with np.errstate(all="ignore"):
             for order in request.operations:
                 answer = self._actions[order.action](self._kernels[order.kernel], order)
-                if order.action in (Action.STEP, Action.STOP, Action.ABANDON):
+                if order.action in (NodeAction.STEP, NodeAction.STOP, NodeAction.ABANDON):
                     response.numbers = list(range(order.number, order.number + len(answer)))
                     response.states = [state.spec.name for state in answer]
                     self._keep_results(answer, response.numbers, order.publish_us)
-                elif order.action == Action.RESUME:
+                elif order.action == NodeAction.RESUME:
                     response.states = list(answer)
                 elif answer:
                     response.due = True
@@ -88,7 +89,7 @@ class KernelNode:
     def _keep_results(self, states: list[State], numbers: list[int], publish_us: int) -> None:
         """Keep results until they are published, or publish them now with the stamp of that instant."""
         for state, number in zip(states, numbers, strict=True):
-            if publish_us >= 0 and state.spec.name in self._at_once:
+            if publish_us >= 0 and state.spec.name in self._immediate:
                 self._outlets[state.spec.name].publish(state, number, publish_us)
             else:
                 self._results[number] = state
@@ -105,8 +106,8 @@ class KernelNode:
 
     def _take(self, number: int) -> State:
         """A value received over a topic, for one of the kernels that read it."""
-        if number in self._given:
-            return self._given[number]
+        if number in self._restored:
+            return self._restored[number]
         if number not in self._taken:
             state = self._inbox.take(number, self._ports.plan.patience_s)
             self._taken[number] = state, len(self._reading(state.spec.name))
@@ -120,22 +121,22 @@ class KernelNode:
         self._outlets[state.spec.name].publish(state, order.number, order.time_us)
 
     # ---- after a restart --------------------------------------------------------------------------------------------
-    def _note_given(self, kernel: Kernel, order: Any) -> None:
+    def _restore(self, kernel: Kernel, order: Any) -> None:
         """Keep a value of before the restart."""
-        self._given[order.number] = deserialized(order.value, order.state)
+        self._restored[order.number] = deserialized(order.value, order.state)
 
     def _resume(self, kernel: Kernel, order: Any) -> tuple[str, ...]:
-        latest = {self._given[number].spec.name: self._given[number] for number in sorted(self._given)}
+        latest = {self._restored[number].spec.name: self._restored[number] for number in sorted(self._restored)}
         return kernel.resume(latest, order.time_us)
 
     def _reset(self, kernel: Kernel, order: Any) -> None:
         """Initialize the memory; results already computed remain scheduled for publication."""
         self._build()
         self._due.clear()
-        self._given.clear()
+        self._restored.clear()
 
 
-def fly_begin(scenario: Scenario, detector: Detector | None = None, recovery: RecoveryPolicy = INLINE) -> None:
+def warm_up(scenario: Scenario, detector: Detector | None = None, recovery: RecoveryPolicy = INLINE) -> None:
     """Fly the first seconds in this process, so that all functions are compiled and loaded."""
     loop = new_loop(scenario)
     watch(loop, detector, recovery)
@@ -149,15 +150,15 @@ def fly_begin(scenario: Scenario, detector: Detector | None = None, recovery: Re
 class InjectorNode:
     """Injects the fault of a plan into one state's values in transit."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: FlightPlan) -> None:
         fault = plan.state_fault
         assert fault is not None
         self._inject = StateInjector(fault)
         self._is_spent = bool(read_injections())  # before a restart of this node
         self._ports = Ports(INJECTOR, plan)
-        way = self._ports.ways[fault.where.state]
-        self._outlet = self._ports.outlet(way.state, way.final)
-        self._ports.read(way.state, way.first, self._arrived)
+        route = self._ports.routes[fault.where.state]
+        self._outlet = self._ports.outlet(route.state, route.final)
+        self._ports.read(route.state, route.first, self._arrived)
 
     def run(self) -> None:
         """Serve until shutdown."""
@@ -178,7 +179,7 @@ class InjectorNode:
 class DetectorNode:
     """Checks and records the values that the world names, and publishes its alarms for other tools."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: FlightPlan) -> None:
         assert plan.detector is not None
         import rospy
 
@@ -188,8 +189,8 @@ class DetectorNode:
         self._inbox = Inbox()
         self._checked: tuple[int, State] | None = None
         self._alarms = rospy.Publisher(ALARM, message_type("Alarm"), queue_size=None)
-        for state, way in self._ports.ways.items():
-            self._ports.read(state, way.final, lambda state, number, time_us: self._inbox.put(number, state))
+        for state, route in self._ports.routes.items():
+            self._ports.read(state, route.final, lambda state, number, time_us: self._inbox.put(number, state))
 
     def run(self) -> None:
         """Serve until shutdown."""
@@ -202,7 +203,7 @@ class DetectorNode:
         with np.errstate(all="ignore"):
             for order in request.operations:
                 state = self._take(order.number)
-                if order.action == Action.ACCEPT:
+                if order.action == NodeAction.ACCEPT:
                     self._detector.accept(state, order.time_us)
                     continue
                 alarm = self._detector.check(state, order.time_us)

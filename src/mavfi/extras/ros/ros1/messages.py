@@ -28,7 +28,7 @@ PACKAGE = "mavfi_msgs"
 _TYPES = {"f8": "float64", "f4": "float32", "i4": "int32", "?": "bool"}
 
 
-class Action(IntEnum):
+class NodeAction(IntEnum):
     """What the world asks of a node, one `mavfi_msgs/Operation` each."""
 
     RECEIVE = 0  # the kernel receives the publication `number`
@@ -57,7 +57,7 @@ mavfi_msgs/Alarm[] alarms
 """,
 }
 """Definition of each service of the package, by name."""
-_ACTIONS = "\n".join(f"uint8 {action.name} = {action.value}" for action in Action)
+_ACTIONS = "\n".join(f"uint8 {action.name} = {action.value}" for action in NodeAction)
 _OTHERS = {
     "Operation": f"""# One operation of a kernel or of the detector; state, value: of the number, where that matters;
 # publish_us: stamp of what is published at once, -1 = it is held.

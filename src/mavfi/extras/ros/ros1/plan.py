@@ -25,7 +25,7 @@ ALARM = f"{PREFIX}/alarm"
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class Route:
     """Route of a state's values from the publishing node to the nodes whose kernels read them."""
 
     state: str
@@ -61,7 +61,7 @@ class Way:
 
 
 @dataclass(frozen=True, slots=True)
-class Face:
+class KernelInterface:
     """Interface of a kernel to other nodes: attributes as of `Kernel`, and the inputs that can make a step due."""
 
     name: str
@@ -71,29 +71,29 @@ class Face:
     triggers: tuple[str, ...]
 
 
-def face_of(kernel: Kernel) -> Face:
-    """The face of a kernel; kernels stepped at the control period have no triggers."""
+def interface_of(kernel: Kernel) -> KernelInterface:
+    """The interface of a kernel; kernels stepped at the control period have no triggers."""
     if kernel.name in PERIODIC:
         quiet = kernel.reads
     else:
         quiet = getattr(kernel, "quiet", ())
     triggers = tuple(state for state in kernel.reads if state not in quiet)
-    return Face(kernel.name, kernel.stage, kernel.reads, kernel.writes, triggers)
+    return KernelInterface(kernel.name, kernel.stage, kernel.reads, kernel.writes, triggers)
 
 
-class Graph:
+class FlightGraph:
     """Nodes and topics of a flight; `injected`: state with an injector, None = none."""
 
     def __init__(self, kernels: Mapping[str, Kernel], injected: str | None = None) -> None:
-        self.faces = {name: face_of(kernel) for name, kernel in kernels.items()}
+        self.interfaces = {name: interface_of(kernel) for name, kernel in kernels.items()}
         self.nodes: dict[str, tuple[str, ...]] = {}
         for name in kernels:
             node = KERNELS[name].node
             self.nodes[node] = (*self.nodes.get(node, ()), name)
-        self.ways = {
-            name: Way(name, self.node_of(spec.writer), self._readers(name), name == injected)
+        self.routes = {
+            name: Route(name, self.node_of(spec.writer), self._readers(name), name == injected)
             for name, spec in STATES.items()
-            if spec.writer in self.faces or self._readers(name)
+            if spec.writer in self.interfaces or self._readers(name)
         }
 
     def node_of(self, kernel: str) -> str:
@@ -101,7 +101,7 @@ class Graph:
         return next((node for node, kernels in self.nodes.items() if kernel in kernels), WORLD)
 
     def _readers(self, state: str) -> tuple[str, ...]:
-        readers = (self.node_of(face.name) for face in self.faces.values() if state in face.reads)
+        readers = (self.node_of(interface.name) for interface in self.interfaces.values() if state in interface.reads)
         return tuple(dict.fromkeys(readers))
 
 
@@ -124,7 +124,7 @@ def check_supported(spec: MissionSpec) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class FlightPlan:
     """A flight on ROS.
 
     Attributes:
@@ -156,7 +156,7 @@ class Plan:
     register_faults: tuple[RegisterFault, ...] = ()
     profile: bool = False
     pace: float = 0.0
-    graph: Graph = field(init=False)
+    graph: FlightGraph = field(init=False)
     nodes: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -169,9 +169,14 @@ class Plan:
             text = "takes part in what is not published; allowed on ROS: detectors of published values"
             raise BadInputError(f"detector {type(self.detector).__name__}: {text}")
         injected = None if fault is None else fault.where.state
-        object.__setattr__(self, "graph", Graph(build_pipeline(self.config), injected))
-        extra = (INJECTOR,) * (fault is not None) + (DETECTOR,) * (self.detector is not None)
-        object.__setattr__(self, "nodes", (*self.graph.nodes, *extra))
+        graph = FlightGraph(build_pipeline(self.config), injected)
+        nodes = list(graph.nodes)
+        if fault is not None:
+            nodes.append(INJECTOR)
+        if self.detector is not None:
+            nodes.append(DETECTOR)
+        object.__setattr__(self, "graph", graph)
+        object.__setattr__(self, "nodes", tuple(nodes))
 
     @property
     def state_fault(self) -> StateFault | None:
@@ -180,7 +185,7 @@ class Plan:
             return self.fault
         return None
 
-    def published_at_once(self) -> frozenset[str]:
+    def immediate_states(self) -> frozenset[str]:
         """States whose values a node publishes immediately, which saves one call each.
 
         Their stamps carry the publication instant, and no consumer takes them before.  Excluded where the order of
@@ -188,23 +193,27 @@ class Plan:
         """
         if self.detector is not None:
             return frozenset()
-        return frozenset(name for name, way in self.graph.ways.items() if not way.injected)
+        return frozenset(name for name, route in self.graph.routes.items() if not route.injected)
 
     def world_listens(self, state: str) -> bool:
         """Whether the world subscribes to the values of a state: to all but its own."""
-        return self.graph.ways[state].sender != WORLD
+        return self.graph.routes[state].sender != WORLD
 
     def listeners(self, state: str) -> int:
         """Number of the flight's nodes that subscribe to the final topic of a state."""
-        is_checked = self.detector is not None
-        return len(self.graph.ways[state].readers) + self.world_listens(state) + is_checked
+        count = len(self.graph.routes[state].readers)
+        if self.world_listens(state):
+            count += 1
+        if self.detector is not None:
+            count += 1
+        return count
 
     def save(self, folder: Path) -> None:
         """Save the plan to the flight's folder, which only this user can access."""
         (folder / _PLAN).write_bytes(pickle.dumps(self))
 
 
-def load_plan() -> Plan:
+def load_plan() -> FlightPlan:
     """The plan of the flight to which this process belongs."""
-    plan: Plan = pickle.loads((flight_folder() / _PLAN).read_bytes())
+    plan: FlightPlan = pickle.loads((flight_folder() / _PLAN).read_bytes())
     return plan

@@ -12,15 +12,15 @@ from xmlrpc.client import ServerProxy
 
 from mavfi.errors import MavfiError
 from mavfi.extras.ros.ros1.messages import from_msg, from_stamp, state_types, to_msg
-from mavfi.extras.ros.ros1.plan import Plan
+from mavfi.extras.ros.ros1.plan import FlightPlan
 from mavfi.states import STATES, State
 
 _BUFFER = 1 << 22
 _POLL_S = 0.005
 _REPEAT_S = 1.0
-_Given = TypeVar("_Given")
+_Argument = TypeVar("_Argument")
 _Answer = TypeVar("_Answer")
-Arrived = Callable[[State, int, int], None]
+OnArrival = Callable[[State, int, int], None]
 """Receives a value, its sequence number, and its instant (us)."""
 
 
@@ -35,10 +35,10 @@ def die() -> NoReturn:
     os._exit(1)
 
 
-def fatal(callback: Callable[[_Given], _Answer]) -> Callable[[_Given], _Answer]:
+def fatal(callback: Callable[[_Argument], _Answer]) -> Callable[[_Argument], _Answer]:
     """Wrap a callback so that an exception terminates the process."""
 
-    def guarded(argument: _Given) -> _Answer:
+    def guarded(argument: _Argument) -> _Answer:
         try:
             return callback(argument)
         except Exception:  # any exception type
@@ -70,7 +70,7 @@ class Inbox:
             return self._values.pop(number)
 
 
-class Outlet:
+class StatePublisher:
     """Publishes the values of one state to `listeners` nodes of the flight."""
 
     def __init__(self, state: str, topic: str, listeners: int) -> None:
@@ -92,21 +92,23 @@ class Outlet:
 class Ports:
     """Publications and subscriptions of a node."""
 
-    def __init__(self, node: str, plan: Plan) -> None:
+    def __init__(self, node: str, plan: FlightPlan) -> None:
         self.node = node
         self.plan = plan
-        self.ways = plan.graph.ways
-        self._outlets: list[Outlet] = []
+        self.routes = plan.graph.routes
+        self._outlets: list[StatePublisher] = []
         self._subscribers: list[Any] = []
 
-    def outlet(self, state: str, topic: str) -> Outlet:
+    def outlet(self, state: str, topic: str) -> StatePublisher:
         """Advertise one of the topics on the route of a state."""
-        is_final = topic == self.ways[state].final
-        outlet = Outlet(state, topic, self.plan.listeners(state) if is_final else 1)  # one: the injector
+        listeners = 1  # the injector
+        if topic == self.routes[state].final:
+            listeners = self.plan.listeners(state)
+        outlet = StatePublisher(state, topic, listeners)
         self._outlets.append(outlet)
         return outlet
 
-    def read(self, state: str, topic: str, arrived: Arrived) -> None:
+    def read(self, state: str, topic: str, arrived: OnArrival) -> None:
         """Subscribe to values of a state."""
         import rospy
 
@@ -145,7 +147,7 @@ class Ports:
         import rosgraph
         import rospy
 
-        topics = {each.resolved_name for each in self._subscribers if each.get_num_connections() == 0}
+        topics = {subscriber.resolved_name for subscriber in self._subscribers if subscriber.get_num_connections() == 0}
         master = rosgraph.Master(rospy.get_name())
         with suppress(OSError, rosgraph.MasterException):  # a node has just died: next time
             for topic, nodes in master.getSystemState()[0]:

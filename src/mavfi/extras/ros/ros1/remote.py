@@ -16,8 +16,8 @@ import numpy as np
 
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.extras.ros.ros1.kernels import alarm_of
-from mavfi.extras.ros.ros1.messages import Action, message_type, serialized
-from mavfi.extras.ros.ros1.plan import Face, Plan
+from mavfi.extras.ros.ros1.messages import NodeAction, message_type, serialized
+from mavfi.extras.ros.ros1.plan import FlightPlan, KernelInterface
 from mavfi.flight.loop import latency
 from mavfi.states import STATES, State
 
@@ -32,7 +32,7 @@ class NodeLostError(Exception):
 
 
 @dataclass(slots=True)
-class Publication(State):
+class RemotePublication(State):
     """A value in transit through the topics, identified by its sequence number.
 
     Attributes:
@@ -66,7 +66,7 @@ class Watchdog:
     def begin(self, proxy: Any) -> None:
         """Start the timer of a call."""
         with self._lock:
-            self._call = time.monotonic() + self._patience_s, proxy
+            self._call = (time.monotonic() + self._patience_s, proxy)
             self._has_barked = False
 
     def end(self) -> bool:
@@ -79,10 +79,12 @@ class Watchdog:
         while True:
             time.sleep(_WATCH_S)
             with self._lock:
-                call = self._call
-                if call is not None and time.monotonic() > call[0] and call[1].transport is not None:
+                if self._call is None:
+                    continue
+                end, proxy = self._call
+                if time.monotonic() > end and proxy.transport is not None:
                     self._has_barked = True
-                    call[1].transport.socket.shutdown(2)
+                    proxy.transport.socket.shutdown(2)
 
 
 @dataclass(slots=True)
@@ -103,7 +105,7 @@ class Link:
     lost: bool = True
     life: int = 0
     since: int = 0
-    _given: set[int] = field(default_factory=set)
+    _handed_over: set[int] = field(default_factory=set)
     _pending: list[Any] = field(default_factory=list)
     _proxy: Any = None
 
@@ -126,17 +128,17 @@ class Link:
 
     def reset(self, kernel: str, since: int) -> None:
         """Initialize the memory of a kernel's node without restarting its process."""
-        self.note(Action.RESET, kernel)
+        self.note(NodeAction.RESET, kernel)
         self.since = since
-        self._given.clear()
+        self._handed_over.clear()
 
     def _restart(self) -> None:
         self._pending.clear()
-        self._given.clear()
+        self._handed_over.clear()
 
     def note(
         self,
-        action: Action,
+        action: NodeAction,
         kernel: str,
         number: int = 0,
         time_us: int = 0,
@@ -148,19 +150,19 @@ class Link:
         if not self.lost:
             self._pending.append(message_type("Operation")(action, kernel, number, time_us, publish_us, state, value))
 
-    def note_input(self, kernel: str, state: Publication) -> None:
+    def note_input(self, kernel: str, state: RemotePublication) -> None:
         """Give the node a value that was published before the current process started."""
-        if state.number < self.since and state.number not in self._given:
-            self._given.add(state.number)
+        if state.number < self.since and state.number not in self._handed_over:
+            self._handed_over.add(state.number)
             value = serialized(state, state.number)
-            self.note(Action.GIVE, kernel, state.number, state=state.spec.name, value=value)
+            self.note(NodeAction.GIVE, kernel, state.number, state=state.spec.name, value=value)
 
     def flush(self) -> None:
         """Send all pending operations."""
         if self._pending:
             self._try_to_send()
 
-    def call(self, action: Action, kernel: str, number: int, time_us: int, publish_us: int = HELD) -> Any:
+    def call(self, action: NodeAction, kernel: str, number: int, time_us: int, publish_us: int = HELD) -> Any:
         """Send all pending operations, then this one; returns the response, None = the node is down."""
         if self.lost:
             return None
@@ -175,6 +177,7 @@ class Link:
             return None
 
     def _send(self) -> Any:
+        """Send all pending operations; `NodeLostError` if the node does not answer."""
         import rospy
 
         cause = ""
@@ -207,76 +210,78 @@ class Counter:
 class RemoteKernel:
     """Proxy of a kernel in another process."""
 
-    def __init__(self, face: Face, link: Link, counter: Counter, plan: Plan) -> None:
-        self._latency_us = latency(plan.scenario.platform, face.name)
-        self._at_once = plan.published_at_once()
-        self.name = face.name
-        self.stage = face.stage
-        self.reads = face.reads
-        self.writes = face.writes
-        self._triggers = face.triggers
+    def __init__(self, interface: KernelInterface, link: Link, counter: Counter, plan: FlightPlan) -> None:
+        self._latency_us = latency(plan.scenario.platform, interface.name)
+        self._immediate = plan.immediate_states()
+        self.name = interface.name
+        self.stage = interface.stage
+        self.reads = interface.reads
+        self.writes = interface.writes
+        self._triggers = interface.triggers
         self._link = link
         self._counter = counter
 
     def receive(self, state: State, time_us: int) -> bool:
         """Forward an input; returns whether a step is due."""
-        assert isinstance(state, Publication)
+        assert isinstance(state, RemotePublication)
         self._link.note_input(self.name, state)
         if state.spec.name not in self._triggers:
-            self._link.note(Action.RECEIVE, self.name, state.number, time_us)
+            self._link.note(NodeAction.RECEIVE, self.name, state.number, time_us)
             return False
-        response = self._link.call(Action.RECEIVE, self.name, state.number, time_us)
+        response = self._link.call(NodeAction.RECEIVE, self.name, state.number, time_us)
         return response is not None and bool(response.due)
 
     def step(self, time_us: int) -> list[State]:
         """Execute one step; returns placeholders for the results, whose payload stays in the node."""
-        return self._compute(Action.STEP, time_us)
+        return self._compute(NodeAction.STEP, time_us)
 
     def stop(self) -> list[State]:
         """Setpoint generator only: abandon the trajectory and hold position."""
-        return self._compute(Action.STOP, 0)
+        return self._compute(NodeAction.STOP, 0)
 
     def abandon(self, time_us: int) -> list[State]:
         """Setpoint generator only: replace the way-point in force by the next one."""
-        return self._compute(Action.ABANDON, time_us)
+        return self._compute(NodeAction.ABANDON, time_us)
 
     def mark(self) -> None:
         """Mark the current memory for `rollback`."""
-        self._link.note(Action.MARK, self.name)
+        self._link.note(NodeAction.MARK, self.name)
 
     def rollback(self) -> None:
         """Restore the memory of the last mark; inputs are unchanged."""
-        self._link.note(Action.ROLLBACK, self.name)
+        self._link.note(NodeAction.ROLLBACK, self.name)
 
     def again(self) -> None:
         """Prepare to repeat the last step, see `pipeline.kernel.repeat`."""
-        self._link.note(Action.AGAIN, self.name)
+        self._link.note(NodeAction.AGAIN, self.name)
 
     def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
         """See `Kernel.resume`: the node is given the values."""
         for name in (*self.reads, *self.writes):
             state = last.get(name)
-            if isinstance(state, Publication):
+            if isinstance(state, RemotePublication):
                 self._link.note_input(self.name, state)
-        response = self._link.call(Action.RESUME, self.name, 0, time_us)
+        response = self._link.call(NodeAction.RESUME, self.name, 0, time_us)
         if response is None:
             return ()
         return tuple(response.states)
 
-    def _compute(self, action: Action, time_us: int) -> list[State]:
+    def _compute(self, action: NodeAction, time_us: int) -> list[State]:
         first = self._counter.take(len(self.writes))
-        publish_us = time_us + self._latency_us if self._at_once else HELD
+        publish_us = HELD
+        if self._immediate:
+            publish_us = time_us + self._latency_us
         response = self._link.call(action, self.name, first, time_us, publish_us)
         if response is None:
             return []
         return [self._promise(*result) for result in zip(response.states, response.numbers, strict=True)]
 
-    def _promise(self, name: str, number: int) -> Publication:
+    def _promise(self, name: str, number: int) -> RemotePublication:
         """Placeholder for a value that the node has computed."""
         spec = STATES[name]
         link = self._link
         empty = np.zeros(1, spec.header_dtype), np.zeros(0, spec.element_dtype)
-        return Publication(spec, *empty, number, link, link.life, self.name, name in self._at_once)
+        return RemotePublication(spec, *empty, number, link, link.life, self.name, name in self._immediate)
 
 
 class RemoteDetector(Detector):
@@ -287,13 +292,13 @@ class RemoteDetector(Detector):
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """The alarm of the node on a publication."""
-        assert isinstance(state, Publication)
-        response = self._link.call(Action.CHECK, state.spec.name, state.number, time_us)
+        assert isinstance(state, RemotePublication)
+        response = self._link.call(NodeAction.CHECK, state.spec.name, state.number, time_us)
         if response is None or not response.alarms:
             return None
         return alarm_of(response.alarms[0])
 
     def accept(self, state: State, time_us: int) -> None:
         """Let the node record a publication; sent with the next check."""
-        assert isinstance(state, Publication)
-        self._link.note(Action.ACCEPT, state.spec.name, state.number, time_us)
+        assert isinstance(state, RemotePublication)
+        self._link.note(NodeAction.ACCEPT, state.spec.name, state.number, time_us)

@@ -25,10 +25,16 @@ from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros1 import finder
 from mavfi.extras.ros.ros1 import folder as files
 from mavfi.extras.ros.ros1.folder import FAILURE, flight_folder
-from mavfi.extras.ros.ros1.plan import DETECTOR, INJECTOR, WORLD, Plan, load_plan
+from mavfi.extras.ros.ros1.plan import DETECTOR, INJECTOR, WORLD, FlightPlan, load_plan
 
-_PARENT_DIED, _NAME, _SUBREAPER = 1, 15, 36  # PR_SET_PDEATHSIG, PR_SET_NAME, PR_SET_CHILD_SUBREAPER of <linux/prctl.h>
-_GET_FLAGS, _SET_FLAGS, _UP = 0x8913, 0x8914, 0x1  # SIOCGIFFLAGS, SIOCSIFFLAGS, IFF_UP of <linux/sockios.h>
+# <linux/prctl.h>
+_PARENT_DIED = 1  # PR_SET_PDEATHSIG
+_NAME = 15  # PR_SET_NAME
+_SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER
+# <linux/sockios.h>
+_GET_FLAGS = 0x8913  # SIOCGIFFLAGS
+_SET_FLAGS = 0x8914  # SIOCSIFFLAGS
+_UP = 0x1  # IFF_UP
 _POLL_S = 0.02
 _MASTER_PATIENCE_S = 60.0
 _STOP = [False]
@@ -76,7 +82,7 @@ def _start_master(folder: Path) -> "subprocess.Popen[bytes]":
         )
 
 
-def _load(folder: Path) -> Plan:
+def _load(folder: Path) -> FlightPlan:
     """Import the modules of all nodes, and load the compiled functions of this flight; returns its plan."""
     import warnings
 
@@ -90,13 +96,13 @@ def _load(folder: Path) -> Plan:
 
         state_types()
     with suppress(Exception):  # the node concerned reports the error
-        kernels.fly_begin(load_plan().scenario)
+        kernels.warm_up(load_plan().scenario)
     gc.collect()
     gc.freeze()  # a collection in a node would copy the memory that it shares with the others
     return load_plan()
 
 
-def _supervise(plan: Plan, folder: Path, master: "subprocess.Popen[bytes]") -> None:
+def _supervise(plan: FlightPlan, folder: Path, master: "subprocess.Popen[bytes]") -> None:
     """Keep the nodes running until the flight has ended, the world's node or the master is dead, or a signal comes."""
     _wait_for_master(master)
     running: dict[int, str] = {}
@@ -124,7 +130,7 @@ def _wait_for_master(master: "subprocess.Popen[bytes]") -> None:
         time.sleep(_POLL_S)
 
 
-def _fork(name: str, plan: Plan, folder: Path) -> int:
+def _fork(name: str, plan: FlightPlan, folder: Path) -> int:
     """Start a node in a process with a session, a name and a log of its own; returns its id."""
     pid = os.fork()
     if pid == 0:
@@ -163,10 +169,10 @@ def private_network(allowed: str = "as root, or with user namespaces") -> list[s
     Raises:
         BadInputError: None can be created; the message names the alternatives.
     """
-    for way in (["unshare", "-n"], ["unshare", "-Urn"]):
+    for command in (["unshare", "-n"], ["unshare", "-Urn"]):
         try:
-            if subprocess.run([*way, "true"], capture_output=True, check=False).returncode == 0:
-                return way
+            if subprocess.run([*command, "true"], capture_output=True, check=False).returncode == 0:
+                return command
         except OSError:
             break
     raise BadInputError(
@@ -216,7 +222,7 @@ def end_all() -> None:
 # ---- a node, in a forked process -------------------------------------------------------------------------------------
 
 
-def run_node(name: str, plan: Plan) -> NoReturn:
+def run_node(name: str, plan: FlightPlan) -> NoReturn:
     """Run a node until the supervisor ends it; an exception ends it at once, and in the world's node the flight."""
     try:
         import rospy
@@ -233,7 +239,7 @@ def run_node(name: str, plan: Plan) -> NoReturn:
     os._exit(1)
 
 
-def _serve(name: str, plan: Plan) -> None:
+def _serve(name: str, plan: FlightPlan) -> None:
     if name == WORLD:
         from mavfi.extras.ros.ros1.world import fly
 

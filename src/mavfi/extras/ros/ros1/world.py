@@ -9,8 +9,8 @@ from contextlib import suppress
 from typing import Any
 
 from mavfi.extras.ros.ros1.folder import FLIGHT, PROFILE, TIMES, flight_folder, read_injections, write_file
-from mavfi.extras.ros.ros1.messages import Action
-from mavfi.extras.ros.ros1.plan import DETECTOR, WORLD, Plan
+from mavfi.extras.ros.ros1.messages import NodeAction
+from mavfi.extras.ros.ros1.plan import DETECTOR, WORLD, FlightPlan
 from mavfi.extras.ros.ros1.ports import Inbox, Ports, is_alive, wait_for
 from mavfi.extras.ros.ros1.register_injector import PLANNED, RegisterInjector
 from mavfi.extras.ros.ros1.remote import (
@@ -18,9 +18,9 @@ from mavfi.extras.ros.ros1.remote import (
     Counter,
     Link,
     NodeLostError,
-    Publication,
     RemoteDetector,
     RemoteKernel,
+    RemotePublication,
     Watchdog,
 )
 from mavfi.faults.levels.state_injector import StateInjector
@@ -37,7 +37,7 @@ CAMERA_PATIENCE_US = 2_000_000
 _LOOK_S = 0.5
 
 
-def fly(plan: Plan) -> None:
+def fly(plan: FlightPlan) -> None:
     """Fly the mission and write its record to the flight's folder."""
     started = time.time()
     loop = Conductor(plan).loop
@@ -58,7 +58,7 @@ class Conductor(Listener):
     The constructor waits until every node is connected; its `loop` has not started.
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: FlightPlan) -> None:
         self.plan = plan
         self.counter = Counter()
         watchdog = Watchdog(plan.patience_s)
@@ -81,17 +81,20 @@ class Conductor(Listener):
         plan = self.plan
         loop = new_loop(plan.scenario, profile=plan.profile, make_kernels=self._proxies)
         self.ports = Ports(WORLD, plan)
-        loop.taps.injector = Passage(self.ports, self.counter, self.links, self.registers, self._lost)
+        loop.taps.injector = TopicTap(self.ports, self.counter, self.links, self.registers, self._lost)
         inject_sensor_fault(loop, plan.fault)
-        watch(loop, None if plan.detector is None else RemoteDetector(self.links[DETECTOR]), plan.recovery)
+        detector = None
+        if plan.detector is not None:
+            detector = RemoteDetector(self.links[DETECTOR])
+        watch(loop, detector, plan.recovery)
         loop.listeners.append(self)
         return loop
 
     def _proxies(self, config: PipelineConfig) -> dict[str, Kernel]:
         graph = self.plan.graph
         return {
-            name: RemoteKernel(face, self.links[graph.node_of(name)], self.counter, self.plan)
-            for name, face in graph.faces.items()
+            name: RemoteKernel(interface, self.links[graph.node_of(name)], self.counter, self.plan)
+            for name, interface in graph.interfaces.items()
         }
 
     # ---- the control period -----------------------------------------------------------------------------------------
@@ -100,9 +103,10 @@ class Conductor(Listener):
         if self.plan.pace > 0:
             time.sleep(max(0.0, self._began + 1e-6 * now / self.plan.pace - time.monotonic()))
         while self.kills and self.kills[0][1] <= now:
-            self._lost(self.links[self.kills.pop(0)[0]], PLANNED)
+            node, _ = self.kills.pop(0)
+            self._lost(self.links[node], PLANNED)
         self.registers(now)
-        for node in [node for node, then in self.back_us.items() if then <= now]:
+        for node in [node for node, back_us in self.back_us.items() if back_us <= now]:
             del self.back_us[node]
             self._rejoin(node)
 
@@ -161,7 +165,7 @@ class Conductor(Listener):
         self.loop.record.note(self.loop.now, kind, data)
 
 
-class Passage:
+class TopicTap:
     """The injector tap: every published value passes the topics, and returns as its consumers receive it."""
 
     spent = False
@@ -179,12 +183,14 @@ class Passage:
         self._registers = registers
         self._on_loss = on_loss
         self._plan = ports.plan
-        self._ways = ports.ways
+        self._routes = ports.routes
         self._inbox = Inbox()
-        self._sensors = {name: ports.outlet(name, way.first) for name, way in self._ways.items() if way.writer == WORLD}
-        for name, way in self._ways.items():
+        self._sensors = {
+            name: ports.outlet(name, route.first) for name, route in self._routes.items() if route.writer == WORLD
+        }
+        for name, route in self._routes.items():
             if self._plan.world_listens(name):
-                ports.read(name, way.final, lambda state, number, time_us: self._inbox.put(number, state))
+                ports.read(name, route.final, lambda state, number, time_us: self._inbox.put(number, state))
 
     def __call__(self, state: State, time_us: int) -> State | None:
         """Publish a value; returns the output of the injector, None if the value was lost in transit."""
@@ -197,15 +203,16 @@ class Passage:
 
     def _is_lost(self, state: State) -> bool:
         """Whether a value died with its node, or its route contains a node that is down."""
-        if isinstance(state, Publication) and state.is_lost:
+        if isinstance(state, RemotePublication) and state.is_lost:
             return True
-        route = self._ways[state.spec.name].nodes
-        return any(node in self._links and self._links[node].lost for node in route[1:])
+        nodes = self._routes[state.spec.name].nodes
+        return any(node in self._links and self._links[node].lost for node in nodes[1:])
 
     def _pass(self, state: State, time_us: int) -> State:
-        if isinstance(state, Publication) and state.link is not None:
+        """Publish a value, by its node or here, and wait until it has passed its route."""
+        if isinstance(state, RemotePublication) and state.link is not None:
             number = state.number
-            if not state.sent and state.link.call(Action.PUBLISH, state.kernel, number, time_us) is None:
+            if not state.sent and state.link.call(NodeAction.PUBLISH, state.kernel, number, time_us) is None:
                 raise NodeLostError(state.link.node)
         else:
             number = self._counter.take()
@@ -214,21 +221,21 @@ class Passage:
             seen = self._await(number, state)
         else:
             seen = state
-        return Publication(seen.spec, seen.header, seen.elements, number)
+        return RemotePublication(seen.spec, seen.header, seen.elements, number)
 
     def _await(self, number: int, state: State) -> State:
         """Wait until a value has passed its route; `NodeLostError` if a node on the route has died."""
         end = time.monotonic() + self._plan.patience_s
-        route = self._ways[state.spec.name].nodes
+        nodes = self._routes[state.spec.name].nodes
         while True:
             try:
                 return self._inbox.take(number, _LOOK_S)
             except TimeoutError:
                 is_late = time.monotonic() > end
-            for node in route:
+            for node in nodes:
                 link = self._links.get(node)
                 # the writer has confirmed its publication: a timeout is attributed to the last node on the route
-                is_slow = is_late and node == route[-1]
+                is_slow = is_late and node == nodes[-1]
                 if link is not None and (link.lost or is_slow or not is_alive(link.pid)):
                     self._on_loss(link, SILENT)
                     raise NodeLostError(node)
