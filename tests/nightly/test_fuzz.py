@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mavfi.cli.console import LONGEST_LINE, one_line
+from mavfi.cli.console import MAX_LINE_LENGTH, one_line
 from mavfi.detectors.registry import load_detector
 from mavfi.errors import BadInputError
 from mavfi.mission import MissionSpec
@@ -240,7 +240,7 @@ def test_a_line_has_no_character_that_a_terminal_obeys(text):
 
 def test_a_long_line_keeps_its_ends():
     line = one_line("a" + "x" * 10**6 + "b")
-    assert len(line) <= LONGEST_LINE and (line[0], line[-1]) == ("a", "b")
+    assert len(line) <= MAX_LINE_LENGTH and (line[0], line[-1]) == ("a", "b")
 
 
 @pytest.mark.parametrize("name", ("builtins:dict", "builtins:exit", "builtins:print"))

@@ -220,8 +220,11 @@ def _recovery_notes(runs: Runs) -> list[str]:
         f"p: {m.PAIRED_TEST}; newly lost against saved by the detector",
         f"recovery = (dr – fi) / (golden – fi), [exact binomial interval]; {NO_ESTIMATE} while the interval of "
         "golden – fi contains 0; below 0 where more missions are newly lost than brought back",
-        HEALS if of_states(runs) else _HEALS_WITH_MEMORY,
     ]
+    if of_states(runs):
+        notes.append(HEALS)
+    else:
+        notes.append(_HEALS_WITH_MEMORY)
     if has(runs.injected, level=INSTRUCTION):
         notes.append(_SHIFTED)
     notes += ["golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds", ONE_FAULT]

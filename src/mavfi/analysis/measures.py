@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from mavfi.analysis.rows import ALL_BITS, POPULATIONS, WHOLE_WORD
-from mavfi.analysis.runs import Runs
+from mavfi.analysis.runs import Runs, condition
 from mavfi.analysis.statistics import (
     EventRate,
     Paired,
@@ -119,15 +119,8 @@ def wilson_rate(key: str, heading: str, test: pl.Expr, *where: pl.Expr) -> Measu
 
 def rate_of(runs: Runs, test: pl.Expr | str) -> Rate:
     """Rate over rows, and its interval with missions as clusters."""
-    passed = runs.frame.select(_expression(test).fill_null(value=False).alias("passed"))["passed"].to_list()
+    passed = runs.frame.select(condition(test).fill_null(value=False).alias("passed"))["passed"].to_list()
     return clustered_rate(passed, runs["world"])
-
-
-def _expression(test: pl.Expr | str) -> pl.Expr:
-    """A test as an expression; a name is that of a flag column."""
-    if isinstance(test, str):
-        return pl.col(test)
-    return test
 
 
 # ---- by population -----------------------------------------------------------------------------------------------
@@ -141,7 +134,7 @@ def populations(runs: Runs, test: pl.Expr | str) -> dict[str, Rate]:
         judged = runs.where("judged")
         rates = {name: rate_of(part, test) for (name,), part in judged.groups("population").items()}
         if set(rates) in PARTITIONS:
-            passed = judged.frame.select(_expression(test).alias("passed"))["passed"]
+            passed = judged.frame.select(condition(test).alias("passed"))["passed"]
             rates[WHOLE_WORD] = weighted_rate(passed.to_list(), judged["weight"], judged["population"], judged["world"])
         runs.memo[key] = rates
     memoized: dict[str, Rate] = runs.memo[key]
@@ -310,7 +303,9 @@ def separable(runs: Runs) -> list[tuple[str, float | None, float | None]]:
         golden = part.golden.where("judged", setting=GOLDEN)
         faulty = part.injected.where("judged", pl.col("population").is_in(LEADING), setting=FI)
         n = len(faulty)
-        share = sum(faulty["success"]) / n if n else 1.0
+        share = 1.0
+        if n:
+            share = sum(faulty["success"]) / n
         differences.append((environment, smallest_difference(share, len(golden), n), smallest_difference(share, n, n)))
     return differences
 

@@ -118,7 +118,10 @@ def _grid(table: Table) -> str:
     lines = []
     above = ""
     for first, *others in rows:
-        lines.append(["" if first == above else first, *others])
+        if first == above:
+            lines.append(["", *others])
+        else:
+            lines.append([first, *others])
         above = first
     texts = sum(1 for _ in takewhile(lambda column: column.form == TEXT, columns))
     return markdown_grid([column.heading for column in columns], lines, max(2, table.keys, texts))

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from mavfi.campaign.plan import RunSpec
     from mavfi.campaign.replay import Explanation
 
-MOST_ALARMS = 8
+MAX_ALARMS = 8
 """Maximum number of alarms listed individually."""
 _SHORTEST_DELAY = 0.01
 """Shortest reported delay (s): half a control period."""
@@ -101,13 +101,13 @@ def steps(
         story.append(("first difference", _first_difference(first)))
     story += spread_lines(spread)
     story.append(("path", _path(departure)))
-    alarms = alarm_lines(log, golden)
-    if alarms:
-        story += alarms
-    else:
-        story.append(("alarms", "none" if detector else "none; no detector watched"))
-    condition = "without the fault, with the detector on" if detector else "without the fault"
-    story.append(("golden run", f"the same mission {condition}: {end_of(golden)}"))
+    no_alarm = "none; no detector watched"
+    golden_run = "the same mission without the fault"
+    if detector:
+        no_alarm = "none"
+        golden_run = f"{golden_run}, with the detector on"
+    story += alarm_lines(log, golden) or [("alarms", no_alarm)]
+    story.append(("golden run", f"{golden_run}: {end_of(golden)}"))
     story.append(("end", end_of(log)))
     return story
 
@@ -122,8 +122,12 @@ def spread_lines(spread: Sequence[Spread]) -> Story:
         summary = f"the error died out: nothing differs after {last:.3f} s"
     story = [("spread", summary)]
     for state in spread:
-        name = f"{state.name} ({state.kernel})" if state.kernel else state.name
-        end = "to the end" if state.to_the_end else f"to {1e-6 * state.last_us:.3f} s"
+        name = state.name
+        if state.kernel:
+            name = f"{name} ({state.kernel})"
+        end = "to the end"
+        if not state.to_the_end:
+            end = f"to {1e-6 * state.last_us:.3f} s"
         count = f"{state.differing} of {state.compared} values differ"
         story.append(("", f"{1e-6 * state.first_us:.3f} s, {name}: {count}, {end}"))
     return story
@@ -135,7 +139,9 @@ def verdict(effect: Effect, log: FlightLog, golden: FlightLog) -> str:
         return f"not activated; {_mission(log, golden)}"
     kernel = log.kernel
     if kernel is not None and kernel.effect in ("crash", "hang", "exception"):
-        death = f"{kernel.effect} ({kernel.detail})" if kernel.detail else kernel.effect
+        death = kernel.effect
+        if kernel.detail:
+            death = f"{death} ({kernel.detail})"
         victim = "the firmware" if log.count(CONTROLLER_LOST) else "a kernel"
         return f"{death} of {victim}, {after_death(log)}; {_mission(log, golden)}"
     text = _EFFECTS.get(effect, effect.label)
@@ -263,10 +269,12 @@ def _first_difference(first: Difference | None) -> str:
     if injected_us is None:
         return f"{first.state} at {1e-6 * first.time_us:.3f} s: published by the golden run alone"
     # both published, perhaps at different instants; without a field, the same value
-    is_late = injected_us > golden_us
-    shift = f"{abs(injected_us - golden_us) / 1000:g} ms {'later' if is_late else 'earlier'}"
+    shift = f"{abs(injected_us - golden_us) / 1000:g} ms earlier"
+    arrival = "the same value came"
+    if injected_us > golden_us:
+        shift = f"{(injected_us - golden_us) / 1000:g} ms later"
+        arrival = "held back, the same value came"
     if not first.field:
-        arrival = "held back, the same value came" if is_late else "the same value came"
         return f"{first.state} at {1e-6 * golden_us:.3f} s in the golden run: here {arrival} {shift}"
     before, after = change(first.golden, first.injected)
     text = f"{first.state}.{first.field} at {1e-6 * injected_us:.3f} s: golden {before}, here {after}"
@@ -299,13 +307,15 @@ _UNANSWERED_ALARMS = {
 """Consequence of these events, after which alarms have no response."""
 
 
-def alarm_lines(log: FlightLog, golden: FlightLog | None, most: int = MOST_ALARMS) -> Story:
+def alarm_lines(log: FlightLog, golden: FlightLog | None, most: int = MAX_ALARMS) -> Story:
     """Number of alarms, then up to `most` of them, those within `AFTERMATH` of the injection first."""
     events = {event.kind: event for event in log.events if event.kind in _UNANSWERED_ALARMS}
     if not (log.alarms or events):
         return []
     near, others = around(log)
-    golden_alarms = set() if golden is None else {_key(alarm) for alarm in golden.alarms}
+    golden_alarms = set()
+    if golden is not None:
+        golden_alarms = {_key(alarm) for alarm in golden.alarms}
     # counts
     parts = [f"{len(log.alarms)} in all"]
     if log.injections:
@@ -365,6 +375,13 @@ def to_json(explanation: Explanation) -> dict[str, Any]:
     log = explanation.flight.log
     golden = explanation.golden.log
     departure = explanation.departure
+    # values first that may be absent
+    kernel = None
+    if log.kernel is not None:
+        kernel = asdict(log.kernel)
+    first_difference = None
+    if explanation.first is not None:
+        first_difference = _difference_json(explanation.first)
     return {
         "run_id": spec.run_id,
         "setting": spec.setting,
@@ -374,8 +391,8 @@ def to_json(explanation: Explanation) -> dict[str, Any]:
         "effect": explanation.effect.label,
         "same_digest": explanation.same,
         "injections": [injection.to_json() for injection in log.injections],
-        "kernel": None if log.kernel is None else asdict(log.kernel),
-        "first_difference": None if explanation.first is None else _difference_json(explanation.first),
+        "kernel": kernel,
+        "first_difference": first_difference,
         "spread": [asdict(state) for state in explanation.spread],
         "left_path": {
             "threshold_m": LEFT,

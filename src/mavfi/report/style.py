@@ -123,8 +123,8 @@ _GAP = 1.5
 """Least distance between neighbouring tick labels (pt)."""
 _TICKS = (4, 3, 2, 1)
 """Maximum numbers of intervals between ticks, tried in this order."""
-_SHORTEST = 1.8
-_LEAST = 1.0
+_MIN_HEIGHT = 1.8
+_MIN_PANEL_HEIGHT = 1.0
 _GROWTH = 1.1
 """Least height of a figure and of its panels (in), and factor by which it grows until its names fit."""
 _LETTERS_IN_LINE = 12
@@ -186,7 +186,7 @@ def _resize(figure: Figure, panels: Sequence[Axes]) -> None:
     if columns <= _PANELS and not figure.subfigs:
         target = COLUMN
     # height in proportion, but such that panels are not flat, and never above the one before
-    figure.set_size_inches(target, min(height, max(height * target / width, 0.7 * target / columns, _SHORTEST)))
+    figure.set_size_inches(target, min(height, max(height * target / width, 0.7 * target / columns, _MIN_HEIGHT)))
     _shrink(figure, max(_SCALE, target / width))
     if len(panels) == 1:
         panels[0].set_title("", loc="left")
@@ -215,8 +215,10 @@ def _fold_texts(figure: Figure, panels: Sequence[Axes]) -> None:
 def _shrink(figure: Figure, scale: float) -> None:
     """Set the sizes of letters, and scale marks and lines."""
     for text in figure.findobj(Text):
-        is_small = text.get_fontproperties().get_size_in_points() < LETTERS
-        text.set_fontsize(SMALL if is_small else LETTERS)
+        size = LETTERS
+        if text.get_fontproperties().get_size_in_points() < LETTERS:
+            size = SMALL
+        text.set_fontsize(size)
     for line in figure.findobj(Line2D):
         line.set_markersize(scale * line.get_markersize())
         line.set_linewidth(scale * line.get_linewidth())
@@ -254,7 +256,7 @@ def _grow(figure: Figure, panels: Sequence[Axes], limit: float) -> None:
     """Increase the height of a figure, up to a limit (in), until its panels have theirs and names of rows fit."""
     figure.draw_without_rendering()
     while figure.get_figheight() * _GROWTH < limit and any(
-        axes.bbox.height < _LEAST * figure.dpi or (_named(axes.yaxis) and _overlap(figure, axes.yaxis))
+        axes.bbox.height < _MIN_PANEL_HEIGHT * figure.dpi or (_named(axes.yaxis) and _overlap(figure, axes.yaxis))
         for axes in panels
     ):
         figure.set_figheight(figure.get_figheight() * _GROWTH)

@@ -1,7 +1,7 @@
 from dataclasses import replace
 
 from mavfi.analysis import views_for
-from mavfi.analysis.findings import MOST, findings
+from mavfi.analysis.findings import MAX_SENTENCES, findings
 from mavfi.analysis.runs import Runs
 from mavfi.faults.fault import FaultSite
 from tests.core.unit.analysis.handmade import (
@@ -21,7 +21,7 @@ from tests.core.unit.analysis.handmade import (
 def test_the_headline_is_the_success_table_and_five_sentences(fake):
     sentences = findings(fake)
     assert views_for(fake)[0].name == "success_as_in_the_paper"
-    assert len(sentences) == MOST
+    assert len(sentences) == MAX_SENTENCES
     assert sentences[0].startswith(
         "Without a fault 100.0 % [83.9, 100.0] (n = 20) of missions succeed, with one fault (sign + exp"
     )
