@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -296,8 +296,16 @@ def against_golden(runs: Runs) -> Paired:
     return mcnemar(runs["golden_success"], runs["success"], runs["world"])
 
 
-def separable(runs: Runs) -> list[tuple[str, float | None, float | None]]:
-    """Smallest differences (golden - fi, fi - dr) that a success table can resolve, by environment."""
+class Resolution(NamedTuple):
+    """Smallest differences of success rates that the missions of an environment can resolve; None without missions."""
+
+    environment: str
+    golden_fi: float | None
+    fi_dr: float | None
+
+
+def separable(runs: Runs) -> list[Resolution]:
+    """Smallest differences that a success table can resolve, by environment."""
     differences = []
     for (environment,), part in runs.groups("environment").items():
         golden = part.golden.where("judged", setting=GOLDEN)
@@ -306,7 +314,8 @@ def separable(runs: Runs) -> list[tuple[str, float | None, float | None]]:
         share = 1.0
         if n:
             share = sum(faulty["success"]) / n
-        differences.append((environment, smallest_difference(share, len(golden), n), smallest_difference(share, n, n)))
+        golden_fi = smallest_difference(share, len(golden), n)
+        differences.append(Resolution(environment, golden_fi, smallest_difference(share, n, n)))
     return differences
 
 
@@ -316,14 +325,26 @@ def alarm_rate(runs: Runs) -> EventRate:
     return event_rate_by_flight(runs["alarms_total"], [time / 3600 for time in runs["flight_time_s"]])
 
 
-def systematic(runs: Runs) -> list[tuple[str, float, int]]:
-    """Alarms common to nearly all flights: state, instant (s), number of flights; empty for a single flight."""
+class SystematicAlarm(NamedTuple):
+    """An alarm of a state at one instant of nearly all flights."""
+
+    state: str
+    time_s: float
+    flights: int
+
+
+def systematic(runs: Runs) -> list[SystematicAlarm]:
+    """Alarms common to more than the share `SYSTEMATIC` of the flights; none for a single flight."""
     if len(runs) <= 1:
         return []
     flights: Counter[tuple[str, int]] = Counter()
     for record in runs.recorded():
         flights.update({(alarm.state, round(1e6 * alarm.time_s)) for alarm in record.alarms})
-    return [(state, 1e-6 * time_us, n) for (state, time_us), n in sorted(flights.items()) if n > SYSTEMATIC * len(runs)]
+    return [
+        SystematicAlarm(state, 1e-6 * time_us, count)
+        for (state, time_us), count in sorted(flights.items())
+        if count > SYSTEMATIC * len(runs)
+    ]
 
 
 def recomputed(runs: Runs) -> float | None:
