@@ -21,7 +21,7 @@ from collections import Counter
 from functools import partial
 from pathlib import Path
 
-from mavfi.cli.console import LONGEST_LINE, one_line
+from mavfi.cli.console import MAX_LINE_LENGTH, one_line
 from mavfi.errors import BadInputError
 from tests.nightly.chaos import say
 
@@ -60,7 +60,7 @@ def judged(reader, path):
 
 def _wrong_line(line, path):
     """What is wrong with the line of a refusal; "" = nothing."""
-    if not line.strip() or not line.isprintable() or len(line) > LONGEST_LINE:
+    if not line.strip() or not line.isprintable() or len(line) > MAX_LINE_LENGTH:
         return f"no clear line: {line[:100]!r}"
     if path.suffix != ".txt" and not any(name in line for name in (path.name, str(path.parent), *_NAMED)):
         return f"the line does not name the file: {line[:200]}"

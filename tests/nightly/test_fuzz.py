@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mavfi.cli.console import LONGEST_LINE, one_line
+from mavfi.cli.console import MAX_LINE_LENGTH, one_line
 from mavfi.errors import BadInputError
 from mavfi.mission import MissionSpec
 from mavfi.plugins import allow_plugins
@@ -218,7 +218,7 @@ def test_mutations_repeat_with_their_seed():
 @pytest.mark.parametrize("text", ["a\nb", "\x1b[31m", "\x00", "\u202e", "\ud7ff", "x" * 10**6])
 def test_a_line_has_no_character_that_a_terminal_obeys_and_keeps_its_ends(text):
     line = one_line(f"x {text} y")
-    assert line.isprintable() and len(line) <= LONGEST_LINE and (line[0], line[-1]) == ("x", "y")
+    assert line.isprintable() and len(line) <= MAX_LINE_LENGTH and (line[0], line[-1]) == ("x", "y")
 
 
 def test_what_is_no_generator_is_refused_in_one_line(tmp_path):

@@ -10,13 +10,13 @@ from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate
 from mavfi.campaign.plan import FI, GOLDEN
 
-MOST = 5
+MAX_SENTENCES = 5
 
 
 def findings(runs: Runs) -> list[str]:
-    """Compute up to `MOST` sentences; those that do not apply are omitted."""
+    """Compute up to `MAX_SENTENCES` sentences; those that do not apply are omitted."""
     sentences = [sentence for compute in _SENTENCES for sentence in compute(runs)]
-    return sentences[:MOST]
+    return sentences[:MAX_SENTENCES]
 
 
 def _bits(runs: Runs) -> str:

@@ -86,7 +86,7 @@ def unknown_note(runs: Runs) -> list[str]:
 
 def separable_note(runs: Runs) -> list[str]:
     """Note with the smallest differences that a success table can resolve."""
-    parts = [f"{environment} {_points(golden)} / {_points(dr)}" for environment, golden, dr in m.separable(runs)]
+    parts = [f"{each.environment} {_points(each.golden_fi)} / {_points(each.fi_dr)}" for each in m.separable(runs)]
     if not parts:
         return []
     start = "smaller differences, in points, are not distinguished (golden – fi / fi – dr, power 80 %): "
@@ -220,8 +220,11 @@ def _recovery_notes(runs: Runs) -> list[str]:
         f"p: {m.PAIRED_TEST}; newly lost against saved by the detector",
         f"recovery = (dr – fi) / (golden – fi), [exact binomial interval]; {NO_ESTIMATE} while the interval of "
         "golden – fi contains 0; below 0 where more missions are newly lost than brought back",
-        HEALS if of_states(runs) else _HEALS_WITH_MEMORY,
     ]
+    if of_states(runs):
+        notes.append(HEALS)
+    else:
+        notes.append(_HEALS_WITH_MEMORY)
     if has(runs.injected, level=INSTRUCTION):
         notes.append(_SHIFTED)
     notes += ["golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds", ONE_FAULT]
@@ -391,7 +394,7 @@ def _kinds(runs: Runs) -> str:
 
 def _systematic_note(runs: Runs) -> str:
     parts = _golden_watched(runs).groups("setting", "environment").values()
-    always = {(state, time_s) for flights in parts for state, time_s, _ in m.systematic(flights)}
+    always = {(alarm.state, alarm.time_s) for flights in parts for alarm in m.systematic(flights)}
     alarms = "".join(f"; {state} at {time_s:.2f} s" for state, time_s in sorted(always))
     return f"systematic: same state and instant in more than 90 % of the flights{alarms}"
 
@@ -421,7 +424,9 @@ ALARMS = Chapter(
                 m.count("flights", "flights"),
                 m.count("with_alarm", "with alarm", pl.col("alarms_total") > 0),
                 Measure("alarms", "alarms", NUMBER, lambda runs: sum(runs["alarms_total"])),
-                Measure("systematic", "systematic", NUMBER, lambda runs: sum(n for _, _, n in m.systematic(runs))),
+                Measure(
+                    "systematic", "systematic", NUMBER, lambda runs: sum(alarm.flights for alarm in m.systematic(runs))
+                ),
                 Measure("hours", "exposure", "number .2f h", lambda runs: sum(runs["flight_time_s"]) / 3600),
                 Measure("per_hour", "per hour", PER_HOUR, m.alarm_rate),
                 Measure("upper", "upper bound", "number .1f", lambda runs: m.alarm_rate(runs).upper),

@@ -50,7 +50,7 @@ def listing(runs: Runs, *, failed: bool = False) -> Table:
     return Table("runs", title, columns, rows)
 
 
-_INTERESTING = 0.02  # relative increase in flight time from which a successful run is worth a picture
+_NOTICEABLE_DELAY = 0.02  # relative increase in flight time from which a successful run is worth a picture
 
 
 def with_flights(runs: Runs, directory: Path, run_ids: Iterable[str]) -> Runs:
@@ -77,7 +77,7 @@ def ordered(runs: pl.DataFrame) -> list[str]:
     """
     explainable = runs.filter(kind="injected", judged=True, end=str(End.FLOWN), site_outcome="activated")
     lost = ~pl.col("success") & pl.col("golden_success")
-    slower = pl.col("inflation").fill_null(0.0) > _INTERESTING
+    slower = pl.col("inflation").fill_null(0.0) > _NOTICEABLE_DELAY
     changed = pl.col("effect") != "masked"
     classified = explainable.with_columns(
         sort=pl.when(lost).then(0).when(slower).then(1).when(changed).then(2).otherwise(3)

@@ -3,13 +3,13 @@
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
 
 from mavfi.analysis.rows import ALL_BITS, POPULATIONS, WHOLE_WORD
-from mavfi.analysis.runs import Runs
+from mavfi.analysis.runs import Runs, condition
 from mavfi.analysis.statistics import (
     EventRate,
     Paired,
@@ -119,15 +119,8 @@ def wilson_rate(key: str, heading: str, test: pl.Expr, *where: pl.Expr) -> Measu
 
 def rate_of(runs: Runs, test: pl.Expr | str) -> Rate:
     """Rate over rows, and its interval with missions as clusters."""
-    passed = runs.frame.select(_expression(test).fill_null(value=False).alias("passed"))["passed"].to_list()
+    passed = runs.frame.select(condition(test).fill_null(value=False).alias("passed"))["passed"].to_list()
     return clustered_rate(passed, runs["world"])
-
-
-def _expression(test: pl.Expr | str) -> pl.Expr:
-    """A test as an expression; a name is that of a flag column."""
-    if isinstance(test, str):
-        return pl.col(test)
-    return test
 
 
 # ---- by population -----------------------------------------------------------------------------------------------
@@ -141,7 +134,7 @@ def populations(runs: Runs, test: pl.Expr | str) -> dict[str, Rate]:
         judged = runs.where("judged")
         rates = {name: rate_of(part, test) for (name,), part in judged.groups("population").items()}
         if set(rates) in PARTITIONS:
-            passed = judged.frame.select(_expression(test).alias("passed"))["passed"]
+            passed = judged.frame.select(condition(test).alias("passed"))["passed"]
             rates[WHOLE_WORD] = weighted_rate(passed.to_list(), judged["weight"], judged["population"], judged["world"])
         runs.memo[key] = rates
     memoized: dict[str, Rate] = runs.memo[key]
@@ -303,15 +296,26 @@ def against_golden(runs: Runs) -> Paired:
     return mcnemar(runs["golden_success"], runs["success"], runs["world"])
 
 
-def separable(runs: Runs) -> list[tuple[str, float | None, float | None]]:
-    """Smallest differences (golden - fi, fi - dr) that a success table can resolve, by environment."""
+class Resolution(NamedTuple):
+    """Smallest differences of success rates that the missions of an environment can resolve; None without missions."""
+
+    environment: str
+    golden_fi: float | None
+    fi_dr: float | None
+
+
+def separable(runs: Runs) -> list[Resolution]:
+    """Smallest differences that a success table can resolve, by environment."""
     differences = []
     for (environment,), part in runs.groups("environment").items():
         golden = part.golden.where("judged", setting=GOLDEN)
         faulty = part.injected.where("judged", pl.col("population").is_in(LEADING), setting=FI)
         n = len(faulty)
-        share = sum(faulty["success"]) / n if n else 1.0
-        differences.append((environment, smallest_difference(share, len(golden), n), smallest_difference(share, n, n)))
+        share = 1.0
+        if n:
+            share = sum(faulty["success"]) / n
+        golden_fi = smallest_difference(share, len(golden), n)
+        differences.append(Resolution(environment, golden_fi, smallest_difference(share, n, n)))
     return differences
 
 
@@ -321,14 +325,26 @@ def alarm_rate(runs: Runs) -> EventRate:
     return event_rate_by_flight(runs["alarms_total"], [time / 3600 for time in runs["flight_time_s"]])
 
 
-def systematic(runs: Runs) -> list[tuple[str, float, int]]:
-    """Alarms common to nearly all flights: state, instant (s), number of flights; empty for a single flight."""
+class SystematicAlarm(NamedTuple):
+    """An alarm of a state at one instant of nearly all flights."""
+
+    state: str
+    time_s: float
+    flights: int
+
+
+def systematic(runs: Runs) -> list[SystematicAlarm]:
+    """Alarms common to more than the share `SYSTEMATIC` of the flights; none for a single flight."""
     if len(runs) <= 1:
         return []
     flights: Counter[tuple[str, int]] = Counter()
     for record in runs.recorded():
         flights.update({(alarm.state, round(1e6 * alarm.time_s)) for alarm in record.alarms})
-    return [(state, 1e-6 * time_us, n) for (state, time_us), n in sorted(flights.items()) if n > SYSTEMATIC * len(runs)]
+    return [
+        SystematicAlarm(state, 1e-6 * time_us, count)
+        for (state, time_us), count in sorted(flights.items())
+        if count > SYSTEMATIC * len(runs)
+    ]
 
 
 def recomputed(runs: Runs) -> float | None:

@@ -136,14 +136,14 @@ def _happened(record: FlightRecord, *, is_faulty: bool, has_site: bool) -> dict[
     activated = [injection for injection in record.injections if injection.activated]
     columns: dict[str, Any] = {"activated": bool(activated)}
     if is_faulty:
-        columns["site_outcome"] = _site_outcome(record, bool(activated), has_site)
+        columns["site_outcome"] = _site_outcome(record, is_activated=bool(activated), has_site=has_site)
     injections = activated or record.injections
     if injections:
         columns |= _injection(injections[0])
     return columns
 
 
-def _site_outcome(record: FlightRecord, is_activated: bool, has_site: bool) -> str:
+def _site_outcome(record: FlightRecord, *, is_activated: bool, has_site: bool) -> str:
     """Outcome of a planned site; a flight that died before its end counts as activated."""
     if not has_site:
         return NO_SITE

@@ -26,6 +26,13 @@ DEFAULT_MONITORED = "paper-13"
 ALL = "all"  # label of total rows, e.g. over all environments
 
 
+def condition(test: pl.Expr | str) -> pl.Expr:
+    """A test as an expression; a name is that of a flag column."""
+    if isinstance(test, str):
+        return pl.col(test)
+    return test
+
+
 @dataclass(frozen=True)
 class Runs:
     """Completed runs, in plan order.
@@ -106,7 +113,7 @@ class Runs:
 
     def where(self, *tests: pl.Expr | str, **values: Any) -> "Runs":
         """Rows that pass all tests: expressions, names of flag columns, and column=value."""
-        conditions = [pl.col(test) if isinstance(test, str) else test for test in tests]
+        conditions = [condition(test) for test in tests]
         conditions += [pl.col(column) == value for column, value in values.items()]
         if not conditions:
             return self
@@ -247,8 +254,9 @@ def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:
     if changed:
         lines.append(f"mission: {', '.join(changed)}")
     platforms = ", ".join(dict.fromkeys(spec.platform for spec in missions_flown))
-    speed = "" if mission.v_max is None else f" · {mission.v_max:g} m/s"
-    title = f"campaign {campaign.name} · autopilot profile {mission.autopilot} · {platforms} · {mission.planner}{speed}"
+    title = f"campaign {campaign.name} · autopilot profile {mission.autopilot} · {platforms} · {mission.planner}"
+    if mission.v_max is not None:
+        title = f"{title} · {mission.v_max:g} m/s"
     return {"profile": mission.autopilot, "title": title, "lines": lines}
 
 

@@ -60,8 +60,13 @@ class View:
         if self.total is not None and len(chosen):
             chosen = chosen.with_total(*self.total)
         errors: dict[str, str] = {}  # of measures, by heading
-        grid = self._across(chosen, errors) if self.across else self._down(chosen, errors)
-        notes = list(self.notes(runs)) if grid.rows else []
+        if self.across:
+            grid = self._across(chosen, errors)
+        else:
+            grid = self._down(chosen, errors)
+        notes: list[str] = []
+        if grid.rows:
+            notes += self.notes(runs)
         notes += [f"{heading}: unknown ({error})" for heading, error in errors.items()]
         rows = self._ordered(grid)
         return Table(

@@ -70,29 +70,34 @@ def run(  # noqa: PLR0913 - options
     from mavfi.campaign.run import run_campaign
     from mavfi.cli.progress import Bar, success_counts
 
+    # check all options before the first flight
     campaign = load_campaign(config).at_scale(scale)
     check_names(campaign, config)
     ledger = out or Path("out") / campaign.name
     chosen_executor = _executor(executor, scheduler, workers)
-    part = Shard.parse(shard, "--shard")
-    kept = f"Stopped. What is done is kept in {ledger}; the same command resumes."
-    with stoppable(kept), Bar(f"campaign {campaign.name}", "runs") as bar:
+    chosen_shard = Shard.parse(shard, "--shard")
+    # fly what is missing
+    stop_message = f"Stopped. What is done is kept in {ledger}; the same command resumes."
+    with stoppable(stop_message), Bar(f"campaign {campaign.name}", "runs") as bar:
         status = run_campaign(
             campaign,
             ledger,
             executor=chosen_executor,
             models_dir=models,
             fast_forward=fast_forward,
-            shard=part,
+            shard=chosen_shard,
             progress=bar.show_campaign,
         )
+    # report; unknown runs first, they make the figures incomplete
     if status.unknown and not allow_unknown:
         raise MavfiError(
             f"{ledger}: {status.unknown} of {status.total} runs have status unknown{_most_frequent_reason(ledger)}: "
             f"`mavfi runs {ledger} --failed` lists them with the reason; --allow-unknown accepts them"
         )
-    if part != WHOLE:
-        text = f"Done with shard {part}. To join all: [bold]mavfi campaign merge DIR ... --out {ledger}-all[/bold]"
+    if chosen_shard != WHOLE:
+        text = (
+            f"Done with shard {chosen_shard}. To join all: [bold]mavfi campaign merge DIR ... --out {ledger}-all[/bold]"
+        )
         console().print(text, soft_wrap=True)
         return
     console().print(success_counts(status.settings))
@@ -100,12 +105,12 @@ def run(  # noqa: PLR0913 - options
 
 
 def _executor(name: str, scheduler: str, workers: int) -> "Executor":
-    """Who flies: processes of this machine, or what an extra adds by an entry point."""
+    """What flies the runs: processes of this machine, or an executor that an extra adds by an entry point."""
     extras = sorted(known("mavfi.executors", {}))
     check_name("--executor", name, ("local", *extras))
     if name != "local":
-        made: Executor = load_object("executor", name, "mavfi.executors", {})(scheduler, workers)
-        return made
+        executor: Executor = load_object("executor", name, "mavfi.executors", {})(scheduler, workers)
+        return executor
     if scheduler:
         raise BadInputError(f"--scheduler: {scheduler}: allowed with --executor {', '.join(extras)}")
     return LocalExecutor(workers)
@@ -133,16 +138,19 @@ def status(
     from mavfi.campaign.plan import WHOLE
     from mavfi.cli.progress import success_counts
 
-    found = status_of(directory)
+    progress = status_of(directory)
     if as_json:
         keys = ("planned", "flown", "succeeded")
-        settings = {name: dict(zip(keys, counts, strict=True)) for name, counts in found.settings.items()}
-        write_json({**asdict(found), "complete": found.complete, "settings": settings})
+        settings = {name: dict(zip(keys, counts, strict=True)) for name, counts in progress.settings.items()}
+        write_json({**asdict(progress), "complete": progress.complete, "settings": settings})
         return
-    out = console()
-    shard = "" if found.shard == WHOLE else f" of shard {found.shard}"
-    out.print(f"{found.done} of {found.total} runs{shard}" + (", complete" if found.complete else ""))
-    out.print(success_counts(found.settings))
+    text = f"{progress.done} of {progress.total} runs"
+    if progress.shard != WHOLE:
+        text += f" of shard {progress.shard}"
+    if progress.complete:
+        text += ", complete"
+    console().print(text)
+    console().print(success_counts(progress.settings))
 
 
 @app.command("verify")
@@ -163,16 +171,16 @@ def verify(
 
     check_seed("--seed", seed)
     with Bar("replay", "runs") as bar:
-        found = verify_runs(directory, share, seed, bar.show)
-    bound = f"at most {100 * found.upper_bound:.2g} % of the {found.runs} records are wrong (95 % confidence)"
+        sample = verify_runs(directory, share, seed, bar.show)
+    bound = f"at most {100 * sample.upper_bound:.2g} % of the {sample.runs} records are wrong (95 % confidence)"
     if as_json:
-        write_json({**asdict(found), "upper_bound": found.upper_bound})
-    elif not found.differing:
-        console().print(f"{found.flown} of {found.runs} runs replayed, all records equal; {bound}")
-    if found.differing:
+        write_json({**asdict(sample), "upper_bound": sample.upper_bound})
+    elif not sample.differing:
+        console().print(f"{sample.flown} of {sample.runs} runs replayed, all records equal; {bound}")
+    if sample.differing:
         raise MavfiError(
-            f"{directory}: {len(found.differing)} of {found.flown} replayed runs have another record: "
-            f"{', '.join(found.differing[:5])}; {bound}"
+            f"{directory}: {len(sample.differing)} of {sample.flown} replayed runs have another record: "
+            f"{', '.join(sample.differing[:5])}; {bound}"
         )
 
 
@@ -187,11 +195,11 @@ def merge(
     """
     from mavfi.campaign.ledger import merge as merge_ledgers
 
-    found = merge_ledgers(directories, out)
-    rest = f"complete. Tables and figures: [bold]mavfi report {out}[/bold]"
-    if not found.complete:
-        rest = f"`mavfi campaign run CONFIG --out {out}` flies the rest"
-    console().print(f"{found.done} of {found.total} runs; {rest}", soft_wrap=True)
+    progress = merge_ledgers(directories, out)
+    next_step = f"complete. Tables and figures: [bold]mavfi report {out}[/bold]"
+    if not progress.complete:
+        next_step = f"`mavfi campaign run CONFIG --out {out}` flies the rest"
+    console().print(f"{progress.done} of {progress.total} runs; {next_step}", soft_wrap=True)
 
 
 @app.command("repair")
@@ -203,12 +211,13 @@ def repair(directory: options.Ledger) -> None:
     from mavfi.campaign.ledger import DAMAGED
     from mavfi.campaign.ledger import repair as repair_ledger
 
-    found = repair_ledger(directory)
-    if found.was_intact:
-        console().print(f"{found.kept} runs, none damaged: nothing to repair, the ledger is as it was", soft_wrap=True)
+    repaired = repair_ledger(directory)
+    if repaired.was_intact:
+        text = f"{repaired.kept} runs, none damaged: nothing to repair, the ledger is as it was"
+        console().print(text, soft_wrap=True)
         return
     console().print(
-        f"{found.kept} runs kept, {found.lost} damaged. Resume the campaign to fly the missing ones. "
+        f"{repaired.kept} runs kept, {repaired.lost} damaged. Resume the campaign to fly the missing ones. "
         f"Backup of the damaged file: {directory / DAMAGED}",
         soft_wrap=True,
     )
@@ -227,15 +236,15 @@ def digest(directory: options.Ledger, as_json: options.AsJson = False) -> None:
     from mavfi.campaign.store import Store
 
     with Store.open(directory) as store:
-        found = store.digest()
+        text = store.digest()
     progress = status_of(directory)
     if as_json:
         partial = not progress.complete or progress.shard != WHOLE
-        write_json({"digest": found, "partial": partial, "done": progress.done, "total": progress.total})
+        write_json({"digest": text, "partial": partial, "done": progress.done, "total": progress.total})
         return
-    typer.echo(found)
+    typer.echo(text)
     if progress.shard != WHOLE:
         console(error=True).print(f"partial: shard {progress.shard} of the campaign")
     if not progress.complete:
-        text = f"partial: {progress.done} of {progress.total} runs are flown; the rest will change this digest"
-        console(error=True).print(text)
+        remark = f"partial: {progress.done} of {progress.total} runs are flown; the rest will change this digest"
+        console(error=True).print(remark)

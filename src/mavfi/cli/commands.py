@@ -88,7 +88,9 @@ class _Application(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         name, _, rest = super().resolve_command(ctx, args)
-        return name, None if name is None else self.commands[name], rest
+        if name is None:
+            return None, None, rest
+        return name, self.commands[name], rest  # with its options, which `get_command` leaves out
 
 
 def _help_in_source(address: str) -> str:
@@ -103,6 +105,7 @@ def _help_in_source(address: str) -> str:
         tree = ast.parse(root.joinpath(*path).with_suffix(".py").read_text("utf-8"))
     except (ImportError, AttributeError, OSError, SyntaxError):  # a broken plug-in is reported when it is called
         return ""
+    # the definition of that name, or the application assigned to it
     for node in tree.body:
         if isinstance(node, ast.FunctionDef):
             decorators = map(ast.unparse, node.decorator_list)
@@ -149,6 +152,7 @@ def run(arguments: Sequence[str]) -> int:
 
     Bad input, known failures and exceptions of plug-ins print one line on stderr; those of mavfi itself are raised.
     """
+    # the permission comes first: commands of plug-ins are looked up already while the words are parsed
     if _ALLOW_PLUGINS in arguments:
         allow_plugins()
         arguments = [word for word in arguments if word != _ALLOW_PLUGINS]
@@ -156,8 +160,10 @@ def run(arguments: Sequence[str]) -> int:
     try:
         code = _command().main(args=arguments or ["--help"], prog_name="mavfi", standalone_mode=False)
     except MavfiError as error:
-        is_input = isinstance(error, BadInputError) and not machine_failure(error)
-        return _refused(str(error), EXIT_BAD_INPUT if is_input else EXIT_FAILURE)
+        code = EXIT_FAILURE
+        if isinstance(error, BadInputError) and not machine_failure(error):
+            code = EXIT_BAD_INPUT
+        return _refused(str(error), code)
     except typer.TyperException as error:  # missing argument, unknown option, invalid number
         dropped = _dropped(arguments)
         if dropped:
@@ -167,13 +173,12 @@ def run(arguments: Sequence[str]) -> int:
     except typer.Abort:
         return EXIT_STOPPED
     except (Exception, SystemExit) as error:
-        failed = machine_failure(error)
-        of_plugin = plugin_failure(error)
-        if not failed and not of_plugin:
-            raise
-        if failed:
-            return _refused(failed, EXIT_FAILURE)
-        return _refused(of_plugin, EXIT_BAD_INPUT)
+        # a full disk and the like, then plug-ins; all other exceptions are defects of mavfi
+        if failure := machine_failure(error):
+            return _refused(failure, EXIT_FAILURE)
+        if failure := plugin_failure(error):
+            return _refused(failure, EXIT_BAD_INPUT)
+        raise
     if isinstance(code, int):
         return code
     return EXIT_DONE

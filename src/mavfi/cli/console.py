@@ -18,7 +18,7 @@ from mavfi.files import exists
 
 WIDE = 140
 """Width in columns if the output is not a terminal, so that tables in a file are not wrapped."""
-LONGEST_LINE = 2000
+MAX_LINE_LENGTH = 2000
 """Maximum length of an error message (characters)."""
 FLIGHTS = (".npz",)
 PICTURES = (".png", ".svg", ".pdf")
@@ -29,8 +29,9 @@ PAGES = (".html",)
 def console(*, error: bool = False) -> Console:
     """A console for text; progress goes to the one on stderr, so that stdout can be piped."""
     stream = sys.stderr if error else sys.stdout
-    width = None if stream.isatty() or "COLUMNS" in os.environ else WIDE
-    return Console(stderr=error, highlight=False, width=width)
+    if stream.isatty() or "COLUMNS" in os.environ:
+        return Console(stderr=error, highlight=False)
+    return Console(stderr=error, highlight=False, width=WIDE)
 
 
 def titled_table(title: str, **more: Any) -> Table:
@@ -40,16 +41,26 @@ def titled_table(title: str, **more: Any) -> Table:
 
 def counted(number: int, noun: str) -> str:
     """A number with its noun, in the plural unless it is 1."""
-    return f"{number} {noun}" + ("" if number == 1 else "s")
+    if number == 1:
+        return f"1 {noun}"
+    return f"{number} {noun}s"
 
 
 def one_line(text: str) -> str:
     """The text as one line for a terminal: unprintable characters are escaped, long text is shortened in the middle."""
-    line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))
-    if len(line) <= LONGEST_LINE:
+    line = " ".join(text.split())
+    if not line.isprintable():
+        line = "".join(map(_printable, line))
+    if len(line) <= MAX_LINE_LENGTH:
         return line
-    half = LONGEST_LINE // 2 - 3
+    half = MAX_LINE_LENGTH // 2 - 3
     return f"{line[:half]} ... {line[-half:]}"
+
+
+def _printable(character: str) -> str:
+    if character.isprintable():
+        return character
+    return character.encode("unicode_escape").decode()
 
 
 def complain(text: str, code: int) -> int:
@@ -95,8 +106,8 @@ def check_name(option: str, value: str, names: Iterable[str]) -> None:
 def check_file(option: str, path: Path | None, endings: Sequence[str]) -> None:
     """Refuse a file with another extension, or one that cannot be written; None passes."""
     if path is not None and path.suffix.lower() not in endings:
-        several = "s" if len(endings) > 1 else ""
-        raise BadInputError(f"{option}: {path}: allowed ending{several}: {', '.join(endings)}")
+        noun = "ending" if len(endings) == 1 else "endings"
+        raise BadInputError(f"{option}: {path}: allowed {noun}: {', '.join(endings)}")
     check_writable(path)
 
 
@@ -104,8 +115,8 @@ def check_writable(path: Path | None) -> None:
     """Refuse a file that cannot be written, before the first flight; an existing file is not changed."""
     if path is None:
         return
-    there = exists(path)
+    existed = exists(path)
     with writing(path):
         path.open("ab").close()
-        if not there:
+        if not existed:
             path.unlink()

@@ -24,7 +24,7 @@ _MEANING = {
     Effect.DETECTED: "detected by the protection, computed again",
     Effect.UNKNOWN: Effect.UNKNOWN.value,
 }
-MOST_ALARMS = 6
+MAX_ALARMS = 6
 """Number of alarms shown individually."""
 _FIGURES = (
     ("flight time", "flight_time_s", 1.0, "s"),
@@ -36,11 +36,11 @@ _FIGURES = (
 def panel(result: FlightResult) -> Panel:
     """The flight in a frame: status, metrics, fault, alarms, digest; names are never truncated."""
     scenario = result.scenario
-    success = result.status is MissionStatus.SUCCESS
-    colour = "green" if success else "red"
-    watched = f" · detector {result.detector}" if result.detector else ""
+    colour = "green" if result.status is MissionStatus.SUCCESS else "red"
     seed = f" · seed {scenario.seed} · autopilot "
-    title = Text.assemble((scenario.environment.name, "bold"), seed, (scenario.autopilot.name, "bold"), watched)
+    title = Text.assemble((scenario.environment.name, "bold"), seed, (scenario.autopilot.name, "bold"))
+    if result.detector:
+        title.append(f" · detector {result.detector}")
     below = f"{scenario.platform.name} · {scenario.planner.name} · {scenario.v_max:g} m/s"
     parts: list[RenderableType] = [
         title,
@@ -60,16 +60,17 @@ def panel(result: FlightResult) -> Panel:
 
 
 def _verdict(status: MissionStatus) -> Text:
-    success = status is MissionStatus.SUCCESS
-    return Text(f"{'✓' if success else '✗'} {status.value}", style="green" if success else "red")
+    if status is MissionStatus.SUCCESS:
+        return Text(f"✓ {status.value}", style="green")
+    return Text(f"✗ {status.value}", style="red")
 
 
 def _given_up(result: FlightResult) -> list[RenderableType]:
     """When recovery gave the mission up, and what the vehicle did from then on."""
-    begun = next((alarm for alarm in result.log.alarms if alarm.action == Response.HOLD), None)
-    if begun is None:
-        return []
-    return [Text(f"  degraded mode {begun.action!r} from {begun.time_s:.1f} s on")]
+    for alarm in result.log.alarms:
+        if alarm.action == Response.HOLD:
+            return [Text(f"  degraded mode {alarm.action!r} from {alarm.time_s:.1f} s on")]
+    return []
 
 
 def _unwatched(result: FlightResult) -> list[RenderableType]:
@@ -81,29 +82,31 @@ def _unwatched(result: FlightResult) -> list[RenderableType]:
 
 
 def _figures(result: FlightResult) -> Table:
+    """Quality of the flight against that of its golden run, then the conditions of the mission."""
     golden = result.golden_record
     table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), show_header=golden is not None)
-    for heading in ("", "this flight", "golden run", "difference"):
-        table.add_column(heading, justify="left" if not heading else "right", header_style="dim")
+    table.add_column("", header_style="dim")
+    for heading in ("this flight", "golden run", "difference"):
+        table.add_column(heading, justify="right", header_style="dim")
+    # this flight, the golden run if there is one, and the difference
     qualities: list[QoF] = [quality_of(record) for record in (result.record, golden) if record is not None]
     for label, name, scale, unit in _FIGURES:
         values = [float(getattr(quality, name)) for quality in qualities]
+        cells = [f"{scale * value:.1f} {unit}" for value in values]
         if len(values) == 2 and values[1] > 0:
-            relative = [f"{100 * (values[0] / values[1] - 1):+z.1f} %"]
-        else:
-            relative = []
-        table.add_row(label, *(f"{scale * value:.1f} {unit}" for value in values), *relative)
+            cells.append(f"{100 * (values[0] / values[1] - 1):+z.1f} %")
+        table.add_row(label, *cells)
+    # conditions that are not at their defaults
     scenario = result.scenario
     record = result.record
     if scenario.wind.gust > 0.0:
         table.add_row("wind gusts", f"{scenario.wind.gust:g} m/s")
     if scenario.localization.kind != "truth":
         table.add_row("localization", scenario.localization.kind)
-    if golden is None:
-        counts = []
-    else:
-        counts = [str(golden.replans), f"{record.replans - golden.replans:+d}"]
-    table.add_row("replans", str(record.replans), *counts)
+    replans = [str(record.replans)]
+    if golden is not None:
+        replans += [str(golden.replans), f"{record.replans - golden.replans:+d}"]
+    table.add_row("replans", *replans)
     table.add_row("course", f"{record.course_m:.1f} m", style="dim")
     table.add_row("time limit", f"{record.time_limit_s:.1f} s", style="dim")
     return table
@@ -124,12 +127,13 @@ def _fault(result: FlightResult) -> list[RenderableType]:
 
 
 def _alarms(result: FlightResult) -> list[RenderableType]:
-    story = alarm_lines(result.log, None if result.golden is None else result.golden.log, MOST_ALARMS)
-    if not story:
-        if result.detector:
-            return [Text("\nno alarm", style="dim")]
-        return []
-    return [Text(), story_table(story)]
+    golden = None if result.golden is None else result.golden.log
+    story = alarm_lines(result.log, golden, MAX_ALARMS)
+    if story:
+        return [Text(), story_table(story)]
+    if result.detector:
+        return [Text("\nno alarm", style="dim")]
+    return []
 
 
 def story_table(story: list[tuple[str, str]]) -> Table:

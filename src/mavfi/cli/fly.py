@@ -17,7 +17,8 @@ from mavfi.plugins import extensions
 if TYPE_CHECKING:
     from mavfi.faults.fault import Fault
     from mavfi.flight.compose import WatchedMission
-    from mavfi.flight.host import ArmSetup, Host
+    from mavfi.flight.host import Host
+    from mavfi.levels.level import Request
     from mavfi.mission import Scenario
     from mavfi.report.flight_result import FlightResult
 
@@ -50,19 +51,22 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi fly --environment dense --seed 10007 --fault state:planning.waypoint.x:bit=62@20.0[/bold]
     """
-    check_company(mission, fault, fault_seed, detector, profile, models)
+    # refuse what is not allowed before the flight, and before slow imports
+    check_option_dependencies(mission, fault, fault_seed, detector, profile, models)
     _check_dead_node(mission, fault)
     observers = observing.chosen_observers(extra, pace, fault)
-    for option, path, endings in (("--save", save, FLIGHTS), ("--picture", picture, PICTURES), ("--html", html, PAGES)):
-        check_file(option, path, endings)
-    of_extra, host = _chosen(mission, {"fault": fault, "html": html, **extra})
+    check_file("--save", save, FLIGHTS)
+    check_file("--picture", picture, PICTURES)
+    check_file("--html", html, PAGES)
+    request: Request | Fault | None
+    request, host = _chosen_by_extras(mission, {"fault": fault, "html": html, **extra})
     from mavfi.cli.progress import compiling
-    from mavfi.levels.level import Request, parse
+    from mavfi.levels.level import parse
 
-    if fault is None:
-        request: Request | Fault | None = of_extra
-    else:
+    if fault is not None:
         request = parse(fault, mission.localization)
+
+    # fly it; the report of an empty cache covers the imports, which compile some functions
     with compiling(instrumented=_is_instrumented(mission, fault), flight=True) as cold:
         from mavfi.api import fly_request
         from mavfi.flight.compose import resolve
@@ -73,12 +77,17 @@ def fly(  # noqa: PLR0913 - one parameter per option
         setup, label, _ = watched(mission, detector, profile, models)
         with observing.observing(observers, extra, pace) as views:
             result = fly_request(replace(setup, observers=views), request, fault_seed or 0, label, bare, host)
+
+    # write files, and report
     if save is not None:
         _save(save, result, mission, {"detector": detector, "profile": profile, "models": models})
     if picture is not None:
         _draw(picture, result)
     if html is not None:
-        _write_page(html, result, setup, bare, (mission, fault, fault_seed, detector, profile, models))
+        from mavfi.report.html.flight_page import fly_command, page_of_result, write_flight_page
+
+        command = fly_command(mission, fault, fault_seed, detector, profile, models)
+        write_flight_page(html, page_of_result(result, setup, bare, command))
     _show(result, (save, picture, html), as_json=as_json)
 
 
@@ -96,9 +105,10 @@ def _compile(scenario: Scenario) -> None:
 
 def _check_dead_node(mission: MissionSpec, fault: str | None) -> None:
     """Reject a policy for dead nodes without a fault that can kill one."""
-    if mission.dead_node != "fresh" and not (fault or "").startswith(("instruction:", "memory:")):
-        text = "no node can die; allowed: together with --fault instruction:KERNEL or memory:KERNEL"
-        raise BadInputError(f"--dead-node: {mission.dead_node}: {text}")
+    can_kill = (fault or "").startswith(("instruction:", "memory:"))
+    if mission.dead_node != "fresh" and not can_kill:
+        reason = "no node can die; allowed: together with --fault instruction:KERNEL or memory:KERNEL"
+        raise BadInputError(f"--dead-node: {mission.dead_node}: {reason}")
 
 
 def _show(result: FlightResult, written: Sequence[Path | None], *, as_json: bool) -> None:
@@ -114,27 +124,33 @@ def _show(result: FlightResult, written: Sequence[Path | None], *, as_json: bool
             out.print(f"wrote {path}", style="dim", markup=False)
 
 
-def _save(save: Path, result: FlightResult, asked: MissionSpec, watching: dict[str, Path | str | None]) -> None:
-    """Save a flight with its request, from which `mavfi export` flies it again."""
-    if isinstance(models := watching["models"], Path):
-        watching = watching | {"models": str(models.absolute())}
-    mission = asked.model_dump(mode="json", exclude_unset=True)
+def _save(save: Path, result: FlightResult, mission: MissionSpec, detection: dict[str, Path | str | None]) -> None:
+    """Save a flight with its request, from which `mavfi export` flies it again.
+
+    Args:
+        save: File to write.
+        result: The flight.
+        mission: The requested mission.
+        detection: Options `detector`, `profile` and `models`.
+    """
+    models = detection["models"]
+    if models is not None:
+        detection = detection | {"models": str(Path(models).absolute())}
     fault = None if result.fault is None else result.fault.to_json()
-    result.log.meta["request"] = {"mission": mission, "fault": fault, **watching}
+    request = {"mission": mission.model_dump(mode="json", exclude_unset=True), "fault": fault, **detection}
+    result.log.meta["request"] = request
     result.log.save(save)
 
 
-def _chosen(mission: MissionSpec, values: dict[str, Any]) -> tuple[Fault | None, Host | None]:
-    """The fault and the host that options of extras ask for, see `FLY_OPTIONS`."""
-    chosen = [extra.chosen(mission, values) for extra in extensions(FLY_OPTIONS).values()]
-    fault = next((fault for fault, _ in chosen if fault is not None), None)
-    return fault, next((host for _, host in chosen if host is not None), None)
-
-
-def _write_page(html: Path, result: FlightResult, setup: ArmSetup, bare: Scenario, options: tuple[Any, ...]) -> None:
-    from mavfi.report.html.flight_page import fly_command, page_of_result, write_flight_page
-
-    write_flight_page(html, page_of_result(result, setup, bare, fly_command(*options)))
+def _chosen_by_extras(mission: MissionSpec, values: dict[str, Any]) -> tuple[Fault | None, Host | None]:
+    """The fault and the host that options of extras ask for, see `FLY_OPTIONS`; the first of each counts."""
+    fault: Fault | None = None
+    host: Host | None = None
+    for extra in extensions(FLY_OPTIONS).values():
+        chosen_fault, chosen_host = extra.chosen(mission, values)
+        fault = chosen_fault if fault is None else fault
+        host = chosen_host if host is None else host
+    return fault, host
 
 
 def _draw(picture: Path, result: FlightResult) -> None:
@@ -146,7 +162,7 @@ def _draw(picture: Path, result: FlightResult) -> None:
         draw_flight(picture, result.unwatched, result.golden, result.flight, detector=result.detector)
 
 
-def check_company(
+def check_option_dependencies(
     mission: MissionSpec,
     fault: str | None,
     fault_seed: int | None,
@@ -159,9 +175,14 @@ def check_company(
         check_seed("--fault-seed", fault_seed)
         if fault is None:
             raise BadInputError(f"--fault-seed: {fault_seed}: no fault to draw; allowed: together with --fault")
-    given = {f"--{key.replace('_', '-')}": getattr(mission, key) for key in OF_A_DETECTOR if _is_chosen(mission, key)}
-    for name, value in {"--profile": profile, "--models": models, **given}.items():
-        if value is not None and detector == "none":
+    if detector != "none":
+        return
+    of_a_detector = {"--profile": profile, "--models": models}
+    for key in OF_A_DETECTOR:
+        if _is_chosen(mission, key):
+            of_a_detector[options.option_name(key)] = getattr(mission, key)
+    for name, value in of_a_detector.items():
+        if value is not None:
             raise BadInputError(f"{name}: {value}: nothing watches the flight; allowed: together with --detector")
 
 

@@ -55,5 +55,6 @@ def observing(chosen: list[Any], values: Mapping[str, Any], pace: float) -> Iter
             view, text = observer.build(values)
             stack.callback(view.close)
             console(error=True).print(text, markup=False, highlight=False)
-            attached.append(ObserverListener(view, 0.0 if attached else pace))  # only the first waits for the pace
+            attached.append(ObserverListener(view, pace))
+            pace = 0.0  # only the first waits for the pace
         yield tuple(attached)

@@ -56,22 +56,25 @@ def with_mission_options(verb: Callable[..., None], without: Collection[str] = (
     Only the fields of options that the user has set are set.  An invalid value raises `BadInputError`.
     """
     fields = {name: field for name, field in MissionSpec.model_fields.items() if name not in without}
-    own = {
+    # the command's other parameters; Typer needs the context among them, from which `wrapped` knows what was set
+    others = {
         name: parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
         for name, parameter in list(inspect.signature(verb, eval_str=True).parameters.items())[1:]
     }
-    passes_context = "context" in own
-    context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
+    passes_context = "context" in others
+    others["context"] = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
 
     @functools.wraps(verb)
-    def wrapped(context: typer.Context, **given: Any) -> None:
-        asked = {name: given.pop(name) for name in fields}
-        sources = {name: context.get_parameter_source(name) for name in fields}
-        mission = mission_of({name: asked[name] for name, source in sources.items() if _is_users(source)})
-        verb(mission, **given, **({"context": context} if passes_context else {}))
+    def wrapped(context: typer.Context, **values: Any) -> None:
+        mission_values = {name: values.pop(name) for name in fields}
+        set_by_user = {
+            name: value for name, value in mission_values.items() if _is_users(context.get_parameter_source(name))
+        }
+        if passes_context:
+            values["context"] = context
+        verb(mission_of(set_by_user), **values)
 
-    own["context"] = context
-    parameters = [*(_parameter(name, field) for name, field in fields.items()), *own.values()]
+    parameters = [*(_parameter(name, field) for name, field in fields.items()), *others.values()]
     wrapped.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     wrapped.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return wrapped
@@ -101,31 +104,28 @@ def _is_users(source: Enum | None) -> bool:
     return source is not None and source.name != "DEFAULT"
 
 
-def mission_of(given: Mapping[str, Any]) -> MissionSpec:
-    """Build the mission from option values, given by field name.
+def mission_of(values: Mapping[str, Any]) -> MissionSpec:
+    """Build the mission from option values by field name.
 
     Raises:
         BadInputError: A value is invalid; the message names option, value and allowed values.
     """
     for name in ("start", "goal"):
-        point = given.get(name)
+        point = values.get(name)
         if point is not None and not all(map(math.isfinite, point)):
             raise BadInputError(f"--{name}: {' '.join(map(str, point))}: allowed: three finite numbers (m)")
     try:
-        return MissionSpec(**given)
+        return MissionSpec(**values)
     except ValidationError as error:
-        found = error.errors()[0]
-        name = str(found["loc"][0])
-        if isinstance(found["input"], str):
-            given_text = repr(found["input"])
-        else:
-            given_text = str(found["input"])
-        replacement = VALUES.get((name, str(found["input"])))
+        first = error.errors()[0]
+        name = str(first["loc"][0])
+        value = first["input"]
+        shown = repr(value) if isinstance(value, str) else str(value)
+        reason = f"allowed: {_allowed(name)}"
+        replacement = VALUES.get((name, str(value)))
         if replacement:
             reason = f"dropped; use {replacement!r}"
-        else:
-            reason = f"allowed: {_allowed(name)}"
-        raise BadInputError(f"{option_name(name)}: {given_text}: {reason}") from None
+        raise BadInputError(f"{option_name(name)}: {shown}: {reason}") from None
 
 
 def listed(text: str) -> list[str]:
@@ -139,6 +139,7 @@ def option_name(field: str) -> str:
 
 
 def _parameter(name: str, field: FieldInfo) -> inspect.Parameter:
+    """The option of a field; words are checked by `mission_of`, whose message names those that are allowed."""
     kind: Any = str if _words(field) else field.annotation
     metavar = "X Y Z" if kind == Vector | None else None
     option = typer.Option(option_name(name), help=field.description, metavar=metavar)
@@ -157,7 +158,12 @@ def _allowed(name: str) -> str:
     field = MissionSpec.model_fields[name]
     if name == "seed":
         return f"0 to {LARGEST_SEED}"
-    if words := _words(field):
+    words = _words(field)
+    if words:
         return ", ".join(words)
-    bounds = [getattr(bound, side) for bound in field.metadata for side in ("ge", "le") if hasattr(bound, side)]
-    return " to ".join(f"{float(str(bound)):g}" for bound in bounds) or str(field.description)
+    bounds = []
+    for constraint in field.metadata:
+        for side in ("ge", "le"):
+            if hasattr(constraint, side):
+                bounds.append(f"{float(str(getattr(constraint, side))):g}")
+    return " to ".join(bounds) or str(field.description)

@@ -72,7 +72,9 @@ class Bar:
             self._done_before = done
             self._begun = time.perf_counter()
         seconds = time.perf_counter() - self._begun
-        rate = (done - self._done_before) / seconds if seconds > 0 else 0.0
+        rate = 0.0
+        if seconds > 0:
+            rate = (done - self._done_before) / seconds
         pace = ""
         if rate > 0 and done < total:
             pace = f"{speed(rate, self._unit)} · {duration((total - done) / rate)} left"
@@ -132,20 +134,23 @@ def compiling(*, instrumented: bool = False, flight: bool = False) -> Iterator[b
 
     folder = code_folder()
     out = console(error=True)
+    # files of the cache: .nbc of plain functions, .bin of instrumented ones, .warm once a flight has ended
     empty = not any(folder.rglob("*.nbc"))
+    cold = empty
     if flight:
         cold = not any(folder.glob(f"*-{packages_digest()}.warm"))
-    else:
-        cold = empty
-    if not (cold if out.is_terminal else empty) and not (instrumented and not any(folder.rglob("*.bin"))):
-        yield cold
-    else:
-        about = "two minutes" if instrumented else "40 s"
-        text = f"compiling kernels for this machine, once (about {about}) ..."
+    compiles = cold if out.is_terminal else empty
+    if instrumented and not any(folder.rglob("*.bin")):
+        compiles = True
+    if compiles:
+        duration_text = "two minutes" if instrumented else "40 s"
+        text = f"compiling kernels for this machine, once (about {duration_text}) ..."
         if not out.is_terminal:
             out.print(text)
         with out.status(text):  # draws nothing elsewhere than in a terminal
             yield cold
+    else:
+        yield cold
     if flight:
         with suppress(OSError):  # a cache that cannot be written stays as it is
             folder.mkdir(parents=True, exist_ok=True)
@@ -157,24 +162,30 @@ def success_counts(settings: Mapping[str, tuple[int, int, int]]) -> Table:
     from mavfi.analysis.statistics import score_bounds
 
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    if any(planned > done for planned, done, _ in settings.values()):
-        plans = ["planned so far"]
-    else:
-        plans = []
-    for heading in ("setting", "flown", *plans, "succeeded", ""):
-        table.add_column(heading, justify="left" if heading in ("setting", "") else "right")
+    is_incomplete = any(planned > done for planned, done, _ in settings.values())
+    table.add_column("setting")
+    table.add_column("flown", justify="right")
+    if is_incomplete:
+        table.add_column("planned so far", justify="right")
+    table.add_column("succeeded", justify="right")
+    table.add_column("")
     for setting, (planned, done, success) in settings.items():
+        counts = [str(done), str(success)]
+        if is_incomplete:
+            counts.insert(1, str(planned))
         share = ""
         if done:
             low, high = score_bounds(success / done, done)
             share = f"{100 * success / done:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
-        table.add_row(setting, str(done), *(str(planned) for _ in plans), str(success), Text(share, style="dim"))
+        table.add_row(setting, *counts, Text(share, style="dim"))
     return table
 
 
 def speed(rate: float, unit: str) -> str:
     """Format a rate in units per second, with two decimals below 1."""
-    return f"{rate:.{1 if rate >= 1 else 2}f} {unit}/s"
+    if rate >= 1:
+        return f"{rate:.1f} {unit}/s"
+    return f"{rate:.2f} {unit}/s"
 
 
 def duration(seconds: float) -> str:

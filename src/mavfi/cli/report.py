@@ -17,7 +17,7 @@ from mavfi.errors import BadInputError
 from mavfi.files import check_folder
 from mavfi.plugins import extensions
 
-MOST_FLIGHTS = 10_000
+MAX_FLIGHTS = 10_000
 
 if TYPE_CHECKING:
     from mavfi.report.campaign_report import CampaignReport
@@ -49,28 +49,30 @@ def report(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi report out/states --view by_state --csv[/bold]
     """
+    # refuse what is not allowed before the report, which may fly runs again
     if as_csv and not view:
         raise BadInputError("--csv: allowed: with --view NAME")
     _check_files(html, flights, figures, workers, view)
     if view:
         _show_view(directory, view, as_csv=as_csv, as_json=as_json)
         return
+    # the first extra that knows this kind of folder, else that of a campaign
     writers = (*extensions("mavfi.reports").values(), report_campaign)
     reports = (write(directory, html, flights, workers) for write in writers)
     reported = next(report for report in reports if report is not None)
-    made = []
+    written_files = []
     if html is not None:
         size = f"{html.stat().st_size / 1e6:.1f} MB"
-        made.append(f"{html}, with {counted(reported.flights, 'flight')}, {size}")
+        written_files.append(f"{html}, with {counted(reported.flights, 'flight')}, {size}")
     if figures is not None:
-        made.append(_write_figures(reported.draw(), figures))
+        written_files.append(_write_figures(reported.draw(), figures))
     if as_json:
         write_json(reported.written.to_json())
         return
     reported.show(show_all)
     names = _listed([path.relative_to(directory) for path in reported.written.files])
     console().print(f"[dim]wrote[/dim] {names} [dim]in[/dim] {directory}", soft_wrap=True)
-    for line in made:
+    for line in written_files:
         console().print(f"wrote {line}", style="dim", markup=False, soft_wrap=True)
 
 
@@ -129,8 +131,8 @@ def _write_figures(drawn: Sequence["Drawn"], folder: Path) -> str:
 
     paths: list[Path] = []
     with Bar("figures", "figures") as bar:
-        for done, one in enumerate(drawn, start=1):
-            paths += write_figure(one.figure, folder, one.name)
+        for done, result in enumerate(drawn, start=1):
+            paths += write_figure(result.figure, folder, result.name)
             bar.show(done, len(drawn))
     return f"{', '.join(path.name for path in paths) or 'no figure'} in {folder}"
 
@@ -140,7 +142,7 @@ def _check_files(html: Path | None, flights: int | None, figures: Path | None, w
     if view and (html or figures):
         raise BadInputError("--view: prints one table and writes nothing; allowed: without --html and --figures")
     check_file("--html", html, PAGES)
-    check_number("--flights", flights, 0, MOST_FLIGHTS)
+    check_number("--flights", flights, 0, MAX_FLIGHTS)
     if flights is not None and html is None:
         raise BadInputError(f"--flights: {flights}: there is no page; allowed: together with --html")
     check_number("--workers", workers, 1, MOST_WORKERS)
@@ -148,15 +150,18 @@ def _check_files(html: Path | None, flights: int | None, figures: Path | None, w
         check_folder(figures)
 
 
-def show_report(found: "CampaignReport", show_all: bool) -> None:
+def show_report(report: "CampaignReport", show_all: bool) -> None:
     """Print a report: campaign, leading table or all tables, findings."""
     from mavfi.report.text import checks, header, show_header, show_table
 
     out = console()
-    show_header(header(found.runs.campaign), out)
-    for table in found.tables if show_all else found.tables[:1]:
+    show_header(header(report.runs.campaign), out)
+    tables = report.tables if show_all else report.tables[:1]
+    for table in tables:
         show_table(table, out)
-    for line in (*(f"· {line}" for line in found.findings), *checks(found.runs)):
+    for finding in report.findings:
+        out.print(Text(f"· {finding}"))
+    for line in checks(report.runs):
         out.print(Text(line))
 
 
@@ -179,10 +184,10 @@ def _show_view(directory: Path, name: str, *, as_csv: bool, as_json: bool) -> No
         for view in views:
             typer.echo(f"{view.name:{width}}  {view.title}")
         return
-    found = table_asked_for(runs, name)
+    table = table_asked_for(runs, name)
     if as_csv:
-        typer.echo(found.to_csv(), nl=False)
+        typer.echo(table.to_csv(), nl=False)
     elif as_json:
-        write_json(found.to_json())
+        write_json(table.to_json())
     else:
-        show_table(found, console())
+        show_table(table, console())

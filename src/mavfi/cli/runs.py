@@ -1,21 +1,20 @@
 """`mavfi runs | replay | explain | shrink`: the runs of a campaign, and one of them flown again."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.text import Text
 
+from mavfi.campaign.shrink import Shrunk, Trial
 from mavfi.cli import options
 from mavfi.cli.console import PAGES, PICTURES, check_file, console, write_json
 from mavfi.errors import MavfiError
-
-if TYPE_CHECKING:
-    from mavfi.campaign.shrink import Shrunk
-
-from mavfi.campaign.shrink import Shrunk, Trial
 from mavfi.levels.level import text_of
 from mavfi.report.numbers import change
+
+if TYPE_CHECKING:
+    from mavfi.campaign.replay import Replay
 
 
 def runs(
@@ -50,37 +49,51 @@ def replay(directory: options.Ledger, run_id: options.RunId, as_json: options.As
     """
     from mavfi.campaign.replay import replay as fly_again
 
-    found = fly_again(directory, run_id)
-    record = found.record
-    stored = found.run.record
-    injections = () if stored is None else stored.injections
-    replayable = all(injection.details.get("replayable", True) for injection in injections)
-    ended = record.status.replace("_", " ") or record.error
+    again = fly_again(directory, run_id)
+    record = again.record
     if as_json:
-        write_json(
-            {
-                "run_id": found.run.spec.run_id,
-                "same": found.same,
-                "digest": record.digest,
-                "stored_digest": None if stored is None else stored.digest,
-                "status": record.status,
-                "stored_status": None if stored is None else stored.status,
-                "replayable": replayable,
-                "flight_time_s": record.flight_time_s,
-            }
-        )
+        write_json(_replay_json(again))
     else:
-        console().print(Text.assemble((found.run.spec.run_id, "bold"), f": {ended}"), soft_wrap=True)
-    if not found.same:
-        held = "none" if stored is None else stored.digest or stored.error
-        why = "bits are the same only with the same lock file, on x86-64 Linux"
-        if not replayable:
-            why = "not replayable: the fault was in a live process, or in a kernel whose memory belongs to a library"
-        raise MavfiError(f"{directory}: another run: {record.digest or 'no flight'}; stored: {held}; {why}")
+        end = record.status.replace("_", " ") or record.error
+        console().print(Text.assemble((again.run.spec.run_id, "bold"), f": {end}"), soft_wrap=True)
+    if not again.same:
+        stored = "none"
+        if again.run.record is not None:
+            stored = again.run.record.digest or again.run.record.error
+        reason = "bits are the same only with the same lock file, on x86-64 Linux"
+        if not _is_replayable(again):
+            reason = "not replayable: the fault was in a live process, or in a kernel whose memory belongs to a library"
+        raise MavfiError(f"{directory}: another run: {record.digest or 'no flight'}; stored: {stored}; {reason}")
     if not as_json:
-        console().print(
-            Text.assemble(("✓", "green"), f" the same run, bit for bit: {record.digest or 'no flight, as stored'}")
-        )
+        digest = record.digest or "no flight, as stored"
+        console().print(Text.assemble(("✓", "green"), f" the same run, bit for bit: {digest}"))
+
+
+def _is_replayable(again: "Replay") -> bool:
+    """Whether all injections of the stored run can be repeated bit for bit."""
+    stored = again.run.record
+    if stored is None:
+        return True
+    return all(injection.details.get("replayable", True) for injection in stored.injections)
+
+
+def _replay_json(again: "Replay") -> dict[str, Any]:
+    record = again.record
+    data = {
+        "run_id": again.run.spec.run_id,
+        "same": again.same,
+        "digest": record.digest,
+        "stored_digest": None,
+        "status": record.status,
+        "stored_status": None,
+        "replayable": _is_replayable(again),
+        "flight_time_s": record.flight_time_s,
+    }
+    stored = again.run.record
+    if stored is not None:
+        data["stored_digest"] = stored.digest
+        data["stored_status"] = stored.status
+    return data
 
 
 def explain(
@@ -103,21 +116,21 @@ def explain(
     from mavfi.report.explain import detector_name, lines, to_json
     from mavfi.report.picture import draw_flight
 
-    found = fly_both(directory, run_id)
+    explanation = fly_both(directory, run_id)
     if picture is not None:
-        draw_flight(picture, found.flight, found.golden, detector=detector_name(found.spec))
+        draw_flight(picture, explanation.flight, explanation.golden, detector=detector_name(explanation.spec))
     if html is not None:
         from mavfi.analysis.listing import partner
         from mavfi.analysis.runs import Runs
         from mavfi.report.html.flight_page import page_of_explanation, write_flight_page
 
-        other = partner(Runs.read(directory).frame, found.spec.run_id)
-        write_flight_page(html, page_of_explanation(directory, found, other, directory))
+        other = partner(Runs.read(directory).frame, explanation.spec.run_id)
+        write_flight_page(html, page_of_explanation(directory, explanation, other, directory))
     if as_json:
-        write_json(to_json(found))
+        write_json(to_json(explanation))
         return
     out = console()
-    out.print(story_table(lines(found)))
+    out.print(story_table(lines(explanation)))
     for path in (picture, html):
         if path is not None:
             out.print(f"wrote {path}", style="dim", markup=False)
@@ -135,32 +148,28 @@ def shrink(
     """
     from mavfi.campaign.shrink import shrink as make_smaller
     from mavfi.cli.flight_text import story_table
-    from mavfi.cli.runs import lines
 
     progress = console(error=True)
-    with progress.status("flying candidates ..." if progress.is_terminal else "") as shown:
-        found = make_smaller(directory, run_id, lambda count: shown.update(f"{count} candidates flown"))
+    with progress.status("flying candidates ..." if progress.is_terminal else "") as status:
+        shrunk = make_smaller(directory, run_id, lambda count: status.update(f"{count} candidates flown"))
     out = console()
-    out.print(story_table(lines(found)))
-    out.print(f"to fly it   {command(found)}", soft_wrap=True, markup=False, highlight=False)  # one line, to be copied
+    out.print(story_table(shrink_lines(shrunk)))
+    out.print(f"to fly it   {command(shrunk)}", soft_wrap=True, markup=False, highlight=False)  # one line, to be copied
 
 
-def command(found: "Shrunk") -> str:
+def command(shrunk: Shrunk) -> str:
     """Command that flies the smallest fault."""
     from mavfi.campaign.ledger import stored_campaign
     from mavfi.campaign.store import Store
     from mavfi.faults.fault import find_level
     from mavfi.report.html.flight_page import fly_command
 
-    spec = found.spec
-    with Store.open(found.directory) as store:
+    spec = shrunk.spec
+    with Store.open(shrunk.directory) as store:
         campaign = stored_campaign(store)
-    if spec.arm in campaign.arms:
-        overrides = campaign.arms[spec.arm].mission
-    else:
-        overrides = {}
+    overrides = campaign.arms[spec.arm].mission if spec.arm in campaign.arms else {}
     mission = campaign.spec(spec.environment, spec.seed, overrides)
-    fault = found.smallest.fault
+    fault = shrunk.smallest.fault
     profile = spec.detector_profile if spec.model else None
     level = find_level(fault.level)
     return fly_command(mission, level.text_of(fault), level.seed_of(fault), spec.detector or "none", profile, None)
@@ -168,25 +177,22 @@ def command(found: "Shrunk") -> str:
 
 # ---- results of `campaign.shrink` as text --------------------------------------------------------------------------
 
-Story = list[tuple[str, str]]
-_WHAT = {
+_STEPS = {
     "publications": "fewer wrong publications",
     "width": "one bit instead of several",
     "bit": "a bit that changes the value less",
 }
 
 
-def lines(found: Shrunk) -> Story:
+def shrink_lines(shrunk: Shrunk) -> list[tuple[str, str]]:
     """Headings and sentences: the smallest fault, the original, steps, golden run."""
-    rows = [("smallest", _trial(found.smallest)), ("original", _trial(found.original))]
-    for place, step in enumerate(found.steps):
-        heading = "steps" if place == 0 else ""
-        if step.found is None:
-            end = "none loses the mission"
-        else:
-            end = _trial(step.found)
-        rows.append((heading, f"{_WHAT.get(step.what, step.what)}, {step.tried} tried: {end}"))
-    golden = found.golden.log
+    rows = [("smallest", _trial(shrunk.smallest)), ("original", _trial(shrunk.original))]
+    heading = "steps"
+    for step in shrunk.steps:
+        result = "none loses the mission" if step.found is None else _trial(step.found)
+        rows.append((heading, f"{_STEPS.get(step.what, step.what)}, {step.tried} tried: {result}"))
+        heading = ""  # only above the first step
+    golden = shrunk.golden.log
     rows.append(("golden run", f"{golden.status.words} after {float(golden.column('time')[-1]):.2f} s"))
     return rows
 

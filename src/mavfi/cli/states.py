@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mavfi.cli.console import check_name, console
-from mavfi.states import AUTOPILOTS, MONITORED_SETS, ODOMETRY, StateSpec, states_with
+from mavfi.states import AUTOPILOTS, MONITORED_SETS, ODOMETRY, Field, StateSpec, states_with
 
 _MONITORED = "paper-13"
 """Set of fields that the paper's detectors watch."""
@@ -81,11 +81,14 @@ def _fields(spec: StateSpec, autopilot: str) -> Table:
     for width in (28, 2, 7, 1, 4):
         table.add_column(min_width=width, no_wrap=True)
     monitored = {field for state, field in MONITORED_SETS[_MONITORED] if state == spec.name}
-    of_elements = [(field, f"[{spec.element}]", False) for field in spec.elements]
-    of_header = [(field, "", field.name in monitored) for field in spec.header]
-    for field, each, is_watched in (*of_elements, *of_header):
-        name = Text.assemble(field.name, (each, "dim"))
-        watched = "●" if is_watched else ""
-        dead = Text("dead" if field.dead_in(autopilot) else "", style="dim")
-        table.add_row(name, field.dtype, field.unit, watched, dead)
+    for field in spec.elements:
+        name = Text.assemble(field.name, (f"[{spec.element}]", "dim"))
+        table.add_row(name, field.dtype, field.unit, "", _dead_mark(field, autopilot))
+    for field in spec.header:
+        watched = "●" if field.name in monitored else ""
+        table.add_row(Text(field.name), field.dtype, field.unit, watched, _dead_mark(field, autopilot))
     return table
+
+
+def _dead_mark(field: Field, autopilot: str) -> Text:
+    return Text("dead" if field.dead_in(autopilot) else "", style="dim")

@@ -66,34 +66,44 @@ def train(  # noqa: PLR0913 - one for each option
     from mavfi.cli.progress import Bar
     from mavfi.detectors.model import Model
 
-    where, where_checked = (
-        [name.strip() for name in text.split(",")] if text else [] for text in (environments, check_environments)
-    )
-    extras = ("bench",) * baselines
-    where_checked = where_checked or where or environments_of(trainings_of(extras))
-    for name in where_checked:
+    # environments of the flights; an unknown name is refused before the first of them
+    extras = ("bench",) if baselines else ()
+    trained_in = _names(environments)
+    checked_in = _names(check_environments) or trained_in or environments_of(trainings_of(extras))
+    for name in checked_in:
         training_mission(mission, environment=name)
-    kept = f"Stopped. What is flown is kept in {out}; the same command resumes."
-    with stoppable(kept), Bar("training flights") as bar:
+
+    # fit
+    stop_message = f"Stopped. What is flown is kept in {out}; the same command resumes."
+    with stoppable(stop_message), Bar("training flights") as bar:
         files = train_models(
             out,
             flights,
             mission,
             workers=workers,
             progress=bar.show,
-            environments=where,
+            environments=trained_in,
             extras=extras,
         )
     models = [Model.load(path) for path in files]
-    kept = f"Stopped. The models are in {out}; their false alarms are not counted."
-    with stoppable(kept), Bar("checking flights") as bar:
-        counts = count_false_alarms(models, out, check, mission, workers, bar.show, where_checked)
+
+    # count false alarms on flights of other seeds
+    stop_message = f"Stopped. The models are in {out}; their false alarms are not counted."
+    with stoppable(stop_message), Bar("checking flights") as bar:
+        counts = count_false_alarms(models, out, check, mission, workers, bar.show, checked_in)
     alarms = [{name: _rate(flights) for name, flights in by_environment.items()} for by_environment in counts]
     if as_json:
         rows = zip(files, models, alarms, strict=True)
         write_json({"models": [{"file": str(f), **_entry(m), "false_alarms": _rates(a)} for f, m, a in rows]})
         return
     console().print(_table(models, alarms, out))
+
+
+def _names(text: str) -> list[str]:
+    """Names in a comma-separated list; an empty name is refused later, like any unknown one."""
+    if not text:
+        return []
+    return [name.strip() for name in text.split(",")]
 
 
 def _rate(flights: list[tuple[int, float]]) -> EventRate:
@@ -121,7 +131,7 @@ def _entry(model: Model) -> dict[str, Any]:
 
 
 def _table(models: list[Model], alarms: list[dict[str, EventRate]], folder: Path) -> Table:
-    origin = max((model.provenance for model in models), key=lambda one: int(one["flights"]))
+    origin = max((model.provenance for model in models), key=lambda provenance: int(provenance["flights"]))
     seeds = origin["seeds"]
     shown = titled_table(
         f"Trained on {origin['flights']} error-free flights · autopilot {origin['stack']} · {origin['platform']} · "
@@ -130,12 +140,10 @@ def _table(models: list[Model], alarms: list[dict[str, EventRate]], folder: Path
         f"on {_exposure(alarms[0])} of error-free flight with other seeds; files: {folder}",
         caption_justify="left",
     )
-    places = list(alarms[0])
-    if len(places) == 1:
-        counted = ["false alarms"]
-    else:
-        counted = [f"in {name}" for name in places]
-    for heading in ("detector", "profile", "worlds", "alarm above", *counted, "sha256"):
+    headings = [f"in {name}" for name in alarms[0]]
+    if len(headings) == 1:
+        headings = ["false alarms"]
+    for heading in ("detector", "profile", "worlds", "alarm above", *headings, "sha256"):
         shown.add_column(heading, overflow="fold")
     for model, rates in zip(models, alarms, strict=True):
         cells = (_alarms(rate) for rate in rates.values())

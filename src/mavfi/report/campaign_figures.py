@@ -43,64 +43,72 @@ def success(runs: Runs) -> Figure | None:
     figure = Figure(figsize=(max(6.6, 1.6 + 1.7 * len(environments)), 3.9), layout="constrained")
     axes = figure.subplots()
     looks = style.setting_looks(settings)
+
+    # one column of points per setting within the space of each environment, linked to the runs behind them
     width = 0.8 / len(settings)
     lowest = 1.0
     handles: list[Line2D] = []
-    for place, setting in enumerate(settings):
-        found = _rates(chosen, setting, names)
-        at = np.array([environments.index(name) for name in found]) - 0.4 + (place + 0.5) * width
-        rates = list(found.values())
-        look = looks[setting]
-        behind = {name: in_leading(chosen.where(environment=name, setting=setting), names) for name in found}
-        urls = [links.to_runs(own, environment=name, setting=setting) for name, own in behind.items()]
-        _points(axes, at, rates, look, urls)
-        handles.append(_handle(setting, look, 7))
-        lowest = min([lowest, *(rate.low for rate in rates if rate.low is not None)])
-        for x, (environment, rate) in zip(at, found.items(), strict=True):
+    for number, setting in enumerate(settings):
+        rates = _rates(chosen, setting, names)
+        x = np.array([environments.index(name) for name in rates]) - 0.4 + (number + 0.5) * width
+        urls = []
+        for environment in rates:
+            counted = in_leading(chosen.where(environment=environment, setting=setting), names)
+            urls.append(links.to_runs(counted, environment=environment, setting=setting))
+        _points(axes, x, list(rates.values()), looks[setting], urls)
+        handles.append(_handle(setting, looks[setting], 7))
+        for centre, (environment, rate) in zip(x, rates.items(), strict=True):
             if rate.low is not None:
-                axes.annotate(
-                    f"{rate.n}",
-                    (x, rate.low),
-                    (0, -9),
-                    textcoords="offset points",
-                    ha="center",
-                    zorder=6,
-                    bbox=_OVER_LINES,
-                    **_SMALL,
-                )
-            figured = _paper(chosen, environment, setting)
-            if figured is not None:
-                axes.plot([x - 0.4 * width, x + 0.4 * width], [figured, figured], color=style.INK, zorder=5)
-                lowest = min(lowest, figured)
-    if any(_paper(chosen, name, setting) is not None for name in environments for setting in settings):
+                _annotate_count(axes, centre, rate.n, rate.low)
+                lowest = min(lowest, rate.low)
+            published = _published(chosen, environment, setting)
+            if published is not None:
+                ends = [centre - 0.4 * width, centre + 0.4 * width]
+                axes.plot(ends, [published, published], color=style.INK, zorder=5)
+                lowest = min(lowest, published)
+    if any(_published(chosen, name, setting) is not None for name in environments for setting in settings):
         handles.append(Line2D([], [], color=style.INK, label="the paper's figure"))
+
+    # axes: from the tenth below the lowest bound, but half a tenth away from it
     bottom = max(0.0, np.floor(10 * lowest - 0.5) / 10)
     axes.set_ylim(bottom, 1.0 + 0.04 * (1.0 - bottom))  # markers at 100 % keep clear of the title
     axes.set_xlim(-0.5, len(environments) - 0.5)
     axes.set_xticks(range(len(environments)), environments)
-    for place in range(1, len(environments)):
-        axes.axvline(place - 0.5, color=style.PALE, linewidth=0.8)
+    for index in range(1, len(environments)):
+        axes.axvline(index - 0.5, color=style.PALE, linewidth=0.8)
     axes.tick_params(axis="x", length=0)
     axes.yaxis.set_major_formatter(PercentFormatter(1, 0, " %"))
     axes.grid(axis="y")
+
+    # texts
     axes.set_ylabel("missions that succeed")
-    if names:
-        bits = f"faults in {POPULATIONS.get(names[0], names[0])}; "
-    else:
-        bits = ""
+    conditions = "95 % intervals, number of missions below each"
     if has(chosen, level="instruction"):
-        dead = "nodes that die are restarted; "
-    else:
-        dead = ""
-    axes.set_xlabel(f"{bits}{dead}95 % intervals, number of missions below each", fontsize=8.5, color=style.GREY)
+        conditions = f"nodes that die are restarted; {conditions}"
+    if names:
+        conditions = f"faults in {POPULATIONS.get(names[0], names[0])}; {conditions}"
+    axes.set_xlabel(conditions, fontsize=8.5, color=style.GREY)
+    title = "Success"
     if runs.campaign.get("profile"):
-        profile = f" · autopilot {runs.campaign['profile']}"
-    else:
-        profile = ""
-    axes.set_title(f"Success{profile} · one fault per mission")
+        title = f"Success · autopilot {runs.campaign['profile']}"
+    axes.set_title(f"{title} · one fault per mission")
     labels = [str(handle.get_label()) for handle in handles]
     figure.legend(handles=handles, loc="outside upper left", **_legend(figure, labels))
     return figure
+
+
+def _annotate_count(axes: Axes, x: float, count: int, low: float) -> None:
+    """Write the number of missions below the interval that ends at `low`."""
+    axes.annotate(
+        f"{count}",
+        (x, low),
+        (0, -9),
+        textcoords="offset points",
+        ha="center",
+        zorder=6,
+        bbox=_OVER_LINES,
+        **_SMALL,
+    )
 
 
 def _legend(figure: Figure, labels: Iterable[str]) -> dict[str, Any]:
@@ -119,8 +127,8 @@ _LEGEND_LETTER = 0.06
 def _flown(runs: Runs) -> Runs:
     """Judged golden runs without a detector, and judged runs with faults."""
     judged = runs.where("judged")
-    kept = [GOLDEN, *judged.injected.values("setting")]
-    return judged.where(pl.col("setting").is_in(kept))
+    settings = [GOLDEN, *judged.injected.values("setting")]
+    return judged.where(pl.col("setting").is_in(settings))
 
 
 def _settings(runs: Runs) -> list[str]:
@@ -133,14 +141,18 @@ def _settings(runs: Runs) -> list[str]:
 
 def _rates(runs: Runs, setting: str, names: list[str]) -> dict[str, Rate]:
     """Success rates by environment, without undefined ones."""
-    parts = runs.where(setting=setting).groups("environment")
-    found = {environment: leading(own, names, "success") for (environment,), own in parts.items()}
-    return {environment: rate for environment, rate in found.items() if rate is not None and rate.rate is not None}
+    rates = {}
+    for (environment,), missions in runs.where(setting=setting).groups("environment").items():
+        rate = leading(missions, names, "success")
+        if rate is not None and rate.rate is not None:
+            rates[environment] = rate
+    return rates
 
 
-def _paper(runs: Runs, environment: str, setting: str) -> float | None:
-    own = runs.where(environment=environment, setting=setting)
-    if not len(own) or not paper.comparable(runs.campaign, own.first("detector_profile")):
+def _published(runs: Runs, environment: str, setting: str) -> float | None:
+    """The paper's success rate, if it is comparable with these runs."""
+    missions = runs.where(environment=environment, setting=setting)
+    if not len(missions) or not paper.comparable(runs.campaign, missions.first("detector_profile")):
         return None
     return paper.success(environment, setting)
 
@@ -150,15 +162,15 @@ def _handle(setting: str, look: Mapping[str, Any], size: float) -> Line2D:
     return Line2D([], [], label=style.setting_label(setting), linestyle="", markersize=size, **look)
 
 
-def _points(axes: Axes, at: np.ndarray, rates: list[Rate], look: Mapping[str, Any], urls: list[str]) -> None:
+def _points(axes: Axes, x: np.ndarray, rates: list[Rate], look: Mapping[str, Any], urls: list[str]) -> None:
     """Draw rates with intervals along the y axis, each linked to its runs."""
     values = np.array([rate.rate or 0.0 for rate in rates])
     bounds = np.array([[rate.low or 0.0, rate.high or 0.0] for rate in rates]).reshape(-1, 2)
     errors = np.abs(bounds.T - values)
     axes.errorbar(
-        at, values, yerr=errors, fmt="", linestyle="", markersize=6, elinewidth=1.8, clip_on=False, zorder=4, **look
+        x, values, yerr=errors, fmt="", linestyle="", markersize=6, elinewidth=1.8, clip_on=False, zorder=4, **look
     )
-    links.points(axes, at, values, urls)
+    links.points(axes, x, values, urls)
 
 
 # ---- flight time -------------------------------------------------------------------------------------------------
@@ -174,25 +186,31 @@ def flight_time(runs: Runs) -> Figure | None:
     looks = style.setting_looks(settings)
     lowest = 1.0
     for axes, environment in zip(panels, environments, strict=True):
-        own = {setting: judged.where(environment=environment, setting=setting) for setting in settings}
-        counts = {setting: len(part) for setting, part in own.items() if len(part)}
-        values = {setting: np.sort(own[setting].frame["inflation"].drop_nulls().to_numpy()) for setting in counts}
-        reach = 1.08 * max([0.1, *(float(part.max()) for part in values.values() if len(part))])
-        fastest = min([0.0, *(float(part.min()) for part in values.values() if len(part))])
-        for setting, part in values.items():
-            n = counts[setting]
-            share = np.concatenate([[0.0], np.arange(1, len(part) + 1), [len(part)]]) / n
+        # flight times of the missions that arrived, in ascending order, relative to the golden run's
+        by_setting = {setting: judged.where(environment=environment, setting=setting) for setting in settings}
+        flown = {setting: missions for setting, missions in by_setting.items() if len(missions)}
+        times = {
+            setting: np.sort(missions.frame["inflation"].drop_nulls().to_numpy()) for setting, missions in flown.items()
+        }
+        slowest = 1.08 * max([0.1, *(float(values.max()) for values in times.values() if len(values))])
+        fastest = min([0.0, *(float(values.min()) for values in times.values() if len(values))])
+        # curves rise from 0, left of the panel, to the share that arrived, at its right edge
+        for setting, missions in flown.items():
+            values = times[setting]
+            arrived = np.concatenate([[0.0], np.arange(1, len(values) + 1), [len(values)]])
             look = style.curve(looks[setting], wide=setting == FI)  # visible where an arm coincides with fi
-            x = np.concatenate([[-1.0], part, [reach]])
-            curve = axes.step(x, share, where="post", label=style.setting_label(setting), **look)
-            links.lines(curve, links.to_runs(own[setting], environment=environment, setting=setting))
-            lowest = min(lowest, float((part <= -0.02).sum()) / n)
-        axes.set_title(f"{environment}, n = {_range(counts.values())}")
-        axes.set_xlim(fastest - 0.02, reach)
+            x = np.concatenate([[-1.0], values, [slowest]])
+            label = style.setting_label(setting)
+            curve = axes.step(x, arrived / len(missions), where="post", label=label, **look)
+            links.lines(curve, links.to_runs(missions, environment=environment, setting=setting))
+            lowest = min(lowest, float((values <= -0.02).sum()) / len(missions))
+        axes.set_title(f"{environment}, n = {_range(len(missions) for missions in flown.values())}")
+        axes.set_xlim(fastest - 0.02, slowest)
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.xaxis.set_major_formatter(_signed)
         axes.grid(True)
         axes.set_xlabel("flight time against the golden run's")
+    # shared by all panels; most missions arrive, so the axis begins where the first curve does
     panels[0].set_ylim(max(0.0, np.floor(10 * lowest) / 10 - 0.1), 1.005)
     panels[0].yaxis.set_major_formatter(PercentFormatter(1, 0, " %"))
     panels[0].set_ylabel("missions that arrived")
@@ -203,8 +221,8 @@ def flight_time(runs: Runs) -> Figure | None:
 
 def _arrival_caption(runs: Runs) -> str:
     text = population_text(leads(population_names(runs.injected, ())))
-    bits = f" in {text} bits" if text else ""
-    return f"Share of missions that arrived, faults{bits}, by flight time over the golden run's; lost ones never do."
+    faults = f"faults in {text} bits" if text else "faults"
+    return f"Share of missions that arrived, {faults}, by flight time over the golden run's; lost ones never do."
 
 
 def _range(counts: Iterable[int]) -> str:

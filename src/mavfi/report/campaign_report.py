@@ -66,47 +66,45 @@ def write_report(directory: Path) -> CampaignReport:
     Raises:
         BadInputError: The campaign does not exist, or the folder cannot be written.
     """
-    found = report_of(Runs.read(directory))
+    report = report_of(Runs.read(directory))
     today = date.today().isoformat()
-    captions = draw(found.runs, directory)
+    captions = draw(report.runs, directory)
     texts = {
-        "report.md": _markdown(found, captions, today),
-        "summary.json": json.dumps({"date": today, **found.to_json()}, indent=1, allow_nan=False) + "\n",
+        "report.md": _markdown(report, captions, today),
+        "summary.json": json.dumps({"date": today, **report.to_json()}, indent=1, allow_nan=False) + "\n",
     }
-    if found.tables:
-        texts["readme_block.md"] = _readme_block(found.runs, found.tables[0], today)
+    if report.tables:
+        texts["readme_block.md"] = _readme_block(report.runs, report.tables[0], today)
     for name, content in texts.items():
         write_text(directory / name, content)
-    return replace(found, files=tuple(directory / name for name in (*texts, *captions)))
+    return replace(report, files=tuple(directory / name for name in (*texts, *captions)))
 
 
-def _markdown(found: CampaignReport, captions: Mapping[str, str], today: str) -> str:
+def _markdown(report: CampaignReport, captions: Mapping[str, str], today: str) -> str:
     """The complete report in Markdown, with figures and captions."""
-    first, *rest = header(found.runs.campaign)
-    parts = [
-        f"# {first[0].upper()}{first[1:]}",
-        _list([*rest, f"report of {today}"]),
-        *(["## Findings", _list(found.findings)] if found.findings else []),
-        *(f"![{name}]({name})\n\n{caption}" for name, caption in captions.items()),
-        *map(markdown_table, found.tables),
-        "## Checks",
-        *checks(found.runs),
-        "## Remarks",
-        _list(REMARKS),
-    ]
+    first, *others = header(report.runs.campaign)
+    parts = [f"# {first[0].upper()}{first[1:]}", _list([*others, f"report of {today}"])]
+    if report.findings:
+        parts += ["## Findings", _list(report.findings)]
+    parts += [f"![{name}]({name})\n\n{caption}" for name, caption in captions.items()]
+    parts += map(markdown_table, report.tables)
+    parts += ["## Checks", *checks(report.runs), "## Remarks", _list(REMARKS)]
     return "\n\n".join(parts) + "\n"
 
 
 def _readme_block(runs: Runs, table: Table, today: str) -> str:
     """The leading table of a report, with campaign, versions, digest and notes."""
-    c = runs.campaign
-    own, *others = versions(c)
-    head = (
-        f"Generated on {today} by {own} ({', '.join(others)}): {'; '.join([c['title'], *c['lines']])}; "
-        f"{c['done']} runs, digest `{c['digest'][:16]}`."
+    campaign = runs.campaign
+    mavfi, *packages = versions(campaign)
+    origin = (
+        f"Generated on {today} by {mavfi} ({', '.join(packages)}): "
+        f"{'; '.join([campaign['title'], *campaign['lines']])}; "
+        f"{campaign['done']} runs, digest `{campaign['digest'][:16]}`."
     )
-    parts = [f"**{table.title}**", head, _grid(table), _list(table.notes)]
-    return "\n\n".join(parts + ([null_line(runs)] if len(runs.null) else [])) + "\n"
+    parts = [f"**{table.title}**", origin, _grid(table), _list(table.notes)]
+    if len(runs.null):
+        parts.append(null_line(runs))
+    return "\n\n".join(parts) + "\n"
 
 
 def markdown_table(table: Table) -> str:
@@ -117,10 +115,16 @@ def markdown_table(table: Table) -> str:
 def _grid(table: Table) -> str:
     """Format the cells; a first cell equal to the one above is left empty."""
     columns, rows = shown(table)
-    firsts = [row[0] for row in rows]
-    found = (["" if row[0] == above else row[0], *row[1:]] for row, above in zip(rows, ["", *firsts], strict=False))
+    lines = []
+    above = ""
+    for first, *others in rows:
+        if first == above:
+            lines.append(["", *others])
+        else:
+            lines.append([first, *others])
+        above = first
     texts = sum(1 for _ in takewhile(lambda column: column.form == TEXT, columns))
-    return markdown_grid([column.heading for column in columns], found, max(2, table.keys, texts))
+    return markdown_grid([column.heading for column in columns], lines, max(2, table.keys, texts))
 
 
 def _list(lines: Iterable[str]) -> str:

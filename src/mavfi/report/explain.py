@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from mavfi.campaign.plan import RunSpec
     from mavfi.campaign.replay import Explanation
 
-MOST_ALARMS = 8
+MAX_ALARMS = 8
 """Maximum number of alarms listed individually."""
-_BEHIND = 0.01
+_SHORTEST_DELAY = 0.01
 """Shortest reported delay (s): half a control period."""
 _EFFECTS = {
     Effect.MASKED: "masked: the flight is bit for bit the golden run",
@@ -58,17 +58,21 @@ Story = list[tuple[str, str]]
 """Pairs of a heading and a sentence."""
 
 
-def lines(found: Explanation) -> Story:
+def lines(explanation: Explanation) -> Story:
     """Explain a run: the verdict, the run, and the steps of `steps`."""
-    spec = found.spec
-    log = found.flight.log
-    golden = found.golden.log
-    story = [("verdict", verdict(found.effect, log, golden))]
-    watched = f", detector {detector_name(spec)}" if spec.detector else ""
-    story.append(("run", f"{spec.run_id}: {spec.environment}, seed {spec.seed}, setting {spec.setting}{watched}"))
-    if not found.same:
+    spec = explanation.spec
+    log = explanation.flight.log
+    golden = explanation.golden.log
+    story = [("verdict", verdict(explanation.effect, log, golden))]
+    run = f"{spec.run_id}: {spec.environment}, seed {spec.seed}, setting {spec.setting}"
+    if spec.detector:
+        run = f"{run}, detector {detector_name(spec)}"
+    story.append(("run", run))
+    if not explanation.same:
         story.append(("note", "another digest than the stored one: other versions or another machine flew it"))
-    return story + steps(log, golden, spec.fault, spec.detector, found.first, found.departure, found.spread)
+    return story + steps(
+        log, golden, spec.fault, spec.detector, explanation.first, explanation.departure, explanation.spread
+    )
 
 
 def steps(
@@ -77,41 +81,55 @@ def steps(
     fault: Fault | None,
     detector: str,
     first: Difference | None,
-    parted: Departure,
+    departure: Departure,
     spread: Sequence[Spread] = (),
 ) -> Story:
-    """Explain a flight: the fault, first difference, propagation, path, alarms, and the ends of both flights."""
+    """Explain a flight: the fault, first difference, propagation, path, alarms, and the ends of both flights.
+
+    Args:
+        log: The flight.
+        golden: Its golden run.
+        fault: The fault; None = as recorded by the injections alone.
+        detector: Detector that watched both flights; "" = none.
+        first: First published value that differs; None = none.
+        departure: Where and how far the path left the golden one.
+        spread: States that differ, in the order of their first difference.
+    """
     story = [line for injection in log.injections for line in injection_lines(injection, fault, log)]
+    # an effect on a kernel already tells what differs, or that nothing does
     if log.kernel is None or first is not None:
-        story.append(("first difference", _difference(first)))
+        story.append(("first difference", _first_difference(first)))
     story += spread_lines(spread)
-    story.append(("path", _path(parted)))
-    story += alarm_lines(log, golden) or [("alarms", "none" if detector else "none; no detector watched")]
-    watching = ", with the detector on" if detector else ""
-    story.append(("golden run", f"the same mission without the fault{watching}: {end_of(golden)}"))
+    story.append(("path", _path(departure)))
+    no_alarm = "none; no detector watched"
+    golden_run = "the same mission without the fault"
+    if detector:
+        no_alarm = "none"
+        golden_run = f"{golden_run}, with the detector on"
+    story += alarm_lines(log, golden) or [("alarms", no_alarm)]
+    story.append(("golden run", f"{golden_run}: {end_of(golden)}"))
     story.append(("end", end_of(log)))
     return story
 
 
-def spread_lines(found: Sequence[Spread]) -> Story:
+def spread_lines(spread: Sequence[Spread]) -> Story:
     """Propagation of the error: interval and number of differing values, by state."""
-    if not found:
+    if not spread:
         return []
-    ended = not any(one.to_the_end for one in found)
-    last = 1e-6 * max(one.last_us for one in found)
-    if ended:
-        head = f"the error died out: nothing differs after {last:.3f} s"
-    else:
-        head = "the error lasted to the end"
-    story = [("spread", head)]
-    for one in found:
-        by = f" ({one.kernel})" if one.kernel else ""
-        if one.to_the_end:
-            end = "to the end"
-        else:
-            end = f"to {1e-6 * one.last_us:.3f} s"
-        count = f"{one.differing} of {one.compared} values differ"
-        story.append(("", f"{1e-6 * one.first_us:.3f} s, {one.name}{by}: {count}, {end}"))
+    summary = "the error lasted to the end"
+    if not any(state.to_the_end for state in spread):
+        last = 1e-6 * max(state.last_us for state in spread)
+        summary = f"the error died out: nothing differs after {last:.3f} s"
+    story = [("spread", summary)]
+    for state in spread:
+        name = state.name
+        if state.kernel:
+            name = f"{name} ({state.kernel})"
+        end = "to the end"
+        if not state.to_the_end:
+            end = f"to {1e-6 * state.last_us:.3f} s"
+        count = f"{state.differing} of {state.compared} values differ"
+        story.append(("", f"{1e-6 * state.first_us:.3f} s, {name}: {count}, {end}"))
     return story
 
 
@@ -121,13 +139,16 @@ def verdict(effect: Effect, log: FlightLog, golden: FlightLog) -> str:
         return f"not activated; {_mission(log, golden)}"
     kernel = log.kernel
     if kernel is not None and kernel.effect in ("crash", "hang", "exception"):
-        detail = f" ({kernel.detail})" if kernel.detail else ""
-        what = "the firmware" if log.count(CONTROLLER_LOST) else "a kernel"
-        return f"{kernel.effect}{detail} of {what}, {after_death(log)}; {_mission(log, golden)}"
-    found = _EFFECTS.get(effect, effect.label)
+        death = kernel.effect
+        if kernel.detail:
+            death = f"{death} ({kernel.detail})"
+        victim = "the firmware" if log.count(CONTROLLER_LOST) else "a kernel"
+        return f"{death} of {victim}, {after_death(log)}; {_mission(log, golden)}"
+    text = _EFFECTS.get(effect, effect.label)
+    # masked because the protection has computed the step again
     if kernel is not None and kernel.effect == Effect.DETECTED.label and effect is Effect.MASKED:
-        found = f"{_EFFECTS[Effect.DETECTED]}; {found}"
-    return f"{found}; {_mission(log, golden)}"
+        text = f"{_EFFECTS[Effect.DETECTED]}; {text}"
+    return f"{text}; {_mission(log, golden)}"
 
 
 _AFTER_DEATH = {"end": "the mission ended with it", "recompute": "its step was computed again"}
@@ -138,89 +159,88 @@ def after_death(log: FlightLog) -> str:
     if log.count(CONTROLLER_LOST):
         return "its motors stopped"
     policy = log.meta.get("scenario", {}).get("dead_node", "fresh")
-    how = "" if policy == "fresh" else f" ({policy})"
-    return _AFTER_DEATH.get(policy, f"its node was restarted{how}")
+    if policy in _AFTER_DEATH:
+        return _AFTER_DEATH[policy]
+    if policy == "fresh":
+        return "its node was restarted"
+    return f"its node was restarted ({policy})"
 
 
 def _mission(log: FlightLog, golden: FlightLog) -> str:
-    end = log.status
-    golden_end = golden.status
-    now = _duration(log)
-    before = _duration(golden)
-    if MissionStatus.SUCCESS not in (end, golden_end):
-        return f"the mission fails without the fault, too ({golden_end.words}; with it {end.words})"
-    if end is not MissionStatus.SUCCESS:
-        return f"the mission is lost: {end.words} after {now:.2f} s (golden run: success after {before:.2f} s)"
-    if golden_end is not MissionStatus.SUCCESS:
-        return f"the mission succeeds after {now:.2f} s, which the golden run does not ({golden_end.words})"
-    if now == before:
-        return f"the mission succeeds after {now:.2f} s, as without the fault"
-    return f"the mission succeeds after {now:.2f} s ({signed_percent(now / before - 1)} against the golden run)"
+    """Result of the mission against that of the golden run."""
+    status = log.status
+    golden_status = golden.status
+    time_s = _duration(log)
+    golden_s = _duration(golden)
+    if MissionStatus.SUCCESS not in (status, golden_status):
+        return f"the mission fails without the fault, too ({golden_status.words}; with it {status.words})"
+    if status is not MissionStatus.SUCCESS:
+        return f"the mission is lost: {status.words} after {time_s:.2f} s (golden run: success after {golden_s:.2f} s)"
+    if golden_status is not MissionStatus.SUCCESS:
+        return f"the mission succeeds after {time_s:.2f} s, which the golden run does not ({golden_status.words})"
+    if time_s == golden_s:
+        return f"the mission succeeds after {time_s:.2f} s, as without the fault"
+    return f"the mission succeeds after {time_s:.2f} s ({signed_percent(time_s / golden_s - 1)} against the golden run)"
 
 
 def injection_lines(injection: Injection, fault: Fault | None, log: FlightLog) -> Story:
     """The injected value before and after; for instructions, also source line and effect on the kernel."""
     story = [("fault", _fault(injection, fault))]
     details = injection.details
-    kernel = log.kernel
     if injection.file:
-        if details.get("inlined"):
-            inlined = f", inlined at {', '.join(details['inlined'])}"
-        else:
-            inlined = ""
-        if details.get("variable"):
-            variable = f" of {details['variable']}"
-        else:
-            variable = ""
-        value_class = str(details.get("value_class", "")).replace("_", " ")
-        story.append(
-            (
-                "source line",
-                f"{injection.file}:{injection.line}{inlined}: {details.get('opcode')} {details.get('type')}{variable}"
-                f"{_ROLES[details.get('role', '')]}"
-                f" ({value_class}), call {details.get('call')}, instruction {details.get('index')}",
-            )
-        )
+        story.append(("source line", _source_line(injection)))
     if "instruction" in details:
         story.append(("instruction", f"{details['instruction']} in {details['symbol'] or details['library']}"))
-    if kernel is not None:
-        story.append(
-            (
-                "process" if log.count(CONTROLLER_LOST) else "kernel",
-                _kernel(str(details.get("kernel", injection.site)), kernel, after_death(log)),
-            )
-        )
+    if log.kernel is not None:
+        heading = "process" if log.count(CONTROLLER_LOST) else "kernel"
+        name = str(details.get("kernel", injection.site))
+        story.append((heading, _kernel(name, log.kernel, after_death(log))))
     return story
 
 
+def _source_line(injection: Injection) -> str:
+    """Source line and instruction of a fault in compiled code, with the number of the call and of the instruction."""
+    details = injection.details
+    line = f"{injection.file}:{injection.line}"
+    if details.get("inlined"):
+        line += f", inlined at {', '.join(details['inlined'])}"
+    instruction = f"{details.get('opcode')} {details.get('type')}"
+    if details.get("variable"):
+        instruction += f" of {details['variable']}"
+    instruction += _ROLES[details.get("role", "")]
+    value_class = str(details.get("value_class", "")).replace("_", " ")
+    return f"{line}: {instruction} ({value_class}), call {details.get('call')}, instruction {details.get('index')}"
+
+
 def _fault(injection: Injection, fault: Fault | None) -> str:
-    never, why = find_level(injection.level).absent
+    """Site, bit, instant, and the value before and after; or why nothing was injected."""
+    never, reason = find_level(injection.level).absent
     if fault is not None and not fault.has_site:
         return f"{injection.site}: no site, the golden run never {never} it"
     if not injection.activated:
-        return f"{injection.site}: not activated, {why}"
+        return f"{injection.site}: not activated, {reason}"
     if injection.bit is None:
-        bit = injection.details.get("model", "empty mask")
+        corruption = injection.details.get("model", "empty mask")
     else:
-        bit = _bit(injection.bit, fault)
+        corruption = _bit(injection.bit, fault)
     before, after = change(injection.before, injection.after)
-    return f"{injection.site}, {bit}, at {injection.time_s:.3f} s: {before} → {after}{lost(injection)}"
+    return f"{injection.site}, {corruption}, at {injection.time_s:.3f} s: {before} → {after}{lost(injection)}"
 
 
 def _bit(bit: int, fault: Fault | None) -> str:
-    """Index of a bit, with its class if known."""
-    kind = "" if fault is None else fault.bit_class
-    if kind:
-        return f"bit {bit} ({kind.replace('_', ' ')})"
-    return f"bit {bit}"
+    """Index of a bit, with its class if the fault has one."""
+    if fault is None or not fault.bit_class:
+        return f"bit {bit}"
+    return f"bit {bit} ({fault.bit_class.replace('_', ' ')})"
 
 
-def _kernel(name: str, kernel: KernelEffect, after: str) -> str:
+def _kernel(name: str, kernel: KernelEffect, consequence: str) -> str:
+    """Effect on a kernel; `consequence` tells what followed if it died."""
     if kernel.effect == Effect.DETECTED.label:
         return f"{name}: detected by its protection; its step was computed again by plain code"
     text = f"{name}: {_KERNEL_EFFECTS.get(kernel.effect, kernel.effect)}"
     if kernel.detail:
-        text += f" ({kernel.detail}); {after}"
+        text += f" ({kernel.detail}); {consequence}"
     if kernel.effect != "sdc":
         return text
     first = kernel.first_difference
@@ -232,77 +252,86 @@ def _kernel(name: str, kernel: KernelEffect, after: str) -> str:
 
 def published_field(first: Mapping[str, Any]) -> str:
     """Name of the field in a `KernelEffect.first_difference`, with state and element."""
-    element = "" if first.get("element") is None else f"[{first['element']}]"
-    return f"{first['state']}.{first['field']}{element}"
+    field = f"{first['state']}.{first['field']}"
+    if first.get("element") is None:
+        return field
+    return f"{field}[{first['element']}]"
 
 
-def _difference(first: Difference | None) -> str:
+def _first_difference(first: Difference | None) -> str:
     if first is None:
         return "none: every published value is bit for bit that of the golden run"
-    golden = first.golden_us
-    injected = first.injected_us
-    if golden is None or injected is None:
-        where = "here alone" if golden is None else "by the golden run alone"
-        return f"{first.state} at {1e-6 * first.time_us:.3f} s: published {where}"
-    later = f"{abs(injected - golden) / 1000:g} ms {'later' if injected > golden else 'earlier'}"
+    golden_us = first.golden_us
+    injected_us = first.injected_us
+    # one of the flights did not publish
+    if golden_us is None:
+        return f"{first.state} at {1e-6 * first.time_us:.3f} s: published here alone"
+    if injected_us is None:
+        return f"{first.state} at {1e-6 * first.time_us:.3f} s: published by the golden run alone"
+    # both published, perhaps at different instants; without a field, the same value
+    shift = f"{abs(injected_us - golden_us) / 1000:g} ms earlier"
+    arrival = "the same value came"
+    if injected_us > golden_us:
+        shift = f"{(injected_us - golden_us) / 1000:g} ms later"
+        arrival = "held back, the same value came"
     if not first.field:
-        if injected > golden:
-            held = "held back, the same value came"
-        else:
-            held = "the same value came"
-        return f"{first.state} at {1e-6 * golden:.3f} s in the golden run: here {held} {later}"
+        return f"{first.state} at {1e-6 * golden_us:.3f} s in the golden run: here {arrival} {shift}"
     before, after = change(first.golden, first.injected)
-    text = f"{first.state}.{first.field} at {1e-6 * injected:.3f} s: golden {before}, here {after}"
-    if injected == golden:
+    text = f"{first.state}.{first.field} at {1e-6 * injected_us:.3f} s: golden {before}, here {after}"
+    if injected_us == golden_us:
         return text
-    return f"{text}, {later}"
+    return f"{text}, {shift}"
 
 
-def _path(parted: Departure) -> str:
-    behind = ""
-    if parted.behind_s is not None and abs(parted.behind_s) >= _BEHIND:
-        order = "behind" if parted.behind_s > 0 else "ahead of"
-        behind = f"; in the end {abs(parted.behind_s):.2f} s {order} the golden run"
-    if parted.time_s is None or parted.position is None:
-        if parted.largest_m == 0.0 and not behind:
+def _path(departure: Departure) -> str:
+    delay = ""
+    if departure.behind_s is not None and abs(departure.behind_s) >= _SHORTEST_DELAY:
+        order = "behind" if departure.behind_s > 0 else "ahead of"
+        delay = f"; in the end {abs(departure.behind_s):.2f} s {order} the golden run"
+    if departure.time_s is None or departure.position is None:
+        if departure.largest_m == 0.0 and not delay:
             return "never left that of the golden run"
-        return f"stayed within {LEFT:g} m of the golden run's (largest distance {parted.largest_m:.2g} m){behind}"
-    x, y, z = parted.position
+        return f"stayed within {LEFT:g} m of the golden run's (largest distance {departure.largest_m:.2g} m){delay}"
+    x, y, z = departure.position
     return (
-        f"left the golden run's at {parted.time_s:.2f} s, at ({x:.1f}, {y:.1f}, {z:.1f}) m; "
-        f"farthest from it {parted.largest_m:.1f} m at {parted.largest_s:.2f} s{behind}"
+        f"left the golden run's at {departure.time_s:.2f} s, at ({x:.1f}, {y:.1f}, {z:.1f}) m; "
+        f"farthest from it {departure.largest_m:.1f} m at {departure.largest_s:.2f} s{delay}"
     )
 
 
-_UNANSWERED = {
+_UNANSWERED_ALARMS = {
     LIMITED: "no response to further alarms for a while, {alarms} had changed nothing (same_twice: limit)",
     CRASHED: "the detector is disabled from {at:.2f} s on, a call of it crashed: {how}",
     SILENCED: "no response to further alarms, the detector is faulty: {alarms} on violated rules had changed nothing",
 }
-"""What follows from these events."""
+"""Consequence of these events, after which alarms have no response."""
 
 
-def alarm_lines(log: FlightLog, golden: FlightLog | None, most: int = MOST_ALARMS) -> Story:
+def alarm_lines(log: FlightLog, golden: FlightLog | None, most: int = MAX_ALARMS) -> Story:
     """Number of alarms, then up to `most` of them, those within `AFTERMATH` of the injection first."""
-    events = {event.kind: event for event in log.events if event.kind in _UNANSWERED}
+    events = {event.kind: event for event in log.events if event.kind in _UNANSWERED_ALARMS}
     if not (log.alarms or events):
         return []
     near, others = around(log)
-    if golden is None:
-        known = set()
-    else:
-        known = {_key(alarm) for alarm in golden.alarms}
+    golden_alarms = set()
+    if golden is not None:
+        golden_alarms = {_key(alarm) for alarm in golden.alarms}
+    # counts
     parts = [f"{len(log.alarms)} in all"]
     if log.injections:
         parts.append(f"{len(near)} within {AFTERMATH:g} s of the injection")
     if golden is not None:
-        parts.append(f"{sum(_key(alarm) in known for alarm in log.alarms)} also in the golden run")
+        parts.append(f"{sum(_key(alarm) in golden_alarms for alarm in log.alarms)} also in the golden run")
     story = [("alarms", ", ".join(parts))]
-    story += [("", _alarm(alarm, also=_key(alarm) in known)) for alarm in (*near, *others)[:most]]
-    story += [("", f"and {len(log.alarms) - most} more")] if len(log.alarms) > most else []
-    return story + [
-        ("", _UNANSWERED[kind].format(at=1e-6 * event.time_us, **event.data)) for kind, event in events.items()
-    ]
+    # single alarms
+    for alarm in (*near, *others)[:most]:
+        story.append(("", _alarm(alarm, in_golden=_key(alarm) in golden_alarms)))
+    if len(log.alarms) > most:
+        story.append(("", f"and {len(log.alarms) - most} more"))
+    # events after which alarms have no response
+    for kind, event in events.items():
+        story.append(("", _UNANSWERED_ALARMS[kind].format(at=1e-6 * event.time_us, **event.data)))
+    return story
 
 
 def around(log: FlightLog) -> tuple[list[AlarmRecord], list[AlarmRecord]]:
@@ -316,10 +345,10 @@ def _key(alarm: AlarmRecord) -> tuple[str, int]:
     return alarm.state, round(1e6 * alarm.time_s)
 
 
-def _alarm(alarm: AlarmRecord, *, also: bool) -> str:
+def _alarm(alarm: AlarmRecord, *, in_golden: bool) -> str:
     text = f"{alarm.time_s:.3f} s, {alarm.source}: {', '.join(alarm.fields) or alarm.state or alarm.stage}, "
     text += f"score {alarm.score:.3g}; {alarm.action} {alarm.stage}: {alarm.outcome}"
-    if also:
+    if in_golden:
         return f"{text}; also in the golden run"
     return text
 
@@ -340,50 +369,60 @@ def detector_name(spec: RunSpec) -> str:
     return spec.detector
 
 
-def to_json(found: Explanation) -> dict[str, Any]:
+def to_json(explanation: Explanation) -> dict[str, Any]:
     """Plain data: verdict, effect, injections, first difference, propagation, path, all alarms, both ends."""
-    spec = found.spec
-    log = found.flight.log
-    first = found.first
-    parted = found.departure
+    spec = explanation.spec
+    log = explanation.flight.log
+    golden = explanation.golden.log
+    departure = explanation.departure
+    # values first that may be absent
+    kernel = None
+    if log.kernel is not None:
+        kernel = asdict(log.kernel)
+    first_difference = None
+    if explanation.first is not None:
+        first_difference = _difference_json(explanation.first)
     return {
         "run_id": spec.run_id,
         "setting": spec.setting,
         "environment": spec.environment,
         "seed": spec.seed,
-        "verdict": verdict(found.effect, log, found.golden.log),
-        "effect": found.effect.label,
-        "same_digest": found.same,
+        "verdict": verdict(explanation.effect, log, golden),
+        "effect": explanation.effect.label,
+        "same_digest": explanation.same,
         "injections": [injection.to_json() for injection in log.injections],
-        "kernel": None if log.kernel is None else asdict(log.kernel),
-        "first_difference": None
-        if first is None
-        else {
-            "time_s": 1e-6 * first.time_us,
-            "state": first.state,
-            "field": first.field,
-            "golden_time_s": _seconds(first.golden_us),
-            "injected_time_s": _seconds(first.injected_us),
-            "golden": first.golden,
-            "injected": first.injected,
-        },
-        "spread": [asdict(one) for one in found.spread],
+        "kernel": kernel,
+        "first_difference": first_difference,
+        "spread": [asdict(state) for state in explanation.spread],
         "left_path": {
             "threshold_m": LEFT,
-            "time_s": parted.time_s,
-            "position": parted.position,
-            "largest_m": parted.largest_m,
-            "largest_time_s": parted.largest_s,
-            "behind_s": parted.behind_s,
+            "time_s": departure.time_s,
+            "position": departure.position,
+            "largest_m": departure.largest_m,
+            "largest_time_s": departure.largest_s,
+            "behind_s": departure.behind_s,
         },
         "alarms": [alarm.to_json() for alarm in log.alarms],
         "status": log.status.label,
         "flight_time_s": _duration(log),
         "golden": {
             "detector": spec.detector,
-            "status": found.golden.log.status.label,
-            "flight_time_s": _duration(found.golden.log),
+            "status": golden.status.label,
+            "flight_time_s": _duration(golden),
         },
+    }
+
+
+def _difference_json(first: Difference) -> dict[str, Any]:
+    """The first difference as plain data."""
+    return {
+        "time_s": 1e-6 * first.time_us,
+        "state": first.state,
+        "field": first.field,
+        "golden_time_s": _seconds(first.golden_us),
+        "injected_time_s": _seconds(first.injected_us),
+        "golden": first.golden,
+        "injected": first.injected,
     }
 
 

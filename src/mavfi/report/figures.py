@@ -42,8 +42,8 @@ def drawing(name: str) -> Drawing:
         BadInputError: The figure does not exist.
     """
     if name not in FIGURES:
-        allowed = f"figure {name!r}: not known; allowed: {', '.join(FIGURES)}"
-        raise BadInputError(dropped_name("figures", name) or allowed)
+        refusal = f"figure {name!r}: not known; allowed: {', '.join(FIGURES)}"
+        raise BadInputError(dropped_name("figures", name) or refusal)
     return FIGURES[name]
 
 
@@ -67,10 +67,14 @@ def drawn(runs: Runs, names: Sequence[str] | None = None) -> list[Drawn]:
         BadInputError: A figure does not exist.
     """
     if names is None:
-        names = [name for name, found in FIGURES.items() if found.general and runs.has_missions]
+        names = [name for name, drawing in FIGURES.items() if drawing.general and runs.has_missions]
+    figures = []
     with style.house_style():
-        made = [(drawing(name), drawing(name).draw(runs)) for name in names]
-    return [Drawn(found.name, figure, found.caption_of(runs)) for found, figure in made if figure is not None]
+        for definition in map(drawing, names):
+            figure = definition.draw(runs)
+            if figure is not None:
+                figures.append(Drawn(definition.name, figure, definition.caption_of(runs)))
+    return figures
 
 
 def figure(runs: Runs, name: str) -> Figure:
@@ -79,10 +83,10 @@ def figure(runs: Runs, name: str) -> Figure:
     Raises:
         BadInputError: The figure does not exist, or is not applicable to these runs.
     """
-    made = drawn(runs, [name])
-    if not made:
+    figures = drawn(runs, [name])
+    if not figures:
         raise BadInputError(f"figure {name!r}: these runs have nothing to show in it; needed: runs with a fault")
-    return made[0].figure
+    return figures[0].figure
 
 
 def draw(runs: Runs, directory: Path, names: Sequence[str] | None = None, start: str = "") -> Mapping[str, str]:
@@ -92,9 +96,9 @@ def draw(runs: Runs, directory: Path, names: Sequence[str] | None = None, start:
         BadInputError: A figure does not exist, or the directory cannot be written.
     """
     captions = {}
-    for made in drawn(runs, names):
-        file = f"{start}{made.name}.png"
+    for result in drawn(runs, names):
+        file = f"{start}{result.name}.png"
         with style.house_style():
-            style.write(made.figure, directory / file)
-        captions[file] = made.caption
+            style.write(result.figure, directory / file)
+        captions[file] = result.caption
     return captions

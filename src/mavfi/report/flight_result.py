@@ -41,10 +41,9 @@ class FlightResult:
 
     def __repr__(self) -> str:
         mission = f"{self.scenario.environment.name}, seed {self.scenario.seed}"
+        fault = "golden"
         if self.fault and self.effect:
             fault = f"{self.effect.label} by a fault in {self.fault.site}"
-        else:
-            fault = "golden"
         return f"<FlightResult: {mission}, {fault}, {self.status.name} after {self.quality.flight_time_s:.2f} s>"
 
     @property
@@ -101,8 +100,8 @@ class FlightResult:
         """
         log = self.flight.log
         scenario = self.scenario
-        return {
-            **_figures(self.flight.log, self.record),
+        data: dict[str, Any] = {
+            **_figures(log, self.record),
             "injections": [injection.to_json() for injection in log.injections],
             "alarms": [alarm.to_json() for alarm in log.alarms],
             "replans": self.record.replans,
@@ -119,19 +118,28 @@ class FlightResult:
             "localization": scenario.localization.kind,
             "detector": self.detector,
             **{key: log.meta[key] for key in ("start", "goal", "course_m", "time_limit_s")},
-            "fault": None if self.fault is None else self.fault.to_json(),
-            "effect": None if self.effect is None else self.effect.label,
-            "kernel": None if log.kernel is None else asdict(log.kernel),
-            "golden": None
-            if self.golden is None or self.golden_record is None
-            else _figures(self.golden.log, self.golden_record),
-            "without_detector": None
-            if self.unwatched is None
-            else _figures(self.unwatched.log, record_of(self.unwatched.log)),
+            "fault": None,
+            "effect": None,
+            "kernel": None,
+            "golden": None,
+            "without_detector": None,
         }
+        # what only a flight with a fault has
+        if self.fault is not None:
+            data["fault"] = self.fault.to_json()
+        if self.effect is not None:
+            data["effect"] = self.effect.label
+        if log.kernel is not None:
+            data["kernel"] = asdict(log.kernel)
+        if self.golden is not None and self.golden_record is not None:
+            data["golden"] = _figures(self.golden.log, self.golden_record)
+        if self.unwatched is not None:
+            data["without_detector"] = _figures(self.unwatched.log, record_of(self.unwatched.log))
+        return data
 
 
 def _figures(log: FlightLog, record: FlightRecord) -> dict[str, Any]:
+    """Results that each of the compared flights has."""
     return {
         "status": log.status.label,
         "status_text": log.status.value,

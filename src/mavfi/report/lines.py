@@ -35,15 +35,14 @@ class LogLine:
 def lines_of(log: FlightLog) -> list[LogLine]:
     """All lines of a flight by time, injections first; an injection without an instant is left out."""
     items: list[Event | AlarmRecord | Injection] = [*log.injections, *log.events, *log.alarms]
-    found = map(line_of, items)
-    known = [line for line in found if line is not None]
-    return sorted([*known, end_line(float(log.column("time")[-1]), log.status)], key=lambda line: line.time_us)
+    lines = lines_at(float(log.column("time")[-1]), items, log.status)
+    return sorted(lines, key=lambda line: line.time_us)
 
 
 def lines_at(
     time_s: float, items: Iterable[Event | AlarmRecord | Injection], status: MissionStatus | None
 ) -> list[LogLine]:
-    """Lines of what happened in a running flight at an instant (s); with a status, also that the mission has ended."""
+    """Lines of what happened until an instant (s); with a status, also that the mission has ended then."""
     lines = [line for line in map(line_of, items) if line is not None]
     if status is not None:
         lines.append(end_line(time_s, status))
@@ -73,8 +72,8 @@ def line_of(item: Event | AlarmRecord | Injection) -> LogLine | None:
         change = f"{_short(item.before)} -> {_short(item.after)}"
     else:
         change = "not activated"
-    bit = "" if item.bit is None else f" bit {item.bit}"
-    return LogLine(time_us, ERROR, "injection", f"fault: {item.site}{bit}: {change}", data)
+    site = item.site if item.bit is None else f"{item.site} bit {item.bit}"
+    return LogLine(time_us, ERROR, "injection", f"fault: {site}: {change}", data)
 
 
 def _short(value: object) -> str:

@@ -11,7 +11,8 @@ from matplotlib.collections import PolyCollection
 
 from mavfi.analysis.runs import Runs
 
-RUNS, RUN = "#runs?", "#run/"
+RUNS = "#runs?"
+RUN = "#run/"
 """Starts of links to a list of runs and to the page of a run."""
 DOTS = "dots:"
 """Start of the id of a group of dots, followed by their run ids, separated by blanks."""
@@ -23,9 +24,9 @@ _BAND = 0.7
 """Width of a band relative to that of a row."""
 
 
-def to_runs(own: Runs, **label: str) -> str:
+def to_runs(runs: Runs, **label: str) -> str:
     """Link to exactly these runs; the label names them for screen readers."""
-    return RUNS + urlencode({**label, IDS: " ".join(own.values("run_id"))})
+    return RUNS + urlencode({**label, IDS: " ".join(runs.values("run_id"))})
 
 
 def to_run(run_id: str) -> str:
@@ -38,18 +39,19 @@ def points(axes: Axes, x: Sequence[float] | np.ndarray, y: Sequence[float] | np.
     axes.scatter(x, y, s=130, zorder=7, **_TRANSPARENT).set_urls(links)
 
 
-def band(axes: Axes, place: float, link: str, *, upright: bool) -> None:
-    """Link a row of a panel, or a column (`upright`), centred at `place` and `_BAND` wide; points are above it."""
-    low = place - _BAND / 2
-    high = place + _BAND / 2
-    corners = [(low, 0.0), (low, 1.0), (high, 1.0), (high, 0.0)]
+def band(axes: Axes, centre: float, link: str, *, upright: bool) -> None:
+    """Link a row of a panel, or a column (`upright`), `_BAND` wide around its centre; points are above it."""
+    low = centre - _BAND / 2
+    high = centre + _BAND / 2
+    # in data units across the band, and from 0 to 1 along it, i.e. over the whole panel
     if upright:
         transform = axes.get_xaxis_transform()
+        corners = [(low, 0.0), (low, 1.0), (high, 1.0), (high, 0.0)]
     else:
         transform = axes.get_yaxis_transform()
-    shape = corners if upright else [corner[::-1] for corner in corners]
-    drawn = PolyCollection([shape], urls=[link], zorder=6, transform=transform, **_TRANSPARENT)
-    axes.add_collection(drawn, autolim=False)
+        corners = [(0.0, low), (1.0, low), (1.0, high), (0.0, high)]
+    shape = PolyCollection([corners], urls=[link], zorder=6, transform=transform, **_TRANSPARENT)
+    axes.add_collection(shape, autolim=False)
 
 
 def lines(drawn: Iterable[Artist], link: str) -> None:

@@ -30,7 +30,9 @@ NEAR = 3.0
 """Approximate horizontal distance from the path within which the side view shows obstacles (m)."""
 _MARGIN = 2.0
 _SCAN_MARGIN = 5.0
+"""Displayed surroundings of the paths in an arena, and in a scan (m)."""
 _WIDTH = 11.0
+"""Width of the figure (in)."""
 _HANDLE = 0.62
 _LETTER = 0.066
 _ROW = 0.22
@@ -40,7 +42,10 @@ _TITLE_LENGTH = 100
 """Size of the title (pt), and its length from which it is set smaller, to fit."""
 _SIDE_STRETCH = 1.6
 """Vertical exaggeration of the side view."""
-_SOLID, _EDGE, _MAP = "#D4D4D4", "#A8A8A8", "#3B3B3B"
+_SOLID = "#D4D4D4"
+_EDGE = "#A8A8A8"
+_MAP = "#3B3B3B"
+"""Colours of obstacles, their edges, and of occupied voxels of the map."""
 _DARK_EDGE: dict[str, Any] = {"markeredgecolor": style.INK, "markeredgewidth": 0.8}
 _HALO = [effects.withStroke(linewidth=5.0, foreground="white")]
 
@@ -80,17 +85,19 @@ def draw_flight(
     courses = _courses(flight, golden, recovered, detector)
     with style.house_style():
         lower, upper = _limits(flight.world, courses)
+        # the legend's height decides on the layout, so all labels come first
         marks = [*_alarm_marks(recovered or flight), *_marks(flight)]
         rows = _legend_rows([*(course.label for course in courses), *(mark.label for mark in marks)])
         figure, views = _axes(lower, upper, rows)
-        _draw_world(views, flight.world, courses[-1 if recovered is None else -2].points)
-        known = _draw_map(views, flight, (lower, upper))
+        # obstacles, the planner's map, paths and markers, from below to above
+        _draw_world(views, flight.world, positions(flight))
+        has_map = _draw_map(views, flight, (lower, upper))
         for axes, index in views:
             for course in courses:
                 axes.plot(course.points[:, 0], course.points[:, index], **course.look)
         handles = [*map(_line, courses), *_draw_marks(figure, views, marks)]
         _label(figure, views, flight, _endings(courses, [golden, flight, recovered]))
-        _legend(figure, handles, rows, known, flight.world)
+        _legend(figure, handles, rows, flight.world, has_map=has_map)
         for axes, index in views:
             axes.set_xlim(lower[0], upper[0])
             axes.set_ylim(lower[index], upper[index])
@@ -98,22 +105,22 @@ def draw_flight(
 
 
 def _courses(flight: Flight, golden: Flight | None, recovered: Flight | None, detector: str) -> list[_Drawn]:
+    """The paths, golden run first; widths and orders keep each visible even if all of them coincide."""
     courses = []
+    look: dict[str, Any]
     if golden is not None:
-        thin = {"color": style.BLUE, "linewidth": 1.2, "zorder": 6}
-        wide = {"color": style.SKY, "linewidth": 6.0, "zorder": 4}  # visible even if all three paths coincide
-        look = thin if recovered is None else wide
+        look = {"color": style.BLUE, "linewidth": 1.2, "zorder": 6}
+        if recovered is not None:
+            look = {"color": style.SKY, "linewidth": 6.0, "zorder": 4}
         courses.append(_Drawn("golden run", positions(golden), look))
-    injected = bool(flight.log.injections)
-    if recovered is not None or not detector:
-        watched = ""
-    else:
-        watched = f"detector {detector}"
-    label = " and ".join(part for part in ("with the fault" if injected else "", watched) if part) or "flight"
-    if injected:
+    parts = []
+    look = {"color": style.BLUE, "linewidth": 2.6}
+    if flight.log.injections:
+        parts.append("with the fault")
         look = {"color": style.ORANGE, "linewidth": 3.6}
-    else:
-        look = {"color": style.BLUE, "linewidth": 2.6}
+    if detector and recovered is None:
+        parts.append(f"detector {detector}")
+    label = " and ".join(parts) or "flight"
     courses.append(_Drawn(label, positions(flight), look | {"zorder": 5, "path_effects": _HALO}))
     if recovered is not None:
         look = {"color": style.GREEN, "linewidth": 1.6, "linestyle": (0, (4, 2)), "zorder": 7}
@@ -127,8 +134,8 @@ def positions(flight: Flight, times: list[float] | None = None) -> np.ndarray:
     points = flight.log.columns("x", "y", "z")
     if times is not None:
         points = points[np.minimum(np.searchsorted(flight.log.column("time"), times), len(points) - 1)]
-    kept: np.ndarray = points[np.isfinite(points).all(axis=1)]
-    return kept
+    finite: np.ndarray = points[np.isfinite(points).all(axis=1)]
+    return finite
 
 
 def _limits(world: World, courses: list[_Drawn]) -> tuple[np.ndarray, np.ndarray]:
@@ -154,11 +161,13 @@ def _legend_rows(labels: list[str]) -> int:
 
 def _axes(lower: np.ndarray, upper: np.ndarray, rows: int) -> tuple[Figure, Views]:
     """Create a figure with two views of equal x scale, below a legend of `rows` rows."""
+    # margins, and the space between the views (in)
     left = 0.6
     right = 0.15
     top = 1.17 + _ROW * (rows - 1)
     between = 0.62
     bottom = 0.5
+    # heights of the views (in) follow from the scale along x
     extent = upper - lower
     inch = (_WIDTH - left - right) / extent[0]
     plan = inch * extent[1]
@@ -175,11 +184,12 @@ def _draw_world(views: Views, world: World, course: np.ndarray) -> None:
     if world.is_voxels:
         _draw_scan(views, world, course)
         return
-    every = np.ones(len(world.lower), bool)
-    for (axes, index), kept in zip(views, (every, near_boxes(world, course)), strict=True):
+    # all boxes in the plan; from the side those near the path, or they would hide each other
+    all_boxes = np.ones(len(world.lower), bool)
+    for (axes, index), mask in zip(views, (all_boxes, near_boxes(world, course)), strict=True):
         boxes = [
             Rectangle((low[0], low[index]), high[0] - low[0], high[index] - low[index])
-            for low, high in zip(world.lower[kept], world.upper[kept], strict=True)
+            for low, high in zip(world.lower[mask], world.upper[mask], strict=True)
         ]
         axes.add_collection(PatchCollection(boxes, facecolor=_SOLID, edgecolor=_EDGE, linewidth=0.5, zorder=1))
     views[1][0].axhline(0.0, color=_EDGE, linewidth=0.8, zorder=1)
@@ -197,6 +207,7 @@ def near_boxes(world: World, course: np.ndarray) -> np.ndarray:
 
 def _draw_scan(views: Views, world: World, course: np.ndarray) -> None:
     """Draw solid voxels at the median flight height (plan view) and along the path (side view)."""
+    # slices of voxels: three layers around the median height; from the side, the row of the path at each x
     shape = np.array(world.occupied.shape)
     end = world.origin + shape * world.resolution
     cells = np.clip(((course - world.origin) / world.resolution).astype(int), 0, shape - 1)
@@ -233,6 +244,7 @@ def _draw_map(views: Views, flight: Flight, limits: tuple[np.ndarray, np.ndarray
     clearance: Any = getattr(flight.pipeline.get("planner"), "clearance_map", None)
     if clearance is None:
         return False
+    # centres of the occupied voxels within the limits
     grid = clearance.grid
     ix, iy, iz = np.nonzero(clearance.cells.reshape(grid.nx, grid.ny, grid.nz) == OCCUPIED)
     corner = np.array([grid.x0, grid.y0, grid.z0])
@@ -240,6 +252,7 @@ def _draw_map(views: Views, flight: Flight, limits: tuple[np.ndarray, np.ndarray
     centres = corner + (np.stack([ix, iy, iz], axis=1) + 0.5) * grid.resolution
     lower, upper = limits
     centres = centres[((centres > lower) & (centres < upper)).all(axis=1)]
+    # those shown in each view
     course = positions(flight)[::10]
     if flight.world.is_voxels:  # slices as for the world: the full map of a corridor would hide everything
         from_above = centres[np.abs(centres[:, 2] - np.median(course[:, 2])) < 1.5 * grid.resolution]
@@ -247,12 +260,13 @@ def _draw_map(views: Views, flight: Flight, limits: tuple[np.ndarray, np.ndarray
     else:
         from_above = centres[centres[:, 2] > grid.resolution]  # without the ground, which would hide everything as well
         from_side = from_above[_distance(from_above, course) < NEAR]
+    # projections
     end = corner + shape * grid.resolution
     for (axes, index), points in zip(views, (from_above, from_side), strict=True):
-        seen = np.zeros((shape[0], shape[index]), bool)
+        projection = np.zeros((shape[0], shape[index]), bool)
         cells = ((points - corner) * grid.inverse).astype(int)
-        seen[cells[:, 0], cells[:, index]] = True
-        _shade(axes, seen, (corner[0], end[0], corner[index], end[index]), _MAP, 2, alpha=0.55)
+        projection[cells[:, 0], cells[:, index]] = True
+        _shade(axes, projection, (corner[0], end[0], corner[index], end[index]), _MAP, 2, alpha=0.55)
     return len(centres) > 0
 
 
@@ -260,8 +274,8 @@ def _distance(points: np.ndarray, course: np.ndarray) -> np.ndarray:
     """Horizontal distance of points from a path (m). Shapes (n, 3), (k, 3) -> (n,)."""
     if len(course) == 0 or len(points) == 0:
         return np.full(len(points), np.inf)
-    found: np.ndarray = cKDTree(course[:, :2]).query(points[:, :2])[0]
-    return found
+    distance: np.ndarray = cKDTree(course[:, :2]).query(points[:, :2])[0]
+    return distance
 
 
 def _marks(flight: Flight) -> list[_Drawn]:
@@ -284,14 +298,17 @@ def _marks(flight: Flight) -> list[_Drawn]:
 
 def _alarm_marks(flight: Flight) -> list[_Drawn]:
     """Markers of alarms: filled within a second of the injection, otherwise hollow."""
-    near, others = ([alarm.time_s for alarm in alarms] for alarms in around(flight.log))
-    kinds = (("other alarm" if near else "alarm", others, "white"), ("alarm at the injection", near, style.PURPLE))
+    near, others = around(flight.log)
     look: dict[str, Any] = {"marker": "v", "markersize": 9, **_DARK_EDGE}
-    return [
-        _Drawn(label, positions(flight, times), look | {"color": fill}, lift=14.0)
-        for label, times, fill in kinds
-        if times
-    ]
+    marks = []
+    if others:
+        points = positions(flight, [alarm.time_s for alarm in others])
+        label = "other alarm" if near else "alarm"
+        marks.append(_Drawn(label, points, look | {"color": "white"}, lift=14.0))
+    if near:
+        points = positions(flight, [alarm.time_s for alarm in near])
+        marks.append(_Drawn("alarm at the injection", points, look | {"color": style.PURPLE}, lift=14.0))
+    return marks
 
 
 def _draw_marks(figure: Figure, views: Views, marks: list[_Drawn]) -> list[Line2D]:
@@ -310,24 +327,22 @@ def _label(figure: Figure, views: Views, flight: Flight, title: str) -> None:
     (above, _), (side, _) = views
     scenario = flight.log.meta["scenario"]
     height = figure.get_figheight()
+    # title, and below it the mission and the fault
     size = min(_TITLE_SIZE, _TITLE_SIZE * _TITLE_LENGTH / len(title))
     figure.text(0.6 / _WIDTH, 1 - 0.24 / height, title, fontsize=size, fontweight="bold", va="center")
     below = f"{scenario['environment']['name']} · seed {scenario['seed']} · autopilot {scenario['stack']['name']}"
     for injection in flight.log.injections:
         if injection.activated and injection.bit is not None:
             before, after = change(injection.before, injection.after, digits=4)
-            what = f"{injection.site}, bit {injection.bit} at {injection.time_s:.2f} s: {before} → {after}"
-            what += lost(injection)
-            below = f"{below}   ·   {what}"
+            fault = f"{injection.site}, bit {injection.bit} at {injection.time_s:.2f} s: {before} → {after}"
+            below = f"{below}   ·   {fault}{lost(injection)}"
     figure.text(0.6 / _WIDTH, 1 - 0.49 / height, below, va="center", color=style.GREY)
+    # axes, and what each view shows
     above.set_ylabel("y (m)")
     side.set_ylabel("z (m)")
     side.set_xlabel("x (m)")
     above.text(0, 1.012, "from above", transform=above.transAxes, color=style.GREY, va="bottom")
-    if flight.world.is_voxels:
-        shown = "along the path"
-    else:
-        shown = "obstacles near the path"
+    shown = "along the path" if flight.world.is_voxels else "obstacles near the path"
     heights = f"from the side: {shown}; heights × {_SIDE_STRETCH:g}"
     side.text(0, 1.02, heights, transform=side.transAxes, color=style.GREY, va="bottom")
 
@@ -340,8 +355,9 @@ def _endings(courses: list[_Drawn], flights: list[Flight | None]) -> str:
 
 def _ending(flight: Flight) -> str:
     """How and when a flight ended."""
-    success = flight.log.status is MissionStatus.SUCCESS
-    return f"{'goal' if success else flight.log.status.words} at {flight.log.column('time')[-1]:.1f} s"
+    status = flight.log.status
+    ending = "goal" if status is MissionStatus.SUCCESS else status.words
+    return f"{ending} at {flight.log.column('time')[-1]:.1f} s"
 
 
 def _line(course: _Drawn) -> Line2D:
@@ -350,10 +366,11 @@ def _line(course: _Drawn) -> Line2D:
     return Line2D([], [], label=course.label, **look)
 
 
-def _legend(figure: Figure, handles: list[Any], rows: int, known: bool, world: World) -> None:
+def _legend(figure: Figure, handles: list[Any], rows: int, world: World, *, has_map: bool) -> None:
     """Draw the legend above both views."""
-    handles = [*handles, Patch(facecolor=_SOLID, edgecolor=_EDGE, label="solid" if world.is_voxels else "obstacle")]
-    if known:
+    obstacle = "solid" if world.is_voxels else "obstacle"
+    handles = [*handles, Patch(facecolor=_SOLID, edgecolor=_EDGE, label=obstacle)]
+    if has_map:
         handles.append(Patch(facecolor=_MAP, alpha=0.55, label="occupied in the map"))
     height = figure.get_figheight()
     figure.legend(

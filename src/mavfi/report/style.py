@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
-from itertools import cycle
+from itertools import cycle, pairwise
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -21,10 +21,18 @@ from matplotlib.transforms import Bbox
 
 from mavfi.errors import writing
 
-BLUE, ORANGE, GREEN, PURPLE, SKY, AMBER = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"
+BLUE = "#0072B2"
+ORANGE = "#D55E00"
+GREEN = "#009E73"
+PURPLE = "#CC79A7"
+SKY = "#56B4E9"
+AMBER = "#E69F00"
 YELLOW = "#B8A800"
 """Colours of the Okabe–Ito palette, the last one darker."""
-INK, GREY, PALE = "#222222", "#777777", "#DDDDDD"
+INK = "#222222"
+GREY = "#777777"
+PALE = "#DDDDDD"
+"""Colours of texts and axes, of secondary ones, and of grids."""
 DOTS_PER_INCH = 160
 
 _SETTINGS: Any = {
@@ -79,7 +87,8 @@ def setting_looks(settings: list[str]) -> dict[str, dict[str, Any]]:
 def curve(look: dict[str, Any], *, wide: bool) -> dict[str, Any]:
     """Colour, dashes and width of a setting's curve."""
     dashes = {colour: line for colour, _, line in _ARMS}
-    return {"color": look["color"], "linestyle": dashes.get(look["color"], "-"), "linewidth": 2.8 if wide else 1.4}
+    width = 2.8 if wide else 1.4
+    return {"color": look["color"], "linestyle": dashes.get(look["color"], "-"), "linewidth": width}
 
 
 def setting_label(setting: str) -> str:
@@ -114,8 +123,8 @@ _GAP = 1.5
 """Least distance between neighbouring tick labels (pt)."""
 _TICKS = (4, 3, 2, 1)
 """Maximum numbers of intervals between ticks, tried in this order."""
-_SHORTEST = 1.8
-_LEAST = 1.0
+_MIN_HEIGHT = 1.8
+_MIN_PANEL_HEIGHT = 1.0
 _GROWTH = 1.1
 """Least height of a figure and of its panels (in), and factor by which it grows until its names fit."""
 _LETTERS_IN_LINE = 12
@@ -152,12 +161,15 @@ def fit_to_column(figure: Figure) -> None:
     _join_labels(figure, flat)
     for legend in figure.findobj(Legend):
         _fold_legend(figure, legend)
+    # extents are known only after a layout: each step below needs those that the step before has changed
     figure.draw_without_rendering()
     _fold_texts(figure, panels)
     figure.draw_without_rendering()
+    # across, before the height: turned names take some of it
     _turn(figure, [axes.xaxis for axes in flat if _named(axes.xaxis)])
     for axes in flat:
         _thin_out(figure, axes.xaxis)
+    # along the height
     _grow(figure, flat, limit)
     for axes in panels:
         _fold(axes.yaxis.label, _SLACK * axes.bbox.height)
@@ -170,8 +182,11 @@ def _resize(figure: Figure, panels: Sequence[Axes]) -> None:
     """Set the size of a figure, and those of its letters, marks and lines."""
     columns = max((axes.get_subplotspec().get_gridspec().ncols for axes in panels), default=1)  # type: ignore[union-attr]
     width, height = figure.get_size_inches()
-    target = COLUMN if columns <= _PANELS and not figure.subfigs else PAGE
-    figure.set_size_inches(target, min(height, max(height * target / width, 0.7 * target / columns, _SHORTEST)))
+    target = PAGE
+    if columns <= _PANELS and not figure.subfigs:
+        target = COLUMN
+    # height in proportion, but such that panels are not flat, and never above the one before
+    figure.set_size_inches(target, min(height, max(height * target / width, 0.7 * target / columns, _MIN_HEIGHT)))
     _shrink(figure, max(_SCALE, target / width))
     if len(panels) == 1:
         panels[0].set_title("", loc="left")
@@ -200,7 +215,10 @@ def _fold_texts(figure: Figure, panels: Sequence[Axes]) -> None:
 def _shrink(figure: Figure, scale: float) -> None:
     """Set the sizes of letters, and scale marks and lines."""
     for text in figure.findobj(Text):
-        text.set_fontsize(SMALL if text.get_fontproperties().get_size_in_points() < LETTERS else LETTERS)
+        size = LETTERS
+        if text.get_fontproperties().get_size_in_points() < LETTERS:
+            size = SMALL
+        text.set_fontsize(size)
     for line in figure.findobj(Line2D):
         line.set_markersize(scale * line.get_markersize())
         line.set_linewidth(scale * line.get_linewidth())
@@ -215,7 +233,7 @@ def _fold_legend(figure: Figure, legend: Legend) -> None:
     handles = [handle for handle in legend.legend_handles if handle is not None]
     legend.remove()
     for columns in range(len(labels), 0, -1):
-        made = figure.legend(
+        trial = figure.legend(
             handles,
             labels,
             loc="outside upper left",
@@ -227,18 +245,18 @@ def _fold_legend(figure: Figure, legend: Legend) -> None:
             borderpad=0.2,
             labelspacing=0.3,
         )
-        extent = made.get_window_extent()
+        extent = trial.get_window_extent()
         if columns == 1 or extent.width < figure.bbox.width:
             figure.set_figheight(figure.get_figheight() + extent.height / figure.dpi)
             return
-        made.remove()
+        trial.remove()
 
 
 def _grow(figure: Figure, panels: Sequence[Axes], limit: float) -> None:
     """Increase the height of a figure, up to a limit (in), until its panels have theirs and names of rows fit."""
     figure.draw_without_rendering()
     while figure.get_figheight() * _GROWTH < limit and any(
-        axes.bbox.height < _LEAST * figure.dpi or (_named(axes.yaxis) and _overlap(figure, axes.yaxis))
+        axes.bbox.height < _MIN_PANEL_HEIGHT * figure.dpi or (_named(axes.yaxis) and _overlap(figure, axes.yaxis))
         for axes in panels
     ):
         figure.set_figheight(figure.get_figheight() * _GROWTH)
@@ -272,7 +290,9 @@ def _turn(figure: Figure, axes: Sequence[Axis]) -> None:
 
 def _thin_out(figure: Figure, axis: Axis) -> None:
     """Take fewer ticks of numbers if their labels overlap."""
-    for intervals in () if _named(axis) else _TICKS:
+    if _named(axis):
+        return
+    for intervals in _TICKS:
         if not _overlap(figure, axis):
             return
         axis.set_major_locator(MaxNLocator(intervals, steps=[1, 2, 5, 10]))
@@ -281,11 +301,9 @@ def _thin_out(figure: Figure, axis: Axis) -> None:
 
 def _overlap(figure: Figure, axis: Axis) -> bool:
     """Whether neighbouring tick labels of an axis overlap or nearly touch."""
-    boxes = list(_boxes(axis.get_ticklabels()))
-    gap = _GAP * figure.dpi / 72.0
-    return any(
-        one.padded(gap / 2).overlaps(other.padded(gap / 2)) for one, other in zip(boxes, boxes[1:], strict=False)
-    )
+    gap = _GAP * figure.dpi / 72.0  # 72 pt per inch
+    boxes = [box.padded(gap / 2) for box in _boxes(axis.get_ticklabels())]
+    return any(box.overlaps(following) for box, following in pairwise(boxes))
 
 
 def _boxes(texts: Sequence[Text]) -> Iterator[Bbox]:

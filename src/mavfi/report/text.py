@@ -1,7 +1,7 @@
 """Formatting of numbers, sentences and tables, shared by all reports."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich import box
 from rich.console import Console, Group, JustifyMethod
@@ -38,32 +38,31 @@ def _small_percent(share: float) -> str:
     return f"{100 * share:.3g} %"
 
 
-def _interval(found: Rate) -> str:
-    if found.low is None or found.high is None:
+def _interval(rate: Rate) -> str:
+    """The interval of a rate or of a test in brackets; empty if it has none."""
+    if rate.low is None or rate.high is None:
         return ""
-    return f"[{100 * found.low:.1f}, {100 * found.high:.1f}]"
+    return f"[{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
 
 
-def _p(found: Any) -> str:
-    if found.p_value is None:
+def _p(test: Any) -> str:
+    """The p value of a test, to be appended; empty if it has none."""
+    if test.p_value is None:
         return ""
-    return f" p = {found.p_value:.2g}"
+    return f" p = {test.p_value:.2g}"
 
 
-def rate(found: Rate | float | None) -> str:
+def rate(value: Rate | float | None) -> str:
     """A rate in per cent with its interval and n: "93.3 [78.7, 98.2] 28/30"; a weighted rate has no count: "n=30".
 
     A float is a published rate: "93.3".
     """
-    if isinstance(found, float):
-        return f"{100 * found:.1f}"
-    if found is None or found.rate is None:
+    if isinstance(value, float):
+        return f"{100 * value:.1f}"
+    if value is None or value.rate is None:
         return ABSENT
-    if found.successes is None:
-        count = f"n={found.n}"
-    else:
-        count = f"{found.successes}/{found.n}"
-    return f"{100 * found.rate:.1f} {_interval(found)} {count}"
+    count = f"n={value.n}" if value.successes is None else f"{value.successes}/{value.n}"
+    return f"{100 * value.rate:.1f} {_interval(value)} {count}"
 
 
 def number(value: float | None, digits: int = 1) -> str:
@@ -73,25 +72,32 @@ def number(value: float | None, digits: int = 1) -> str:
     return f"{value:.{digits}f}"
 
 
-def _per_hour(found: EventRate) -> str:
-    if found.per_hour is None:
+def _per_hour(alarms: EventRate) -> str:
+    if alarms.per_hour is None:
         return ABSENT
-    return f"{found.per_hour:.1f} [{found.low:.1f}, {found.high:.1f}]"
+    return f"{alarms.per_hour:.1f} [{alarms.low:.1f}, {alarms.high:.1f}]"
+
+
+def _published_or_measured(share: Rate | float) -> str:
+    """A share as per cent, without its interval."""
+    if isinstance(share, Rate):
+        return percent(share.rate)
+    return percent(share)
 
 
 FORMS: dict[str, Callable[[Any], str]] = {
     RATE: rate,
-    PERCENT: lambda share: percent(share.rate if isinstance(share, Rate) else share),
-    "percent with interval": lambda found: f"{percent(found.rate)} {_interval(found)}",
-    POINTS: lambda found: f"{100 * (found.rate or 0.0):+z.1f} {_interval(found)}",
-    POINTS_TEST: lambda found: f"{100 * found.rate:+z.1f} {_interval(found)}{_p(found)}",
-    PERCENT_TEST: lambda found: f"{percent(found.rate)} {_interval(found)}{_p(found)}",
-    TIMES_TEST: lambda found: f"{found.rate:.2f}× [{found.low:.2f}, {found.high:.2f}]{_p(found)}",
+    PERCENT: _published_or_measured,
+    "percent with interval": lambda rate: f"{percent(rate.rate)} {_interval(rate)}",
+    POINTS: lambda rate: f"{100 * (rate.rate or 0.0):+z.1f} {_interval(rate)}",
+    POINTS_TEST: lambda test: f"{100 * test.rate:+z.1f} {_interval(test)}{_p(test)}",
+    PERCENT_TEST: lambda test: f"{percent(test.rate)} {_interval(test)}{_p(test)}",
+    TIMES_TEST: lambda test: f"{test.rate:.2f}× [{test.low:.2f}, {test.high:.2f}]{_p(test)}",
     SIGNED: signed_percent,
     "signed points": lambda share: f"{100 * share:+z.1f}",
     SMALL: _small_percent,
     PER_HOUR: _per_hour,
-    ESTIMATE: lambda found: f"{found.value:.1e} [{found.low:.1e}, {found.high:.1e}]",
+    ESTIMATE: lambda estimate: f"{estimate.value:.1e} [{estimate.low:.1e}, {estimate.high:.1e}]",
     "number .1f kJ": lambda joule: f"{joule / 1000:.1f} kJ",
 }
 """Formatter by display format; other formats are "number", optionally with a Python format and a unit."""
@@ -114,9 +120,10 @@ def cell(value: Cell, form: str) -> str:
 
 def shown(table: Table) -> tuple[list[Column], list[list[str]]]:
     """Visible columns of a table, and their cells as text."""
-    places = [place for place, column in enumerate(table.columns) if not column.hidden]
-    columns = [table.columns[place] for place in places]
-    return columns, [[cell(row[place], table.columns[place].form) for place in places] for row in table.rows]
+    visible = [index for index, column in enumerate(table.columns) if not column.hidden]
+    columns = [table.columns[index] for index in visible]
+    rows = [[cell(row[index], table.columns[index].form) for index in visible] for row in table.rows]
+    return columns, rows
 
 
 def header(campaign: Mapping[str, Any]) -> list[str]:
@@ -172,16 +179,20 @@ def checks(runs: Runs) -> list[str]:
 
 def markdown_grid(headings: Sequence[str], rows: Iterable[Iterable[str]], left: int | None = None) -> str:
     """A Markdown table; columns behind the first `left` are aligned to the right, None = none."""
-    count = len(headings) if left is None else left
-    lines = [headings, ["---"] * count + ["---:"] * (len(headings) - count), *rows]
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+    left = len(headings) if left is None else left
+    alignment = ["---"] * left + ["---:"] * (len(headings) - left)
+    lines = []
+    for cells in (headings, alignment, *rows):
+        escaped = (text.replace("|", "\\|") for text in cells)
+        lines.append(f"| {' | '.join(escaped)} |")
+    return "\n".join(lines)
 
 
 # ---- in a terminal ---------------------------------------------------------------------------------------------------
 
-_BETWEEN = 2
+_SPACING = 2
 """Spacing of columns (characters)."""
-_NUMBER = Column("number", "#")
+_ROW_NUMBER = Column("number", "#")
 
 
 def show_header(lines: Sequence[str], console: Console) -> None:
@@ -207,76 +218,91 @@ def rendered(table: Table, width: int) -> Group:
     """
     columns, rows = shown(table)
     keys = list(range(min(table.keys, len(columns))))
-    least, whole = _sizes(columns, rows)
-    if any(_room([*(least[key] for key in keys), size]) > width for size in least[len(keys) :]):
+    limits = _width_limits(columns, rows)
+    key_limits = [limits[key] for key in keys]
+    if any(_total_width([*key_limits, limit]) > width for limit in limits[len(keys) :]):
         # a column does not fit next to the keys: row numbers replace the keys
-        columns = [_NUMBER, *columns]
-        rows = [[str(i), *row] for i, row in enumerate(rows, start=1)]
+        columns = [_ROW_NUMBER, *columns]
+        rows = [[str(number), *row] for number, row in enumerate(rows, start=1)]
         keys = [0]
-        least, whole = _sizes(columns, rows)
+        limits = _width_limits(columns, rows)
     parts: list[Text | RichTable] = [Text(table.title, style="bold")]  # not wrapped to a narrow table
-    for block in _blocks(least, keys, width):
-        widths = _widths([least[place] for place in block], [whole[place] for place in block], width)
-        cells = [[row[place] for place in block] for row in rows]
-        parts.append(_grid([columns[place].heading for place in block], cells, widths, len(keys)))
+    for block in _blocks(limits, keys, width):
+        widths = _widths([limits[index] for index in block], width)
+        cells = [[row[index] for index in block] for row in rows]
+        parts.append(_grid([columns[index].heading for index in block], cells, widths, len(keys)))
     return Group(*parts)
 
 
-def _sizes(columns: Sequence[Column], rows: Sequence[Sequence[str]]) -> tuple[list[int], list[int]]:
-    """Minimum widths of columns and full widths (longest cell).
+class _WidthLimits(NamedTuple):
+    """Widths of a column (characters): the minimum, and that of its longest cell, beyond which it needs no space."""
+
+    minimum: int
+    full: int
+
+
+def _width_limits(columns: Sequence[Column], rows: Sequence[Sequence[str]]) -> list[_WidthLimits]:
+    """Width limits of columns.
 
     The minimum is the longest word; for names and for numbers with their units, the longest cell.
     """
-    least = []
-    whole = []
-    for place, column in enumerate(columns):
-        cells = [column.heading, *(row[place] for row in rows)]
-        whole.append(max(map(len, cells)))
-        words = max(len(word) for cell in cells for word in cell.split() or [""])
-        is_name = column.form == TEXT and not any(" " in cell for cell in cells[1:])
-        is_number = column.form.startswith("number")
-        least.append(max(words, *map(len, cells[1:])) if is_number and rows else whole[-1] if is_name else words)
-    return least, whole
+    limits = []
+    for index, column in enumerate(columns):
+        cells = [row[index] for row in rows]
+        full = max(map(len, [column.heading, *cells]))
+        minimum = max(len(word) for text in (column.heading, *cells) for word in text.split() or [""])
+        if column.form.startswith("number"):
+            minimum = max([minimum, *map(len, cells)])
+        elif column.form == TEXT and not any(" " in text for text in cells):
+            minimum = full
+        limits.append(_WidthLimits(minimum, full))
+    return limits
 
 
-def _blocks(least: Sequence[int], keys: Sequence[int], width: int) -> list[list[int]]:
+def _blocks(limits: Sequence[_WidthLimits], keys: Sequence[int], width: int) -> list[list[int]]:
     """Split columns into blocks that fit the width; each block starts with the keys and has at least one column."""
     blocks = []
-    own = list(keys)
-    for place in range(len(keys), len(least)):
-        if len(own) > len(keys) and _room([least[p] for p in (*own, place)]) > width:
-            blocks.append(own)
-            own = list(keys)
-        own.append(place)
-    return [*blocks, own]
+    block = list(keys)
+    for index in range(len(keys), len(limits)):
+        if len(block) > len(keys) and _total_width([limits[i] for i in (*block, index)]) > width:
+            blocks.append(block)
+            block = list(keys)
+        block.append(index)
+    return [*blocks, block]
 
 
-def _room(widths: Sequence[int]) -> int:
-    return sum(widths) + _BETWEEN * len(widths)
+def _total_width(limits: Sequence[_WidthLimits]) -> int:
+    """Width of columns at their minimum, with spacing."""
+    return sum(limit.minimum for limit in limits) + _SPACING * len(limits)
 
 
-def _widths(least: Sequence[int], whole: Sequence[int], width: int) -> list[int]:
+def _widths(limits: Sequence[_WidthLimits], width: int) -> list[int]:
     """Widths of columns: the minimum, plus the remaining space, given first to columns that need the least."""
-    given = list(least)
-    left = width - _room(least)
-    needy = sorted(range(len(least)), key=lambda place: whole[place] - least[place])
-    for number, place in enumerate(needy):
-        more = max(0, min(whole[place] - given[place], left // (len(needy) - number)))
-        given[place] += more
-        left -= more
-    return given
+    widths = [limit.minimum for limit in limits]
+    space = width - _total_width(limits)
+    by_need = sorted(range(len(limits)), key=lambda index: limits[index].full - limits[index].minimum)
+    for number, index in enumerate(by_need):
+        fair_share = space // (len(by_need) - number)
+        addition = max(0, min(limits[index].full - widths[index], fair_share))
+        widths[index] += addition
+        space -= addition
+    return widths
 
 
 def _grid(headings: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequence[int], keys: int) -> RichTable:
+    """One block; a first cell equal to the one above is left empty, and a line separates groups of them."""
     grid = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    for place, (heading, wide) in enumerate(zip(headings, widths, strict=True)):
-        justify: JustifyMethod = "left" if place < max(2, keys) else "right"
-        grid.add_column(escape(heading), justify=justify, overflow="fold", width=wide)
-    grouped = len({row[0] for row in rows}) < len(rows)
-    before = None
-    for row in rows:
-        if grouped and before is not None and row[0] != before:
+    for index, (heading, width) in enumerate(zip(headings, widths, strict=True)):
+        justify: JustifyMethod = "left" if index < max(2, keys) else "right"
+        grid.add_column(escape(heading), justify=justify, overflow="fold", width=width)
+    has_groups = len({row[0] for row in rows}) < len(rows)
+    group = None
+    for first, *others in rows:
+        if first == group:
+            grid.add_row("", *map(escape, others))
+            continue
+        if has_groups and group is not None:
             grid.add_section()
-        grid.add_row("" if row[0] == before else f"[bold]{escape(row[0])}[/bold]", *map(escape, row[1:]))
-        before = row[0]
+        grid.add_row(f"[bold]{escape(first)}[/bold]", *map(escape, others))
+        group = first
     return grid

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim.boundary import Boundary, Recording, parse_fault
+from mavfi.extras.airsim.boundary import Boundary, parse_fault
 
 VELOCITY = [1.0, 2.0, 0.0, 5.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, ""]
 

@@ -15,7 +15,7 @@ from mavfi.extras.airsim.boundary import Boundary
 from mavfi.extras.airsim.frames import LEVEL, geo_point, pose, vector
 from mavfi.extras.airsim.host import make_api
 from mavfi.extras.airsim.scene import REFUSED
-from mavfi.extras.airsim.server import Server, Steps
+from mavfi.extras.airsim.server import AirsimServer, StepClock
 from mavfi.extras.airsim.table import CALLS
 from mavfi.mission import MissionSpec
 from mavfi.report.text import percent

@@ -10,7 +10,7 @@ import pytest
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.airsim.host import make_api
 from mavfi.extras.airsim.remote import Remote
-from mavfi.extras.airsim.server import Server, Steps
+from mavfi.extras.airsim.server import AirsimServer, StepClock
 from mavfi.flight.compose import new_loop, resolve
 from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec

@@ -10,9 +10,6 @@ mavlink = pytest.importorskip("pymavlink.dialects.v20.common", reason="pymavlink
 
 from mavfi.cli.commands import run  # noqa: E402
 from mavfi.extras.mavlink.autopilot import (  # noqa: E402
-    ACCEPTED,
-    DENIED,
-    REJECTED,
     TYPES,  # noqa: E402
     Autopilot,
     FlightMode,

@@ -9,7 +9,7 @@ import typer
 
 from mavfi.cli import options
 from mavfi.cli.console import FLIGHTS, check_file, check_number, console, write_json
-from mavfi.cli.fly import check_company, watched
+from mavfi.cli.fly import check_option_dependencies, watched
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 from mavfi.extras.registers.options import RegistersOption, SeedOption, instant, register_options
@@ -83,7 +83,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     """
     # refuse what cannot be flown, before ROS is looked for
     mission = mission_with(mission, detector)
-    check_company(mission, fault, fault_seed, detector, profile, models)
+    check_option_dependencies(mission, fault, fault_seed, detector, profile, models)
     check_file("--save", save, FLIGHTS)
     check_number("--pace", pace, 0, 1000)
     request = request_of(fault, mission)

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mavfi.campaign.divergence import Publication, departure, first_difference, spread
+from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.replay import Explanation, flight_again, fly_recorded
 from mavfi.campaign.store import Store
 from mavfi.errors import write_text
@@ -32,11 +33,11 @@ RECOVERED = "recovered"
 """Roles of flights on a page."""
 SAMPLES = 400
 """Approximate maximum number of samples per path."""
-MOST_ALARMS = 60
+MAX_ALARMS = 60
 """Maximum number of alarms marked per flight."""
 NEAR = 8.0
 """Distance from the paths within which voxels of a scan are shown (m)."""
-MOST_VOXELS = 20_000
+MAX_VOXELS = 20_000
 _STEP = 5  # stride over the rows of a log: 10 Hz
 
 
@@ -66,36 +67,36 @@ def flight_data(courses: Sequence[Course], world: World, site: str = "") -> dict
         site: Site of the fault, as text; if it is a state field, it is the first time line.
     """
     paths = [course_data(course) for course in courses]
-    at = next((path["fault"] for path in paths if path["fault"] is not None), None)
-    return {
-        "world": world_data(world, courses),
-        "paths": paths,
-        "fault": at,
-        "lines": []
-        if at is None
-        else time_lines({course.role: course.published for course in courses}, at, site, _first_wrong(courses)),
-    }
+    data = {"world": world_data(world, courses), "paths": paths, "fault": None, "lines": []}
+    for path in paths:
+        if path["fault"] is not None:  # the same instant in all flights with the fault
+            published = {course.role: course.published for course in courses}
+            data["fault"] = path["fault"]
+            data["lines"] = time_lines(published, path["fault"], site, _first_wrong_field(courses))
+            break
+    return data
 
 
-def _first_wrong(courses: Sequence[Course]) -> str:
+def _first_wrong_field(courses: Sequence[Course]) -> str:
     """The first field that differs in the output of the injected kernel; "" = none, or no kernel was injected."""
-    effects = [course.log.kernel for course in courses if course.log.kernel is not None]
-    found = next((effect.first_difference for effect in effects if effect.first_difference), None)
-    if found is None:
-        return ""
-    return published_field(found)
+    for course in courses:
+        if course.log.kernel is not None and course.log.kernel.first_difference:
+            return published_field(course.log.kernel.first_difference)
+    return ""
 
 
 def course_data(course: Course) -> dict[str, Any]:
     """Data of a flight: time, position and speed as float32, attitude as int8, end, fault, alarms."""
     log = course.log
+    # at most about `SAMPLES` finite rows, with the last one
     rows = log.rows[np.isfinite(log.columns("x", "y", "z", "vx", "vy", "vz")).all(axis=1)]
     step = max(_STEP, -(-len(rows) // SAMPLES))
     rows = rows[np.unique(np.append(np.arange(0, len(rows), step), len(rows) - 1))]
     speed = np.linalg.norm(rows[:, 4:7], axis=1)
+    # instants of the fault and of alarms near it
     near, _ = around(log)
     near_times = {alarm.time_s for alarm in near}
-    injected = [injection.time_s for injection in log.injections if injection.activated]
+    instants = [injection.time_s for injection in log.injections if injection.activated]
     return {
         "role": course.role,
         "label": course.label,
@@ -105,10 +106,10 @@ def course_data(course: Course) -> dict[str, Any]:
         "success": log.status is MissionStatus.SUCCESS,
         "status": log.status.words,
         "end": round(float(log.column("time")[-1]), 3),
-        "fault": injected[0] if injected else None,
+        "fault": next(iter(instants), None),
         "alarms": [
             [round(alarm.time_s, 3), int(alarm.time_s in near_times), f"{alarm.source}: {alarm.action} {alarm.stage}"]
-            for alarm in log.alarms[:MOST_ALARMS]
+            for alarm in log.alarms[:MAX_ALARMS]
         ],
     }
 
@@ -129,17 +130,19 @@ def world_data(world: World, courses: Sequence[Course]) -> dict[str, Any]:
 
 def _surface_near(world: World, points: np.ndarray) -> np.ndarray:
     """Indices of solid voxels with a free neighbour, ordered by distance from the paths. Shape (n, 3)."""
+    # a voxel is buried if all six neighbours are solid; those outside the scan count as solid
     solid = np.pad(world.occupied, 1, constant_values=True)
     buried = np.ones_like(world.occupied)
     for axis in range(3):
         for shift in (-1, 1):
             buried &= np.roll(solid, shift, axis)[1:-1, 1:-1, 1:-1]
     cells = np.argwhere(world.occupied & ~buried)
+    # nearest first, so that a limit cuts off the farthest
     path = points[np.isfinite(points).all(axis=1)][::_STEP]
     distance = cKDTree(path).query(world.origin + (cells + 0.5) * world.resolution)[0]
     order = np.argsort(distance, kind="stable")[: int((distance < NEAR).sum())]
-    found: np.ndarray = cells[order[:MOST_VOXELS]]
-    return found
+    nearest: np.ndarray = cells[order[:MAX_VOXELS]]
+    return nearest
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,40 +208,39 @@ def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, comman
     mission = result.scenario
     context = f"{mission.environment.name} · seed {mission.seed} · autopilot {mission.autopilot.name}"
     commands = [("fly it again", command)]
+    world = result.flight.world
     if result.golden is None or result.effect is None:
         story: Story = [("verdict", end_of(result.log)), ("flight", f"without a fault; {end_of(result.log)}")]
-        course = Course(GOLDEN, NO_FAULT, result.log)
-        return FlightPage.of(context, story, commands, [course], result.flight.world)
-    watched = _course(RECOVERED, f"{FAULT} and detector {result.detector}", setup, result.fault, result.flight)
-    alone = Course(INJECTED, FAULT, result.log, watched.published)
-    if result.unwatched is not None:
-        alone = _course(INJECTED, FAULT, ArmSetup(bare, None, RecoveryPolicy()), result.fault, result.unwatched)
-    elif result.detector:
-        alone = watched
+        return FlightPage.of(context, story, commands, [Course(GOLDEN, NO_FAULT, result.log)], world)
+
+    # the flights, with their publications
     golden = _course(GOLDEN, NO_FAULT, setup, None, result.golden)
-    if result.unwatched is None:
-        courses = [golden, alone]
-    else:
-        courses = [golden, alone, watched]
-    seen = (golden.published, watched.published)
-    logs = (result.golden.log, result.log)
-    first = first_difference(*seen)
-    judged = verdict(result.effect, result.log, result.golden.log)
+    requested = _course(INJECTED, FAULT, setup, result.fault, result.flight)
+    if result.detector:
+        label = f"{FAULT} and detector {result.detector}"
+        requested = Course(RECOVERED, label, requested.log, requested.published)
+    courses = [golden, requested]
     if result.unwatched is not None:
-        judged = f"with detector {result.detector}, {judged}; without it: {result.unwatched.log.status.value.lower()}"
-    story = [("verdict", judged.removesuffix("."))]
+        without_detector = ArmSetup(bare, None, RecoveryPolicy())
+        courses.insert(1, _course(INJECTED, FAULT, without_detector, result.fault, result.unwatched))
+
+    # the explanation
+    text = verdict(result.effect, result.log, result.golden.log)
+    if result.unwatched is not None:
+        text = f"with detector {result.detector}, {text}; without it: {result.unwatched.log.status.value.lower()}"
+    story = [("verdict", text.removesuffix("."))]
     story += steps(
         result.log,
         result.golden.log,
         result.fault,
         result.detector,
-        first,
-        departure(*logs),
-        spread(*seen),
+        first_difference(golden.published, requested.published),
+        departure(result.golden.log, result.log),
+        spread(golden.published, requested.published),
     )
     if result.unwatched is not None:
         story.append(("without the detector", end_of(result.unwatched.log)))
-    return FlightPage.of(context, story, commands, courses, result.flight.world, _site(result.fault))
+    return FlightPage.of(context, story, commands, courses, world, _site(result.fault))
 
 
 def _course(role: str, label: str, setup: ArmSetup, fault: Fault | None, flight: Flight) -> Course:
@@ -252,30 +254,30 @@ def _site(fault: Fault | None) -> str:
     return fault.site
 
 
-def page_of_explanation(directory: Path, found: Explanation, partner: str | None, shown: Path) -> FlightPage:
+def page_of_explanation(directory: Path, explanation: Explanation, partner: str | None, shown: Path) -> FlightPage:
     """Build the page of an injected run, with its golden run and the same fault in another setting.
 
     Args:
         directory: Folder of the ledger.
-        found: The run and its golden run.
-        partner: Id of a run with the same fault, see `campaign.telling.partner`; None = none.
+        explanation: The run and its golden run.
+        partner: Id of a run with the same fault, see `analysis.listing.partner`; None = none.
         shown: Folder to print in commands.
     """
-    spec = found.spec
-    own = Course(*_role(spec.detector, detector_name(spec)), found.flight.log, found.published)
-    courses = [Course(GOLDEN, NO_FAULT, found.golden.log, found.golden_published), own]
-    story = lines(found)
+    spec = explanation.spec
+    role, label = _role(spec)
+    courses = [
+        Course(GOLDEN, NO_FAULT, explanation.golden.log, explanation.golden_published),
+        Course(role, label, explanation.flight.log, explanation.published),
+    ]
+    story = lines(explanation)
     if partner is not None:
         with Store.open(directory) as store:
             other = store.run(partner).spec
             log = flight_again(store, other).log
-        role, label = _role(other.detector, detector_name(other))
+        role, label = _role(other)
         courses.append(Course(role, label, log))
-        if other.detector:
-            what = f"with {detector_name(other)}"
-        else:
-            what = "without a detector"
-        story.append((what, f"{end_of(log)}, run {partner}"))
+        heading = f"with {detector_name(other)}" if other.detector else "without a detector"
+        story.append((heading, f"{end_of(log)}, run {partner}"))
     courses.sort(key=lambda course: (GOLDEN, INJECTED, RECOVERED).index(course.role))
     commands = [
         ("fly it again, compare digests", f"mavfi replay {shown} {spec.run_id}"),
@@ -283,13 +285,14 @@ def page_of_explanation(directory: Path, found: Explanation, partner: str | None
         ("draw it", f"mavfi explain {shown} {spec.run_id} --picture flight.png"),
     ]
     context = f"{spec.environment} · seed {spec.seed} · {spec.setting} · {spec.run_id}"
-    return FlightPage.of(context, story, commands, courses, found.flight.world, _site(spec.fault))
+    return FlightPage.of(context, story, commands, courses, explanation.flight.world, _site(spec.fault))
 
 
-def _role(detector: str, name: str) -> tuple[str, str]:
-    if detector:
-        return (RECOVERED, f"{FAULT} and detector {name}")
-    return (INJECTED, FAULT)
+def _role(spec: RunSpec) -> tuple[str, str]:
+    """Role and label of a run with a fault."""
+    if spec.detector:
+        return RECOVERED, f"{FAULT} and detector {detector_name(spec)}"
+    return INJECTED, FAULT
 
 
 def fly_command(
@@ -301,11 +304,13 @@ def fly_command(
     models: Path | None,
 ) -> str:
     """The command line of a flight, with the options that were set."""
-    given: dict[str, object] = {"environment": mission.environment, "seed": mission.seed}
-    given |= mission.model_dump(mode="json", exclude_unset=True)
-    given |= {"fault": fault, "fault_seed": fault_seed, "detector": None if detector == "none" else detector}
-    given |= {"profile": profile, "models": models}
-    words = [f"--{name.replace('_', '-')} {_word(value)}" for name, value in given.items() if value is not None]
+    options: dict[str, object] = {"environment": mission.environment, "seed": mission.seed}
+    options |= mission.model_dump(mode="json", exclude_unset=True)
+    options |= {"fault": fault, "fault_seed": fault_seed}
+    if detector != "none":
+        options["detector"] = detector
+    options |= {"profile": profile, "models": models}
+    words = [f"--{name.replace('_', '-')} {_word(value)}" for name, value in options.items() if value is not None]
     return " ".join(["mavfi fly", *words])
 
 
@@ -317,7 +322,7 @@ def _word(value: object) -> str:
 
 # ---- time lines of published fields around a fault: the most affected fields, and their samples --------------------
 
-MOST_LINES = 6
+MAX_LINES = 6
 """Maximum number of time lines."""
 LINE_SAMPLES = 260
 """Approximate maximum number of samples per line."""
@@ -334,7 +339,9 @@ class FieldSite(NamedTuple):
     @property
     def label(self) -> str:
         """Display name."""
-        return f"{self.state}.{self.field}" + ("" if self.element is None else f"[{self.element}]")
+        if self.element is None:
+            return f"{self.state}.{self.field}"
+        return f"{self.state}.{self.field}[{self.element}]"
 
 
 TimeSeries = tuple[np.ndarray, np.ndarray]
@@ -359,41 +366,45 @@ def time_lines(
     if "golden" not in near or len(near) < 2:
         return []
     injected = near.get("injected") or near["recovered"]
-    own = _numeric_site(site)
-    first = [one for one in (own or _numeric_site(wrong),) if one is not None]
-    scores = {site: _difference(near["golden"], injected, site) for site in _candidates() if site not in first}
-    worst = sorted((site for site in scores if scores[site] > 0), key=lambda site: -scores[site])[
-        : MOST_LINES - len(first)
-    ]
-    shown = first + [site for site in scores if site in worst]
+    # the injected field or, if the fault is in no field, the first wrong one
+    injected_field = _numeric_site(site)
+    first_field = injected_field or _numeric_site(wrong)
+    first = [] if first_field is None else [first_field]
+    # the fields that differ most, in data-flow order, which is that of the candidates
+    scores = {field: _difference(near["golden"], injected, field) for field in _candidates() if field not in first}
+    differing = [field for field in scores if scores[field] > 0]
+    worst = sorted(differing, key=lambda field: -scores[field])[: MAX_LINES - len(first)]
+    shown = first + [field for field in differing if field in worst]
     ends = {role: min(1e-6 * published[role][-1].time_us, at + AFTER) for role in near}
-    return [_line(site, near, at, ends, is_site=site == own) for site in shown]
+    return [_line(field, near, at, ends, is_site=field == injected_field) for field in shown]
 
 
 def _near(publications: Sequence[Publication], at: float) -> dict[str, list[Publication]]:
     """Publications in the time window around an instant, by state, with the last one before the window."""
-    found: dict[str, list[Publication]] = {}
+    by_state: dict[str, list[Publication]] = {}
     for publication in publications:
         time_s = 1e-6 * publication.time_us
         if time_s > at + AFTER:
             break
-        own = found.setdefault(publication.state.spec.name, [])
+        window = by_state.setdefault(publication.state.spec.name, [])
         if time_s < at - BEFORE:
-            own.clear()
-        own.append(publication)
-    return found
+            window.clear()  # only the last one before the window holds into it
+        window.append(publication)
+    return by_state
 
 
 def _numeric_site(text: str) -> FieldSite | None:
     """Parse the text of a numeric state field, e.g. "planning.trajectory.x[3]"; None for sites of other kinds."""
-    found = re.fullmatch(r"(\w+\.\w+)\.(\w+)(?:\[(\d+)\])?", text)
-    if found is None or found[1] not in STATES:
+    match = re.fullmatch(r"(\w+\.\w+)\.(\w+)(?:\[(\d+)\])?", text)
+    if match is None or match[1] not in STATES:
         return None
-    spec = STATES[found[1]]
-    in_elements = STATES[found[1]].in_elements(found[2])
-    if not in_elements and found[2] not in (spec.header_dtype.names or ()):  # e.g. the number of elements
-        return None
-    return FieldSite(found[1], found[2], int(found[3] or 0) if in_elements else None)
+    state, field, element = match.groups()
+    spec = STATES[state]
+    if spec.in_elements(field):
+        return FieldSite(state, field, int(element or 0))
+    if field in (spec.header_dtype.names or ()):
+        return FieldSite(state, field)
+    return None  # e.g. the number of elements
 
 
 def _candidates() -> list[FieldSite]:
@@ -407,37 +418,38 @@ def _candidates() -> list[FieldSite]:
     ]
 
 
-def _samples(own: Mapping[str, Sequence[Publication]], site: FieldSite) -> TimeSeries:
-    publications = own.get(site.state, ())
+def _samples(publications: Mapping[str, Sequence[Publication]], site: FieldSite) -> TimeSeries:
+    """Published values of a field; publications whose list is too short for the element are left out."""
     times = []
     values = []
-    for publication in publications:
-        if site.element is None:
-            part = publication.state.header
-        else:
-            part = publication.state.elements
-        place = site.element or 0
-        if place < len(part):
+    index = site.element or 0
+    for publication in publications.get(site.state, ()):
+        state = publication.state
+        records = state.header if site.element is None else state.elements
+        if index < len(records):
             times.append(1e-6 * publication.time_us)
-            values.append(float(part[site.field][place]))
+            values.append(float(records[site.field][index]))
     return np.array(times), np.array(values, np.float64)
 
 
 def _difference(golden: Mapping[str, Any], injected: Mapping[str, Any], site: FieldSite) -> float:
     """Largest difference at equal instants, relative to the range of the golden run; infinite if not finite."""
-    (first_t, first), (second_t, second) = _samples(golden, site), _samples(injected, site)
-    if len(first) == 0 or len(second) == 0:
+    golden_times, golden_values = _samples(golden, site)
+    times, values = _samples(injected, site)
+    if len(golden_values) == 0 or len(values) == 0:
         return 0.0
-    held = first[np.clip(np.searchsorted(first_t, second_t + 1e-9, side="right") - 1, 0, None)]
+    # the golden value that holds at each instant; 1 ns absorbs the rounding of equal instants
+    last = np.searchsorted(golden_times, times + 1e-9, side="right") - 1
+    held = golden_values[np.clip(last, 0, None)]
     with np.errstate(invalid="ignore", over="ignore"):
-        apart = np.abs(second - held)
-        apart[(second == held) | (np.isnan(second) & np.isnan(held))] = 0.0
-        if np.isfinite(first).any():
-            span = float(np.ptp(first[np.isfinite(first)]))
-        else:
-            span = 0.0
-    largest = float(np.nan_to_num(apart, nan=np.inf).max())
-    return largest / (span + 1e-3)
+        difference = np.abs(values - held)
+        difference[(values == held) | (np.isnan(values) & np.isnan(held))] = 0.0  # also equal infinities and NaNs
+        finite = golden_values[np.isfinite(golden_values)]
+        span = 0.0
+        if len(finite):
+            span = float(np.ptp(finite))
+    largest = float(np.nan_to_num(difference, nan=np.inf).max())
+    return largest / (span + 1e-3)  # a field that is constant in the golden run has no range
 
 
 def _line(
@@ -449,25 +461,28 @@ def _line(
     is_site: bool,
 ) -> dict[str, Any]:
     """One time line; `ends` has the instant until which a flight's last value is held, by role."""
+    data = {}
+    for role, publications in near.items():
+        samples = _samples(publications, site)
+        times, values = _thinned(*_held(*samples, at - BEFORE, ends[role]))
+        data[role] = [[round(time, 4) for time in times.tolist()], [_number(value) for value in values.tolist()]]
     unit = STATES[site.state].find(site.field).unit
-    lines = {role: _thinned(*_held(*_samples(own, site), at - BEFORE, ends[role])) for role, own in near.items()}
+    if unit == "-":  # a number without a unit
+        unit = ""
     return {
         "label": site.label,
-        "unit": "" if unit == "-" else unit,
+        "unit": unit,
         "site": is_site,
         "window": [round(at - BEFORE, 4), round(at + AFTER, 4)],
-        "data": {
-            role: [[round(t, 4) for t in line[0].tolist()], [_number(v) for v in line[1].tolist()]]
-            for role, line in lines.items()
-        },
+        "data": data,
     }
 
 
 def _held(times: np.ndarray, values: np.ndarray, start: float, end: float) -> TimeSeries:
     """The samples between two instants (s); a value holds until the next one, the last one until the end."""
-    kept = np.append(times[1:], np.inf)[: len(times)] > start
-    times = np.maximum(times[kept], start)
-    values = values[kept]
+    holds = np.append(times[1:], np.inf)[: len(times)] > start  # its successor comes after the start
+    times = np.maximum(times[holds], start)
+    values = values[holds]
     if len(times) and times[-1] < end:
         times = np.append(times, end)
         values = np.append(values, values[-1])
@@ -481,9 +496,9 @@ def _thinned(times: np.ndarray, values: np.ndarray) -> TimeSeries:
         return times, values
     with np.errstate(invalid="ignore", over="ignore"):
         jump = np.abs(np.diff(values, prepend=values[0])) > 0.5 * np.nanstd(values)
-    kept = jump | np.append(jump[1:], False)
-    kept[::step] = True
-    return times[kept], values[kept]
+    chosen = jump | np.append(jump[1:], False)
+    chosen[::step] = True
+    return times[chosen], values[chosen]
 
 
 def _number(value: float) -> float | None:

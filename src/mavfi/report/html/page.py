@@ -39,17 +39,24 @@ def with_code(text: str) -> Markup:
 @cache
 def _environment(*folders: Path) -> Environment:
     loader = FileSystemLoader([*folders, Path(__file__).parent])
-    found = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
 
     @cache
     def resource(name: str) -> Markup:
         """A file beside the templates, inlined verbatim."""
-        text, _, _ = loader.get_source(found, name)
+        text, _, _ = loader.get_source(environment, name)
         return Markup(text)  # noqa: S704 - own and vendored files; see `vendor`
 
-    found.globals |= {"resource": resource, "version": __version__, "before": f"{BEFORE:g}", "after": f"{AFTER:g}"}
-    found.filters |= {"as_json": as_json, "with_code": with_code}
-    return found
+    environment.globals |= {
+        "resource": resource,
+        "version": __version__,
+        "before": f"{BEFORE:g}",
+        "after": f"{AFTER:g}",
+    }
+    environment.filters |= {"as_json": as_json, "with_code": with_code}
+    return environment
 
 
 def render(template: str, /, *folders: Path, **values: Any) -> str:

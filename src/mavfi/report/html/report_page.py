@@ -2,7 +2,8 @@
 
 import io
 import re
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from html import escape, unescape
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from mavfi.report.html.flight_page import FlightPage
 
 
-LONGEST_NAME = 40
+MAX_NAME_LENGTH = 40
 """Longest text of a cell that is shown on one line (characters)."""
 
 _SETTINGS = ("setting", "row")
@@ -47,17 +48,20 @@ class RunSets:
     """Deduplicated sets of runs to which cells and figures link.
 
     Attributes:
-        places: Index of each run in the list of runs, by id.
+        indices: Index of each run in the list of runs, by id.
         texts: Number of each set, by its text of index ranges.
     """
 
-    places: Mapping[str, int]
+    indices: Mapping[str, int]
     texts: dict[str, int] = field(default_factory=dict)
 
     def link(self, run_ids: Sequence[str]) -> str:
-        """Link to a set of runs within the page; "" = no runs."""
-        places = sorted(self.places[run_id] for run_id in run_ids if run_id in self.places)
-        return f"#runs?set={self.texts.setdefault(_ranges(places), len(self.texts))}" if places else ""
+        """Link to a set of runs within the page, which is added if it is new; "" = no runs."""
+        indices = sorted(self.indices[run_id] for run_id in run_ids if run_id in self.indices)
+        if not indices:
+            return ""
+        number = self.texts.setdefault(_ranges(indices), len(self.texts))
+        return f"#runs?set={number}"
 
     def ordered(self, run_ids: Iterable[str]) -> str:
         """Indices of runs in the list of runs, in the given order, as text of ranges.
@@ -65,43 +69,48 @@ class RunSets:
         Raises:
             KeyError: A run is not listed.
         """
-        return _ranges([self.places[run_id] for run_id in run_ids])
+        return _ranges([self.indices[run_id] for run_id in run_ids])
 
 
-def _ranges(places: Sequence[int]) -> str:
+def _ranges(numbers: Sequence[int]) -> str:
     """Format numbers as ranges of ascending ones, in order: "0-29 45"."""
-    found: list[list[int]] = []
-    for place in places:
-        if found and place == found[-1][1] + 1:
-            found[-1][1] = place
+    ranges: list[list[int]] = []
+    for number in numbers:
+        if ranges and number == ranges[-1][1] + 1:
+            ranges[-1][1] = number
         else:
-            found.append([place, place])
-    return " ".join(f"{low}" if low == high else f"{low}-{high}" for low, high in found)
+            ranges.append([number, number])
+    texts = []
+    for low, high in ranges:
+        texts.append(f"{low}" if low == high else f"{low}-{high}")
+    return " ".join(texts)
 
 
 def table_data(table: Table, sets: RunSets) -> dict[str, Any]:
     """Headings, rows of cells (text, interval, link), notes and CSV of a table."""
-    shown = [place for place, column in enumerate(table.columns) if not column.hidden]
-    kinds = {place: _kind(table, place) for place in shown}
+    shown = [index for index, column in enumerate(table.columns) if not column.hidden]
+    kinds = {index: _kind(table, index) for index in shown}
+    columns = [
+        {"heading": table.columns[index].heading, "kind": kinds[index], "prose": _is_prose(table, index)}
+        for index in shown
+    ]
+    # cells with the runs behind them; those of a table without runs have no links
     behind = table.behind or [((),) * len(table.columns)] * len(table.rows)
-    rows = []
-    for place, (row, ids) in enumerate(zip(table.rows, behind, strict=True)):
+    rows: list[dict[str, Any]] = []
+    first_above = None
+    for row, run_ids in zip(table.rows, behind, strict=True):
         cells = []
-        for column in shown:
-            text = cell(row[column], table.columns[column].form)
-            if table.columns[column].key in _SETTINGS:
+        for index in shown:
+            text = cell(row[index], table.columns[index].form)
+            if table.columns[index].key in _SETTINGS:
                 text = setting_label(text)
             value, interval = _split(text)
-            if kinds[column] != "key" and text not in ("", ABSENT):
-                link = sets.link(ids[column])
-            else:
-                link = ""
-            cells.append({"kind": kinds[column], "value": value, "interval": interval, "link": link})
-        rows.append({"cells": cells, "repeated": place > 0 and row[0] == table.rows[place - 1][0]})
-    columns = [
-        {"heading": table.columns[place].heading, "kind": kinds[place], "prose": _is_prose(table, place)}
-        for place in shown
-    ]
+            link = ""
+            if kinds[index] != "key" and text not in ("", ABSENT):
+                link = sets.link(run_ids[index])
+            cells.append({"kind": kinds[index], "value": value, "interval": interval, "link": link})
+        rows.append({"cells": cells, "repeated": bool(rows) and row[0] == first_above})
+        first_above = row[0]
     return {
         "name": table.name,
         "title": table.title,
@@ -112,26 +121,26 @@ def table_data(table: Table, sets: RunSets) -> dict[str, Any]:
     }
 
 
-def _kind(table: Table, place: int) -> str:
+def _kind(table: Table, index: int) -> str:
     """Kind of a column: "key" identifies the row and has no links; "text" and "number" are aligned left and right."""
-    if place < table.keys:
+    if index < table.keys:
         return "key"
-    if table.columns[place].form == TEXT:
+    if table.columns[index].form == TEXT:
         return "text"
     return "number"
 
 
-def _is_prose(table: Table, place: int) -> bool:
+def _is_prose(table: Table, index: int) -> bool:
     """Whether a column holds sentences, which wrap."""
-    return any(isinstance(row[place], str) and len(row[place]) > LONGEST_NAME for row in table.rows)
+    return any(isinstance(row[index], str) and len(row[index]) > MAX_NAME_LENGTH for row in table.rows)
 
 
 def _split(text: str) -> tuple[str, str]:
     """Split the text of a rate into the value and the rest (interval and n)."""
-    found = _INTERVAL.match(text)
-    if found:
-        return (found[1], found[2])
-    return (text, "")
+    match = _INTERVAL.match(text)
+    if match is None:
+        return text, ""
+    return match[1], match[2]
 
 
 # ---- runs, stored by column; text columns are dictionary-encoded -----------------------------------------------------
@@ -168,13 +177,23 @@ def run_list(ledgers: Mapping[str, Runs]) -> dict[str, Any]:
 
 
 def _coded(column: pl.Series) -> dict[str, Any]:
+    """A text column as its distinct values, and the index of each row's value in them."""
     values = column.unique(maintain_order=True).to_list()
-    places = {value: place for place, value in enumerate(values)}
-    return {"values": values, "codes": [places[value] for value in column]}
+    codes = {value: code for code, value in enumerate(values)}
+    return {"values": values, "codes": [codes[value] for value in column]}
 
 
 def _rounded(column: pl.Series, digits: int) -> list[float | None]:
-    return [None if value is None else round(value, digits) if digits else int(value) for value in column]
+    """Numbers with at most so many decimals; with 0 decimals, integers."""
+
+    def rounded(value: float | None) -> float | None:
+        if value is None:
+            return None
+        if digits == 0:
+            return int(value)
+        return round(value, digits)
+
+    return [rounded(value) for value in column]
 
 
 # ---- figures as inline SVG: text remains text, colours follow the theme, points link to their runs -------------------
@@ -207,20 +226,29 @@ def svg_of(figure: Figure, name: str, caption: str, sets: RunSets) -> Markup:
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "mavfi"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
     text = buffer.getvalue()
+    # an element within a page has no XML declaration and document type, and needs no metadata
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    text = re.sub(
-        rf'\bid="{links.DOTS}([^"]*)"', lambda found: f'class="dots" data-runs="{sets.ordered(found[1].split())}"', text
-    )
+    # groups of dots: matplotlib has stored their run ids in the only attribute that it offers, `id`
+    text = re.sub(rf'\bid="{links.DOTS}([^"]*)"', lambda dots: _dots(dots[1].split(), sets), text)
+    # ids, and references to them, get the prefix: all figures of a page share one name space; links to runs stay
     text = re.sub(r'(\bid="|url\(#|href="#)(?!runs\?|run/)', rf"\g<1>{name}-", text)
+    # colours become variables of the style sheet, which has one value for each theme
     for colour, variable in _COLOURS.items():
         text = re.sub(re.escape(colour), f"var(--{variable})", text, flags=re.IGNORECASE)
-    text = re.sub(r'<a xlink:href="(#runs?[?/][^"]*)" target="_blank"', lambda found: _link(found[1], sets), text)
+    # links to runs stay in the page, and are labelled
+    text = re.sub(r'<a xlink:href="(#runs?[?/][^"]*)" target="_blank"', lambda anchor: _link(anchor[1], sets), text)
     # without its height it scales; the style sheet limits the scale, so that the text of all figures has one size
     text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", text, count=1)
     text = re.sub(r'(<svg[^>]*?) width="([^"]*)"', r'\1 style="--drawn: \2"', text, count=1)
+    # screen readers announce the caption, then the links within
     label = escape(caption, quote=True)
     return Markup(text.replace("<svg ", f'<svg role="group" aria-label="{label}" ', 1))  # noqa: S704 - from matplotlib
+
+
+def _dots(run_ids: Sequence[str], sets: RunSets) -> str:
+    """Attributes of a group of dots: the scripts open the run of the dot that is clicked."""
+    return f'class="dots" data-runs="{sets.ordered(run_ids)}"'
 
 
 def _link(link: str, sets: RunSets) -> str:
@@ -236,9 +264,9 @@ def _link(link: str, sets: RunSets) -> str:
 
 # ---- the report of one or more campaigns as one HTML file: headline, sections, runs, flights -----------------------
 
-LARGEST = 15_000_000
+MAX_PAGE_SIZE = 15_000_000
 """Maximum size of a page (bytes)."""
-_LONG = 30
+_MAX_OPEN_ROWS = 30
 """Tables with more rows than this are collapsed."""
 
 
@@ -255,13 +283,10 @@ class PageSection:
 def sections_of(report: CampaignReport) -> list[PageSection]:
     """Sections of a campaign: leading table with leading figure, other figures, and one section per other table."""
     figures = drawn(report.runs)
-    (leading, *others) = report.tables or (None,)
-    if leading is None:
-        sections = []
-    else:
-        sections = [PageSection(leading.title, [leading], figures[:1])]
-    sections += [PageSection("Figures", (), figures[1:])] if figures[1:] else []
-    return sections + [PageSection(table.title, [table]) for table in others]
+    sections = [PageSection(table.title, [table], figures[:1]) for table in report.tables[:1]]
+    if figures[1:]:
+        sections.append(PageSection("Figures", (), figures[1:]))
+    return sections + [PageSection(table.title, [table]) for table in report.tables[1:]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,27 +308,27 @@ class Headline:
 
 
 def headline_of(report: CampaignReport) -> Headline:
-    """Headline of a campaign."""
-    named, *lines = header(report.runs.campaign)
-    campaign, _, mission = named.partition(" · ")
+    """Headline of a campaign; the mission, in the title of text reports, is a line of its own."""
+    title, *lines = header(report.runs.campaign)
+    campaign, _, mission = title.partition(" · ")
     return Headline("campaign", campaign[0].upper() + campaign[1:], [mission, *lines], {"": report.findings})
 
 
 def write_report_page(
     path: Path,
-    parts: Sequence[ReportedCampaign],
+    campaigns: Sequence[ReportedCampaign],
     sections: Sequence[PageSection],
     commands: Sequence[tuple[str, str]],
     flights: Iterable[tuple[str, "FlightPage"]] = (),
     *,
     headline: Headline | None = None,
-    largest: int = LARGEST,
+    largest: int = MAX_PAGE_SIZE,
 ) -> int:
     """Write the page of one or more campaigns.
 
     Args:
         path: File to write.
-        parts: The campaigns.
+        campaigns: The campaigns.
         sections: Sections in order; the first one is the headline.
         commands: Descriptions and commands that reproduce the results.
         flights: Run ids and pages, the most illustrative first; embedded until the file is full.
@@ -316,54 +341,61 @@ def write_report_page(
     Raises:
         BadInputError: The file cannot be written, or exceeds the maximum size even without flights.
     """
-    reports = [part.report for part in parts]
-    listed = run_list({str(part.directory): part.report.runs for part in parts})
-    sets = RunSets({run_id: place for place, run_id in enumerate(listed["ids"])})
-    numbered = list(_section_data(sections, sets))
+    reports = [campaign.report for campaign in campaigns]
+    # the list of runs, tables and figures; these two collect the sets of runs to which they link
+    listed_runs = run_list({str(campaign.directory): campaign.report.runs for campaign in campaigns})
+    sets = RunSets({run_id: index for index, run_id in enumerate(listed_runs["ids"])})
+    section_data = [_section_data(number, section, sets) for number, section in enumerate(sections)]
+    csv = {table["id"]: table.pop("csv") for section in section_data for table in section["tables"]}
+    # checks and remarks; with several campaigns, also what each of them is
+    remarks: list[str] = []
     if len(reports) > 1:
-        remarks = ["; ".join(header(report.runs.campaign)) for report in reports]
-    else:
-        remarks = []
+        remarks += ["; ".join(header(report.runs.campaign)) for report in reports]
+    for report in reports:
+        remarks += checks(report.runs)
     values: dict[str, Any] = {
         "headline": headline or headline_of(reports[0]),
         "commands": commands,
-        "sections": numbered,
-        "checks": [*remarks, *(line for report in reports for line in checks(report.runs)), *REMARKS],
-        "csv": {table["id"]: table.pop("csv") for section in numbered for table in section["tables"]},
-        "runs": listed | {"sets": list(sets.texts)},
+        "sections": section_data,
+        "checks": [*remarks, *REMARKS],
+        "csv": csv,
+        "runs": listed_runs | {"sets": list(sets.texts)},
     }
-    left = largest - len(page.render("report.html.j2", **values, flights={}).encode())
-    if left < 0:
-        raise BadInputError(f"{path}: the report takes {largest - left} bytes without any flight; allowed: {largest}")
-    stored = _as_fit(flights, left)
-    write_text(path, page.render("report.html.j2", **values, flights=stored))
-    return len(stored)
+    # flights fill what is left of the file
+    size = len(page.render("report.html.j2", **values, flights={}).encode())
+    if size > largest:
+        raise BadInputError(f"{path}: the report takes {size} bytes without any flight; allowed: {largest}")
+    flight_data = _as_fit(flights, largest - size)
+    write_text(path, page.render("report.html.j2", **values, flights=flight_data))
+    return len(flight_data)
 
 
-def _section_data(sections: Sequence[PageSection], sets: RunSets) -> Iterator[dict[str, Any]]:
-    for place, section in enumerate(sections):
-        tables = [table_data(table, sets) for table in section.tables]
-        yield {
-            "id": f"section-{place}",
-            "title": section.title,
-            "text": section.text,
-            "tables": [
-                table | {"id": f"{place}-{table['name']}", "long": len(table["rows"]) > _LONG} for table in tables
-            ],
-            "figures": [
-                {"svg": svg_of(one.figure, f"s{place}-{one.name}", one.caption, sets), "caption": one.caption}
-                for one in section.figures
-            ],
-        }
+def _section_data(number: int, section: PageSection, sets: RunSets) -> dict[str, Any]:
+    """A section as plain data for the template; ids contain its number, which makes them unique."""
+    tables = []
+    for table in section.tables:
+        data = table_data(table, sets)
+        tables.append(data | {"id": f"{number}-{table.name}", "long": len(table.rows) > _MAX_OPEN_ROWS})
+    figures = []
+    for figure in section.figures:
+        svg = svg_of(figure.figure, f"s{number}-{figure.name}", figure.caption, sets)
+        figures.append({"svg": svg, "caption": figure.caption})
+    return {
+        "id": f"section-{number}",
+        "title": section.title,
+        "text": section.text,
+        "tables": tables,
+        "figures": figures,
+    }
 
 
-def _as_fit(flights: Iterable[tuple[str, "FlightPage"]], left: int) -> Mapping[str, Markup]:
-    """JSON of flights by run id, up to the first one that does not fit; stops iterating there."""
+def _as_fit(flights: Iterable[tuple[str, "FlightPage"]], space: int) -> Mapping[str, Markup]:
+    """JSON of flights by run id, up to the first one that exceeds the space (bytes); stops iterating there."""
     stored: dict[str, Markup] = {}
     for run_id, flight in flights:
         text = page.as_json(flight.to_json())
-        left -= len(text.encode()) + len(run_id) + 100  # including its HTML element
-        if left < 0:
+        space -= len(text.encode()) + len(run_id) + 100  # including its HTML element
+        if space < 0:
             break
         stored[run_id] = text
     return stored
@@ -374,40 +406,42 @@ def _as_fit(flights: Iterable[tuple[str, "FlightPage"]], left: int) -> Mapping[s
 Case = tuple[Path, str, str | None]
 """Folder of a ledger, id of a run, and id of the run with the same fault in another setting (None = none)."""
 
-Progress = Callable[[int, int], None]
+ShowProgress = Callable[[int, int], None]
+"""Called with the numbers of flights done and in all."""
 
-_SMALLEST = 30_000
+_MIN_FLIGHT_SIZE = 30_000
 """Approximate minimum size of a page of a flight with its golden run (bytes)."""
 
 
 def write_page(
     path: Path,
-    parts: Sequence[ReportedCampaign],
+    campaigns: Sequence[ReportedCampaign],
     sections: Sequence[PageSection],
     commands: Sequence[tuple[str, str]],
     flights: int | None,
     workers: int,
-    show: Progress,
+    show: ShowProgress,
     headline: Headline | None = None,
 ) -> int:
     """Write the page of one or more campaigns, with replayed runs.
 
     Args:
         path: File to write.
-        parts: The campaigns.
+        campaigns: The campaigns.
         sections: Sections in order, the headline first.
         commands: Commands that reproduce the results, with their descriptions.
         flights: Maximum number of flights; None = as many as fit.
         workers: Number of processes.
-        show: Called with the numbers of flights done and in all.
+        show: Shows progress.
         headline: See `write_report_page`.
 
     Returns:
         Number of flights in the page.
     """
-    cases = _cases(parts, LARGEST // _SMALLEST if flights is None else flights)
+    most = MAX_PAGE_SIZE // _MIN_FLIGHT_SIZE if flights is None else flights
+    cases = _cases(campaigns, most)
     with closing(_flown(cases, workers, show)) as pages:
-        return write_report_page(path, parts, sections, commands, pages, headline=headline)
+        return write_report_page(path, campaigns, sections, commands, pages, headline=headline)
 
 
 def write_html(
@@ -416,49 +450,51 @@ def write_html(
     report: CampaignReport,
     flights: int | None,
     workers: int,
-    show: Progress = lambda done, total: None,
+    show: ShowProgress = lambda done, total: None,
 ) -> int:
     """Write the page of the campaign whose ledger is in `directory`; other arguments: see `write_page`."""
-    parts = [ReportedCampaign(directory, report)]
-    return write_page(path, parts, sections_of(report), _commands(directory, path), flights, workers, show)
+    campaigns = [ReportedCampaign(directory, report)]
+    return write_page(path, campaigns, sections_of(report), _commands(directory, path), flights, workers, show)
 
 
-def _cases(parts: Sequence[ReportedCampaign], most: int) -> list[Case]:
+def _cases(campaigns: Sequence[ReportedCampaign], most: int) -> list[Case]:
     """Select runs for the page: campaigns in turn, most illustrative runs first; only those that can be explained."""
     from mavfi.campaign.mission import host_of
     from mavfi.campaign.replay import explained_levels
 
-    chosen = []
-    for part in parts:
-        frame = part.report.runs.frame
-        with Store.open(part.directory) as store:
+    # the runs of each campaign, the most illustrative first
+    candidates = []
+    for campaign in campaigns:
+        with Store.open(campaign.directory) as store:
             levels = explained_levels(host_of(stored_campaign(store)))
-        ids = ordered(frame.filter(pl.col("level").is_in(levels)))[:most]
-        chosen.append([(part.directory, run_id) for run_id in ids])
-    folders: dict[str, Path] = {}  # by run: the same one may be in several campaigns
-    for directory, run_id in (case for turn in zip_longest(*chosen) for case in turn if case is not None):
-        folders.setdefault(run_id, directory)
-    frames = {part.directory: part.report.runs.frame for part in parts}
+        explainable = campaign.report.runs.frame.filter(pl.col("level").is_in(levels))
+        candidates.append([(run_id, campaign) for run_id in ordered(explainable)[:most]])
+    # campaigns in turn; a run may be in several of them
+    chosen: dict[str, ReportedCampaign] = {}
+    for turn in zip_longest(*candidates):
+        for candidate in turn:
+            if candidate is not None:  # else this campaign has no more runs
+                chosen.setdefault(*candidate)
     return [
-        (directory, run_id, partner(frames[directory], run_id)) for run_id, directory in islice(folders.items(), most)
+        (campaign.directory, run_id, partner(campaign.report.runs.frame, run_id))
+        for run_id, campaign in islice(chosen.items(), most)
     ]
 
 
-def _flown(cases: Sequence[Case], workers: int, show: Progress) -> Generator[tuple[str, "FlightPage"], None, None]:
+def _flown(cases: Sequence[Case], workers: int, show: ShowProgress) -> Generator[tuple[str, "FlightPage"], None, None]:
     """Yield run ids and pages in the order of the cases, independent of the order of completion."""
     from mavfi.campaign.executors.executor import map_each
     from mavfi.campaign.executors.local import LocalExecutor
 
     executor = LocalExecutor(min(workers, max(1, len(cases))))
-    done: dict[Case, Any] = {}
-    waiting = iter(cases)
-    case = next(waiting, None)
+    pages: dict[Case, Any] = {}  # done, but not yielded yet
+    waiting = deque(cases)
     for count, (flown, flight_page) in enumerate(map_each(executor, _page, cases), start=1):
-        done[flown] = flight_page
+        pages[flown] = flight_page
         show(count, len(cases))
-        while case is not None and case in done:
-            yield case[1], done.pop(case)
-            case = next(waiting, None)
+        while waiting and waiting[0] in pages:
+            case = waiting.popleft()
+            yield case[1], pages.pop(case)
 
 
 def _page(case: Case) -> "FlightPage":
@@ -481,14 +517,14 @@ def _commands(directory: Path, path: Path) -> list[tuple[str, str]]:
 def _flying(directory: Path) -> list[tuple[str, str]]:
     """The command that flies a campaign; empty unless it is a shipped one at one of its scales."""
     with Store.open(directory) as store:
-        held = stored_campaign(store)
+        campaign = stored_campaign(store)
     try:
-        shipped = load_campaign(held.name)
+        shipped = load_campaign(campaign.name)
     except BadInputError:
         return []
     for scale in ("quick", *shipped.scales):
-        if _same(shipped.at_scale(scale), held):
-            command = f"mavfi campaign run {held.name} --scale {scale} --out {directory}"
+        if _same(shipped.at_scale(scale), campaign):
+            command = f"mavfi campaign run {campaign.name} --scale {scale} --out {directory}"
             return [("Fly the campaign, or what is left of it", command)]
     return []
 

@@ -1,7 +1,7 @@
 from dataclasses import replace
 
 from mavfi.analysis import views_for
-from mavfi.analysis.findings import MOST, findings
+from mavfi.analysis.findings import MAX_SENTENCES, findings
 from mavfi.analysis.runs import Runs
 from mavfi.faults.fault import FaultSite
 from tests.core.unit.analysis.handmade import (
@@ -18,7 +18,7 @@ from tests.core.unit.analysis.handmade import (
 
 
 def test_figures_are_those_of_the_frame(fake):
-    assert len(findings(fake)) == MOST
+    assert len(findings(fake)) == MAX_SENTENCES
     assert any("gaussian brings back" in line and "newly loses 0" in line for line in findings(fake))
     own = runs(golden(1), golden(2), injected(1, flown(success=False)), injected(2, flown(digest="g")))
     sentences = findings(own)

@@ -12,7 +12,7 @@ from mavfi.faults.fault import NO_SITE, FaultSite, InstructionFault, StateFault
 from mavfi.flight.host import Flight
 from mavfi.mission import MissionStatus
 from mavfi.record import COLUMNS, LIMITED, SILENCED, AlarmRecord, Event, FlightLog, Injection, KernelEffect
-from mavfi.report.explain import MOST_ALARMS, alarm_lines, lines, to_json
+from mavfi.report.explain import MAX_ALARMS, alarm_lines, lines, to_json
 
 SITE = FaultSite("planning.waypoint", "x")
 FAULT = StateFault(SITE, 1_000_000, 62)
@@ -147,14 +147,14 @@ def test_the_first_difference(first, sentence):
 
 
 def test_alarms_at_the_injection_come_before_earlier_ones_and_are_counted():
-    early = [alarm(0.01 * place) for place in range(MOST_ALARMS + 2)]
+    early = [alarm(0.01 * place) for place in range(MAX_ALARMS + 2)]
     at_site = alarm(1.0, outcome="repaired")
     flight = log(injections=[INJECTION], alarms=[*early, at_site, alarm(2.5)])
     golden = log(alarms=early)
     heading, first, *_, last = alarm_lines(flight, golden)
     assert heading == ("alarms", "12 in all, 1 within 1 s of the injection, 10 also in the golden run")
     assert first[1] == "1.000 s, gaussian: planning.waypoint.x, score 2.5; recompute planning: repaired"
-    assert last == ("", f"and {12 - MOST_ALARMS} more")
+    assert last == ("", f"and {12 - MAX_ALARMS} more")
     assert alarm_lines(log(), golden) == []
     assert any("also in the golden run" in sentence for _, sentence in alarm_lines(flight, golden)[2:])
 

@@ -7,7 +7,7 @@ import pytest
 from mavfi.errors import BadInputError
 from mavfi.extras.bench.sealed import Checksum, Duplicate
 from mavfi.extras.ros.ros1.host import configure, isolation
-from mavfi.extras.ros.ros1.plan import INJECTOR, WORLD, Graph, Plan
+from mavfi.extras.ros.ros1.plan import INJECTOR, WORLD, FlightGraph, FlightPlan
 from mavfi.flight.compose import new_loop
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import PERIODIC, STATES

@@ -5,7 +5,7 @@ import pytest
 
 from mavfi.mission import MissionStatus
 from mavfi.record import AlarmRecord, Injection
-from mavfi.report.html.flight_page import MOST_VOXELS, SAMPLES, Course, course_data, flight_data, world_data
+from mavfi.report.html.flight_page import MAX_VOXELS, SAMPLES, Course, course_data, flight_data, world_data
 from tests.core.unit.report.html.made import scene, straight
 
 
@@ -52,5 +52,5 @@ def test_of_a_scan_only_the_surface_near_the_path_is_sent():
     scan = scene(occupied=occupied, origin=np.array([0.0, -30, 0]), resolution=1.0)
     data = world_data(scan, [Course("golden", "", straight(900))])
     cells = np.frombuffer(base64.b64decode(data["voxels"]), "<i2").reshape(-1, 3)
-    assert len(cells) == 125 - 27 <= MOST_VOXELS
+    assert len(cells) == 125 - 27 <= MAX_VOXELS
     assert occupied[tuple(cells.T)].all() and data["edge"] == 1.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.divergence import Publication
-from mavfi.report.html.flight_page import LINE_SAMPLES, MOST_LINES, time_lines
+from mavfi.report.html.flight_page import LINE_SAMPLES, MAX_LINES, time_lines
 from mavfi.report.html.page import AFTER, BEFORE
 from mavfi.states import new_state
 
@@ -101,7 +101,7 @@ def test_there_are_never_more_lines_or_samples_than_fit():
         for name in publication.state.header.dtype.names:
             publication.state.header[name] = generator.integers(0, 9)
     lines = time_lines({"golden": waypoints(period_us=2000), "injected": injected}, AT, SITE)
-    assert len(lines) == MOST_LINES
+    assert len(lines) == MAX_LINES
     assert len(lines[0]["data"]["golden"][0]) <= LINE_SAMPLES
 
 
