@@ -39,12 +39,6 @@ def test_fault_and_alarms_are_marked():
     assert [alarm[:2] for alarm in data["paths"][1]["alarms"]] == [[2.0, 0], [10.5, 1]]
 
 
-def test_boxes_are_sent_as_corners():
-    boxes = scene(lower=np.array([[1.0, 2, 0]]), upper=np.array([[3.0, 4, 9]]))
-    sent = np.frombuffer(base64.b64decode(world_data(boxes, [Course("golden", "", straight())])["boxes"]), "<f4")
-    assert sent.tolist() == [1, 2, 0, 3, 4, 9]
-
-
 def test_of_a_scan_only_the_surface_near_the_path_is_sent():
     occupied = np.zeros((60, 60, 12), bool)
     occupied[10:15, 28:33, 3:8] = True  # 5 x 5 x 5, of which 3 x 3 x 3 are buried

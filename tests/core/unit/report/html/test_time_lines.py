@@ -31,13 +31,6 @@ def test_the_injected_field_comes_first_then_what_differs():
     assert lines[0]["unit"] == "m"
 
 
-@pytest.mark.parametrize("site", ["octomap.insert_scan", "memory:planner.decisions.acted_seq", "xmm0", ""])
-def test_of_other_faults_only_what_differs_is_shown(site):
-    injected = waypoints(lambda time_s: 3.0 if time_s >= AT else 0.0)
-    lines = time_lines({"golden": waypoints(), "injected": injected}, AT, site)
-    assert [(line["label"], line["site"]) for line in lines] == [("planning.waypoint.x", False)]
-
-
 @pytest.mark.parametrize(
     ("wrong", "shown"),
     [
@@ -70,23 +63,6 @@ def test_only_the_surroundings_of_the_fault_are_kept():
     assert values == pytest.approx(times)
 
 
-def test_a_field_that_is_rarely_published_is_shown_in_the_whole_window():
-    def rarely(value):
-        return [
-            publication
-            for publication in waypoints(lambda time_s: value * (time_s >= AT))
-            if publication.time_us in (2_000_000, 5_000_000)
-        ] + trailing()
-
-    def trailing():
-        return [Publication(time_us, new_state("control.command")) for time_us in (8_000_000, 12_000_000)]
-
-    line = time_lines({"golden": rarely(0.0), "injected": rarely(3.0)[:3]}, AT, SITE)[0]
-    assert line["window"] == [AT - BEFORE, AT + AFTER]
-    assert line["data"]["golden"] == [[4.0, 5.0, 9.0], [2.0, 5.0, 5.0]]
-    assert line["data"]["injected"] == [[4.0, 5.0, 8.0], [2.0, 8.0, 8.0]]  # its flight ends
-
-
 def test_values_that_are_not_finite_can_be_written_as_json():
     values = {5.0: math.nan, 5.02: math.inf}
     injected = waypoints(lambda time_s: values.get(round(time_s, 3), 0.0))
@@ -103,8 +79,3 @@ def test_there_are_never_more_lines_or_samples_than_fit():
     lines = time_lines({"golden": waypoints(period_us=2000), "injected": injected}, AT, SITE)
     assert len(lines) == MOST_LINES
     assert len(lines[0]["data"]["golden"][0]) <= LINE_SAMPLES
-
-
-def test_without_publications_there_is_nothing_to_show():
-    assert time_lines({"golden": waypoints(), "injected": []}, AT, SITE) == []
-    assert time_lines({"injected": waypoints()}, AT, SITE) == []
