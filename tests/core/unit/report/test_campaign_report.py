@@ -2,8 +2,7 @@ import json
 
 import pytest
 
-from mavfi.analysis.table import Column, Table
-from mavfi.report.campaign_report import markdown_table, report_of, write_report
+from mavfi.report.campaign_report import report_of, write_report
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -70,9 +69,3 @@ def test_an_idle_detector_changes_nothing(runs):
     assert list(rows) == ["golden", "golden_idle", "fi", "dr_idle"]
     for key in ("success", "success_whole_word", "success_mantissa"):
         assert rows["fi"][key] == rows["dr_idle"][key]
-
-
-def test_leading_columns_of_text_are_aligned_left():
-    columns = (Column("a", "a"), Column("b", "b"), Column("c", "c"), Column("n", "n", "number"), Column("d", "d"))
-    lines = markdown_table(Table("t", "T", columns, [("x", "y", "z", 1, "w")])).splitlines()
-    assert lines[3] == "| --- | --- | --- | ---: | ---: |"

@@ -35,12 +35,6 @@ def golden(**row):
     return {"kind": "golden", "setting": "golden", "population": "all", "level": "", **row}
 
 
-def test_nothing_to_show_is_no_figure():
-    empty = runs()
-    assert figures.success(empty) is figures.flight_time(empty) is None
-    assert figures.success(runs(golden())) is None, "without faults there is nothing to compare"
-
-
 @pytest.mark.parametrize(("level", "population"), [("state", "sign_exponent"), ("instruction", "all_bits")])
 def test_success_at_every_level_with_counts_the_paper_and_words(level, population):
     rows = [

@@ -32,11 +32,6 @@ def test_no_word_is_broken(width):
         assert set(cell.split()) <= set(words), cell
 
 
-def test_columns_that_do_not_fit_stand_below_with_the_first_one_again():
-    assert printed(TABLE, 62).split().count("pid") == 3, "once in each block"
-    assert printed(TABLE, 140).split().count("pid") == 1
-
-
 def test_rows_that_begin_alike_are_grouped():
     table = Table.of_text("T", ("environment", "n"), [("sparse", "1"), ("sparse", "2"), ("dense", "3")], ())
     assert printed(table, 80).count("sparse") == 1

@@ -13,11 +13,6 @@ def test_rate_with_count():
     assert text.rate(Rate(8, 0.5, 0.25, 0.75)) == "50.0 [25.0, 75.0] n=8", "of a weighted rate no count"
 
 
-def test_absent_figures():
-    nothing = Rate(0, None, None, None, 0)
-    assert text.rate(None) == text.rate(nothing) == numbers.percent(None) == text.number(None) == text.ABSENT
-
-
 @pytest.mark.parametrize(
     ("value", "form", "shown"),
     [

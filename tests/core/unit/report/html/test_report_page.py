@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from mavfi.analysis import table as table_of
-from mavfi.analysis.table import Column, Table
+from mavfi.analysis.table import Table
 from mavfi.errors import BadInputError
 from mavfi.report import links
 from mavfi.report.campaign_report import report_of
@@ -47,13 +47,6 @@ def test_a_cell_links_to_the_runs_that_it_counts(runs):
     for row, shown in zip(found.rows, data["rows"], strict=True):
         ranges = list(sets.texts)[int(shown["cells"][place]["link"].partition("=")[2])]
         assert sum(_length(part) for part in ranges.split()) == row[place].n
-
-
-def test_a_cell_of_text_links_to_its_runs_too_and_a_key_does_not():
-    columns = (Column("claim", "claim"), Column("verdict", "verdict"), Column("p", "p", "number .2g"), Column("", ""))
-    found = Table("claims", "Claims", columns, [("It holds", "undecided", None, "")], behind=[(("a",),) * 4])
-    [row] = table_data(found, RunSets({"a": 0}))["rows"]
-    assert [cell["link"] for cell in row["cells"]] == ["", "#runs?set=0", "", ""], "no value, nothing to open"
 
 
 def _length(part):
