@@ -42,18 +42,12 @@ def plug_ins_are_those_of_the_test(monkeypatch):
     monkeypatch.setattr(plugins, "_loaded", {})
 
 
-_MADV_COLLAPSE, _LARGE = 25, 1 << 21  # madvise(2), of Linux 6.1
-
-
 @pytest.fixture(scope="module", autouse=True)
-def _heap_in_large_pages():
-    """A process that has imported all tests forks often: in large pages there are few tables to copy each time."""
-    madvise = ctypes.CDLL(None).madvise
-    for line in Path("/proc/self/maps").read_text(encoding="utf-8").splitlines():
-        bounds, access, *_, name = f"{line} -".split()[:6]
-        low, high = (int(bound, 16) for bound in bounds.split("-"))
-        if access == "rw-p" and high - low >= _LARGE and name in ("-", "[heap]"):
-            madvise(ctypes.c_void_p(low), ctypes.c_size_t(high - low), _MADV_COLLAPSE)
+def memory_is_given_back():
+    """What flights and compilers have freed: else a worker grows to gigabytes, and each of its forks copies more."""
+    yield
+    gc.collect()
+    ctypes.CDLL(None).malloc_trim(0)
 
 
 _ALONE = (
@@ -66,33 +60,21 @@ _ALONE = (
 Most wait most of the time, so two files run at once."""
 
 
-_SLOW = (
-    "tests/core/flights",
-    "tests/core/golden",
-    "tests/core/unit/campaign/test_log.py",
-    "tests/core/unit/campaign/test_training.py",
-    "tests/core/unit/detectors",
-    "tests/core/unit/faults/instruction",
-    "tests/core/unit/report",
-    "tests/extras/airsim",
-    "tests/extras/bench",
-    "tests/extras/dask",
-    "tests/extras/firmware",
-    "tests/extras/hardening",
-    "tests/extras/mavlink",
-    "tests/extras/ros",
-    "tests/nightly",
-)
-"""Missions fly in these tests, or instrumented kernels are compiled: `make check` leaves them to `make test`."""
+_SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text(encoding="utf-8").split())
+"""Files whose tests together take more than a second of processor time: `make check` leaves them to `make test`."""
 
 
 def pytest_ignore_collect(collection_path, config):
-    """`-m alone` imports no other file: that takes longer than most of these tests."""
-    if not config.option.markexpr.startswith("alone") or not collection_path.is_file():
+    """Files without a test that was asked for are not imported: that takes longer than most of these tests."""
+    if not collection_path.is_file() or collection_path.suffix != ".py":
         return None
     name = collection_path.relative_to(config.rootpath).as_posix()
-    own = name.endswith(".py") and "mark.alone" in collection_path.read_text(encoding="utf-8")
-    return None if own or name.startswith(_ALONE) else True
+    if config.option.markexpr.startswith("alone"):
+        is_alone = name.startswith(_ALONE) or "mark.alone" in collection_path.read_text(encoding="utf-8")
+        return None if is_alone else True
+    if "not slow" in config.option.markexpr and name in _SLOW:
+        return True
+    return None
 
 
 def pytest_collection_modifyitems(config, items):
@@ -101,12 +83,12 @@ def pytest_collection_modifyitems(config, items):
         path = item.path.relative_to(config.rootpath).as_posix()
         if path.startswith(_ALONE):
             item.add_marker(pytest.mark.alone)
-        if path.startswith(_SLOW):
+        if path in _SLOW:
             item.add_marker(pytest.mark.slow)
-    items.sort(key=lambda item: _place(item.path.as_posix()))
+    items.sort(key=lambda item: _order(item.path.as_posix()))
 
 
-_PLACES = {  # that of the first prefix counts
+_ORDER = {  # that of the first prefix counts
     "tests/core/flights/instruction/test_campaign": 0,  # compiles the kernels and their instrumented twins
     "tests/extras/registers/test_inject": 0,  # the longest of those that run after the others
     "tests/core/unit/campaign/test_session": 3,  # finds compiled what the first file compiles
@@ -118,6 +100,6 @@ _PLACES = {  # that of the first prefix counts
 }
 
 
-def _place(path):
+def _order(path):
     """Flights first, as they take longest."""
-    return next((place for prefix, place in _PLACES.items() if prefix in path), 5)
+    return next((place for prefix, place in _ORDER.items() if prefix in path), 5)

@@ -41,33 +41,39 @@ KILLS_PER_CAMPAIGN = 5
 _LONGEST_S = 600.0
 
 
-class Campaign:
-    """A campaign in a folder, as a command; `seen` are all processes that it has started."""
+class CampaignFolder:
+    """A folder with a campaign's file, its ledger, its log, and what is temporary."""
+
+    def __init__(self, level, folder, **content):
+        self.level, self.folder, self.ledger, self.scratch = level, folder, folder / "ledger", folder / "tmp"
+        self.log = folder / "log"
+        self.scratch.mkdir(parents=True, exist_ok=True)
+        content = {"name": level, "environments": ["sparse"], "first_seed": 7, "mission": SHORT, **content}
+        (folder / "campaign.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+        self.words = ["campaign", "run", str(folder / "campaign.yaml"), "--out", str(self.ledger), "--workers", "2"]
+
+    def files(self):
+        """Names of the files that are left, without the log."""
+        return sorted(path.relative_to(self.folder).as_posix() for path in self.folder.rglob("*") if path != self.log)
+
+    def digest(self):
+        """Of the ledger; None = it is not complete."""
+        with Store.open(self.ledger) as store:
+            return store.digest() if store.complete else None
+
+
+class Campaign(CampaignFolder):
+    """A campaign as a command; `seen` are all processes that it has started."""
 
     def __init__(self, level, folder):
-        self.level, self.folder, self.ledger, self.scratch = level, folder, folder / "ledger", folder / "tmp"
-        self.scratch.mkdir(parents=True, exist_ok=True)
-        content = {"name": level, "environments": ["sparse"], "first_seed": 7, "mission": SHORT, **CAMPAIGNS[level]}
-        (folder / "campaign.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+        super().__init__(level, folder, **CAMPAIGNS[level])
         self.seen = {}
         self.process = None
 
     def begin(self):
         """Start or resume it."""
-        command = [
-            sys.executable,
-            "-m",
-            "mavfi",
-            "campaign",
-            "run",
-            str(self.folder / "campaign.yaml"),
-            "--out",
-            str(self.ledger),
-            "--workers",
-            "2",
-            *OPTIONS.get(self.level, []),
-        ]
-        with (self.folder / "log").open("ab") as log:
+        command = [sys.executable, "-m", "mavfi", *self.words, *OPTIONS.get(self.level, [])]
+        with self.log.open("ab") as log:
             self.process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
@@ -106,15 +112,6 @@ class Campaign:
         left = [f"{pid} ({words_of(pid)})" for pid, start in self.seen.items() if lives(pid, start)]
         self.seen = {}
         return left
-
-    def files(self):
-        """Names of the files that are left, without the log."""
-        return sorted(path.relative_to(self.folder).as_posix() for path in self.folder.rglob("*") if path.name != "log")
-
-    def digest(self):
-        """Of the ledger; None = it is not complete."""
-        with Store.open(self.ledger) as store:
-            return store.digest() if store.complete else None
 
 
 def _stat(pid):
@@ -186,7 +183,7 @@ def undisturbed(level, folder):
     start = time.monotonic()
     campaign.begin()
     assert campaign.wait(_LONGEST_S), "the campaign does not end"
-    assert campaign.process.returncode == 0, (folder / "log").read_text(encoding="utf-8")
+    assert campaign.process.returncode == 0, campaign.log.read_text(encoding="utf-8")
     return campaign.digest(), campaign.files(), time.monotonic() - start
 
 
@@ -229,7 +226,7 @@ def gone_on(campaign, wrong, sent):
 def differences(campaign, reference):
     """What differs from the campaign that nobody disturbed, a line each."""
     digest, files, _ = reference
-    log = (campaign.folder / "log").read_text(encoding="utf-8", errors="replace")
+    log = campaign.log.read_text(encoding="utf-8", errors="replace")
     found = []
     if campaign.process.returncode != 0:
         return [f"exit code {campaign.process.returncode}: {log[-300:]}"]

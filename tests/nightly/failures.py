@@ -18,13 +18,11 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from mavfi.campaign import run as session_module
 from mavfi.campaign.store import FILE, Store
 from mavfi.cli import commands
 from mavfi.errors import BadInputError
-from tests.nightly.chaos import SHORT, say
+from tests.nightly.chaos import CampaignFolder, say
 from tests.nightly.syscalls import Supervised, heap_end, why_not
 
 CAMPAIGNS = {
@@ -135,19 +133,15 @@ class Reference:
     calls: Counter
 
 
-class Campaign:
-    """A campaign in a folder; `command` runs it once, from this process's memory."""
+class Campaign(CampaignFolder):
+    """A campaign; `command` runs it once, from this process's memory."""
 
     def __init__(self, level, folder):
-        self.folder, self.ledger, self.log = folder, folder / "ledger", folder / "log"
-        (folder / "tmp").mkdir(parents=True)
-        content = {"name": level, "environments": ["sparse"], "first_seed": 7, "mission": SHORT, **CAMPAIGNS[level]}
-        (folder / "campaign.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+        super().__init__(level, folder, **CAMPAIGNS[level])
 
-    def command(self, workers=2):
+    def command(self):
         """What the command line does, in this process; gives its exit code."""
-        words = ["campaign", "run", str(self.folder / "campaign.yaml"), "--out", str(self.ledger)]
-        return commands.run([*words, "--workers", str(workers)])
+        return commands.run(self.words)
 
     def supervised(self, trouble, prepare=lambda: None):
         """The same in a child whose calls are watched; exit code, whether a process was left, and what it wrote."""
@@ -157,7 +151,7 @@ class Campaign:
                 os.dup2(log.fileno(), 1)
                 os.dup2(log.fileno(), _STDERR)
             sys.stdout, sys.stderr = os.fdopen(1, "w", closefd=False), os.fdopen(_STDERR, "w", closefd=False)
-            os.environ["TMPDIR"] = tempfile.tempdir = str(self.folder / "tmp")
+            os.environ["TMPDIR"] = tempfile.tempdir = str(self.scratch)
             session_module.PAUSE_S = 0.01
             prepare()
             try:
@@ -182,15 +176,6 @@ class Campaign:
             if path.exists() and path.stat().st_size and "cut short" not in str(error):
                 raise
             return {}
-
-    def digest(self):
-        """Of the ledger; None = it is not complete."""
-        with Store.open(self.ledger) as store:
-            return store.digest() if store.complete else None
-
-    def files(self):
-        """Names of what is there, but for the log."""
-        return sorted(path.relative_to(self.folder).as_posix() for path in self.folder.rglob("*") if path != self.log)
 
 
 def undisturbed(level, folder):

@@ -85,7 +85,6 @@ class Reader:
         read: Reads a file; it may raise a `BadInputError`, or leave a result.
         share: Inputs of a thousand.
         warm: Whether children may inherit what it has imported and compiled; threads of polars do not survive a fork.
-        command: Words of the command that reads it, with `{}` for the file, used for inputs that are refused.
     """
 
     name: str
@@ -95,7 +94,6 @@ class Reader:
     mutate: object
     read: object
     share: int
-    command: tuple = ()
     warm: bool = True
 
 
@@ -249,29 +247,26 @@ def hashed(content):
 def read_model(path):
     """Load it by the name that fits it, and let it judge what it would see in flight."""
     Model.load(path)
-    text = path.read_bytes()
-    for kind, profile in itertools.product(("gaussian", "autoencoder"), ("paper", "tuned")):
-        for autopilot in ("published", "hardened"):
-            wanted = path.with_name(f"{autopilot}-i9-9940x-{kind}-{profile}.json")
-            if (
-                f'"{kind}"'.encode() not in text
-                or f'"{profile}"'.encode() not in text
-                or autopilot.encode() not in text
-            ):
-                continue
-            with contextlib.suppress(FileExistsError):
-                os.link(path, wanted)
-            fits = {"stack": autopilot, "platform": "i9-9940x", "v_max": 3.0, "planner": "rrt_connect"}
-            detector, _ = load_detector(kind, profile, path.parent, fits)
-            detector.start()
-            for name, value in itertools.product(STATES, (0.5, 0.75, 1e3, -2.0)):
-                state = new_state(name)
-                for field in state.header.dtype.names or ():
-                    state.header[field] = value if state.header.dtype[field].kind == "f" else abs(int(value))
-                alarm = detector.check(state, 1000)
-                assert alarm is None or alarm.score >= 0, f"score {alarm.score}"
-                detector.accept(state, 1000)
-            return
+    text = path.read_text(encoding="utf-8", errors="replace")
+    for autopilot, kind, profile in itertools.product(*_MODEL_NAMES):
+        if not all(name in text for name in (autopilot, f'"{kind}"', f'"{profile}"')):
+            continue
+        with contextlib.suppress(FileExistsError):
+            os.link(path, path.with_name(f"{autopilot}-i9-9940x-{kind}-{profile}.json"))
+        fits = {"stack": autopilot, "platform": "i9-9940x", "v_max": 3.0, "planner": "rrt_connect"}
+        detector, _ = load_detector(kind, profile, path.parent, fits)
+        detector.start()
+        for name, value in itertools.product(STATES, (0.5, 0.75, 1e3, -2.0)):
+            state = new_state(name)
+            for field in state.header.dtype.names or ():
+                state.header[field] = value if state.header.dtype[field].kind == "f" else abs(int(value))
+            alarm = detector.check(state, 1000)
+            assert alarm is None or alarm.score >= 0, f"score {alarm.score}"
+            detector.accept(state, 1000)
+        return
+
+
+_MODEL_NAMES = (("published", "hardened"), ("gaussian", "autoencoder"), ("paper", "tuned"))
 
 
 # ---- archives of NumPy ---------------------------------------------------------------------------------------------
@@ -441,17 +436,12 @@ def mutate_ledger(draw, seeds):
     """Content, then checksums that are right; in one of six cases bytes or tables."""
     content = draw.choice(seeds)
     content = changed(content, draw, seeds, RAW_JSON)
-    data = ledger_of(content, draw.choice(_TRICKS) if draw.random() < 0.06 else "")
+    data = ledger_of(content, draw.choice(TRICKS) if draw.random() < 0.06 else "")
     return mangled(data, draw) if draw.random() < 0.15 else data
 
 
-def tricks():
-    """What is done to the tables of a ledger."""
-    return _TRICKS
-
-
 _ENDLESS = "WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n) SELECT"
-_TRICKS = (
+TRICKS = (
     f"DROP TABLE meta; CREATE VIEW meta AS {_ENDLESS} x AS key, x AS value, x AS checksum FROM n;",
     f"ALTER TABLE runs RENAME TO old; CREATE VIEW runs AS SELECT old.* FROM old, ({_ENDLESS} x FROM n);",
     "DROP TABLE missions;",
@@ -655,48 +645,38 @@ def _scan():
 _FOLDERS = {"study": "studies"}
 
 
-def of_yaml(name, read, share, command=(), more=()):
+def of_yaml(name, read, share, more=()):
     """A reader of YAML files like the shipped ones."""
-    return Reader(
-        name,
-        "x.yaml",
-        lambda: [*shipped(f"configs/{_FOLDERS.get(name, name + 's')}/*.yaml"), *more],
-        to_yaml,
-        mutate_yaml,
-        read,
-        share,
-        command,
-    )
+
+    def seeds():
+        return [*shipped(f"configs/{_FOLDERS.get(name, name + 's')}/*.yaml"), *more]
+
+    return Reader(name, "x.yaml", seeds, to_yaml, mutate_yaml, read, share)
 
 
-def of_option(name, option, share, find, more=()):
-    """A reader of YAML files that an option of `mavfi fly` names."""
-    command = ("fly", f"--{option}", "{}")
-    return of_yaml(name, lambda path: fly_nowhere(path, option, find), share, command, more)
+def of_option(name, share, find, more=()):
+    """A reader of YAML files that the option of `mavfi fly` with this name takes."""
+    return of_yaml(name, lambda path: fly_nowhere(path, name, find), share, more)
 
 
 READERS = {
     reader.name: reader
     for reader in (
-        of_option("environment", "environment", 110, find_world, (_scan(),)),
-        of_yaml("vehicle", read_vehicle, 110, ("fly", "--vehicle", "{}")),
-        of_option("planner", "planner", 70, find_planner),
-        of_option("autopilot", "autopilot", 100, partial(find_shipped, "autopilots", AutopilotConfig)),
-        of_option("platform", "platform", 80, partial(find_shipped, "platforms", PlatformConfig)),
+        of_option("environment", 110, find_world, (_scan(),)),
+        of_yaml("vehicle", read_vehicle, 110),
+        of_option("planner", 70, find_planner),
+        of_option("autopilot", 100, partial(find_shipped, "autopilots", AutopilotConfig)),
+        of_option("platform", 80, partial(find_shipped, "platforms", PlatformConfig)),
         of_yaml("campaign", read_campaign, 45),
-        of_yaml("study", read_study, 30, ("reproduce", "--study", "{}")),
+        of_yaml("study", read_study, 30),
         of_yaml("detector", lambda path: load(DetectorConfig, path), 90),
-        Reader("fault", "x.txt", lambda: FAULTS, str.encode, mutate_fault, read_fault, 150, ("fly", "--fault={text}")),
-        Reader("map", "x.bt", maps, bytes, mutate_map, read_map, 60, ("fly", "--environment", "{}")),
+        Reader("fault", "x.txt", lambda: FAULTS, str.encode, mutate_fault, read_fault, 150),
+        Reader("map", "x.bt", maps, bytes, mutate_map, read_map, 60),
         Reader("model", "x.json", models, hashed, mutate_model, read_model, 60),
-        Reader(
-            "flight", "x.npz", flights, packed, mutate_archive, read_flight, 22, ("export", "{}", "--to", "out.csv")
-        ),
+        Reader("flight", "x.npz", flights, packed, mutate_archive, read_flight, 22),
         Reader("recording", "0.npz", recordings, packed, mutate_archive, read_recording, 20),
-        Reader("ledger", LEDGER, ledgers, ledger_of, mutate_ledger, read_ledger, 12, ("runs", "{folder}"), warm=False),
-        Reader(
-            "damaged", LEDGER, ledgers, ledger_of, mutate_ledger, read_damaged, 10, ("campaign", "repair", "{folder}")
-        ),
+        Reader("ledger", LEDGER, ledgers, ledger_of, mutate_ledger, read_ledger, 12, warm=False),
+        Reader("damaged", LEDGER, ledgers, ledger_of, mutate_ledger, read_damaged, 10),
         Reader("bag", "x.bag", bags, bytes, mutate_bag, read_bag, 20),
         Reader("mjcf", "model.xml", bodies, bytes, mutate_body, read_body, 20),
     )

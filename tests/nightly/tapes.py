@@ -1,30 +1,37 @@
-"""Tapes of kernels: what a kernel was like at an instant of a real flight, and what it received and did next.
+"""Tapes of kernels and detectors: what one was like at an instant of a real flight, and what happened to it next.
 
-A tape is played again with one bit of an input, or of the kernel's memory between two events, flipped.
+A tape is played again with one bit flipped: of an input, or of the memory.
 """
 
 import copy
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from mavfi.config import EnvironmentConfig
-from mavfi.flight.compose import new_loop, resolve
+from mavfi.detectors.detector import part_of
+from mavfi.detectors.registry import detector_names, of_monitored_fields
+from mavfi.flight.compose import detector_for, new_loop, resolve
+from mavfi.flight.memory_faults import DetectorMemory
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.ppc import build_pipeline
+from mavfi.pipeline.words import change, words_of
 from mavfi.sim.environments.world import World
-from mavfi.states import State
+from mavfi.states import BASELINES, WATCHING
 
 LENGTH = 3
 """Steps on a tape."""
 PER_KERNEL = 6
 """Tapes of each kernel and autopilot profile."""
+WATCHED_LENGTH = 250
+"""Publications on the tape of a detector."""
+INSTANTS = 8
+"""Tapes of each detector and autopilot profile."""
 AUTOPILOTS = ("published", "hardened")
 ESTIMATOR = "state_estimation"
 FLIGHTS = (*((autopilot, "truth") for autopilot in AUTOPILOTS), ("hardened", "estimator"))
 """Of the last one, only the kernel that the others do not have is taped."""
-_WORD = {float: 64, int: 32, bool: 1}
 
 
 def yard(seed, start=None, goal=None):
@@ -46,13 +53,53 @@ def yard(seed, start=None, goal=None):
 
 
 @dataclass
-class Tape:
+class KernelTape:
     """A kernel and what happened to it: ("receive", state, time) and ("step", None, time)."""
 
     name: str
     autopilot: str
     kernel: object
     events: list
+
+    def play(self, random):
+        """Yields the label of the flip first, then what each step gives."""
+        kernel = copy.deepcopy(self.kernel, constants(self.kernel))
+        inputs = [i for i, (kind, state, _) in enumerate(self.events) if kind == "receive" and _size(state)]
+        struck_input = struck_memory = -1
+        if inputs and random.random() < 0.5:
+            struck_input = inputs[int(random.integers(len(inputs)))]
+        else:
+            struck_memory = int(random.integers(len(self.events)))
+        for i, (kind, state, time_us) in enumerate(self.events):
+            if i == struck_memory:
+                yield f"memory before event {i}: {flip_memory(kernel, random)}"
+            if kind == "step":
+                yield kernel.step(time_us)
+                continue
+            if i == struck_input:
+                state = state.copy()
+                yield f"input {i}: {flip_state(state, random)}"
+            kernel.receive(state, time_us)
+
+
+@dataclass
+class DetectorTape:
+    """A detector and what it saw from an instant on; `name` is the part that is struck."""
+
+    name: str
+    autopilot: str
+    detector: object
+    memory: object
+    events: list
+
+    def play(self, random):
+        """Yields the label of the flip first, then what each check says."""
+        self.detector.restore(self.memory)
+        holder = DetectorMemory(part_of(self.detector, self.name))
+        yield f"{self.name}.{flip_memory(holder, random)}"
+        for state, time_us in self.events:
+            yield self.detector.check(state, time_us)
+            self.detector.accept(state, time_us)
 
 
 class Taping:
@@ -79,7 +126,9 @@ class Taping:
         self._open = [tape for tape in self._open if tape not in done]
         result = self._kernel.step(time_us)
         if self._steps in self._begin_at:
-            tape = Tape(self._kernel.name, self._autopilot, copy.deepcopy(self._kernel, constants(self._kernel)), [])
+            tape = KernelTape(
+                self._kernel.name, self._autopilot, copy.deepcopy(self._kernel, constants(self._kernel)), []
+            )
             self.tapes.append(tape)
             self._open.append(tape)
         self._steps += 1
@@ -92,13 +141,12 @@ def constants(thing):
 
 
 def record(seed=3, recorders=()):
-    """Tapes of every kernel in both autopilot profiles, and of the state estimator, from take-off on."""
+    """Tapes of every kernel and detector in both autopilot profiles, and of the state estimator, from take-off on."""
     tapes = []
     for autopilot, localization in FLIGHTS:
         world = EnvironmentConfig(name="yard", generator="tests.nightly.tapes:yard")
         scenario = resolve(MissionSpec(environment="sparse", seed=seed, autopilot=autopilot, localization=localization))
-        scenario = scenario.model_copy(update={"environment": world})
-        takers = []
+        takers, published = [], []
 
         def build_taping(config, takers=takers, autopilot=autopilot):
             kernels = build_pipeline(config)
@@ -108,12 +156,37 @@ def record(seed=3, recorders=()):
                 takers.append(kernels[name])
             return kernels
 
-        loop = new_loop(scenario, make_kernels=build_taping)
-        loop.taps.recorders.extend(recorders)
+        loop = new_loop(scenario.model_copy(update={"environment": world}), make_kernels=build_taping)
+        loop.taps.recorders += [*recorders, lambda state, time_us, to=published: to.append((state.copy(), time_us))]
         loop.fly()
         for taker in takers:
             tapes += [tape for tape in taker.tapes if any(kind == "step" for kind, _, _ in tape.events)][:PER_KERNEL]
+        tapes += _watching(scenario, autopilot, localization, published)
     return tapes
+
+
+def _watching(scenario, autopilot, localization, published):
+    """Tapes of every detector with injectable memory, in both profiles; with the estimator of the acceptance test,
+    which then remembers more."""
+    tapes = []
+    detectors = [name for name in WATCHING if name in detector_names() and name not in BASELINES]
+    apart = len(published) // (INSTANTS + 1)
+    for kind in detectors if localization == "truth" else ["acceptance"]:
+        for profile in ("paper", "tuned") if kind in of_monitored_fields() else ("paper",):
+            detector, _ = detector_for(scenario, kind, profile)
+            parts = [name for name in WATCHING if part_of(detector, name) is not None]
+            detector.start()
+            for number, (state, time_us) in enumerate(published):
+                if number and number % apart == 0:
+                    events = published[number : number + WATCHED_LENGTH]
+                    tapes += [DetectorTape(name, autopilot, detector, detector.memory(), events) for name in parts]
+                detector.check(state, time_us)
+                detector.accept(state, time_us)
+    return tapes
+
+
+def _size(state):
+    return state.header.size + state.elements.size
 
 
 # ---- bits --------------------------------------------------------------------------------------------------------
@@ -128,129 +201,21 @@ def flip_array(array, random):
     return f"[{element}] bit {bit}"
 
 
-def flipped_number(value, random):
-    """The number with one bit flipped, as a word of its kind holds it."""
-    if isinstance(value, bool):
-        return not value
-    if isinstance(value, int):
-        word = np.array([(value + 2**31) % 2**32 - 2**31], np.int32)
-        flip_array(word, random)
-        return int(word[0])
-    word = np.array([value])
-    flip_array(word, random)
-    return float(word[0])
+def flip_memory(owner, random):
+    """Flip one bit of a kernel's or detector's memory; says where."""
+    names = [words for words in words_of(owner) if words.count]
+    words = names[int(random.integers(len(names)))]
+    index = int(random.integers(words.count))
+    before, after = change(owner, words.name, index, lambda word: flip_array(word, random))
+    return f"{words.name}[{index}]: {before} to {after}"
 
 
-def places(kernel):
-    """Everything in a kernel's memory that can be struck: (label, strike) pairs."""
-    found = []
-    _walk(kernel, type(kernel).__name__, found, set())
-    return found
-
-
-def _walk(owner, label, found, seen):
-    if id(owner) in seen:
-        return
-    seen.add(id(owner))
-    for name in _attributes(owner):
-        value = getattr(owner, name)
-        where = f"{label}.{name}"
-        if isinstance(value, PipelineConfig):
-            continue  # inputs given once are not memory of the kernel
-        if isinstance(value, np.ndarray):
-            found += _array(name, value, where)
-        elif isinstance(value, bool | int | float):
-            found.append((where, lambda random, owner=owner, name=name: _strike_number(owner, name, random)))
-        elif isinstance(value, State):
-            found += _state(value, where)
-        elif is_dataclass(value) and type(value).__dataclass_params__.frozen:
-            found += _frozen(owner, name, value, where)
-        elif _is_own(value):
-            _walk(value, where, found, seen)
-
-
-def _array(name, array, where):
-    if not (array.size and array.flags.writeable and array.flags.c_contiguous) or "offsets" in name:
-        return []
-    return [(where, lambda random: flip_array(array, random))]
-
-
-def _state(state, where):
-    parts = {name: getattr(state, name) for name in ("header", "elements")}
-    return [
-        (f"{where}.{name}", lambda random, array=array: flip_record(array, random))
-        for name, array in parts.items()
-        if array.size
-    ]
-
-
-def _attributes(owner):
-    names = list(getattr(owner, "__slots__", ())) + list(getattr(owner, "__dict__", ()))
-    return [name for name in names if hasattr(owner, name)]
-
-
-def _is_own(value):
-    return type(value).__module__.startswith("mavfi.pipeline") and not isinstance(value, tuple)
-
-
-def _strike_number(owner, name, random):
-    value = flipped_number(getattr(owner, name), random)
-    setattr(owner, name, value)
-    return f" = {value}"
-
-
-def _frozen(owner, name, memory, where):
-    """A memory that is replaced, never changed."""
-
-    def strike(random, part):
-        value = getattr(getattr(owner, name), part)
-        if isinstance(value, tuple):
-            index = int(random.integers(len(value)))
-            value = (*value[:index], flipped_number(value[index], random), *value[index + 1 :])
-        else:
-            value = flipped_number(value, random)
-        setattr(owner, name, replace(getattr(owner, name), **{part: value}))
-        return f" = {value}"
-
-    parts = [part.name for part in fields(memory) if isinstance(getattr(memory, part.name), bool | int | float | tuple)]
-    return [(f"{where}.{part}", lambda random, part=part: strike(random, part)) for part in parts]
-
-
-def flip_record(array, random):
-    """Flip one bit of one field of a structured array."""
+def flip_state(state, random):
+    """Flip one bit of one field of a message; says where."""
+    in_elements = state.elements.size and random.random() < 0.5
+    array = state.elements if in_elements else state.header
     name = array.dtype.names[int(random.integers(len(array.dtype.names)))]
     column = array[name].copy()
     where = flip_array(column, random)
     array[name] = column
-    return f".{name}{where}"
-
-
-# ---- playing -----------------------------------------------------------------------------------------------------
-def play(tape, random):
-    """Play a tape with one bit flipped; yields the label of the strike first, then what each step gives."""
-    kernel = copy.deepcopy(tape.kernel, constants(tape.kernel))
-    inputs = [i for i, (kind, state, _) in enumerate(tape.events) if kind == "receive" and _size(state)]
-    memory_at = int(random.integers(len(tape.events)))
-    strike_input = inputs and random.random() < 0.5
-    struck = inputs[int(random.integers(len(inputs)))] if strike_input else -1
-    for i, (kind, state, time_us) in enumerate(tape.events):
-        if not strike_input and i == memory_at:
-            targets = places(kernel)
-            label, strike = targets[int(random.integers(len(targets)))]
-            yield f"memory before event {i}: {label}{strike(random)}"
-        if kind == "step":
-            yield kernel.step(time_us)
-            continue
-        if i == struck:
-            state = state.copy()
-            part = _part(state, random)
-            yield f"input {i}: {state.spec.name}{flip_record(part, random)}"
-        kernel.receive(state, time_us)
-
-
-def _size(state):
-    return state.header.size + state.elements.size
-
-
-def _part(state, random):
-    return state.elements if state.elements.size and random.random() < 0.5 else state.header
+    return f"{state.spec.name}.{name}{where}"

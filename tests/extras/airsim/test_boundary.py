@@ -5,7 +5,6 @@ import pytest
 
 from mavfi.errors import BadInputError
 from mavfi.extras.airsim.boundary import Boundary, Recording, parse_fault
-from mavfi.extras.airsim.table import CALLS
 
 VELOCITY = [1.0, 2.0, 0.0, 5.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, ""]
 
@@ -44,14 +43,6 @@ def test_a_number_has_the_type_of_airsim_s_signature_however_the_program_writes_
     assert boundary.injection.after == after and type(boundary.injection.after) is type(after)
 
 
-def test_every_number_of_a_task_has_its_type():
-    words = {"path", "yaw_mode", "vehicle_name"}
-    tasks = [one for one in CALLS.values() if one.is_task]
-    assert len(tasks) > 20 and {
-        parameter.annotation for one in tasks for parameter in one.parameters if parameter.name not in words
-    } == {int, float}
-
-
 @pytest.mark.parametrize(
     "text", ["simGetVehiclePose.return.position.x_val:bit=63#2", "simGetVehiclePose.return#0:bit=63#2"]
 )
@@ -61,18 +52,6 @@ def test_a_returned_value_is_changed_in_the_nth_call(text):
         _, result = call(boundary, "simGetVehiclePose", [""], {"position": {"x_val": 1.0}})
         assert result["position"]["x_val"] == wanted
     assert boundary.injection.details["number"] == 2
-
-
-def test_a_number_of_all_is_not_the_nth_call():
-    fault = parse_fault("simGetVehiclePose.return#7").fault
-    assert (fault.field, fault.at) == ("return#7", 1)
-
-
-def test_a_path_leads_into_objects():
-    boundary = Boundary(parse_fault("moveOnPath.path.1.x_val:bit=63"))
-    path = [{"x_val": 1.0, "y_val": 0.0, "z_val": 0.0}, {"x_val": 2.0, "y_val": 0.0, "z_val": 0.0}]
-    given, _ = call(boundary, "moveOnPath", [path], True)
-    assert [point["x_val"] for point in given[0]] == [1.0, -2.0]
 
 
 @pytest.mark.parametrize(
@@ -105,12 +84,6 @@ def test_what_cannot_be_is_refused(text, message):
 def test_the_seed_draws_the_bit_that_is_not_named():
     drawn = {parse_fault("moveByVelocity.vx", seed).fault.bit for seed in range(40)}
     assert len(drawn) > 20 and parse_fault("moveByVelocity.vx", 3) == parse_fault("moveByVelocity.vx", 3)
-
-
-def test_every_call_that_passes_is_counted_with_its_numbers():
-    boundary = Boundary(keeps=True)
-    call(boundary, "moveByVelocity", list(VELOCITY), True)
-    assert [(one.name, one.arguments, one.returned) for one in boundary.passed] == [("moveByVelocity", 7, 1)]
 
 
 def test_a_detector_learns_normal_calls_and_names_the_number_that_is_not():

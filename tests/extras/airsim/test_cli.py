@@ -1,7 +1,6 @@
 """`mavfi airsim` and `mavfi fly --world` on the command line."""
 
 import importlib.util
-import json
 from pathlib import Path
 
 import pytest
@@ -18,14 +17,6 @@ def test_the_effect_of_a_fault_comes_first(capsys):
     first, second, *rest = capsys.readouterr().out.splitlines()
     assert first == "effect: deviates" and "fault in moveToPosition.x bit 51: 8.0 → 12.0" in second
     assert rest[0].startswith("golden: ended") and rest[1].startswith("injected: ended")
-
-
-@pytest.mark.skipif(not HAS_CLIENT, reason="needs the package cosysairsim (extra dev)")
-def test_json_has_digest_calls_and_errors(capsys):
-    assert run(["airsim", "run", "--seed", "7", "--json", BOX]) == 0
-    data = json.loads(capsys.readouterr().out)
-    assert data["effect"] is None and data["injected"] is None and len(data["golden"]["digest"]) == 64
-    assert data["golden"]["calls"]["moveToPosition"] == 4 and data["golden"]["how"] == "ended"
 
 
 def test_options_after_the_script_are_the_programs_own_and_a_line_says_so(tmp_path, capsys):
@@ -45,25 +36,17 @@ def test_options_after_the_script_are_the_programs_own_and_a_line_says_so(tmp_pa
         (["airsim", "run", "--fault", "fly.x", BOX], "--fault: 'fly.x': call 'fly': not known"),
         (["airsim", "run", "--fault-seed", "3", BOX], "no fault to draw; allowed: together with --fault"),
         (["airsim", "run", "--python", "/no/python", BOX], "--python: /no/python: there is no such file"),
-        (["airsim", "run", "--python", BOX, BOX], "allowed: a Python interpreter"),
         (["airsim", "run", "--image", "big", BOX], "--image: 'big': allowed: WIDTHxHEIGHT"),
         (["airsim", "run", "--detector", "limits", BOX], "--detector: limits"),
         (["airsim", "serve", "--clock", "slow"], "--clock: slow"),
         (["airsim", "serve", "--clock", "steps", "--speed", "2"], "--speed: 2: allowed: with --clock real"),
-        (["airsim", "serve", "--in-flight", "--speed", "2"], "--speed: 2: allowed: with --clock real"),
         (["airsim", "serve", "--save", "calls.npz"], "--save: calls.npz: allowed ending: .jsonl"),
         (["airsim", "serve", "--detector", "gaussian"], "--detector: dropped; use mavfi airsim run --detector"),
-        (["airsim", "serve", "--version", "0"], "--version: 0: allowed: 1 to 100"),
-        (["airsim", "serve", "--environment", "moon"], "environment 'moon': not known"),
         (["fly", "--world", "127.0.0.1:1"], "allowed: airsim://127.0.0.1:PORT"),
         (["fly", "--world", "airsim://127.0.0.1:1"], "no server there"),
         (
             ["fly", "--world", "airsim://127.0.0.1:1", "--fault", "instruction:pid"],
             "allowed with --world: state:, memory:",
-        ),
-        (
-            ["fly", "--world", "airsim://127.0.0.1:1", "--depth-noise", "0.2"],
-            "--depth-noise: 0.2: the server's camera has its own noise; allowed: without --world",
         ),
     ],
 )

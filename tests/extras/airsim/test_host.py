@@ -44,11 +44,6 @@ def test_the_record_of_a_run_has_its_effect(changes, effect, status):
     assert record.status == status and record.injections == (HIT.injection,)
 
 
-def test_a_program_that_never_ends_by_itself_does_not_hang_at_its_time_limit():
-    endless = replace(ENDED, how="time is up")
-    assert record_of_program(endless, endless).end is End.FLOWN
-
-
 def test_a_program_that_crashes_without_a_fault_is_compared_with_that_crash():
     golden = replace(ENDED, how="program crash", code=1, reason="ValueError: no")
     assert record_of_program(golden, golden).end is End.FLOWN
@@ -81,23 +76,6 @@ def test_golden_runs_come_first_and_must_be_the_same(monkeypatch):
     assert place == 0 and found.record().digest == "bb"
     with pytest.raises(BadInputError, match="2 error-free runs differ"):
         runs_of(monkeypatch, [ENDED, replace(ENDED, digest="bb")]).golden("")
-
-
-def test_a_replay_without_its_golden_run_knows_a_hang_all_the_same(monkeypatch):
-    late = replace(ENDED, boundary=HIT, how="time is up")
-    runs = runs_of(monkeypatch, [late, ENDED, ENDED])
-    ((_, found),) = runs.injected([("", MessageFault("moveToZ", "z", 1))])
-    assert found.record().kernel.effect == "hang"
-
-
-def test_a_run_that_fails_ends_alone(monkeypatch):
-    def failing(program, spec, boundary):
-        raise RuntimeError("no memory")
-
-    runs = runs_of(monkeypatch, [])
-    monkeypatch.setattr(module, "run_program", failing)
-    ((_, found),) = runs.injected([("", MessageFault("moveToZ", "z", 1))])
-    assert isinstance(found, RuntimeError)
 
 
 def test_another_text_of_the_program_is_another_mission(tmp_path):

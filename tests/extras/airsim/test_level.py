@@ -31,11 +31,6 @@ def faults(of, calls=CALLS):
     return sampler.draw(draws, "sparse", golden), sampler, golden
 
 
-def test_the_kind_of_earlier_versions_is_refused_with_the_new_key():
-    with pytest.raises(BadInputError, match="key 'kind': is now 'host'"):
-        campaign(kind="airsim_program")
-
-
 def test_every_call_and_number_of_its_side_is_drawn_and_no_other():
     found, _, _ = faults(campaign())
     arguments = [fault for fault in found if fault.field.startswith("arguments")]
@@ -66,10 +61,7 @@ def test_without_a_call_there_is_no_fault_and_a_null_run_flips_nothing():
     ("changes", "message"),
     [
         ({"program": None}, "the key program goes with host airsim_program"),
-        ({"host": "local", "sampling": {}}, "the key program goes with host airsim_program"),
-        ({"sampling": {"level": "message", "sides": ["both"]}}, "sides"),
         ({"sampling": {"level": "message", "sides": ["return", "return"]}}, "'return': named 2 times"),
-        ({"program": {"script": "p.py", "image": "big"}}, "image"),
     ],
 )
 def test_what_does_not_go_together_is_refused(changes, message):

@@ -12,7 +12,7 @@ import pytest
 from mavfi.errors import BadInputError
 from mavfi.extras.airsim.boundary import Boundary, parse_fault
 from mavfi.extras.airsim.cameras import PERSPECTIVE, SKY, view
-from mavfi.extras.airsim.config import ProgramConfig, pixels
+from mavfi.extras.airsim.config import ProgramConfig
 from mavfi.extras.airsim.host import client_version, effect_on, make_api, run_program
 from mavfi.mission import MissionSpec
 from mavfi.record import Injection
@@ -93,8 +93,7 @@ def test_what_a_fault_does_to_a_program(box, fault, effect):
     assert (injected.boundary.injected is not None) == (effect != "not activated")
 
 
-@pytest.mark.parametrize("module", ["airsim/notes.txt", "airsim/__init__.py", "airsim.py"])
-@pytest.mark.parametrize("place", ["beside", "working"])
+@pytest.mark.parametrize(("place", "module"), [("beside", "airsim/notes.txt"), ("working", "airsim.py")])
 def test_a_folder_named_airsim_is_not_taken_for_the_library(tmp_path, monkeypatch, place, module):
     script, other = tmp_path / "short.py", tmp_path / ("" if place == "beside" else "work") / module
     other.parent.mkdir(parents=True, exist_ok=True)
@@ -117,13 +116,6 @@ def test_the_worst_that_a_fault_does_comes_first(box):
     ):
         assert effect_on(box, replace(box, boundary=hit, **changes)) == effect
     assert effect_on(box, box) == "not activated"
-    failing = replace(box, how="program crash", code=1)
-    for changes, effect in (
-        ({}, "masked"),
-        ({"digest": "other"}, "deviates"),
-        ({"code": 70, "digest": "other"}, "program crash"),
-    ):
-        assert effect_on(failing, replace(failing, boundary=hit, **changes)) == effect
 
 
 @pytest.mark.parametrize(
@@ -141,15 +133,9 @@ def test_how_a_program_ends(name, arguments, options, how, reason):
 
 
 def test_what_cannot_run_is_refused_in_one_line(tmp_path):
-    with pytest.raises(BadInputError, match=r"none\.py: there is no such file"):
-        run("none.py")
     with pytest.raises(BadInputError, match="/.*: is a folder; allowed: a client program of AirSim"):
         ProgramConfig(script=str(tmp_path)).check()
-    with pytest.raises(BadInputError, match="--python: .*: there is no such file"):
-        run(EXAMPLES / "box.py", python=str(tmp_path / "python"))
     without = tmp_path / "without.py"
     without.write_text("import no_such_package\n")
     with pytest.raises(BadInputError, match="made no call .*no_such_package"):
         run(without)
-    with pytest.raises(BadInputError, match="--image: 'big'"):
-        pixels("big")

@@ -3,11 +3,9 @@
 import math
 import struct
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavfi.errors import BadInputError
 from mavfi.extras.airsim import boundary as values
 
 LEAF = st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats() | st.text(max_size=3) | st.binary(max_size=4)
@@ -42,14 +40,3 @@ def test_a_flip_goes_where_its_path_leads():
     assert values.flip(data, (1, "x", 1), 40)[1:] == (True, False, 0)
     assert values.flip(data, (1, "image", 1), 9)[1:] == (2, 0, 1) and data[1]["image"] == b"\x01\x00"
     assert math.isinf(values.flip(1.0, (), 62)[0])
-
-
-@pytest.mark.parametrize("path", [(7,), ("x",), (1,), (1, "x", 5), (1, "name")])
-def test_where_there_is_no_number_is_an_error(path):
-    with pytest.raises(BadInputError):
-        values.flip([1.0, {"x": [2.0], "name": "a"}], path, 0)
-
-
-def test_leaves_are_named_by_their_paths():
-    assert list(values.leaves({"a": [1, {"b": 2.5}], "c": "text"})) == [("a.0", 1.0), ("a.1.b", 2.5)]
-    assert values.keys_of("path.0.x_val") == ("path", 0, "x_val")

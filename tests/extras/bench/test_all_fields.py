@@ -1,4 +1,3 @@
-import copy
 import pickle
 
 import numpy as np
@@ -108,14 +107,13 @@ def finish(detector, events):
     return found, detector.memory()
 
 
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda detector: pickle.loads(pickle.dumps(detector))])
 @pytest.mark.parametrize("name", NAMES)
-def test_a_copy_made_in_flight_does_as_the_detector_and_shares_no_memory_with_it(folder, name, copied):
+def test_a_copy_made_in_flight_does_as_the_detector_and_shares_no_memory_with_it(folder, name):
     detector, events = load(name, folder), struck_in_many_places()
     detector.start()
     finish(detector, events[:300])
     detector.check(*events[300])  # judged, not yet accepted
-    other = copied(detector)
+    other = pickle.loads(pickle.dumps(detector))
     assert finish(other, events[300:]) == finish(detector, events[300:])
     assert any(finish(load(name, folder), events)[0])
 
@@ -173,10 +171,6 @@ def test_judging_changes_nothing_and_gives_the_score(folder, name):
         detector.accept(state, time_us)
 
 
-def test_models_of_all_fields_have_one_profile(folder):
-    assert load_detector("limits", "paper", folder, FITS)[1] == load_detector("limits", "tuned", folder, FITS)[1]
-
-
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
 def test_every_field_that_is_read_is_watched_and_no_other(autopilot):
     field_codes = FieldCodes(autopilot)
@@ -185,27 +179,6 @@ def test_every_field_that_is_read_is_watched_and_no_other(autopilot):
         for field in STATES[state].header:
             assert (f"{state}.{field.name}" in watched) == (not field.dead_in(autopilot)), field
     assert {f"planning.path.{name}" for name in ("start", "end", "detour")} <= watched
-
-
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-def test_a_state_that_is_not_read_has_no_code_and_changes_none(autopilot):
-    published, random = [], np.random.default_rng(0)
-    for state, _ in flight(3, 400):
-        report = new_state("control.tracking")
-        report.header["remaining"] = random.normal()
-        published += [state, report]
-    some, every = FieldCodes(autopilot), FieldCodes(autopilot)
-    assert ("control.tracking" in some.states) == (autopilot == "published")
-    codes = {}
-    for field_codes, passed in ((some, some.states), (every, every.slots)):
-        codes[field_codes], own = [], np.zeros(len(field_codes.fields), np.int16)
-        for state in published:
-            name = state.spec.name
-            if name in field_codes.slots and name in passed:
-                regime = field_codes.measure(state, field_codes.slots[name], own, keep=True)
-                if name in field_codes.states:
-                    codes[field_codes].append((regime, own.tobytes()))
-    assert codes[some] == codes[every]
 
 
 @pytest.mark.parametrize(("name", "count"), [("planning.path", 4), ("planning.trajectory", 8)])

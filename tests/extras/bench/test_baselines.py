@@ -1,6 +1,5 @@
 """Adapters of libraries: their common part with a model of our own, each library where it is installed."""
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -12,10 +11,9 @@ from mavfi.detectors.detector import Alarm
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import Model
 from mavfi.detectors.registry import figures_of
-from mavfi.detectors.scoring import Threshold
 from mavfi.detectors.training import join
 from mavfi.errors import BadInputError
-from mavfi.extras.bench import library, residual_state, trees
+from mavfi.extras.bench import library, trees
 from mavfi.extras.bench.field_codes import MONITORED, FieldCodes, sample_of
 from mavfi.extras.bench.library import (
     Components,
@@ -24,7 +22,6 @@ from mavfi.extras.bench.library import (
     LibraryDetector,
     MahalanobisDetector,
     PcaDetector,
-    columns_of,
     rates,
     scaled,
 )
@@ -32,18 +29,16 @@ from mavfi.extras.bench.matrix_profile import (
     BLOCK,
     LENGTH,
     MatrixProfileDetector,
-    StretchScorer,
-    judge_stretch,
     nearest,
     subsequences,
 )
 from mavfi.extras.bench.trees import (
-    Branch,
     GradientBoostingDetector,
     HalfSpaceTreesDetector,
     IsolationForestDetector,
     Regressor,
-    Trees,
+    Split,
+    StateTrees,
     forest_of,
     half_spaces,
     limit_of,
@@ -56,7 +51,7 @@ from mavfi.extras.bench.trees import (
 from mavfi.faults import strata
 from mavfi.flight.memory_faults import DetectorMemory, flip_bit
 from mavfi.pipeline.words import change, words_of
-from mavfi.states import AUTOPILOTS, BASELINES, DETECTORS
+from mavfi.states import BASELINES, DETECTORS
 from tests.core.unit.detectors.streams import PROVENANCE, fly, later, strike
 from tests.core.unit.detectors.test_registry import FITS
 from tests.extras.bench.test_all_fields import flight, with_codes
@@ -157,30 +152,6 @@ def test_a_fitted_model_judges_publications_and_remembers_normal_ones(sample):
     check(EllipsoidDetector, sample, FIGURES)
 
 
-def test_detectors_of_one_model_fit_it_once(sample, monkeypatch):
-    model, fits = fitted(EllipsoidDetector, sample, {**FIGURES, "largest_class": 50}), []
-    tables = EllipsoidDetector.tables.__func__
-    monkeypatch.setattr(EllipsoidDetector, "tables", classmethod(lambda *given: fits.append(1) or tables(*given)))
-    one, other = EllipsoidDetector(model), EllipsoidDetector(model)
-    assert len(fits) == 1 and one.scorer.kept["held"] is not other.scorer.kept["held"]
-    EllipsoidDetector(replace(model, parameters={**model.parameters, "rows": model.parameters["rows"][::-1]}))
-    assert len(fits) == 2, "another model"
-
-
-@pytest.mark.parametrize("which", [0, 1], ids=["ellipsoid", "matrix_profile"])
-def test_plain_python_computes_the_same_scores(sample, which):
-    """Its functions in place of the compiled ones, as an injector replaces them."""
-    detector, replaced = without_libraries(sample)[which], without_libraries(sample)[which]
-    called = []
-    plain = replaced.compiled["judge"]
-    replaced.instrument({"judge": lambda *given: called.append(1) or plain(*given)})
-    flown = flight(7, ticks=200)
-    for one in (detector, replaced):
-        one.start()
-    scores = [[(one.score(*event), one.accept(*event))[0] for event in flown] for one in (detector, replaced)]
-    assert scores[0] == scores[1] and len(called) > 100
-
-
 @pytest.mark.parametrize("which", [0, 1], ids=["ellipsoid", "matrix_profile"])
 def test_every_word_of_their_memory_can_be_corrupted(sample, which):
     """And then no publication makes them raise."""
@@ -221,13 +192,6 @@ def test_a_library_that_is_not_installed_is_named_before_its_model_is_looked_for
             load_detector(name, "paper", None, FITS)
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-def test_the_columns_of_states_are_all_watched_ones_once(autopilot):
-    field_codes = FieldCodes(autopilot)
-    columns = np.concatenate(columns_of(field_codes))
-    assert columns.tolist() == list(range((field_codes.quanta > 0).sum()))
-
-
 def correlated(seed):
     """Rows of two states: codes 0 and 1 of the first are equal up to noise, codes 2 and 3 of the second independent."""
     random = np.random.default_rng(seed)
@@ -244,24 +208,6 @@ def coded(rows):
     """Codes, and the inputs that they are."""
     codes = np.round(UNIT * rows).astype(np.int16)
     return codes, scaled(codes, UNIT)
-
-
-def test_a_code_that_does_not_agree_with_the_others_scores_high_within_its_own_range():
-    pytest.importorskip("lightgbm", exc_type=ImportError)
-    model, (rows, slots) = regressors(*correlated(1), COLUMNS, INPUTS), correlated(2)
-
-    def scores(given):
-        return rates(coded(given)[0], slots, model)
-
-    normal = scores(rows)
-    assert np.mean(normal[slots == 0] > 1.0) < 0.1 and np.mean(normal[slots == 1] > 1.0) < 0.1
-    wrong = rows.copy()
-    wrong[:, 1] = np.where(rows[:, 0] > 0.0, rows[:, 0] - 1.0, rows[:, 0] + 1.0)
-    assert scores(wrong)[slots == 0].min() > 4.0
-    wrong[:, :2] = rows[:, :2]
-    wrong[:, 2] = 3.0
-    struck = scores(wrong)
-    assert struck[slots == 1].min() > 1.5 and np.median(struck[slots == 0]) < 1.0
 
 
 def test_regressors_predict_what_the_library_predicts():
@@ -282,14 +228,6 @@ def test_regressors_predict_what_the_library_predicts():
     assert found.tolist() == wanted.tolist()
 
 
-def test_a_state_with_too_few_rows_has_no_regressors():
-    pytest.importorskip("lightgbm", exc_type=ImportError)
-    rows, slots = correlated(4)
-    rare = np.where(np.arange(600) < 7, 1, 0)
-    scores = rates(coded(rows)[0], slots, regressors(rows, rare, COLUMNS, INPUTS))
-    assert (scores[slots == 1] == 0.0).all() and (scores[slots == 0] > 0.0).any()
-
-
 def test_half_spaces_score_what_the_library_scores():
     pytest.importorskip("river", exc_type=ImportError)
     (rows, slots), (others, _) = correlated(5), correlated(6)
@@ -301,15 +239,6 @@ def test_half_spaces_score_what_the_library_scores():
         for row, slot in zip(others, slots[:200], strict=True)
     ]
     assert found.tolist() == wanted and np.ptp(found) > 0.1
-
-
-def test_a_state_without_codes_or_rows_has_no_scores_in_half_space_trees():
-    pytest.importorskip("river", exc_type=ImportError)
-    rows, slots = correlated(5)
-    codes = coded(rows[:200])[0]
-    scores = rates(codes, slots[:200], half_spaces(rows, slots, [np.arange(4), np.arange(0)], INPUTS))
-    assert (scores[slots[:200] == 1] == 0.0).all() and (scores[slots[:200] == 0] > 0.0).any()
-    assert not rates(codes, slots[:200], half_spaces(rows, np.full(600, 2), [*COLUMNS, np.arange(2)], INPUTS)).any()
 
 
 @pytest.mark.parametrize("kind", LIBRARIES[:3], ids=lambda kind: kind.model_kind)
@@ -329,11 +258,11 @@ def random_tree(random, depth, width=3):
         return float(random.normal())
     threshold = random.integers(-9, 9) / 4.0 if random.random() < 0.5 else random.normal()
     below, above = random_tree(random, depth - 1, width), random_tree(random, depth - 1, width)
-    return Branch(int(random.integers(width)), float(threshold), below, above)
+    return Split(int(random.integers(width)), float(threshold), below, above)
 
 
 def leaf_of(tree, row):
-    while isinstance(tree, Branch):
+    while isinstance(tree, Split):
         tree = tree.low if row[tree.column] <= tree.threshold else tree.high
     return tree
 
@@ -349,10 +278,12 @@ def some_codes(random, count):
     return codes, scaled(codes[:, FIELDS.columns], FIELDS.scale)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(5))
 def test_a_forest_sums_the_leaves_that_a_naive_walk_reaches(seed):
     random = np.random.default_rng(seed)
-    states = [Trees([random_tree(random, 6) for _ in range(count)], random.uniform(0.1, 2.0)) for count in (5, 0, 9)]
+    states = [
+        StateTrees([random_tree(random, 6) for _ in range(count)], random.uniform(0.1, 2.0)) for count in (5, 0, 9)
+    ]
     (codes, rows), slots = some_codes(random, 60), np.arange(60) % 3
     sums = [sum(leaf_of(tree, row) for tree in states[slot].trees) for row, slot in zip(rows, slots, strict=True)]
     wanted = np.array(sums) / [states[slot].unit for slot in slots]
@@ -361,7 +292,7 @@ def test_a_forest_sums_the_leaves_that_a_naive_walk_reaches(seed):
     assert rates(codes, slots, forest_of(states, FIELDS, True, -1.0, -0.5)) == pytest.approx(decayed, rel=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(5))
 def test_regressors_predict_what_a_naive_walk_predicts(seed):
     """By bits, each tree of at most 16 leaves."""
     random = np.random.default_rng(seed)
@@ -383,7 +314,7 @@ def test_regressors_predict_what_a_naive_walk_predicts(seed):
     assert rates(codes, slots, tables_of(states, FIELDS)).tolist() == wanted
 
 
-@pytest.mark.parametrize("seed", range(50))
+@pytest.mark.parametrize("seed", range(10))
 def test_limits_in_codes_are_thresholds_of_inputs(seed):
     random = np.random.default_rng(seed)
     scale = float(random.choice([1.0, 7.0, 1000.0, 30000.0]))
@@ -394,10 +325,10 @@ def test_limits_in_codes_are_thresholds_of_inputs(seed):
         random.choice([random.normal(), 8.0 * random.normal(), *bounds, random.integers(-99, 99) / scale])
     )
     lower = every[scaled(every, np.array([scale])) <= threshold]
-    assert limit_of(Branch(0, threshold, 0.0, 0.0), inputs) == (lower[-1] if len(lower) else -(1 << 15) - 1)
+    assert limit_of(Split(0, threshold, 0.0, 0.0), inputs) == (lower[-1] if len(lower) else -(1 << 15) - 1)
 
 
-@pytest.mark.parametrize("seed", range(200))
+@pytest.mark.parametrize("seed", range(20))
 def test_the_limit_of_an_input_is_that_of_its_single_precision(seed):
     random = np.random.default_rng(seed)
     threshold = float(random.normal() * 10.0 ** random.integers(-6, 3))
@@ -440,7 +371,7 @@ def distance(stretch, series):
     return nearest(stretch, columns, columns.sum(axis=0), np.zeros(BLOCK))
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(5))
 def test_the_nearest_stretch_is_that_of_a_naive_search(seed):
     random = np.random.default_rng(seed)
     count = int(random.choice([LENGTH, 20, 200, 700]))
@@ -450,50 +381,8 @@ def test_the_nearest_stretch_is_that_of_a_naive_search(seed):
         assert distance(stretch, walk) == pytest.approx(naive, rel=1e-12, abs=1e-15)
 
 
-def test_a_series_without_a_subsequence_is_at_no_distance_and_equal_ones_are_kept_once():
-    assert distance(np.ones(LENGTH), np.zeros(LENGTH - 1)) == 0.0
-    assert distance(np.ones(LENGTH), np.zeros(100)) == np.sqrt(LENGTH) and subsequences(np.zeros(100)).shape[1] == 1
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_the_search_ends_if_a_value_is_not_finite(value):
-    stretch = np.zeros(LENGTH)
-    stretch[3] = value
-    assert not distance(stretch, np.random.default_rng(3).normal(size=300)) < np.inf
-
-
 def test_the_nearest_stretch_is_that_of_the_library():
     core = pytest.importorskip("stumpy.core", exc_type=ImportError)
     random = np.random.default_rng(2)
     history, stretch = random.normal(size=500), random.normal(size=LENGTH)
     assert distance(stretch, history) == pytest.approx(core.mass_absolute(stretch, history).min())
-
-
-def test_the_value_is_that_of_an_incremental_matrix_profile():
-    stumpy = pytest.importorskip("stumpy", exc_type=ImportError)
-    random = np.random.default_rng(2)
-    history, stretch = random.normal(size=60), random.normal(size=LENGTH)
-    profile = stumpy.stumpi(history, LENGTH, egress=False, normalize=False)
-    for value in stretch:
-        profile.update(value)
-    # stumpi also compares with stretches that reach into the new values
-    assert profile.P_[-1] <= distance(stretch, history) + 1e-9
-
-
-def test_after_an_anomaly_normal_values_are_normal_again():
-    """If anomalies were left out of the subsequence, what follows one would not fit what came before it."""
-    history = np.array([0.0] * 20 + [0.5] + [1.0] * 20)
-    field_codes = FieldCodes("published")
-    scorer = StretchScorer(field_codes, [history] * len(field_codes.slots), np.ones(len(field_codes.fields)))
-    scorer.use(Threshold(np.full((len(field_codes.slots), REGIMES), 0.25), len(field_codes.slots)))
-    _, _, limit, series = scorer._tables
-    own, judged = scorer.field_codes.measured, scorer._judged_last
-    slot, scores = field_codes.slots["control.tracking"], []
-    for value in [0] * LENGTH + [9] + [1] * (2 * LENGTH):
-        own.codes[slice(*field_codes.range_of(slot))] = value
-        own.place[:] = slot, 0, own.place[residual_state.ACCEPTED], own.place[residual_state.LEARNED]
-        judge_stretch(own, judged, limit, series)
-        scores.append(float(judged.distance[slot]))
-        own.place[residual_state.LEARNED] = slot
-    assert scores[:LENGTH] == [0.0] * LENGTH and scores[LENGTH] > 8.0
-    assert scores[-LENGTH - 1 :] == [0.0] * (LENGTH + 1), "a subsequence after the anomaly"

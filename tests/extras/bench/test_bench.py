@@ -19,11 +19,10 @@ from mavfi.extras.bench.bench import (
     ROWS,
     Bench,
     checksum,
-    entries,
     faults_of,
-    frozen_faults,
     level_of,
     load_bench,
+    select_parts,
     with_only,
     with_schemes,
 )
@@ -41,14 +40,14 @@ LIBRARIES = set(trainable(["bench"])) - set(trainable())
 
 def test_every_part_of_a_shipped_bench_can_be_flown():
     for name in names("bench"):
-        for part, entry in entries(load_bench(name), "paper").items():
+        for part, entry in select_parts(load_bench(name), "paper").items():
             assert entry.campaign.arms, part
             assert entry.part.view in VIEWS
             assert not entry.campaign.on_design_seeds
 
 
 def test_every_field_of_the_estimate_that_is_read_is_struck_once_and_for_a_while():
-    campaign = entries(BENCH, "quick", parts=["estimator-state"])["estimator-state"].campaign
+    campaign = select_parts(BENCH, "quick", parts=["estimator-state"])["estimator-state"].campaign
     estimate = STATES["perception.odometry"]
     live = [f"{estimate.name}.{field.name}" for field in estimate.fields if field.read_in]
     lasting = {group.name: group.lifetime is not None for group in campaign.sampling.groups}
@@ -59,115 +58,48 @@ def test_every_field_of_the_estimate_that_is_read_is_struck_once_and_for_a_while
 
 
 def test_a_scheme_that_was_trained_for_other_flights_is_left_out_with_the_reason():
-    found = entries(SLOW, "quick")["slow"]
+    found = select_parts(SLOW, "quick")["slow"]
     assert "no model is trained" in found.left_out["gaussian"]
     assert "gaussian" not in found.campaign.arms and "recommended" in found.campaign.arms
 
 
 @pytest.mark.parametrize("part", ["cortex-a57", "rrt", "rrt-star", "other-profile"])
 def test_parts_that_detectors_were_not_trained_for_are_flown_with_the_models_there_are(part):
-    found = entries(BENCH, "quick", parts=[part])[part]
+    found = select_parts(BENCH, "quick", parts=[part])[part]
     arms = arms_of(found.campaign)
     used = model_hashes(found.campaign, scenarios_of(found.campaign, arms), None)
-    trained = entries(BENCH, "quick", parts=["sites"])["sites"].campaign
+    trained = select_parts(BENCH, "quick", parts=["sites"])["sites"].campaign
     assert used == model_hashes(trained, scenarios_of(trained, arms_of(trained)), None)
     assert {"gaussian", "limits", "recommended"} <= set(used)
 
 
 def test_schemes_of_libraries_that_are_not_installed_are_left_out_with_the_reason(monkeypatch):
     monkeypatch.setattr(library, "find_spec", lambda name: None)
-    found = entries(BENCH, "quick", parts=["sites"])["sites"]
+    found = select_parts(BENCH, "quick", parts=["sites"])["sites"]
     assert set(found.left_out) == {name for name, arm in BENCH.arms.items() if arm.detector in LIBRARIES}
     assert all("not installed; install it with: pip install 'mavfi[bench]'" in one for one in found.left_out.values())
 
 
-def test_schemes_of_libraries_without_a_model_are_left_out_with_the_command_that_fits_them(monkeypatch):
-    monkeypatch.setattr(library, "find_spec", lambda name: True)
-    found = entries(BENCH, "quick", parts=["sites"])["sites"]
-    assert set(found.left_out) == {name for name, arm in BENCH.arms.items() if arm.detector in LIBRARIES}
-    assert all("train one (mavfi train --baselines --autopilot" in one for one in found.left_out.values())
-
-
 def test_parts_by_level_and_by_name():
     for level in ("instruction", "memory", "sensor", "message"):
-        found = entries(BENCH, "quick", levels=[level])
+        found = select_parts(BENCH, "quick", levels=[level])
         assert next(iter(found)) == level and all(level_of(one.campaign) == level for one in found.values())
         assert not any(name in found for name in ("state", "sites", "golden"))
-    assert list(entries(BENCH, "quick", parts=["sites"])) == ["sites"]
+    assert list(select_parts(BENCH, "quick", parts=["sites"])) == ["sites"]
 
 
 def test_policies_of_dead_nodes_are_flown_where_nodes_die():
     arms = {
-        name: entry.campaign.arms for name, entry in entries(BENCH, "quick", parts=["sites", "instruction"]).items()
+        name: entry.campaign.arms
+        for name, entry in select_parts(BENCH, "quick", parts=["sites", "instruction"]).items()
     }
     assert "readback" in arms["instruction"] and "readback" not in arms["sites"]
 
 
 def test_a_detector_of_ones_own_takes_the_place_of_the_schemes():
-    found = entries(with_only(BENCH, [DETECTOR]), "quick", parts=["sites"])["sites"].campaign
+    found = select_parts(with_only(BENCH, [DETECTOR]), "quick", parts=["sites"])["sites"].campaign
     assert list(found.arms) == ["FakeDetector"]
     assert found.arms["FakeDetector"].detector == DETECTOR
-
-
-@pytest.mark.parametrize(
-    ("ask", "message"),
-    [
-        ({"parts": ["nothing"]}, "part 'nothing': not known; allowed: state"),
-        ({"levels": ["nothing"]}, "level 'nothing': not known; allowed: instruction, memory, message, sensor, state"),
-        ({"levels": ["memory"], "parts": ["sites"]}, "in part sites: level 'memory': not known; allowed: state"),
-        ({"scale": "huge"}, "scale 'huge': not known"),
-    ],
-)
-def test_what_there_is_not_is_refused(ask, message):
-    with pytest.raises(BadInputError, match=message):
-        entries(BENCH, **{"scale": "quick", **ask})
-
-
-def test_a_bench_that_nobody_can_fly_is_refused():
-    with pytest.raises(BadInputError, match="no scheme can fly: .*no model is trained"):
-        entries(with_only(SLOW, ["gaussian"]), "quick")
-
-
-def test_schemes_without_a_detector_fly_only_where_nodes_die():
-    with pytest.raises(BadInputError, match="no scheme can fly: without a detector, .* only where nodes die"):
-        entries(with_schemes(BENCH, ["readback"]), "quick", parts=["sites"])
-
-
-@pytest.mark.parametrize("name", ["", " "])
-def test_a_detector_has_a_name(name):
-    with pytest.raises(BadInputError, match=f"detector '{name}': allowed: a name, or package:Class"):
-        with_only(BENCH, [name])
-
-
-def test_a_detector_that_watches_nothing_is_no_scheme():
-    with pytest.raises(BadInputError, match="detector 'none': watches nothing"):
-        with_only(BENCH, ["none"])
-
-
-@pytest.mark.parametrize(
-    ("name", "more", "message"),
-    [
-        ("../p", {}, "key 'parts.../p': '../p': allowed: a plain folder name"),
-        ("scores", {}, "is the name of a table"),
-        ("p", {"campaign": "bench_instruction", "scores": True}, "level 'instruction'; allowed: state"),
-    ],
-)
-def test_names_are_folders_and_scores_need_publications(name, more, message):
-    part = {"campaign": "bench_sites", "title": "t", **more}
-    with pytest.raises(BadInputError, match=message):
-        parse(Bench, {"name": "b", "parts": {name: part}, "arms": {"a": {"detector": "acceptance"}}}, "b.yaml")
-
-
-def test_names_of_schemes_lead_to_no_other_folder():
-    parts = {"p": {"campaign": "bench_sites", "title": "t"}}
-    with pytest.raises(BadInputError, match=r"^b.yaml: arms: '../x': allowed: any name without a slash"):
-        parse(Bench, {"name": "b", "parts": parts, "arms": {"../x": {"detector": "acceptance"}}}, "b.yaml")
-
-
-def test_a_part_names_a_campaign():
-    part = {"campaign": "nothing", "title": "t"}
-    with pytest.raises(BadInputError, match="nothing"):
-        parse(Bench, {"name": "b", "parts": {"p": part}, "arms": {"a": {}}}, "b.yaml")
 
 
 def test_the_faults_of_a_ledger_are_listed_once_each(tmp_path):
@@ -192,5 +124,55 @@ def test_shipped_lists_have_one_entry_per_column():
         assert tuple(head) == COLUMNS and rows and all(len(row) == len(COLUMNS) for row in rows), path.name
 
 
-def test_a_bench_without_a_list_has_none():
-    assert frozen_faults(BENCH, "nothing", "quick") is None
+@pytest.mark.parametrize(
+    ("schemes", "selection", "message"),
+    [
+        (None, {"parts": ["nothing"]}, "part 'nothing': not known; allowed: state"),
+        (
+            None,
+            {"levels": ["nothing"]},
+            "level 'nothing': not known; allowed: instruction, memory, message, sensor",
+        ),
+        (None, {"levels": ["memory"], "parts": ["sites"]}, "in part sites: level 'memory': not known; allowed: state"),
+        (None, {"scale": "huge"}, "scale 'huge': not known"),
+        ({"readback"}, {"parts": ["sites"]}, "no scheme can fly: without a detector, .* only where nodes die"),
+    ],
+)
+def test_what_cannot_be_flown_is_refused(schemes, selection, message):
+    bench = with_schemes(BENCH, list(schemes)) if schemes else BENCH
+    with pytest.raises(BadInputError, match=message):
+        select_parts(bench, **{"scale": "quick", **selection})
+
+
+def test_a_bench_that_nobody_can_fly_is_refused():
+    with pytest.raises(BadInputError, match="no scheme can fly: .*no model is trained"):
+        select_parts(with_only(SLOW, ["gaussian"]), "quick")
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("", "detector '': allowed: a name, or package:Class"),
+        (" ", "detector ' ': allowed: a name, or package:Class"),
+        ("none", "detector 'none': watches nothing"),
+    ],
+)
+def test_names_of_no_scheme_are_refused(name, message):
+    with pytest.raises(BadInputError, match=message):
+        with_only(BENCH, [name])
+
+
+@pytest.mark.parametrize(
+    ("part", "changes", "arm", "message"),
+    [
+        ("../p", {}, "a", "key 'parts.../p': '../p': allowed: a plain folder name"),
+        ("scores", {}, "a", "is the name of a table"),
+        ("p", {"campaign": "bench_instruction", "scores": True}, "a", "level 'instruction'; allowed: state"),
+        ("p", {"campaign": "nothing"}, "a", "nothing"),
+        ("p", {}, "../x", "^b.yaml: arms: '../x': allowed: any name without a slash"),
+    ],
+)
+def test_a_wrong_file_of_a_bench_is_refused(part, changes, arm, message):
+    parts = {part: {"campaign": "bench_sites", "title": "t", **changes}}
+    with pytest.raises(BadInputError, match=message):
+        parse(Bench, {"name": "b", "parts": parts, "arms": {arm: {"detector": "acceptance"}}}, "b.yaml")

@@ -89,10 +89,3 @@ def test_parts_fly_together_with_one_count_of_their_runs(own_bench, capsys):
     assert f"bench: 2 parts {both}/{both} runs" in capsys.readouterr().err
     page = (own_bench / "out" / "leaderboard.md").read_text()
     assert "## T\n" in page and "## U\n" in page
-
-
-def test_an_unknown_scale_is_an_option_of_the_command(tmp_path, capsys):
-    assert run(["bench", "detectors", "--scale", "huge", "--out", str(tmp_path / "out")]) == 2
-    assert capsys.readouterr().err.strip() == (
-        "mavfi: --scale: 'huge': not known in bench mavfi-bench-1; allowed: quick, paper"
-    )

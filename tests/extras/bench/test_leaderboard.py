@@ -2,19 +2,10 @@
 
 from mavfi.analysis.table import NUMBER, Column, Table
 from mavfi.extras.bench.bench import load_bench, published_rows
-from mavfi.extras.bench.leaderboard import beside_published, leaderboard
+from mavfi.extras.bench.leaderboard import beside_published
 
 OWN = Table("sites", "Sites", (Column("arm", "scheme"), Column("lost", "lost", NUMBER)), [("mine", 4)], notes=("n",))
 PUBLISHED = [{"scheme": "gaussian", "lost": "36"}, {"scheme": "mine", "lost": "7"}, {"scheme": "old"}]
-
-
-def test_published_rows_stand_above_ones_own():
-    found = beside_published(OWN, PUBLISHED, "b")
-    assert found.rows == [("gaussian", "36"), ("old", None), ("mine", 4)]
-    assert found.notes[0].startswith("flown here: mine;") and found.notes[1:] == ("n",)
-    assert "| gaussian | 36 |" in leaderboard({"sites": found}, "b", "quick", "mavfi bench detectors").replace(
-        "  ", " "
-    )
 
 
 def test_published_rows_of_a_group_stand_above_ones_own_of_the_same_group():

@@ -154,11 +154,3 @@ def test_regimes_are_those_of_way_points_since_the_last_publication(flown):
         worst[name] = 0
     assert sample.regimes.tolist() == expected
     assert set(expected) == {0, 1, 2}
-
-
-def test_a_code_holds_until_its_state_is_published_again(flown):
-    _, field_codes, sample, _ = flown
-    for slot in range(residuals.SLOTS):
-        own = slice(*field_codes.range_of(slot))
-        others = np.flatnonzero(sample.slots[1:] != slot) + 1
-        assert (sample.vectors[others, own] == sample.vectors[others - 1, own]).all()

@@ -6,9 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import average_precision_score, roc_auc_score
 
-from mavfi.extras.bench.scores import Scores, _Scorer, table, unscored
-from mavfi.faults.fault import FaultSite, StateFault
-from mavfi.states import new_state
+from mavfi.extras.bench.scores import Scores, table, unscored
 from tests.core.unit.campaign.fakes import small
 
 LEVELS = st.sampled_from([0.0, 0.5, 0.9, 1.0, 1.5, 2.0, 1e9])
@@ -49,17 +47,6 @@ def test_the_area_is_that_of_scikit_learn(own):
     assert found.area() == pytest.approx(roc_auc_score(labels, [*golden, *harmful]), abs=1e-12)
 
 
-@given(made())
-def test_curves_fall_in_threshold_and_rise_in_alarms(own):
-    golden, found = own
-    curve = found.curve()
-    for threshold, alarms, share in curve:
-        assert alarms == (golden > threshold).sum() / found.hours
-        own_corrupted = found.corrupted[found.harmful]
-        assert share == ((own_corrupted > threshold).mean() if len(own_corrupted) else 0.0)
-    assert [threshold for threshold, *_ in curve] == sorted({t for t, *_ in curve}, reverse=True)
-
-
 def test_the_table_says_what_an_exposure_cannot_show():
     found = Scores(np.array([3.0, 2.0]), 100, 1.5, np.array([2.5, 9.0, 0.0]), np.array([True, True, False]))
     (row,) = table({"one": found}, ["a"]).entries()
@@ -90,25 +77,3 @@ def test_schemes_without_scores_are_named_with_the_reason():
     notes = table({"one": found}, ["a", "b"], reasons).notes
     assert f"all: not scored: {reasons['all']}" in notes
     assert "one golden flight for each mission of these parts, their faults together: a, b" in notes
-
-
-class CommandsAlarm:
-    """Every third command scores 2, other commands 0.5; other states have no score."""
-
-    def start(self):
-        self.count = 0
-
-    def score(self, state, time_us):
-        if state.spec.name != "control.command":
-            return None
-        self.count += 1
-        return 2.0 if self.count % 3 == 0 else 0.5
-
-    def accept(self, state, time_us):
-        pass
-
-
-def test_a_message_that_a_fault_loses_has_the_lowest_score():
-    scorer = _Scorer({"one": CommandsAlarm()}, (StateFault(FaultSite("planning.path", "length_x"), 0, 31),))
-    scorer(new_state("planning.path", 3), 7)
-    assert scorer.kept["one"].corrupted == {0: 0.0}

@@ -82,17 +82,6 @@ def test_random_alarms_have_their_rate_and_depend_on_the_mission_alone():
     assert alarms(first, events) == found
 
 
-def test_random_alarms_continue_from_what_was_remembered():
-    events = flight(3, ticks=1000)
-    detector, other = (RandomAlarms(9, per_hour=50_000.0) for _ in range(2))
-    alarms(detector, events[:800])
-    memory = detector.memory()
-    later = alarms(detector, events[800:])
-    assert later and detector.memory() != memory
-    other.restore(memory)
-    assert other.memory() == memory and alarms(other, events[800:]) == later
-
-
 def test_figures_that_are_no_rate_and_kernels_that_are_none_are_refused():
     with pytest.raises(BadInputError, match="per_hour: 0.0; allowed: above 0"):
         RandomAlarms(1, per_hour=0.0)

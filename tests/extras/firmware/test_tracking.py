@@ -66,21 +66,9 @@ def test_only_what_follows_the_fault_counts():
     assert tracking.since(1.0).velocity == 0.5
 
 
-def test_a_flight_that_ends_soon_after_the_fault_is_judged_by_what_there_is():
-    tracking = flown(250)
-    flown(10, odometry=moving((0.0, 0.0, -4.0)), tracking=tracking, first=250)
-    assert tracking.since(1.0).velocity == 4.0
-    after = tracking.since(2.0)
-    assert (after.tilt, after.attitude, after.velocity, after.yaw_rate) == (0.0, 0.0, 0.0, 0.0)
-
-
 def test_a_state_that_is_not_finite_is_as_far_off_as_can_be():
     assert flown(200, odometry=moving((math.nan, 0.0, 0.0))).since(0.0).velocity == math.inf
     assert flown(200, up=np.full(3, math.nan)).since(0.0).tilt == math.pi
-
-
-def test_rounding_of_a_unit_vector_gives_no_error():
-    assert flown(200, up=UP * (1.0 + 1e-15)).since(0.0).attitude == 0.0
 
 
 @pytest.mark.parametrize("count", [1, 124, 125, 126, 1000])
@@ -89,7 +77,3 @@ def test_what_lasts_is_found_as_by_looking_at_every_window(count):
     errors[count // 3 : count // 3 + 125] += 2.0
     width = min(125, count)
     assert lasting(errors) == max(min(errors[first : first + width]) for first in range(count - width + 1))
-
-
-def test_nothing_lasts_of_nothing():
-    assert lasting(np.empty(0)) == 0.0

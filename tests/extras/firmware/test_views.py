@@ -23,7 +23,8 @@ def lost(effect, **changes):
     return replace(struck(**changes), end=End.DUE, status="collision", kernel=KernelEffect(effect, "SIGSEGV"))
 
 
-def five():
+def each_outcome():
+    """A run with each outcome of a fault."""
     records = [struck(digest=GOLDEN.digest), struck("xmm3"), struck(success=False), lost("crash"), lost("hang")]
     return runs(
         *(golden(seed) for seed in range(1, 6)),
@@ -39,7 +40,8 @@ def measured(**errors):
     return {"extra": {"control": CALM | errors}}
 
 
-def six():
+def each_class():
+    """A run with each class of control, from bit-identical to a hang."""
     records = [
         struck("xmm1", digest=GOLDEN.digest, **measured()),
         struck("xmm2", **measured()),
@@ -63,7 +65,7 @@ def counts(found):
 
 
 def test_each_run_has_one_outcome():
-    found = counts(table(five(), "firmware_faults"))
+    found = counts(table(each_outcome(), "firmware_faults"))
     assert found["in all"]["n"] == 5
     assert [found["in all"][key] for key in ("identical", "arrives", "lost", "ends", "hangs")] == [1, 1, 1, 1, 1]
     assert found["FP (XMM, YMM)"]["n"] == 1
@@ -72,7 +74,7 @@ def test_each_run_has_one_outcome():
 
 
 def test_functions_are_named_without_what_the_compiler_added():
-    assert counts(table(five(), "firmware_functions")).keys() == {"scheduler"}
+    assert counts(table(each_outcome(), "firmware_functions")).keys() == {"scheduler"}
 
 
 def test_phases_are_thirds_of_the_golden_flight():
@@ -87,30 +89,19 @@ def test_phases_are_thirds_of_the_golden_flight():
 
 
 def test_each_mission_has_one_class_of_control():
-    found = counts(table(six(), "firmware_control"))
+    found = counts(table(each_class(), "firmware_control"))
     keys = ["identical", "slight", "degraded", "lost", "ends", "hangs"]
     assert [found["in all"][key] for key in keys] == [1, 1, 1, 1, 1, 1]
     assert [found["FP (XMM, YMM)"][key] for key in keys] == [1, 1, 0, 0, 0, 0]
-    headings = [column.heading for column in table(six(), "firmware_control").columns]
-    assert headings == [
-        "registers",
-        "runs",
-        "bit-identical",
-        "slight",
-        "degraded",
-        "loss of control",
-        "process ends",
-        "hang",
-    ]
 
 
 def test_classes_are_shown_by_third_of_the_golden_flight():
-    found = counts(table(six(), "firmware_control_phases"))
+    found = counts(table(each_class(), "firmware_control_phases"))
     assert (found["second"]["degraded"], found["last"]["lost"], found["first"]["n"]) == (1, 1, 4)
 
 
 def test_classes_come_from_harmless_to_worst_with_their_largest_errors():
-    found = counts(table(six(), "firmware_classes"))
+    found = counts(table(each_class(), "firmware_classes"))
     assert list(found) == ["bit-identical", "slight", "degraded", "loss of control", "process ends", "hang"]
     assert found["degraded"]["attitude"] == pytest.approx(5.73, abs=0.01)
     assert (found["loss of control"]["velocity"], found["loss of control"]["success"]) == (4.7, 0)
@@ -118,28 +109,13 @@ def test_classes_come_from_harmless_to_worst_with_their_largest_errors():
     assert found["slight"]["time"] == 0.0
 
 
-def test_rows_have_the_class_and_the_errors():
-    own = six()
-    assert own.golden["control"] == [""] * 6
-    assert own.golden["tilt"] == [0.3] * 6
-    assert own.injected["control"][:4] == ["bit-identical", "slight", "degraded", "loss of control"]
-    first = list(own.injected)[2]
-    assert [first[f"{name}_error"] for name in ("attitude", "velocity", "yaw_rate")] == [0.1, 0.4, 0.05]
-
-
-def test_runs_whose_errors_were_not_measured_have_no_class():
-    names = {one.name for one in views_for(five())}
-    assert not names & {"firmware_control", "firmware_control_phases", "firmware_classes"}
-    assert five().injected["control"] == [""] * 5
-
-
 def test_only_faults_in_a_firmware_have_these_views_and_none_of_a_foreign_node():
     def names(own):
         return {one.name for one in views_for(own)}
 
     node = runs(golden(1), injected(1, flown(), REGISTER, target="general"))
-    assert {"firmware_faults", "firmware_phases", "firmware_functions"} <= names(five())
-    assert {"firmware_control", "firmware_control_phases", "firmware_classes"} <= names(six())
-    assert "register_effects" not in names(five())
+    assert {"firmware_faults", "firmware_phases", "firmware_functions"} <= names(each_outcome())
+    assert {"firmware_control", "firmware_control_phases", "firmware_classes"} <= names(each_class())
+    assert "register_effects" not in names(each_outcome())
     assert "register_effects" in names(node)
     assert "firmware_faults" not in names(node)

@@ -10,10 +10,10 @@ from mavfi.campaign.config import load_campaign
 from mavfi.cli.commands import run
 from mavfi.config import config_root
 from mavfi.extras.hardening import certify
-from mavfi.extras.hardening.advise import Study
+from mavfi.extras.hardening.advise import HardeningStudy
 from mavfi.extras.hardening.certify import Certificate, Certification
 from mavfi.extras.hardening.observed import GoldenCheck
-from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan, load_plan, save_plan
+from mavfi.extras.hardening.plan import Coverage, FunctionPlan, ProtectionPlan, load_plan, save_plan
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,9 @@ def test_bad_input_is_one_line_and_exit_code_2(words, message, tmp_path, capsys,
 def opened(monkeypatch):
     """A ledger with the digest of no plan, whose next missions are among those of the shipped one."""
     campaign = load_campaign("hardening").model_copy(update={"first_seed": 9_999})
-    monkeypatch.setattr(Study, "open", lambda directory, _: Study(directory, campaign, "0" * 64, ("pid",)))
+    monkeypatch.setattr(
+        HardeningStudy, "open", lambda directory, _: HardeningStudy(directory, campaign, "0" * 64, ("pid",))
+    )
 
 
 def test_a_shipped_plan_is_certified_by_name(opened, tmp_path, capsys, monkeypatch):
@@ -50,50 +52,22 @@ def test_a_shipped_plan_is_certified_by_name(opened, tmp_path, capsys, monkeypat
     assert "mission dense 10007, the next after its own: the plan was made from it" in capsys.readouterr().err
 
 
-def test_a_refuted_plan_is_exit_code_3(opened, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    save_plan(Plan(), Path("plan.yaml"))
-    claim = Coverage(estimate=0.95, low=0.9, high=0.98)
-    for sdc, code in ((50, 3), (1, 0)):
-        one = Certificate(
-            "pid",
-            "m.track",
-            "f8",
-            9,
-            {"masked": 50, "sdc": 50},
-            {"detected": 99, "sdc": sdc},
-            1.0,
-            claim,
-            mcnemar([True], [False]),
-        )
-        found = Certification("ab" * 32, 100, ("sparse-9",), (one,), GoldenCheck(2, 2, 9, 0))
-        monkeypatch.setattr(certify, "certify_plan", lambda *_, found=found: found)
-        assert run(["harden", "out", "--plan", "plan.yaml", "--certify"]) == code
-        assert ("The plan is refuted: " in capsys.readouterr().out) == (code == 3)
-        assert json.loads(Path("plan.certificate.json").read_text())["refuted"] == (code == 3)
-
-
-def test_a_certificate_is_stated_in_the_plan(opened, tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize(("silent", "code"), [(50, 3), (1, 0)])
+def test_a_certificate_is_stated_in_the_plan_and_by_the_exit_code(opened, silent, code, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     planned = FunctionPlan(kernel="pid", function="m.track", signature="f8", ir_sha256="ab" * 32, sites=((0, 0, 1),))
-    save_plan(Plan(functions=(planned,)), Path("plan.yaml"))
-    one = Certificate(
-        "pid",
-        "m.track",
-        "f8",
-        9,
-        {"masked": 50, "sdc": 50},
-        {"detected": 99, "sdc": 1},
-        1.0,
-        None,
-        mcnemar([True], [False]),
-    )
-    found = Certification("ab" * 32, 100, ("sparse-9",), (one,), GoldenCheck(2, 2, 9, 0))
+    save_plan(ProtectionPlan(functions=(planned,)), Path("plan.yaml"))
+    effects = {"masked": 50, "sdc": 50}, {"detected": 99, "sdc": silent}
+    claim, paired = Coverage(estimate=0.95, low=0.9, high=0.98), mcnemar([True], [False])
+    certificate = Certificate("pid", "m.track", "f8", 9, *effects, 1.0, claim, paired)
+    found = Certification("ab" * 32, 100, ("sparse-9",), (certificate,), GoldenCheck(2, 2, 9, 0))
     monkeypatch.setattr(certify, "certify_plan", lambda *_: found)
-    assert run(["harden", "out", "--plan", "plan.yaml", "--certify"]) == 0
-    assert "wrote plan.yaml" in capsys.readouterr().out
+    assert run(["harden", "out", "--plan", "plan.yaml", "--certify"]) == code
+    output = capsys.readouterr().out
+    assert "wrote plan.yaml" in output and ("The plan is refuted: " in output) == (code == 3)
+    assert json.loads(Path("plan.certificate.json").read_text())["refuted"] == (code == 3)
     (function,) = load_plan(Path("plan.yaml")).functions
-    assert function.certified.estimate == pytest.approx(0.98)
+    assert function.certified.estimate == pytest.approx(certificate.coverage.rate)
 
 
 CAMPAIGN = """

@@ -9,7 +9,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mavfi.cli.commands import run
 from mavfi.extras.logs.files import write_bag, write_csv, write_mcap
-from mavfi.extras.logs.timeline import FIRST_STAMP_NS, Converter, Publications, timeline
+from mavfi.extras.logs.timeline import FIRST_STAMP_NS, PublishedStates, timeline
 from mavfi.flight.compose import resolve
 from mavfi.flight.mission_flights import fly_recorded
 from mavfi.mission import MissionSpec
@@ -36,7 +36,7 @@ def flight(recorded):
 @pytest.fixture(scope="module")
 def published(recorded):
     flight, seen = recorded
-    return Publications([(time_us, state) for state, time_us in seen], flight.pipeline["octomap"].grid)
+    return PublishedStates([(time_us, state) for state, time_us in seen], flight.pipeline["octomap"].grid)
 
 
 @pytest.fixture(scope="module")
@@ -86,12 +86,6 @@ def test_stamps_are_the_flight_s_and_do_not_go_back(flight, messages):
     np.testing.assert_allclose(stamps, np.maximum(flight.log.column("time"), 1e-9 * FIRST_STAMP_NS), atol=1e-10)
 
 
-def test_the_clock_is_that_of_the_flight(flight, messages):
-    clock = [(time, m.clock.sec * 10**9 + m.clock.nanosec) for topic, time, m in messages if topic == "/clock"]
-    assert [stamp for _, stamp in clock] == [time for time, _ in clock]
-    assert clock[-1][0] == round(1e9 * flight.log.rows[-1, 0])
-
-
 def test_publications_are_there_to_the_bit(published, messages):
     clouds = [state for _, state in published.states if state.spec.name == "perception.point_cloud"]
     read = of(messages, "/points")
@@ -109,13 +103,6 @@ def test_the_map_has_the_obstacles_that_were_seen(flight, messages):
     centres = np.frombuffer(bytes(last.data), np.float32).reshape(-1, 3)
     assert len(centres) == last.width > 100
     assert flight.world.clearance(centres.astype(float)).max() < 0.5 * 3**0.5
-
-
-def test_updates_outside_the_map_are_ignored(published):
-    update = next(state for _, state in published.states if state.spec.name == "perception.map_update").copy()
-    update.elements["voxel"][:2] = -1, published.grid.size
-    (message,) = Converter(published.grid)(update, 0)
-    assert message.fields["width"] <= len(update.elements) - 2
 
 
 def test_the_vehicle_is_where_it_was_to_the_bit(flight, messages):
@@ -144,15 +131,6 @@ def test_commands_and_reference(flight, messages):
     assert np.array_equal(wanted, read)
     points = np.array([(m.point.x, m.point.y, m.point.z) for m in of(messages, "/reference")])
     assert np.array_equal(flight.log.columns("reference_x", "reference_y", "reference_z"), points)
-
-
-def test_obstacles_are_boxes_where_they_stand(flight, messages):
-    (markers,) = of(messages, "/obstacles")
-    assert len(markers.markers) == len(flight.world.lower)
-    first = markers.markers[0]
-    centre = (flight.world.lower[0] + flight.world.upper[0]) / 2
-    assert np.array_equal(centre, [first.pose.position.x, first.pose.position.y, first.pose.position.z])
-    assert first.header.frame_id == "map"
 
 
 def test_the_log_tells_the_end(flight, messages):
@@ -205,17 +183,13 @@ def test_a_flight_that_cannot_be_repeated_is_exported_without_publications(fligh
     assert not PUBLISHED & {topic for topic, _, _ in read_bag(to)}
 
 
-@pytest.mark.parametrize(
-    ("change", "text"),
-    [({"models": 3}, "key 'models'"), ({"detector": None}, "key 'detector'"), ({"fault": 3}, "key 'fault'")],
-)
-def test_a_saved_request_of_a_wrong_type_is_one_line(flight, tmp_path, change, text, capsys):
+def test_a_saved_request_of_a_wrong_type_is_one_line(flight, tmp_path, capsys):
     saved = tmp_path / "flight.npz"
-    meta = {**flight.log.meta, "request": {"mission": {"seed": 3}, **change}}
+    meta = {**flight.log.meta, "request": {"mission": {"seed": 3}, "detector": None}}
     FlightLog(flight.log.rows, flight.log.status, meta=meta).save(saved)
     assert run(["export", str(saved), "--to", str(tmp_path / "flight.bag")]) == 0
     err = capsys.readouterr().err
-    assert f"cannot be flown again (request: {text}" in err and err.count("\n") == 1
+    assert "cannot be flown again (request: key 'detector'" in err and err.count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -233,12 +207,3 @@ def test_bad_input_is_one_line(flight, tmp_path, arguments, message, capsys):
     assert run(["export", *(text.format(tmp_path) for text in arguments)]) == 2
     err = capsys.readouterr().err
     assert message in err and err.count("\n") == 1
-
-
-def test_a_saved_flight_gives_the_same_file_as_the_flight(flight, tmp_path):
-    flight.log.save(tmp_path / "flight.npz")
-    again = FlightLog.load(tmp_path / "flight.npz")
-    one, other = tmp_path / "one.csv", tmp_path / "other.csv"
-    write_csv(flight.log, one)
-    write_csv(again, other)
-    assert one.read_bytes() == other.read_bytes()

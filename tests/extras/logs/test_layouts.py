@@ -10,6 +10,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from mavfi.config import config_root
 from mavfi.extras.logs.timeline import tick_messages
+from mavfi.extras.logs.ulog import FORMATS
 
 LAYOUTS = config_root() / "layouts"
 
@@ -53,3 +54,12 @@ def test_plotjuggler_with_mcap():
     for curve in curves("plotjuggler_mcap.xml"):
         _, topic, *path = curve.split("/")
         check_field(f"/{topic}", path)
+
+
+def test_plotjuggler_with_ulog():
+    for curve in curves("plotjuggler_ulg.xml"):
+        topic, field = curve.split("/")
+        name, _, index = field.partition(".")
+        kinds_of_fields = dict(reversed(text.split()) for text in FORMATS[topic].rstrip(";").split(";"))
+        length = re.search(r"\[(\d+)\]", kinds_of_fields[name])
+        assert (int(index) < int(length[1])) if length else index == "", curve

@@ -1,7 +1,5 @@
 """Every format gives the numbers of the flight back; damaged files are refused in one line."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,6 @@ from mavfi.extras.airsim.calls import Call, read_calls
 from mavfi.flight.log_readers import open_flight_log
 from tests.extras.logs.conftest import make_log
 
-REAL = Path(__file__).parents[3].parent / "shared" / "data" / "logs"
 X = {
     "ulg": ("vehicle_local_position", "x"),
     "tlog": ("LOCAL_POSITION_NED", "x"),
@@ -36,13 +33,6 @@ def test_numbers_and_times_are_those_of_the_flight(files, ending):
     assert np.array_equal(np.array(values), log.column("x").astype(kind))
     assert found[0].layout.check(field) == np.dtype(kind).name
     assert field in found[0].layout.numbers(found[0].data, 16)
-
-
-@pytest.mark.parametrize("ending", X)
-def test_without_topics_all_are_read_in_order_of_time(files, ending):
-    found = list(open_flight_log(files(ending, "a")).messages([]))
-    times = [message.time_us for message in found]
-    assert times == sorted(times) and X[ending][0] in {message.topic for message in found}
 
 
 @pytest.mark.parametrize("ending", X)
@@ -72,8 +62,6 @@ def test_what_is_no_log_is_refused(tmp_path, ending):
         ("time", "2.5", 2_500_000),
         ("t [ms]", "2500", 2_500_000),
         ("#timestamp", "1403715524907143168", 1403715524907143),
-        ("time_ns", "7000", 7),
-        ("timestamp", "1700000000123456", 1700000000123456),
         ("time (us)", "12", 12),
     ],
 )
@@ -106,7 +94,6 @@ def test_tables_that_cannot_be_read(tmp_path, text, message):
     [
         ('{"time_us": 1, "topic": "a"}', "line 2: is not a call .call: key 'numbers'"),
         ("", "line 2: is not a call"),
-        ('{"time_us": 1e30, "topic": "a", "numbers": {"x": 1}}', "line 2"),
         ("[" * 100_000, "line 2"),
         ('{"time_us": 1, "topic": "a", "numbers": {"x": "far"}}', "line 2: .* 'far'"),
         ('{"time_us": 1, "topic": "a", "numbers": {}}', "one or more"),
@@ -147,23 +134,3 @@ def test_damaged_files_are_read_or_refused_in_one_line_and_nothing_is_printed(fi
             assert "\n" not in str(error)
     assert refused > 0 or ending == "tlog"  # whose damaged packets are skipped, by their checksums
     assert capfd.readouterr() == ("", "")
-
-
-@pytest.mark.skipif(not REAL.is_dir(), reason="the folder of real logs is not here")
-def test_a_real_log_of_px4_without_its_time_on_the_ground():
-    pytest.importorskip("pyulog")
-    path = REAL / "rflymad_1_1000000000.ulg"
-    times, thrust, _ = read(path, "vehicle_rates_setpoint", "thrust_body[2]")
-    assert len(times) > 300 and min(thrust) < -0.3
-    import pyulog
-
-    landed = pyulog.ULog(str(path), ["vehicle_land_detected"]).data_list[0].data
-    first = landed["timestamp"][landed["landed"] == 0][0]
-    assert times[0] >= first
-
-
-def test_a_folder_is_refused(tmp_path):
-    folder = tmp_path / "x.csv"
-    folder.mkdir()
-    with pytest.raises(BadInputError):
-        list(open_flight_log(folder).messages([]))

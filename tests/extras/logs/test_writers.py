@@ -1,13 +1,9 @@
 """PX4 ULog and MAVLink telemetry logs hold the flight; independent readers say so."""
 
-import re
-from xml.etree import ElementTree
-
 import numpy as np
 import pytest
 
-from mavfi.config import config_root
-from mavfi.extras.logs.ulog import FAULT_TOPIC, FORMATS, write_ulog
+from mavfi.extras.logs.ulog import FAULT_TOPIC, write_ulog
 from mavfi.extras.mavlink.tlog import LONGEST_TEXT, write_tlog
 from mavfi.mission import MissionStatus
 from mavfi.numerics.frames import local
@@ -112,17 +108,3 @@ def test_numbers_that_are_not_finite_or_too_large_are_written(tmp_path):
     assert np.isnan(data["vehicle_local_position"]["x"][5]) and np.isinf(data["vehicle_local_position"]["vx"][6])
     found = read_tlog(log, tmp_path / "flight.tlog")
     assert sum(m.get_type() == "GLOBAL_POSITION_INT" for m in found) == len(log.rows) / 5 - 2
-
-
-def curves():
-    layout = ElementTree.parse(config_root() / "layouts" / "plotjuggler_ulg.xml")
-    return [curve.get("name") for curve in layout.iter("curve")]
-
-
-@pytest.mark.parametrize("curve", curves())
-def test_plotjuggler_with_ulog(curve):
-    topic, field = curve.split("/")
-    name, _, index = field.partition(".")
-    kinds = {f.split()[1]: f.split()[0] for f in FORMATS[topic].rstrip(";").split(";")}
-    length = re.search(r"\[(\d+)\]", kinds[name])
-    assert (length is None) == (index == "") and (length is None or int(index) < int(length[1]))

@@ -6,7 +6,7 @@ import pytest
 from mavfi.analysis.statistics import holm
 from mavfi.errors import BadInputError
 from mavfi.extras.paper import claims
-from mavfi.extras.paper.claims import CLAIMS, Claim, Evidence, claims_table, verdict
+from mavfi.extras.paper.claims import Claim, Evidence, claims_table, verdict
 from mavfi.extras.paper.overhead_views import ALL
 from mavfi.record import EnergyTerms
 from tests.core.unit.analysis.handmade import FAULT, INSTRUCTION, alarm, flown, golden, injected, runs
@@ -43,22 +43,6 @@ def test_the_correction_is_over_all_claims_of_the_table(monkeypatch):
 def test_an_unknown_claim_is_refused():
     with pytest.raises(BadInputError, match="claim 'none': not known; allowed: perception_least_critical"):
         claims_table(["none"], [])
-
-
-def test_each_claim_shows_its_test_and_the_notes_explain_all_kinds():
-    found = claims_table(list(CLAIMS), [])
-    [shown] = [column for column in found.columns if column.key == "method"]
-    assert not shown.hidden
-    kinds = {
-        "random signs of the differences of worlds": "random signs of the differences of worlds",
-        "worlds shuffled between": "worlds shuffled",
-        "sign test of flights": "exact sign test",
-        "none: a model": "none: the output of a",
-    }
-    notes = " ".join(found.notes)
-    for method in found.column("method"):
-        [words] = [note for start, note in kinds.items() if method.startswith(start)]
-        assert words in notes, method
 
 
 def states(stage_lost, arm_saves=True):
@@ -278,7 +262,6 @@ def on_platforms(slow, faulty, detected):
             "confirmed",
             "cortex-a57 100.0 s [100.0, 100.1] (n = 10), i9-9940x 40.0 s [40.0, 40.1] (n = 10)",
         ),
-        ("slow_platform_time", (30, 30, 30), "contradicted", "cortex-a57 30.0 s"),
         ("slow_platform_energy", (100, 100, 100), "confirmed", "cortex-a57 44.4 kJ [44.4, 44.4] (n = 10), i9-9940x"),
         (
             "slow_platform_ratio",
@@ -287,18 +270,11 @@ def on_platforms(slow, faulty, detected):
             "150.0 s [150.0, 150.1] (n = 10), 2.8 x i9-9940x 112.1 s",
         ),
         (
-            "slow_platform_ratio",
-            (100, 100, 100),
-            "contradicted",
-            "100.0 s [100.0, 100.1] (n = 10), 2.8 x i9-9940x 112.1 s",
-        ),
-        (
             "platforms_alike",
             (100, 150, 100),
             "contradicted",
             "cortex-a57 100.0 % [72.2, 100.0] (n = 10), i9-9940x 0.0 % [0.0, 27.8]",
         ),
-        ("platforms_alike", (100, 100, 100), "undecided", "cortex-a57 0.0 % [0.0, 27.8] (n = 10), i9-9940x"),
         ("gaussian_recovers_slow_platform", (100, 150, 100), "confirmed", "fault with GAD 0.0 % [0.0, 0.0] (n = 10)"),
         ("gaussian_recovers_slow_platform", (100, 110, 150), "contradicted", "fault 10.0 % [10.0, 10.0] (n = 10)"),
         ("redundancy_airsim", (100, 100, 100), "undecided", "calibrated to this value after the fact"),

@@ -16,7 +16,7 @@ from mavfi.extras.paper.cli import FLIGHTS
 from mavfi.extras.paper.cli_report import StudyBar
 from mavfi.extras.paper.report import study_report
 from mavfi.extras.paper.steps import FLIGHTS as FLIGHTS_STEP
-from mavfi.extras.paper.steps import Steps
+from mavfi.extras.paper.steps import StepTimes
 from mavfi.extras.paper.study import load_study
 from tests.core.unit.campaign.fakes import HOST, small
 
@@ -54,11 +54,6 @@ def study(folder, **changes):
     return str(folder / "small.yaml")
 
 
-def digest_of(folder):
-    with Store.open(folder) as store:
-        return store.digest()
-
-
 def test_the_page_of_the_papers_study_has_five_flights_of_each_campaign():
     assert FLIGHTS == 5 * len(load_study("paper").campaigns)
     assert f"and {FLIGHTS} flights: " in (Path(__file__).parents[3] / "docs/studies.md").read_text(encoding="utf-8")
@@ -82,34 +77,34 @@ def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(ca
     assert 0 <= text.index(states) < text.index(instructions) < text.index("It took")
     ends = [line.split() for line in text.partition("The ledgers, with their digests")[2].splitlines()[1:3]]
     ledgers = {"table1": out, "table1_instructions": out / "instructions"}
-    assert ends == [[name, digest_of(folder)[:16], str(folder)] for name, folder in ledgers.items()], "as in README.md"
+    digests = []
+    for name, folder in ledgers.items():
+        with Store.open(folder) as store:
+            digests.append([name, store.digest()[:16], str(folder)])
+    assert ends == digests, "as in README.md"
     assert "It took 1 h " in text and text.rstrip().endswith("set-up included.")
     assert {"study.md", "study.json"} <= {path.name for path in out.iterdir()}
-    files = {"campaign.sqlite", "report.md", "readme_block.md", "summary.json"}
-    assert files | {"models", "instructions"} <= {path.name for path in out.iterdir()}
-    assert files <= {path.name for path in (out / "instructions").iterdir()}
-    assert "Injection run" in (out / "instructions" / "readme_block.md").read_text(encoding="utf-8"), "not its headline"
+    for folder in ledgers.values():
+        assert {"report.md", "readme_block.md", "summary.json"} <= {path.name for path in folder.iterdir()}
 
     def never(*_, **__):
         raise AssertionError("trained or timed again")
 
     assert overhead_views.load(out)["missions"] == 1
     written = (out / "study.md").read_text(encoding="utf-8")
-    assert "one process on " in written, "measured, not modelled alone"
     flights = ["training flights", "fitting of detectors", FLIGHTS_STEP]
     reports = ["tables and figures", "report.html and its flights"]
     steps = ["set-up (make setup)", "compilation", *flights, "timed flights", *reports]
-    assert list(Steps.load(out).seconds) == steps and all(f"| {step} |" in written for step in steps)
+    assert list(StepTimes.load(out).seconds) == steps and all(f"| {step} |" in written for step in steps)
     assert "- Machine: " in written and written.count("- Digest of the ledger in ") == 2
-    assert ">Machine: " in (out / "report.html").read_text(encoding="utf-8")
-    spent = Steps.load(out).seconds[FLIGHTS_STEP]
+    spent = StepTimes.load(out).seconds[FLIGHTS_STEP]
     monkeypatch.setattr("mavfi.campaign.training.record", never)
     monkeypatch.setattr("mavfi.extras.paper.overheads.measure", never)
     monkeypatch.setattr("mavfi.extras.paper.cli.FLIGHTS", 0)
     assert run([*arguments, "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert set(data["campaigns"]) == {".", "instructions"} and len(data["provenance"]) == 6
-    assert Steps.load(out).seconds[FLIGHTS_STEP] > spent, "a resumed study adds to its times"
+    assert StepTimes.load(out).seconds[FLIGHTS_STEP] > spent, "a resumed study adds to its times"
 
 
 @pytest.mark.slow
@@ -132,11 +127,9 @@ def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(cap
     assert VIEWS["flight_times"].title in report and "(figures/table1_flight_time.png)" in report
     assert (out / "figures" / "table1_flight_time.png").stat().st_size > 10_000
     table = (out / "tables" / "table1_instructions_kernel_effects.csv").read_text(encoding="utf-8")
-    assert table.splitlines()[0].startswith("environment,kernel,") and len(table.splitlines()) > 1
+    assert len(table.splitlines()) > 1
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "mavfi reproduce small --scale quick --out" in page, "how to repeat it"
-    assert "Missions of an autonomous quadrotor in sparse: at most one flipped bit per mission" in page
-    assert "without a fault, " in page and " with one at instruction level" in page
     assert "Study small" in page and "<svg" in page and all(f">{title}<" in page for title in ("One", "Two"))
     findings = study_report(load_study(tmp_path / "small.yaml"), out).findings
     assert list(findings) == ["One", "Two"] and all(f"<h3>{title}</h3>" in page for title in findings)
@@ -147,14 +140,6 @@ def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(cap
     assert all(title in printed for title in titles)
     again = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "Study small" in again and "mavfi reproduce small --scale quick --out" in again
-    assert run(["report", str(out / "instructions"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["campaign"]["name"] == "table1_instructions"
-
-    sections[1]["headline"] = True
-    monkeypatch.setattr("mavfi.extras.paper.cli.FLIGHTS", 0)
-    assert run(["reproduce", study(tmp_path, **changes), "--out", str(out), "--workers", "1"]) == 0
-    printed = capsys.readouterr().out
-    assert VIEWS["endings"].title in printed and VIEWS["kernel_effects"].title not in printed
 
 
 @pytest.mark.parametrize(
@@ -175,13 +160,14 @@ def test_wrong_names_are_refused_before_anything_is_flown(section, message, caps
 
 def test_a_damaged_record_of_a_study_is_named(capsys, tmp_path):
     run_campaign(small(missions=1, faults=1), tmp_path, executor=LocalExecutor(1))
-    for content in ("{", "[]", '{"scale": "quick"}'):
+    for content, message in (
+        ("{", "study.json: is no record of a study"),
+        ('{"scale": "quick"}', "study.json: is no record of a study"),
+        ('{"scale": "quick", "definition": {"name": 3}}', "study.json: definition: key 'name': 3: "),
+    ):
         (tmp_path / "study.json").write_text(content, encoding="utf-8")
         assert run(["report", str(tmp_path)]) == 2
-        assert "study.json: is no record of a study" in capsys.readouterr().err
-    (tmp_path / "study.json").write_text('{"scale": "quick", "definition": {"name": 3}}', encoding="utf-8")
-    assert run(["report", str(tmp_path)]) == 2
-    assert "study.json: definition: key 'name': 3: " in capsys.readouterr().err
+        assert message in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -223,48 +209,32 @@ def trained(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("profiles", "wanted"),
-    [(("published", "hardened"), ["published", "hardened"]), (("hardened", "hardened"), ["hardened"])],
+    ("first", "second", "wanted"),
+    [
+        ({"mission": {"autopilot": "published"}}, {"mission": {"autopilot": "hardened"}}, ["published", "hardened"]),
+        ({"mission": {"autopilot": "hardened"}}, {"mission": {"autopilot": "hardened"}}, ["hardened"]),
+        ({"arms": {}}, {"arms": {}}, []),
+    ],
 )
-def test_detectors_are_trained_once_for_each_mission_that_is_watched(tmp_path, trained, profiles, wanted):
-    changes = {
-        name: {"mission": {"autopilot": profile}}
-        for name, profile in zip(("table1", "table1_instructions"), profiles, strict=True)
-    }
-    assert run(["reproduce", study(tmp_path, **changes), "--out", str(tmp_path / "out")]) == 0
+def test_detectors_are_trained_once_for_each_mission_that_is_watched(tmp_path, trained, first, second, wanted):
+    name = study(tmp_path, table1=first, table1_instructions=second)
+    assert run(["reproduce", name, "--out", str(tmp_path / "out")]) == 0
     assert trained == wanted
 
 
-def test_campaigns_without_a_detector_need_no_training(tmp_path, trained):
-    changes = {name: {"arms": {}} for name in ("table1", "table1_instructions")}
-    assert run(["reproduce", study(tmp_path, **changes), "--out", str(tmp_path / "out")]) == 0
-    assert trained == []
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["table1", "table1_instructions"])
-def test_another_campaign_in_one_of_the_folders_is_refused_before_anything_is_written(capsys, tmp_path, name):
-    own = {"host": HOST, "arms": {}}
-    sampling = {"level": "state"}
-    changes = {other: {**own, "sampling": sampling} for other in ("table1", "table1_instructions")}
+def test_another_campaign_in_one_of_the_folders_is_refused_before_anything_is_written(capsys, tmp_path):
+    made_up = {"host": HOST, "arms": {}, "sampling": {"level": "state"}}
+    changes = {name: dict(made_up) for name in ("table1", "table1_instructions")}
     arguments = ["reproduce", study(tmp_path, **changes), "--out", str(tmp_path / "out"), "--workers", "1"]
-    folder = tmp_path / "out" / {"table1": ".", "table1_instructions": "instructions"}[name]
-    assert run(["campaign", "run", str(tmp_path / f"{name}.yaml"), "--out", str(folder), "--workers", "1"]) == 0
-    changes[name]["faults"] = 2
+    file, folder = str(tmp_path / "table1_instructions.yaml"), str(tmp_path / "out" / "instructions")
+    assert run(["campaign", "run", file, "--out", folder, "--workers", "1"]) == 0
+    changes["table1_instructions"]["faults"] = 2
     study(tmp_path, **changes)
     capsys.readouterr()
     assert run(arguments) == 2
     assert "holds another campaign (differs in: campaign.faults: " in capsys.readouterr().err
     assert not {"models", "report.md"} & {path.name for path in (tmp_path / "out").iterdir()}
-
-
-def test_a_report_that_is_stopped_is_written_by_the_same_command(capsys, tmp_path, trained, monkeypatch):
-    def stop(*_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("mavfi.extras.paper.cli_report.write_study_report", stop)
-    assert run(["reproduce", study(tmp_path), "--out", str(tmp_path / "out")]) == 130
-    assert "the same command resumes" in capsys.readouterr().err
 
 
 def test_detectors_are_trained_for_each_platform_of_a_campaign():

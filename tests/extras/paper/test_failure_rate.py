@@ -1,6 +1,5 @@
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,9 +14,6 @@ from mavfi.extras.paper.failure_rate import (
     total_failures,
     upsets_per_instruction,
 )
-from mavfi.faults.levels.instruction import api
-from mavfi.faults.levels.instruction.table import parse_selection
-from mavfi.numerics.jit import kernel_jit
 
 
 def fixed(value):
@@ -50,14 +46,6 @@ def test_the_flux_grows_with_altitude_as_in_the_standard(altitude, factor):
 def test_upsets_per_instruction_by_hand():
     # 0.05 Mbit x 1000 FIT/Mbit = 50 FIT, of which a tenth is visible: 5e-9 per hour; 3.6e12 instructions in that hour
     assert upsets_per_instruction(upsets()).value == pytest.approx(5e-9 / 3.6e12)
-
-
-def test_a_processor_that_is_always_busy_fails_as_often_as_its_upsets_are_harmful():
-    """Worked out apart: 50 FIT, a tenth visible, at 120 m, 9.7 points of harm are 5.4e-10 failures per hour."""
-    rate = upsets_per_instruction(upsets(altitude=fixed(120))).value
-    busy = Exposed(3600 * 1e9, Estimate(0.097, 0.05, 0.15))
-    assert busy.failures(rate).value == pytest.approx(5.4e-10, rel=0.02)
-    assert busy.failures(rate).low == pytest.approx(5.4e-10 * 0.05 / 0.097, rel=0.02)
 
 
 def test_the_band_has_the_ends_of_flux_and_fit():
@@ -113,42 +101,3 @@ def test_idle_instructions_raise_the_coverage_and_save_no_mission(instructions, 
     assert math.isclose(diluted.failures(1e-20).value, own.failures(1e-20).value, rel_tol=1e-9)
     apart = total_failures([own, Exposed(idle, Estimate(0.0, 0.0, 0.0))], 1e-20)
     assert math.isclose(apart.value, own.failures(1e-20).value, rel_tol=1e-9)
-
-
-@kernel_jit
-def _own(values, result, scratch, idle):
-    for i in range(len(values)):
-        result[i] = values[i] * 3.0 + 1.0
-
-
-@kernel_jit
-def _diluted(values, result, scratch, idle):
-    for i in range(len(values)):
-        result[i] = values[i] * 3.0 + 1.0
-    for i in range(idle):
-        scratch[i % len(scratch)] = scratch[i % len(scratch)] * 1.5 + 0.25
-
-
-def measured(kernel, faults=300):
-    """The kernel in the fault space of floating-point results: counted, and injected."""
-
-    def arguments():
-        return np.arange(1.0, 17.0), np.zeros(16), np.ones(16), 64
-
-    selection = parse_selection("floating_point")
-    instructions = sum(times for site, times in api.histogram(kernel, *arguments()) if site in selection)
-    harmed = 0
-    for fault in api.draw(kernel, faults, *arguments(), which="floating_point", seed=5):
-        own = arguments()
-        api.inject(kernel, fault, *own)
-        harmed += own[1].tobytes() != (np.arange(1.0, 17.0) * 3.0 + 1.0).tobytes()
-    share = harmed / faults
-    return Exposed(instructions, Estimate(share, share, share))
-
-
-@pytest.mark.slow
-def test_a_kernel_with_idle_instructions_has_more_coverage_and_not_fewer_failures():
-    own, diluted = measured(_own), measured(_diluted)
-    assert diluted.instructions > 2 * own.instructions
-    assert 1 - diluted.harm.value > 1 - own.harm.value + 0.4, "coverage alone calls it better"
-    assert diluted.failures(1.0).value > 0.85 * own.failures(1.0).value, "within the sampling error of 300 faults"

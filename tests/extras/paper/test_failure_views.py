@@ -4,13 +4,10 @@ import pytest
 
 from mavfi.analysis import table
 from mavfi.extras.paper.failure_rate import (
-    Range,
     exposed,
-    failure_table,
     find_upsets,
     payoff,
     payoffs,
-    summary,
     upsets_per_instruction,
 )
 from mavfi.faults.fault import NO_SITE, InstructionFault
@@ -116,21 +113,6 @@ def test_instructions_that_only_a_setting_executes_count_with_their_harm():
     assert payoff(runs(*own), "sparse", "dr_gaussian", upset).value == pytest.approx(difference) == 10 * upset
 
 
-def test_the_faults_of_a_row_are_behind_its_cells():
-    own = campaign()
-    found = table(own, "failures_per_hour")
-    for row, behind in zip(found.entries(), found.behind, strict=True):
-        counted = own.injected.where(setting=row["setting"])
-        counted = counted if row["kernel"] == "all" else counted.where(kernel=row["kernel"])
-        assert set(behind) == {behind[0]} and sorted(behind[0]) == sorted(counted["run_id"])
-
-
-def test_a_detector_that_looks_better_by_coverage_fails_more_often():
-    rows = {row["setting"]: row for row in table(campaign(), "failures_per_hour").entries() if row["kernel"] == "all"}
-    assert rows["dr_gaussian"]["harm"].rate < rows["fi"]["harm"].rate
-    assert rows["dr_gaussian"]["failures"].value > rows["fi"]["failures"].value
-
-
 def test_a_detector_pays_if_it_prevents_more_failures_than_its_own_instructions_cause():
     found = payoff(campaign(), "sparse", "dr_gaussian", upset=1.0)
     # three of ten missions fewer in `pid`, two of ten more by the detector itself
@@ -155,21 +137,6 @@ def test_with_enough_pairs_the_answer_is_decided(saved, word):
     assert payoffs(runs(*own), 1.0)[0].startswith(f"does dr_gaussian pay in sparse? {word}, ")
 
 
-def test_settings_are_compared_by_a_difference_with_interval_not_by_a_bare_ratio():
-    found = table(campaign(), "failures_per_hour")
-    [against] = [column for column in found.columns if column.key == "against"]
-    assert against.hidden
-    assert any(note.startswith("does dr_gaussian pay in sparse? ") and "[" in note for note in found.notes)
-    assert any("in pairs with the same fault" in note for note in found.notes)
-
-
-def test_harm_is_that_beyond_the_golden_run_of_the_same_arm():
-    lost = replace(counted("pid"), status="collision")
-    faulty = (injected(seed, flown(False), INSTRUCTION) for seed in range(4))
-    own = runs(*(golden(seed, lost) for seed in range(4)), *faulty)
-    assert exposed(own)["sparse", "fi"]["pid"][1].harm.value == 0.0
-
-
 def test_settings_whose_golden_runs_were_not_counted_are_left_out():
     own = runs(
         golden(1, counted("pid")),
@@ -182,47 +149,9 @@ def test_settings_whose_golden_runs_were_not_counted_are_left_out():
     assert [note for note in notes if "not counted" in note] == [notes[0]] and notes[0].startswith("dr_gaussian: ")
 
 
-def test_no_setting_is_said_to_be_left_out_where_all_are_counted():
-    assert not any("not in the table" in note for note in table(campaign(), "failures_per_hour").notes)
-
-
-def test_upset_rates_of_ones_own_scale_all_rows_alike():
-    own, base = campaign(), find_upsets()
-    twice = base.model_copy(update={"visible": 2 * base.visible})
-    values = [[row["failures"].value for row in failure_table(own, chosen).entries()] for chosen in (base, twice)]
-    assert values[1] == pytest.approx([2 * value for value in values[0]])
-    assert summary(own, base)[0].startswith("Failures per flight hour, sparse: fi ")
-
-
-def test_without_upsets_nothing_fails_and_harm_remains():
-    none = find_upsets().model_copy(update={"fit_per_mbit": Range(value=0, low=0, high=0)})
-    rows = {row["setting"]: row for row in failure_table(campaign(), none).entries() if row["kernel"] == "all"}
-    assert rows["fi"]["failures"].value == 0.0 and rows["fi"]["harm"].rate == pytest.approx(0.4)
-
-
-def test_the_assumptions_and_their_sources_are_printed():
-    notes = "\n".join(table(campaign(), "failures_per_hour").notes)
-    assert "JESD89A" in notes and "IEC 61508" in notes and "assumed" in notes and "coverage" in notes
-
-
 def test_a_dead_kernel_counts_as_a_failure_if_it_ends_the_mission():
     own = [golden(seed, counted("pid")) for seed in range(4)]
     own += [injected(seed, died() if seed else flown(), INSTRUCTION, target="pid") for seed in range(4)]
     row = table(runs(*own), "failures_per_hour").entries()[0]
     assert row["failures"].value == 0
     assert row["ended"].value == pytest.approx(20 * 0.75 * upsets_per_instruction(find_upsets()).value)
-
-
-def test_false_alarms_are_no_effect_of_a_fault_in_the_detector():
-    slow = replace(counted("pid", "gaussian"), flight_time_s=2400.0)
-    own = []
-    for fault in (IN_DETECTOR, INSTRUCTION):
-        masked = replace(slow, injections=flown().injections)
-        own.append(
-            runs(
-                golden(1, counted("pid")),
-                golden(1, slow, arm="gaussian"),
-                injected(1, masked, fault, arm="gaussian", target=fault.kernel),
-            )
-        )
-    assert [found.injected.first("inflation") for found in own] == [0.0, pytest.approx(1 / 3)]

@@ -35,26 +35,6 @@ def test_kernels_have_a_row_each_below_the_golden_run_with_n_times_and_success()
     assert rates == [1.0, 0.5, 1.0]
 
 
-def test_each_environment_has_its_panels():
-    own = runs(*({"environment": name, "target": "waypoint", "flight_time_s": 40.0} for name in ("sparse", "dense")))
-    axes = figures.figure(own, "states").axes
-    assert [panel.get_title(loc="left") for panel in axes[::2]] == ["sparse", "dense"]
-
-
-@pytest.mark.parametrize("order", [(True, False), (False, True)])
-def test_success_of_all_environments_lies_within_their_common_axis(order):
-    shown = zip(("sparse", "dense"), order, strict=True)
-    own = runs(
-        *(
-            {"environment": environment, "target": "waypoint", "flight_time_s": 40.0, "success": success}
-            for environment, success in shown
-        )
-    )
-    rights = figures.figure(own, "states").axes[1::2]
-    lowest = min(bar.get_segments()[0][:, 0].min() for axes in rights for bars in axes.containers for bar in bars[2])
-    assert len(rights) == 2 and all(axes.get_xlim()[0] <= lowest and axes.get_xlim()[1] == 1.02 for axes in rights)
-
-
 def test_distributions_name_worst_case_limit_and_counts():
     own = runs(
         golden(flight_time_s=38.0, inflation=0.0, time_limit_s=150.0),

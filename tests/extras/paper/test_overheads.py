@@ -1,6 +1,5 @@
 import json
 import re
-from types import SimpleNamespace
 
 import pytest
 
@@ -10,7 +9,6 @@ from mavfi.config import config_root
 from mavfi.errors import BadInputError
 from mavfi.extras.paper import overhead_views, overheads
 from mavfi.mission import MissionSpec
-from mavfi.states import new_state
 from tests.core.unit.analysis.handmade import flown, golden, injected, runs
 
 ROW = {
@@ -49,13 +47,6 @@ def test_modelled_shares_by_hand_next_to_the_papers():
     assert any("detection, modelled, are empty: " in note for note in notes), "elsewhere it may have been measured"
     assert found["all"]["modelled_detection"] is found["all"]["modelled_sum"] is None
     assert not any("repeats it" in note for note in notes)
-
-
-def test_the_papers_autoencoder_has_one_row_for_all_stages():
-    own = runs(golden(1), injected(1, flown(compute_us={"pid": 9}, recompute_us={}), arm="autoencoder"))
-    found = {row["stage"]: row for row in table(own, "overheads_as_in_the_paper").entries()}
-    assert found["all"]["paper_detection"] == found["all"]["paper_sum"] == 0.000047
-    assert found["control"]["paper_detection"] is None
 
 
 def test_measured_values_are_compared_with_modelled_ones():
@@ -111,56 +102,6 @@ def test_measured_shares_are_kept_with_the_ledger(tmp_path):
         (tmp_path / overheads.FILE).write_text(damaged)
         with pytest.raises(BadInputError, match="overheads.json: is not a file of measured overheads"):
             overhead_views.load(tmp_path)
-
-
-def test_repeated_steps_count_with_the_mean_time_of_a_step_and_memory_is_kept_by_stage():
-    clock = overheads._Clock()
-    clock.seconds |= {("octomap", "step"): 3.0, ("octomap", "mark"): 0.5, ("pid", "rollback"): 0.25}
-    clock.calls |= {("octomap", "step"): 6}
-    found = overheads._recovery(clock, {("perception", "octomap"): 2, ("planning", "planner"): 1})
-    assert found == {"perception": 0.5 + 2 * 0.5, "planning": 0.0, "control": 0.25, "all": 1.75}
-
-
-def test_timed_methods_do_what_they_did():
-    clock = overheads._Clock()
-    kernel = SimpleNamespace(name="pid", step=lambda now: now + 1)
-    clock.timed(kernel, "step")
-    assert [kernel.step(1), kernel.step(2)] == [2, 3]
-    assert clock.calls["pid", "step"] == 2 and clock.step("pid") == clock.seconds["pid", "step"] / 2
-
-
-def published(count):
-    """Publications of way-points, each twice."""
-    states = [new_state("planning.waypoint") for _ in range(2 * count)]
-    for number, state in enumerate(states):
-        state.header["x"] = number // 2
-    return [(state, 0) for state in states]
-
-
-def test_a_long_replay_is_not_repeated(monkeypatch):
-    times, calls = {"planning": 0.3, "all": 2.5}, []
-
-    def replay(detector, own):
-        calls.append(len(own))
-        return times["all" if len(own) > 4 else "planning"]
-
-    monkeypatch.setattr(overheads, "replay", replay)
-    status = (new_state("perception.collision_status"), 0)
-    found = overheads._detection(SimpleNamespace(), [*published(2), status], {"planning": 0.5})
-    assert calls == [1] * 5 + [4] * 5 + [5]
-    assert found == {"perception": 0.3, "planning": 0.8, "control": 0.0, "all": 3.0}
-
-
-def test_steps_that_are_computed_again_are_detection_and_not_kernels():
-    clock, now = overheads._Clock(), iter(range(100))
-    kernel = SimpleNamespace(name="waypoint", stage="planning", step=lambda time_us: [time_us])
-    clock.timed(kernel, "step")
-    verify = clock.timed_verification(lambda kernel, first, time_us: (kernel.step(next(now)), 7))
-    kernel.step(1)
-    before = dict(clock.seconds)
-    assert verify(kernel, [], 2) == ([0], 7) and verify(kernel, [], 2) == ([1], 7)
-    assert dict(clock.seconds) == before and clock.calls["waypoint", "step"] == 1
-    assert clock.again["planning"] > 0.0 and clock.verified == 2
 
 
 @pytest.mark.slow

@@ -1,23 +1,36 @@
+"""The performance model behind Fig. 8: formulas by hand, properties, tables, and `mavfi redundancy`."""
+
 import math
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from mavfi import config
+from mavfi.analysis import VIEWS
+from mavfi.cli.commands import run
 from mavfi.config import VehicleConfig, shipped
 from mavfi.errors import BadInputError
+from mavfi.extras.paper.failure_rate import UpsetConfig
 from mavfi.extras.paper.redundancy import (
     CANNOT_HOVER,
     GRAVITY,
     DesignConfig,
     at_ends,
+    band,
     energy_ratio,
     find_design,
     max_acceleration,
     payload,
     performance,
+    ratio,
+    redundancy_tables,
     safe_speed,
     shipped_designs,
+    summary,
     time_ratio,
 )
+from tests.core.unit.analysis.handmade import flown, golden, injected, runs
 
 
 def design(**changes):
@@ -44,10 +57,6 @@ def test_the_safe_speed_is_that_from_which_the_vehicle_stops_in_time(acceleratio
         assert found * period + found**2 / (2 * acceleration) == pytest.approx(distance)
 
 
-def test_a_long_period_leaves_the_range_over_the_period():
-    assert safe_speed(5.0, 1e6, 7.0) == pytest.approx(7e-6, rel=1e-9)
-
-
 def test_payload_grows_by_a_heat_sink_or_by_a_board_for_each_processor():
     own = {"board_mass": 0.1, "heatsink": 0.01, "processor_power": 4.0}
     assert [payload(design(**own), n) for n in (1, 2, 3)] == pytest.approx([0.14, 0.18, 0.22])
@@ -71,12 +80,6 @@ def test_ratios_of_time_and_energy():
     assert time_ratio(three, one, between) == pytest.approx(between / three.speed)
     heavy = performance(design(max_thrust=12.0, heatsink=0.02, processor_power=5.0), 3)
     assert heavy.speed == 0 and time_ratio(heavy, one) == CANNOT_HOVER
-
-
-def test_a_detector_costs_its_share_of_the_period_and_no_mass():
-    plain, watched = performance(design()), performance(design(), 1, 0.1)
-    assert watched.mass == plain.mass
-    assert watched.speed == safe_speed(plain.acceleration, 1.1 * design().action_period, 7.0)
 
 
 # ---- shipped calibrations ----------------------------------------------------------------------------------------
@@ -134,3 +137,107 @@ def test_a_wrong_vehicle_file_is_refused(tmp_path, text, message):
     with pytest.raises(BadInputError) as raised:
         find_design(str(path))
     assert str(path) in str(raised.value) and message in str(raised.value)
+
+
+# ---- properties ----
+REAL = {"allow_nan": False, "allow_infinity": False}
+accelerations = st.floats(1e-3, 50, **REAL)
+periods = st.floats(0, 10, **REAL)
+ranges = st.floats(0.1, 100, **REAL)
+
+
+@st.composite
+def designs(draw):
+    mass, power, per_watt = (
+        draw(st.floats(0.05, 20, **REAL)),
+        draw(st.floats(0.1, 50, **REAL)),
+        draw(st.floats(0, 0.05, **REAL)),
+    )
+    weight = GRAVITY * (mass + 0.085 + power * per_watt)
+    return DesignConfig(
+        name="drawn",
+        mass=mass,
+        max_thrust=draw(st.floats(1.01, 4, **REAL)) * weight,
+        processor_power=power,
+        heatsink=per_watt,
+        action_period=draw(periods),
+        sensing_range=draw(ranges),
+        acceleration=draw(st.sampled_from(["excess_thrust", "tilt"])),
+        replicated=draw(st.sampled_from(["processor", "board"])),
+    )
+
+
+@given(designs(), st.integers(1, 5))
+def test_more_redundancy_never_makes_a_vehicle_lighter_faster_or_cheaper_to_fly(design, copies):
+    few, many = performance(design, copies), performance(design, copies + 1)
+    assert payload(design, copies + 1) >= payload(design, copies)
+    assert many.mass >= few.mass
+    assert many.speed <= few.speed
+    one = performance(design)
+    assert 1 <= time_ratio(few, one) <= time_ratio(many, one)
+    assert energy_ratio(many, one) >= time_ratio(many, one)
+
+
+@given(accelerations, periods, ranges)
+def test_a_vehicle_at_its_safe_speed_stops_within_its_range_and_not_before(acceleration, period, distance):
+    speed = safe_speed(acceleration, period, distance)
+    assert math.isclose(speed * period + speed**2 / (2 * acceleration), distance, rel_tol=1e-9)
+
+
+# ---- tables ----
+def test_the_comparison_has_every_scheme_and_the_papers_figures():
+    rows = VIEWS["redundancy"].table(runs(golden(1), injected(1, flown()))).entries()
+    assert len(rows) == len(shipped_designs()) * 4
+    tmr = {(row["vehicle"], row["calibration"]): row for row in rows if row["scheme"] == "TMR"}
+    assert [row["paper"] for row in tmr.values()] == [1.06, 1.06, 1.91, 1.91]
+    assert tmr["dji_spark", "logged power"]["time"] == pytest.approx(1.881, abs=1e-3)
+    assert tmr["dji_spark", "thermal design power"]["band"].startswith("≥ 1.0"), "at one end it cannot hover"
+    assert all(row["time"] == 1 and row["band"] is None for row in rows if row["scheme"] == "autoencoder")
+    assert tmr["airsim_uav", "logged power"]["limited"] == 1.0, "it may fly faster than the mission lets it"
+
+
+def test_the_band_is_the_hull_of_one_parameter_after_the_other():
+    own = design(bands={"processor_power": {"low": 1.0, "high": 9.0}, "sensing_range": {"low": 2.0, "high": 20.0}})
+    changes = [("processor_power", 1.0), ("processor_power", 9.0), ("sensing_range", 2.0), ("sensing_range", 20.0)]
+    ends = [own.model_copy(update={key: value}) for key, value in changes]
+    found = [ratio(one, "TMR") for one in (own, *ends)]
+    assert band(own, "TMR") == (min(found), max(found)) and min(found) < ratio(own, "TMR") < max(found)
+
+
+def test_a_users_own_vehicle_has_no_figure_of_the_paper_and_no_band():
+    tables = redundancy_tables([design()])
+    assert [table.name for table in tables] == ["redundancy", "redundancy_speeds"]
+    last = tables[0].entries()[-1]
+    assert (last["scheme"], last["paper"], last["band"]) == ("TMR", None, None)
+    assert last["time"] == pytest.approx(time_ratio(performance(design(), 3), performance(design(), 1, 0.000062)))
+    assert summary([design()]) == [f"toy (own): with TMR it takes {last['time']:.2f} times as long as with a detector."]
+
+
+def test_the_summary_says_the_papers_figure_and_what_cannot_fly():
+    said = summary([find_design("dji_spark")])
+    assert said == [
+        "dji_spark (logged power): with TMR it takes 1.88 times as long as with a detector, band 1.19–2.42; the paper: "
+        "1.91 times."
+    ]
+    assert "with TMR it cannot hover" in summary([design(max_thrust=11.2)])[0]
+
+
+# ---- command line ----
+def test_the_answer_comes_first_and_the_picture_is_drawn(tmp_path, capsys):
+    picture = tmp_path / "red.png"
+    assert run(["redundancy", "--picture", str(picture)]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("airsim_uav (logged power): with TMR it takes 1.06 times as long")
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_bad_input_is_one_line(tmp_path, capsys):
+    assert run(["redundancy", "--vehicle", "balloon"]) == 2
+    assert "redundancy 'balloon': not known; allowed: airsim_uav, airsim_uav_tdp, dji_spark" in capsys.readouterr().err
+    assert run(["redundancy", "--picture", str(tmp_path / "x.txt")]) == 2
+    assert run(["redundancy", "--csv"]) == 2
+
+
+@pytest.mark.parametrize(("kind", "model"), [("redundancy", DesignConfig), ("upsets", UpsetConfig)])
+def test_shipped_configurations_are_named_as_their_files(kind, model):
+    assert [config.shipped(kind, model, name).name for name in config.names(kind)] == list(config.names(kind))

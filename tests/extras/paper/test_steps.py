@@ -7,7 +7,7 @@ import pytest
 from mavfi.errors import BadInputError
 from mavfi.extras.paper import steps
 from mavfi.extras.paper.report import step_table
-from mavfi.extras.paper.steps import FILE, SET_UP, SET_UP_FILE, Steps, machine, program, set_up_seconds
+from mavfi.extras.paper.steps import FILE, SET_UP, SET_UP_FILE, StepTimes, machine, program, set_up_seconds
 
 MAKEFILE = Path(__file__).parents[3] / "Makefile"
 
@@ -23,43 +23,43 @@ def set_up_file(monkeypatch, tmp_path_factory):
 def test_times_of_a_resumed_study_add_up(tmp_path, monkeypatch):
     clock = iter([0.0, 2.0, 10.0, 15.0, 20.0, 21.0])
     monkeypatch.setattr("time.perf_counter", lambda: next(clock))
-    first = Steps.begin(tmp_path, 2)
+    first = StepTimes.begin(tmp_path, 2)
     with first.timed("compilation"):
         pass
     with pytest.raises(KeyboardInterrupt), first.timed("campaign table1"):
         raise KeyboardInterrupt
-    second = Steps.begin(tmp_path, 1)
+    second = StepTimes.begin(tmp_path, 1)
     assert second.seconds == {"compilation": 2.0, "campaign table1": 5.0}, "what was interrupted counts, too"
     with second.timed("compilation"):
         pass
-    held = Steps.load(tmp_path)
+    held = StepTimes.load(tmp_path)
     assert held.seconds == {"compilation": 3.0, "campaign table1": 5.0}
     assert [run["machine"] for run in held.runs] == [f"{machine()}, 2 workers", f"{machine()}, 1 worker"]
     assert {run["program"] for run in held.runs} == {program()} and program().startswith("mavfi ")
 
 
 def test_without_a_file_there_are_none_and_a_damaged_one_is_named(tmp_path):
-    assert Steps.load(tmp_path) == Steps(tmp_path)
+    assert StepTimes.load(tmp_path) == StepTimes(tmp_path)
     for text in ("{", "[]", '{"seconds": {"a": "x"}, "runs": []}', '{"seconds": {}, "runs": [{}]}'):
         (tmp_path / FILE).write_text(text, encoding="utf-8")
         with pytest.raises(BadInputError, match="steps.json: is not a file of wall times"):
-            Steps.load(tmp_path)
+            StepTimes.load(tmp_path)
 
 
 def test_set_up_is_the_first_step_and_counts_once(tmp_path, set_up_file):
-    clock = Steps.begin(tmp_path, 2)
+    clock = StepTimes.begin(tmp_path, 2)
     with clock.timed("compilation"):
         pass
     assert list(clock.seconds) == ["compilation"]
     set_up_file.write_text("63\n", encoding="utf-8")
     for _ in range(2):
-        resumed = Steps.begin(tmp_path, 2)
+        resumed = StepTimes.begin(tmp_path, 2)
         with resumed.timed("compilation"):
             pass
-        held = Steps.load(tmp_path).seconds
+        held = StepTimes.load(tmp_path).seconds
         assert list(held) == [SET_UP, "compilation"] and held[SET_UP] == 63.0
     set_up_file.write_text("20\n", encoding="utf-8")
-    assert Steps.begin(tmp_path, 2).seconds[SET_UP] == 63.0, "another environment has its own time"
+    assert StepTimes.begin(tmp_path, 2).seconds[SET_UP] == 63.0, "another environment has its own time"
     table = step_table(held, {})
     assert table.entries()[0]["step"] == SET_UP and any(note.startswith(SET_UP) for note in table.notes)
     assert not any(note.startswith(SET_UP) for note in step_table({"compilation": 1.0}, {}).notes)
@@ -68,7 +68,7 @@ def test_set_up_is_the_first_step_and_counts_once(tmp_path, set_up_file):
 @pytest.mark.parametrize("text", ["", "soon", "-3", "nan", "inf"])
 def test_a_time_of_set_up_that_cannot_be_read_is_unknown(tmp_path, set_up_file, text):
     set_up_file.write_text(text, encoding="utf-8")
-    assert set_up_seconds() is None and Steps.begin(tmp_path, 2).seconds == {}
+    assert set_up_seconds() is None and StepTimes.begin(tmp_path, 2).seconds == {}
 
 
 PYTHON = """#!/bin/sh
@@ -111,11 +111,3 @@ def test_make_setup_writes_how_long_it_took_if_it_made_the_environment(tmp_path,
         if changed:
             os.utime(tmp_path / "requirements.lock", (2e9, 2e9))
         assert make_setup() == 0 and set_up_seconds() == 60.0
-
-
-def test_a_set_up_that_was_interrupted_has_no_time(tmp_path, make_setup):
-    (tmp_path / "stop").touch()
-    assert make_setup() == 2
-    (tmp_path / "stop").unlink()
-    assert make_setup() == 0 and (tmp_path / ".venv" / ".installed").exists()
-    assert not (tmp_path / ".venv" / SET_UP_FILE.name).exists(), "the time of a part is not that of all"

@@ -10,7 +10,7 @@ from mavfi.cli import run
 from mavfi.extras.paper import cli_report as study_report
 from mavfi.extras.paper.cli_report import StudyBar
 from mavfi.extras.paper.report import write_study
-from mavfi.extras.paper.steps import Steps
+from mavfi.extras.paper.steps import StepTimes
 from mavfi.extras.paper.study import Study
 from tests.core.unit.cli import test_progress, test_report
 from tests.core.unit.cli.test_report import printed
@@ -50,27 +50,8 @@ def test_several_processes_write_the_same_reports_of_a_study(flown, tmp_path):
         assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes(), file
 
 
-def test_each_step_of_a_study_has_a_bar_and_a_time_of_its_own(capsys, clock, tmp_path):
-    with StudyBar("study paper", Steps(tmp_path)) as bar:
-        with bar.timed("compilation", "tasks"):
-            for done in range(4):  # the first one includes loading
-                bar.show(done, 3)
-                clock[0] += 20.0
-        with bar.timed("flights"):
-            for done in (0, 1, 31):
-                bar.show(done, 100)
-                clock[0] += 60.0
-        lines = capsys.readouterr().err.splitlines()
-    assert lines[1:3] == [
-        "study paper, compilation 2/3 tasks  0.05 tasks/s · 20 s left",
-        "study paper, compilation 3/3 tasks",
-    ]
-    assert lines[-1] == "study paper, flights 31/100 flights  0.50 flights/s · 2 min 18 s left"
-    assert bar.steps.seconds == {"compilation": 80.0, "flights": 180.0}
-
-
 def test_a_step_that_is_stopped_is_not_shown_as_done(capsys, clock, tmp_path):
-    bar = StudyBar("study paper", Steps(tmp_path))
+    bar = StudyBar("study paper", StepTimes(tmp_path))
     with pytest.raises(KeyboardInterrupt), bar, bar.timed("flights"):
         raise KeyboardInterrupt
     assert capsys.readouterr().err == "" and list(bar.steps.seconds) == ["flights"]

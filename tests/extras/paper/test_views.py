@@ -52,34 +52,6 @@ def test_rows_are_tested_against_their_golden_runs_in_pairs():
     assert any("McNemar's exact test" in note for note in found.notes)
 
 
-@pytest.mark.parametrize(("view", "each"), [("states_as_in_the_paper", "group"), ("bits_as_in_the_paper", "stage")])
-def test_tables_of_states_and_bits_have_the_test_too(view, each):
-    faults = [
-        StateFault(FaultSite("planning.waypoint", "x"), 1, bit, name)
-        for name, bit in (("sign", 63), ("exponent", 60), ("mantissa", 3))
-    ]
-    own = [golden(seed) for seed in range(6)]
-    own += [
-        injected(seed, flown(stratum > 0), fault, index=10 * seed + stratum)
-        for seed in range(6)
-        for stratum, fault in enumerate(faults)
-    ]
-    empty, *rows = table(runs(*own, each=each), view).column("p")
-    assert (empty, rows[0]) == (None, pytest.approx(2 * 0.5**6)) and set(rows[1:]) <= {1.0}
-
-
-def test_bits_have_a_row_each():
-    strata = [("sign", 63), ("exponent", 60), ("mantissa", 3)]
-    faults = [StateFault(FaultSite("planning.waypoint", "x"), 1, bit, name) for name, bit in strata]
-    own = runs(golden(1), *(injected(1, flown(), fault, index=place) for place, fault in enumerate(faults)))
-    assert [row["bits"] for row in table(own, "bits_as_in_the_paper").entries()] == [
-        GOLDEN_ROW,
-        "sign",
-        "exponent",
-        "mantissa",
-    ]
-
-
 def test_flight_times_are_of_pairs_that_succeed_in_all_settings(fake):
     for environment in ("sparse", "dense"):
         bare, faulty, watched = entries(fake, "flight_times", environment=environment)
@@ -133,30 +105,6 @@ def test_cases_are_the_faults_that_the_detector_shortens_most():
     assert path_cases(both)[0].fault.startswith("dense-4"), "nor saved: a mission that is lost"
     assert path_cases(runs(*pair(1, 55.0, 55.0), *pair(2, 52.0, 52.0)))[0].fault.startswith("dense-1"), "the slowest"
     assert path_cases(runs(golden(1, GOLDEN))) == []
-
-
-def test_a_shorter_way_after_a_false_alarm_recovers_nothing():
-    own = [
-        golden(1, environment="dense"),
-        injected(1, flown(flight_time_s=50.0), PERCEPTION, environment="dense"),
-        injected(1, flown(flight_time_s=40.0), PERCEPTION, arm="gaussian", environment="dense"),
-    ]
-    lost = [
-        golden(2, environment="dense"),
-        injected(2, flown(False), PERCEPTION, environment="dense"),
-        injected(2, flown(), PERCEPTION, arm="gaussian", environment="dense"),
-    ]
-    assert path_cases(runs(*own, *lost))[0].fault.startswith("dense-2"), "the mission that is saved"
-
-
-def test_the_detector_of_a_case_is_the_one_that_recovers_it():
-    own = [golden(1, environment="dense"), injected(1, flown(False), PERCEPTION, environment="dense")]
-    own += [
-        injected(1, flown(arm == "gaussian"), PERCEPTION, arm=arm, environment="dense")
-        for arm in ("autoencoder", "gaussian")
-    ]
-    [found] = path_cases(runs(*own))
-    assert found.arm == "gaussian" and found.recovered.startswith("dense-1-dr_gaussian")
 
 
 def test_sign_and_exponent_lead_together_where_they_are_drawn_apart():

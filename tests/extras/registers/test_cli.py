@@ -31,13 +31,3 @@ def test_operands_and_names_in_brackets_are_printed(capsys, monkeypatch, activat
     for name in ("mov rax, qword ptr [rdi + 8]", "[vdso]", "f[abi:cxx11]+0x4", "0x1 → 0x9"):
         assert name in text
     assert ("NOT injected as planned" in text) == (not activated)
-
-
-def test_a_null_injection_says_that_nothing_was_changed(capsys, monkeypatch):
-    injection = Injection("register", "rdi", 0.0, 3, "0x1", "0x1", activated=True, details=DETAILS)
-    monkeypatch.setattr("mavfi.extras.registers.inject", lambda *arguments: arguments[-1](injection))
-    assert run(["inject", "--pid", str(os.getpid()), "--null"]) == 0
-    assert (
-        "rdi bit 3 not flipped (null injection) before mov rax, qword ptr [rdi + 8]: 0x1, unchanged"
-        in capsys.readouterr().out
-    )

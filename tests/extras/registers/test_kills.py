@@ -18,12 +18,6 @@ def test_a_target_that_is_not_stepped_survives_its_tracer(targets, name):
     assert wrong == [] and hits == 20
 
 
-def test_without_steps_it_injects_where_the_target_stands(spin):
-    for number in range(20):
-        found = tracers.inject_once(spin.pid, tracers.STEPLESS, number, 0, bool)
-        assert found.activated and found.details["walked"] == 0
-
-
 @pytest.mark.parametrize("steps", [0, 1])
 def test_a_step_of_a_tracer_that_dies_is_deadly(spin, steps):
     """Else the documentation is too cautious."""

@@ -1,7 +1,7 @@
 """The table of costs: its rows, what is left out and why, and which detectors fly again."""
 
 from benchmarks import detectors
-from benchmarks.detectors import BASELINES, DETECTORS, is_due, models_of, table, unmeasured
+from benchmarks.detectors import BASELINES, DETECTORS, table, unmeasured
 from mavfi.errors import NotInstalledError, SpecMismatchError
 from mavfi.extras.bench.bench import load_bench
 from mavfi.extras.paper.overheads import STAGES, Cost
@@ -43,30 +43,3 @@ def test_what_is_not_measured_is_named_with_the_reason(monkeypatch, tmp_path):
     assert "Not measured: `pca` (`published`), `pca` (`hardened`): package 'pyod': not installed." in text
     assert "Not measured: `matrix_profile` (`hardened`): there is no model for this autopilot profile." in text
     assert str(tmp_path) not in text
-
-
-def test_a_slow_detector_is_measured_once_in_each_mission():
-    fast, slow = [cost(0.1)] * 4, [cost(5.0)] * 4
-    assert [is_due(repeat, fast, 4) for repeat in (-1, 0, 1, 2)] == [True] * 4
-    assert [is_due(repeat, slow, 4) for repeat in (-1, 0, 1, 2)] == [True, True, False, False]
-
-
-def test_only_models_of_other_libraries_are_those_of_the_folder(tmp_path):
-    assert models_of("gaussian", tmp_path) is None and models_of("pca", tmp_path) == tmp_path
-
-
-def test_a_selection_is_printed_and_not_written(monkeypatch, capsys):
-    flown = []
-
-    def measured(mission, name, profile, models):
-        flown.append((mission.autopilot, mission.environment, mission.seed, name))
-        return cost(0.01)
-
-    monkeypatch.setattr(detectors, "cost", measured)
-    monkeypatch.setattr(detectors, "PAGE", None)
-    for name, value in {"N": "1", "SEEDS": "1", "ONLY": "duplicate pca", "MODELS": ""}.items():
-        monkeypatch.setenv(name, value)
-    detectors.main()
-    assert len(flown) == 2 * (1 + 2) and {name for *_, name in flown} == {"duplicate"}
-    text = capsys.readouterr().out
-    assert text.count("| `duplicate`, `paper` |") == 2 and "needs MODELS, a folder of models" in text

@@ -1,12 +1,9 @@
 """Memory of workers over many flights stays as it is."""
 
-import mmap
-import os
-
 import numpy as np
 import pytest
 
-from benchmarks.memory import MOST_GROWTH_KIB, Look, campaign_of, fly, growth, resident_kib
+from benchmarks.memory import MOST_GROWTH_KIB, Look, campaign_of, fly, growth
 
 MOST_GROWTH_OF_A_FEW_KIB = 8 * MOST_GROWTH_KIB
 """Growth in tens of missions that is no leak (KiB per 100 runs): the caches of environments still fill."""
@@ -28,15 +25,6 @@ def test_a_single_step_is_no_growth_and_a_leak_under_noise_is():
     leak = [Look(20 * mission, 500_000.0 + 400.0 * mission + noise[mission], 0.0) for mission in missions]
     assert growth(leak) == pytest.approx(2000.0, rel=0.2)
     assert growth(leak) > MOST_GROWTH_KIB
-
-
-def test_memory_is_that_of_a_process():
-    before = resident_kib(os.getpid())
-    with mmap.mmap(-1, 64 * 2**20) as held:  # not of the heap, which may have as much to spare
-        for page in range(0, len(held), mmap.PAGESIZE):
-            held[page] = 1
-        assert 60 * 1024 < resident_kib(os.getpid()) - before < 80 * 1024
-    assert resident_kib(2**22 + 1) == 0.0
 
 
 @pytest.mark.slow

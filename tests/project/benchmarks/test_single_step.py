@@ -1,7 +1,6 @@
 """The reference at machine level: execution is the same each time, strikes are seen, outcomes distinguished."""
 
 import os
-from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
 
@@ -11,12 +10,12 @@ import pytest
 from benchmarks.destinations import destinations, is_out_of_reach
 from benchmarks.machine_level import entry_of, inject_all, protected
 from benchmarks.single_step import MachineFault, SteppedCall
-from mavfi.errors import BadInputError, MavfiError
+from mavfi.errors import BadInputError
 from mavfi.extras.hardening.battery import DETECTED
 from mavfi.extras.registers.registers import decode
 from mavfi.faults.levels.instruction.api import digest
 from mavfi.numerics.jit import kernel_jit
-from tests.core.unit.faults.instruction.kernels import LOOP, counted_down, fill, loop, raising
+from tests.core.unit.faults.instruction.kernels import LOOP, counted_down, fill, loop
 from tests.extras.registers.tracing import require_tracing
 
 SEED = 11
@@ -70,23 +69,6 @@ def test_the_same_instructions_are_executed_each_time(call):
     assert 20 < len(call.sites) <= call.own <= call.steps
 
 
-@pytest.mark.slow
-def test_work_of_more_rounds_takes_more_instructions():
-    few, many = (stepped(loop, LOOP[0], n).own for n in (5, 25))
-    assert many > few + 3 * 20
-
-
-def test_other_machines_are_refused(monkeypatch):
-    monkeypatch.setattr("platform.machine", lambda: "aarch64")
-    with pytest.raises(BadInputError, match="x86-64 Linux; this is .* on aarch64"):
-        SteppedCall(bytes, 0)
-
-
-def test_code_that_is_not_called_is_said_so():
-    with pytest.raises(MavfiError, match="did not come to"):
-        SteppedCall(lambda: digest(loop(*LOOP)), entry_of(counted_down, (3.0,)))
-
-
 def test_a_system_that_forbids_tracing_is_refused_in_one_line(monkeypatch):
     def forbidden(thread):
         raise PermissionError(1, "Operation not permitted")
@@ -123,16 +105,6 @@ def test_the_same_fault_does_the_same(call):
     assert faults == call.draw(np.random.default_rng(SEED), 6)
 
 
-def test_draws_are_uniform_over_instructions_with_a_destination(call):
-    faults = call.draw(np.random.default_rng(SEED), 20_000)
-    hits = Counter(fault.step for fault in faults)
-    expected = len(faults) / len(call.sites)
-    spread = sum((hits[step] - expected) ** 2 / expected for step, _ in call.sites)
-    assert abs(spread - len(call.sites)) < 5 * np.sqrt(2 * len(call.sites))
-    assert set(hits) <= {step for step, _ in call.sites}
-    assert all(fault.bit in fault.register.bits for fault in faults)
-
-
 # ---- outcomes -------------------------------------------------------------------------------------------------------
 @pytest.mark.slow
 def test_a_wrong_number_is_silent():
@@ -157,20 +129,6 @@ def test_a_loop_that_does_not_end_is_a_hang():
     half = int(np.array([0.5]).view(np.uint64)[0])
     outcome = call.inject(replace(held(call, half), bit=62))  # 2^1023, from which 1 cannot be taken
     assert (outcome.how, outcome.detail, outcome.activated) == ("hang", "instruction budget", True)
-
-
-@pytest.mark.slow
-def test_a_call_that_raises_is_an_exception():
-    values = np.ones(4)
-    call = stepped(raising, values, 3)
-    outcomes = [
-        call.inject(MachineFault(step, register, 63))
-        for step, registers in call.sites
-        for register in registers
-        if 63 in register.bits and call.inject(MachineFault(step, register, 63), null=True).before == 3
-    ]
-    assert "exception" in {outcome.how for outcome in outcomes}
-    assert any("ValueError: negative" in outcome.detail for outcome in outcomes)
 
 
 @pytest.mark.slow
@@ -228,8 +186,3 @@ def test_registers_that_cannot_be_injected_are_counted_apart():
     assert masks.text.startswith("vcmp") and "xmm16" in high.text
     assert [is_out_of_reach(made) for made in (masks, high, scalar, compare)] == [True, True, False, False]
     assert destinations([masks, high]) == [(), ()]
-
-
-def test_what_is_not_the_kernels_own_is_not_injected():
-    own = run_of(ADD)[0]
-    assert [names(found) for found in destinations([None, own, None])] == [[], [("rax", 64)], []]

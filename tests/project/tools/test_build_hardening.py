@@ -6,11 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.advise import Curve, Step
 from mavfi.extras.hardening.certify import certification_json
-from mavfi.extras.hardening.choose import NOTHING
-from mavfi.extras.hardening.observed import GoldenCheck
-from mavfi.extras.hardening.plan import Plan
 from mavfi.extras.hardening.report import certificate_table
 from mavfi.extras.hardening.target import Injected
 from tools import build_hardening, results
@@ -29,16 +25,6 @@ def test_the_readme_says_what_the_page_says():
         " ([curves, plans, certificates](docs/results/hardening.md)), but buys no missions: "
     )
     assert buys.startswith("Protect ") and f"{buys}. It does not buy missions: {lost}" in page
-
-
-def test_fine_steps_have_a_row_if_they_are_certified(monkeypatch):
-    monkeypatch.setattr(build_hardening, "growth_of", lambda *_: 1.5)
-    target = SimpleNamespace(key=("track", "()"), seen=SimpleNamespace(entry="track"), kernels=("pid",))
-    steps = tuple(Step(place / 40, NOTHING, 1.1, []) for place in range(5))
-    rate = {"rate": 0.5, "low": 0.4, "high": 0.6, "n": 10}
-    row = {"sdc_before": rate, "sdc_after": rate, "coverage": rate, "verdict": "confirmed"}
-    found = build_hardening.curve_table([Curve(target, 1.0, 0.1, steps)], {("track", "()", 0.025): row}).rows
-    assert [(row[2], row[-1]) for row in found] == [(0.025, "confirmed"), (0.05, None), (0.1, None)]
 
 
 @pytest.mark.parametrize(
@@ -63,22 +49,6 @@ def test_functions_with_a_bar_are_injected_until_enough_are_silent(monkeypatch, 
     found = build_hardening.Records(tmp_path / "r.jsonl", 3).learn(seen)
     assert made == asked and len(found) == 1000 * asked[-1]
     assert build_hardening.Records(tmp_path / "r.jsonl", 3).learn(seen) == found and made == asked, "kept in the file"
-
-
-def test_every_planner_of_the_study_is_flown_golden(monkeypatch, tmp_path):
-    flown = []
-
-    def check(scenario, plan, kernels):
-        flown.append((scenario.environment.name, scenario.seed, scenario.planner.name))
-        assert scenario.planner.name in kernels
-        return GoldenCheck(1, 1, 10, 0)
-
-    monkeypatch.setattr(build_hardening, "check_golden", check)
-    planners = {"rrt_connect": ("pid", "rrt_connect"), "rrt": ("pid", "rrt"), "rrt_star": ("pid", "rrt_star")}
-    study, records = SimpleNamespace(by_planner=lambda: planners), build_hardening.Records(tmp_path / "r.jsonl", 1)
-    for _ in range(2):  # what is known is not flown again
-        assert build_hardening.golden(study, Plan(), 2, records) == GoldenCheck(24, 24, 240, 0)
-    assert len(flown) == len(set(flown)) == 24 and {planner for *_, planner in flown} == set(planners)
 
 
 def test_the_readme_and_the_page_say_what_the_shipped_certificate_says():

@@ -1,7 +1,5 @@
 """The worth of each rule is that of the ledgers; bad input is one line."""
 
-import itertools
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +9,7 @@ from mavfi.analysis.statistics import Rate
 from mavfi.analysis.views import VIEWS
 from mavfi.errors import BadInputError
 from mavfi.extras.bench.bench import load_bench, published_rows
-from tests.core.unit.analysis.handmade import INSTRUCTION, alarm, died, flown, golden, injected, runs
+from tests.core.unit.analysis.handmade import INSTRUCTION, died, flown, golden, injected, runs
 from tools import build_leaderboard, results
 from tools.build_leaderboard import LOST_ALONE, NAME, OBSERVER, RULES, headline, main, merged, rules, summary
 
@@ -62,45 +60,6 @@ def test_the_headline_counts_what_comes_back(bench):
     assert not any("remembers" in line for line in lines), "not flown"
 
 
-def test_the_headline_has_the_false_alarms_of_golden_flights(bench, monkeypatch):
-    stored = build_leaderboard.load
-    quiet, noisy = flown(injections=()), flown(injections=(), alarms=[alarm(1.0)], alarms_total=1)
-    arms = {"gaussian": noisy, "autoencoder": quiet, "recommended": quiet}
-    places = ("dense", "sparse")
-    own = [golden(1, environment=place) for place in places]
-    own += [golden(1, end, arm=arm, environment=place) for arm, end in arms.items() for place in places]
-    own = runs(*own)
-    monkeypatch.setattr(build_leaderboard, "load", lambda folder: own if folder.name == "golden" else stored(folder))
-    sentence = headline(bench).splitlines()[-1]
-    assert re.search(r"72\.0 \[[^]]+\] \(`gaussian`\), 0\.0 \[[^]]+\] \(`autoencoder`\), 0\.0", sentence), sentence
-
-
-def test_the_headline_says_of_how_many_where_a_scheme_moves_the_faults(monkeypatch):
-    arms = ("gaussian", "recommended", "autoencoder")
-    kernel = replace(INSTRUCTION, kernel="rrt_connect")
-    own = [golden(seed, arm=arm) for seed in (1, 2) for arm in ("", *arms)]
-    own += [injected(seed, died(success=False), kernel, target="rrt_connect") for seed in (1, 2)]
-    for seed, arm in itertools.product((1, 2), arms):
-        end = flown(time_s=0.4) if (seed, arm) == (1, "gaussian") else died(success=arm == "recommended")
-        own.append(injected(seed, end, kernel, arm=arm, target="rrt_connect"))
-
-    def stored(folder):
-        if folder.name != "instruction":
-            raise BadInputError("no ledger")
-        return runs(*own)
-
-    monkeypatch.setattr(build_leaderboard, "load", stored)
-    line = "| an instruction of the planner | 2 | 0 of 1 (0 %) | 0 (0 %) | 2 (100 %) |"
-    lines = headline(Path("bench")).splitlines()
-    assert line in lines and "only faults in the same value count" in lines[-1]
-
-
-def test_a_bench_without_any_level_has_no_headline(monkeypatch):
-    monkeypatch.setattr(build_leaderboard, "load", lambda folder: runs(golden(1)))
-    with pytest.raises(BadInputError, match="no part was flown with gaussian, autoencoder and recommended"):
-        headline(Path("bench"))
-
-
 @pytest.mark.parametrize("arguments", [["a"], ["a", "b", "c"], ["no-such-folder", "paper"]])
 def test_bad_input_is_one_line(arguments, capsys):
     assert main(arguments) == 2
@@ -115,20 +74,6 @@ def test_schemes_that_were_not_flown_keep_their_rows_in_the_order_of_the_bench()
     old = [ROW, {**ROW, "scheme": "b"}, {**ROW, "scheme": "gone"}]
     rows = merged([{**ROW, "scheme": "c"}, {**ROW, "lost": "4"}], old, ["b", "a", "c"])
     assert [(row["scheme"], row["lost"]) for row in rows] == [("b", "3"), ("a", "4"), ("c", "3")]
-
-
-def test_rows_by_environment_are_merged_within_it():
-    def row(environment, scheme, alarms):
-        return {"environment": environment, "setting": f"golden_{scheme}", "alarms": alarms}
-
-    old = [row("dense", "a", 1), row("all", "a", 1)]
-    rows = merged([row("dense", "b", 2), row("all", "b", 2)], old, ["b", "a"])
-    assert [(one["environment"], one["setting"]) for one in rows] == [
-        ("dense", "golden_b"),
-        ("dense", "golden_a"),
-        ("all", "golden_b"),
-        ("all", "golden_a"),
-    ]
 
 
 BENCH = load_bench(NAME)
@@ -183,16 +128,6 @@ def test_the_published_page_has_the_sums_of_the_published_rows():
     for name, full in summary(BENCH, rows).items():
         path = results.TABLES / "leaderboard" / f"{name}.csv"
         assert path.read_text(encoding="utf-8") == full.to_csv(), "run `python -m tools.build_leaderboard page`"
-
-
-def test_scores_of_schemes_that_were_not_scored_again_stay(monkeypatch, tmp_path):
-    monkeypatch.setattr(results, "TABLES", tmp_path / "tables")
-    (tmp_path / "tables" / "leaderboard").mkdir(parents=True)
-    (tmp_path / "tables" / "leaderboard" / "scores.csv").write_text("arm,alarms\ngaussian,1\nlimits,1\n")
-    (tmp_path / "scores.csv").write_text("arm,alarms\ngaussian,2\ngaussian,3\n")
-    build_leaderboard.publish_scores(BENCH, tmp_path)
-    written = (tmp_path / "tables" / "leaderboard" / "scores.csv").read_text()
-    assert written == "arm,alarms\ngaussian,2\ngaussian,3\nlimits,1\n"
 
 
 def test_frozen_faults_are_not_overwritten(monkeypatch, tmp_path):

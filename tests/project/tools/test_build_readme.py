@@ -1,5 +1,4 @@
 import json
-import re
 
 import pytest
 
@@ -24,22 +23,6 @@ Generated on 2026-11-20 by mavfi 0.1.0 (numba 0.68.1): campaign `table1_instruct
 """
 
 
-def test_rows_are_summed_over_environments():
-    assert build_readme.totals(TABLE) == {
-        ("Golden run", "here"): (26, 26),
-        ("Injection run", "here, node restarts"): (153, 156),
-        ("Injection run", "here, mission ends"): (129, 156),
-        ("Gaussian-based", "here, node restarts"): (155, 156),
-    }
-
-
-def test_the_headline_says_what_the_table_says():
-    line = build_readme.headline(TABLE)
-    assert "fails 27 of 156 missions (17.3 %)**" in line and "3 of 156 missions (1.9 %) if the node restarts" in line
-    assert "1 of 156 missions (0.6 %) if a Gaussian" in line and "26 of 26 missions succeed" in line
-    assert "mavfi 0.1.0, 2026-11-20" in line
-
-
 def test_the_table_of_the_readme_has_our_rates_and_the_papers():
     assert build_readme.compact(TABLE).splitlines() == [
         "| missions that succeed, % (the paper's) | farm | dense |",
@@ -53,12 +36,6 @@ def test_the_table_of_the_readme_has_our_rates_and_the_papers():
     for other in ("", TABLE.replace("|  | paper | 99.3 | 83.0 |\n", "")):
         with pytest.raises(ValueError, match="not a success table"):
             build_readme.compact(other)
-
-
-@pytest.mark.parametrize("block", ["", TABLE.replace("Gaussian-based", "Other"), TABLE.replace("Generated on", "On")])
-def test_another_table_is_refused(block):
-    with pytest.raises(ValueError, match="not a success table"):
-        build_readme.headline(block)
 
 
 def test_the_headline_of_the_readme_is_that_of_the_results():
@@ -119,23 +96,6 @@ def test_both_pages_are_written(documents):
         "tables/other/old.csv",
     }, "of the study alone"
     assert (documents / "results" / "study.md").read_text(encoding="utf-8").endswith("do not edit. -->\n\nstudy.md")
-
-
-def test_a_study_at_another_scale_brings_its_digests_only_and_keeps_those_of_others(documents):
-    assert build_readme.main(study(documents / "quick", "quick")) == 0
-    readme = (documents / "README.md").read_text(encoding="utf-8")
-    assert "| table1 |  | `digest of quick` |" in readme and "27 of 156" not in readme
-    assert "state level" not in (documents / "results.md").read_text(encoding="utf-8")
-    assert [path.name for path in (documents / "results").iterdir()] == ["digests.json"]
-    assert build_readme.main(study(documents / "paper", "paper")) == 0
-    readme = (documents / "README.md").read_text(encoding="utf-8")
-    assert "| table1 |  | `digest of quick` | `digest of paper` |" in readme
-
-
-def test_published_pages_name_no_folder_of_a_machine():
-    for page in [*ROOT.glob("*.md"), *DOCS.rglob("*.md"), *DOCS.rglob("*.html"), *DOCS.rglob("*.json")]:
-        found = re.findall(r"/(?:tmp|home|root|work)/\S{0,40}", page.read_text(encoding="utf-8"))
-        assert not found, f"{page}: {found[:3]}"
 
 
 def test_a_study_whose_digests_are_not_those_of_the_program_changes_nothing(documents, capsys):

@@ -59,9 +59,3 @@ def test_every_linked_model_has_a_section():
         linked = {link.split(")")[0] for link in page.split("](#")[1:]}
         headings = {line[3:].lower() for line in page.splitlines() if line.startswith("## ")}
         assert linked <= headings
-
-
-def test_every_section_is_there_once():
-    for path, page in reference.pages().items():
-        headings = [line for line in page.splitlines() if line.startswith("## ")]
-        assert len(headings) == len(set(headings)), path.name

@@ -63,4 +63,5 @@ def test_bad_input_is_one_line(monkeypatch, capsys, tmp_path):
 
     monkeypatch.setattr(build_rules, "load", absent)
     assert main([str(tmp_path)]) == 2
-    assert all(line.startswith("bad input: ") for line in capsys.readouterr().err.splitlines())
+    message = capsys.readouterr().err
+    assert message.startswith("bad input: ") and message.count("\n") == 1

@@ -1,10 +1,8 @@
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
+from examples.pictures import drawing
 
-from mavfi.kernels.perception.clearance import OCCUPIED
 from tests.core.flights.missions import golden, mission
-from tools import drawing
 
 
 @pytest.fixture(scope="module")
@@ -34,22 +32,6 @@ def test_what_did_not_happen_is_refused(recorded):
     other = scenario.model_copy(update={"seed": 2})
     with pytest.raises(ValueError, match="not that of the flight"):
         drawing.planner_at(other, flight, tape, 99)
-
-
-def test_occupied_voxels_are_seen_from_above(recorded):
-    scenario, flight, _ = recorded
-    clearance = drawing.clearance_map_at(scenario, flight, [], 0)
-    voxel = (20 * clearance.grid.ny + 30) * clearance.grid.nz + drawing.layer_of(clearance.grid, 4.0)
-    clearance.apply(drawing.map_update(np.array([voxel])))
-    assert clearance.cells[voxel] == OCCUPIED
-    assert np.argwhere(drawing.occupied_from_above(clearance)).tolist() == [[20, 30]]
-
-
-def test_a_picture_that_is_too_large_is_refused(monkeypatch, tmp_path):
-    drawing.save(Figure(), "small.png", tmp_path)
-    monkeypatch.setattr(drawing, "LARGEST_FILE", 10)
-    with pytest.raises(ValueError, match="allowed: 10"):
-        drawing.save(Figure(), "large.png", tmp_path)
 
 
 def test_pictures_of_the_pages_are_small_and_shown():

@@ -50,10 +50,6 @@ def test_the_outcome_is_the_worst_that_happened(found, expected):
     assert expected in patterns.OUTCOMES
 
 
-def test_the_distance_is_that_at_the_same_instant():
-    assert patterns.distance(GOLDEN, flight(0.5, count=40)) == pytest.approx(0.5)
-
-
 def test_phases_are_those_of_the_pattern():
     assert patterns.phase("hover", flight().injection) == "hover"
     assert patterns.phase("square", flight(time_s=4.2).injection) == "turning"

@@ -1,6 +1,5 @@
 """Digests of README.md: those of docs/results, of the program's own study, in its order."""
 
-import json
 import re
 
 import pytest
@@ -98,17 +97,3 @@ def test_another_or_an_incomplete_study_is_refused(flown, change, message):
     out, study = flown
     with pytest.raises(ValueError, match=message):
         published_digests.of_study(out, {**study, **change})
-
-
-def test_a_ledger_of_another_campaign_is_refused(flown, monkeypatch):
-    monkeypatch.setattr("mavfi.extras.paper.study.Study.campaigns_at", lambda *_: {".": small(missions=1, faults=2)})
-    with pytest.raises(ValueError, match="campaign small is not that of scale quick here"):
-        published_digests.of_study(*flown)
-
-
-def test_digests_are_kept_by_scale(tmp_path):
-    assert published_digests.known(tmp_path) == {}
-    entry = {"quick": {"program": "mavfi 1", "fingerprint": "f", "ledgers": []}}
-    published_digests.write(entry, tmp_path)
-    assert published_digests.known(tmp_path) == entry
-    assert json.loads((tmp_path / published_digests.FILE).read_text(encoding="utf-8")) == entry

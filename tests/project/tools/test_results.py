@@ -1,7 +1,6 @@
 """Pages of results: all rows are in files, the page shows those that matter, and a mistake is one line."""
 
 import csv
-import subprocess
 
 import pytest
 
@@ -9,7 +8,6 @@ from mavfi.analysis.statistics import wilson
 from mavfi.analysis.table import RATE, Column, Table
 from mavfi.campaign.config import load_campaign
 from mavfi.states import BASELINES, WATCHING
-from tests.extras.bench.test_views import lasting_scenario
 from tools import results
 from tools.markers import ROOT
 from tools.results import CAMPAIGNS, Excerpt, main, write
@@ -55,31 +53,11 @@ def test_a_page_that_would_show_nothing_is_refused(folder, shown):
         write("name", "Title", "What.", {"all": TABLE}, [shown])
 
 
-def test_the_page_of_lasting_faults_comes_from_its_ledger(folder, monkeypatch):
-    monkeypatch.setattr(results, "load", lambda ledger: lasting_scenario())
-    every = [Excerpt(excerpt.file, columns=excerpt.columns) for excerpt in CAMPAIGNS["lasting"].excerpts]
-    monkeypatch.setitem(
-        CAMPAIGNS, "lasting", results.CampaignPage("T", "W.", CAMPAIGNS["lasting"].campaigns, tuple(every))
-    )
-    page = results.write_campaigns("lasting", {"lasting": folder}).read_text(encoding="utf-8")
-    assert "| for ever | one | 1 | 0.0 [0.0, 79.3] 0/1 | 0.0 [0.0, 79.3] 0/1 |" in page
-    files = {path.stem for path in (folder / "tables" / "lasting").iterdir()}
-    assert files == {"schemes", "schemes_by_duration", "schemes_by_target"}
-
-
 @pytest.mark.parametrize("arguments", [[], ["other"]])
 def test_an_unknown_page_is_one_line(arguments, capsys):
     assert main(arguments) == 2
     stderr = capsys.readouterr().err
     assert stderr.startswith("bad input: NAME: ") and "sensors" in stderr and stderr.count("\n") == 1
-
-
-def test_campaigns_are_flown_at_scale_paper_first(folder, monkeypatch):
-    commands = []
-    monkeypatch.setattr(subprocess, "run", lambda command, **options: commands.append(command))
-    monkeypatch.setattr(results, "write_campaigns", lambda name, ledgers: ROOT / "page.md")
-    assert main(["sensors"]) == 0
-    assert commands[0][3:] == ["campaign", "run", "sensors", "--out", "out/sensors", "--scale", "paper"]
 
 
 def test_campaigns_and_modules_of_all_pages_exist():

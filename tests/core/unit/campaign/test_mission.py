@@ -11,7 +11,7 @@ from mavfi.campaign.alone import ATTEMPTS_ALONE
 from mavfi.campaign.mission import MissionPlan, fly_mission
 from mavfi.campaign.plan import Flown, Planned
 from mavfi.errors import MachineError
-from mavfi.ir.forked import WALL_CLOCK, Ended
+from mavfi.ir.forked import WALL_CLOCK, ChildEnd
 from mavfi.record import End
 from tests.core.unit.analysis.handmade import injected
 from tests.core.unit.campaign import fakes
@@ -75,7 +75,9 @@ def test_a_run_in_a_child_has_three_attempts(tmp_path, monkeypatch, count, survi
 
 
 def test_the_wall_clock_is_no_effect_of_a_fault(monkeypatch):
-    ends = iter([Ended("crash", detail="SIGSEGV"), Ended("hang", detail=WALL_CLOCK), Ended("crash", detail="SIGSEGV")])
+    ends = iter(
+        [ChildEnd("crash", detail="SIGSEGV"), ChildEnd("hang", detail=WALL_CLOCK), ChildEnd("crash", detail="SIGSEGV")]
+    )
     really = alone._run_in_child
     monkeypatch.setattr(alone, "_run_in_child", lambda *arguments: next(ends, None) or really(*arguments))
     _, found = flown(replace(MISSION, alone=True))

@@ -26,7 +26,7 @@ from mavfi.flight.decide import (
     Origin,
     PathDeadline,
     PathWait,
-    Recovery,
+    RecoveryPolicy,
     Rejection,
     Response,
     decide,
@@ -79,7 +79,7 @@ def test_the_answer_to_an_alarm(alarm, state, expected):
 
 @pytest.mark.parametrize(("alarm", "state", "expected"), CASES)
 def test_an_observer_asks_for_the_same_and_holds_nothing_back(alarm, state, expected):
-    found = answer(alarm, state, Recovery("observer"))
+    found = answer(alarm, state, RecoveryPolicy("observer"))
     assert not found.withholds
     assert (found.kind, found.kernel, found.restores, found.awaited) == (
         expected.kind,
@@ -90,7 +90,7 @@ def test_an_observer_asks_for_the_same_and_holds_nothing_back(alarm, state, expe
 
 
 def test_a_message_that_is_wrong_twice_is_computed_again():
-    policy, alarm = Recovery(grain="message", same_twice="escalate"), Alarm("d", "perception", hard=True)
+    policy, alarm = RecoveryPolicy(grain="message", same_twice="escalate"), Alarm("d", "perception", hard=True)
     assert answer(alarm, STATUS, policy) == Action(Response.RESEND, PERCEPTION, awaited=STATUS, withholds=True)
     assert answer(alarm, STATUS, policy, Origin.RESENT) == Action(
         RECOMPUTE, PERCEPTION, "collision_check", ("collision_check",), STATUS, True, alone=True
@@ -101,7 +101,7 @@ def test_an_alarm_has_the_first_response_that_applies():
     flags = itertools.product(*[BOTH] * 7)
     for hard, degrades, persists, stop, abandon, own, resends in flags:
         for origin, left in itertools.product(Origin, (0, 1, MAX_RESTARTS)):
-            policy = Recovery(
+            policy = RecoveryPolicy(
                 grain="message" if resends else "stage",
                 same_twice="escalate",
                 degraded="hold" if degrades else "none",
@@ -138,7 +138,7 @@ def test_a_gap_begins_a_new_series_of_alarms(gap):
     [(1, "none", "restart"), (1, "hold", "restart"), (0, "none", None), (0, "hold", "hold")],
 )
 def test_an_overdue_path_restarts_the_planner_while_a_restart_is_left(left, degraded, expected):
-    found = decide_overdue(History(restarts_left=left), Recovery(answer_s=0.6, degraded=degraded))
+    found = decide_overdue(History(restarts_left=left), RecoveryPolicy(answer_s=0.6, degraded=degraded))
     assert (None if found is None else found.kind) == expected
     if expected == "restart":
         assert found == Action(Response.RESTART, PLANNING, "planner", withholds=True)

@@ -15,7 +15,7 @@ from mavfi.flight.decide import (
     MAX_RESTARTS,
     MAX_UNCHANGED,
     RESTART_US,
-    Recovery,
+    RecoveryPolicy,
 )
 from mavfi.flight.recovery import DetectorTap
 from mavfi.mission import MissionSpec
@@ -57,7 +57,7 @@ def test_a_score_that_is_no_number_is_refused_before_it_reaches_a_record(score):
 
 # ---- a rule that is broken twice, and an alarm that nobody answers ------------------------------------------------
 STATUS, PATH = "perception.collision_status", "planning.path"
-ESCALATES = Recovery(grain="kernel", same_twice="escalate", answer_s=0.6)
+ESCALATES = RecoveryPolicy(grain="kernel", same_twice="escalate", answer_s=0.6)
 
 
 class Flight:
@@ -157,7 +157,7 @@ def test_a_detector_that_alarms_without_end_is_not_asked_any_more(pause):
 
 @pytest.mark.parametrize("hard", [True, False])
 def test_recomputations_that_change_nothing_are_limited(hard):
-    flight, second, limit = Flight(), 1_000_000, Recovery(same_twice="limit")
+    flight, second, limit = Flight(), 1_000_000, RecoveryPolicy(same_twice="limit")
     burst = [(place, status(5)) for place in range(4 * MAX_UNCHANGED)]
     later = [(ALARMS_WITHIN_US + now, state) for now, state in burst]
     before, after = [(2 * second, status(5)), (9 * second, status(5))], [(21 * second, status(5))]
@@ -175,7 +175,7 @@ def test_after_a_skipped_way_point_there_is_no_response_for_a_minute():
 
     flight, second = Flight(), 1_000_000
     instants = (1, 2, 30 * second, 50 * second, 59 * second, 61 * second, 62 * second, 122 * second)
-    shown(Skipping(hard=False), Recovery(same_twice="limit"), [(now, status(5)) for now in instants], flight)
+    shown(Skipping(hard=False), RecoveryPolicy(same_twice="limit"), [(now, status(5)) for now in instants], flight)
     assert [round(alarm.time_s) for alarm in flight.record.alarms] == [0, 61, 122]
     assert {alarm.action for alarm in flight.record.alarms} == {"abandon"}
     assert flight.events == [(1, LIMITED), (61 * second, LIMITED), (122 * second, LIMITED)]
@@ -198,13 +198,13 @@ def test_an_alarm_that_no_path_answers_in_time_restarts_the_planner(answer, afte
 
 def test_a_mission_says_how_alarms_are_answered():
     spec = MissionSpec(coupling="observer", grain="kernel", same_twice="escalate", answer_s=0.6)
-    assert Recovery.of(spec) == Recovery("observer", "kernel", "escalate", 0.6)
-    assert Recovery.of(MissionSpec()) == INLINE and not INLINE.restarts
+    assert RecoveryPolicy.of(spec) == RecoveryPolicy("observer", "kernel", "escalate", 0.6)
+    assert RecoveryPolicy.of(MissionSpec()) == INLINE and not INLINE.restarts
 
 
 # ---- what restarts do not help ------------------------------------------------------------------------------------
 COMMAND = "control.command"
-HOLDS = Recovery(grain="kernel", same_twice="escalate", answer_s=0.6, degraded="hold")
+HOLDS = RecoveryPolicy(grain="kernel", same_twice="escalate", answer_s=0.6, degraded="hold")
 AFTERWARDS = [(10**9, new_state(COMMAND)), (10**9 + 1, status(9)), (10**9 + 2, new_state("planning.waypoint"))]
 """The first of them is withheld in the degraded mode, the others pass."""
 
@@ -231,7 +231,7 @@ def test_without_a_restart_left_a_rule_broken_twice_ends_in_degraded_mode():
     ],
 )
 def test_hard_alarms_that_persist_end_in_degraded_mode(pitch_us, hard, degraded, expected):
-    flight, recovery = Flight(), Recovery(grain="kernel", degraded=degraded)
+    flight, recovery = Flight(), RecoveryPolicy(grain="kernel", degraded=degraded)
     # every second value is the result of a recomputation, which is not judged
     values = [(number * pitch_us, status(5)) for number in range(24)]
     shown(Always(hard), recovery, values, flight)
@@ -260,8 +260,8 @@ def odometry(x):
 
 def test_an_observer_cannot_withhold_commands():
     with pytest.raises(BadInputError, match="degraded: hold: withholds commands; allowed: with coupling inline"):
-        Recovery("observer", degraded="hold")
-    assert Recovery(degraded="hold").remembers and not INLINE.remembers and ESCALATES.remembers
+        RecoveryPolicy("observer", degraded="hold")
+    assert RecoveryPolicy(degraded="hold").remembers and not INLINE.remembers and ESCALATES.remembers
 
 
 def test_a_flight_has_a_few_restarts_and_each_takes_longer():

@@ -11,16 +11,15 @@ from hypothesis import strategies as st
 from mavfi.campaign.config import Campaign
 from mavfi.extras.hardening import advise
 from mavfi.extras.hardening.advise import (
-    FRACTIONS,
     Advice,
     Curve,
-    Prepared,
-    Step,
-    Study,
+    CurveStep,
+    HardeningStudy,
+    PreparedFunction,
     allocate,
+    allocate_and_retime,
     coverage_of,
     coverage_of_steps,
-    settle,
 )
 from mavfi.extras.hardening.choose import NOTHING
 from mavfi.extras.hardening.target import Injected
@@ -39,8 +38,8 @@ def judged(hits, n, world=str):
 def curve(name, share, mass, *points):
     """A curve with (time, share of SDCs removed) at each step."""
     steps = [
-        Step(0.0, NOTHING, 1.0, judged(0, 100)),
-        *(Step(1.0, NOTHING, t, judged(round(100 * c), 100)) for t, c in points),
+        CurveStep(0.0, NOTHING, 1.0, judged(0, 100)),
+        *(CurveStep(1.0, NOTHING, t, judged(round(100 * c), 100)) for t, c in points),
     ]
     return Curve(Target(name, mass), 1.0, share, tuple(steps))
 
@@ -49,19 +48,11 @@ SMALL = curve("track", 0.1, 50.0, (1.2, 0.8), (1.4, 0.95))
 LARGE = curve("insert_scan", 0.9, 100.0, (1.1, 0.2), (2.4, 1.0))
 
 
-def test_the_cheapest_steps_are_bought_first():
-    assert allocate([SMALL, LARGE], 0.03) == (1, 0)
-    assert allocate([SMALL, LARGE], 0.05) == (2, 0)
-    assert allocate([SMALL, LARGE], 0.14) == (2, 1)
-    assert allocate([SMALL, LARGE], 2.0) == (2, 2)
-    assert allocate([SMALL, LARGE], 0.0) == (0, 0)
-
-
 def test_a_step_is_chosen_by_a_time_that_did_not_lead_to_its_choice(monkeypatch):
     """Its first time is the shortest of many: the error of the measurement is part of why it was chosen."""
     octomap = curve("map", 0.7, 75.0, (1.04, 0.3), (1.02, 0.4), (1.3, 0.9))
     small = curve("small", 0.01, 20.0, (1.5, 1.0))
-    ready = [Prepared([], [], [own.target.name.encode(), *map(str.encode, "123")]) for own in (octomap, small)]
+    ready = [PreparedFunction([], [], [own.target.name.encode(), *map(str.encode, "123")]) for own in (octomap, small)]
     true, timed = {b"1": 1.05, b"2": 1.10, b"3": 1.25}, []
 
     def times_of(target, codes, seconds):
@@ -71,7 +62,7 @@ def test_a_step_is_chosen_by_a_time_that_did_not_lead_to_its_choice(monkeypatch)
 
     monkeypatch.setattr(advise, "times_of", times_of)
     assert allocate([octomap, small], 0.05) == (2, 1)
-    curves, chosen = settle([octomap, small], ready, 0.05, 0.5)
+    curves, chosen = allocate_and_retime([octomap, small], ready, 0.05, 0.5)
     assert timed == [("map", b"2"), ("map", b"1")], "the small function is not timed again"
     assert chosen == (1, 1) and [step.time for step in curves[0].steps] == [1.0, 1.05, 1.10, 1.3]
     assert curves[1] == small and Advice(0.05, curves, chosen).spent <= 0.05
@@ -89,22 +80,9 @@ def test_a_study_knows_whether_its_kernels_are_all_of_its_missions():
             "mission": {"planner": "rrt_connect"},
         }
     )
-    whole, part = (Study(Path(), campaign, "0" * 64, own) for own in (tuple(kernels), ("pid",)))
+    whole, part = (HardeningStudy(Path(), campaign, "0" * 64, own) for own in (tuple(kernels), ("pid",)))
     assert whole.complete and whole.selected == ()
     assert not part.complete and part.selected == ("pid",)
-
-
-def test_the_steps_of_a_curve_are_dense():
-    """A throughput-bound kernel had no step between x1.12 and x1.60."""
-    steps = (0.0, *FRACTIONS)
-    assert steps[-1] == 1.0 and all(0 < other - one <= 0.051 for one, other in zip(steps, steps[1:], strict=False))
-
-
-def test_a_cheap_step_of_a_large_function_may_be_worth_more_than_all_others():
-    """The order of SDCs per time takes `apply` first, after which there is no room for the map."""
-    apply = curve("apply", 0.25, 20.0, (1.24, 0.6))
-    octomap = curve("map", 0.7, 75.0, (1.09, 0.4))
-    assert allocate([apply, octomap], 0.07) == (0, 1)
 
 
 @settings(max_examples=100, deadline=None)
@@ -135,16 +113,6 @@ def test_no_other_choice_within_the_budget_removes_more(rows, budget):
     assert advice.spent <= budget + 1e-12
 
 
-@settings(max_examples=40, deadline=None)
-@given(
-    st.lists(st.tuples(st.floats(0.01, 1), st.floats(0, 9), st.floats(1, 3), st.floats(0, 1)), max_size=4),
-    st.floats(0, 2),
-)
-def test_the_budget_is_kept(rows, budget):
-    curves = [curve(str(i), share, mass, (time, gain)) for i, (share, mass, time, gain) in enumerate(rows)]
-    assert Advice(budget, tuple(curves), allocate(curves, budget)).spent <= budget + 1e-12
-
-
 def test_predicted_coverage_counts_calls_as_clusters():
     alone = coverage_of(judged(50, 100))
     clustered = coverage_of(judged(50, 100, lambda i: str(i // 50)))
@@ -155,7 +123,7 @@ def test_predicted_coverage_counts_calls_as_clusters():
 def test_functions_count_by_their_silent_corruptions():
     parts = [("a", 90.0, judged(100, 100)), ("b", 10.0, judged(0, 50)), ("c", 5.0, [])]
     found = coverage_of_steps(
-        [(Curve(Target(name, mass), 1.0, 0.1, ()), Step(1.0, NOTHING, 1.0, own)) for name, mass, own in parts]
+        [(Curve(Target(name, mass), 1.0, 0.1, ()), CurveStep(1.0, NOTHING, 1.0, own)) for name, mass, own in parts]
     )
     assert found.rate == pytest.approx(0.9)
     assert found.low < 0.9 < found.high

@@ -59,13 +59,6 @@ def test_a_budget_is_refuted_beyond_its_tolerance(measured, budget, refuted):
     assert "adds" not in verdict_line(replace(found, spending=()))
 
 
-def test_the_planner_that_refutes_is_the_one_that_is_named():
-    own = (certificate("f8", 1.2, 1.1),)
-    most, refutes = Spending("rrt", 0.21, 0.20), Spending("pid", 0.10, 0.05)
-    line = verdict_line(Certification("ab" * 32, 100, (), own, GoldenCheck(1, 1, 9, 0), spending=(most, refutes)))
-    assert "adds 10.0 % of a flight's kernel time" in line and "beyond it: refuted" in line
-
-
 def test_a_longer_call_has_more_ticks():
     long = see(smooth, [(np.full(20_000, 0.5), np.zeros(20_000))])
     assert ticks_of(long) > 5 * ticks_of(see(smooth, calls())) > 0

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavfi.extras.hardening.choose import OUTSIDE, Chooser, Cuts, Use, Value, total_cost, upper_hull
-from mavfi.extras.hardening.plan import Site
+from mavfi.extras.hardening.plan import ModuleSite
 
 HOT, COLD = 100.0, 1.0
 
@@ -16,7 +16,7 @@ HOT, COLD = 100.0, 1.0
 def graph(operands, executions, outside=(), kinds=None):
     """Values with the given operands (indices); those in `outside` are used by something that cannot be duplicated."""
     values = [
-        Value(Site(0, i, 0), "add", (kinds or {}).get(i, "i64"), float(executions[i]), tuple(own))
+        Value(ModuleSite(0, i, 0), "add", (kinds or {}).get(i, "i64"), float(executions[i]), tuple(own))
         for i, own in enumerate(operands)
     ]
     for user, own in enumerate(operands):
@@ -93,18 +93,13 @@ def test_a_slice_is_cheaper_than_its_values_alone():
     assert sum(total_cost(values, {i}) for i in range(4)) == 4 * 50
 
 
-def test_the_slice_is_chosen_whole_where_greedy_choice_of_lines_finds_nothing():
-    values = graph([[], [0], [1], [], [3]], [10] * 5, outside=[2, 4], kinds=dict.fromkeys(range(5), "double"))
-    chooser = Chooser(values, [9, 9, 9, 5, 1])
-    budget = total_cost(values, {0, 1, 2})
-    assert chooser.within(budget).chosen == {0, 1, 2}
-
-
 def test_a_phi_of_a_loop_pays_for_the_copy_of_its_start_only():
-    from mavfi.extras.hardening.choose import Entry
+    from mavfi.extras.hardening.choose import PhiInput
 
-    phi = Value(Site(0, 1, 0), "phi", "i64", HOT, (1,), entries=(Entry(OUTSIDE, COLD, False), Entry(1, HOT, True)))
-    step = Value(Site(0, 1, 1), "add", "i64", HOT, (0,))
+    phi = Value(
+        ModuleSite(0, 1, 0), "phi", "i64", HOT, (1,), entries=(PhiInput(OUTSIDE, COLD, False), PhiInput(1, HOT, True))
+    )
+    step = Value(ModuleSite(0, 1, 1), "add", "i64", HOT, (0,))
     phi.uses.append(Use(1, "%b1", HOT))
     step.uses.append(Use(0, "%b1", HOT))
     assert total_cost([phi, step], {0, 1}) == 2 * HOT + COLD
@@ -112,7 +107,7 @@ def test_a_phi_of_a_loop_pays_for_the_copy_of_its_start_only():
 
 
 def test_a_comparison_is_made_where_it_is_executed_less_often():
-    value = Value(Site(0, 0, 0), "load", "double", HOT)
+    value = Value(ModuleSite(0, 0, 0), "load", "double", HOT)
     value.uses.append(Use(OUTSIDE, "%b1", COLD))
     assert total_cost([value], {0}) == HOT + 3 * COLD
     value.uses.append(Use(OUTSIDE, "%b2", None))  # a block whose executions are not counted

@@ -58,17 +58,6 @@ def test_ratios_are_those_within_rounds_and_of_the_time_of_all_calls():
     assert found.ticks > 2e7 * 0.9
 
 
-@pytest.mark.parametrize(("ticks", "repetitions"), [(1e4, 6), (1e5, 1)])
-def test_a_short_call_follows_two_that_are_not_timed(ticks, repetitions):
-    order = []
-    found = compare(*clocks(order, slower=1.0), [(ticks,)], lambda n: n >= 9)
-    assert found.ratios == pytest.approx({"a": 1.5, "b": 6.0})
-    calls = list(zip(order[3::3], order[4::3], order[5::3], strict=True))
-    assert len(calls) == 27
-    assert all([times for _, times in own] == [1, 1, repetitions] for own in calls)
-    assert all(len({name for name, _ in own}) == 1 for own in calls)
-
-
 def test_rounds_in_which_the_core_is_shared_do_not_count():
     made = iter(range(10**6))
 

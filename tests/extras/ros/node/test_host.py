@@ -6,10 +6,8 @@ import yaml
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.ledger import status
-from mavfi.campaign.replay import replay
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
-from mavfi.cli import run as cli
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.ros.node import host
 from mavfi.extras.ros.node.bench import Trial
@@ -116,14 +114,6 @@ def test_each_trial_has_the_effect_that_its_node_showed(campaign, tmp_path):
     assert runs[5].record.error == "SIGSEGV"
 
 
-def test_a_trial_cannot_be_flown_again(campaign, tmp_path):
-    run(campaign, tmp_path)
-    with Store.open(tmp_path) as store:
-        run_id = next(store.runs()).spec.run_id
-    with pytest.raises(BadInputError, match="host node is not deterministic: runs cannot be flown again"):
-        replay(tmp_path, run_id)
-
-
 def test_golden_trials_that_differ_or_fail_end_the_campaign(campaign, tmp_path, monkeypatch):
     outputs = iter("ab")
     monkeypatch.setattr(host, "run_trial", lambda node: Trial(outputs=[next(outputs)]))
@@ -138,30 +128,7 @@ def test_golden_trials_that_differ_or_fail_end_the_campaign(campaign, tmp_path, 
         run(campaign, tmp_path / "b")
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"sampling": {"level": "register", "registers": ["general", "general"]}}, "named 2 times; allowed: once"),
-        ({"sampling": {"level": "register", "access": "both"}}, "sampling.access: 'both': not known"),
-        ({"sampling": {"level": "register", "walk": 0}}, "walk"),
-        ({"host": "local"}, "the key node goes with host node"),
-    ],
-)
-def test_what_cannot_be_asked_for_is_refused(tmp_path, changes, message):
-    with pytest.raises(BadInputError) as error:
-        read(tmp_path / "x.yaml", environments=["n"], **changes)
-    assert message in str(error.value)
-
-
 def test_faults_in_states_need_another_host(campaign, tmp_path):
     wrong = campaign.model_copy(update={"sampling": load_campaign("smoke").sampling})
     with pytest.raises(BadInputError, match="host node: faults of level 'state': allowed: register"):
         run(wrong, tmp_path)
-
-
-def test_the_report_counts_what_was_judged(campaign, tmp_path, capsys):
-    run(campaign, tmp_path)
-    assert cli(["report", str(tmp_path), "--all"]) == 0
-    output = " ".join(capsys.readouterr().out.split())
-    assert "33.3 [9.7, 70.0] 2/6" in output  # Wilson, in all
-    assert "crashes: SIGSEGV 2" in output

@@ -60,14 +60,6 @@ def fault(**changes):
 
 
 @pytest.mark.slow
-def test_golden_outputs_repeat_and_another_golden_output_is_no_effect_of_a_fault(ros, campaign):
-    first, second = run_trial(node(campaign)), run_trial(node(campaign))
-    assert first.outputs == second.outputs and len(set(first.outputs)) == len(campaign.under_test.inputs.messages)
-    other = run_trial(node(campaign), ("0" * 64,) * 4, fault())
-    assert other.effect == "unknown" and "golden" in other.reason and other.injection is None
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "effect", "reason"),
     [
@@ -93,8 +85,6 @@ def test_masked_corrupted_crashed_and_never_injected_are_distinguished(ros, camp
     [
         ({"command": ("/nothing/there",)}, "cannot be started"),
         ({"inputs": {"type": "sensor_msgs/Nothing"}}, "type sensor_msgs/Nothing: not known"),
-        ({"inputs": {"messages": ({"positions": [1.0]},)}}, "no member 'positions'; allowed: position"),
-        ({"inputs": {"messages": ({"position": ["far"]},)}}, "'far': allowed: float64"),
         ({"symbol": "no_such_symbol"}, "no_such_symbol"),
     ],
 )

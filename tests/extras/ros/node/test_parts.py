@@ -1,6 +1,5 @@
 """What attaches to ROS, as far as it needs no ROS: headers, peers that talk to each other, probes."""
 
-import os
 import threading
 import time
 
@@ -8,7 +7,6 @@ import pytest
 
 from mavfi.cli import run
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.extras.ros.node.master import Master
 from mavfi.extras.ros.node.message import Composer
 from mavfi.extras.ros.node.peer import Peer, Source, decode_header, encode_header
 from mavfi.faults.levels.message.definition import Definition
@@ -53,14 +51,6 @@ def test_a_peer_is_read_like_a_node_and_listens_on_loopback_only(peer):
     source.close()
 
 
-def test_late_readers_of_a_latched_topic_get_the_last_message(peer):
-    outlet = peer.advertise("/t", {**COMPOSER.header, "latching": "1"})
-    outlet.send(MESSAGE)
-    source = Source("/writer", peer.uri, "/t")
-    assert source.is_latched and next(source.messages()) == MESSAGE
-    source.close()
-
-
 def test_a_topic_that_is_not_offered_and_a_type_that_does_not_fit_are_refused(peer):
     with pytest.raises(MavfiError, match="no such topic"):
         Source("/writer", peer.uri, "/other")
@@ -102,30 +92,9 @@ def test_fields_are_given_to_the_topics_that_have_them():
         assert message in str(error.value)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["ros", "list"],
-        ["ros", "corrupt", "--topic", "/a", "--field", "b"],
-        ["ros", "watch", "--topics", "/a"],
-        ["inject", "--ros-node", "/a"],
-    ],
-)
+@pytest.mark.parametrize("arguments", [["ros", "list"], ["inject", "--ros-node", "/a"]])
 def test_without_a_master_one_line_says_what_to_do(monkeypatch, capsys, arguments):
     monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:9")
     assert run(arguments) == 2
-    err = capsys.readouterr().err
-    assert err == (
-        "mavfi: no ROS master at http://127.0.0.1:9: start one with `roscore`, or say in ROS_MASTER_URI where it is\n"
-    )
-
-
-def test_options_that_exclude_each_other_are_refused(capsys):
-    assert run(["inject"]) == 2 and "--pid, --ros-node: allowed: one of them" in capsys.readouterr().err
-    assert run(["inject", "--pid", str(os.getpid()), "--ros-node", "/a"]) == 2
-
-
-def test_the_master_is_looked_for_where_the_environment_says(monkeypatch):
-    monkeypatch.delenv("ROS_MASTER_URI", raising=False)
-    with pytest.raises(BadInputError, match="127.0.0.1:11311"):
-        Master()
+    message = capsys.readouterr().err
+    assert message.startswith("mavfi: no ROS master at http://127.0.0.1:9: ") and message.count("\n") == 1

@@ -33,48 +33,22 @@ def test_no_ros_is_one_line_and_exit_code_2(monkeypatch, capsys):
     assert "make ros" in text and finder.ROOT_VARIABLE in text
 
 
-def test_what_is_missing_is_named(monkeypatch, tmp_path):
-    monkeypatch.setattr(finder, "_SYSTEM", tmp_path)
-    monkeypatch.setenv(finder.ROOT_VARIABLE, str(tmp_path))
-    assert {"rospy", "usr/bin/rosmaster"} <= set(finder.missing())
-
-
-@pytest.mark.slow
-def test_modules_of_the_ros_host_need_no_ros_to_be_imported():
-    names = ("host", "plan", "messages", "world", "kernels", "supervisor")
-    code = "; ".join(f"import mavfi.extras.ros.ros1.{name}" for name in names)
-    done = python(f"import sys; {code}; print([m for m in ('rospy', 'genpy') if m in sys.modules])")
-    assert done.stdout == "[]\n", done.stderr
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["--kill", "octomap"], "NODE@SECONDS"),
-        (["--kill", "octomap@x"], "NODE@SECONDS"),
-        (["--kill", "octomap@-1"], "NODE@SECONDS"),
         (["--kill", "octomap@nan"], "NODE@SECONDS"),
-        (["--kill", "roscore@3"], "allowed: point_cloud, octomap"),
-        (["--kill", "injector@3"], "allowed: point_cloud, octomap"),
         (["--kill", "world@3"], "allowed: point_cloud, octomap"),
         (["--coupling", "observer"], "--detector"),
-        (["--coupling", "both", "--detector", "gaussian"], "inline, observer"),
         (["--free-running"], "--free-running: dropped; use --pace 1"),
-        (["--new-interpreters"], "--new-interpreters: dropped; no replacement"),
         (["--point-cloud-node", "depth_image_proc"], "--point-cloud-node: dropped; no replacement: attach with"),
         (["--pace", "-1"], "--pace"),
-        (["--register-fault", "octomap"], "NODE@SECONDS"),
         (["--register-fault", "octomap@-1"], "NODE@SECONDS"),
         (["--register-fault", "rviz@5"], "allowed: point_cloud, octomap"),
         (["--register-fault", "octomap@5", "--registers", "xmm"], "allowed: all, general, fp"),
-        (["--register-fault", "octomap@5", "--register-seed", "-3"], "--register-seed"),
         (["--register-seed", "3"], "with --register-fault only"),
-        (["--registers", "fp"], "with --register-fault only"),
         (["--fault-seed", "3"], "--fault"),
-        (["--fault", "state:no.such"], "no state"),
-        (["--seed", "-1"], "--seed"),
         (["--save", "flight.txt"], ".npz"),
-        (["--environment", "nowhere"], "nowhere"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(capsys, monkeypatch, arguments, message):
@@ -82,22 +56,6 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, monkeypatch, arguments, m
     assert run(["ros", "fly", *arguments]) == 2
     text = capsys.readouterr().err
     assert text.count("\n") == 1 and message in text
-
-
-def test_packages_are_named_once_and_leave_the_big_ones_out():
-    assert len(set(install.PACKAGES)) == len(install.PACKAGES) == 21
-    assert not {"python3-nav-msgs", "python3-tf2-ros"} & set(install.PACKAGES)
-
-
-def test_unpacked_packages_are_found_by_programs(monkeypatch, tmp_path):
-    monkeypatch.setattr(install, "_run", lambda command, **options: "Inst rosout (1)\n")
-    (tmp_path / "usr" / "bin").mkdir(parents=True)
-    assert install.unpack(tmp_path) == 1
-    assert (tmp_path / "usr" / ".catkin").is_file()
-    monkeypatch.setenv("MAVFI_ROS_ROOT", str(tmp_path))
-    variables = finder.environment()
-    assert variables["PATH"].startswith(f"{tmp_path}/usr/bin:")
-    assert variables["CMAKE_PREFIX_PATH"].startswith(f"{tmp_path}/usr:")
 
 
 def test_without_apt_the_installation_says_so(monkeypatch, tmp_path, capsys):
@@ -120,9 +78,8 @@ class TestTheFinder:
         assert "dist-packages" in rospy
         assert "dist-packages" not in numpy and "dist-packages" not in yaml
 
-    @pytest.mark.parametrize("module", ["apt_pkg", "dbus", "debian", "apt"])
-    def test_nothing_else_of_debian_comes_in(self, module):
-        code = f"from mavfi.extras.ros.ros1 import finder; finder.enable(); import {module}"
+    def test_nothing_else_of_debian_comes_in(self):
+        code = "from mavfi.extras.ros.ros1 import finder; finder.enable(); import apt_pkg"
         assert "ModuleNotFoundError" in python(code).stderr
 
     def test_an_installation_that_is_there_is_left_as_it_is(self, capsys):
@@ -152,10 +109,6 @@ def test_every_command_of_the_page_is_accepted(monkeypatch, command):
     assert ("--kill" in command) == bool(plan.kills)
     assert ("observer" in command) == (plan.recovery.coupling == "observer")
     assert plan.pace == ("--pace 1" in command)
-
-
-def test_the_page_has_commands():
-    assert len(COMMANDS) >= 5
 
 
 def test_the_grain_of_a_detector_is_one_that_nodes_have():

@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 
 from mavfi.cli import run
-from mavfi.detectors.detector import Chain
 from mavfi.errors import MachineError, MavfiError
 from mavfi.extras.ros.cli import effect
 from mavfi.extras.ros.ros1.folder import PID
@@ -26,10 +25,10 @@ from mavfi.extras.ros.ros1.register_injector import fault_in_node
 from mavfi.extras.ros.ros1.supervisor import children
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.compose import detector_for
-from mavfi.flight.decide import MAX_UNCHANGED, Recovery
+from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly as fly_here
 from mavfi.record import FlightLog
-from tests.core.flights.missions import Scripted, fault, golden, mission
+from tests.core.flights.missions import Scripted, fault
 from tests.extras.ros.ros1.flights import NODES, same, short, there
 from tests.extras.ros.ros1.needs import ros
 
@@ -50,12 +49,6 @@ def left_behind(folder):
         except OSError:
             pass
     return found
-
-
-@pytest.mark.long
-def test_a_golden_flight():
-    """As is the one of `test_campaign`."""
-    same(there(mission()), golden().log)
 
 
 def test_a_node_is_a_process_of_its_own():
@@ -106,10 +99,6 @@ def test_a_flight_with_a_state_fault():
     [
         (SensorFault("motor", "slow", 3_000_000, instance=2), {}),
         (SensorFault("depth_camera", "garbage", 2_000_000, 1.5, seed=4), {"localization": "estimator"}),
-        pytest.param(SensorFault("gyro", "wrong", 3_000_000), {}, marks=pytest.mark.long),
-        pytest.param(
-            SensorFault("position", "drift", 1_000_000), {"localization": "estimator"}, marks=pytest.mark.long
-        ),
     ],
 )
 def test_a_sensor_or_motor_fails_as_in_one_process(failure, options):
@@ -120,66 +109,21 @@ def test_a_sensor_or_motor_fails_as_in_one_process(failure, options):
     assert log.digest() != fly_here(scenario).log.digest()
 
 
-@pytest.mark.parametrize("name", ["gaussian", pytest.param("autoencoder", marks=pytest.mark.long)])
-def test_a_flight_with_a_fault_and_a_detector(name):
-    scenario = short()
+def test_a_flight_with_a_fault_and_a_detector():
+    scenario, name = short(), "gaussian"
     wrong = fault("planning.waypoint", "x", 4.0, 62)
     log = there(scenario, wrong, detector(name, scenario))
     same(log, fly_here(scenario, wrong, detector(name, scenario)).log)
     assert log.alarms
 
 
-@pytest.mark.long
-def test_a_flight_with_other_options_of_a_mission():
-    """Planner, map, wind, vehicle and speed reach the nodes."""
-    scenario = short(planner="rrt", map="octree", wind=1.0, v_max=2.0, autopilot="hardened")
-    same(there(scenario), fly_here(scenario).log)
-
-
-@pytest.mark.long
-def test_a_flight_with_a_fault_and_an_observer():
-    """As is the one with an injected estimate."""
-    scenario = short()
-    wrong = fault("planning.waypoint", "x", 4.0, 62)
-    log = there(scenario, wrong, detector("gaussian", scenario), recovery=Recovery("observer"))
-    same(log, fly_here(scenario, wrong, detector("gaussian", scenario), recovery=Recovery("observer")).log)
-    assert log.alarms
-
-
-@pytest.mark.long
-def test_a_flight_with_the_state_estimator():
-    """As is the next one, without the fault."""
-    scenario = short(localization="estimator")
-    log = there(scenario)
-    same(log, fly_here(scenario).log)
-    assert log.digest() != fly_here(short()).log.digest()
-    assert log.meta["publications"]["perception.odometry"] > 1000
-
-
-@pytest.mark.parametrize("coupling", ["observer", pytest.param("inline", marks=pytest.mark.long)])
-def test_an_injected_estimate_violates_its_rule(coupling):
-    scenario = short(localization="estimator")
+def test_an_injected_estimate_violates_its_rule():
+    scenario, observer = short(localization="estimator"), RecoveryPolicy("observer")
     wrong = fault("perception.odometry", "x", 3.0, 62)
-    log = there(scenario, wrong, detector("acceptance", scenario), recovery=Recovery(coupling))
-    same(log, fly_here(scenario, wrong, detector("acceptance", scenario), recovery=Recovery(coupling)).log)
+    log = there(scenario, wrong, detector("acceptance", scenario), recovery=observer)
+    same(log, fly_here(scenario, wrong, detector("acceptance", scenario), recovery=observer).log)
     assert log.injections[0].activated
     assert (log.alarms[0].fields, log.alarms[0].action) == (("perception.odometry.x",), "recompute")
-
-
-def test_every_kind_of_recovery():
-    """Of a stage, by the setpoint generator, and of a stage that did not write what raised the alarm."""
-
-    def several():
-        return Chain(
-            Scripted("perception.collision_status", n=5, stage="perception"),
-            Scripted("control.command", n=130, stop=True),
-            Scripted("planning.waypoint", n=4, stage="control"),
-        )
-
-    log = there(short(), None, several())
-    same(log, fly_here(short(), None, several()).log)
-    assert [alarm.action for alarm in log.alarms].count("recompute") == 2
-    assert len(log.alarms) == 3
 
 
 def test_an_injector_that_was_killed_does_not_inject_again():
@@ -213,22 +157,15 @@ def lives(log):
     return [(event.kind, event.data["node"]) for event in log.events if event.kind.startswith("node")]
 
 
-@pytest.mark.parametrize("wrong", [None, fault("planning.waypoint", "x", 2.2, 40)], ids=["golden", "with an injector"])
-def test_a_detector_that_dies_blocks_nothing_until_it_is_back(wrong):
+def test_a_detector_that_dies_blocks_nothing_until_it_is_back():
     """The flight is the one without a detector, here, bit for bit."""
+    wrong = fault("planning.waypoint", "x", 2.2, 40)
     log = there(short(), wrong, Scripted(), kills=(("detector", 2_000_000),))
     assert lives(log) == LIVES
     same(
         replace(log, events=[event for event in log.events if not event.kind.startswith("node")]),
         fly_here(short(), wrong).log,
     )
-
-
-def test_alarms_without_end_get_a_few_recomputations_as_here():
-    alarming, limit = Scripted("control.command", times=10**6), Recovery(same_twice="limit")
-    log = there(short(), None, alarming, recovery=limit)
-    assert len(log.alarms) == MAX_UNCHANGED * (1 + int(log.column("time")[-1] // 10))
-    same(log, fly_here(short(), detector=alarming, recovery=limit).log)
 
 
 class Hanging(Scripted):

@@ -7,11 +7,11 @@ import pytest
 from mavfi.errors import BadInputError
 from mavfi.extras.bench.sealed import Checksum, Duplicate
 from mavfi.extras.ros.ros1.host import configure, isolation
-from mavfi.extras.ros.ros1.plan import DETECTOR, INJECTOR, WORLD, Graph, Plan, face_of
+from mavfi.extras.ros.ros1.plan import INJECTOR, WORLD, Graph, Plan
 from mavfi.flight.compose import new_loop
 from mavfi.pipeline.ppc import build_pipeline
-from mavfi.states import PERIODIC, STATES, Stage
-from tests.core.flights.missions import AUTOPILOTS, Scripted, fault, mission
+from mavfi.states import PERIODIC, STATES
+from tests.core.flights.missions import AUTOPILOTS, mission
 
 
 @cache
@@ -67,14 +67,6 @@ def test_an_injector_sits_at_one_state():
     assert [name for name, other in found.items() if INJECTOR in other.nodes] == ["planning.waypoint"]
 
 
-def test_the_world_and_a_detector_read_all():
-    plan = Plan(scenario := mission(), configure(scenario), detector=Scripted())
-    assert plan.nodes[-1] == DETECTOR
-    assert not plan.world_listens("sensor.depth") and plan.world_listens("perception.point_cloud")
-    assert plan.listeners("sensor.depth") == 2 and plan.listeners("control.command") == 2
-    assert plan.published_at_once() == frozenset()
-
-
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
 def test_only_triggers_make_steps_due(autopilot):
     seen = set()
@@ -97,19 +89,6 @@ def test_only_triggers_make_steps_due(autopilot):
     faces = Graph(pipeline()).faces.values()
     assert seen and seen <= {(face.name, state) for face in faces for state in face.triggers}
     assert not any(face.triggers for face in faces if face.name in PERIODIC)
-
-
-def test_a_kernel_that_says_nothing_is_asked_about_every_input():
-    class Plain:
-        name, stage, reads, writes = "plain", Stage.PERCEPTION, ("sensor.depth", "sensor.odometry"), ()
-
-    assert face_of(Plain()).triggers == Plain.reads
-
-
-def test_values_behind_an_injector_are_held_until_they_count():
-    plan = Plan(mission(), configure(mission()), fault("planning.waypoint", "x", 3.0, 5))
-    assert plan.nodes == (*Graph(pipeline()).nodes, INJECTOR)
-    assert plan.published_at_once() == set(plan.graph.ways) - {"planning.waypoint"}
 
 
 def test_without_a_private_network_there_is_no_flight(monkeypatch, tmp_path):

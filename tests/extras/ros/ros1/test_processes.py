@@ -10,8 +10,7 @@ import pytest
 
 from mavfi.extras.ros.ros1.ports import Inbox, is_alive
 from mavfi.extras.ros.ros1.register_injector import end_of_nodes
-from mavfi.extras.ros.ros1.remote import Counter, Watchdog
-from mavfi.extras.ros.ros1.supervisor import children
+from mavfi.extras.ros.ros1.remote import Watchdog
 from mavfi.record import Event, Injection
 
 ORPHANS = """
@@ -50,17 +49,6 @@ def test_an_inbox_keeps_what_came_before_it_was_wanted():
         inbox.take(3, 0.01)
 
 
-def test_an_inbox_wakes_the_one_that_waits():
-    inbox = Inbox()
-    threading.Timer(0.05, inbox.put, (4, "value")).start()
-    assert inbox.take(4, 10.0) == "value"
-
-
-def test_numbers_are_given_once():
-    counter = Counter()
-    assert [counter.take(2), counter.take(0), counter.take(), counter.take()] == [0, 2, 2, 3]
-
-
 def test_the_watchdog_cuts_a_call_that_takes_too_long():
     cut = threading.Event()
 
@@ -88,15 +76,6 @@ def test_who_is_alive():
     process.wait()
     assert not is_alive(process.pid)
     assert is_alive(os.getpid())
-
-
-def test_children_are_found():
-    process = subprocess.Popen(["sleep", "60"])
-    try:
-        assert process.pid in children(os.getpid())
-    finally:
-        process.kill()
-        process.wait()
 
 
 def test_the_supervisor_ends_orphans_that_ignore_signals():

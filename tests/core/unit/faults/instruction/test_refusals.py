@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.levels.instruction import MismatchError, RefusedError, count, draw, inject, run_forked
+from mavfi.faults.levels.instruction import MismatchError, NotInstrumentableError, count, draw, inject, run_forked
 from mavfi.faults.levels.instruction.instrument import instrument
 from mavfi.ir.parser import parse_module
 from mavfi.numerics.jit import kernel_jit
@@ -53,7 +53,7 @@ def applied(function, x):
     ],
 )
 def test_functions_whose_faults_could_not_be_replayed_are_refused(function, arguments, message):
-    with pytest.raises(RefusedError, match=message):
+    with pytest.raises(NotInstrumentableError, match=message):
         count(function, *arguments)
 
 
@@ -83,7 +83,7 @@ UNKNOWN = {
 
 @pytest.mark.parametrize("line", UNKNOWN)
 def test_unknown_constructs_are_refused_by_name(line):
-    with pytest.raises(RefusedError, match="my kernel: cannot be instrumented: ") as caught:
+    with pytest.raises(NotInstrumentableError, match="my kernel: cannot be instrumented: ") as caught:
         instrument(MODULE.format(line=line), "my kernel")
     assert UNKNOWN[line] in caught.value.construct
 
@@ -97,12 +97,12 @@ def test_unknown_constructs_are_refused_by_name(line):
     ],
 )
 def test_unknown_lines_around_functions_are_refused(text):
-    with pytest.raises(RefusedError):
+    with pytest.raises(NotInstrumentableError):
         parse_module(text, "my kernel")
 
 
 def test_ir_that_is_not_there_is_refused():
-    with pytest.raises(RefusedError, match="loaded from a cache"):
+    with pytest.raises(NotInstrumentableError, match="loaded from a cache"):
         instrument("; nothing", "my kernel")
 
 

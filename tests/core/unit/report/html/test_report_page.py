@@ -13,9 +13,9 @@ from mavfi.report import links
 from mavfi.report.campaign_report import report_of
 from mavfi.report.html import page
 from mavfi.report.html.report_page import (
-    Part,
+    PageSection,
+    ReportedCampaign,
     RunSets,
-    Section,
     drawn,
     run_list,
     sections_of,
@@ -35,7 +35,7 @@ def report(runs):
 def written(tmp_path, report, flown, sections=None, flights=(), **more):
     path = tmp_path / "report.html"
     chosen = sections_of(report) if sections is None else sections
-    count = write_report_page(path, [Part(flown, report)], chosen, COMMANDS, flights, **more)
+    count = write_report_page(path, [ReportedCampaign(flown, report)], chosen, COMMANDS, flights, **more)
     return count, path.read_text(encoding="utf-8")
 
 
@@ -63,7 +63,7 @@ def test_the_same_runs_are_stored_once():
 
 def test_text_from_data_is_never_markup(tmp_path, report, flown):
     table = Table.of_text("<b>bold</b>", ["<i>"], [("</script><script>alert(1)",)], ["a & b"])
-    _, text = written(tmp_path, report, flown, [Section("<u>", [table])])
+    _, text = written(tmp_path, report, flown, [PageSection("<u>", [table])])
     assert "<b>bold" not in text and "alert(1)" in text and "<script>alert" not in text
     data = re.search(r'id="csv-data">(.*?)</script>', text, re.DOTALL)[1]
     assert "</script><script>alert(1)" in json.loads(data)["0-<b>bold</b>"]
