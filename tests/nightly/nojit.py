@@ -16,6 +16,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 CHOSEN = (
     "tests/core/unit/numerics",
+    "tests/core/unit/detectors/test_acceptance.py",
+    "tests/core/unit/detectors/test_estimates.py",
     "tests/core/unit/pipeline/test_control.py",
     "tests/core/unit/sim/test_contact.py",
     "tests/core/reference/kernels",

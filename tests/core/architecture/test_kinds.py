@@ -68,21 +68,6 @@ def test_a_question_is_recognised(code):
     assert any(map(asks, ast.walk(ast.parse(code))))
 
 
-@pytest.mark.parametrize(
-    "code",
-    [
-        "level > limit",
-        "fault.bit == 3",
-        "isinstance(fault, str)",
-        "site is None",
-        "name.startswith('statement')",
-        "isinstance(search, SamplingSearch)",
-    ],
-)
-def test_other_questions_are_none(code):
-    assert not any(map(asks, ast.walk(ast.parse(code))))
-
-
 def test_every_class_of_a_fault_and_of_a_draw_is_known():
     classes = {node.name for tree in modules().values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef)}
     draws = {name for name in classes if name.endswith("Sampling")} - {"Sampling"}

@@ -16,7 +16,6 @@ from mavfi.detectors.registry import (
     of_monitored_fields,
     trainable,
 )
-from mavfi.mission import MissionStatus
 from mavfi.plugins import Chapter
 from mavfi.states import AUTOPILOTS, MONITORED_SETS, PPC_STAGES, STATES, Stage
 from tests.core.architecture.source import ROOT
@@ -85,11 +84,6 @@ def test_monitored_sets_have_the_sizes_in_their_names_and_fields_that_exist():
         assert len(fields) == len(set(fields)) == int(name.split("-")[1])
         for state, field in fields:
             STATES[state].find(field)
-
-
-def test_mission_statuses_are_sentences():
-    for status in MissionStatus:
-        assert status.value[0].isupper() and status.value.endswith(".")
 
 
 @pytest.mark.parametrize("group", SHIPPED)

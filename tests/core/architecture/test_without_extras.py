@@ -33,10 +33,7 @@ CHOSEN = (
 WITH_EXTRAS = {
     "analysis/test_about.py": ("test_trials_on_a_node",),
     "analysis/test_flight_views.py": ("test_tables_on_faults_say_that_rates_are_conditional",),
-    "analysis/test_kernel_views.py": (
-        "test_which_tables_a_campaign_of_kernels_has",
-        "test_what_one_bit_in_a_register_does",
-    ),
+    "analysis/test_kernel_views.py": ("test_which_tables_a_campaign_of_kernels_has",),
     "analysis/test_runs.py": ("test_sites_of_every_level",),
     "campaign/test_config.py": (
         "test_shipped_campaigns_are_valid_and_survive_the_ledger",

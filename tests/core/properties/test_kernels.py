@@ -14,7 +14,7 @@ seeds = st.integers(0, 2**32)
 anything = st.floats(allow_nan=True, allow_infinity=True)
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(st.lists(seeds, min_size=1, max_size=4))
 def test_undoing_a_scan_restores_the_map_exactly(scans):
     size = FRAME.nx * FRAME.ny * FRAME.nz
@@ -44,7 +44,7 @@ updates = st.lists(
 )
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.sampled_from(AUTOPILOTS), st.lists(updates, max_size=3), st.lists(updates, min_size=1, max_size=3))
 def test_rolling_the_clearance_map_back_is_exact(autopilot, kept, undone):
     clearance = ClearanceMap(config(autopilot))
@@ -97,7 +97,7 @@ events = st.lists(
 )
 
 
-@settings(max_examples=80)
+@settings(max_examples=25)
 @given(st.sampled_from(AUTOPILOTS), events, events)
 def test_the_setpoint_generator_repeats_itself_from_the_same_memory(autopilot, before, between):
     kernel = SetpointGenerator(config(autopilot))

@@ -34,7 +34,7 @@ def search(name, seed, counter, start, goal):
 
 
 @pytest.mark.parametrize("name", PLANNERS)
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(seeds, st.sampled_from([0.0, 0.1, 0.25, 0.4]))
 def test_a_path_is_free_of_collisions_and_joins_start_and_goal(name, seed, share):
     counter, start, goal = problem(seed, share)
@@ -51,14 +51,14 @@ def test_a_path_is_free_of_collisions_and_joins_start_and_goal(name, seed, share
 
 
 @pytest.mark.parametrize("name", PLANNERS)
-@settings(max_examples=30)
+@settings(max_examples=25)
 @given(seeds)
 def test_the_same_seed_finds_the_same_path(name, seed):
     counter, start, goal = problem(seed, 0.25)
     assert search(name, seed, counter, start, goal).tobytes() == search(name, seed, counter, start, goal).tobytes()
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(seeds, st.sampled_from([0.05, 0.15, 0.25]), st.sampled_from([0.5, 2.0, 8.0]))
 def test_no_cost_of_rrt_star_ever_grows(seed, share, max_step):
     counter, start, goal = problem(seed, share)

@@ -43,10 +43,6 @@ class Ship(Config):
         return self
 
 
-class Fleet(Config):
-    flagship: Ship
-
-
 GOOD = {"name": "a", "wheel": {"radius": 0.3}}
 
 
@@ -86,12 +82,10 @@ def test_bad_data_are_refused_in_one_line_that_names_key_value_and_what_is_allow
         ({"hull": "wax"}, "key 'hull': 'wax': not known; allowed: 'wood' or 'steel'"),
         ({"hull": "wood", "crew": {"a": 1}}, "key 'crew': keys with values: allowed: a list"),
         ({"hull": "stel"}, "key 'hull': 'stel': not known (did you mean 'steel'?); allowed: 'wood' or 'steel'"),
-        ({"hull": "wood", "masts": "two"}, "key 'masts': 'two': allowed: a whole number"),
         ({"hull": "wood", "masts": True}, "key 'masts': true: allowed: a whole number"),
         ({"hull": "wood", "speed": False}, "key 'speed': false: allowed: a number"),
         ({"hull": "wood", "sails": {"main": [1, True]}}, "key 'sails': true: allowed: a number"),
         ({"hull": "wood", "afloat": 1}, "key 'afloat': 1: allowed: true, false"),
-        ({"hull": "wood", "armed": "yes"}, "key 'armed': 'yes': allowed: true, false"),
         ({"hull": "wood", "masts": None}, "key 'masts': nothing: allowed: a whole number"),
         (
             {"hul": "wood"},
@@ -105,15 +99,6 @@ def test_messages_show_what_is_wrong_and_not_the_whole_mapping(ship, message):
     assert str(caught.value) == f"ship.yaml: {message}"
 
 
-def test_checks_of_a_nested_model_name_it():
-    with pytest.raises(BadInputError, match=r"^fleet.yaml: key 'flagship': masts: 2: ships of steel have none$"):
-        parse(Fleet, {"flagship": {"hull": "steel", "masts": 2}}, "fleet.yaml")
-
-
-def test_an_absent_key_is_named():
-    assert refusal({"wheel": {"radius": 1.0}}) == "cart.yaml: key 'name': is required"
-
-
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -122,36 +107,23 @@ def test_an_absent_key_is_named():
             r"bad.yaml:3:6: not a YAML file \(.*expected ',' or ']'",
         ),
         ("name: a\n\t- b\n", r"bad.yaml:2:1: not a YAML file \(found "),
-        ("- 1\n- 2\n", r"holds \[1, 2\]; allowed: keys with values"),
         ("", "bad.yaml: is empty; allowed: keys with values"),
         ("just text", "bad.yaml: holds 'just text'; allowed: keys with values"),
         ("name: a\nwheels: 1\nname: b\n", r"not a YAML file \(key 'name' twice, again in line 3\)"),
-        ("wheel: {radius: 1, radius: 2}\n", r"not a YAML file \(key 'radius' twice, again in line 1\)"),
         ("name: " + 5000 * "[" + "\n", "not a YAML file"),
         pytest.param("name: " + 100_000 * "[" + 100_000 * "]", "too long; allowed: 10,000 lists", id="lists"),
         pytest.param(100_000 * "{a: " + 100_000 * "}", "too long; allowed: 10,000 lists and mappings", id="mappings"),
-        pytest.param(100_000 * "- " + "a", "too long; allowed: 10,000 lists and mappings", id="block"),
         ("name: 2020-13-45\n", "not a YAML file"),
     ],
 )
 def test_a_file_that_holds_no_mapping_is_refused(tmp_path, content, message):
     path = tmp_path / "bad.yaml"
+    with pytest.raises(BadInputError, match=r"bad.yaml: cannot be read \(No such file or directory\)"):
+        load(Cart, path)
     path.write_text(content)
     with pytest.raises(BadInputError, match=message) as caught:
         load(Cart, path)
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_a_file_that_is_not_text_is_refused(tmp_path):
-    path = tmp_path / "bad.yaml"
-    path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(BadInputError, match="not a YAML file"):
-        load(Cart, path)
-
-
-def test_an_absent_file_is_refused(tmp_path):
-    with pytest.raises(BadInputError, match=r"gone.yaml: cannot be read \(No such file or directory\)"):
-        load(Cart, tmp_path / "gone.yaml")
 
 
 KINDS = {
@@ -162,24 +134,12 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind in KINDS for name in names(kind)])
-def test_every_shipped_file_is_sound_and_carries_its_name(kind, name):
-    assert shipped(kind, KINDS[kind], name).name == name
-
-
 @pytest.mark.parametrize("kind", ["autopilots", "platforms"])
 def test_names_of_models_files_are_plain(kind):
     sound = shipped(kind, KINDS[kind], names(kind)[0]).model_dump()
     with pytest.raises(BadInputError, match=r"^x.yaml: key 'name': '../x': allowed: a plain folder name"):
         parse(KINDS[kind], {**sound, "name": "../x"}, "x.yaml")
     assert parse(KINDS[kind], {**sound, "name": "a b"}, "ledger", stored=True).name == "a b", "flown before"
-
-
-def test_an_unknown_name_is_refused_with_what_is_allowed():
-    with pytest.raises(
-        BadInputError, match=r"autopilot 'soft': not known; allowed: hardened, published, or a path to a"
-    ):
-        shipped("autopilots", AutopilotConfig, "soft")
 
 
 def test_a_folder_and_a_similar_name_are_told_as_such(tmp_path):

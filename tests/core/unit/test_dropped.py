@@ -6,20 +6,9 @@ import mavfi
 from mavfi.campaign.config import load_campaign
 from mavfi.cli import run
 from mavfi.config import parse
-from mavfi.dropped import NAMES, VALUES, dropped_name
+from mavfi.dropped import VALUES
 from mavfi.errors import BadInputError
 from mavfi.mission import MissionSpec
-
-
-@pytest.mark.parametrize(("kind", "name"), NAMES)
-def test_a_dropped_name_is_refused_with_what_replaced_it(kind: str, name: str):
-    message = dropped_name(kind, name)
-    assert message.startswith(f"{kind[:-1]} {name!r}: dropped; ")
-    assert NAMES[kind, name] in message
-
-
-def test_a_shipped_name_is_not_refused():
-    assert dropped_name("detectors", "acceptance") == ""
 
 
 @pytest.mark.parametrize(("key", "value"), [pair for pair in VALUES if pair[0] in MissionSpec.model_fields])

@@ -14,14 +14,9 @@ from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import (
     INJECTABLE,
     INJECTED_KERNEL,
-    KERNEL_STAGES,
     KERNELS,
-    MONITORED_SETS,
     ODOMETRY,
-    PERIODIC,
-    PLANNERS,
     PPC_STAGES,
-    STAGE_KERNELS,
     STATES,
     Stage,
     in_node,
@@ -57,20 +52,6 @@ def test_kernels_write_the_states_whose_writer_they_are(built):
     assert set(published) - written == {name for name, spec in published.items() if spec.stage is Stage.SENSOR}
 
 
-def test_kernels_read_states_that_are_published(built):
-    localization, pipeline = built
-    read = set(chain.from_iterable(kernel.reads for kernel in pipeline.values()))
-    assert read <= set(states_with(localization))
-    assert ODOMETRY[localization] in read
-    for fields_of_a_set in MONITORED_SETS.values():
-        assert {state for state, _ in fields_of_a_set} <= read | set(pipeline["pid"].writes)
-
-
-def test_quiet_inputs_are_inputs(built):
-    for kernel in built[1].values():
-        assert set(getattr(kernel, "quiet", ())) - set(ODOMETRY.values()) <= set(kernel.reads)
-
-
 @pytest.mark.parametrize("name", configuration.names("platforms"))
 def test_platforms_charge_the_kernels_of_the_table(name):
     platform = shipped("platforms", PlatformConfig, name)
@@ -83,12 +64,6 @@ def test_platforms_charge_the_kernels_of_the_table(name):
         assert stage_latency(platform, stage) == sum(
             platform.latency_us[kernel] for kernel in platform.latency_us if KERNELS[kernel].stage is stage
         )
-
-
-def test_stages_share_out_the_kernels_that_count():
-    assert set(chain.from_iterable(STAGE_KERNELS.values())) == {n for n, spec in KERNELS.items() if spec.counts}
-    assert all(KERNELS[name].stage is stage for stage, names in STAGE_KERNELS.items() for name in names)
-    assert PERIODIC == ("waypoint", "pid")
 
 
 def test_nodes_partition_the_kernels():
@@ -104,12 +79,3 @@ def test_every_function_that_a_host_can_swap_belongs_to_one_kernel():
     assert sorted(named) == sorted(attributes)
     owners = {name: {INJECTED_KERNEL[kernel] for kernel in INJECTABLE if name in INJECTABLE[kernel]} for name in named}
     assert all(len(kernels) == 1 for kernels in owners.values())
-
-
-def test_names_of_instruction_faults_are_rows_of_the_table_and_planners():
-    assert set(INJECTABLE) == set(INJECTED_KERNEL) == set(KERNEL_STAGES)
-    assert {name for name in INJECTABLE if INJECTED_KERNEL[name] != name} == set(PLANNERS)
-    for name, row in INJECTED_KERNEL.items():
-        assert KERNEL_STAGES[name] is KERNELS[row].stage
-        assert INJECTABLE[name] == PLANNERS.get(name, KERNELS[row].functions)
-    assert set(PLANNERS) == set(configuration.names("planners"))

@@ -1,8 +1,6 @@
 import json
-import subprocess
 import sys
 from importlib.metadata import EntryPoint
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -12,7 +10,6 @@ from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.errors import BadInputError
 from mavfi.plugins import allow_plugins, allow_typed, build, extensions, known, load_object, plugin_failure
 
-ROOT = Path(__file__).parents[3]
 SHIPPED = {"here": "mavfi.errors:MavfiError"}
 GROUP = "mavfi.no_such_group"
 
@@ -50,14 +47,6 @@ def test_an_entry_point_that_cannot_be_imported_is_one_line(monkeypatch):
     monkeypatch.setattr("mavfi.plugins.entry_points", lambda group: [broken] if group == GROUP else [])
     with pytest.raises(BadInputError, match=r"entry point 'broken' of mavfi.no_such_group: .* \(ModuleNotFoundError"):
         extensions(GROUP)
-
-
-def test_a_module_that_raises_is_the_users_mistake(tmp_path, monkeypatch):
-    (tmp_path / "broken_plugin.py").write_text("raise RuntimeError('two\\nlines')\n", encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    with pytest.raises(BadInputError, match="RuntimeError: two lines"):
-        load("broken_plugin:X")
 
 
 def test_a_constructor_that_raises_and_a_missing_method_are_named():
@@ -131,26 +120,6 @@ def test_a_strangers_file_is_refused_in_one_line(text, arguments, tmp_path, caps
     assert cli.run([places.get(word, word) for word in arguments]) == 2
     stderr = capsys.readouterr().err
     assert "'pydoc:pipepager': named in a file, and so not run" in stderr and stderr.count("\n") == 1
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "options",
-    [
-        ["--environment", "sparse", "--planner", "examples.planner_detour:Detour"],
-        ["--environment", "sparse", "--detector", "examples.detector_speed_limit:SpeedLimit"],
-        ["--environment", "gates.yaml"],
-    ],
-)
-def test_examples_fly_from_the_console_script(options, tmp_path):
-    gates = tmp_path / "gates.yaml"
-    gates.write_text("name: gates\ngenerator: examples.environment_gates:gates\n", encoding="utf-8")
-    options = [str(gates) if option == "gates.yaml" else option for option in options]
-    program = Path(sys.executable).with_name("mavfi")
-    done = subprocess.run(
-        [program, "fly", "--seed", "7", *options], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
 
 
 _BOTH = """

@@ -5,10 +5,8 @@ import pytest
 from mavfi import api
 from mavfi.campaign import mission
 from mavfi.campaign.mission import MissionPlan, host_of, model_hashes, scenarios_of, setup_of
-from mavfi.campaign.plan import Arm, arms_of
+from mavfi.campaign.plan import arms_of
 from mavfi.cli import fly
-from mavfi.extras.bench import scores
-from mavfi.extras.paper import overheads
 from mavfi.flight import compose
 from mavfi.mission import MissionSpec
 from tests.core.unit.campaign.fakes import small
@@ -41,19 +39,11 @@ def setup():
     setup_of(plan, arm, host_of(campaign)).make_detector()
 
 
-def score(spec, overrides):
-    arm = Arm("mine", overrides, "limits", "tuned")
-    scores._score(scores._ScoringTask(spec, (arm,), (), ()))
-
-
 CALLERS = {
     "api": (compose, lambda: api.fly(SPEC, detector="limits")),
     "fly": (compose, lambda: fly.watched(SPEC, "limits", None, None)),
-    "overheads": (overheads, lambda: overheads.cost(SPEC, "limits", "tuned")),
     "plan": (mission, hashes),
     "flight": (mission, setup),
-    "scores": (scores, lambda: score(SPEC, {})),
-    "scores of an arm": (scores, lambda: score(MissionSpec(environment="sparse"), {"trained_for": NAME})),
 }
 
 

@@ -1,13 +1,11 @@
 """Tables of a campaign with faults in states: they add up, and agree with the frame."""
 
-from dataclasses import replace
-
 import pytest
 
 from mavfi.analysis import published as paper
 from mavfi.analysis import table
 from mavfi.analysis.table import RATE
-from tests.core.unit.analysis.handmade import DUE, FAULT, GOLDEN, UNKNOWN, flown, golden, injected, runs
+from tests.core.unit.analysis.handmade import DUE, UNKNOWN, flown, golden, injected, runs
 
 
 def entries(runs, name, **wanted):
@@ -108,10 +106,3 @@ def test_tables_on_faults_say_that_rates_are_conditional(fake):
         assert expected in table(fake, name).notes
     assert any("recovery equals detection by construction" in note for note in table(fake, "recovery").notes)
     assert paper.STATE_LEVEL in table(fake, "success").notes
-
-
-def test_fields_with_few_flights_are_not_in_the_report():
-    own = [golden(seed) for seed in range(12)]
-    own += [injected(seed, flown()) for seed in range(12)]
-    rare = replace(FAULT, where=replace(FAULT.where, field="y"))
-    assert table(runs(*own, injected(20, GOLDEN, rare)), "by_field").column("field") == ["x"]

@@ -5,18 +5,15 @@ from dataclasses import replace
 import pytest
 
 from mavfi.analysis import table, views_for
-from mavfi.record import FlightRecord, Injection, KernelEffect
+from mavfi.record import KernelEffect
 from tests.core.unit.analysis.handmade import (
-    DUE,
     GOLDEN,
     INSTRUCTION,
-    REGISTER,
     UNKNOWN,
     died,
     flown,
     golden,
     injected,
-    null,
     runs,
 )
 
@@ -73,37 +70,6 @@ def test_which_tables_a_campaign_of_kernels_has(own):
     assert "instructions_as_in_the_paper" not in [found.name for found in views_for(per_kernel)]
 
 
-# ---- registers ---------------------------------------------------------------------------------------------------
-def trial(record: FlightRecord = GOLDEN, **changes):
-    details = {"register": "rax", "symbol": "f+0x3", "library": "/l.so", "instruction": "add", "stopped_us": 9000}
-    injection = Injection("register", "rax", 0.0, 3, None, None, True, details=details)
-    return replace(record, status="", injections=(injection,), **changes)
-
-
-@pytest.fixture
-def trials():
-    differing = {"differences": [{"field": "data", "before": 1.0, "after": 2.0}], "differing": 1, "asked": 10}
-    floating = replace(REGISTER, registers="fp")
-    return runs(
-        golden(1, replace(GOLDEN, status="")),
-        injected(1, trial(), REGISTER, target="general", index=0),
-        injected(1, trial(digest="x", extra=differing), floating, target="fp", index=1),
-        injected(1, trial(DUE, kernel=KernelEffect("crash", "SIGSEGV")), REGISTER, target="general", index=2),
-        injected(1, UNKNOWN, REGISTER, target="general", index=3),
-        null(1, trial(), REGISTER),
-    )
-
-
-def test_what_one_bit_in_a_register_does(trials):
-    assert [found.name for found in views_for(trials)] == ["register_effects"]
-    found = table(trials, "register_effects")
-    assert found.column("registers") == ["general + flags", "XMM, YMM", "in all"]
-    whole = found.entries()[-1]
-    assert (whole["n"], whole["unknown"]) == (3, 1)
-    assert [whole[name].successes for name in ("masked", "sdc", "crash", "hang")] == [1, 1, 1, 0]
-    assert {"crashes: SIGSEGV 1", "the process stood still for 9.0 ms (median)"} <= set(found.notes)
-
-
 def test_protected_and_plain_code_are_compared_as_samples():
     plain = [injected(0, silent(), INSTRUCTION), injected(1, died(success=False), INSTRUCTION)]
     assert "kernel_effects_by_setting" not in views_for(runs(golden(0), golden(1), *plain)), "nothing is protected"
@@ -111,8 +77,6 @@ def test_protected_and_plain_code_are_compared_as_samples():
         injected(0, flown(kernel=PROTECTED), INSTRUCTION, arm="full"),
         injected(1, died(), INSTRUCTION, arm="full"),
         injected(2, UNKNOWN, INSTRUCTION, arm="full"),
-        injected(3, flown(activated=False), INSTRUCTION, arm="full"),
-        injected(0, silent(), PLANNING, arm="full"),
     ]
     base = [golden(seed, arm=arm) for seed in range(4) for arm in ("", "full")]
     rows = table(runs(*base, *plain, *found), "kernel_effects_by_setting").entries()

@@ -119,15 +119,3 @@ def test_every_run_has_every_column_and_runs_that_are_not_flown_are_left_out():
     assert own.recorded()[0] is GOLDEN
     empty = Runs.of([])
     assert len(empty) == 0 and empty.settings() == [] and empty.frame.columns == list(SCHEMA)
-
-
-def test_selecting_grouping_and_totals_keep_the_order_of_the_plan():
-    own = runs(*(injected(seed, flown(), environment=name) for seed in (2, 1) for name in ("sparse", "dense")))
-    assert own.values("environment") == ["sparse", "dense"]
-    assert {key: part["seed"] for key, part in own.groups("environment").items()} == {
-        ("sparse",): [2, 1],
-        ("dense",): [2, 1],
-    }
-    assert own.with_total("environment", "all")["environment"][4:] == ["all"] * 4
-    assert own.with_total("setting", "all") is own, "one value has no total"
-    assert own.where("success", environment="dense")["seed"] == [2, 1]

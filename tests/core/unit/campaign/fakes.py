@@ -46,9 +46,7 @@ class Trouble:
         golden_dies: The same of golden flights.
         dies_at: Only runs of this target's site die; "" = all.
         raises: Whether injected flights with seed `BROKEN` raise.
-        flown: Folder in which each mission leaves a file named after its world and process; None = nowhere.
         stray: Added to a coordinate: another flight than the one that was planned (m).
-        mute: How many of the injected flights of each mission the host does not give.
         machine: The machine fails as often as this folder has files, whose names are numbers of errors (0 = memory).
         killed: Processes of flights with seed `DEADLY` are killed from outside as often as this folder has files.
     """
@@ -57,9 +55,7 @@ class Trouble:
     golden_dies: Path | None = None
     dies_at: str = ""
     raises: bool = False
-    flown: Path | None = None
     stray: float = 0.0
-    mute: int = 0
     machine: Path | None = None
     killed: Path | None = None
 
@@ -80,12 +76,6 @@ class FakeHost(Host):
 
     def mission(self, arms: dict[str, ArmSetup], *, fast_forward: bool = True) -> "FakeFlights":
         return FakeFlights(arms, fast_forward)
-
-
-class WarmHost(FakeHost):
-    """One that compiles in this process: campaigns fly their first golden runs there."""
-
-    in_process = True
 
 
 class StateHost(FakeHost):
@@ -110,7 +100,6 @@ class FakeFlights:
 
     def golden(self, arm: str, *, profile: bool = False) -> Flight:
         scenario = self.arms[arm].scenario
-        _note(scenario)
         _fail()
         _die(TROUBLE.golden_dies, scenario.seed)
         if arm not in self.known:
@@ -128,7 +117,7 @@ class FakeFlights:
 
     def injected(self, runs: list[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
         order = list(enumerate(runs))
-        for place, (arm, fault) in (order[::-1] if self.fast_forward else order)[: len(order) - TROUBLE.mute]:
+        for place, (arm, fault) in order[::-1] if self.fast_forward else order:
             setup = self.arms[arm]
             if TROUBLE.dies_at in fault.site:
                 _die(TROUBLE.dies, setup.scenario.seed)
@@ -225,11 +214,6 @@ def golden_profile(seed: int) -> Profile:
     times["perception.collision_status"] = np.array([3, 6, 9] if seed % 5 else [], np.int64) * 1_000_000
     counts = {name: np.full(len(times[name]), 3 if spec.elements else 0, np.int32) for name, spec in STATES.items()}
     return Profile(times, counts)
-
-
-def _note(scenario: Scenario) -> None:
-    if TROUBLE.flown is not None:
-        (TROUBLE.flown / f"{scenario.environment.name}-{scenario.seed}.{os.getpid()}").touch()
 
 
 def _token(folder: Path | None) -> str:

@@ -103,13 +103,6 @@ def test_runs_with_status_unknown_are_named_up_to_a_number(tmp_path, monkeypatch
     assert events(tmp_path, "end")[0]["unknown"] == status.unknown
 
 
-def test_a_log_grows_with_missions_not_with_runs(tmp_path):
-    flown_into(tmp_path / "few", small(faults=6))
-    flown_into(tmp_path / "many", small(faults=60))
-    assert len(events(tmp_path / "few")) == len(events(tmp_path / "many"))
-    assert (tmp_path / "many" / FILE).stat().st_size < 8 * 500 + 1000
-
-
 @pytest.mark.parametrize("trouble", ["a folder", "a full disk"])
 def test_a_log_that_cannot_be_written_does_not_stop_a_campaign(tmp_path, trouble):
     flown_into(tmp_path / "whole")

@@ -11,7 +11,6 @@ from mavfi.campaign.plan import WHOLE, Shard
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
-from mavfi.record import canonical
 from tests.core.unit.campaign.fakes import TROUBLE, small
 from tests.core.unit.campaign.test_run import TOTAL, digest, stop_at
 
@@ -108,13 +107,3 @@ def run_counts(directory):
 def identity(directory):
     with Store.open(directory) as store:
         return store.meta("identity")
-
-
-def test_what_is_copied_is_what_was_stored(whole):
-    with Store.open(whole) as store:
-        for (row, flown), run in zip(store.rows(), store.runs(), strict=True):
-            assert row == run.spec.row()
-            assert flown.record == run.record and flown.success is (run.record.status == "success")
-            assert (flown.note, flown.wall_s) == (run.note, run.wall_s)
-            assert store.record_text(row.run_id) == canonical(run.record.to_json())
-        assert store.record_text("no such run") is None

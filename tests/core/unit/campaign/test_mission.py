@@ -119,20 +119,6 @@ def test_a_golden_run_that_raises_is_unknown_and_its_faults_have_no_site(monkeyp
     assert len(found) == len(specs)
 
 
-def test_a_host_that_raises_between_flights_loses_what_is_left(monkeypatch):
-    def injected(self, runs):
-        yield from list(really(self, runs))[:2]
-        raise OSError("no more memory")
-
-    really = fakes.FakeFlights.injected
-    monkeypatch.setattr(fakes.FakeFlights, "injected", injected)
-    specs, found = flown(MISSION)
-    ends = [found[run_id].record.end for run_id, spec in specs.items() if spec.fault is not None]
-    assert ends.count(End.FLOWN) == 2 and set(ends) == {End.FLOWN, End.UNKNOWN}
-    notes = [item.note for item in found.values() if item.record.end is End.UNKNOWN]
-    assert all("no more memory" in note for note in notes)
-
-
 @pytest.mark.parametrize(("golden", "due"), [(lambda arm: None, True), (lambda arm: os._exit(9), False)])
 def test_a_process_that_dies_without_its_fault_too_is_a_failure_of_the_machine(golden, due):
     """What `fly_mission` does with a mission whose worker died; memory is not exhausted in a test."""

@@ -126,14 +126,6 @@ def test_draws_do_not_depend_on_arms_and_null_runs(campaign):
     assert drawn(campaign) == drawn(alone)
 
 
-def test_numbers_of_runs():
-    campaign = small(null_runs=2)
-    golden, injected = planned(campaign)
-    settings = Counter((run.environment, run.setting) for run in [*golden, *injected])
-    expected = {"golden": 4, "golden_gaussian": 4, "fi": 18, "dr_gaussian": 18, "null": 1, "null_gaussian": 1}
-    assert settings == {(env, setting): n for env in KEYS for setting, n in expected.items()}
-
-
 def test_faults_are_spread_over_the_missions_and_differ_within_one():
     _, injected = planned(small())
     own = [run for run in injected if (run.setting, run.environment, run.target) == ("fi", "sparse", "planning")]

@@ -3,12 +3,12 @@ import shutil
 import pytest
 
 from mavfi.campaign import mission as mission_module
-from mavfi.campaign.replay import fly_again, replay, setup_of_run
+from mavfi.campaign.replay import replay, setup_of_run
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.extras.hardening.plan import load_plan, save_plan
-from tests.core.unit.campaign.fakes import BROKEN, TROUBLE, FakeDetector, OneByOne, small
+from tests.core.unit.campaign.fakes import TROUBLE, FakeDetector, OneByOne, small
 
 
 def planned_with_a_model(monkeypatch, sha):
@@ -98,27 +98,6 @@ def test_a_plan_of_another_compiler_is_refused_and_names_the_ledger(protected, m
     monkeypatch.setattr("mavfi.extras.hardening.plan.version", lambda package: "0.1")
     with pytest.raises(BadInputError, match="planned with numba .*, this is 0.1"):
         replay(directory, a_run(directory, "fi_safe").spec.run_id)
-
-
-def test_an_exception_of_the_flight_comes_through(directory, monkeypatch):
-    monkeypatch.setattr(TROUBLE, "raises", True)
-    with Store.open(directory) as store:
-        spec = next(run.spec for run in store.runs() if run.spec.kind == "injected" and run.spec.seed == BROKEN)
-        with pytest.raises(ZeroDivisionError):
-            fly_again(store, spec)
-
-
-def test_a_run_that_is_not_flown_yet_is_refused(tmp_path):
-    def stop(progress):
-        if progress.flown == 3:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_campaign(small(), tmp_path, executor=OneByOne(), progress=stop)
-    with Store.open(tmp_path) as store:
-        run = next(store.runs(done=False))
-    with pytest.raises(BadInputError, match=f"run {run.spec.run_id} is not flown yet"):
-        replay(tmp_path, run.spec.run_id)
 
 
 def test_hosts_that_are_not_deterministic_fly_nothing_again(tmp_path):

@@ -2,14 +2,13 @@
 
 import pytest
 
-from mavfi.campaign.config import Scale, load_campaign
+from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.executor import Done
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.mission import flights_of, plan_of, scenarios_of, share
 from mavfi.campaign.plan import arms_of
 from mavfi.campaign.run import run_campaign, run_campaigns
 from mavfi.campaign.store import Store
-from mavfi.flight.fast_forward import FastForward
 from tests.core.unit.campaign.fakes import DETECTOR, TROUBLE, OneByOne, deaths, small
 
 
@@ -110,23 +109,3 @@ def test_missions_of_a_worker_that_dies_are_flown_again(tmp_path, monkeypatch, a
     monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 2))
     assert together(tmp_path / "out") == alone
     assert not list((tmp_path / "deaths").iterdir())
-
-
-@pytest.mark.slow
-def test_faults_in_states_start_at_the_checkpoints_of_a_flight_that_counts_instructions(tmp_path, monkeypatch):
-    simulated, flown = FastForward._simulated, []
-    monkeypatch.setattr(FastForward, "_simulated", lambda *given: flown.append(1) or simulated(*given))
-    monkeypatch.setattr("mavfi.campaign.run.is_compiled", lambda _: True)  # else it flies ahead
-    monkeypatch.setattr("mavfi.flight.mission_flights.fly", None)  # one more golden flight, to count
-    campaigns = {
-        name: load_campaign(name).model_copy(update={"environments": ("dense",)}).resized(Scale(missions=1, faults=2))
-        for name in ("table1", "states", "table1_instructions")
-    }
-    run_campaigns({tmp_path / "together" / name: one for name, one in campaigns.items()}, executor=InThisProcess())
-    assert len(flown) == 1
-    for name, campaign in campaigns.items():
-        run_campaign(campaign, tmp_path / "alone" / name, executor=InThisProcess())
-    assert len(flown) == 4
-    assert digests(tmp_path / "together" / name for name in campaigns) == digests(
-        tmp_path / "alone" / name for name in campaigns
-    )

@@ -1,5 +1,3 @@
-import shlex
-
 import numpy as np
 import polars as pl
 import pytest
@@ -7,12 +5,12 @@ import pytest
 from mavfi.analysis import Runs
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
-from mavfi.campaign.shrink import Shrunk, Trial, shrink
+from mavfi.campaign.shrink import shrink
 from mavfi.campaign.store import Store
 from mavfi.cli import run
 from mavfi.cli.runs import command
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, StateFault
+from mavfi.faults.fault import StateFault
 from mavfi.faults.strata import WORD_BITS
 from mavfi.levels.level import parse, text_of
 from mavfi.levels.state import change_of
@@ -52,12 +50,6 @@ def test_the_smallest_fault_loses_the_mission_and_no_smaller_one_does(directory,
                 assert fly(setup, None, smaller).log.status.label == "success", f"bit {bit} is smaller and loses, too"
 
 
-def test_the_steps_are_kept(directory, lost):
-    found = shrink(directory, lost[0])
-    assert [step.what for step in found.steps][:2] == ["publications", "width"]
-    assert found.steps[0].tried == 1, "once is enough here"
-
-
 def test_it_ends_with_a_command_that_flies_the_smallest_fault(capsys, directory, lost):
     found = shrink(directory, lost[0])
     text = text_of(found.smallest.fault)
@@ -67,21 +59,6 @@ def test_it_ends_with_a_command_that_flies_the_smallest_fault(capsys, directory,
     assert run(["shrink", str(directory), lost[0]]) == 0
     out = capsys.readouterr().out
     assert out.startswith("smallest") and out.splitlines()[-1].split(maxsplit=3)[3] == printed
-
-
-@pytest.mark.parametrize(
-    ("fault", "words"),
-    [
-        (InstructionFault("m.f", "ab" * 32, 42, 7, (3,), budget=9, kernel="pid", entry="track"), []),
-        (MemoryFault("waypoint", "points", 33, "f8", 20_000_000, 62), []),
-        (StateFault(FaultSite("control.command", "vx"), 20, 62, lasts_s=2.0, share=0.5, seed=4), ["--fault-seed", "4"]),
-    ],
-)
-def test_the_command_has_a_text_for_faults_of_every_level(directory, lost, fault, words):
-    spec, trial = Store.open(directory).run(lost[0]).spec, Trial(fault, "collision", 9.0, None)
-    printed = shlex.split(command(Shrunk(directory, spec, trial, trial, (), None)))
-    assert printed[:2] == ["mavfi", "fly"] and printed[-len(words) - 2 :] == ["--fault", text_of(fault), *words]
-    parse(text_of(fault))
 
 
 def test_missions_that_are_not_lost_by_their_fault_are_refused(directory):

@@ -6,9 +6,7 @@ from mavfi.campaign.config import TRAINING_SEED
 from mavfi.campaign.training import (
     FOLDER,
     KeptRecordings,
-    record,
     record_flights,
-    train,
     training_mission,
     trainings_of,
 )
@@ -94,39 +92,6 @@ def test_recordings_of_another_scenario_or_code_and_broken_ones_are_not_used(tmp
     assert KeptRecordings(tmp_path, SCENARIO).load(seeds) == {}
 
 
-def test_recordings_are_deleted_when_the_models_are_saved(tmp_path, monkeypatch):
-    class Fitted:
-        @staticmethod
-        def save(folder):
-            assert len(list(folder.glob(f"{FOLDER}/*/*.npz"))) == 6, "three flights in each family of worlds"
-            return folder / "model.json"
-
-    monkeypatch.setattr(training, "fit", lambda *_: {"model": Fitted})
-    assert train(tmp_path, 3, workers=1) == [tmp_path / "model.json"]
-    assert not (tmp_path / FOLDER).exists()
-
-
-@pytest.mark.parametrize(
-    ("given", "monitored", "every"),
-    [((), ["training"], ["training", "factory"]), (("dense", "farm"), ["dense", "farm"], ["dense", "farm"])],
-)
-def test_detectors_of_all_fields_learn_from_each_family_of_worlds(tmp_path, monkeypatch, given, monitored, every):
-    fitted = {}
-
-    def fit(kind, recordings, provenance, extras, only):
-        fitted[kind.profiles] = provenance["environment"], provenance["flights"], len(provenance["seeds"])
-        assert len(recordings) == provenance["flights"]
-        return {}
-
-    monkeypatch.setattr(training, "fit", fit)
-    record(tmp_path, 2, environments=given, workers=1).fit()
-    assert fitted["tuned",] == (", ".join(every), 2 * len(every), 2 * len(every))
-    assert fitted["paper", "tuned"] == (", ".join(monitored), 2 * len(monitored), 2 * len(monitored))
-    fitted.clear()
-    record(tmp_path, 2, workers=1, only={("gaussian", "paper")}).fit()
-    assert fitted == {("paper", "tuned"): ("training", 2, 2)}, "no flights in the other family"
-
-
 def _never_arrives(task):
     return None
 
@@ -147,9 +112,3 @@ def test_only_what_is_needed_is_recorded(tmp_path):
     assert len(recorded) == 1 and len(recorded[0].content)
     assert list(disk.load([seed])) == [seed]
     assert KeptRecordings(tmp_path, SCENARIO, trainings_of()).load([seed]) == {}, "other recordings than for all"
-
-
-def test_a_model_does_not_depend_on_the_others(tmp_path):
-    everything = {path.name: path.read_bytes() for path in train(tmp_path / "all", 2, workers=1)}
-    for path in train(tmp_path / "one", 2, workers=1, only=[("gaussian", "paper")]):
-        assert path.read_bytes() == everything[path.name]

@@ -5,10 +5,9 @@ import pytest
 from mavfi.campaign import warm_up
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.executor import Done
-from mavfi.errors import BadInputError
 from mavfi.extras.paper.study import load_study
 from mavfi.flight.compiling import STAGES
-from mavfi.flight.compose import detector_for, resolve
+from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
 
 
@@ -66,13 +65,6 @@ def test_nothing_is_compiled_twice(compiled):
     assert len(compiled) == known, "found in the cache"
 
 
-def test_a_detector_without_a_shipped_model_is_left_out():
-    scenario = resolve(MissionSpec(environment="sparse", seed=7, platform="cortex-a57"))
-    with pytest.raises(BadInputError):
-        detector_for(scenario, "gaussian", "paper")
-    warm_up._Detector(scenario, "gaussian", "paper", "", {}).compile()
-
-
 def test_what_failed_is_compiled_again(compiled, monkeypatch):
     def fail(_):
         raise OSError("no space left")
@@ -94,15 +86,6 @@ def test_a_detector_with_faults_is_compiled_with_its_shipped_model(compiled, mon
     detectors = {("acceptance",): ["recommended"], ("gaussian",): ["gaussian"], ("autoencoder",): ["autoencoder"]}
     assert arms == [(kernels, *own) for kernels, own in detectors.items()]
     assert warm_up.is_compiled(load_campaign("failure_rate"))
-
-
-def test_a_detector_with_faults_but_without_a_shipped_model_is_left_to_its_campaign(compiled, monkeypatch):
-    monkeypatch.setattr(warm_up, "warm_up", pytest.fail)
-    campaign = load_campaign("failure_rate")
-    elsewhere = campaign.model_copy(update={"mission": {**campaign.mission, "platform": "cortex-a57"}})
-    warm_up._Mission(warm_up._with_kernels(elsewhere, ("gaussian",))).compile()
-    warm_up.compile_ahead([elsewhere], Inline())
-    assert not warm_up.is_compiled(elsewhere)
 
 
 def test_a_flight_is_compiled_by_stages(compiled):

@@ -1,5 +1,4 @@
 import re
-import signal
 import subprocess
 import sys
 from itertools import pairwise
@@ -9,7 +8,7 @@ import typer
 
 from mavfi.cli import run
 from mavfi.cli.commands import app
-from mavfi.cli.stopping import leave_on_ctrl_c, stoppable
+from mavfi.cli.stopping import stoppable
 from mavfi.states import STATES, states_with
 from mavfi.version import __version__
 
@@ -91,18 +90,6 @@ def test_work_that_is_stopped_says_what_is_kept(capsys):
     assert capsys.readouterr().err == "Stopped.\n"
 
 
-def test_ctrl_c_stops_work_and_leaves_everything_else():
-    before = signal.getsignal(signal.SIGINT)
-    try:
-        leave_on_ctrl_c()
-        leaving = signal.getsignal(signal.SIGINT)
-        with stoppable("Stopped."):
-            assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-        assert signal.getsignal(signal.SIGINT) is leaving is not before
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 def test_help_loads_nothing_heavy():
     heavy = "('numba', 'mujoco', 'sklearn', 'scipy', 'matplotlib')"
     code = f"import sys; from mavfi.cli import run; run(['--help']); print([m for m in {heavy} if m in sys.modules])"
@@ -128,5 +115,3 @@ def test_states_print_the_registry(capsys):
     assert {("sensor.odometry", "wx"), ("control.tracking", "remaining")} <= dead
     assert ("planning.waypoint", "ax") not in dead
     assert re.search(r"read by octomap *$", blocks["perception.point_cloud"], re.MULTILINE)
-    assert re.search(r"read by flight controller *$", blocks["control.command"], re.MULTILINE)
-    assert "pid" in blocks["planning.waypoint"]

@@ -149,13 +149,10 @@ def test_a_replay_that_is_another_run_fails(capsys, flown, monkeypatch):
     ("arguments", "message"),
     [
         (["campaign", "run", "smoke", "--out", "OUT", "--workers", "0"], "workers: 0"),
-        (["campaign", "run", "absent.yaml", "--out", "OUT"], "absent.yaml"),
         (["campaign", "run", "CONFIG", "--out", "CONFIG"], "cannot be written"),
-        (["campaign", "run", "CONFIG", "--out", "OUT", "--scale", "huge"], "scale 'huge'"),
         (["campaign", "run", "smok"], "campaign 'smok': not known (did you mean 'smoke'?); allowed: bench_estimator"),
         (["campaign", "run", "FLOWN"], ": is a folder; allowed: bench_estimator"),
         (["campaign", "run", "MARS", "--out", "OUT"], "mars.yaml: key 'host': 'mars': not known; allowed: "),
-        (["campaign", "run", "OLD"], "key 'flights': is now 'missions'"),
         (["campaign", "status", "OUT"], "holds no campaign"),
         (["explain", "OUT", "run"], "holds no campaign"),
         (["replay", "FLOWN", "sparse"], "ambiguous, 5 runs match, e.g. sparse-10000-golden-"),
@@ -165,13 +162,11 @@ def test_a_replay_that_is_another_run_fails(capsys, flown, monkeypatch):
         (["reproduce", "nothing", "--out", "OUT"], "study 'nothing': not known; allowed: paper"),
         (["train", "--flights", "0", "--out", "OUT"], "--flights: 0"),
         (["train", "--out", "CONFIG"], "cannot be written"),
-        (["states", "--autopilot", "soft"], "soft"),
         (["nothing"], "nothing"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, config, flown, arguments, message):
-    places = {"OUT": tmp_path / "out", "CONFIG": config, "FLOWN": flown, "OLD": tmp_path / "old.yaml"}
-    places["OLD"].write_text("name: old\nenvironments: [sparse]\nflights: 3\n")
+    places = {"OUT": tmp_path / "out", "CONFIG": config, "FLOWN": flown}
     places["MARS"] = tmp_path / "mars.yaml"
     places["MARS"].write_text("name: mars\nenvironments: [sparse]\nhost: mars\n")
     places["STUDY"] = tmp_path / "study"
@@ -182,15 +177,6 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, config, flown, 
     assert message in error
     assert not (tmp_path / "out").exists()
     assert not (flown / "models").exists() and not (places["STUDY"] / "models").exists()
-
-
-def test_a_campaign_whose_name_leads_elsewhere_writes_nothing(capsys, tmp_path, monkeypatch):
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-    Path("n.yaml").write_text(FAKE.format(missions=1).replace("tiny", "../../x"))
-    assert run(["campaign", "run", "n.yaml"]) == 2
-    assert capsys.readouterr().err.startswith("mavfi: n.yaml: key 'name': '../../x': allowed: a plain folder name, ")
-    assert [path.name for path in tmp_path.rglob("*")] == ["here", "n.yaml"]
 
 
 def _of_sqlite(code, text):

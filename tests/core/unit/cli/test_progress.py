@@ -42,14 +42,3 @@ def test_a_cache_is_cold_until_a_flight_has_ended(terminal, monkeypatch, tmp_pat
         assert ("compiling kernels for this machine" in capsys.readouterr().err) is (cold and terminal)
     with compiling() as found:
         assert not found
-
-
-def test_runs_of_earlier_sessions_are_no_progress(capsys, clock, tmp_path):
-    with Bar("flights", "runs") as bar:
-        for number in range(4):  # each of the campaigns was stopped when it had flown 10 runs
-            clock[0] += 1.0
-            bar.show_campaigns(tmp_path / str(number), Progress(10, 20))
-        bar.show_campaigns(tmp_path / "0", Progress(11, 20, flown=1))
-        clock[0] += 20.0
-        bar.show_campaigns(tmp_path / "0", Progress(13, 20, flown=3))
-        assert capsys.readouterr().err.endswith("flights 43/80 runs  0.10 runs/s · 6 min 10 s left\n")

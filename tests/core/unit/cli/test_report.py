@@ -81,13 +81,10 @@ def test_names_stay_whole(capsys, flown, monkeypatch):
         (["report", "DIR", "--view", "nothing"], "view 'nothing': not known; allowed: endings, by_bits, "),
         (["report", "NONE"], "holds no campaign"),
         (["report", "DIR", "--html", "report.pdf"], "--html: report.pdf: allowed ending: .html"),
-        (["report", "DIR", "--html", "/nowhere/report.html"], "/nowhere/report.html"),
         (["report", "DIR", "--flights", "3"], "--flights: 3: there is no page; allowed: together with --html"),
         (["report", "DIR", "--html", "r.html", "--flights", "-1"], "--flights: -1: allowed: 0 to 10000"),
         (["report", "DIR", "--view", "golden_flights"], "view 'golden_flights': dropped; use flight_times"),
-        (["runs", "DIR", "--where", "x=1"], "--where: dropped; use mavfi runs DIR --csv"),
         (["failures", "DIR", "--json"], "--json: dropped; use mavfi report DIR --view failures_per_hour --json"),
-        (["report", "DIR", "--no-draw-run"], "--no-draw-run: dropped; a report draws no flight any more"),
         (["export", "DIR", "--to", "x.bag"], "name the run, too"),
     ],
 )
@@ -105,10 +102,3 @@ def test_the_html_report_of_a_campaign_without_flights(capsys, flown, tmp_path):
     text = printed(capsys, "report", flown, "--html", page, "--flights", "0")
     assert f"wrote {page}, with 0 flights" in text
     assert "Campaign small" in page.read_text(encoding="utf-8")
-
-
-@pytest.mark.slow
-def test_figures_for_papers(capsys, flown, tmp_path):
-    folder = tmp_path / "figures"
-    assert "success.pdf" in printed(capsys, "report", flown, "--figures", folder)
-    assert {path.suffix for path in folder.iterdir()} == {".pdf", ".png"}

@@ -9,9 +9,6 @@ from mavfi.detectors import acceptance, load_detector, rules
 from mavfi.detectors.acceptance import CHECKED, COMPILED, SOURCE, AcceptanceTest
 from mavfi.detectors.estimates import ESTIMATE
 from mavfi.errors import BadInputError
-from mavfi.flight.compose import detector_for, resolve
-from mavfi.flight.fly import fly
-from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import STATES, floats, new_state, rows
 from tests.core.unit.detectors.streams import LIMITS, odometry
 from tests.core.unit.detectors.test_registry import FITS
@@ -141,10 +138,8 @@ def test_what_a_flight_publishes_passes(autopilot, case):
 
 
 BOTH = tuple(LIMITS)
-FIRST, HELD = ("published",), ("published",)
-NEW, GOVERNED = ("hardened",), ("hardened",)
+FIRST, NEW = ("published",), ("hardened",)
 BROKEN = [
-    (BOTH, "no collision", "time_to_collision", -1.0),
     (BOTH, "no collision", "time_to_collision", np.nan),
     (BOTH, "a new collision", "time_to_collision", 100.0),
     (BOTH, "no collision", "time_to_collision", 15.0),
@@ -152,7 +147,6 @@ BROKEN = [
     (BOTH, "a new collision", "future_collision_seq", 3),
     (BOTH, "no collision", "collision", True),
     (BOTH, "a new collision", "collision", False),
-    (NEW, "no collision", "distance_to_blocked", -1.0),
     (NEW, "no collision", "distance_to_blocked", 5.0),
     (NEW, "no collision", "distance_to_unknown", np.nan),
     (NEW, "known space of the trajectory", "trajectory_seq", 9),
@@ -160,15 +154,12 @@ BROKEN = [
     (BOTH, "path", "future_collision_seq", 3),
     (BOTH, "path to a new alarm", "future_collision_seq", 0),
     (BOTH, "path", "entry_speed", 4.4),
-    (BOTH, "path", "entry_speed", -2.5),
     (BOTH, "path", "entry_speed", np.nan),
-    (NEW, "path", "junction", 7),
     (NEW, "path", "junction", 3),
     (BOTH, "path", ("x", 1), 70.0),
     (BOTH, "path", ("y", 1), np.inf),
     (BOTH, "path", ("z", 1), -3.0),
     (BOTH, "path", ("x", 0), 15.0),
-    (BOTH, "path", ("y", 0), 4.5),
     (NEW, "path", "junction", -2),
     (BOTH, "path", ("x", 2), 20.0),
     (NEW, "the way back", ("x", 2), 1.0),
@@ -176,19 +167,15 @@ BROKEN = [
     (BOTH, "trajectory", "trajectory_seq", 1),
     (BOTH, "trajectory", "future_collision_seq", 0),
     (BOTH, "trajectory", ("x", 2), np.nan),
-    (BOTH, "trajectory", ("ay", 2), np.inf),
     (NEW, "trajectory", ("az", 2), 1e3),
     (BOTH, "trajectory", ("y", 2), 12.5),
     (BOTH, "trajectory", ("yaw", 2), 4.0),
     (BOTH, "trajectory", ("vx", 2), 5.0),
-    (BOTH, "trajectory", ("vx", 2), -2.0),
     (BOTH, "trajectory", ("duration", 1), 0.001),
-    (BOTH, "trajectory", ("duration", 4), 0.6),
     (BOTH, "trajectory", ("duration", 5), 0.0),
     (BOTH, "trajectory", ("y", 3), 1.5),
     (BOTH, "next point", "trajectory_seq", 2),
     (BOTH, "next point", "index", 5),
-    (BOTH, "next point", "index", -2),
     (BOTH, "next point", "index", 0),
     (FIRST, "next point", "future_collision_seq", 0),
     (FIRST, "next point", "future_collision_seq", 2),
@@ -203,17 +190,14 @@ BROKEN = [
     (BOTH, "hold", "yaw", 4.1),
     (BOTH, "hold", "vz", 0.1),
     (BOTH, "hold", "ay", np.nan),
-    (BOTH, "hold", "duration", 0.25),
     (BOTH, "hold", "trajectory_seq", 1),
     (BOTH, "hold", "index", 2),
-    (BOTH, "hold", "index", -3),
     (BOTH, "command", "vx", 3.3),
     (BOTH, "command", "vy", np.nan),
     (BOTH, "command", "yaw_rate", 1.6),
     (BOTH, "command", "duration", 0.04),
     (FIRST, "command", "vx", 1.6),
     (FIRST, "tracking", "remaining", 0.301),
-    (FIRST, "tracking", "remaining", 0.27),
     (FIRST, "tracking of a new way-point", "remaining", 0.5),
     (FIRST, "tracking of a new way-point", "remaining", 0.45),
 ]
@@ -302,16 +286,6 @@ def test_a_spike_is_a_long_detour_that_turns_back(points):
         assert away["xyz".index(names[column])] == away.max()
 
 
-@pytest.mark.parametrize("autopilot", LIMITS)
-def test_a_path_with_a_spike_is_refused_and_one_around_a_corner_is_not(autopilot):
-    detector, path = flying(autopilot, status(2, True, 4.0)), line(autopilot, epoch=2)
-    for axis, value, fine in (("y", 4.0, True), ("x", 33.9, True), ("x", 34.1, False)):
-        bent = path.copy()
-        bent.elements[axis][1] = value
-        alarm = detector.check(bent, NOW)
-        assert alarm is None if fine else alarm.fields == (f"{PATH}.{axis}",)
-
-
 def everything(autopilot):
     """All good and all broken publications, each with what comes before."""
     cases = [good(autopilot)[case] for case in good(autopilot)]
@@ -335,18 +309,6 @@ def test_judging_changes_nothing_and_memory_is_restored(autopilot):
         assert detector.memory() == AcceptanceTest(LIMITS[autopilot]).memory()
 
 
-@pytest.mark.parametrize("autopilot", LIMITS)
-def test_compiled_rules_agree_with_plain_python(autopilot, monkeypatch):
-    compiled = [flying(autopilot, *before).check(state, NOW) for state, before in everything(autopilot)]
-    for module in (rules, acceptance):
-        for name, found in list(vars(module).items()):
-            monkeypatch.setattr(module, name, getattr(found, "py_func", found))
-    plain = {name: function.py_func for name, function in COMPILED.items()}
-    assert [
-        flying(autopilot, *before, functions=plain).check(state, NOW) for state, before in everything(autopilot)
-    ] == compiled
-
-
 def test_a_trajectory_for_which_there_is_no_room_makes_more():
     detector = flying("published")
     several = acceptance.CAPACITY + 7
@@ -364,35 +326,8 @@ def test_a_trajectory_for_which_there_is_no_room_makes_more():
     assert detector.memory() == AcceptanceTest(LIMITS["published"]).memory()
 
 
-@pytest.mark.parametrize("autopilot", LIMITS)
-def test_states_that_it_does_not_ask_for_change_nothing(autopilot):
-    detector = flying(autopilot)
-    memory = detector.memory()
-    unread = set(STATES) - detector.states
-    assert ("control.tracking" in unread) == (autopilot == "hardened")
-    for name in unread:
-        state = new_state(name)
-        assert detector.check(state, NOW) is None
-        detector.accept(state, NOW)
-    assert detector.memory() == memory
-
-
-def test_what_no_rule_is_about_passes():
-    detector = flying("published")
-    cloud = new_state("perception.point_cloud")
-    assert detector.check(cloud, NOW) is None and detector.score(cloud, NOW) is None
-
-
 def test_it_is_loaded_with_the_limits_of_the_mission():
     detector, model = load_detector(SOURCE, "paper", None, {**FITS, "limits": LIMITS["published"]})
     assert isinstance(detector, AcceptanceTest) and model == ""
     with pytest.raises(BadInputError, match="'acceptance': needs the limits of the mission"):
         load_detector(SOURCE, "paper", None, FITS)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("autopilot", LIMITS)
-def test_a_golden_flight_raises_no_alarm(autopilot):
-    scenario = resolve(MissionSpec(environment="sparse", seed=11, autopilot=autopilot))
-    log = fly(scenario, detector=detector_for(scenario, SOURCE, "paper")[0]).log
-    assert (log.status, log.alarms) == (MissionStatus.SUCCESS, [])

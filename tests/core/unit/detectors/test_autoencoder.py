@@ -1,10 +1,7 @@
-import numpy as np
 import pytest
 
 from mavfi.detectors.autoencoder import AutoencoderDetector
-from mavfi.detectors.scoring import NOT_FINITE
-from mavfi.errors import BadInputError
-from tests.core.unit.detectors.streams import command, flight, fly, later, status, strike, waypoint
+from tests.core.unit.detectors.streams import flight, fly, later, strike
 
 
 @pytest.fixture
@@ -40,18 +37,6 @@ def test_an_accepted_anomaly_is_not_held_against_what_follows(models, events):
         assert alarms == {struck, after}  # the jump there and the jump back, no command in between
 
 
-def test_a_repaired_value_leaves_no_trace(models, events):
-    detector, undisturbed = (AutoencoderDetector(models["autoencoder-tuned"]) for _ in range(2))
-    struck = later(events, "planning.waypoint", 20)
-    for number, (state, time_us) in enumerate(events):
-        if number == struck:
-            wrong = waypoint([1e3, 0, 0], [1, 0, 0], trajectory=int(state.header["trajectory_seq"][0]))
-            assert detector.check(wrong, time_us) is not None
-        assert detector.check(state, time_us) == undisturbed.check(state, time_us)
-        detector.accept(state, time_us)
-        undisturbed.accept(state, time_us)
-
-
 @pytest.mark.parametrize(
     ("name", "count", "field", "value", "stage"),
     [
@@ -68,27 +53,6 @@ def test_the_keyed_policy_recomputes_the_stage_of_the_largest_residual(
     assert (alarms[struck].stage, alarms[struck].abandon_waypoint) == (stage, False)
 
 
-def test_the_policy_can_be_chosen(models, events):
-    struck = later(events, "planning.waypoint", 20)
-    wrong = strike(events, struck, "x", -1e30)
-    keyed = dict(fly(AutoencoderDetector(models["autoencoder-paper"], policy="keyed"), wrong))
-    assert (keyed[struck].stage, keyed[struck].abandon_waypoint) == ("planning", False)
-    paper = dict(fly(AutoencoderDetector(models["autoencoder-tuned"], policy="paper"), wrong))
-    assert (paper[struck].stage, paper[struck].abandon_waypoint) == ("control", True)
-    with pytest.raises(BadInputError, match="allowed: paper, keyed"):
-        AutoencoderDetector(models["autoencoder-paper"], policy="both")
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_what_is_not_finite_is_an_alarm_of_its_own_state(models, events, value):
-    for policy, stage in (("paper", "control"), ("keyed", "planning")):
-        detector = AutoencoderDetector(models["autoencoder-paper"], policy)
-        struck = later(events, "planning.waypoint", 20)
-        alarms = dict(fly(detector, strike(events, struck, "vz", value)))
-        assert (alarms[struck].score, alarms[struck].fields) == (NOT_FINITE, ("planning.waypoint.vz",))
-        assert alarms[struck].stage == stage
-
-
 def test_tuned_is_silent_in_golden_flights_and_sees_two_metres(models):
     detector = AutoencoderDetector(models["autoencoder-tuned"])
     for seed in range(500, 504):
@@ -97,21 +61,3 @@ def test_tuned_is_silent_in_golden_flights_and_sees_two_metres(models):
         struck = later(golden, "planning.waypoint", 23)
         y = float(golden[struck][0].header["y"][0])
         assert struck in dict(fly(detector, strike(golden, struck, "y", y + 2.0)))
-
-
-def test_check_remembers_nothing(models):
-    detector, undisturbed = (AutoencoderDetector(models["autoencoder-paper"], "paper") for _ in range(2))
-    for state, time_us in flight(77, ticks=200):
-        for strange in (command([np.nan, 1e300, 0]), waypoint([5e5, 0, 0], [0, 0, 0], trajectory=9), status(0, 7)):
-            detector.check(strange, time_us + 3)
-        assert detector.check(state, time_us) == undisturbed.check(state, time_us)
-        detector.accept(state, time_us)
-        undisturbed.accept(state, time_us)
-        assert detector.memory() == undisturbed.memory()
-
-
-def test_a_new_flight_starts_afresh(models, events):
-    detector = AutoencoderDetector(models["autoencoder-paper"])
-    struck = later(events, "planning.waypoint", 20)
-    wrong = strike(events, struck, "x", -1e30)
-    assert fly(detector, wrong) == fly(detector, wrong)

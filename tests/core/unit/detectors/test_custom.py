@@ -73,31 +73,3 @@ def test_a_call_that_ends_its_process_is_named(end, how, method):
 def test_a_call_that_does_not_return_is_named():
     with pytest.raises(CustomCallError, match=r"^detector \S+:Own: check did not return within 0.3 s$"):
         in_child(lambda: NotedCalls(Own(check=sleep)).check(None, 0), timeout=0.3)
-
-
-def test_a_grandchild_that_ends_in_a_call_is_named_by_its_parent():
-    """A fork for an injected call, within a run that is flown alone."""
-
-    def work():
-        with pytest.raises(CustomCallError, match="check ended its process"):
-            in_child(lambda: NotedCalls(Own(check=crash)).check(None, 0))
-        crash()  # not in a call
-
-    assert in_child(work).detail == "SIGSEGV"
-
-
-def test_what_ends_otherwise_is_as_without_such_a_detector():
-    calls = NotedCalls(Own(check=lambda: "alarm"))
-    assert calls.check(None, 0) == "alarm", "in a process whose parent does not care"
-
-    def call_then_crash():
-        calls.check(None, 0)
-        crash()
-
-    assert in_child(lambda: calls.check(None, 0)).payload == b"done"
-    assert in_child(call_then_crash).detail == "SIGSEGV"
-
-    def fail():
-        raise ValueError("no such command")
-
-    assert in_child(lambda: NotedCalls(Own(accept=fail)).accept(None, 0)).detail == "ValueError: no such command"

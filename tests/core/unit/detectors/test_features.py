@@ -4,7 +4,7 @@ import pytest
 from mavfi.detectors import features
 from mavfi.detectors.preprocess import Preprocessor
 from mavfi.errors import BadInputError
-from mavfi.states import MONITORED_SETS, ODOMETRY
+from mavfi.states import ODOMETRY
 from tests.core.unit.detectors.streams import command, odometry, status, waypoint
 
 
@@ -26,10 +26,6 @@ class Stream:
         features.commit(content, slot, watch)
         first, last = self.preprocessor.range_of(slot)
         return deltas[first:last].tolist(), regime
-
-
-def test_the_vector_is_in_the_order_of_the_monitored_set():
-    assert Preprocessor("paper-13", "paper").fields == tuple(".".join(pair) for pair in MONITORED_SETS["paper-13"])
 
 
 def test_the_paper_profile_takes_the_code_first_and_then_the_difference():
@@ -78,14 +74,6 @@ def test_the_first_way_point_of_a_trajectory_is_predicted_from_the_vehicle(predi
     assert stream.publish(waypoint([x, 6.5, 2.0], [3.0, 0, 0], trajectory=3))[0][1] == 4
 
 
-def test_a_vehicle_position_that_is_not_finite_is_not_taken():
-    stream = Stream("tuned", "trapezoid")
-    stream.publish(odometry([1.0, 2.0, 3.0], [0.0, 0.0, 0.0]))
-    stream.publish(odometry([np.nan, 2.0, 3.0], [0.0, 0.0, 0.0]))
-    assert stream.preprocessor.watch.vehicle.tolist() == [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]
-    assert stream.publish(waypoint([1.0, 2.0, 3.0], [0.0, 0.0, 0.0]))[0] == [0] * 7
-
-
 def test_a_yaw_that_wraps_is_no_jump_and_one_that_explodes_is():
     stream = Stream("tuned")
     stream.publish(waypoint([0, 0, 0], [0, 0, 0], yaw=3.1))
@@ -122,14 +110,6 @@ def test_what_is_not_finite_is_said_by_itself_and_never_overflows(profile, value
     deltas, regime = stream.publish(waypoint([1.7e308, -1.7e308, 3.0], [-1.7e308, 1.7e308, 0.0]))
     assert regime == features.SWITCH
     assert abs(deltas[0]) > 1000
-
-
-def test_nineteen_fields_can_be_watched_too():
-    stream = Stream("paper", monitored="published-19")
-    assert len(stream.preprocessor.fields) == 19
-    stream.publish(waypoint([0, 0, 0], [0, 0, 0], duration=0.5))
-    deltas, _ = stream.publish(waypoint([0, 0, 0], [0, 0, 0], duration=2.0, trajectory=4))
-    assert deltas == [0] * 10 + [2, 3, 0]
 
 
 @pytest.mark.parametrize(

@@ -42,30 +42,6 @@ def test_normal_numbers_raise_no_alarm_and_a_wild_one_does(kind, profile):
         assert min(found) == place and field in found[place], (place, found)
 
 
-@pytest.mark.parametrize("kind", ["gaussian", "autoencoder"])
-def test_the_scale_of_each_number_is_its_own(kind):
-    states = normal(400, 800)
-    place = 302
-    states[place] = foreign_state(SPECS["/arm"], [states[place].header["position[0]"][0], 1e-4])
-    found = watch(learn(kind, "tuned", [normal(800)], SPECS), states)
-    assert list(found) == [place, place + 2] and found[place] == ("/arm.tiny",)
-
-
-def test_numbers_that_are_not_finite_are_an_alarm_whatever_was_learned():
-    states = normal(100, 800)
-    states[51] = foreign_state(SPECS["/speed"], [float("nan")])
-    assert 51 in watch(learn("gaussian", "tuned", [normal(200)], SPECS), states)
-
-
-@pytest.mark.parametrize("profile", ["paper", "tuned"])
-def test_numbers_of_any_size_can_be_learned(profile):
-    spec = foreign_spec("/x", ["a", "b", "c"])
-    rows = np.random.default_rng(0).normal(size=(200, 3)) * [1e307, 1e-320, 0.0]
-    states = [foreign_state(spec, row) for row in rows]
-    detector = learn("gaussian", profile, [states], {"/x": spec})
-    assert watch(detector, [*states, foreign_state(spec, [np.nan, 0.0, 0.0])])[len(states)] == ("/x.a",)
-
-
 @pytest.mark.parametrize(
     ("kind", "states", "message"),
     [

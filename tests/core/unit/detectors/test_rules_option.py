@@ -1,7 +1,5 @@
 """Each of the five rules alone: together they are the acceptance test, and each alarm belongs to one of them."""
 
-import pickle
-
 import pytest
 
 from mavfi.detectors import load_detector
@@ -68,19 +66,6 @@ def test_every_checked_field_belongs_to_one_rule():
     assert rules[f"{STATUS}.collision"] == COUNTERS
     copied = {field for field, rule in rules.items() if rule == COPIES}
     assert copied < {f"{WAYPOINT}.{field.name}" for field in STATES[WAYPOINT].fields}
-
-
-def test_what_it_remembers_is_that_of_the_whole_test():
-    one, whole = only(COPIES), AcceptanceTest(LIMITS["published"])
-    whole.restore(one.memory())
-    broken = good("published")["no collision"][0]
-    broken.header["collision"] = True  # passes, as another rule's
-    assert one.check(broken, NOW) is None
-    for detector in (one, whole):
-        detector.accept(broken, NOW)
-    assert one.memory() == whole.memory()
-    again = pickle.loads(pickle.dumps(one))
-    assert (again.rules, again.memory()) == (one.rules, one.memory())
 
 
 def test_it_is_an_option_of_the_detector_and_its_code_is_the_same_target():

@@ -27,12 +27,11 @@ def test_dead_fields_are_not_live():
     assert set(live_fields(STATES["planning.waypoint"], "of my own")) == either
 
 
-def test_states_without_a_live_field_are_not_drawn():
+def test_only_states_that_exist_are_drawn():
     assert "control.tracking" in stage_target("control", "published").fields
     assert "control.tracking" not in stage_target("control", "hardened").fields
-
-
-def test_only_states_that_exist_are_drawn():
+    monitored = stage_target("planning", "published", "paper-13")
+    assert monitored.fields == {"planning.waypoint": ("x", "y", "z", "yaw", "vx", "vy", "vz")}
     for stage in PPC_STAGES:
         assert all(STATES[name].exists_with("truth") for name in stage_target(stage, "published").fields)
     with_filter = stage_target("perception", "published", localization="estimator").fields
@@ -41,11 +40,6 @@ def test_only_states_that_exist_are_drawn():
     assert group_target("mine", ["sensor.imu.fx"], "estimator").fields == {"sensor.imu": ("fx",)}
     with pytest.raises(BadInputError, match="group 'mine': sensor.imu.fx: only flights with localization estimator"):
         group_target("mine", ["sensor.imu.fx"])
-
-
-def test_monitored_only():
-    target = stage_target("planning", "published", "paper-13")
-    assert target.fields == {"planning.waypoint": ("x", "y", "z", "yaw", "vx", "vy", "vz")}
 
 
 def test_the_same_address_gives_the_same_fault_and_another_address_another():

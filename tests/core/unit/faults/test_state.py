@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
-from mavfi.faults.levels.state_injector import ActedOn, StateInjector, flip
-from mavfi.states import STATES, State, new_state
+from mavfi.faults.levels.state_injector import StateInjector, flip
+from mavfi.states import State, new_state
 
 WAYPOINT = FaultSite("planning.waypoint", "x")
 
@@ -64,15 +64,20 @@ def test_flip_clamps_the_element_to_what_is_there():
     assert changed.elements["y"].tolist() == [10.0, -11.0]
 
 
-@pytest.mark.parametrize(("site", "bit"), [("x", 64), ("x", -1), ("trajectory_seq", 32)])
-def test_flip_refuses_a_bit_that_the_field_does_not_have(site, bit):
-    with pytest.raises(BadInputError, match="no bit"):
-        flip(waypoint(), FaultSite("planning.waypoint", site), bit)
-
-
-def test_flip_refuses_an_empty_list():
-    with pytest.raises(BadInputError, match="no point"):
-        flip(trajectory(0), FaultSite("planning.trajectory", "y", 0), 1)
+@pytest.mark.parametrize(
+    ("state", "site", "bit", "message"),
+    [
+        (waypoint(), FaultSite("planning.waypoint", "x"), 64, "no bit 64"),
+        (waypoint(), FaultSite("planning.waypoint", "trajectory_seq"), 32, "no bit 32"),
+        (trajectory(0), FaultSite("planning.trajectory", "y", 0), 3, "no point"),
+        (waypoint(), FaultSite("planning.nowhere", "x"), 3, "no state"),
+        (waypoint(), FaultSite("planning.waypoint", "roll"), 3, "no field"),
+    ],
+)
+def test_what_is_not_there_is_not_flipped(state, site, bit, message):
+    with pytest.raises(BadInputError, match=message):
+        StateInjector(StateFault(site))
+        flip(state, site, bit)
 
 
 # ---- the injector, and mutants of it that these checks must catch ---------------------------------------------------
@@ -102,25 +107,9 @@ def check_injector(make) -> None:
     assert injection.site == "planning.trajectory.y[3]"
 
 
-class OffByOneBit(StateInjector):
-    def __init__(self, fault):
-        super().__init__(StateFault(fault.where, fault.time_us, fault.bit + 1))
-
-
-class OffByOneElement(StateInjector):
-    def __init__(self, fault):
-        site = FaultSite(fault.where.state, fault.where.field, fault.where.element + 1)
-        super().__init__(StateFault(site, fault.time_us, fault.bit))
-
-
 class OnePublicationLate(StateInjector):
     def __init__(self, fault):
         super().__init__(StateFault(fault.where, fault.time_us + 1_000_000, fault.bit))
-
-
-class Never(StateInjector):
-    def __call__(self, state, time_us):
-        return state
 
 
 class Sticky(StateInjector):
@@ -128,11 +117,6 @@ class Sticky(StateInjector):
         if self.injections and state.spec is self._spec and len(state.elements):
             return flip(state, self._fault.where, self._fault.bit)[0]
         return super().__call__(state, time_us)
-
-
-class Twice(StateInjector):
-    def __init__(self, fault):
-        super().__init__(replace(fault, times=2))
 
 
 class Liar(StateInjector):
@@ -145,17 +129,10 @@ def test_injector_injects_as_the_fault_says():
     check_injector(StateInjector)
 
 
-@pytest.mark.parametrize("mutant", [OffByOneBit, OffByOneElement, OnePublicationLate, Never, Sticky, Twice, Liar])
+@pytest.mark.parametrize("mutant", [OnePublicationLate, Sticky, Liar])
 def test_the_checks_catch_mutants_of_the_injector(mutant):
     with pytest.raises(AssertionError):
         check_injector(mutant)
-
-
-def test_injector_leaves_the_original_as_it_was():
-    state = waypoint()
-    changed = StateInjector(StateFault(WAYPOINT, 0, 63))(state, 0)
-    assert state.header["x"][0] == 50.0
-    assert changed.header["x"][0] == -50.0
 
 
 def test_untouched_publications_are_the_same_objects():
@@ -186,13 +163,9 @@ def test_a_publication_that_never_comes_is_reported_as_not_activated():
     assert not injection.activated
     assert injection.before is None
     assert injection.time_s == 5.0
-
-
-def test_a_fault_without_a_site_never_injects():
-    injector = StateInjector(StateFault(WAYPOINT, NO_SITE, 3))
+    without_site = StateInjector(StateFault(WAYPOINT, NO_SITE, 3))
     state = waypoint()
-    assert injector(state, 0) is state
-    assert not injector.finish()[0].activated
+    assert without_site(state, 0) is state and not without_site.finish()[0].activated
 
 
 def test_event_states_are_struck_only_when_consumers_act_on_them():
@@ -201,27 +174,6 @@ def test_event_states_are_struck_only_when_consumers_act_on_them():
     sequence = [(0, 0), (1, 500_000), (1, 1_000_000), (1, 1_500_000), (2, 2_000_000), (3, 2_500_000)]
     times = [time for seq, time in sequence if injector(collision_status(seq), time).header[site.field][0] < 0]
     assert times == [2_000_000]
-
-
-def test_acted_on_tells_increments_from_repetitions():
-    acted_on = ActedOn(STATES["perception.collision_status"])
-    assert [acted_on(collision_status(seq)) for seq in (0, 1, 1, 2, 1, 2)] == [False, True, False, True, False, True]
-    assert ActedOn(STATES["planning.waypoint"])(waypoint())
-
-
-def test_injector_refuses_a_site_that_does_not_exist():
-    with pytest.raises(BadInputError, match="no state"):
-        StateInjector(StateFault(FaultSite("planning.nowhere", "x")))
-    with pytest.raises(BadInputError, match="no field"):
-        StateInjector(StateFault(FaultSite("planning.waypoint", "roll")))
-
-
-def test_injection_is_strict_json_even_if_the_value_is_not_finite():
-    state = waypoint(1.5)
-    injector = StateInjector(StateFault(WAYPOINT, 0, 62))
-    injector(state, 0)
-    [injection] = injector.finish()
-    assert injection.to_json()["after"] == "nan"
 
 
 # ---- faults that last -----------------------------------------------------------------------------------------------
@@ -275,17 +227,7 @@ class TooShort(StateInjector):
         super().__init__(replace(fault, lasts_s=fault.lasts_s - 1e-6 * PERIOD_US))
 
 
-class Narrow(StateInjector):
-    def __init__(self, fault):
-        super().__init__(replace(fault, width=fault.width - 1))
-
-
-class OnceOnly(StateInjector):
-    def __init__(self, fault):
-        super().__init__(replace(fault, lasts_s=0.0))
-
-
-@pytest.mark.parametrize("mutant", [Toggling, TooShort, Narrow, OnceOnly, Never, Liar])
+@pytest.mark.parametrize("mutant", [Toggling, TooShort])
 def test_the_definition_catches_mutants_of_faults_that_last(mutant):
     fault, values = StateFault(WAYPOINT, 40_000, 52, lasts_s=0.06, width=2), [1.0, 2.0, 3.0, 9.0, 5.0, 6.0, 7.0, 8.0]
     assert lasting_values(StateInjector, fault, values) == expected_values(fault, values)

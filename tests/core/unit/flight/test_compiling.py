@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from mavfi.flight.compiling import STAGES, compile_stage
+from mavfi.flight.compiling import STAGES
 from mavfi.flight.compose import new_loop, resolve
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
@@ -39,17 +39,3 @@ def test_the_stages_call_what_a_flight_calls(autopilot):
     assert called(scenario, lambda loop: loop.fly()) - set().union(*by_stage.values()) <= LATER
     assert "plan_rrt_connect" in by_stage["plan_path"] and "insert_scan" in by_stage["see"]
     assert "insert_scan" not in by_stage["plan_path"] | by_stage["follow_path"]
-
-
-def test_a_path_is_fitted_without_a_plan(monkeypatch):
-    published = []
-
-    def watched(scenario):
-        loop = new_loop(scenario)
-        loop.taps.recorders.append(lambda state, now: published.append(state))
-        return loop
-
-    monkeypatch.setattr("mavfi.flight.compiling.new_loop", watched)
-    compile_stage("follow_path", resolve(MissionSpec(environment="sparse", seed=7)))
-    (trajectory,) = [state for state in published if state.spec.name == "planning.trajectory"]
-    assert len(trajectory.elements) > 2

@@ -23,11 +23,3 @@ def test_a_value_of_a_file_is_refused_with_file_and_key(tmp_path, monkeypatch, k
     with pytest.raises(BadInputError) as caught:
         resolve(MissionSpec(**{key: str(path)}))
     assert str(caught.value).startswith(f"{path}: {message}")
-
-
-def test_what_the_mission_names_itself_is_refused_without_a_file(tmp_path):
-    path = tmp_path / "mine.yaml"
-    path.write_text("name: mine\ngenerator: farm\nvehicle: quad", encoding="utf-8")
-    for spec in (MissionSpec(planner="foo"), MissionSpec(environment=str(path), vehicle="kite")):
-        with pytest.raises(BadInputError, match=r"^(planner 'foo'|vehicle 'kite'): not known"):
-            resolve(spec)

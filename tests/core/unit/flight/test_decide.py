@@ -3,7 +3,10 @@
 import itertools
 import math
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mavfi.config import AutopilotConfig, shipped
 from mavfi.detectors import Alarm
@@ -14,8 +17,12 @@ from mavfi.flight.decide import (
     PERSISTS_US,
     RESTART_US,
     SCANNING,
+    SHARE,
+    VALID_S,
     Action,
     History,
+    HoldMemory,
+    HoldPosition,
     Origin,
     PathDeadline,
     PathWait,
@@ -82,11 +89,6 @@ def test_an_observer_asks_for_the_same_and_holds_nothing_back(alarm, state, expe
     )
 
 
-def test_only_the_kernel_that_wrote_the_value_is_stepped_again():
-    alone = Action(RECOMPUTE, PERCEPTION, "collision_check", ("collision_check",), STATUS, True, alone=True)
-    assert answer(Alarm("d", "perception"), STATUS, RecoveryPolicy(grain="kernel")) == alone
-
-
 def test_a_message_that_is_wrong_twice_is_computed_again():
     policy, alarm = RecoveryPolicy(grain="message", same_twice="escalate"), Alarm("d", "perception", hard=True)
     assert answer(alarm, STATUS, policy) == Action(Response.RESEND, PERCEPTION, awaited=STATUS, withholds=True)
@@ -119,11 +121,6 @@ def test_an_alarm_has_the_first_response_that_applies():
             }
             found = answer(alarm, STATUS, policy, origin, history, now)
             assert (None if found is None else found.kind) is next(kind for kind in applies if applies[kind])
-
-
-def test_a_sensor_has_no_node_to_restart():
-    policy = RecoveryPolicy(same_twice="escalate")
-    assert answer(Alarm("d", "perception", hard=True), "sensor.odometry", policy, Origin.RECOMPUTED) is None
 
 
 @pytest.mark.parametrize("gap", BOTH)
@@ -206,12 +203,42 @@ def test_a_wait_begins_with_an_alarm_and_ends_with_an_answer_or_its_deadline(wai
         assert wait.since_us == (now if down and not is_path else since)
 
 
-@pytest.mark.parametrize("time", [NO_COLLISION, 2.0, math.nan])
-@pytest.mark.parametrize("distance", [math.inf, 5.0, math.nan])
-@pytest.mark.parametrize("index", [None, -1, 0, 3])
-def test_only_a_status_without_time_and_distance_withdraws_an_alarm_on_a_trajectory(time, distance, index):
-    for alarm in ("repeated", "one_shot"):
-        wait = PathWait(1, 3, 3, None if index is None else waypoint(index))
-        deadline(alarm).overdue(wait, status(3, time=time, blocked=distance), 2)
-        free = (time, distance) == (NO_COLLISION, math.inf) and index not in (None, -1)
-        assert (wait.since_us is None) == (free and alarm == "repeated")
+V_MAX = 3.0
+reals = st.floats(-1e3, 1e3)
+points = st.tuples(reals, reals, reals)
+
+
+@given(points, points, st.floats(0.1, 10.0))
+def test_a_command_points_to_the_target_and_is_limited(position, target, v_max):
+    row = HoldPosition(v_max).command(HoldMemory(list(position), list(target)), new_state("control.command")).header[0]
+    velocity, way = np.array([row["vx"], row["vy"], row["vz"]]), np.subtract(target, position)
+    assert np.linalg.norm(velocity) == pytest.approx(min(np.linalg.norm(way), SHARE * v_max))
+    assert np.allclose(np.cross(velocity, way), 0.0, atol=1e-6 * (1.0 + np.linalg.norm(way)))
+    assert velocity @ way >= 0.0
+
+
+def odometry(position):
+    state = new_state("sensor.odometry")
+    for name, value in zip("xyz", position, strict=True):
+        state.header[name] = value
+    return state
+
+
+def test_the_vehicle_returns_to_where_the_mode_began():
+    hold, memory = HoldPosition(V_MAX), HoldMemory()
+    hold.note(memory, odometry((1.0, 2.0, 3.0)))
+    hold.begin(memory)
+    position = np.array([5.0, -1.0, 3.0])
+    for _ in range(500):
+        hold.note(memory, odometry(position))
+        row = hold.command(memory, new_state("control.command")).header[0]
+        assert row["duration"] == VALID_S and row["yaw_rate"] == 0.0
+        position = position + 0.02 * np.array([row["vx"], row["vy"], row["vz"]])
+    assert np.allclose(position, (1.0, 2.0, 3.0), atol=0.01)
+
+
+def test_without_a_finite_position_it_hovers():
+    hold, memory = HoldPosition(V_MAX), HoldMemory()
+    hold.note(memory, odometry((math.nan, 0.0, 0.0)))
+    hold.begin(memory)
+    assert hold.command(memory, new_state("control.command")) is None

@@ -7,7 +7,7 @@ import pytest
 
 from mavfi.detectors.detector import NoDetector
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, MessageFault, StateFault
+from mavfi.faults.fault import FaultSite, InstructionFault, MessageFault, StateFault
 from mavfi.flight import mission_flights
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.forks import InjectedRuns
@@ -26,12 +26,6 @@ def check(faults):
 
 
 WATCHER = NoDetector()
-
-
-class Sealing(NoDetector):
-    """Seals values before they are published."""
-
-    seals = True
 
 
 class Scenario(SimpleNamespace):
@@ -121,24 +115,10 @@ def test_flights_of_a_mission_share_what_is_known_of_their_scenario(calls, arms)
     assert calls.detectors == 1
 
 
-def test_golden_flights_are_flown_once(calls, arms):
-    flights = LocalHost().mission(arms, fast_forward=False)
-    first = flights.golden("")
-    assert flights.golden("") is first
-    assert flights.golden("", profile=True).profile is not None, "a profile is worth another flight"
-    assert len(calls.flown) == 2
-
-
 def test_null_runs_and_those_who_do_not_want_it_are_flown_the_long_way(calls, arms):
     list(LocalHost().mission(arms).injected([("", NULL), ("", FAULT)]))
     list(LocalHost().mission(arms, fast_forward=False).injected([("", FAULT)]))
     assert ways(calls) == [("long", NULL), ("fast", FAULT), ("long", FAULT)]
-
-
-def test_faults_in_memory_are_flown_the_long_way(calls, arms):
-    fault = MemoryFault("planner", "decisions.acted_seq", None, "i4", 5, 3)
-    list(LocalHost().mission(arms).injected([("", fault)]))
-    assert ways(calls) == [("long", fault)]
 
 
 @pytest.mark.parametrize("why", ["controller", "planner", "detector", "plant"])
@@ -229,21 +209,3 @@ def test_a_fault_that_cannot_be_flown_ends_its_own_flight_only(calls, arms):
     assert {place for place, flight in found.items() if isinstance(flight, Exception)} == {1, 2}
     assert "other machine code" in str(found[1])
     assert "level 'message': allowed: instruction, memory, sensor, state" in str(found[2])
-
-
-@pytest.mark.parametrize("level", ["state", "instruction"])
-def test_golden_flights_whose_checkpoints_nothing_starts_from_are_flown_the_long_way(calls, arms, level):
-    sealing = Sealing()
-    flights = LocalHost().mission({**arms, "s": ArmSetup(Scenario(name="own"), lambda: sealing)})
-    if level == "instruction":
-        flights.count_instructions("", {})
-        calls.flown.clear()
-    flights.golden("g")
-    flights.golden("s")
-    list(flights.injected([("s", FAULT)]))
-    golden = "fast" if level == "state" else "long"
-    assert [(way, detector) for way, _, detector, *_ in calls.flown] == [
-        ("fast", WATCHER),
-        (golden, sealing),
-        ("fast", sealing),
-    ]

@@ -1,15 +1,12 @@
 """What is done about an alarm: one table for every host and both couplings."""
 
-import math
 from dataclasses import replace
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from mavfi.detectors import Alarm, Detector
 from mavfi.detectors.detector import checked_alarm
-from mavfi.detectors.rules import NO_COLLISION
 from mavfi.errors import BadInputError
 from mavfi.flight.decide import (
     ALARMS_WITHIN_US,
@@ -18,14 +15,12 @@ from mavfi.flight.decide import (
     MAX_RESTARTS,
     MAX_UNCHANGED,
     RESTART_US,
-    Action,
     RecoveryPolicy,
-    Response,
 )
-from mavfi.flight.recovery import DetectorTap, record_of
+from mavfi.flight.recovery import DetectorTap
 from mavfi.mission import MissionSpec
 from mavfi.record import LIMITED, SILENCED
-from mavfi.states import PPC_STAGES, Stage, new_state
+from mavfi.states import PPC_STAGES, new_state
 
 
 @pytest.mark.parametrize("stage", ["sensor", "steering", ""])
@@ -60,38 +55,9 @@ def test_a_score_that_is_no_number_is_refused_before_it_reaches_a_record(score):
         checked_alarm(_Reckless(), Alarm("d", "control", score=score))
 
 
-@pytest.mark.parametrize("score", [2, np.float32(2.0), np.int64(2)])
-def test_numbers_of_all_kinds_are_scores(score):
-    found = checked_alarm(_Reckless(), Alarm("d", "control", score=score))
-    assert type(found.score) is float and found == Alarm("d", "control", score=2.0)
-
-
-def test_what_passes_is_recorded_as_accepted():
-    alarm = Alarm("d", "planning", score=2.0, fields=("control.command.vx",))
-    record = record_of(alarm, Action(Response.RECOMPUTE, Stage.PLANNING), "control.command", 1_500_000)
-    assert (record.time_s, record.action, record.outcome, record.fields) == (
-        1.5,
-        "recompute",
-        "accepted",
-        ("control.command.vx",),
-    )
-
-
 # ---- a rule that is broken twice, and an alarm that nobody answers ------------------------------------------------
 STATUS, PATH = "perception.collision_status", "planning.path"
 ESCALATES = RecoveryPolicy(grain="kernel", same_twice="escalate", answer_s=0.6)
-
-
-def test_a_detector_that_is_right_is_asked_on():
-    class EverySecond(Always):
-        def check(self, state, now):
-            return super().check(state, now) if now % 2 else None
-
-    flight = Flight()
-    values = [(now, status(now)) for now in range(6 * MAX_ALARMS + 1)]
-    shown(EverySecond(hard=True), ESCALATES, values, flight)
-    assert len(flight.outcomes) == 3 * MAX_ALARMS and flight.events == []
-    assert set(flight.outcomes) == {("recompute", "repaired")}
 
 
 class Flight:
@@ -189,11 +155,6 @@ def test_a_detector_that_alarms_without_end_is_not_asked_any_more(pause):
     assert detector.accepted[-1] == values[-1][0], "it continues to take note"
 
 
-def test_the_limit_is_that_of_the_key():
-    described = MissionSpec.model_fields["same_twice"].description
-    assert f"at most {MAX_UNCHANGED} times in {ALARMS_WITHIN_US // 1_000_000} s" in described
-
-
 @pytest.mark.parametrize("hard", [True, False])
 def test_recomputations_that_change_nothing_are_limited(hard):
     flight, second, limit = Flight(), 1_000_000, RecoveryPolicy(same_twice="limit")
@@ -220,28 +181,6 @@ def test_after_a_skipped_way_point_there_is_no_response_for_a_minute():
     assert flight.events == [(1, LIMITED), (61 * second, LIMITED), (122 * second, LIMITED)]
 
 
-@pytest.mark.parametrize(("coupling", "count"), [("inline", 2 * MAX_UNCHANGED), ("observer", MAX_UNCHANGED)])
-def test_recomputations_that_repair_are_limited_only_where_the_next_value_differs_in_any_case(coupling, count):
-    class EverySecond(Always):
-        def check(self, state, now):
-            return super().check(state, now) if state.header["future_collision_seq"][0] == 5 else None
-
-    flight = Flight()
-    values = [(now, status(5 if now % 2 else 6)) for now in range(1, 4 * MAX_UNCHANGED)]
-    shown(EverySecond(hard=False), RecoveryPolicy(coupling, same_twice="limit"), values, flight)
-    assert len(flight.outcomes) == count
-
-
-@pytest.mark.parametrize(
-    ("hard", "recovery", "left"),
-    [(False, ESCALATES, 5), (True, RecoveryPolicy(grain="kernel"), 5), (True, ESCALATES, 0)],
-)
-def test_otherwise_the_same_value_twice_is_accepted(hard, recovery, left):
-    flight, detector = Flight(), Always(hard)
-    assert shown(detector, recovery, [(1, status(5)), (2, status(5))], flight, left) == [False, True]
-    assert flight.outcomes == [("recompute", "accepted")] and flight.restarted == [] and detector.accepted == [2]
-
-
 @pytest.mark.parametrize(
     ("answer", "after", "restarted"),
     [(3, 0.7, False), (4, 0.7, False), (2, 0.7, True), (2, 0.5, False), (None, 0.7, True)],
@@ -255,67 +194,6 @@ def test_an_alarm_that_no_path_answers_in_time_restarts_the_planner(answer, afte
     assert all(shown(Never(hard=True), ESCALATES, values, flight))
     assert flight.restarted == ([("planner", late, RESTART_US)] if restarted else [])
     assert [alarm.source for alarm in flight.record.alarms] == ["deadline"] * restarted
-
-
-def free(number, time=NO_COLLISION, blocked=math.inf):
-    """Status of a free trajectory."""
-    state = status(number)
-    state.header["time_to_collision"], state.header["distance_to_blocked"] = time, blocked
-    return state
-
-
-def waypoint(index=3):
-    state = new_state("planning.waypoint")
-    state.header["index"] = index
-    return state
-
-
-@pytest.mark.parametrize(
-    ("withdrawal", "ends"),
-    [
-        (free(3), True),
-        (free(3, time=1.5), False),  # the flag is lost, the time is not
-        (free(3, blocked=4.0), False),
-        (free(2), False),
-        (status(3, flag=True), False),
-    ],
-)
-def test_an_alarm_that_is_withdrawn_needs_no_answer(withdrawal, ends):
-    late = [(700_000, free(3)), (900_000, status(3, flag=True)), (1_400_000, status(3, flag=True))]
-    for alarm, index, restarted in (("repeated", 3, not ends), ("one_shot", 3, True), ("repeated", -1, True)):
-        flight = Flight(alarm)
-        values = [(0, waypoint(index)), (1, status(3, flag=True)), (200_000, withdrawal)]
-        values += late if ends else [(700_000, status(3, flag=True))]
-        shown(Never(hard=True), ESCALATES, values, flight)
-        assert [kernel for kernel, *_ in flight.restarted] == ["planner"] * restarted
-
-
-def test_an_alarm_that_returns_starts_a_new_wait():
-    flight = Flight("repeated")
-    values = [
-        (0, waypoint()),
-        (1, status(3, flag=True)),
-        (200_000, status(4, flag=True)),
-        (400_000, free(4)),
-        (800_000, status(5, flag=True)),
-        (1_300_000, status(5, flag=True)),
-        (1_500_000, status(5, flag=True)),
-    ]
-    shown(Never(hard=True), ESCALATES, values, flight)
-    assert flight.restarted == [("planner", 1_500_000, RESTART_US)]
-
-
-def test_a_flight_has_a_few_restarts_at_most():
-    flight = Flight()
-    values = [(now, status(5)) for now in range(4 * MAX_RESTARTS)]
-    assert any(shown(Always(hard=True), ESCALATES, values, flight)), "in the end the value passes"
-    assert len(flight.restarted) == MAX_RESTARTS
-
-
-def test_without_a_time_limit_nobody_waits():
-    flight = Flight()
-    shown(Never(hard=True), RecoveryPolicy(), [(0, status(3, flag=True)), (10**9, status(3))], flight)
-    assert flight.restarted == []
 
 
 def test_a_mission_says_how_alarms_are_answered():
@@ -343,13 +221,6 @@ def test_without_a_restart_left_a_rule_broken_twice_ends_in_degraded_mode():
     assert flight.outcomes == [("recompute", "rejected"), ("hold", "accepted")] and flight.restarted == []
 
 
-def test_the_command_that_starts_it_is_withheld():
-    flight = Flight()
-    values = [(1, new_state(COMMAND)), (2, new_state(COMMAND)), (3, new_state(COMMAND))]
-    assert shown(Always(hard=True), HOLDS, values, flight, 0) == [False] * 3
-    assert flight.outcomes[-1] == ("hold", "accepted") and len(flight.outcomes) == 2
-
-
 @pytest.mark.parametrize(
     ("pitch_us", "hard", "degraded", "expected"),
     [
@@ -365,21 +236,8 @@ def test_hard_alarms_that_persist_end_in_degraded_mode(pitch_us, hard, degraded,
     values = [(number * pitch_us, status(5)) for number in range(24)]
     shown(Always(hard), recovery, values, flight)
     assert ("hold", "accepted") in flight.outcomes or not expected
-    assert sum(action == "hold" for action, _ in flight.outcomes) == expected
-
-
-def test_persisting_takes_two_seconds():
-    flight, recovery = Flight(), RecoveryPolicy(grain="kernel", degraded="hold")
-    shown(Always(hard=True), recovery, [(number * 100_000, status(5)) for number in range(60)], flight)
-    held = next(alarm for alarm in flight.record.alarms if alarm.action == "hold")
-    assert 2.0 < held.time_s <= 2.2
-
-
-def test_an_alarm_without_an_answer_ends_in_degraded_mode_when_no_restart_is_left():
-    flight = Flight()
-    values = [(1_000_000, status(3, flag=True)), (1_700_000, status(3)), *AFTERWARDS]
-    assert shown(Never(hard=True), HOLDS, values, flight, 0) == [True, True, False, True, True]
-    assert flight.outcomes == [("hold", "accepted")] and flight.restarted == []
+    held = [alarm.time_s for alarm in flight.record.alarms if alarm.action == "hold"]
+    assert len(held) == expected and all(2.0 < time_s <= 2.4 for time_s in held)
 
 
 def test_commands_are_replaced_by_those_that_hold_the_position():
@@ -406,8 +264,8 @@ def test_an_observer_cannot_withhold_commands():
     assert RecoveryPolicy(degraded="hold").remembers and not INLINE.remembers and ESCALATES.remembers
 
 
-def test_each_restart_of_a_flight_takes_longer():
+def test_a_flight_has_a_few_restarts_and_each_takes_longer():
     flight = Flight()
     shown(Always(hard=True), ESCALATES, [(now, status(5)) for now in range(4 * MAX_RESTARTS)], flight)
     assert [away / RESTART_US for _, _, away in flight.restarted] == [1, 3, 9, 27, 81]
-    assert sum(away for _, _, away in flight.restarted) > 1_000_000
+    assert any(shown(Always(hard=True), ESCALATES, [(1, status(5)), (2, status(5))], Flight(), 0)), "the value passes"

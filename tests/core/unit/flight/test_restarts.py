@@ -122,15 +122,6 @@ def test_what_a_restarted_node_is_sent(policy, epoch, sent):
         assert kernel.resumed["perception.collision_status"] is QUIET
 
 
-def test_an_alarm_that_is_the_last_status_is_sent_once():
-    assert dead("readback", ALARM).run().received == [ALARM]
-
-
-def test_the_last_alarm_is_the_one_that_is_sent():
-    later = collision(2, True)
-    assert dead("readback", ALARM, in_force(1), later, collision(2, False)).run().received[0] is later
-
-
 def test_recoveries_do_not_take_back_what_a_node_was_sent():
     loop = dead("fresh", *UPDATES)
     loop.marks = True
@@ -154,12 +145,6 @@ def test_a_detected_step_is_computed_again_at_once(waiting):
     assert loop.run() is before
     assert loop.finished == [("planner", [OUTPUT], 480_000, 80_000)]
     assert not loop.down and loop.busy == {"planner": waiting}
-
-
-def test_a_detected_step_that_takes_no_time_is_as_without_the_fault():
-    loop = Loop()
-    Restarts(loop, "fresh").recompute("trajectory", 0, [])
-    assert not loop.down and not loop.queue
 
 
 @pytest.mark.parametrize("policy", ["fresh", "readback"])

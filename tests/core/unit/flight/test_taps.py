@@ -18,11 +18,6 @@ class Injector:
         return []
 
 
-def test_without_taps_a_state_passes():
-    state = new_state("control.command")
-    assert Taps()(state, 7) is state
-
-
 def test_the_order_is_injector_detector_recorders_and_each_sees_what_the_one_before_gave():
     seen, published, injected = [], new_state("control.command"), new_state("control.command")
 

@@ -20,9 +20,3 @@ def test_edges_that_close_loops():
     assert successors(nested.blocks[1].terminator) == ["%b", "%d"]
     assert back_edges(nested) == {("%b", "%b"), ("%c", "%a")}
     assert loop_depths(nested) == {"%start": 0, "%a": 1, "%b": 2, "%c": 1, "%d": 0}
-
-
-def test_a_function_without_loops():
-    straight = function(start=["a", "b"], a=["c"], b=["c"], c=[])
-    assert back_edges(straight) == set()
-    assert set(loop_depths(straight).values()) == {0}

@@ -1,6 +1,7 @@
 """Kernels are prepared by forks of a process that has compiled nothing; it ends with the program that needs it."""
 
 import gc
+import json
 import os
 import signal
 import sys
@@ -30,8 +31,8 @@ def half(x):
 def surroundings_of(kernel, signature):
     """Of the process that prepares: its template, where it is, how much it had compiled, and a variable."""
     others = sum(isinstance(one, KernelDispatcher) and bool(one.overloads) for one in gc.get_objects())
-    cache = list(Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nb?"))
-    return repr((os.getppid(), os.getcwd(), others, cache, os.environ.get("FOR_FORKS"))).encode()
+    cache = list(map(str, Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nb?")))
+    return json.dumps([os.getppid(), os.getcwd(), others, cache, os.environ.get("FOR_FORKS")]).encode()
 
 
 def hang(kernel, signature):
@@ -49,7 +50,7 @@ def die(kernel, signature):
 
 
 def asked():
-    return eval(run_in_fresh_process(half, (numba.float64,), surroundings_of))  # noqa: S307
+    return json.loads(build_apart(half, (numba.float64,), surroundings_of))
 
 
 def template():
@@ -68,8 +69,8 @@ def test_one_template_serves_all_requests_and_each_fork_has_settings_and_empty_c
     monkeypatch.setenv("FOR_FORKS", "set")
     monkeypatch.chdir(tmp_path)
     second = asked()
-    assert first == (first[0], first[1], 0, [], None)
-    assert second == (first[0], str(tmp_path), 0, [], "set")
+    assert first == [first[0], first[1], 0, [], None]
+    assert second == [first[0], str(tmp_path), 0, [], "set"]
     assert first[0] != os.getpid()
 
 
@@ -90,12 +91,11 @@ def test_forks_of_the_program_have_their_own():
 
 
 def test_other_settings_need_another_one(monkeypatch):
-    template()
-    first = fresh._of_thread.template
+    first = template()
+    assert template() == first
     monkeypatch.setenv("NUMBA_OPT", "2")
-    assert not first.usable()
-    monkeypatch.delenv("NUMBA_OPT")
-    assert first.usable()
+    assert template() != first
+    monkeypatch.setenv("NUMBA_OPT", "1")
     monkeypatch.setattr(sys, "executable", "/bin/false")
     with pytest.raises(MachineError, match="the process that prepares kernels has ended"):
         template()

@@ -21,24 +21,18 @@ def test_sound_arguments_give_a_sound_result(name):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_corrupted_numbers_neither_hang_a_kernel_nor_give_an_undefined_result(name):
+def test_corrupted_numbers_never_hang_a_kernel_and_give_the_same_defined_result_twice(name):
     case = CASES[name]
     case.function(*case.arguments())
-    for label, arguments in corrupted(case):
+    for (label, arguments), (_, again) in zip(corrupted(case), corrupted(case), strict=True):
         start = time.process_time()
         result = case.function(*arguments)
         assert time.process_time() - start < LONGEST_CALL, label
         assert case.sound(result, arguments), f"{label}: {result}"
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_corrupted_numbers_give_the_same_result_twice(name):
-    case = CASES[name]
-    for (label, first), (_, second) in zip(corrupted(case), corrupted(case), strict=True):
-        assert repr(case.function(*first)) == repr(case.function(*second)), label
-        for a, b in zip(first, second, strict=True):
-            if hasattr(a, "tobytes"):
-                assert a.tobytes() == b.tobytes(), label
+        assert repr(case.function(*again)) == repr(result), label
+        for first, second in zip(arguments, again, strict=True):
+            if hasattr(first, "tobytes"):
+                assert first.tobytes() == second.tobytes(), label
 
 
 @pytest.mark.slow

@@ -6,16 +6,13 @@ import pytest
 
 from mavfi.campaign.mission import MissionPlan, fly_mission
 from mavfi.campaign.plan import Plan, arms_of
-from mavfi.campaign.run import run_campaign
-from mavfi.campaign.store import Store
 from mavfi.faults.fault import NO_SITE, InstructionFault
 from mavfi.flight.host import ArmSetup
 from mavfi.levels import instruction
 from mavfi.levels.instruction import DrawnFaults
 from mavfi.levels.level import draws_of, sampler_for
-from mavfi.record import End
 from tests.core.unit.campaign import fakes
-from tests.core.unit.campaign.fakes import DETECTOR, TROUBLE, deaths, small
+from tests.core.unit.campaign.fakes import DETECTOR, small
 
 PERCEPTION = ("point_cloud", "octomap", "collision_check")
 PLANNERS = ("rrt", "rrt_connect", "rrt_star")
@@ -102,20 +99,6 @@ def test_kernels_of_a_stage_share_its_faults_equally_and_are_not_tied_to_mission
     assert draws["sparse"] != draws["dense"]
 
 
-def test_each_kernel_has_its_own_number_where_kernels_are_compared():
-    order = draws_in(campaign("kernel"), "sparse")
-    assert Counter(draw.target for draw in order) == dict.fromkeys((*PERCEPTION, "pid"), 9)
-
-
-def test_a_mission_asks_for_what_it_needs(requests):
-    c = campaign("kernel", sampling={"which": "data", "model": "zero", "restart_s": 2.0})
-    list(fly_mission(MissionPlan(c, "sparse", 10_002)))
-    [(environment, seed, planner, address, request)] = requests
-    assert (environment, seed, planner, address) == ("sparse", 10_002, "rrt_connect", ("sparse",))
-    assert request.kernels == dict.fromkeys((*PERCEPTION, "pid"), 3)
-    assert (request.which, request.model, request.restart_s) == ("data", "zero", 2.0)
-
-
 def test_planners_that_are_not_flown_have_missions_of_their_own(requests):
     c = campaign("kernel", kernels=[*PLANNERS, "pid"], arms={}, environments=["sparse"], faults=3)
     runs, golden = flown(c)
@@ -133,47 +116,6 @@ def test_planners_that_are_not_flown_have_missions_of_their_own(requests):
         ("rrt", ("rrt",)),
         ("rrt_star", ("rrt_star",)),
     }
-
-
-def test_golden_runs_without_a_detector_keep_what_was_counted():
-    _, golden = flown(campaign(environments=["sparse"]))
-    for run, record in golden.items():
-        assert set(record.counts) == ({*PERCEPTION, "pid"} if not run.arm else set())
-
-
-def test_a_fault_without_a_site_is_planned_and_counted():
-    runs, _ = flown(campaign("kernel", arms={}))
-    assert {run.fault.has_site for run in runs if run.target == "octomap"} == {True, False}
-    assert all(run.fault.has_site for run in runs if run.target != "octomap")
-
-
-def test_a_golden_run_that_ended_badly_gives_no_faults(tmp_path, monkeypatch):
-    def explode(scenario, *_, seed, **__):
-        raise ZeroDivisionError(seed)
-
-    monkeypatch.setattr(instruction, "draw_instruction_faults", explode)
-    end = run_campaign(campaign(environments=["sparse"]), tmp_path)
-    assert end.complete
-    with Store.open(tmp_path) as store:
-        runs = list(store.runs())
-    assert {run.spec.kind for run in runs} == {"golden"}
-    assert {(run.spec.arm, run.record.end) for run in runs} == {("", End.UNKNOWN), ("gaussian", End.FLOWN)}
-    assert all("ZeroDivisionError" in run.note for run in runs if not run.spec.arm)
-
-
-@pytest.mark.slow
-def test_the_ledger_does_not_depend_on_workers_or_deaths(tmp_path, monkeypatch):
-    from mavfi.campaign.executors.local import LocalExecutor
-
-    c, digests = campaign("kernel", arms={"g": {"detector": DETECTOR}}), []
-    for name, workers in (("one", 1), ("two", 2), ("deadly", 2)):
-        if name == "deadly":
-            monkeypatch.setattr(TROUBLE, "dies", deaths(tmp_path / "deaths", 3))
-        run_campaign(c, tmp_path / name, executor=LocalExecutor(workers))
-        with Store.open(tmp_path / name) as store:
-            assert store.complete
-            digests.append(store.digest())
-    assert len(set(digests)) == 1
 
 
 # ---- faults in detectors -----------------------------------------------------------------------------------------
@@ -200,18 +142,6 @@ def test_a_fault_in_a_detector_is_flown_in_its_arm_alone(monkeypatch, requests):
     assert len(set(positions)) == len(positions)
 
 
-def test_the_golden_run_of_its_arm_counts_kernels_and_detector(monkeypatch, requests):
-    _, golden = flown(with_detectors(monkeypatch))
-    counted = {(spec.arm, spec.seed): set(record.counts) for spec, record in golden.items()}
-    assert all(counted["", seed] == {"pid"} for seed in range(10_000, 10_003))
-    assert all(counted["watched", seed] == {"pid", "gaussian"} for seed in range(10_000, 10_003))
-    assert all(counted["other", seed] == set() for seed in range(10_000, 10_003))
-    wanted = [request.kernels for *_, request in requests]
-    assert wanted == [{"pid": 3}, {"pid": 0, "gaussian": 3}] * 3, (
-        "faults of kernels are those of the campaign's mission"
-    )
-
-
 def test_a_detector_that_no_arm_or_several_arms_have_is_refused():
     for arms, number in (
         ({}, 0),
@@ -219,26 +149,3 @@ def test_a_detector_that_no_arm_or_several_arms_have_is_refused():
     ):
         with pytest.raises(ValueError, match=f"'gaussian': is in {number} arms; allowed: what is in one arm"):
             campaign("kernel", ("pid", "gaussian"), arms=arms)
-
-
-def test_a_named_configuration_is_injected_as_the_detector_that_it_configures(monkeypatch, requests):
-    arms = {"recommended": {"detector": "recommended"}}
-    runs, golden = flown(with_detectors(monkeypatch, kernels=("pid", "acceptance"), arms=arms))
-    assert Counter((run.target, run.setting) for run in runs) == {
-        ("pid", "fi"): 9,
-        ("pid", "dr_recommended"): 9,
-        ("acceptance", "dr_recommended"): 9,
-    }
-    counted = {spec.arm: set(record.counts) for spec, record in golden.items()}
-    assert counted == {"": {"pid"}, "recommended": {"pid", "acceptance"}}
-
-
-def test_a_detector_and_its_named_configuration_are_two_arms_of_one():
-    arms = {"plain": {"detector": "acceptance"}, "recommended": {"detector": "recommended"}}
-    with pytest.raises(ValueError, match="'acceptance': is in 2 arms"):
-        campaign("kernel", ("pid", "acceptance"), arms=arms)
-
-
-def test_recovery_is_no_target_any_more():
-    with pytest.raises(ValueError, match="kernel 'recovery': dropped; no fault in recovery lost a mission"):
-        campaign("kernel", ("pid", "recovery"), arms={"watched": {"detector": "gaussian"}})

@@ -9,7 +9,6 @@ from mavfi.campaign.config import Campaign
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, MemoryFault
 from mavfi.faults.strata import WORD_BITS, bits_of
-from mavfi.levels.level import Draw, Sampled
 from mavfi.levels.memory import Exposure, MemorySampler, _Drawing
 from mavfi.pipeline.words import Words
 
@@ -54,40 +53,6 @@ def test_every_bit_of_every_instant_is_alike(stratum):
     assert {f.weight for f in faults} == {len(every) / len(listed()) if stratum else 1.0}
 
 
-def campaign_of(*kernels, **arms):
-    return Campaign(
-        name="watched",
-        environments=("sparse",),
-        missions=1,
-        faults=2,
-        sampling={"level": "memory", "kernels": kernels, "share": "kernel"},
-        null_runs=0,
-        arms={name: {"detector": detector, **more} for name, (detector, more) in arms.items()},
-    )
-
-
-def test_faults_in_what_watches_are_drawn_and_injected_in_its_arm_alone():
-    arms = {"gad": ("gaussian", {}), "rules": ("recommended", {})}
-    campaign = campaign_of("pid", "gaussian", "acceptance", **arms)
-    sampler = MemorySampler(campaign)
-    variants = {draw.target: draw.variant for block in sampler.blocks("sparse") for draw in (block.draw(0),)}
-    assert variants == {"pid": "", "gaussian": "gad", "acceptance": "rules"}
-    tuned = campaign_of("physics_gate", gad=("gaussian", {}), tuned=("gaussian", {"profile": "tuned"}))
-    assert tuned.arm_with("physics_gate") == "tuned"
-    for kernels, own in ((["acceptance"], {}), (["recovery"], arms), (["nothing"], arms), (["gaussian"], {})):
-        with pytest.raises(ValueError, match="sampling"):
-            MemorySampler(campaign_of(*kernels, **own))
-
-
-def test_a_drawn_fault_has_the_type_of_its_word():
-    types = {(w.name, w.dtype) for kernels in INSTANTS.values() for every in kernels.values() for w in every}
-    assert {(fault.field, fault.dtype) for fault in drawn(500)} <= types
-
-
-def test_draws_depend_on_their_own_stream_alone():
-    assert drawn(5, seed=3) == drawn(9, seed=3)[:5] and drawn(5, seed=3) != drawn(5, seed=4)
-
-
 def test_a_target_and_a_bit_can_be_named():
     assert {(f.kernel, f.field) for f in drawn(50, (("planner", "acted_seq"),))} == {("planner", "acted_seq")}
     assert {(f.field, f.bit) for f in drawn(50, bit=40)} == {("remaining", 40), ("random", 40)}
@@ -118,11 +83,6 @@ def test_targets_are_all_bits_kernels_or_groups(sampling, targets):
     assert [blocks[0].draw(index).seed - 10_000 for index in range(4)] == [0, 1, 0, 1]
 
 
-def test_strata_are_shared_out():
-    block = MemorySampler(campaign(strata={"sign_exponent": 3, "mantissa": 1})).blocks("sparse")[0]
-    assert Counter(block.draw(index).stratum for index in range(4)) == {"sign_exponent": 3, "mantissa": 1}
-
-
 def test_what_does_not_exist_is_refused():
     for sampling, text in (
         ({"kernels": ("pilot",)}, "no kernel 'pilot'; allowed: point_cloud"),
@@ -133,14 +93,3 @@ def test_what_does_not_exist_is_refused():
     ):
         with pytest.raises((BadInputError, ValueError), match=text):
             campaign(**sampling)
-
-
-def test_faults_go_to_their_draws_and_a_null_run_flips_nothing():
-    sampler = MemorySampler(campaign(share="kernel"))
-    one, two = MemoryFault("pid", "fresh", None, "?", 3, 0), MemoryFault("octomap", "scan", None, "i4", 4, 1)
-    golden = {"": Sampled(None, faults={("pid", ""): [one], ("octomap", ""): [two], ("null", ""): [two]})}
-    draws = [Draw("octomap", 0, 10_000), Draw("pid", 0, 10_000), Draw("pid", 2, 10_000)]
-    assert sampler.draw(draws, "sparse", golden) == [two, one, None]
-    assert sampler.draw(draws, "sparse", {}) == [None] * 3
-    null = sampler.null(0, 10_000, "sparse", golden)
-    assert (null.kernel, null.field, null.time_us, null.bit) == ("octomap", "scan", 4, None)

@@ -41,15 +41,6 @@ def test_by_default_the_units_that_the_mission_reads():
         campaign(units=["accelerometer"])
 
 
-def test_draws_are_a_function_of_the_campaign():
-    assert faults(campaign()) == faults(campaign())
-    assert faults(campaign(lasts_s=5))[0].lasts_s == 5.0
-
-
-def test_without_a_golden_run_there_is_no_fault():
-    assert set(faults(campaign(), {})) == {None}
-
-
 def test_a_null_run_changes_nothing_and_units_alternate():
     sampler = sampler_for(campaign(units=["gyro", "motor"]))
     nulls = [sampler.null(index, 10_000, "sparse", GOLDEN) for index in range(3)]

@@ -42,12 +42,6 @@ def test_the_same_draws_with_each_lifetime():
     assert not any(fault.lasting for fault in once + other)
 
 
-def test_a_lifetime_of_the_campaign_changes_nothing_else_of_the_draws():
-    (plain,), (twice,) = faults(None), faults(None, lifetime={"times": 2})
-    assert [place(fault) for fault in plain] == [place(fault) for fault in twice]
-    assert {fault.times for fault in twice} == {2}
-
-
 def test_bursts_lie_within_their_word():
     (wide,) = faults(None, lifetime={"width": 8})
     assert {(fault.where.field, fault.width) for fault in wide} == {("x", 8), ("collision", 1)}
@@ -58,12 +52,6 @@ def test_bursts_lie_within_their_word():
 def test_what_is_out_of_range_is_refused(lifetime):
     with pytest.raises((BadInputError, ValueError), match=next(iter(lifetime))):
         faults(lifetime)
-
-
-def test_faults_in_memory_have_no_lifetime():
-    group = {"name": "a", "sites": ["planner.acted_seq"], "lifetime": {"times": 2}}
-    with pytest.raises((BadInputError, ValueError), match="allowed with faults in states"):
-        Campaign(name="c", environments=("sparse",), sampling={"level": "memory", "groups": [group]})
 
 
 def messages(names, host="local", **sampling):
@@ -86,7 +74,6 @@ def test_every_message_has_its_own_row_and_the_strata_that_it_has():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"names": ("planning.plan",)}, "'planning.plan'"),
         ({"names": ()}, "is required with scheme 'messages'"),
         ({"names": ("sensor.imu",)}, "sensor.imu: only flights with localization estimator"),
         ({"names": ("planning.waypoint",), "strata": {"length": 1}}, "no field has bits of the stratum 'length'"),
@@ -94,7 +81,6 @@ def test_every_message_has_its_own_row_and_the_strata_that_it_has():
             {"names": ("planning.path",), "strata": {"length": 1}, "host": "ros1"},
             "'length': may lose a message; allowed on ROS: bits of numbers",
         ),
-        ({"names": ("planning.path",), "scheme": "stage_balanced"}, "allowed with the key messages: messages"),
     ],
 )
 def test_messages_that_cannot_be_drawn_are_refused(given, message):

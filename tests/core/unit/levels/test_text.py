@@ -4,10 +4,13 @@ import pytest
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite
 from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.flight.compose import resolve
+from mavfi.flight.host import ArmSetup
 from mavfi.levels.instruction import InstructionRequest
 from mavfi.levels.level import parse, text_of
 from mavfi.levels.memory import MemoryRequest
 from mavfi.levels.sensor import parse_sensor
+from mavfi.mission import MissionSpec
 from mavfi.record import Profile
 from mavfi.states import AUTOPILOTS
 
@@ -34,11 +37,6 @@ def test_states_of_one_localization_can_be_named_with_it_alone():
     for text, localization in (("state:perception.odometry.x", "truth"), ("state:sensor.odometry", "estimator")):
         with pytest.raises(BadInputError, match="is published with localization"):
             parse(text, localization)
-
-
-def test_header_field_with_bit_and_instant():
-    fault = parse("state:planning.waypoint.x:bit=62@20.0").resolve(0, "published")
-    assert (fault.site, fault.bit, fault.time_us) == ("planning.waypoint.x", 62, 20_000_000)
 
 
 def test_instant_and_bit_are_drawn_from_the_seed():
@@ -79,29 +77,18 @@ def test_null_is_an_empty_mask_at_a_drawn_instant():
     assert fault.time_us in (100, 200, 300)
 
 
-def test_no_site_without_a_publication():
-    assert not parse("state:planning.waypoint.x").resolve(0, "published", Profile()).has_site
-
-
 @pytest.mark.parametrize(
     ("text", "names"),
     [
         ("", "null, state:STATE"),
         ("state:", "not understood; allowed: state:STATE"),
-        ("nul", "null, state:STATE"),
-        ("planning.waypoint.x", "null, state:STATE"),
         ("state:planning.waypoint.x:bit=x", "bit: 'x': allowed: a whole number"),
         ("state:planning.waypoint.x@-3", "instant '-3': allowed: a number of seconds from 0 on"),
         ("state:planning.waypoint.x@20.0:bit=3", "instant '20.0:bit=3': allowed: a number of seconds"),
-        ("state:planning.waypoint.x[-1]", "not understood; allowed: state:STATE"),
         ("state:planning.waypoint.roll", "x, y, z, yaw"),
         ("state:planning.waipoint.x", "sensor.depth"),
-        ("state:nothing", "sensor.depth"),
         ("state:planning.waypoint.x:bit=64", "0 to 63"),
-        ("state:perception.collision_status.collision:bit=1", "0 to 0"),
-        ("state:control.command:bit=70", "0 to 63"),
         ("state:planning.waypoint.x[3]", "no element"),
-        ("state:control.command[0]", "no element"),
         ("state:planning.waypoint.x@1e99", "0 to 1e+09"),
         ("state:planning.waypoint.x:bit=63:width=2", "no bit 64 in planning.waypoint.x; allowed: 0 to 63"),
         ("state:planning.waypoint.x:share=2", "share: 2.0: allowed: above 0, to 1"),
@@ -109,17 +96,10 @@ def test_no_site_without_a_publication():
         ("state:planning.waypoint.x:lasts=long", "lasts: 'long': allowed: a number of seconds, or inf"),
         ("state:planning.waypoint.x:bits=3", "'bits': not known (did you mean 'bit'?); allowed: bit=, width=, times="),
         ("state:planning.waypoint.x:share=half@3", "share: 'half': allowed: a number above 0, to 1"),
-        *(
-            (f"state:planning.waypoint.x@{time}", f"instant '{time}': allowed: a number of se")
-            for time in ("-1", "nan")
-        ),
         ("state:planning.waypoint.x[two]", "not understood; allowed: state:STATE[.FIELD][[ELEMENT]]"),
         ("planning.waypoint.x", "not understood; allowed: null, state:STATE"),
         ("memory:pilot", "no kernel 'pilot'; allowed: point_cloud, octomap"),
-        ("memory:state_estimation.aligned", "no kernel 'state_estimation'; allowed: point_cloud"),
-        ("memory:planner.acted_seq:bit=x", "bit: 'x': allowed: a whole number"),
         ("memory:", "not understood; allowed: memory:KERNEL"),
-        ("memory:planner.acted_seq@1e99", "0 to 1e+09"),
         ("instruction:", "not understood; allowed: instruction:KERNEL"),
         ("instruction:pid:bit=3", "'bit': not known; allowed: which=, model="),
         ("instruction:pid.track:call=1:index=2:bit=3", "allowed: instruction:KERNEL"),
@@ -127,13 +107,10 @@ def test_no_site_without_a_publication():
             f"instruction:pid.track:call=1:index=2:bit=3:model=two:budget=9:ir={'ab' * 32}",
             "no model 'two'; allowed: one",
         ),
-        ("instruction:pid:which=left", "instructions 'left': not understood; allowed: all, floating_point"),
         ("instruction:pid:model=two_bits", "no model 'two_bits'; allowed: one_bit"),
         ("sensor:radar:off@3", "'radar': not known; allowed: gyro, accelerometer, compass, position, depth_camera"),
         ("sensor:gyro:shy@3", "'shy': not known; allowed: ok, off, stuck"),
-        ("sensor:motor5:off@3", "instance 5: allowed: 1 to 4"),
         ("sensor:gyro", "no type of failure; allowed: sensor:gyro:TYPE, with TYPE one of off, stuck, garbage"),
-        ("sensor:gyro:off:lasts=0@3", "lasts_s: 0.0: allowed: above 0"),
         ("register:1234", "registers are injected by mavfi inject; allowed: state, memory"),
     ],
 )
@@ -154,12 +131,6 @@ def test_a_lifetime_can_be_named():
     assert (fault.width, fault.times, fault.lasts_s, fault.share) == (3, 2, float("inf"), 0.25)
     drawn = {parse("state:planning.waypoint:width=40@5").resolve(seed, "published").bit for seed in range(300)}
     assert drawn == set(range(25)), "a burst lies within a word that can hold it"
-
-
-def test_the_latest_instant_lies_in_the_range_that_messages_state():
-    assert parse("state:planning.waypoint.x@1e9").time_us == 10**15
-    with pytest.raises(BadInputError, match=r"instant 1.1e9 s; allowed: 0 to 1e\+09"):
-        parse("state:planning.waypoint.x@1.1e9")
 
 
 def test_faults_in_memory_name_kernel_and_word():
@@ -189,3 +160,17 @@ def test_faults_in_instructions_name_kernel_class_and_model():
         {"pid": 1}, "line:pid.py:74-90", "zero"
     )
     assert parse("instruction:pid:which=opcode:fmul") == InstructionRequest({"pid": 1}, "opcode:fmul")
+
+
+@pytest.mark.parametrize(
+    ("kernel", "message"),
+    [
+        ("pid.insert_scan", "kernel 'pid': no function 'insert_scan'; allowed: track"),
+        ("rrt.plan_rrt", "the planner of this mission is 'rrt_connect'"),
+        ("lidar.scan", "kernel 'lidar': not known"),
+    ],
+)
+def test_instructions_of_functions_that_are_not_flown_are_refused(kernel, message):
+    text = f"instruction:{kernel}:call=0:index=0:bit=3:budget=100:ir={'ab' * 32}"
+    with pytest.raises(BadInputError, match=message):
+        parse(text).draw(ArmSetup(resolve(MissionSpec())), 0)

@@ -7,24 +7,6 @@ SMALLEST = 5e-324
 LARGEST = np.finfo(np.float64).max
 
 
-@pytest.mark.parametrize(
-    ("value", "sign", "exponent"),
-    [
-        (0.0, 0, 0),
-        (-0.0, 1, 0),
-        (SMALLEST, 0, 0),
-        (1.0, 0, 1023),
-        (-1.5, 1, 1023),
-        (np.inf, 0, 2047),
-        (-np.inf, 1, 2047),
-        (np.nan, 0, 2047),
-    ],
-)
-def test_fields_of_a_float64(value, sign, exponent):
-    assert bits.sign_field(value) == sign
-    assert bits.exponent_field(value) == exponent
-
-
 @pytest.mark.parametrize("threshold", [-3, -2, -1, 0])
 def test_zeros_denormals_and_small_numbers_have_code_zero(threshold):
     below = np.nextafter(2.0**threshold, 0.0)

@@ -9,7 +9,6 @@ from numba.core import types
 from numba.typed import List as TypedList
 
 from mavfi.numerics.dependencies import UnknownDependencyError, content_digest, signature_digest
-from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.stored import load
 from tests.core.unit.faults.instruction.kernels import closure
 
@@ -123,15 +122,6 @@ def test_comments_docstrings_layout_modules_and_other_functions_change_no_key(ke
     )
 
 
-def test_a_docstring_that_is_also_a_value_counts():
-    def made(text):
-        space = {}
-        exec(f"def f(x):\n    '{text}'\n    return '{text}'", space)  # noqa: S102
-        return content_digest(kernel_jit(space["f"]))
-
-    assert made("one") != made("two")
-
-
 def test_a_constant_that_is_replaced_changes_the_key(tmp_path):
     module = loaded(tmp_path, "replaced_constant", CALLEES)
     before = content_digest(module.inner)
@@ -148,33 +138,11 @@ def test_values_of_enclosing_functions_are_in_the_key():
     assert content_digest(closure(2.0)) == content_digest(closure(2.0))
 
 
-def test_functions_that_call_each_other_have_keys():
-    @kernel_jit
-    def even(n):
-        return True if n == 0 else odd(n - 1)
-
-    @kernel_jit
-    def odd(n):
-        return False if n == 0 else even(n - 1)
-
-    assert content_digest(even) != content_digest(odd)
-    assert content_digest(even) == content_digest(even)
-
-
 def test_a_value_of_an_unknown_kind_has_no_key():
     with pytest.raises(UnknownDependencyError):
         content_digest(closure(TypedList.empty_list(types.float64)))
     with pytest.raises(UnknownDependencyError):
         content_digest(closure({"a": 1.0}))
-
-
-def test_a_plain_function_counts_with_the_text_of_its_module(tmp_path):
-    text = "def stub(x):\n    return x\n"
-    keys = [
-        content_digest(closure(loaded(tmp_path, f"stub_{number}", text + more).stub))
-        for number, more in enumerate(("", "# changed\n", ""))
-    ]
-    assert keys[0] == keys[2] != keys[1]
 
 
 def test_types_of_arguments_differ_by_the_names_of_their_fields(tmp_path):

@@ -13,12 +13,10 @@ from hypothesis import strategies as st
 
 from mavfi.numerics import elementary
 from mavfi.numerics.elementary import acos, asin, atan2, cbrt, cos, exp, log, quick_tanh, sin, tan, tanh
-from mavfi.numerics.elementary.angles import TWO_OVER_PI_DIGITS
 from mavfi.numerics.jit import kernel_jit, uncached_copy
 
 PRECISION = 1300  # bits: angles as large as 2^1024 need that many of pi
 MANY = 1500
-finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
 def error(value, function, *arguments):
@@ -122,25 +120,6 @@ def test_logarithms_of_denormal_numbers(number):
 @given(st.floats(-745.0, -708.0))
 def test_exponentials_that_are_denormal(number):
     assert abs(exp(number) - float(mpmath.exp(number))) <= 5e-324
-
-
-@given(finite)
-def test_symmetry(number):
-    assert same(sin(-number), -sin(number)) and same(cos(-number), cos(number))
-    assert same(tanh(-number), -tanh(number)) and same(cbrt(-number), -cbrt(number))
-    assert same(quick_tanh(-number), -quick_tanh(number))
-
-
-@given(finite)
-def test_sines_and_cosines_are_of_one_circle(number):
-    assert sin(number) ** 2 + cos(number) ** 2 == pytest.approx(1.0, abs=4e-16)
-
-
-def test_the_digits_of_two_over_pi():
-    with mpmath.workprec(PRECISION + 28):
-        number = 2 / mpmath.pi
-        wanted = [int(mpmath.floor(number * 2 ** (28 * place))) % 2**28 for place in range(-1, 47)]
-    assert TWO_OVER_PI_DIGITS.tolist() == wanted
 
 
 def of_the_c_library(angle):

@@ -1,8 +1,6 @@
 """Where compiled code is kept: one file for each signature, no index."""
 
 import os
-import subprocess
-import sys
 
 import numba
 import numpy as np
@@ -57,62 +55,6 @@ def test_a_damaged_file_is_compiled_again(folder):
 def test_without_a_folder_nothing_is_kept(folder):
     folder.write_text("a file")
     assert calls(2.0) == calls(2.0) == (6.0, 0)
-
-
-@compiled_only
-def test_code_with_values_of_an_unknown_kind_is_not_kept(folder):
-    @kernel_jit
-    def applied(function, value):
-        return function(value)
-
-    assert applied(closure(2.0), 3.0) == 6.0
-    assert [path.name for path in folder.iterdir() if "applied" in path.name] == []
-
-
-MODULE = """
-import math
-from mavfi.numerics.jit import kernel_jit
-
-@kernel_jit
-def callee(x):
-    return math.sqrt(x)
-
-@kernel_jit
-def kernel(x):
-    return callee(x) + 1.0
-"""
-OTHER = """
-from mavfi.numerics.jit import kernel_jit
-from {module} import callee
-
-@kernel_jit
-def caller(x):
-    return callee(x) + 2.0
-
-print(caller(4.0), sum(caller.stats.cache_hits.values()), sum(callee.stats.cache_hits.values()))
-"""
-
-
-@compiled_only
-@pytest.mark.slow
-def test_a_comment_recompiles_nothing_and_a_renamed_module_its_own_functions_alone(tmp_path):
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "code"), "PYTHONPATH": os.pathsep.join(sys.path)}
-
-    def run(module, text):
-        (tmp_path / f"{module}.py").write_text(text, encoding="utf-8")
-        program = OTHER.format(module=module) + ("callee(4.0)\nprint(sum(callee.stats.cache_hits.values()))")
-        (tmp_path / "program.py").write_text(program, encoding="utf-8")
-        done = subprocess.run(
-            [sys.executable, "program.py"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
-        )
-        return done.stdout.split()
-
-    assert run("first", MODULE) == ["4.0", "0", "0", "0"]
-    assert run("first", MODULE.replace("@kernel_jit", "# a comment\n@kernel_jit")) == ["4.0", "1", "0", "1"]
-    assert run("first", MODULE.replace("(x) + 1.0", "(x) + 7.0")) == ["4.0", "1", "0", "1"]
-    (tmp_path / "first.py").unlink()
-    assert run("second", MODULE) == ["4.0", "1", "0", "0"]
-    assert run("second", MODULE.replace("sqrt", "exp"))[1:] == ["0", "0", "0"]
 
 
 def test_the_code_that_was_not_used_for_the_longest_time_is_deleted(tmp_path, monkeypatch):
@@ -171,10 +113,3 @@ def test_an_entry_takes_arguments_of_its_types_alone():
         direct(np.zeros(3, np.float32), 5)
     with pytest.raises(TypeError):
         direct([2.0], 5)
-
-
-def test_the_entry_of_a_plain_function_is_that():
-    def plain(value):
-        return value
-
-    assert entry(plain, 3) is plain

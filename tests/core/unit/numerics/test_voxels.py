@@ -7,10 +7,6 @@ GRID = Grid(-1.0, -1.0, 0.0, 2.0, 8, 6, 4)
 BAD = [np.nan, np.inf, -np.inf, 1e30, 1e300, -1e300, COORDINATE_LIMIT, -COORDINATE_LIMIT]
 
 
-def test_geometry():
-    assert GRID.size == 192 and GRID.resolution == 0.5
-
-
 @pytest.mark.parametrize(
     ("point", "voxel"),
     [
@@ -28,12 +24,6 @@ def test_a_point_lies_in_the_voxel_whose_lower_faces_it_may_touch(point, voxel):
     assert voxel_of(GRID, *point) == voxel
 
 
-def test_voxel_numbers_are_those_of_a_c_array():
-    for cell in np.ndindex(GRID.nx, GRID.ny, GRID.nz):
-        centre = np.array([GRID.x0, GRID.y0, GRID.z0]) + (np.array(cell) + 0.5) * GRID.resolution
-        assert voxel_of(GRID, *centre) == np.ravel_multi_index(cell, (GRID.nx, GRID.ny, GRID.nz))
-
-
 @pytest.mark.parametrize("value", BAD)
 @pytest.mark.parametrize("axis", range(3))
 def test_unusable_points_have_no_voxel_and_block_where_the_outside_does(axis, value):
@@ -44,28 +34,6 @@ def test_unusable_points_have_no_voxel_and_block_where_the_outside_does(axis, va
     for a, b in ((point, good), (good, point), (point, point)):
         assert first_blocked(free, GRID, a, b, True) == 0.0
         assert first_blocked(free, GRID, a, b, False) == FREE
-
-
-@pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize("direction", [-1.0, 1.0])
-def test_a_walk_along_an_axis_finds_the_block_at_its_face(axis, direction):
-    counter = np.zeros(GRID.size, np.int16)
-    a = np.array([0.25, 0.25, 0.75])
-    b = a.copy()
-    b[axis] += direction * 0.7
-    voxel = voxel_of(GRID, *b)
-    counter[voxel] = 1
-    faces = np.floor(b * 2.0) / 2.0 + (0.0 if direction > 0 else 0.5)
-    assert first_blocked(counter, GRID, a, b, False) == pytest.approx(abs(faces[axis] - a[axis]) / 0.7)
-    assert first_blocked(counter, GRID, b, a, False) == 0.0
-
-
-def test_a_point_is_a_segment_of_one_voxel():
-    counter = np.zeros(GRID.size, np.int16)
-    point = np.array([0.25, 0.25, 0.75])
-    assert first_blocked(counter, GRID, point, point, True) == FREE
-    counter[voxel_of(GRID, *point)] = 1
-    assert first_blocked(counter, GRID, point, point, True) == 0.0
 
 
 def test_leaving_the_grid_blocks_only_if_asked_and_the_walk_continues_behind():

@@ -13,11 +13,6 @@ def test_mean_and_deviation_are_those_of_numpy_even_far_from_zero(offset):
     assert welford.deviation(count, squares) == pytest.approx((values - offset).std(ddof=1), rel=1e-7)
 
 
-def test_the_first_sample_is_the_mean_without_a_deviation():
-    assert welford.update(0.0, 0.0, 0.0, 7.5) == (1.0, 7.5, 0.0)
-    assert welford.deviation(1.0, 0.0) == 0.0
-
-
 def test_the_recurrences_are_those_of_the_paper():
     previous, mean, squares = 4.0, 2.0, 3.0
     value = 7.0

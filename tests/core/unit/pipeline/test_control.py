@@ -2,19 +2,13 @@ import numpy as np
 import pytest
 
 from mavfi.pipeline.control import Tracker
-from tests.core.unit.pipeline.parts import AUTOPILOTS, config, odometry, same, waypoint
+from tests.core.unit.pipeline.parts import config, odometry, waypoint
 
 
 def tracker(autopilot="published", **options):
     kernel = Tracker(config(autopilot, **options))
     kernel.receive(odometry(), 0)
     return kernel
-
-
-def test_before_the_first_way_point_the_command_is_zero():
-    command, tracking = tracker().step(0)
-    assert command.header.item() == (0.0, 0.0, 0.0, 0.0, 0.02)
-    assert tracking.header["remaining"][0] == 0.0
 
 
 def test_the_time_left_of_a_point_runs_down_and_its_overrun_is_taken_from_the_next():
@@ -47,20 +41,6 @@ def test_a_corrupted_point_is_still_handed_over_in_finite_time(axis, value):
     for _ in range(300):
         _, tracking = kernel.step(0)
     assert float(tracking.header["remaining"][0]) <= 0.0
-
-
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-def test_a_step_from_the_same_memory_gives_the_same_bits(autopilot):
-    random = np.random.default_rng(1)
-    kernel = tracker(autopilot, gain_i=(0.1, 0.1, 0.1), gain_d=(0.1, 0.1, 0.1))
-    for k in range(30):
-        kernel.receive(odometry(random.normal(size=3), random.normal(size=3)), 0)
-        if k % 7 == 0:
-            kernel.receive(waypoint(random.normal(size=3), random.normal(size=3)), 0)
-        kernel.mark()
-        first = kernel.step(0)
-        kernel.rollback()
-        assert same(first, kernel.step(0))
 
 
 def test_a_way_point_that_comes_between_step_and_rollback_still_counts():

@@ -55,14 +55,6 @@ def test_it_says_nothing_before_the_first_fix():
     assert not values[3:6].any() and not values[13:].any()
 
 
-def test_a_step_is_due_at_a_sample_and_a_fix_waits_for_it():
-    flight = Flight()
-    flight.hover(50)
-    flight.kernel.receive(fix(x=1.05), flight.time_us)
-    (state,) = flight.step()
-    assert state.header["x"][0] > 1.005
-
-
 @pytest.mark.parametrize("place", range(6))
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300, -500.0])
 def test_a_sample_that_cannot_be_is_replaced_by_the_last_one(place, value):
@@ -100,29 +92,3 @@ def test_a_sound_fix_between_wrong_ones_renews_the_patience():
     for _ in range(3):
         flight.hover(25 * (PATIENCE - 1), x=40.0)
         assert flight.hover(25)[0] == pytest.approx(1.0, abs=0.1)
-
-
-def test_a_rolled_back_step_gives_the_same_again():
-    flight = Flight()
-    flight.hover(50)
-    kernel = flight.kernel
-    for position in (None, fix(x=1.03), fix(x=1e5)):
-        if position is not None:
-            kernel.receive(position, flight.time_us)
-        kernel.receive(sample((0.1, 0.2, 9.7, 0.1, 0.0, -0.1)), flight.time_us)
-        kernel.mark()
-        first = kernel.step(flight.time_us)
-        covariance = kernel.memory.filter.covariance.copy()
-        for _ in range(2):
-            kernel.rollback()
-            assert same(kernel.step(flight.time_us), first)
-            np.testing.assert_array_equal(kernel.memory.filter.covariance, covariance)
-        flight.time_us += STEP_US
-
-
-def test_what_was_published_does_not_change_with_the_memory():
-    flight = Flight()
-    (state,) = flight.step(fix())
-    before = state.header.tobytes()
-    flight.hover(100, x=1.2)
-    assert state.header.tobytes() == before

@@ -4,8 +4,6 @@ import pickle
 import subprocess
 import sys
 
-import pytest
-
 from mavfi.pipeline.functions import PLAIN
 
 LOOK = """
@@ -20,8 +18,3 @@ print(there == PLAIN, there.insert_scan is octomap.insert_scan)
 def test_another_process_has_its_own_compiled_functions_not_copies_to_be_compiled_again():
     done = subprocess.run([sys.executable, "-c", LOOK], input=pickle.dumps(PLAIN), capture_output=True, check=True)
     assert done.stdout.split() == [b"True", b"True"]
-
-
-def test_instrumented_functions_stay_in_their_process():
-    with pytest.raises(pickle.PicklingError):
-        pickle.dumps(PLAIN.instrumented(("track",), lambda name, plain: lambda *arguments: plain(*arguments)))

@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-from examples.map_forgetting import ForgettingMap
 
 from mavfi.errors import BadInputError
 from mavfi.kernels.perception.key_sets import KeyFrame
 from mavfi.kernels.perception.octomap import UpdateRule, insert_scan
 from mavfi.pipeline import maps
 from mavfi.pipeline.functions import PLAIN
-from mavfi.pipeline.maps import DenseMap, OctreeMap, find_map, make_map
+from mavfi.pipeline.maps import DenseMap, make_map
 
 FRAME = KeyFrame(0.5, 0.25, 0.25, 0.25, 0, 0, 0, 20, 20, 20)
 RULE = UpdateRule(0.85, -0.4, -2.0, 3.5)
@@ -45,25 +44,6 @@ def scan(*points):
     return np.array(points, np.float32).reshape(-1, 3), np.array([1.0, 5.0, 5.0])
 
 
-def test_shipped_maps_are_found_by_name_and_an_own_one_by_its_address():
-    assert find_map("dense") is DenseMap and find_map("octree") is OctreeMap
-    assert find_map("examples.map_forgetting:ForgettingMap") is ForgettingMap
-    assert type(make_map("dense", FRAME, RULE, 5.0)) is DenseMap  # no detour
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("hash", "not known; allowed: dense, octree, or package:object"),
-        ("no_such_package:Map", "cannot be imported .ModuleNotFoundError"),
-        ("mavfi.pipeline.maps:Nothing", "cannot be imported .AttributeError"),
-    ],
-)
-def test_a_map_that_does_not_exist_is_one_line(name, message):
-    with pytest.raises(BadInputError, match=f"map {name!r}: {message}"):
-        make_map(name, FRAME, RULE, 5.0)
-
-
 def raising(*_):
     raise RuntimeError("two\nlines")
 
@@ -72,9 +52,7 @@ def raising(*_):
     ("broken", "message"),
     [
         ({"rollback": None}, "lacks rollback"),
-        ({"insert": None, "mark": None}, "lacks insert, mark"),
         ({"__init__": lambda self: None}, "cannot be built .TypeError"),
-        ({"__init__": lambda self, *_: None}, "lacks log_odds"),
         (
             {"log_odds": property(lambda self: np.zeros(3, np.float32)), "__init__": lambda self, *_: None},
             r"log_odds has shape \(3,\); allowed: \(8000,\)",
@@ -94,15 +72,12 @@ def test_a_class_that_does_not_fit_is_found_when_it_is_built(monkeypatch, broken
     ("answer", "message"),
     [
         (None, "insert raised TypeError"),
-        ((np.zeros(1, np.int32),) * 3, "insert raised ValueError"),
         (
             (np.zeros(2, np.int32), np.zeros(3, np.float32)),
             r"gave shapes \(2,\) and \(3,\); allowed: \(n,\) and \(n,\)",
         ),
-        ((np.zeros((2, 1), np.int32), np.zeros((2, 1), np.float32)), r"gave shapes \(2, 1\) and"),
         ((np.zeros(2, np.int64), np.zeros(2, np.float32)), "gave int64 and float32; allowed: int32 and float32"),
         ((np.array([0, SIZE], np.int32), np.zeros(2, np.float32)), "gave voxels from 0 to 8000; allowed: 0 to 7999"),
-        ((np.array([-1], np.int32), np.zeros(1, np.float32)), "gave voxels from -1 to -1"),
     ],
 )
 def test_an_answer_that_does_not_fit_is_found_at_the_first_scan(monkeypatch, answer, message):
@@ -116,41 +91,6 @@ def test_what_a_map_raises_is_one_line_that_names_it(monkeypatch):
     guarded = own(monkeypatch, insert=raising)
     with pytest.raises(BadInputError, match="map 'mine:Own': insert raised RuntimeError: two lines"):
         guarded.insert(*scan())
-
-
-def test_nothing_seen_is_a_right_answer(monkeypatch):
-    voxels, log_odds = own(monkeypatch, answer=(np.zeros(0, np.int32), np.zeros(0, np.float32))).insert(*scan())
-    assert len(voxels) == len(log_odds) == 0
-
-
-def test_the_example_forgets_what_it_does_not_see_again():
-    map_ = ForgettingMap(FRAME, RULE, 6.0)
-    map_.memory = 3
-    map_.insert(*scan((5.0, 5.0, 5.0)))
-    wall = int(np.argmax(map_.log_odds))
-    assert map_.log_odds[wall] > 0.0
-    for number in range(3):
-        assert map_.log_odds[wall] > 0.0, number
-        voxels, log_odds = map_.insert(*scan((1.0, 9.0, 5.0)))
-    assert map_.log_odds[wall] == 0.0 and wall in voxels
-    np.testing.assert_array_equal(map_.log_odds[voxels], log_odds)
-
-
-def test_the_example_takes_a_scan_back_with_what_it_made_it_forget():
-    random = np.random.default_rng(3)
-    map_ = ForgettingMap(FRAME, RULE, 6.0)
-    map_.memory = 2
-    for _ in range(12):
-        points = random.uniform(1.0, 9.0, (5, 3)).astype(np.float32)
-        map_.mark()
-        before = map_.log_odds.tobytes()
-        first = [part.tobytes() for part in map_.insert(points, np.full(3, 5.0))]
-        after = map_.log_odds.tobytes()
-        map_.rollback()
-        assert map_.log_odds.tobytes() == before
-        map_.rollback()  # nothing more to take back
-        assert [part.tobytes() for part in map_.insert(points, np.full(3, 5.0))] == first
-        assert map_.log_odds.tobytes() == after
 
 
 @pytest.mark.parametrize("rewindable", [False, True])

@@ -5,7 +5,6 @@ import pytest
 
 from mavfi.config import MapConfig
 from mavfi.numerics.voxels import voxel_of
-from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.kernel import map_grid
 from mavfi.pipeline.maps import MAPS
 from mavfi.pipeline.perception import CollisionCheck, OctoMap, PointCloud
@@ -40,31 +39,6 @@ def octomap_kernel(kind):
     return OctoMap(replace(config(), map=MapConfig(kind=kind)))
 
 
-@pytest.mark.parametrize("kind", MAPS)
-def test_a_scan_that_is_taken_back_and_repeated_gives_the_same_update_and_map(kind):
-    kernel = octomap_kernel(kind)
-    for cloud in clouds():
-        kernel.receive(cloud, 0)
-        kernel.mark()
-        before = kernel.map.log_odds.tobytes()
-        first = kernel.step(0)
-        after = kernel.map.log_odds.tobytes()
-        kernel.rollback()
-        assert kernel.map.log_odds.tobytes() == before != after
-        assert same(first, kernel.step(0))
-        assert kernel.map.log_odds.tobytes() == after
-
-
-@pytest.mark.parametrize("kind", MAPS)
-def test_the_update_carries_the_log_odds_of_the_map(kind):
-    kernel = octomap_kernel(kind)
-    for number, cloud in enumerate(clouds(), start=1):
-        kernel.receive(cloud, 0)
-        (update,) = kernel.step(0)
-        assert int(update.header["scan"][0]) == number
-        np.testing.assert_array_equal(kernel.map.log_odds[update.elements["voxel"]], update.elements["log_odds"])
-
-
 def test_every_kind_of_map_gives_the_same_updates():
     kernels = [octomap_kernel(kind) for kind in MAPS]
     for cloud in clouds():
@@ -76,25 +50,6 @@ def test_every_kind_of_map_gives_the_same_updates():
 
 def at(grid, *point):
     return voxel_of(grid, *point)
-
-
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-def test_updates_taken_back_leave_the_clearance_map_as_before(autopilot):
-    clearance = ClearanceMap(config(autopilot))
-    random = np.random.default_rng(0)
-    clearance.apply(map_update(random.integers(0, clearance.grid.size, 400), random.normal(size=400)))
-    clearance.mark()
-    before = clearance.cells.copy(), clearance.wide.copy(), clearance.narrow.copy(), clearance.updates
-    for _ in range(3):
-        clearance.apply(map_update(random.integers(-9, clearance.grid.size + 9, 400), random.normal(size=400)))
-    assert (clearance.wide != before[1]).any()
-    clearance.rollback()
-    np.testing.assert_array_equal(clearance.cells, before[0])
-    np.testing.assert_array_equal(clearance.wide, before[1])
-    np.testing.assert_array_equal(clearance.narrow, before[2])
-    assert clearance.updates == before[3]
-    clearance.rollback()
-    np.testing.assert_array_equal(clearance.cells, before[0])
 
 
 def checker(autopilot):
@@ -148,32 +103,3 @@ def test_a_check_that_is_repeated_works_on_the_inputs_of_the_first_time(autopilo
     kernel.receive(odometry((3.0, 6.0, 3.0)), 0)
     kernel.receive(update, 0)
     assert same(first, kernel.step(0))
-
-
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-def test_a_check_that_had_not_run_yet_works_on_the_latest_inputs(autopilot):
-    fresh, other = checker(autopilot), checker(autopilot)
-    grid = map_grid(config(autopilot))
-    for kernel in (fresh, other):
-        kernel.receive(map_update([]), 0)
-        kernel.step(0)
-        kernel.mark()
-    other.rollback()  # an alarm at the cloud, before the map update came
-    far = waypoint((6.0, 5.0, 3.0), index=4)
-    far.header["trajectory_seq"] = 1
-    results = []
-    for kernel in (fresh, other):
-        kernel.receive(far, 0)
-        kernel.receive(map_update([at(grid, 9.0, 5.0, 3.0)]), 0)
-        results.append(kernel.step(0))
-    assert same(*results)
-
-
-@pytest.mark.parametrize("index", [-1, 20, 2**31 - 1, -(2**31)])
-def test_an_index_outside_of_the_trajectory_predicts_nothing(index):
-    kernel = checker("published")
-    point = waypoint(index=index)
-    point.header["trajectory_seq"] = 1
-    kernel.receive(point, 0)
-    kernel.receive(map_update([]), 0)
-    assert not kernel.step(0)[0].header["collision"][0]

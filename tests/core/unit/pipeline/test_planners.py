@@ -1,8 +1,5 @@
 """Planners whose memory was struck: a search ends with its budget whatever its own counters say."""
 
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -10,7 +7,6 @@ from mavfi.config import PlannerConfig
 from mavfi.errors import BadInputError
 from mavfi.numerics.voxels import Grid
 from mavfi.pipeline import planners
-from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.planners import make_search
 
 GRID = Grid(0.0, 0.0, 0.0, 1.0, 10, 5, 8)
@@ -37,17 +33,6 @@ def test_a_struck_number_of_runs_is_bounded_by_the_configuration(name, value, mo
     path = search.search(wall(gap=2), GRID, *ENDS, *BOX)
     assert len(runs) <= 4
     assert (len(path) > 2) == (value > 0)
-
-
-@pytest.mark.parametrize("value", [STRUCK, 2**31 - 1])
-def test_a_struck_longest_search_is_bounded_by_the_configuration(value):
-    config = PlannerConfig(name="rrt_star", iterations=50, restarts=4)
-    asked = []
-    functions = replace(PLAIN, plan_rrt_star=lambda *arguments: asked.append(arguments[9]) or 0)
-    search = make_search(config, 1, functions)
-    search._longest = value
-    assert len(search.search(wall(gap=0), GRID, *ENDS, *BOX)) == 0
-    assert asked == [200]
 
 
 class Own:
@@ -83,10 +68,3 @@ def test_a_planner_without_a_generator_is_refused(monkeypatch):
 def test_a_path_that_cannot_be_flown_is_the_planners_mistake(path, message):
     with pytest.raises(BadInputError, match=rf"^planner \S+:Own: search returned .*{message}"):
         planners.checked_path(Own(), path)
-
-
-def test_the_longest_path_passes_and_is_that_of_the_page():
-    longest = np.zeros((planners.MOST_VERTICES, 3))
-    assert planners.checked_path(Own(), longest) is longest
-    page = (Path(__file__).parents[4] / "docs" / "extending.md").read_text(encoding="utf-8")
-    assert f"A path has at most {planners.MOST_VERTICES} vertices" in " ".join(page.split())

@@ -1,14 +1,11 @@
 import numpy as np
 import pytest
 
-from mavfi.errors import BadInputError
 from mavfi.numerics.voxels import segment_free
-from mavfi.pipeline.planners import Rrt, RrtConnect, RrtStar, make_search
 from mavfi.pipeline.planning import MotionPlanner
-from mavfi.pipeline.ppc import build_pipeline
 from mavfi.pipeline.trajectories import TrajectoryGenerator
-from mavfi.states import STATES, new_state, rows
-from tests.core.unit.pipeline.parts import AUTOPILOTS, config, map_update, odometry, same, status, waypoint
+from mavfi.states import new_state, rows
+from tests.core.unit.pipeline.parts import AUTOPILOTS, config, map_update, odometry, status, waypoint
 
 
 def planner(autopilot="published", **rules):
@@ -76,16 +73,6 @@ def test_a_new_collision_makes_a_step_due_once():
     assert not kernel.receive(odometry(), 700_000)
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-def test_a_plan_from_the_same_memory_has_the_same_bits(autopilot):
-    kernel = planner(autopilot)
-    request(kernel, autopilot)
-    kernel.mark()
-    first = kernel.step(600_000)
-    kernel.rollback()
-    assert same(first, kernel.step(600_000))
-
-
 def generator(autopilot="published"):
     kernel = planner(autopilot)
     kernel_config = kernel._config
@@ -102,18 +89,6 @@ def path(*vertices, entry=0.0):
 LEGS = ((2.0, 5.0, 3.0), (8.0, 5.0, 3.0), (12.0, 2.0, 3.0), (17.0, 5.0, 3.0))
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-def test_a_repeated_trajectory_has_the_same_bits_and_number(autopilot):
-    kernel = generator(autopilot)
-    for number in (1, 2):
-        kernel.receive(path(*LEGS), 0)
-        kernel.mark()
-        first = kernel.step(0)
-        kernel.rollback()
-        assert same(first, kernel.step(0))
-        assert int(first[0].header["trajectory_seq"][0]) == number
-
-
 @pytest.mark.parametrize(("autopilot", "slower"), [("published", False), ("hardened", True)])
 def test_narrow_places_slow_hardened_flights_only(autopilot, slower):
     kernel = generator(autopilot)
@@ -123,45 +98,3 @@ def test_narrow_places_slow_hardened_flights_only(autopilot, slower):
         kernel.receive(path(*LEGS), 0)
         durations.append(kernel.step(0)[0].elements["duration"].sum())
     assert (durations[1] > 1.2 * durations[0]) == slower
-
-
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-@pytest.mark.parametrize("value", [np.nan, np.inf, 1e30, 1e300, -1e300])
-def test_corrupted_paths_give_a_trajectory_without_an_error(autopilot, value):
-    with np.errstate(all="ignore"):
-        for row in range(4):
-            bad = path(*LEGS)
-            rows(bad.elements, 3)[row, 1] = value
-            kernel = generator(autopilot)
-            kernel.receive(bad, 0)
-            assert len(kernel.step(0)) == 1
-        kernel.receive(path(*LEGS, entry=value), 0)
-        assert len(kernel.step(0)) == 1
-
-
-def test_every_state_but_the_sensors_has_one_writer_in_the_pipeline():
-    kernels = build_pipeline(config())
-    written = [name for kernel in kernels.values() for name in kernel.writes]
-    assert sorted(written) == sorted(name for name, spec in STATES.items() if spec.writer in kernels)
-    for kernel in kernels.values():
-        assert all(STATES[name].writer == kernel.name and STATES[name].stage is kernel.stage for name in kernel.writes)
-        assert set(kernel.reads) <= set(STATES)
-
-
-IMPORTED = ["mavfi:Nothing", "no_such_package:Planner"]
-
-
-@pytest.mark.parametrize("name", ["dowsing", *IMPORTED, ":Planner", ".x:Y", "mavfi:"])
-def test_an_unknown_planner_is_refused_with_what_is_allowed(name):
-    planner_config = config(planner=name).planner
-    allowed = "not known; allowed: .*rrt_connect.*, or package:object" if name not in IMPORTED else "cannot be imported"
-    with pytest.raises(BadInputError, match=f"planner '.*': {allowed}"):
-        make_search(planner_config, 1)
-
-
-def test_a_planner_is_found_by_name_and_by_address():
-    assert isinstance(make_search(config().planner, 1), RrtConnect)
-    assert isinstance(make_search(config(planner="rrt").planner, 1), Rrt)
-    assert isinstance(make_search(config(planner="rrt_star").planner, 1), RrtStar)
-    address = config(planner="mavfi.pipeline.planners:RrtConnect").planner
-    assert isinstance(make_search(address, 1), RrtConnect)

@@ -25,10 +25,6 @@ def routes(*, gap=None, wall=True, **rules):
     return finder
 
 
-def test_the_way_is_straight_where_nothing_is_in_the_way():
-    assert len(routes(wall=False).fastest(START, STILL)) == 2
-
-
 def test_a_wide_way_keeps_the_planners_radius_and_the_flight_box():
     finder = routes()
     path = finder.fastest(START, STILL)
@@ -59,29 +55,3 @@ def test_no_way_is_no_path():
     )
     assert finder.fastest(START, STILL) is None
     assert finder.first_found(START) is None
-
-
-def test_only_hardened_finds_its_way_out_of_a_blocked_place_without_crossing_an_obstacle():
-    for autopilot, crosses in (("published", True), ("hardened", False)):
-        finder = Routes(config(autopilot, distance="boxes", plan_radius=0.6, check_radius=0.36))
-        grid = finder.clearance_map.grid
-        finder.clearance_map.apply(map_update(np.arange(grid.size), -1.0))
-        # a thin wall just ahead of the vehicle, and nothing but blocked voxels on this side of it
-        wall = [(ix * grid.ny + iy) * grid.nz + iz for ix in (17,) for iy in range(grid.ny) for iz in range(grid.nz)]
-        finder.clearance_map.apply(map_update(wall))
-        point = np.array([grid.x0 + 16.5 * 0.5, 5.0, 3.0])
-        core = finder._core()
-        away = segment_free(core, grid, point, point + [1.5, 0.0, 0.0])
-        assert away == crosses
-        found = finder.between(point, finder.clearance_map.wide)
-        if autopilot == "hardened" and found is not None:
-            assert segment_free(core, grid, point, found[0])
-
-
-def test_searches_share_one_generator_so_that_a_rollback_repeats_them():
-    finder = routes(gap=4)
-    before = finder.search.random.copy()
-    first = finder.fastest(START, STILL)
-    finder.search.random[:] = before
-    again = finder.fastest(START, STILL)
-    np.testing.assert_array_equal(first, again)

@@ -7,7 +7,6 @@ from mavfi.errors import MavfiError
 from mavfi.kernels.perception.key_sets import KeyFrame
 from mavfi.kernels.perception.octomap import UpdateRule
 from mavfi.pipeline.maps import DenseMap
-from mavfi.pipeline.planners import SearchScratch, arrays_of
 
 FRAME = KeyFrame(0.5, 0.25, 0.25, 0.25, 0, 0, 0, 20, 20, 10)
 RULE = UpdateRule(*(np.float32(value) for value in (0.85, -0.4, -2.0, 3.5)))
@@ -54,43 +53,9 @@ def test_arrays_of_a_map_are_as_they_were(flown, order):
         assert all(np.array_equal(now[name], then[place][name]) for name in (*ARRAYS, "number"))
 
 
-def test_a_map_continues_as_it_did(flown):
-    one, saved, then = flown
-    back_to(one, saved[3])
-    for seed in (4, 5):
-        one.mark()
-        one.insert(*scan(seed))
-    assert all(np.array_equal(contents(one)[name], then[5][name]) for name in (*ARRAYS, "number"))
-
-
-def test_arrays_that_are_not_filled_are_those_of_later_scans(flown):
-    one, saved, then = flown
-    one.restore(saved[1][0])
-    assert not np.array_equal(one._arrays.stamp, then[1]["stamp"])
-
-
 def test_scans_that_do_not_lead_to_the_map_are_refused(flown):
     one, saved, _ = flown
     one.restore(saved[4][0])
     one.scratch[0].restore(saved[3][1])
     with pytest.raises(MavfiError, match="a map differs from its scans"):
         one.scratch[0].fill()
-
-
-def test_what_a_search_left_is_copied_once_for_all_instants_between_two_searches():
-    array = np.zeros(4)
-    scratch = SearchScratch([array])
-    first = scratch.save()
-    assert scratch.save() is first
-    scratch.changes()
-    array[:] = 1
-    second = scratch.save()
-    scratch.restore(first)
-    assert array.tolist() == [0] * 4
-    scratch.restore(second)
-    assert array.tolist() == [1] * 4
-
-
-def test_arrays_are_found_in_nested_tuples():
-    one, other = np.zeros(1), np.ones(2)
-    assert [id(array) for array in arrays_of(((one, 3), (other,)))] == [id(one), id(other)]

@@ -1,13 +1,8 @@
 import json
-from io import StringIO
 
 import pytest
-from rich.console import Console
 
-from mavfi.analysis.table import Column, Table
-from mavfi.cli import report as cli
-from mavfi.errors import BadInputError
-from mavfi.report.campaign_report import markdown_table, report_of, write_report
+from mavfi.report.campaign_report import report_of, write_report
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -43,13 +38,6 @@ def test_report_shows_every_table_and_figure(written):
     assert "have the digest of their golden runs" in text
 
 
-def test_markdown_tables_are_rectangular(written):
-    blocks = [block.splitlines() for block in read(written, "report.md").split("\n\n") if block.startswith("| ")]
-    assert len(blocks) > 8
-    for block in blocks:
-        assert len({line.count("|") for line in block}) == 1
-
-
 def test_readme_block_is_the_success_table_with_its_origin(written):
     text = read(written, "readme_block.md")
     assert text.startswith("**State level: success rates, one fault per mission**\n\nGenerated on ")
@@ -81,32 +69,3 @@ def test_an_idle_detector_changes_nothing(runs):
     assert list(rows) == ["golden", "golden_idle", "fi", "dr_idle"]
     for key in ("success", "success_whole_word", "success_mantissa"):
         assert rows["fi"][key] == rows["dr_idle"][key]
-
-
-@pytest.mark.parametrize("show_all", [False, True])
-def test_the_terminal_shows_the_headline_or_everything(runs, monkeypatch, show_all):
-    out = StringIO()
-    monkeypatch.setattr(cli, "console", lambda: Console(file=out, width=100))
-    found = report_of(runs)
-    cli.show_report(found, show_all)
-    text = out.getvalue()
-    assert "State level: success rates" in text and "Null runs: all 2" in text
-    assert ("How missions ended" in text) == show_all
-    assert all(line.split()[0] in text for line in found.findings) and found.findings
-
-
-def test_no_campaign_no_report(tmp_path):
-    with pytest.raises(BadInputError, match="holds no campaign"):
-        write_report(tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
-def test_bars_in_cells_do_not_end_them():
-    table = Table.of_text("T", ("a", "b"), [("x|y", "1"), ("x|y", "2")], ("note",))
-    assert markdown_table(table) == "## T\n\n| a | b |\n| --- | --- |\n| x\\|y | 1 |\n|  | 2 |\n\n- note"
-
-
-def test_leading_columns_of_text_are_aligned_left():
-    columns = (Column("a", "a"), Column("b", "b"), Column("c", "c"), Column("n", "n", "number"), Column("d", "d"))
-    lines = markdown_table(Table("t", "T", columns, [("x", "y", "z", 1, "w")])).splitlines()
-    assert lines[3] == "| --- | --- | --- | ---: | ---: |"

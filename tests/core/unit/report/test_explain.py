@@ -1,4 +1,4 @@
-"""The story of a run, from records made by hand; the last tests fly runs of a campaign again."""
+"""The story of a run, from records made by hand; the last test flies a run of a campaign again."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,6 @@ from mavfi.campaign.divergence import Departure, Difference
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.replay import Explanation, explain
 from mavfi.campaign.store import Store
-from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, FaultSite, InstructionFault, StateFault
 from mavfi.flight.host import Flight
 from mavfi.mission import MissionStatus
@@ -17,6 +16,7 @@ from mavfi.report.explain import MAX_ALARMS, alarm_lines, lines, to_json
 SITE = FaultSite("planning.waypoint", "x")
 FAULT = StateFault(SITE, 1_000_000, 62)
 INJECTION = Injection("state", str(SITE), 1.0, 62, 3.5, float("inf"), activated=True)
+MISSED = Injection("state", str(SITE), 1.0, 62, None, None, activated=False)
 ON_PATH = Departure(None, None, 0.0, 0.0, 0.0)
 INSTRUCTION = {
     "kernel": "pid",
@@ -53,54 +53,34 @@ def story_of(explanation):
     return dict(lines(explanation))
 
 
-def test_the_verdict_comes_first_and_says_masked():
-    heading, sentence = lines(found(log(injections=[INJECTION])))[0]
-    assert heading == "verdict"
-    assert sentence == (
-        "masked: the flight is bit for bit the golden run; the mission succeeds after 10.00 s, as without the fault"
-    )
-    assert to_json(found(log(injections=[INJECTION])))["effect"] == "masked"
-
-
 @pytest.mark.parametrize(
-    ("injected", "golden", "verdict"),
+    ("injected", "golden", "parts"),
     [
-        (
-            log(seconds=11.0, injections=[INJECTION]),
-            log(),
-            "silent data corruption; the mission succeeds after 11.00 s (+10.0 % against the golden run)",
-        ),
-        (
-            log(seconds=4.0, status=MissionStatus.COLLISION, injections=[INJECTION]),
-            log(),
-            "silent data corruption; the mission is lost: collision after 4.00 s (golden run: success after 10.00 s)",
-        ),
+        (log(injections=[INJECTION]), log(), ("masked", "10.00 s, as without the fault")),
+        (log(seconds=11.0, injections=[INJECTION]), log(), ("silent data corruption", "11.00 s", "+10.0 %")),
+        (log(seconds=4.0, status=MissionStatus.COLLISION, injections=[INJECTION]), log(), ("lost: collision", "4.00")),
+        (log(injections=[INJECTION]), log(status=MissionStatus.TIMEOUT), ("golden run does not (timeout)",)),
         (
             log(status=MissionStatus.COLLISION, injections=[INJECTION]),
             log(status=MissionStatus.TIMEOUT),
-            "silent data corruption; the mission fails without the fault, too (timeout; with it collision)",
+            ("fails without the fault, too", "timeout", "collision"),
         ),
-        (
-            log(injections=[INJECTION]),
-            log(status=MissionStatus.TIMEOUT),
-            "silent data corruption; the mission succeeds after 10.00 s, which the golden run does not (timeout)",
-        ),
+        (log(injections=[MISSED]), log(), ("not activated", "succeeds")),
     ],
 )
-def test_the_verdict_says_what_became_of_the_mission(injected, golden, verdict):
-    assert story_of(found(injected, golden))["verdict"] == verdict
+def test_the_verdict_comes_first_with_effect_and_end_of_the_mission(injected, golden, parts):
+    heading, sentence = lines(found(injected, golden))[0]
+    assert heading == "verdict" and all(part in sentence for part in parts)
 
 
-def test_a_fault_that_was_not_activated_is_no_masked_one():
-    missed = Injection("state", str(SITE), 1.0, 62, None, None, activated=False)
-    story = story_of(found(log(injections=[missed])))
-    assert story["verdict"].startswith("not activated; the mission succeeds")
-    assert story["fault"] == "planning.waypoint.x: not activated, no such publication came"
-    nowhere = StateFault(SITE, NO_SITE, 62)
+def test_a_fault_says_what_it_changed_or_why_it_did_not():
     assert (
-        "no site, the golden run never published it"
-        in story_of(found(log(injections=[missed]), fault=nowhere))["fault"]
+        story_of(found(log(injections=[INJECTION])))["fault"]
+        == "planning.waypoint.x, bit 62 (exponent), at 1.000 s: 3.5 → inf"
     )
+    assert "not activated" in story_of(found(log(injections=[MISSED])))["fault"]
+    nowhere = StateFault(SITE, NO_SITE, 62)
+    assert "no site" in story_of(found(log(injections=[MISSED]), fault=nowhere))["fault"]
 
 
 def test_a_fault_in_an_instruction_has_the_same_story_with_source_line_and_kernel():
@@ -110,68 +90,50 @@ def test_a_fault_in_an_instruction_has_the_same_story_with_source_line_and_kerne
     first = {"state": "control.command", "field": "vx", "element": None, "before": 1.0, "after": 8.0}
     fault = InstructionFault("module:track", "0", 42, 7, kernel="pid", entry="track", stratum="exponent")
     story = story_of(found(log(injections=[injection], kernel=KernelEffect("sdc", "", first)), fault=fault))
-    assert story["fault"] == "pid.track, bit 62 (exponent), at 2.500 s: 1 → -1"
-    assert story["source line"] == (
-        "mavfi/kernels/control/pid.py:90, inlined at mavfi/kernels/control/pid.py:12: fmul double of rate "
-        "(floating point), call 7, instruction 42"
-    )
-    assert story["kernel"] == "pid: silent data corruption, first in control.command.vx: golden 1, here 8"
-    assert "first difference" not in story
+    for part in ("pid.py:90", "pid.py:12", "fmul double of rate", "call 7", "instruction 42"):
+        assert part in story["source line"]
+    assert "control.command.vx" in story["kernel"] and "first difference" not in story
     crashed = log(injections=[injection], kernel=KernelEffect("crash", "SIGSEGV"))
-    story = story_of(found(crashed, fault=fault))
-    assert story["verdict"].startswith("crash (SIGSEGV) of a kernel, its node was restarted; the mission succeeds")
-    assert story["kernel"] == "pid: crashed (SIGSEGV); its node was restarted"
-    for policy, what in (("readback", "its node was restarted (readback)"), ("end", "the mission ended with it")):
+    for policy, what in (("fresh", "restarted"), ("readback", "(readback)"), ("end", "the mission ended")):
         crashed.meta["scenario"] = {"dead_node": policy}
-        assert story_of(found(crashed, fault=fault))["kernel"] == f"pid: crashed (SIGSEGV); {what}"
+        story = story_of(found(crashed, fault=fault))
+        assert story["verdict"].startswith("crash (SIGSEGV)") and what in story["kernel"]
 
 
 @pytest.mark.parametrize(
-    ("first", "sentence"),
+    ("first", "parts"),
     [
-        (None, "none: every published value is bit for bit that of the golden run"),
+        (None, ("none",)),
         (
             Difference("control.command", "vx", 5_000, 5_000, 2.749570000000001, 2.749570000000002),
-            "control.command.vx at 0.005 s: golden 2.749570000000001, here 2.749570000000002",
+            ("control.command.vx at 0.005 s", "2.749570000000001", "2.749570000000002"),
         ),
         (
             Difference("planning.waypoint", "", 5_000, 9_000),
-            "planning.waypoint at 0.005 s in the golden run: here held back, the same value came 4 ms later",
+            ("planning.waypoint at 0.005 s", "held back", "4 ms later"),
         ),
-        (Difference("planning.path", "", None, 7_000), "planning.path at 0.007 s: published here alone"),
-        (Difference("planning.path", "", 7_000, None), "planning.path at 0.007 s: published by the golden run alone"),
+        (Difference("planning.path", "", None, 7_000), ("0.007 s", "here alone")),
+        (Difference("planning.path", "", 7_000, None), ("0.007 s", "golden run alone")),
     ],
 )
-def test_the_first_difference(first, sentence):
-    assert story_of(found(log(injections=[INJECTION]), first=first))["first difference"] == sentence
+def test_the_first_difference_is_a_value_or_an_instant(first, parts):
+    sentence = story_of(found(log(injections=[INJECTION]), first=first))["first difference"]
+    assert all(part in sentence for part in parts)
 
 
 def test_alarms_at_the_injection_come_before_earlier_ones_and_are_counted():
-    early = [alarm(0.01 * place) for place in range(MAX_ALARMS + 2)]
-    at_site = alarm(1.0, outcome="repaired")
-    flight = log(injections=[INJECTION], alarms=[*early, at_site, alarm(2.5)])
-    golden = log(alarms=early)
-    heading, first, *_, last = alarm_lines(flight, golden)
-    assert heading == ("alarms", "12 in all, 1 within 1 s of the injection, 10 also in the golden run")
-    assert first[1] == "1.000 s, gaussian: planning.waypoint.x, score 2.5; recompute planning: repaired"
-    assert last == ("", f"and {12 - MAX_ALARMS} more")
-    assert alarm_lines(log(), golden) == []
-    assert any("also in the golden run" in sentence for _, sentence in alarm_lines(flight, golden)[2:])
+    early = [alarm(0.01 * place) for place in range(MOST_ALARMS + 2)]
+    flight = log(injections=[INJECTION], alarms=[*early, alarm(1.0, outcome="repaired"), alarm(2.5)])
+    (heading, counts), (_, first), *_, (_, last) = alarm_lines(flight, log(alarms=early))
+    assert heading == "alarms" and [part.split()[0] for part in counts.split(", ")] == ["12", "1", "10"]
+    assert first.startswith("1.000 s, gaussian: planning.waypoint.x") and first.endswith("repaired")
+    assert last == f"and {12 - MOST_ALARMS} more" and alarm_lines(log(), log()) == []
 
 
 @pytest.mark.parametrize("kind", [LIMITED, SILENCED])
 def test_alarms_without_a_response_are_mentioned(kind):
     flight = log(alarms=[alarm(1.0)], events=[Event(1_000_000, kind, {"alarms": 7}), Event(2_000_000, "plan")])
-    heading, text = alarm_lines(flight, None)[-1]
-    assert heading == "" and text.startswith("no response to further alarms") and " 7 " in text
-
-
-def test_the_detector_is_named_with_its_profile_if_it_has_one():
-    flight = log(injections=[INJECTION])
-    story = story_of(found(flight, arm="gaussian", detector="gaussian", detector_profile="paper", model="sha"))
-    assert story["run"].endswith("detector gaussian (paper)")
-    assert story["golden run"].startswith("the same mission without the fault, with the detector on")
-    assert story_of(found(flight, arm="idle", detector="own.module:Mine"))["run"].endswith("detector own.module:Mine")
+    assert "no response" in alarm_lines(flight, None)[-1][1] and " 7 " in alarm_lines(flight, None)[-1][1]
 
 
 @pytest.fixture(scope="module")
@@ -195,9 +157,3 @@ def test_a_run_is_explained_from_the_fault_on(flown, injected):
     once = [heading for heading in dict.fromkeys(headings) if heading]
     assert once == ["verdict", "run", "fault", "first difference", "spread", "path", "alarms", "golden run", "end"]
     assert to_json(explanation)["first_difference"]["state"] == explanation.first.state
-
-
-@pytest.mark.slow
-def test_golden_runs_have_nothing_to_explain(flown):
-    with pytest.raises(BadInputError, match="is a golden run; explain needs a run with a fault"):
-        explain(flown, "sparse-10000-golden-")

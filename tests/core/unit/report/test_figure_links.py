@@ -1,6 +1,5 @@
 """Each point, box, curve and path of a figure opens exactly the runs that are counted or drawn in it."""
 
-from dataclasses import replace
 from urllib.parse import parse_qs
 
 import polars as pl
@@ -11,7 +10,6 @@ from mavfi.analysis.listing import with_flights
 from mavfi.analysis.runs import Runs
 from mavfi.extras.paper import views as v
 from mavfi.extras.paper.figures import path_cases
-from mavfi.extras.paper.views import compared
 from mavfi.report import figures, links
 from tests.core.unit.report.test_figures import golden, runs
 
@@ -131,26 +129,6 @@ def test_dots_name_their_runs_in_order(flown_by_hand, name):
         assert list(line.get_ydata() if upright else line.get_xdata()) == [times[run_id] for run_id in named]
 
 
-def test_distributions_open_the_missions_that_succeed_and_the_worst_case_its_run(flown_by_hand):
-    panels = figures.figure(flown_by_hand, "flight_time_distribution").axes
-    for axes, environment in zip(panels, ("sparse", "dense"), strict=True):
-        shown = v.distribution(flown_by_hand).where("success", environment=environment)
-        groups = shown.groups("setting").values()
-        assert opened(linked(axes, PolyCollection)) == behind(*groups)
-        worst = [part.where(flight_time_s=max(part["flight_time_s"])) for part in groups]
-        assert opened(linked(axes, PathCollection)) == behind(*worst)
-        successes = [label.get_text().partition("\n")[2].partition("/")[0] for label in axes.get_xticklabels()]
-        assert sorted(map(int, successes)) == sorted(len(ids(url)) for url in linked(axes, PolyCollection))
-
-
-def test_platforms_open_the_missions_that_succeed(flown_by_hand):
-    parts = {"sparse": {"platform": "i9-9940x"}, "dense": {"platform": "cortex-a57"}}
-    own = replace(flown_by_hand, campaign={"profile": "published", "parts": parts})
-    panels = figures.figure(own, "platforms").axes
-    for axes, environment in zip(panels, parts, strict=True):
-        assert opened(linked(axes)) == behind(*compared(own).where(environment=environment).groups("setting").values())
-
-
 def test_each_path_opens_its_run(flown):
     own = Runs.read(flown)
     own = with_flights(own, flown, figures.drawing("trajectories").cases(own))
@@ -159,22 +137,3 @@ def test_each_path_opens_its_run(flown):
         drawn = [run_id for run_id in (case.golden, case.fault, case.recovered) if run_id]
         for axes in panels[2 * place : 2 * place + 2]:
             assert linked(axes) == [f"#run/{run_id}" for run_id in drawn]
-
-
-def test_modelled_values_have_no_runs():
-    assert not any(linked(axes) for axes in figures.figure(runs(), "redundancy").axes)
-
-
-def test_every_figure_of_runs_is_tested_here():
-    tested = {
-        "success",
-        "flight_time",
-        "kernels",
-        "states",
-        "bit_fields",
-        "flight_time_distribution",
-        "platforms",
-        "trajectories",
-        "redundancy",
-    }
-    assert set(figures.FIGURES) == tested

@@ -4,7 +4,6 @@ import pytest
 from mavfi.analysis.rows import SCHEMA
 from mavfi.analysis.runs import Runs
 from mavfi.report import campaign_figures as figures
-from mavfi.report import style
 
 COMMON = {
     "kind": "injected",
@@ -36,12 +35,6 @@ def golden(**row):
     return {"kind": "golden", "setting": "golden", "population": "all", "level": "", **row}
 
 
-def test_nothing_to_show_is_no_figure():
-    empty = runs()
-    assert figures.success(empty) is figures.flight_time(empty) is None
-    assert figures.success(runs(golden())) is None, "without faults there is nothing to compare"
-
-
 @pytest.mark.parametrize(("level", "population"), [("state", "sign_exponent"), ("instruction", "all_bits")])
 def test_success_at_every_level_with_counts_the_paper_and_words(level, population):
     rows = [
@@ -71,11 +64,6 @@ def test_success_at_every_level_with_counts_the_paper_and_words(level, populatio
     assert [text.get_text() for text in figure.axes[0].texts] == ["2", "2", "1"], "number of missions at each point"
 
 
-def test_the_paper_is_compared_with_its_own_profile_only():
-    (legend,) = figures.success(runs({"success": True}, campaign={"profile": "hardened"})).legends
-    assert [text.get_text() for text in legend.get_texts()] == ["fault"]
-
-
 def test_failures_are_censored():
     values = [0.0, 0.5, None, None]
     axes = figures.flight_time(runs(*({"inflation": value, "success": value is not None} for value in values))).axes[0]
@@ -93,9 +81,3 @@ def test_the_whole_curve_of_flight_times_is_in_sight():
         "0 %",
         "+6 %",
     ]
-
-
-def test_settings_differ_without_colour():
-    looks = style.setting_looks(["golden", "fi", "dr_a", "dr_b", "dr_c", "dr_d"])
-    assert len({look["marker"] for look in looks.values()}) == len(looks)
-    assert style.setting_label("golden_gaussian") == "golden run + gaussian"

@@ -1,6 +1,5 @@
 """Tables in the terminal: no word is broken, nothing is lost, at any width that holds the longest word."""
 
-from collections import Counter
 from io import StringIO
 
 import pytest
@@ -31,24 +30,6 @@ def test_no_word_is_broken(width):
     words = shown.split()
     for cell in (*(column.heading for column in TABLE.columns), *(cell for row in TABLE.rows for cell in row)):
         assert set(cell.split()) <= set(words), cell
-
-
-def test_columns_that_do_not_fit_stand_below_with_the_first_one_again():
-    assert printed(TABLE, 62).split().count("pid") == 3, "once in each block"
-    assert printed(TABLE, 140).split().count("pid") == 1
-
-
-def test_nothing_is_lost_in_a_narrow_terminal():
-    table = Table.of_text("Lines", ("kernel", "run"), [("collision_check", RUN)], ())
-    shown = printed(table, 40)
-    assert max(map(len, shown.splitlines())) <= 40
-    held = "".join((table.title, "kernel", "run", "collision_check", RUN))
-    assert letters(shown) >= letters(held)
-
-
-def letters(text):
-    """How often each letter and digit is there."""
-    return Counter(filter(str.isalnum, text))
 
 
 def test_rows_that_begin_alike_are_grouped():

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.flight.compose import new_loop, resolve
+from mavfi.flight.compose import resolve
 from mavfi.flight.fast_forward import FastForward
 from mavfi.flight.fly import fly
 from mavfi.flight.forks import FromTakeOff
 from mavfi.mission import MissionSpec
 from mavfi.sim.cascade import Cascade
-from mavfi.sim.controller import find_controller
 from mavfi.sim.engine import GRAVITY
 from mavfi.sim.simulator import Simulator
 from tests.core.unit.sim.flights import open_world, scenario
@@ -90,19 +89,6 @@ def test_a_controller_is_called_once_per_period_with_the_state_and_the_command_i
     assert forces[-1][2] > GRAVITY  # it climbs
 
 
-@pytest.mark.parametrize(("thrust", "acceleration"), [(np.inf, "full"), (np.nan, "fall"), (-5.0, "fall")])
-def test_rotor_commands_are_limited_as_by_an_esc(thrust, acceleration, monkeypatch):
-    monkeypatch.setattr(Fast, "thrust", thrust)
-    one = flight("Fast")
-    one.advance(100_000)
-    airframe = one._airframe
-    wanted = 4.0 * airframe.max_thrust / airframe.mass - GRAVITY if acceleration == "full" else -GRAVITY
-    one_ms = one.odometry[5]
-    one.advance(104_000)
-    assert (one.odometry[5] - one_ms) / 0.004 == pytest.approx(wanted, rel=0.05)
-    assert np.isfinite(one.odometry).all()
-
-
 @pytest.mark.parametrize(
     ("name", "text"),
     [
@@ -138,8 +124,3 @@ def test_the_controller_is_released_when_the_flight_ends(monkeypatch):
     monkeypatch.setattr(Fast, "close", lambda self: released.append(self))
     fly(resolve(MissionSpec(flight_controller=f"{HERE}:Fast")))  # full thrust: it flies away
     assert len(released) == 1
-
-
-def test_every_shipped_name_is_found():
-    assert find_controller("cascade") is Cascade
-    assert isinstance(new_loop(resolve(MissionSpec())).plant.controller, Cascade)

@@ -5,7 +5,7 @@ import numpy as np
 
 from mavfi.sim.environments.generated import cuboids
 from mavfi.sim.scene import build_model
-from tests.core.unit.sim.flights import room, scenario
+from tests.core.unit.sim.flights import scenario
 
 
 def test_the_model_carries_the_airframe_and_the_boxes():
@@ -16,7 +16,3 @@ def test_the_model_carries_the_airframe_and_the_boxes():
     np.testing.assert_array_equal(model.body_inertia[1], scenario().vehicle.inertia)
     np.testing.assert_allclose(model.geom_pos[1:-1] - model.geom_size[1:-1], world.lower, atol=1e-12)
     assert model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-
-
-def test_a_world_of_voxels_leaves_the_body_alone():
-    assert build_model(room(), scenario("small_quad").vehicle).ngeom == 1

@@ -68,30 +68,6 @@ def test_a_command_that_is_not_finite_is_refused_and_the_last_one_held(value, fi
     np.testing.assert_array_equal(flight.odometry, twin.odometry)
 
 
-@pytest.mark.parametrize("size", (1e30, 1e300, np.finfo(float).max))
-@pytest.mark.parametrize("field", range(5))
-def test_huge_commands_are_harmless(size, field):
-    flight = simulator()
-    for sign in (1.0, -1.0):
-        command = [0.5, 0.5, 0.0, 0.0, 1.0]
-        command[field] = sign * size
-        flight.command(np.array(command[:4]), command[4])
-        flight.advance(flight.time_us + 1_000_000)
-        assert np.isfinite(flight.odometry).all()
-        assert np.linalg.norm(flight.odometry[3:6]) < 1.4 * 3.0 and abs(flight.odometry[12]) < 2.5
-    assert flight.warnings() == [] and flight.rejected_commands == 0
-
-
-def test_a_command_above_the_limit_keeps_its_direction():
-    wide, limited = simulator(v_max=3.0), simulator(v_max=3.0)
-    norm = math.sqrt(3.0)
-    wide.command(np.array([1e300, 1e300, -1e300, 0.0]), 1.0)
-    limited.command(np.array([3.99 / norm, 3.99 / norm, -3.99 / norm, 0.0]), 1.0)
-    for flight in (wide, limited):
-        flight.advance(800_000)
-    np.testing.assert_allclose(wide.odometry, limited.odometry, atol=1e-9)
-
-
 def test_a_command_expires_to_hover():
     flight = simulator()
     flight.command(np.array([3.0, 0.0, 0.0, 1.0]), 1.0)
@@ -102,35 +78,12 @@ def test_a_command_expires_to_hover():
     assert flight.odometry[12] == pytest.approx(0.0, abs=1e-3)
 
 
-@pytest.mark.parametrize("duration", (0.0, -1.0, -1e300))
-def test_a_command_without_duration_is_hover(duration):
-    flight, hovering = simulator(), simulator()
-    flight.command(np.array([3.0, 0.0, 0.0, 1.0]), duration)
-    for each in (flight, hovering):
-        each.advance(400_000)
-    np.testing.assert_array_equal(flight.odometry, hovering.odometry)
-
-
 def test_touching_a_box_is_a_collision_and_stays_one():
     flight = simulator(open_world(5.0, lower=[(5.0, -2.0, 0.0)], upper=[(7.0, 2.0, 9.0)]))
     rows = fly(flight, (3.0, 0.0, 0.0, 0.0), 4.0)
     assert flight.collided
     assert rows[:, 0].max() == pytest.approx(5.0 - 0.35, abs=0.05)
     fly(flight, (-3.0, 0.0, 0.0, 0.0), 1.0)
-    assert flight.collided
-
-
-def test_passing_a_box_by_a_hand_is_none():
-    flight = simulator(open_world(5.0, lower=[(5.0, 0.45, 0.0)], upper=[(7.0, 2.0, 9.0)]))
-    assert fly(flight, (3.0, 0.0, 0.0, 0.0), 5.0)[-1, 0] > 9.0
-    assert not flight.collided
-
-
-def test_touching_the_ground_is_a_collision():
-    flight = simulator(open_world(2.0))
-    fly(flight, (0.0, 0.0, -1.0, 0.0), 1.0)
-    assert not flight.collided
-    fly(flight, (0.0, 0.0, -1.0, 0.0), 2.0)
     assert flight.collided
 
 
@@ -159,14 +112,6 @@ def test_a_restored_snapshot_continues_bit_by_bit(world):
         assert restored.time_us == 800_000 and restored.rejected_commands == 1
         assert trace(restored) == expected
         assert restored.collided is collided
-
-
-def test_a_snapshot_is_not_changed_by_flying_on():
-    flight = simulator()
-    saved = flight.snapshot()
-    before = saved.physics.tobytes() + saved.odometry.tobytes() + saved.imu.bias.tobytes()
-    trace(flight)
-    assert saved.physics.tobytes() + saved.odometry.tobytes() + saved.imu.bias.tobytes() == before
 
 
 @given(st.lists(st.tuples(*[st.floats(width=64)] * 5), min_size=1, max_size=4))

@@ -7,7 +7,7 @@ import pytest
 
 from mavfi.config import VehicleConfig, shipped
 from mavfi.numerics.rotations import yaw_of
-from mavfi.sim.cascade import MEMORY_SIZE, STEP, mix_rotors, wanted_thrust
+from mavfi.sim.cascade import mix_rotors
 from mavfi.sim.engine import GRAVITY
 from mavfi.sim.vehicle import airframe_of, apply_forces
 from tests.core.unit.sim.flights import fly, open_world, simulator
@@ -30,9 +30,7 @@ def test_hover_stays_put(vehicle):
 
 @pytest.mark.parametrize("vehicle", VEHICLES)
 @pytest.mark.parametrize("yaw_rate", (0.0, 2.0))
-@pytest.mark.parametrize(
-    "velocity", ((3.0, 0.0, 0.0), (0.0, -3.0, 0.0), (0.0, 0.0, 1.5), (0.0, 0.0, -1.5), (2.0, 2.0, 0.5))
-)
+@pytest.mark.parametrize("velocity", ((3.0, 0.0, 0.0), (0.0, 0.0, -1.5), (2.0, 2.0, 0.5)))
 def test_velocity_steps_settle_cleanly(vehicle, velocity, yaw_rate):
     rows = fly(simulator(vehicle=vehicle), (*velocity, yaw_rate), 5.0)
     size = np.linalg.norm(velocity)
@@ -42,19 +40,6 @@ def test_velocity_steps_settle_cleanly(vehicle, velocity, yaw_rate):
     assert along.max() < 1.10 * along[-1]
     assert 0.3 < 0.02 * np.argmax(along > 0.632 * along[-1]) < 0.5
     assert np.abs(across[-1]).max() < 0.02 * size and np.abs(across).max() < 0.1 * size + 0.05
-
-
-def test_a_ramp_is_followed_with_the_lag_of_the_velocity_gain():
-    flight = simulator()
-    for tick in range(150):
-        flight.command(np.array([0.02 * tick, 0.0, 0.0, 0.0]), 1.0)
-        flight.advance((tick + 1) * 20_000)
-    lag = 0.02 * 149.5 - flight.odometry[3]
-    assert lag == pytest.approx(1.0 / 2.5, abs=0.03)
-
-
-def test_a_speed_above_the_setpoint_limit_is_not_flown():
-    assert fly(simulator(v_max=3.0), (40.0, 0.0, 0.0, 0.0), 6.0)[-1, 3] < 1.33 * 3.0
 
 
 def test_the_heading_follows_the_yaw_rate_and_is_held():
@@ -88,24 +73,6 @@ def test_rotors_saturate_within_what_they_can_give(thrust, torque):
     frame, wanted = airframe(), np.empty(4)
     mix_rotors(frame, thrust, torque, wanted)
     assert (wanted >= 0.0).all() and (wanted <= frame.max_thrust).all()
-
-
-def test_roll_keeps_its_authority_when_thrust_and_yaw_saturate():
-    frame, wanted, forces = airframe(), np.empty(4), np.empty(6)
-    mix_rotors(frame, 1e3, (0.1, 0.0, 1e3), wanted)
-    apply_forces(frame, wanted, np.zeros(3), np.eye(3), forces)
-    assert forces[3] == pytest.approx(0.1)
-
-
-def test_a_level_vehicle_at_its_setpoint_wants_its_weight():
-    frame = airframe()
-    force = wanted_thrust(frame, np.zeros(MEMORY_SIZE), np.zeros(4), np.zeros(3))
-    np.testing.assert_array_equal(force, (0.0, 0.0, GRAVITY))
-
-
-def test_rotors_lag_by_their_time_constant():
-    assert airframe(rotor_time_constant=0.005).rotor_step == pytest.approx(1.0 - math.exp(-STEP / 0.005))
-    assert airframe(rotor_time_constant=0.0).rotor_step == 1.0
 
 
 def test_free_fall_and_terminal_speed_follow_the_closed_form():

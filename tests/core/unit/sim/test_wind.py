@@ -9,7 +9,6 @@ from mavfi.config import VehicleConfig, WindConfig, parse, shipped
 from mavfi.errors import BadInputError
 from mavfi.sim.engine import GRAVITY
 from mavfi.sim.simulator import Simulator
-from mavfi.sim.vehicle import airframe_of, apply_forces
 from mavfi.sim.wind import Weather, Wind, wind_at
 from tests.core.unit.sim.flights import fly, open_world, scenario
 
@@ -33,18 +32,12 @@ def in_wind(**figures):
 def test_a_gust_is_one_minus_cosine():
     wind = Wind(np.array([1.0, 0.0, 0.0]), np.array([[2.0, 4.0, 0.0, 3.0, -0.5], [8.0, 1.0, 5.0, 0.0, 0.0]]))
     peak = np.array([0.0, 3.0, -0.5])
-    for time, share in ((1.9, 0.0), (2.0, 0.0), (3.0, 0.5), (4.0, 1.0), (5.0, 0.5), (6.0, 0.0), (7.0, 0.0)):
-        np.testing.assert_allclose(air(wind, time), (1.0, 0.0, 0.0) + share * peak, atol=1e-12)
+    for time in (1.9, 7.0, math.nan):
+        np.testing.assert_array_equal(air(wind, time), (1.0, 0.0, 0.0))
     for time in np.linspace(2.0, 6.0, 17):
         share = 0.5 * (1.0 - math.cos(math.pi * (time - 2.0) / 2.0))
         np.testing.assert_allclose(air(wind, time), (1.0, 0.0, 0.0) + share * peak, atol=1e-12)
     np.testing.assert_allclose(air(wind, 8.5), (6.0, 0.0, 0.0), atol=1e-12)
-
-
-@pytest.mark.parametrize("time", [math.nan, -1.0, -math.inf, math.inf])
-def test_before_and_after_all_gusts_there_is_the_mean(time):
-    wind = Wind(np.array([1.0, 2.0, 0.0]), np.array([[2.0, 4.0, 0.0, 3.0, -0.5]]))
-    np.testing.assert_array_equal(air(wind, time), (1.0, 2.0, 0.0))
 
 
 def test_gusts_have_the_stated_amplitude_calm_and_length():
@@ -67,19 +60,6 @@ def test_wind_is_a_function_of_seed_and_time_however_it_is_asked_for():
     assert len(weather().until(1e6).gusts) == 0 and not air(weather().until(5.0), 5.0).any()
 
 
-@pytest.mark.slow
-def test_a_body_that_only_feels_drag_takes_the_speed_of_the_wind_on():
-    """m v' = c (w - v)^2 has the solution w - v = w / (1 + c w t / m)."""
-    airframe = airframe_of(VEHICLE)
-    wind, velocity, force, dt = 12.0, 0.0, np.zeros(6), 0.01
-    for step in range(1, 200_001):
-        apply_forces(airframe, np.zeros(4), np.array([velocity - wind, 0.0, 0.0]), np.eye(3), force)
-        velocity += force[0] / VEHICLE.mass * dt
-        if step in (1_000, 10_000, 200_000):
-            assert wind - velocity == pytest.approx(wind / (1.0 + VEHICLE.drag[0] * wind * dt * step), rel=1e-2)
-    assert velocity == pytest.approx(wind, abs=0.1)
-
-
 @pytest.mark.parametrize("mean", [8.0, 15.0])
 def test_hover_in_a_steady_wind_drifts_and_leans_until_the_forces_balance(mean):
     """There is no integrator in x and y: m k v = c (w - v)^2, and the lean is the drag over the weight."""
@@ -95,46 +75,12 @@ def test_hover_in_a_steady_wind_drifts_and_leans_until_the_forces_balance(mean):
     np.testing.assert_allclose(np.linalg.norm(flight.imu()[:3]), GRAVITY, atol=0.15)
 
 
-def test_the_velocity_of_the_air_is_what_drag_acts_on():
-    """In wind, a vehicle that flies with the air feels what it feels at rest in calm air."""
-    mean = (4.0, 0.0, 0.0)
-    still, carried = (
-        Simulator(open_world(), scenario(v_max=6.0)),
-        Simulator(open_world(), scenario(v_max=6.0).model_copy(update={"wind": WindConfig(mean=mean)})),
-    )
-    at_rest = fly(still, (0.0, 0.0, 0.0, 0.0), 8.0)
-    with_it = fly(carried, (*mean, 0.0), 8.0)
-    np.testing.assert_allclose(with_it[-1, 3:] - (*mean, *[0.0] * 7), at_rest[-1, 3:], atol=5e-3)
-
-
-def test_a_flight_in_wind_continues_from_a_snapshot_bit_by_bit():
-    flight, other = in_wind(gust=9.0, interval=1.0), in_wind(gust=9.0, interval=1.0)
-    fly(flight, (2.0, 0.0, 0.0, 0.0), 6.0)
-    snapshot = flight.snapshot()
-    first = fly(flight, (0.0, 1.0, 0.0, 0.0), 8.0)
-    other.restore(snapshot)
-    np.testing.assert_array_equal(fly(other, (0.0, 1.0, 0.0, 0.0), 8.0), first)
-    calm = Simulator(open_world(), scenario())
-    calm.restore(snapshot)
-    assert (fly(calm, (0.0, 1.0, 0.0, 0.0), 8.0) != first).any()
-
-
-def test_in_wind_it_does_not_matter_how_often_time_is_advanced():
-    fine, coarse = in_wind(gust=9.0, interval=0.5), in_wind(gust=9.0, interval=0.5)
-    for tick in range(1, 1001):
-        fine.advance(4_000 * tick)
-    coarse.advance(4_000_000)
-    np.testing.assert_array_equal(fine.odometry, coarse.odometry)
-
-
 @pytest.mark.parametrize(
     "data",
     [
-        {"gust": -1.0},
         {"gust": 31.0},
         {"gust": math.nan},
         {"mean": (30.0, 1.0, 0.0)},
-        {"interval": 0.0},
         {"length": 0.0},
         {"speed": 1.0},
     ],

@@ -1,6 +1,3 @@
-import errno
-import gc
-import itertools
 import os
 import signal
 import subprocess
@@ -10,11 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from mavfi.campaign.executors import process as process_module
 from mavfi.campaign.executors.executor import Done, Lost, map_each
 from mavfi.campaign.executors.local import MOST_WORKERS, LocalExecutor
-from mavfi.campaign.executors.process import Worker
-from mavfi.errors import BadInputError, MachineError, MavfiError
+from mavfi.campaign.executors.process import Raised, Worker
+from mavfi.errors import BadInputError, MavfiError
 
 
 def count_to(number):
@@ -24,6 +20,11 @@ def count_to(number):
 def process(number):
     yield os.getpid()
     yield os.getpid()
+
+
+def explode(number):
+    yield number
+    raise ZeroDivisionError(number)
 
 
 class PrivateError(Exception):
@@ -157,14 +158,11 @@ def test_absurd_numbers_of_workers_are_refused_before_any_is_forked():
             LocalExecutor(number)
 
 
-def test_there_are_never_more_workers_than_missions(monkeypatch):
-    made, really = [], Worker.forked
-    monkeypatch.setattr(Worker, "forked", lambda function, others: made.append(function) or really(function, others))
-    assert flat(LocalExecutor(MOST_WORKERS).map(count_to, [1])) == [(1, 0), (1, Done())]
-    assert len(made) == 1
-
-
-def test_an_exception_that_cannot_be_sent_comes_through_as_text():
+def test_an_exception_comes_through_as_text_if_it_cannot_be_sent():
+    results = LocalExecutor(1).map(explode, [1])
+    assert next(results) == (1, [1]), "what was given before comes through first"
+    with pytest.raises(ZeroDivisionError):
+        next(results)
     with pytest.raises((MavfiError, PrivateError), match="1 and 2"):  # itself where Dask, once imported, can send it
         flat(LocalExecutor(1).map(explode_privately, [1]))
     with pytest.raises((AttributeError, MavfiError), match="lambda"):
@@ -237,60 +235,6 @@ def test_map_each_says_what_was_lost():
         list(map_each(LocalExecutor(1), exit_hard, ["seven"]))
 
 
-KEPT = []
-
-
-def hoard(number):
-    """Leaves a hole in the heap: what is allocated last is kept."""
-    yield int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    blocks: list = [bytes(1000) for _ in range(100_000)]
-    KEPT.append(bytes(1000))
-    blocks.append(blocks)  # a cycle, as flights have
-
-
-def test_memory_that_a_mission_leaves_free_is_given_back():
-    first, *_, last = [item for item in singly(LocalExecutor(1).map(hoard, range(4))) if not isinstance(item, Done)]
-    assert last - first < 20e6
-
-
-def test_a_worker_does_not_collect_what_it_inherited():
-    """A collection writes to each object that it looks at, and so copies the parent's memory."""
-    inherited = [object()]
-
-    def looked_at(number):
-        yield any(one is inherited for one in gc.get_objects())
-
-    assert any(one is inherited for one in gc.get_objects())
-    assert next(singly(LocalExecutor(1).map(looked_at, [1]))) is False
-
-
-class NoMemory:
-    """A pipe that takes no more after so many items: the machine has no memory for it."""
-
-    def __init__(self, pipe, items):
-        self.pipe, self.items = pipe, items
-
-    def recv(self):
-        return self.pipe.recv()
-
-    def send_bytes(self, data):
-        self.items -= 1
-        if self.items < 0:
-            raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
-        self.pipe.send_bytes(data)
-
-
-@pytest.mark.parametrize("items", [0, 3])
-def test_a_worker_that_cannot_send_is_a_failure_of_the_machine(monkeypatch, capfd, items):
-    fly_all = process_module._fly_all
-    monkeypatch.setattr(process_module, "_fly_all", lambda pipe, function: fly_all(NoMemory(pipe, items), function))
-    results = singly(LocalExecutor(1).map(count_to, [3]))
-    assert list(itertools.islice(results, items)) == list(range(items))
-    with pytest.raises(MachineError, match="a worker could not send what it had"):
-        next(results)
-    assert capfd.readouterr().err == ""
-
-
 def short_of_memory(number):
     yield number
     raise MemoryError
@@ -302,3 +246,35 @@ def test_a_mission_without_memory_is_reported_as_such(capfd):
     with pytest.raises(MemoryError):
         next(results)
     assert capfd.readouterr().err == ""
+
+
+def items(worker):
+    found = worker.take()
+    while not isinstance(found[-1], (Done, Raised)):
+        found += worker.take()
+    return found
+
+
+@pytest.mark.slow
+def test_it_takes_one_mission_after_the_other(monkeypatch, request):
+    monkeypatch.setenv("PYTHONPATH", str(request.config.rootpath), prepend=":")
+    worker = Worker.started(count_to)
+    try:
+        for number in (3, 0, 2):
+            worker.give(number)
+            assert items(worker) == [*range(number), Done()]
+    finally:
+        worker.end()
+
+
+@pytest.mark.slow
+def test_what_it_cannot_import_is_an_error(monkeypatch):
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    monkeypatch.chdir("/")
+    worker = Worker.started(count_to)
+    try:
+        worker.give(1)
+        [raised] = items(worker)
+        assert "workers cannot import what they should call: No module named 'tests'" in str(raised.error)
+    finally:
+        worker.end()

@@ -68,18 +68,6 @@ def raising(values, i):
     return values[i % len(values)] * 2.0
 
 
-@kernel_jit
-def masking(a, b, i, j):
-    """Lines of different lengths, and of different rates: what comes after the point is dropped, and high bits are."""
-    product = a * b + a * a * b - b * b * a + a * b * b * b
-    whole = math.floor(product)
-    low = (i * j) & 7
-    return whole * 0.5 + low
-
-
-MASKING = (1.7, -2.3, 7, 12)
-
-
 def closure(factor):
     """A kernel that encloses a value."""
 

@@ -1,22 +1,16 @@
 """The memory of an injected call: what it gets, what it may access, and what it leaves."""
 
 from collections import namedtuple
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from mavfi.faults.levels import instruction
-from mavfi.faults.levels.instruction.accesses import accesses_of, size_of
+from mavfi.faults.levels.instruction.accesses import accesses_of
 from mavfi.faults.levels.instruction.api import digest
-from mavfi.faults.levels.instruction.arena import _ARGUMENTS, BASE, LINE, SIZE, _plan, arena
-from mavfi.faults.levels.instruction.build import assemble
-from mavfi.faults.levels.instruction.instrument import instrument
-from mavfi.faults.levels.instruction.variant import Variant, signature_of, variant_for
-from mavfi.ir.build import source_of
-from mavfi.ir.forked import WILD, run_in_child
+from mavfi.faults.levels.instruction.arena import BASE, SIZE, arena
+from mavfi.faults.levels.instruction.variant import variant_for
+from mavfi.ir.forked import WILD
 from mavfi.ir.parser import Cursor, parse_instruction, tokens_of
 from mavfi.numerics.jit import kernel_jit
 from tests.core.unit.faults.instruction.kernels import solved
@@ -68,19 +62,6 @@ def test_other_arguments_are_not_placed(value):
     assert arena().place((1.0, (value,))) is None
 
 
-@given(st.lists(st.tuples(st.integers(0, 500), st.integers(0, 120)), max_size=8))
-def test_ranges_are_apart_and_hold_every_array_where_they_overlap(pairs):
-    bounds = [(low, low + size) for low, size in pairs]
-    ranges, free = _plan(bounds)
-    assert [there % LINE for _, there, _ in ranges] == [0] * len(ranges)
-    ends = [_ARGUMENTS, *(there + size for _, there, size in ranges)]
-    assert all(there >= end for (_, there, _), end in zip(ranges, ends[:-1], strict=True)) and free >= ends[-1]
-    for low, high in bounds:
-        holders = [here for here, _, size in ranges if here <= low and high <= here + size]
-        assert len(holders) == 1 or low == high
-    assert sum(size for *_, size in ranges) == len({at for low, high in bounds for at in range(low, high)})
-
-
 # ---- accesses -------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("text", "wanted"),
@@ -101,14 +82,6 @@ def test_ranges_are_apart_and_hold_every_array_where_they_overlap(pairs):
 def test_accesses_of_an_instruction(text, wanted):
     found = accesses_of(parse_instruction(Cursor(tokens_of(text, "kernel"), "kernel")))
     assert [(a.pointer, a.size, *((a.mask, a.lanes) if a.lanes else ())) for a in found] == wanted
-
-
-@pytest.mark.parametrize(
-    ("kind", "size"),
-    [("i1", 1), ("i60", 8), ("ptr", 8), ("float", 4), ("[3 x double]", 24), ("{ i8, i64 }", 16), ("{ i32, i8 }", 8)],
-)
-def test_sizes_in_memory(kind, size):
-    assert size_of(kind) == size
 
 
 # ---- calls ----------------------------------------------------------------------------------------------------------
@@ -140,22 +113,6 @@ def test_an_address_is_planned_and_wild_ones_crash():
             assert call.how != "crash" or call.detail == WILD
         assert call.injection.details["replayable"]
     assert {call.how for call in calls} >= {"crash", "sdc", "masked"}
-
-
-def test_without_the_checks_wild_accesses_leave_the_arena():
-    """The mutant that the test above would catch."""
-    args = arguments()
-    faults = (replace(fault, bits=(40,)) for fault in drawn("opcode:getelementptr"))
-    fault = next(fault for fault in faults if instruction.run_forked(shifted, fault, *args).detail == WILD)
-    source = source_of(shifted, signature_of(args))
-    made = instrument(source.text, source.kernel)
-    shifted(*args)
-    checked = "br i1 %wild, label %stop, label %fine"
-    assert made.text.count(checked) == 1
-    built = assemble(replace(made, text=made.text.replace(checked, "br label %fine")), source)
-    variant = Variant(built, shifted.overloads[signature_of(args)].environment)
-    ended = run_in_child(lambda: bytes(variant.inject(fault.index, *fault.masks, 10**6, *args).size))
-    assert (ended.how, ended.detail) != ("crash", WILD)
 
 
 def test_a_kernel_whose_memory_belongs_to_a_library_is_not_replayable():

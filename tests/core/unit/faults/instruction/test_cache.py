@@ -7,7 +7,7 @@ import numba
 import pytest
 
 from mavfi.faults.levels.instruction import BuildError, build
-from mavfi.faults.levels.instruction.build import Built, cached_build
+from mavfi.faults.levels.instruction.build import cached_build
 from mavfi.ir import sources as object_cache
 from tests.core.unit.faults.instruction.kernels import closure
 
@@ -71,14 +71,6 @@ def test_a_second_look_builds_nothing(folder, builds, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_change_in_a_callee_is_seen(folder, builds, tmp_path):
-    first = cached_build(load(tmp_path / "cached_b.py", 2.0), FLOAT)
-    second = cached_build(load(tmp_path / "cached_b.py", 30.0), FLOAT)
-    assert builds == ["kernel", "kernel"]
-    assert first.ir_sha256 != second.ir_sha256
-
-
-@pytest.mark.slow
 def test_an_edited_file_makes_an_entry_void_even_if_the_loaded_code_is_the_same(folder, builds, tmp_path):
     kernel = load(tmp_path / "cached_c.py", 2.0)
     cached_build(kernel, FLOAT)
@@ -100,15 +92,6 @@ def test_damaged_entries_are_built_again(folder, builds, tmp_path):
         assert entry.read_bytes()[:32] == data[:32]
 
 
-@pytest.mark.slow
-def test_without_a_folder_there_is_no_cache(monkeypatch, builds, tmp_path):
-    (tmp_path / "file").write_text("")
-    monkeypatch.setattr(object_cache, "code_folder", lambda: tmp_path / "file")
-    kernel = load(tmp_path / "cached_e.py", 2.0)
-    cached_build(kernel, FLOAT), cached_build(kernel, FLOAT)
-    assert builds == ["kernel", "kernel"]
-
-
 def test_rewritten_code_depends_on_the_text_of_the_package_that_rewrites_it(folder, monkeypatch, tmp_path):
     kernel, built, names = closure(2.0), build.build(closure(2.0), FLOAT), []
     monkeypatch.setattr(build, "build", lambda *_: names.append("built") or built)
@@ -120,22 +103,9 @@ def test_rewritten_code_depends_on_the_text_of_the_package_that_rewrites_it(fold
     assert len(names) == 2
 
 
-def test_an_entry_survives_packing(tmp_path):
-    built = build.build(closure(2.0), FLOAT)
-    assert Built.unpack(built.pack()) == built
-
-
 def test_a_compiler_that_dies_is_reported(monkeypatch):
     import os
 
     monkeypatch.setattr(build, "translate", lambda text: os.abort())
     with pytest.raises(BuildError, match="scaled: the compiler ended with SIGABRT"):
         build.build(closure(2.0), FLOAT)
-
-
-@pytest.mark.slow
-def test_the_digest_does_not_depend_on_what_was_compiled_before(tmp_path):
-    kernel = load(tmp_path / "cached_f.py", 2.0)
-    first = build.build(kernel, FLOAT)
-    closure(1.0)(1.0), kernel(1.0)
-    assert build.build(kernel, FLOAT).ir_sha256 == first.ir_sha256

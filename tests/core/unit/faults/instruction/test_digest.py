@@ -8,14 +8,12 @@ import sys
 import numba
 import pytest
 
-from mavfi.faults.levels.instruction import NotInstrumentableError
 from mavfi.faults.levels.instruction.build import build
 from mavfi.faults.levels.instruction.instrument import instrument
 from mavfi.ir import build as building
 from mavfi.ir.forked import ChildEnd
 from mavfi.ir.module import BuildError, digest_of_text
 from mavfi.numerics.jit import kernel_jit, uncached_copy
-from tests.core.unit.faults.instruction.test_refusals import calling
 from tests.core.unit.kernels.cases import CASES
 
 COMPILE = """
@@ -110,12 +108,6 @@ def test_a_kernel_that_another_process_would_not_find_is_prepared_in_a_fork():
 @kernel_jit
 def doubled(x):
     return 2.0 * x
-
-
-@pytest.mark.slow
-def test_a_kernel_is_refused_from_a_fresh_process_as_from_a_fork():
-    with pytest.raises(NotInstrumentableError, match=r"calling: cannot be instrumented: fast math \('fast'"):
-        build(calling, (numba.float64,))
 
 
 @pytest.mark.slow

@@ -1,7 +1,6 @@
 """Every fault does exactly what was planned: as by hand, as an interpreter has it; wrong injectors are caught."""
 
 import functools
-import math
 import re
 from dataclasses import replace
 
@@ -11,7 +10,6 @@ import pytest
 
 from mavfi.faults.levels.instruction.build import assemble
 from mavfi.faults.levels.instruction.instrument import instrument
-from mavfi.faults.levels.instruction.runtime import ControlWord
 from mavfi.faults.levels.instruction.variant import Variant
 from mavfi.ir.build import source_of
 from mavfi.ir.forked import run_in_child
@@ -90,30 +88,6 @@ def test_every_fault_in_a_straight_kernel_is_as_by_hand():
             assert same(wanted, got), (site, bit)
 
 
-def test_lines_and_classes_of_a_straight_kernel():
-    sites = {site.opcode: site for site in variant_for(straight, STRAIGHT).table.blocks[0]}
-    first = straight.py_func.__code__.co_firstlineno + 1
-    assert {name: site.line - first for name, site in sites.items()} == {
-        "fmul": 1,
-        "fadd": 2,
-        "add": 3,
-        "mul": 4,
-        "call": 5,
-        "sitofp": 5,
-        "fdiv": 5,
-    }
-    assert {site.value_class for site in sites.values()} == {"floating_point", "integer"}
-    assert sites["add"].file.endswith("tests/core/unit/faults/instruction/kernels.py")
-
-
-def test_variables_and_classes_of_a_loop():
-    sites = [site for block in variant_for(loop, LOOP).table.blocks for site in block]
-    assert {"s", "k"} <= {site.variable for site in sites} <= {"s", "k", "i", None}
-    assert {site.value_class for site in sites if site.opcode in ("fcmp", "icmp")} == {"control"}
-    assert {site.value_class for site in sites} == {"control", "floating_point", "integer"}
-    assert all(site.line > 0 for site in sites)
-
-
 # ---- a loop with integers, floats and branches ----------------------------------------------------------------------
 def test_the_trace_is_that_of_the_interpreter(trace):
     variant = variant_for(loop, LOOP)
@@ -172,39 +146,6 @@ def test_a_fault_beyond_the_end_is_not_hit(trace):
     assert report.before ^ report.after == 1 << 63
 
 
-def test_values_before_and_after_are_those_that_were_there(oracle, trace):
-    variant = variant_for(loop, LOOP)
-    for index in range(0, len(trace), 7):
-        if oracle.run(LOOP, (index, 0), budget(trace)) == HANG:
-            continue
-        injected(variant, LOOP, index, 0, budget(trace))
-        report = variant.report()
-        assert (report.site.opcode, report.site.kind) == trace[index]
-        assert report.before ^ report.after == 1
-    last = [index for index, (op, _) in enumerate(trace) if op == "fadd"][-1]
-    injected(variant, LOOP, last, 0)
-    assert math.isclose(np.array(variant.report().before, np.uint64).view(float), loop(*LOOP))
-
-
-@pytest.mark.parametrize(("keep", "flip", "after"), [(0, 0, 0), (0, 0x1234, 0x1234), (KEEP_ALL, 0b1010, None)])
-def test_other_fault_models_change_the_value_as_planned(trace, keep, flip, after):
-    variant = variant_for(loop, LOOP)
-    index = next(index for index, (op, _) in enumerate(trace) if op == "uitofp")
-    variant.inject(index, keep, flip, 10**9, *LOOP)
-    report = variant.report()
-    assert report.after == (report.before ^ flip if after is None else after)
-
-
-# ---- wrong injectors ------------------------------------------------------------------------------------------------
-def next_bit(text):
-    return re.sub(
-        r"^  (%t\d+) = xor (i\d\d) (%t\d+), (%t\d+)$",
-        r"  \1.m = shl \2 \4, 1\n  \1 = xor \2 \3, \1.m",
-        text,
-        flags=re.MULTILINE,
-    )
-
-
 def next_index(text):
     return re.sub(
         r"^(  %t\d+ = icmp eq i64 %t\d+, )(\d+)$", lambda m: f"{m[1]}{int(m[2]) + 1}", text, flags=re.MULTILINE
@@ -215,28 +156,7 @@ def never(text):
     return re.sub(r"^(  %t\d+ = select i1) %t\d+(, i\d+)", r"\1 false\2", text, flags=re.MULTILINE)
 
 
-def injected_again(text, still):
-    """An injector that stays armed after its injection, as long as `still` (IR that sets %still) says so."""
-    leave = "br i1 %over, label %exhausted, label %located\n"
-    assert text.count(leave) == 1
-    more = f"armed:\n{still}\n  br i1 %still, label %again, label %located\nagain:\n  ret i64 0\n"
-    return text.replace(leave, f"br i1 %over, label %exhausted, label %armed\n{more}")
-
-
-def word(control):
-    return f"ptr getelementptr (i8, ptr @mavfi_control, i64 {8 * control})"
-
-
-def sticky(text):
-    return injected_again(text, "  %still = icmp ne i64 %done, 0")
-
-
-def twice(text):
-    first = "  %still = icmp eq i64 %done, 1\n"
-    return injected_again(text, f"{first}  store volatile i64 2, {word(ControlWord.INJECTED)}")
-
-
-MUTANTS = {"bit + 1": next_bit, "index + 1": next_index, "never": never, "sticky": sticky, "twice": twice}
+MUTANTS = {"index + 1": next_index, "never": never}
 
 
 @pytest.fixture(scope="module")

@@ -7,18 +7,13 @@ import numba
 import numpy as np
 import pytest
 
-from mavfi.faults.levels.instruction import Profiling, resolve
+from mavfi.faults.levels.instruction import resolve
 from mavfi.faults.levels.instruction.api import digest
 from mavfi.faults.levels.instruction.instrument import instrument
 from mavfi.faults.levels.instruction.variant import variant_for
-from mavfi.flight.compose import resolve as scenario_of
-from mavfi.flight.fly import fly
 from mavfi.ir.module import width
 from mavfi.kernels.control import pid
-from mavfi.mission import MissionSpec
 from mavfi.numerics.jit import uncached_copy
-from mavfi.pipeline.functions import PLAIN
-from mavfi.states import INJECTABLE
 from tests.core.unit.kernels.cases import CASES
 
 COMPILED = {name: case for name, case in CASES.items() if hasattr(case.function, "py_func")}
@@ -108,59 +103,3 @@ def test_machine_code_is_as_without_line_tables():
     with_tables = assembly(uncached_copy(pid.track), signature_)
     assert len(with_tables) > 100
     assert with_tables == assembly(plain, signature_)
-
-
-# ---- whole flights --------------------------------------------------------------------------------------------------
-def counted_flight(scenario, names):
-    counting = {}
-
-    def make(name, function):
-        counting[name] = Profiling(function)
-        return counting[name]
-
-    return fly(scenario, functions=PLAIN.instrumented(names, make)), counting
-
-
-def test_the_table_that_is_handed_in_holds_the_kernels_themselves():
-    assert PLAIN.track is pid.track
-    assert PLAIN.instrumented((), lambda name, function: None) == PLAIN
-
-
-def short(planner="rrt_connect", autopilot="hardened", map_kind="dense"):
-    spec = MissionSpec(
-        environment="sparse",
-        seed=7,
-        autopilot=autopilot,
-        planner=planner,
-        map=map_kind,
-        goal=(9.0, 0.0, 3.0),
-        start=(2.0, 0.0, 3.0),
-    )
-    return scenario_of(spec)
-
-
-def test_a_counted_flight_is_the_golden_one():
-    golden, (flight, counting) = fly(short()), counted_flight(short(), INJECTABLE["pid"] + INJECTABLE["point_cloud"])
-    assert flight.log.digest() == golden.log.digest()
-    assert all(own.counts and min(own.counts) > 0 for own in counting.values())
-    assert all(len(set(own.digests)) == 1 for own in counting.values())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("planner", "autopilot", "map_kind"),
-    [
-        ("rrt_connect", "published", "dense"),
-        pytest.param("rrt_connect", "hardened", "octree", marks=pytest.mark.long),
-        pytest.param("rrt", "published", "dense", marks=pytest.mark.long),
-        pytest.param("rrt_star", "hardened", "dense", marks=pytest.mark.long),
-    ],
-)
-def test_every_kernel_counted_in_a_flight_changes_nothing(planner, autopilot, map_kind):
-    scenario = short(planner, autopilot, map_kind)
-    others = {"rrt", "rrt_connect", "rrt_star"} - {planner}
-    names = tuple({name for kernel, names in INJECTABLE.items() if kernel not in others for name in names})
-    flight, counting = counted_flight(scenario, names)
-    assert flight.log.digest() == fly(scenario).log.digest()
-    called = {name for name, own in counting.items() if own.counts}
-    assert all(called & set(names) for kernel, names in INJECTABLE.items() if kernel not in others)

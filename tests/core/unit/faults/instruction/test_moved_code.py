@@ -1,7 +1,6 @@
 """Code that is moved, renamed, commented and reformatted: no digest moves, and source lines are the new ones."""
 
 import importlib
-import json
 import sys
 
 import numba
@@ -13,7 +12,7 @@ from mavfi.faults.fault import InstructionFault
 from mavfi.faults.levels.instruction import count, draw, run_forked
 from mavfi.faults.levels.instruction.build import cached_build
 from mavfi.ir.sources import cached_shape
-from mavfi.record import End, FlightRecord, canonical, without_source
+from mavfi.record import End, FlightRecord
 
 FLOAT = (numba.float64,)
 HELPERS = """
@@ -132,17 +131,3 @@ def test_code_that_is_moved_renamed_commented_and_reformatted_has_the_same_diges
     assert {file for file, _ in lines[0]} == {"before/kernel.py", "before/helpers.py"}
     assert {file for file, _ in lines[1]} == {"a_longer_name/of_the_pipeline.py", "a_longer_name/arithmetic.py"}
     assert not {line for _, line in lines[0]} & {line for _, line in lines[1]}
-
-
-def test_records_without_source_lines_keep_all_else():
-    details = {"opcode": "fadd", "line_is_near": False, "inlined": ["a.py:3"], "variable": "x", "index": 7}
-    injection = {"level": "instruction", "file": "a.py", "line": 3, "site": "pid.track_pid", "details": details}
-    counts = {"pid": {"calls": 2, "lines": [["a.py", 3, 9]]}}
-    record = {"injections": [injection], "counts": counts, "digest": "d"}
-    assert json.loads(without_source(canonical(record))) == {
-        "injections": [{"level": "instruction", "site": "pid.track_pid", "details": {"opcode": "fadd", "index": 7}}],
-        "counts": {"pid": {"calls": 2}},
-        "digest": "d",
-    }
-    state = canonical({"injections": [{**injection, "level": "state"}], "digest": "d"})
-    assert without_source(state) == state

@@ -41,35 +41,21 @@ def arguments(function):
 
 @pytest.mark.parametrize("function", [collatz, first_above, fill])
 def test_counts_results_and_arguments_are_those_of_the_slow_path(function):
-    plain, fast, slow = (arguments(function) for _ in range(3))
+    plain, fast, again, slow = (arguments(function) for _ in range(4))
     result = function(*plain)
     variant = variant_for(function, fast)
-    again, times = variant.tally(*fast)
+    counted, times = variant.tally(*fast)
     oracle, wanted, _ = variant.profile(*slow)
-    assert digest((again, fast)) == digest((oracle, slow)) == digest((result, plain))
-    assert times.tolist() == wanted.tolist()
-    assert times.sum() > 0
-
-
-def test_the_counts_of_a_loop_are_those_of_the_interpreter():
-    steps = collatz.py_func(27)
-    variant = variant_for(collatz, (27,))
-    assert steps in variant.tally(27)[1]
-
-
-def test_each_call_is_counted_from_zero():
-    variant = variant_for(collatz, (27,))
-    assert variant.tally(27)[1].tolist() == variant.tally(27)[1].tolist()
+    assert digest((counted, fast)) == digest((oracle, slow)) == digest((result, plain))
+    assert times.tolist() == wanted.tolist() == variant.tally(*again)[1].tolist(), "each call is counted from zero"
+    if function is collatz:
+        assert collatz.py_func(27) in times
+        assert collatz.py_func(27) in {executions for _, executions in histogram(collatz, 27)}
 
 
 def test_a_call_that_raises_is_an_exception_as_without_counts():
     with pytest.raises(ValueError, match="none"):
         variant_for(first_above, arguments(first_above)).tally(np.zeros(3), 2.0)
-
-
-def test_executions_are_listed_by_site():
-    found = histogram(collatz, 27)
-    assert {times for _, times in found} >= {collatz.py_func(27)}
 
 
 @pytest.mark.parametrize(
@@ -78,12 +64,9 @@ def test_executions_are_listed_by_site():
         (np.zeros(3), 1.0),
         (np.zeros((3, 2))[:, 0], 1.0),
         (np.zeros((3, 2), np.float32), True),
-        (np.broadcast_to(0.0, 4), np.float32(1)),
         (1, "text"),
-        ((np.zeros(2, np.int8), 2.0), None),
         (-(1 << 63), (1 << 63) - 1),
         (1 << 63, True),
-        (False, 0),
     ],
 )
 def test_types_from_the_cache_are_numbas(args):

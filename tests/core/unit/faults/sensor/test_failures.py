@@ -60,13 +60,6 @@ def test_a_wrong_compass_turns_about_the_vertical():
     assert failures.fix(5, np.array([0.0, 0.0, 0.0, 3.0]))[3] == pytest.approx(3.0 - 1.5 * np.pi)
 
 
-def test_one_motor_of_four():
-    failures = Failures()
-    failures.begin(SensorFault("motor", "off", instance=2))
-    assert failures.rotors(5, THRUSTS, 8).tolist() == [1.0, 0.0, 3.0, 4.0]
-    assert THRUSTS.tolist() == [1.0, 2.0, 3.0, 4.0], "the commands of the controller stay"
-
-
 def test_failures_add_up_and_end():
     failures = Failures()
     first = failures.begin(SensorFault("motor", "off", instance=1))
@@ -75,6 +68,7 @@ def test_failures_add_up_and_end():
     assert failures.rotors(5, THRUSTS, 8).tolist() == [0.0, 0.0, 3.0, 4.0]
     failures.remove(first)
     assert failures.rotors(6, THRUSTS, 8).tolist() == [1.0, 0.0, 3.0, 4.0]
+    assert THRUSTS.tolist() == [1.0, 2.0, 3.0, 4.0], "the commands of the controller stay"
     assert failures.end("motor", 0) and not failures.end("motor", 2) and len(failures.active) == 1
 
 

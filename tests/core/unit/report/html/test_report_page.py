@@ -7,13 +7,11 @@ import pytest
 from matplotlib.figure import Figure
 
 from mavfi.analysis import table as table_of
-from mavfi.analysis.table import Column, Table
+from mavfi.analysis.table import Table
 from mavfi.errors import BadInputError
-from mavfi.mission import MissionSpec
 from mavfi.report import links
 from mavfi.report.campaign_report import report_of
-from mavfi.report.html import page, report_page
-from mavfi.report.html.flight_page import fly_command
+from mavfi.report.html import page
 from mavfi.report.html.report_page import (
     PageSection,
     ReportedCampaign,
@@ -51,37 +49,6 @@ def test_a_cell_links_to_the_runs_that_it_counts(runs):
         assert sum(_length(part) for part in ranges.split()) == row[place].n
 
 
-def test_a_cell_of_text_links_to_its_runs_too_and_a_key_does_not():
-    columns = (Column("claim", "claim"), Column("verdict", "verdict"), Column("p", "p", "number .2g"), Column("", ""))
-    found = Table("claims", "Claims", columns, [("It holds", "undecided", None, "")], behind=[(("a",),) * 4])
-    [row] = table_data(found, RunSets({"a": 0}))["rows"]
-    assert [cell["link"] for cell in row["cells"]] == ["", "#runs?set=0", "", ""], "no value, nothing to open"
-
-
-@pytest.mark.parametrize("view", ["success", "success_as_in_the_paper"])
-def test_settings_are_shown_in_words_and_stored_by_name(runs, view):
-    data = table_data(table_of(runs, view), RunSets({}))
-    shown = {cell["value"] for row in data["rows"] for cell in row["cells"]}
-    assert "fault + idle" in shown and not any(text.startswith(("fi_", "dr_", "golden_")) for text in shown)
-    assert "dr_idle" in data["csv"]
-
-
-def test_one_row_is_not_rows(tmp_path, report, flown):
-    table = Table.of_text("A table", ("a",), [("b",)], ())
-    page = tmp_path / "one.html"
-    write_report_page(
-        page, [ReportedCampaign(flown, report)], [PageSection("first"), PageSection("A table", (table,))], []
-    )
-    assert "1 row<" in page.read_text(encoding="utf-8")
-
-
-def test_figures_have_one_scale(runs):
-    for one in drawn(runs):
-        wide, text = one.figure.get_figwidth(), svg_of(one.figure, "f", one.caption, RunSets({}))
-        start = text[: text.index(">")]
-        assert f"--drawn: {72 * wide:g}" in start and " width=" not in start
-
-
 def _length(part):
     low, _, high = part.partition("-")
     return int(high or low) - int(low) + 1
@@ -94,40 +61,12 @@ def test_the_same_runs_are_stored_once():
     assert list(sets.texts) == ["0-2", "0 4"]
 
 
-def test_any_section_is_shown_in_the_order_in_which_it_is_given(tmp_path, report, flown):
-    tables = {table.name: table for table in report.tables}
-    sections = [
-        PageSection("Last things first", [tables["endings"]], text="Shown first."),
-        PageSection("Then", [tables["success"]]),
-    ]
-    _, text = written(tmp_path, report, flown, sections)
-    assert text.index(tables["endings"].title) < text.index('<h2 id="section-1-title">Then')
-
-
 def test_text_from_data_is_never_markup(tmp_path, report, flown):
     table = Table.of_text("<b>bold</b>", ["<i>"], [("</script><script>alert(1)",)], ["a & b"])
     _, text = written(tmp_path, report, flown, [PageSection("<u>", [table])])
     assert "<b>bold" not in text and "alert(1)" in text and "<script>alert" not in text
     data = re.search(r'id="csv-data">(.*?)</script>', text, re.DOTALL)[1]
     assert "</script><script>alert(1)" in json.loads(data)["0-<b>bold</b>"]
-
-
-def test_what_stands_between_backticks_is_shown_as_code_and_stays_escaped(tmp_path, report, flown):
-    table = Table.of_text("commands", ["command"], [("one",)], ["as `mavfi runs <DIR>` lists"])
-    _, text = written(
-        tmp_path, report, flown, [PageSection("First", []), PageSection("Then", [table], text="Fly `a` & b.")]
-    )
-    assert "<p>Fly <code>a</code> &amp; b.</p>" in text
-    assert "<li>as <code>mavfi runs &lt;DIR&gt;</code> lists</li>" in text
-
-
-def test_only_columns_of_sentences_wrap(tmp_path, report, flown):
-    sentence = "a sentence that would make the table wider than the page"
-    rows = [("one", "confirmed", sentence), ("two", "no", "")]
-    table = Table.of_text("claims", ["claim", "verdict", "here"], rows, [])
-    _, text = written(tmp_path, report, flown, [PageSection("First", [table])])
-    assert f'<td class="text prose">{sentence}</td>' in text and '<td class="text prose"></td>' in text
-    assert '<td class="text">confirmed</td>' in text and '<th scope="row">one</th>' in text
 
 
 @pytest.mark.slow
@@ -145,14 +84,6 @@ def test_flights_are_taken_while_they_fit(tmp_path, report, flown, flight):
     assert len(asked) == count + 1
     with pytest.raises(BadInputError, match="without any flight; allowed: 1000"):
         written(tmp_path, report, flown, largest=1000)
-
-
-def test_a_run_of_two_campaigns_is_one_flight_of_the_page(flown, report):
-    once = report_page._cases([ReportedCampaign(flown, report)], 3)
-    assert (
-        len(once) == 3
-        and report_page._cases([ReportedCampaign(flown, report), ReportedCampaign(flown, report)], 3) == once
-    )
 
 
 def test_the_libraries_are_there_with_their_licences(flight_html):
@@ -189,12 +120,3 @@ def test_the_list_of_runs_has_every_run(runs):
     effects = data["texts"]["effect"]
     assert [effects["values"][code] for code in effects["codes"]] == runs["effect"]
     assert data["texts"]["folder"]["values"] == ["out/tiny"]
-
-
-def test_the_command_of_a_flight_names_what_differs_from_the_defaults():
-    mission = MissionSpec(environment="dense", seed=3, wind=1.5, goal=(1.0, 2.0, 3.0))
-    command = fly_command(mission, "state:planning.waypoint.x", 2, "gaussian", None, None)
-    assert command == (
-        "mavfi fly --environment dense --seed 3 --goal 1.0 2.0 3.0 --wind 1.5 --fault state:planning.waypoint.x "
-        "--fault-seed 2 --detector gaussian"
-    )

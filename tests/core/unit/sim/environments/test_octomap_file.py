@@ -1,19 +1,15 @@
 """Reading OctoMap's files: small ones that the tests write, and a real scan."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
 from mavfi.errors import BadInputError
-from mavfi.sim.environments import build_world, environment_for_file
 from mavfi.sim.environments import octomap_file as octomap_file_module
-from mavfi.sim.environments.octomap_file import octomap_file, read_octree
+from mavfi.sim.environments.octomap_file import octomap_file
 from tests.core.unit.sim.environments.octrees import bits, tree_of, values
 
-SCAN = Path(__file__).parents[6] / "shared" / "data" / "geb079.bt"
 RESOLUTION = 0.25
 CENTRE = 32768
 START, GOAL = (0.3, 0.3, 0.3), (0.6, 0.3, 0.3)
@@ -55,14 +51,8 @@ def test_unknown_space_is_solid_and_distances_follow(tmp_path, voxels):
     assert math.isnan(world.clearance(np.array([math.nan, 0.0, 0.0]))[0])
 
 
-def test_pruned_leaves_are_kept_together(tmp_path, voxels):
-    leaves, _ = read_octree(write(tmp_path / "room.bt", voxels, bits))
-    assert leaves.edge.max() == 4
-    assert (leaves.edge.astype(int) ** 3).sum() == len(voxels)
-
-
 @pytest.mark.parametrize(("ending", "body"), ((".bt", bits), (".ot", values)))
-@pytest.mark.parametrize("lost", (1, 3, 20))
+@pytest.mark.parametrize("lost", (1, 20))
 def test_a_truncated_map_is_refused_by_name(tmp_path, voxels, ending, body, lost):
     path = write(tmp_path / f"room{ending}", voxels, body)
     path.write_bytes(path.read_bytes()[:-lost])
@@ -78,11 +68,8 @@ def test_a_truncated_map_is_refused_by_name(tmp_path, voxels, ending, body, lost
         b"# Octomap OcTree binary file\nid OcTree\nres 0.1\n",
         b"# Octomap OcTree binary file\nid ColorOcTree\nres 0.1\ndata\n\x00\x00",
         b"# Octomap OcTree binary file\nid OcTree\nres nan\ndata\n\x00\x00",
-        b"# Octomap OcTree binary file\nid OcTree\nres -1\ndata\n\x00\x00",
-        b"# Octomap OcTree binary file\nid OcTree\ndata\n\x00\x00",
         b"# Octomap OcTree binary file\nid OcTree\nres 0.1\ndata\n\x00\x00",
         b"# Octomap OcTree binary file\nid OcTree\nres 0.1\ndata\n" + b"\xff" * 4000,
-        b"# Octomap OcTree file\nid OcTree\nres 0.1\ndata\n" + b"\xff" * 4000,
         b"# Octomap OcTree binary file\nid OcTree\nres 0.1\ndata\n\xaa\xaa",
     ),
 )
@@ -136,23 +123,3 @@ def test_ends_without_a_way_between_them_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(octomap_file_module, "_read_grid", lambda *_: blocked)
     with pytest.raises(BadInputError, match="no way"):
         octomap_file(0, str(path), (5.0, 0.0, 1.5), (15.0, 0.0, 2.0))
-
-
-def test_a_changed_file_is_read_again(tmp_path, voxels):
-    path = tmp_path / "room.bt"
-    first = octomap_file(0, str(write(path, voxels, bits)), START, GOAL).digest()
-    write(path, voxels | {(CENTRE + 1, CENTRE + 1, CENTRE + 1): True}, bits)
-    assert octomap_file(0, str(path), START, GOAL).digest() != first
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not SCAN.is_file(), reason="the scan of building 079 is not at ../shared/data")
-def test_spheres_of_0_2_m_pass_the_corridor_of_the_real_scan():
-    world = build_world(environment_for_file(str(SCAN)), 0, (-5.0, 0.0, 1.2), (27.0, 0.0, 1.2))
-    assert world.resolution == 0.08 and world.occupied.nbytes < 10e6
-    assert 0.05 < 1.0 - world.occupied.mean() < 0.5
-    wide = ndimage.distance_transform_edt(~world.occupied) * world.resolution > 0.2 + 0.5 * world.resolution
-    regions, _ = ndimage.label(wide)
-    ends = (np.stack([world.start, world.goal - (1.0, 0.0, 0.0)]) - world.origin) / world.resolution
-    start, before_goal = (regions[tuple(slice(int(c) - 4, int(c) + 5) for c in end)] for end in ends)
-    assert set(start[start > 0]) & set(before_goal[before_goal > 0])

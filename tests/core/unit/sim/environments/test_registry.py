@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mavfi.config import EnvironmentConfig, names, shipped
+from mavfi.config import EnvironmentConfig, shipped
 from mavfi.errors import BadInputError
 from mavfi.sim.environments import build_world, environment_for_file
-from mavfi.sim.environments.registry import find_generator
 
 
 def environment(generator="cuboids", **parameters):
@@ -23,30 +22,11 @@ def message(*arguments, **keywords):
     return text
 
 
-@pytest.mark.parametrize("name", names("environments"))
-def test_every_shipped_environment_builds(name):
-    config = shipped("environments", EnvironmentConfig, name)
-    assert config.name == name
-    assert build_world(config, 0).digest() == build_world(config, 0).digest() != build_world(config, 1).digest()
-
-
-def test_the_six_environments_are_shipped():
-    assert {"factory", "farm", "sparse", "dense", "clutter", "training"} <= set(names("environments"))
-
-
 def test_start_and_goal_can_be_given():
     config = shipped("environments", EnvironmentConfig, "farm")
     world = build_world(config, 0, start=(5.0, 0.0, 8.0), goal=(100.0, 1.0, 8.0))
     np.testing.assert_array_equal((world.start, world.goal), ((5.0, 0.0, 8.0), (100.0, 1.0, 8.0)))
     np.testing.assert_array_equal(world.lower, build_world(config, 0).lower)
-
-
-def test_a_start_inside_of_an_obstacle_is_refused():
-    config = shipped("environments", EnvironmentConfig, "dense")
-    world = build_world(config, 0)
-    inside = 0.5 * (world.lower[0] + world.upper[0])
-    text = message(config, 0, start=tuple(inside))
-    assert "start" in text and "obstacle" in text and "dense" in text
 
 
 def test_a_goal_that_the_collision_sphere_would_not_fit_is_refused():
@@ -62,13 +42,8 @@ def test_a_goal_outside_of_the_flight_volume_is_refused(goal):
     assert "goal" in text and "flight volume" in text and "x 1 to 119" in text
 
 
-def test_an_unknown_generator_is_named_with_what_is_allowed():
-    text = message(environment("swamp"), 0)
-    assert "'swamp'" in text and "cuboids" in text
-
-
 @pytest.mark.parametrize(
-    "generator", ("no_such_package:worlds", "mavfi.sim.environments.generated:barn", "math:pi", ":x")
+    "generator", ("no_such_package:worlds", "mavfi.sim.environments.generated:barn", "math:pi", "swamp")
 )
 def test_a_function_that_cannot_be_had_is_refused(generator):
     assert generator in message(environment(generator), 0)
@@ -83,12 +58,9 @@ def test_an_unknown_or_missing_parameter_is_named_with_what_is_allowed():
 @pytest.mark.parametrize(
     "parameters",
     (
-        {"density": -0.1, "side": 6.0},
-        {"density": 1.5, "side": 6.0},
         {"density": float("nan"), "side": 6.0},
         {"density": 0.1, "side": 0.0},
         {"density": 0.1, "side": "wide"},
-        {"density": True, "side": 6.0},
         {"density": 0.9, "side": 6.0},
     ),
 )
@@ -113,27 +85,10 @@ def test_boxes_that_are_none_are_refused_with_their_generator(monkeypatch, lower
     assert f"environment 'mine': generator own: {expected}" in message(environment("own"), 0)
 
 
-def test_generators_are_found_by_package_and_function():
-    assert find_generator("mavfi.sim.environments.generated:farm") is find_generator("farm")
-
-
 def test_the_example_builds_a_world():
     config = environment("examples.environment_gates:gates", count=3)
     world = build_world(config, 1)
     assert len(world.lower) == 6
-
-
-def test_the_example_runs(capsys):
-    find_generator("examples.environment_gates:main")()
-    assert capsys.readouterr().out.startswith("6 walls")
-
-
-def test_a_scanned_map_gets_a_small_slow_vehicle(tmp_path):
-    path = tmp_path / "house.bt"
-    path.write_bytes(b"")
-    config = environment_for_file(str(path))
-    assert (config.name, config.vehicle, config.parameters) == ("house", "small_quad", {"path": str(path)})
-    assert config.v_max < 2.0
 
 
 def test_other_files_are_no_scanned_maps(tmp_path):
