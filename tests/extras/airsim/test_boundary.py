@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim.boundary import Boundary, parse_fault
+from mavfi.extras.airsim.boundary import ApiRecording, Boundary, parse_fault
 
 VELOCITY = [1.0, 2.0, 0.0, 5.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, ""]
 
@@ -87,7 +87,7 @@ def test_the_seed_draws_the_bit_that_is_not_named():
 
 
 def test_a_detector_learns_normal_calls_and_names_the_number_that_is_not():
-    recording, random = CallRecording(), np.random.default_rng(1)
+    recording, random = ApiRecording(), np.random.default_rng(1)
     calls = [[float(x), float(y), 0.0, 1.0] for x, y in random.normal(2.0, 0.1, (200, 2))]
     for given in calls:
         call(Boundary(recording=recording), "moveByVelocity", list(given), True)
@@ -101,4 +101,4 @@ def test_a_detector_learns_normal_calls_and_names_the_number_that_is_not():
 
 def test_too_few_calls_teach_nothing():
     with pytest.raises(BadInputError, match="no call happened 50 times"):
-        CallRecording().train("gaussian", "paper")
+        ApiRecording().train("gaussian", "paper")

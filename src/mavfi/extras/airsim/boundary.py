@@ -266,7 +266,7 @@ class Boundary:
     planned: BoundaryFault | None = None
     keeps: bool = False
     watch: "BoundaryWatch | None" = None
-    recording: "CallRecording | None" = None
+    recording: "ApiRecording | None" = None
     failure: Failure | None = None
     injection: Injection | None = None
     passed: list[PassedCall] = field(default_factory=list)
@@ -277,7 +277,7 @@ class Boundary:
         cls,
         fault: BoundaryFault | MessageFault | SensorFault | None,
         watch: "BoundaryWatch | None" = None,
-        recording: "CallRecording | None" = None,
+        recording: "ApiRecording | None" = None,
     ) -> "Boundary":
         """The boundary with a fault, in a call or in the vehicle behind it."""
         if isinstance(fault, SensorFault):
@@ -399,7 +399,7 @@ class BoundaryWatch:
         self._detector.accept(state, now_us)
 
 
-class CallRecording:
+class ApiRecording:
     """Values at the boundary, e.g. error-free ones to train a detector.
 
     Args:

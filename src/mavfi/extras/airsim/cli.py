@@ -20,7 +20,7 @@ from mavfi.mission import OF_THE_PIPELINE, MissionSpec
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from mavfi.extras.airsim.boundary import Boundary, BoundaryFault, CallRecording
+    from mavfi.extras.airsim.boundary import ApiRecording, Boundary, BoundaryFault
     from mavfi.extras.airsim.host import ProgramResult
     from mavfi.extras.airsim.server import AirsimServer
     from mavfi.faults.levels.sensor.fault import SensorFault
@@ -165,9 +165,9 @@ def _check_detector(detector: str, profile: str) -> None:
 
 
 @contextmanager
-def _recording(path: Path | None) -> Iterator[CallRecording | None]:
+def _recording(path: Path | None) -> Iterator[ApiRecording | None]:
     """A recording that writes to a file; None without one."""
-    from mavfi.extras.airsim.boundary import CallRecording
+    from mavfi.extras.airsim.boundary import ApiRecording
 
     if path is None:
         yield None
@@ -175,7 +175,7 @@ def _recording(path: Path | None) -> Iterator[CallRecording | None]:
     with writing(path):
         file = path.open("w", encoding="utf-8", buffering=1)  # line by line: none is lost
     with file:
-        yield CallRecording(file=file)
+        yield ApiRecording(file=file)
 
 
 def _serve(server: AirsimServer, port: int, once: bool) -> None:
@@ -270,10 +270,10 @@ def run(  # noqa: PLR0913 - one parameter per option
 
     # the error-free run, on which a detector is trained; then the run that is injected or watched
     with compiling():
-        from mavfi.extras.airsim.boundary import Boundary, CallRecording
+        from mavfi.extras.airsim.boundary import ApiRecording, Boundary
         from mavfi.extras.airsim.host import run_program
 
-        recording = CallRecording() if detector != "none" else None
+        recording = ApiRecording() if detector != "none" else None
         golden = run_program(program, mission, Boundary(recording=recording))
         watch = None
         if recording is not None:

@@ -26,7 +26,7 @@ def figures_of(runs, *words):
 
 
 def test_figures_are_those_of_the_frame(fake):
-    assert len(findings(fake)) == MOST
+    assert len(findings(fake)) == MAX_SENTENCES
     assert "newly loses 0" in figures_of(fake, "gaussian brings back")
     own = runs(golden(1), golden(2), injected(1, flown(success=False)), injected(2, flown(digest="g")))
     assert f"{HALF} (n = 2)" in figures_of(own, "loses 1 of 2", "saves 0")

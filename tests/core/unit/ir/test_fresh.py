@@ -50,7 +50,7 @@ def die(kernel, signature):
 
 
 def asked():
-    return json.loads(build_apart(half, (numba.float64,), surroundings_of))
+    return json.loads(run_in_fresh_process(half, (numba.float64,), surroundings_of))
 
 
 def template():

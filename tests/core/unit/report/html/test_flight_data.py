@@ -9,8 +9,8 @@ from mavfi.mission import MissionStatus
 from mavfi.record import AlarmRecord, Injection
 from mavfi.report.html.flight_page import (
     LINE_SAMPLES,
-    MOST_LINES,
-    MOST_VOXELS,
+    MAX_LINES,
+    MAX_VOXELS,
     SAMPLES,
     Course,
     course_data,
@@ -133,5 +133,5 @@ def test_there_are_never_more_lines_or_samples_than_fit():
         for name in publication.state.header.dtype.names:
             publication.state.header[name] = generator.integers(0, 9)
     lines = time_lines({"golden": waypoints(period_us=2000), "injected": injected}, AT, SITE)
-    assert len(lines) == MOST_LINES
+    assert len(lines) == MAX_LINES
     assert len(lines[0]["data"]["golden"][0]) <= LINE_SAMPLES
