@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mavfi.extras.airsim.calls import Call
+from mavfi.extras.airsim.calls import RecordedCall
 from mavfi.extras.logs.files import write_bag, write_csv, write_mcap
 from mavfi.extras.logs.timeline import Message, tick_messages
 from mavfi.extras.logs.ulog import write_ulog
@@ -38,7 +38,8 @@ def messages(log) -> list[Message]:
 def write_calls(log, path):
     """As if a program had asked for the vehicle's state at each control period."""
     calls = (
-        Call.of(round(1e6 * row[0]), "state(return)", dict(zip(COLUMNS[1:], row[1:], strict=True))) for row in log.rows
+        RecordedCall.of(round(1e6 * row[0]), "state(return)", dict(zip(COLUMNS[1:], row[1:], strict=True)))
+        for row in log.rows
     )
     path.write_text("".join(call.line() for call in calls), encoding="utf-8")
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.extras.airsim.calls import Call, read_calls
+from mavfi.extras.airsim.calls import RecordedCall, read_calls
 from mavfi.flight.log_readers import open_flight_log
 from tests.extras.logs.conftest import make_log
 
@@ -114,14 +114,14 @@ def test_tables_that_cannot_be_read(tmp_path, text, message):
 )
 def test_lines_that_are_no_calls(tmp_path, line, message):
     path = tmp_path / "x.jsonl"
-    path.write_text(f"{Call(0, 'a', {'x': 1.0}).line()}{line}\n")
+    path.write_text(f"{RecordedCall(0, 'a', {'x': 1.0}).line()}{line}\n")
     with pytest.raises(BadInputError, match=message):
         read_calls(path)
 
 
 def test_calls_keep_numbers_that_json_has_not(tmp_path):
     path = tmp_path / "x.jsonl"
-    path.write_text(Call.of(5, "a(return)", {"": np.inf, "x": -np.inf, "y": np.nan, "z": 0.1}).line())
+    path.write_text(RecordedCall.of(5, "a(return)", {"": np.inf, "x": -np.inf, "y": np.nan, "z": 0.1}).line())
     assert "Infinity" not in path.read_text()
     (message,) = open_flight_log(path).messages([])
     assert (message.topic, message.time_us) == ("a(return)", 5)
