@@ -64,18 +64,6 @@ def test_a_flight_on_a_server_has_the_bits_of_one_in_this_process():
     assert there.digest() == here.digest() and there.status == here.status
 
 
-def test_a_vehicle_that_stands_elsewhere_is_put_to_the_start():
-    with served(image="64x48", on_ground=True) as port:
-        plant = first(port)
-        start = plant.odometry[:3].copy()
-        plant.advance(100_000)
-        plant.close()
-    own = new_loop(resolve(MissionSpec(environment="sparse", seed=7))).plant
-    assert abs(start - own.odometry[:3]).max() < 1e-6 and abs(plant.odometry[:3] - start).max() < 1e-3
-    with pytest.raises(MavfiError, match="cannot be rewound"):
-        plant.snapshot()
-
-
 def test_a_server_with_other_images_is_refused():
     with served(image="32x24") as port, pytest.raises(BadInputError, match="its images are 32x24; allowed: 64x48"):
         first(port)

@@ -1,49 +1,7 @@
-import polars as pl
 import pytest
 
-from mavfi.analysis.runs import Runs
 from mavfi.sim.environments import build_world
 from tools import difficulty
-
-
-def row(kind, seed, success, time_s=30.0, target="", golden_success=True):
-    inflation = time_s / 30.0 - 1.0 if success and golden_success else None
-    return {
-        "kind": kind,
-        "seed": seed,
-        "world": f"density05/{seed}",
-        "target": target,
-        "success": success,
-        "judged": True,
-        "golden_success": golden_success,
-        "inflation": inflation,
-        "flight_time_s": time_s,
-        "weight": 1.0,
-    }
-
-
-def cells():
-    rows = [
-        row("golden", 1, True),
-        row("golden", 2, True, 40.0),
-        row("golden", 3, False),
-        row("injected", 1, False, target="flag"),
-        row("injected", 2, True, 32.0, "flag"),
-        row("injected", 3, False, target="flag", golden_success=False),
-        row("injected", 1, True, 31.0, "epochs"),
-    ]
-    runs = Runs(pl.DataFrame(rows, infer_schema_length=None))
-    return [difficulty.Cell(profile, v, 0.05, runs) for profile in difficulty.PROFILES for v in difficulty.SPEEDS]
-
-
-def test_the_effect_is_that_of_missions_whose_golden_flight_arrives():
-    cell = cells()[0]
-    assert (cell.golden.successes, cell.golden.n, cell.median_time) == (2, 3, 35.0)
-    flag = cell.effect(difficulty.FAILS, "flag")
-    assert (flag.successes, flag.n) == (1, 2)
-    slower = cell.effect(difficulty.FAILS_OR_SLOWER)
-    assert (slower.successes, slower.n) == (2, 3)
-    assert cell.effect(difficulty.FAILS, "nothing").rate is None
 
 
 def test_the_sweep_covers_both_profiles_on_evaluation_seeds():
