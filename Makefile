@@ -25,7 +25,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-all machines lint check check-nojit reliability format bench results clients ros train pictures docs wheel lock clean
+.PHONY: help setup reproduce test nightly lint check format bench results clients ros docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -47,15 +47,11 @@ reproduce: setup  ## train, fly, print the tables and tested findings of the pap
 	@$(BIN)/mavfi reproduce --scale $(SCALE) --out $(OUT)
 
 test: setup  ## run the tests
-	@$(PYTEST) -n $(TESTERS) -m "not long and not alone"
-	@$(PYTEST) -n 2 -m "alone and not long"
+	@$(PYTEST) -n $(TESTERS) -m "not long and not machines and not alone"
+	@$(PYTEST) -n 2 -m "alone and not long and not machines"
 
-test-all: setup  ## run all tests, including those that repeat others in more settings
-	@$(PYTEST) -n $(JOBS) -m "not alone"
-	@$(PYTEST) -n 2 -m "alone"
-
-machines: setup  ## flights and campaigns have the same bits on every x86-64 machine: other C library, CPU, folder, environment
-	@$(PYTEST) -n $(JOBS) --dist=worksteal -m machines tests/core/golden/test_machines.py
+nightly: setup  ## hours: killed campaigns, full disks, damaged files, flipped bits, other machines, no compiler (ONLY="chaos machines" SHARE=0.1)
+	@$(BIN)/python -m tests.nightly
 
 lint: setup  ## formatting, lint, types, import contracts
 	@$(BIN)/ruff format --check $(CODE)
@@ -64,13 +60,7 @@ lint: setup  ## formatting, lint, types, import contracts
 	@$(BIN)/lint-imports
 
 check: lint  ## the same, and fast tests
-	@$(PYTEST) -n $(JOBS) -m "not slow and not long and not alone"
-
-check-nojit: setup  ## tests of kernels and numerics as plain Python, without the compiler
-	@$(BIN)/python -m tests.nightly.nojit
-
-reliability: setup  ## hours of killed campaigns, full disks, damaged files, flipped bits (ONLY="chaos fuzz" SHARE=0.1)
-	@$(BIN)/python -m tools.reliability
+	@$(PYTEST) -n $(JOBS) -m "not slow and not long and not machines and not alone"
 
 format: setup  ## format the code, sort imports
 	@$(BIN)/ruff check --fix --select I $(CODE)
@@ -79,7 +69,7 @@ format: setup  ## format the code, sort imports
 bench: setup  ## measure one thing, or print what there is to measure (NAME=detectors: benchmarks/detectors.py, with its options)
 	@$(if $(NAME),$(BIN)/python -m benchmarks.$(NAME) $(ARGS),ls benchmarks/*.py | sed -n 's|benchmarks/\(.*\)\.py|NAME=\1|p')
 
-results: setup  ## fly and write one page of docs/results with its tables, hours (NAME=sensors; without: which there are)
+results: setup  ## fly and write one page of docs/results with its tables, or the pictures of all pages (NAME=sensors, NAME=pictures; without: which there are)
 	@$(BIN)/python -m tools.results $(NAME) $(ARGS)
 
 clients: setup  ## install other people's programs that tests use: Betaflight, MAVSDK, AirSim's own client (build/clients)
@@ -92,13 +82,6 @@ clients: setup  ## install other people's programs that tests use: Betaflight, M
 
 ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a folder), check them
 	@$(BIN)/python -m tools.install_ros
-
-train: setup  ## train the detectors that are shipped
-	@$(BIN)/mavfi train --flights 100 --out src/mavfi/data/models
-
-pictures: setup  ## draw the pictures of kernels, hardening and README from flights and kernel runs
-	@for script in tools/draw_*.py; do echo "$$script"; $(BIN)/python -m tools.$$(basename $$script .py) || exit 1; done
-	@$(BIN)/mavfi fly --environment dense --seed 10007 --fault state:perception.collision_status.collision --fault-seed 1 --detector recommended --picture docs/images/rescue.png
 
 docs: setup  ## write the pages and tables that are derived from the code
 	@$(BIN)/python -m tools.build_pages

@@ -13,7 +13,7 @@ import numpy as np
 
 from mavfi.faults.sampling import draw, stage_target
 from mavfi.flight.compose import detector_for, resolve, with_keys_of
-from mavfi.flight.decide import Recovery
+from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
 from mavfi.flight.host import Flight
 from mavfi.mission import MissionSpec, MissionStatus
@@ -48,7 +48,9 @@ def pair(seed: int) -> dict[str, tuple[bool, float, float]]:
         mission = bare if name == "none" else with_keys_of(bare.model_copy(update={"coupling": coupling}), name)
         scenario = resolve(mission)
         detector = None if name == "none" else detector_for(scenario, name, "paper")[0]
-        golden, flight = (fly(scenario, planned, detector, recovery=Recovery.of(mission)) for planned in (None, fault))
+        golden, flight = (
+            fly(scenario, planned, detector, recovery=RecoveryPolicy.of(mission)) for planned in (None, fault)
+        )
         success = flight.log.status is MissionStatus.SUCCESS
         found[arm] = success, float(flight.log.column("time")[-1]), peak(flight, golden)
     return found

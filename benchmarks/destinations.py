@@ -14,7 +14,7 @@ written registers is larger; the following rules apply:
 import re
 from collections.abc import Sequence
 
-from mavfi.extras.registers.registers import Instruction, Register
+from mavfi.extras.registers.registers import MachineInstruction, Register
 
 _STACK = ("push", "pop", "call", "ret", "leave", "enter")
 _CLEAR = ("vzeroupper", "vzeroall")
@@ -23,7 +23,7 @@ _UNREACHED = re.compile(r"(k[0-7]|zmm\d+|[xy]mm(1[6-9]|2\d|3[01]))\b")
 _NO_RESULT = ("cmp", "test", "bt", "ucomis", "comis", "vucomis", "vcomis", "vptest", "vtestp", "ktest", "kortest")
 
 
-def destinations(run: Sequence[Instruction | None]) -> list[tuple[Register, ...]]:
+def destinations(run: Sequence[MachineInstruction | None]) -> list[tuple[Register, ...]]:
     """Destination registers of each executed instruction, in execution order.
 
     Args:
@@ -35,13 +35,13 @@ def destinations(run: Sequence[Instruction | None]) -> list[tuple[Register, ...]
     return [() if made is None else _of(made, run, place) for place, made in enumerate(run)]
 
 
-def is_out_of_reach(instruction: Instruction) -> bool:
+def is_out_of_reach(instruction: MachineInstruction) -> bool:
     """Whether the destination (the first operand, unless only read) is a register that cannot be injected."""
     mnemonic, _, operands = instruction.text.partition(" ")
     return not mnemonic.startswith(_NO_RESULT) and _UNREACHED.match(operands) is not None
 
 
-def _of(made: Instruction, run: Sequence[Instruction | None], place: int) -> tuple[Register, ...]:
+def _of(made: MachineInstruction, run: Sequence[MachineInstruction | None], place: int) -> tuple[Register, ...]:
     mnemonic = made.text.split(" ", 1)[0]
     if mnemonic in _CLEAR or is_out_of_reach(made):
         return ()
@@ -55,7 +55,7 @@ def _of(made: Instruction, run: Sequence[Instruction | None], place: int) -> tup
     return () if flags is None else _tested(flags, run, place)
 
 
-def _tested(flags: Register, run: Sequence[Instruction | None], place: int) -> tuple[Register, ...]:
+def _tested(flags: Register, run: Sequence[MachineInstruction | None], place: int) -> tuple[Register, ...]:
     """The flags tested by the next instruction that tests any of them; empty if there is none."""
     alive = set(flags.bits)
     for later in run[place + 1 :]:

@@ -21,7 +21,7 @@ from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.mission import MissionPlan, fly_mission, model_hashes, scenarios_of
 from mavfi.campaign.plan import Flown, Planned, arms_of
-from mavfi.extras.bench.bench import entries, load_bench, with_schemes
+from mavfi.extras.bench.bench import load_bench, select_parts, with_schemes
 from mavfi.record import FlightRecord
 
 TAKE_OFF, FAST = "from take-off", "fast-forward"
@@ -129,7 +129,7 @@ def main() -> int:
     else:
         bench = load_bench("mavfi-bench-1")
         bench = with_schemes(bench, arguments.scheme or list(bench.arms))
-        campaign = entries(bench, "paper", parts=[arguments.part])[arguments.part].campaign
+        campaign = select_parts(bench, "paper", parts=[arguments.part])[arguments.part].campaign
     campaign = campaign.model_copy(update={"mission": {**campaign.mission, **changes}})
     if arguments.faults is not None:
         campaign = campaign.model_copy(update={"faults": arguments.faults * campaign.missions})

@@ -42,7 +42,7 @@ from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
-from tools.full_plan import full_plan
+from tools.full_protection import full_plan
 from tools.markers import between
 from tools.processors import with_others
 

@@ -23,9 +23,9 @@ import numpy as np
 from benchmarks.destinations import destinations, is_out_of_reach
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.registers.ptrace import TargetGoneError, Tracee, TracerTimeoutError
-from mavfi.extras.registers.registers import Instruction, Register, decode, flip, value_of
+from mavfi.extras.registers.registers import MachineInstruction, Register, decode, flip, value_of
 from mavfi.extras.registers.target import check_machine, not_permitted
-from mavfi.ir.forked import Ended, judge_exit, run_in_child
+from mavfi.ir.forked import ChildEnd, judge_exit, run_in_child
 
 _LIMIT = 10.0
 """Time limit of a wait for a stop (s)."""
@@ -119,10 +119,10 @@ class SteppedCall:
         return 3 * self.steps + 10_000
 
     @cached_property
-    def _instructions(self) -> list[Instruction | None]:
+    def _instructions(self) -> list[MachineInstruction | None]:
         """The code's own instructions as executed; None for others."""
         ranges = _unnamed_code()
-        own: dict[int, Instruction | None] = {}
+        own: dict[int, MachineInstruction | None] = {}
         for address in self._run:
             if address not in own:
                 inside = any(start <= address < end for start, end in ranges)
@@ -186,7 +186,7 @@ class SteppedCall:
             raise MavfiError(f"the call without a fault ended with {ended.how} ({ended.detail})")
         return ended.payload
 
-    def _stepped(self, between: Callable[[Tracee, int], bool]) -> Ended:
+    def _stepped(self, between: Callable[[Tracee, int], bool]) -> ChildEnd:
         """Execute the call in a child that waits to be traced; `between` steps from entry to return."""
         waiting, starting = os.pipe()
 
@@ -200,7 +200,7 @@ class SteppedCall:
             os.close(waiting)
             os.close(starting)
 
-    def _attend(self, child: int, starting: int, between: Callable[[Tracee, int], bool]) -> Ended | None:
+    def _attend(self, child: int, starting: int, between: Callable[[Tracee, int], bool]) -> ChildEnd | None:
         """Trace a child from entry to return of the code, then detach; returns its termination if it ended before."""
         try:
             tracee = Tracee(child)
@@ -222,7 +222,7 @@ class SteppedCall:
             _kill(child)
             raise
         _kill(child)
-        return Ended("hang", detail="instruction budget")
+        return ChildEnd("hang", detail="instruction budget")
 
     def _record(self, tracee: Tracee, home: int) -> bool:
         """Record every instruction until the code returns."""
@@ -286,6 +286,6 @@ def _unnamed_code() -> list[tuple[int, int]]:
     return found
 
 
-def _decode_here(address: int) -> Instruction | None:
+def _decode_here(address: int) -> MachineInstruction | None:
     """The instruction at an address of this process, which is valid in its children."""
     return decode(ctypes.string_at(address, _LONGEST_INSTRUCTION), address)

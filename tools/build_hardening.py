@@ -29,21 +29,21 @@ from mavfi.extras.hardening.advise import (
     FRACTIONS,
     Advice,
     Curve,
+    CurveStep,
+    HardeningStudy,
     Ladder,
-    Step,
-    Study,
     advise,
     every_choice,
     plan_of,
     planned_of,
 )
 from mavfi.extras.hardening.certify import Certification, certify, merged, pairs_of, rate_of, verdict_of
-from mavfi.extras.hardening.observed import GoldenCheck, Seen, check_golden, observe
-from mavfi.extras.hardening.plan import Plan, load_plan, save_plan
+from mavfi.extras.hardening.observed import GoldenCheck, ObservedFunction, check_golden, observe
+from mavfi.extras.hardening.plan import ProtectionPlan, load_plan, save_plan
 from mavfi.extras.hardening.protected import Protection
 from mavfi.extras.hardening.report import advice_table, caveats, certificate_table, headline, verdict_line
 from mavfi.extras.hardening.summary import AdviceSummary, growth_of, harm_of, summary
-from mavfi.extras.hardening.target import Injected, Target, injections_in
+from mavfi.extras.hardening.target import FunctionTarget, Injected, injections_in
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
 from tools import results
@@ -98,7 +98,7 @@ class Records:
             file.write(json.dumps({"key": key, **row}) + "\n")
         return row
 
-    def learn(self, seen: Seen) -> list[Injected]:
+    def learn(self, seen: ObservedFunction) -> list[Injected]:
         """The injections from which the protection of a function is chosen."""
         found = self._injections(seen, self._times)
         silent = sum(one.sdc for one in found)
@@ -106,7 +106,7 @@ class Records:
             found = self._injections(seen, math.ceil(self._times * min(ENOUGH / silent, LEARNED)))
         return found
 
-    def _injections(self, seen: Seen, times: int) -> list[Injected]:
+    def _injections(self, seen: ObservedFunction, times: int) -> list[Injected]:
         key = f"learned {times} {seen.variant.ir_sha256}"
         row = self.get(key)
         if row is None:
@@ -114,19 +114,19 @@ class Records:
         return [Injected(*one) for one in row["injections"]]
 
 
-def choices(target: Target) -> Ladder:
+def choices(target: FunctionTarget) -> Ladder:
     """All steps of a function: where few faults are silent, a larger one may remove more although none is seen."""
     return every_choice(target, FINE if target.seen.entry in MOST_TIME else FRACTIONS)
 
 
-def code_of(plan: Plan) -> str:
+def code_of(plan: ProtectionPlan) -> str:
     """Digest of what determines the protected code: not of times, which differ from one measurement to the next."""
     return hashlib.sha256(b"".join(Protection(one).key for one in plan.functions)).hexdigest()
 
 
 def certificates(
-    study: Study, advices: Sequence[Advice], fractions: Sequence[float], faults: int, records: Records
-) -> Iterator[tuple[Curve, Step, Row]]:
+    study: HardeningStudy, advices: Sequence[Advice], fractions: Sequence[float], faults: int, records: Records
+) -> Iterator[tuple[Curve, CurveStep, Row]]:
     """Certify steps of all functions with fresh missions; flights are flown only if something is not known.
 
     A certificate holds for any prediction of the same code: its verdict is that on the present one.
@@ -139,7 +139,7 @@ def certificates(
             for step in curve.steps[1:]:
                 n = faults if curve.target.seen.instructions < LONG * curve.target.seen.total else faults // 4
                 planned = planned_of(curve.target, step)
-                key = code_of(Plan(functions=(planned,)))
+                key = code_of(ProtectionPlan(functions=(planned,)))
                 row = records.get(key)
                 wanted = step.fraction in (*fractions, within)
                 if row is None and not wanted:
@@ -150,7 +150,7 @@ def certificates(
                     if fresh is None:
                         seen = [observe(scenario, kernels) for scenario in study.fresh(planner)]
                         fresh = merged([one for flown in seen for own in flown.values() for one in own])
-                    pairs = pairs_of(fresh, Plan(functions=(planned,)))
+                    pairs = pairs_of(fresh, ProtectionPlan(functions=(planned,)))
                     if not pairs:
                         continue
                     print(planned.function, step.fraction, flush=True)
@@ -159,7 +159,7 @@ def certificates(
                 yield curve, step, row
 
 
-def golden(study: Study, plan: Plan, flights: int, records: Records) -> GoldenCheck:
+def golden(study: HardeningStudy, plan: ProtectionPlan, flights: int, records: Records) -> GoldenCheck:
     """Fly golden missions plain and protected, in four environments; sum over these and earlier plans.
 
     Each planner of the study is flown in all of them.
@@ -240,7 +240,7 @@ def sentence(advice: AdviceSummary) -> str:
     return f"{buys} ([curves, plans, certificates](docs/results/{PAGE}.md)), but buys no missions: {lost}"
 
 
-def write_page(study: Study, advice: AdviceSummary, curves: Table, check: GoldenCheck) -> Path:
+def write_page(study: HardeningStudy, advice: AdviceSummary, curves: Table, check: GoldenCheck) -> Path:
     """Write the page, and the sentences in README.md."""
     campaign = study.campaign
     shipped = certificate()
@@ -272,13 +272,13 @@ def main() -> None:
 
     mavfi = [sys.executable, "-m", "mavfi"]
     subprocess.run([*mavfi, "campaign", "run", "hardening", "--out", str(LEDGER)], cwd=ROOT, check=True)
-    study = Study.open(LEDGER)
+    study = HardeningStudy.open(LEDGER)
     records = Records(LEDGER / "hardening.jsonl", options.learn)
     advices = advise(
         study,
         options.budget,
         lambda text: print(text, flush=True),
-        learn=records.learn,
+        inject=records.learn,
         workers=os.cpu_count() or 1,
         seconds=options.seconds,
         choices=choices,

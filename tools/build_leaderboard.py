@@ -23,7 +23,7 @@ from mavfi.analysis.table import RATE, Column, Table
 from mavfi.api import load, table
 from mavfi.campaign.config import load_campaign
 from mavfi.errors import BadInputError
-from mavfi.extras.bench.bench import FOLDER, ROWS, SCORES, Bench, Part, level_of, load_bench, published_rows
+from mavfi.extras.bench.bench import FOLDER, ROWS, SCORES, Bench, BenchPart, level_of, load_bench, published_rows
 from mavfi.report.text import rate, shown
 from tools import results
 from tools.markers import DOCS, IMAGES, ROOT, fill
@@ -172,7 +172,7 @@ def _write_rows(path: Path, rows: Sequence[Row]) -> None:
 
 
 # ---- sums over the parts --------------------------------------------------------------------------------------------
-def group_of(part: Part) -> str:
+def group_of(part: BenchPart) -> str:
     """Group of a part: a level, or the coupling under which alarms come late; "" = it is not counted."""
     level = level_of(load_campaign(part.campaign))
     if level not in GROUPS:

@@ -12,7 +12,7 @@ from mavfi.extras.ros.ros1.host import configure
 from mavfi.extras.ros.ros1.messages import PACKAGE as PACKAGE_OF_MESSAGES
 from mavfi.extras.ros.ros1.messages import type_name
 from mavfi.extras.ros.ros1.plan import WORLD, Graph
-from mavfi.faults.levels.sensor.fault import NULL, TYPES, UNITS, SensorFault, Unit, check_read
+from mavfi.faults.levels.sensor.fault import NULL, TYPES, UNITS, Device, SensorFault, check_read
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight.compose import new_loop, resolve
 from mavfi.flight.host import find_host, host_class
@@ -94,7 +94,7 @@ def ros_graph() -> str:
     return "\n".join(["```mermaid", "flowchart LR", *lines, "```"])
 
 
-def unit_text(name: str, unit: Unit) -> str:
+def unit_text(name: str, unit: Device) -> str:
     """One row of the table of units."""
     error = f"{unit.error:+.0%}" if unit.relative else f"{unit.error:.3g}"
     low = "0" if unit.relative else f"−{unit.spread:.3g}"

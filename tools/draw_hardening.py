@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import matplotlib.pyplot as plt
 import numpy as np
+from examples.pictures.drawing import save
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from mavfi.extras.hardening.report import best
+from mavfi.extras.hardening.report import pareto_front
 from mavfi.report import style
-from tools.drawing import save
 from tools.markers import IMAGES
 from tools.results import TABLES
 
@@ -49,7 +49,7 @@ def draw(axes: Axes, name: str, steps: list[Step]) -> None:
     """Draw one function."""
     times = np.array([1.0, *(step.time for step in steps)])
     rate, low, high = np.array([(0.0, 0.0, 0.0), *(step.predicted for step in steps)]).T
-    front = best(times.tolist(), rate.tolist())
+    front = pareto_front(times.tolist(), rate.tolist())
     axes.fill_between(times[front], low[front], high[front], color=style.SKY, alpha=0.3, linewidth=0)
     axes.plot(times[front], rate[front], color=style.BLUE, linewidth=1.6)
     axes.plot(times, rate, "o", color=style.BLUE, markersize=3.5)

@@ -28,7 +28,7 @@ from mavfi.faults.sampling import stream
 from mavfi.flight.compose import resolve
 from mavfi.flight.loop import Listener, Loop
 from mavfi.mission import MissionSpec
-from mavfi.outcomes import LOST_TILT, Control, ControlErrors, control_of, energy
+from mavfi.outcomes import LOST_TILT, ControlEffect, ControlErrors, control_of, energy
 from mavfi.record import FlightLog
 from mavfi.report.text import header
 from tools import firmware_patterns as patterns
@@ -228,7 +228,7 @@ def healthy_table() -> Table:
     columns = (
         Column("seeds", "seeds"),
         Column("flights", "flights", NUMBER),
-        *(Column(one.value.replace(" ", "_"), one.value, NUMBER) for one in Control),
+        *(Column(one.value.replace(" ", "_"), one.value, NUMBER) for one in ControlEffect),
         Column("apart_m", "from the golden run, max (m)", "number .1f"),
         Column("time", "longer, max", SIGNED),
         Column("energy", "more energy, max", SIGNED),
@@ -243,7 +243,7 @@ def healthy_table() -> Table:
         every = [found for row in rows for found in row["errors"]]
         largest = (max((row[name] for row in rows), default=None) for name in ("distance_m", "time", "energy"))
         worst = (max((found[name] for found in every), default=None) for name in errors)
-        cells.append((seeds, len(rows), *(classes[one.value] for one in Control), *largest, *worst))
+        cells.append((seeds, len(rows), *(classes[one.value] for one in ControlEffect), *largest, *worst))
     return Table("healthy", "Missions without a fault, other gyro noise, classified", columns, cells)
 
 

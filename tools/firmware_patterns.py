@@ -14,7 +14,7 @@ from mavfi.extras.registers.classes import class_of, function_of
 from mavfi.faults.fault import RegisterFault
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
-from mavfi.outcomes import LOST_TILT, Control
+from mavfi.outcomes import LOST_TILT, ControlEffect
 from mavfi.record import Injection
 from mavfi.sim.environments import build_world
 from mavfi.sim.scene import STEP_US
@@ -35,7 +35,7 @@ _SIDES = ((3.0, 0.0, 0.0, 0.0), (0.0, 3.0, 0.0, 0.5), (-3.0, 0.0, 1.0, 0.0), (0.
 PATTERNS = {"hover": ((0.0, 0.0, 0.0, 0.0),), "square": _SIDES}
 """Commands of each pattern, one after the other: velocity (m/s) and yaw rate (rad/s)."""
 _MISSION = MissionSpec(environment="farm", seed=1, start=(5.0, 0.0, 8.0), flight_controller="betaflight")
-OUTCOMES = _IDENTICAL, _SLIGHT, _DEGRADED, _LOST, _ENDS, _HANGS = tuple(one.value for one in Control)
+OUTCOMES = _IDENTICAL, _SLIGHT, _DEGRADED, _LOST, _ENDS, _HANGS = tuple(one.value for one in ControlEffect)
 """What a fault does to a flight, from harmless to worst."""
 
 

@@ -14,10 +14,10 @@ from pathlib import Path
 from mavfi.analysis.table import Table
 from mavfi.extras.logs.watch import (
     BIT_CLASSES,
-    Judged,
+    JudgedLog,
+    LogRates,
+    LogRecording,
     LogWatch,
-    Rates,
-    Recording,
     judge_rest,
     rate_text,
     read_recording,
@@ -68,7 +68,7 @@ NOTES = (
 )
 
 
-def judge_apart(recordings: Sequence[Recording], kind: str, profile: str) -> list[Judged]:
+def judge_apart(recordings: Sequence[LogRecording], kind: str, profile: str) -> list[JudgedLog]:
     """Each recording judged by a detector trained on all others; a single one by its own first half."""
     if len(recordings) == 1:
         return [judge_rest(kind, profile, recordings[0], 0.5, flips=FLIPS)[1]]
@@ -80,11 +80,11 @@ def judge_apart(recordings: Sequence[Recording], kind: str, profile: str) -> lis
     return found
 
 
-def rows(name: str, recordings: Sequence[Recording]) -> list[tuple[str, ...]]:
+def rows(name: str, recordings: Sequence[LogRecording]) -> list[tuple[str, ...]]:
     """One row per detector and profile."""
     found = []
     for kind, profile in SETTINGS:
-        rates = Rates(judge_apart(recordings, kind, profile))
+        rates = LogRates(judge_apart(recordings, kind, profile))
         cells = (
             name,
             f"{kind}, {profile}",

@@ -186,11 +186,10 @@ MODULES = {
     "five-rules": "tools.build_rules",
     "hardening": "tools.build_hardening",
     "golden-rates": "tools.golden_rates",
-    "difficulty": "tools.difficulty",
     "fault-map": "tools.build_fault_map",
     "firmware": "tools.firmware_faults",
     "real-logs": "tools.real_logs",
-    "reliability": "tools.reliability",
+    "pictures": "tools.pictures",
     "speed": "benchmarks.run",
     "study": "tools.build_readme",
 }

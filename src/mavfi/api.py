@@ -72,16 +72,17 @@ def fly(
         raise BadInputError(f"fault_seed: {fault_seed}: no fault to draw; allowed: with the text of a fault")
     if not (detector is None or isinstance(detector, str)):
         require_detector(detector)
-    asked = _spec(mission, options)
+    spec = _spec(mission, options)
     allow_typed([detector])
     if detector_options and not isinstance(detector, str):
         raise BadInputError(f"detector_options: {detector_options!r}: allowed: with the name of a detector")
-    setup, label, _ = watched(asked, detector, profile, None if models is None else Path(models), detector_options)
+    setup, label, _ = watched(spec, detector, profile, _path(models), detector_options)
+    request: Request | Fault | None
     if isinstance(fault, str):
-        request: Request | Fault | None = parse(fault, asked.localization)
+        request = parse(fault, spec.localization)
     else:
         request = fault
-    return fly_request(setup, request, fault_seed, label, resolve(asked))
+    return fly_request(setup, request, fault_seed, label, without_detector=resolve(spec))
 
 
 def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **options: Any) -> Fault:
@@ -128,16 +129,15 @@ def run(
     from mavfi.campaign.run import run_campaign
 
     if isinstance(campaign, Campaign):
-        chosen = campaign
+        loaded_campaign = campaign
     else:
-        chosen = load_campaign(campaign)
-    if chosen is not campaign:
-        check_names(chosen, str(campaign))
+        loaded_campaign = load_campaign(campaign)
+        check_names(loaded_campaign, str(campaign))
     run_campaign(
-        chosen,
+        loaded_campaign,
         Path(directory),
         executor=executor or LocalExecutor(workers),
-        models_dir=None if models is None else Path(models),
+        models_dir=_path(models),
         progress=progress,
     )
     return load(directory)
@@ -185,7 +185,12 @@ def figure(runs: "Runs", name: str) -> "Figure":
 
 
 def fly_request(
-    setup: ArmSetup, fault: Request | Fault | None, seed: int, label: str, bare: Scenario, own_host: Host | None = None
+    setup: ArmSetup,
+    fault: Request | Fault | None,
+    seed: int,
+    label: str,
+    without_detector: Scenario,
+    own_host: Host | None = None,
 ) -> FlightResult:
     """Fly the golden run and a fault; a requested fault is drawn first, from the golden run.
 
@@ -194,12 +199,13 @@ def fly_request(
         fault: The fault, or a request for one; None = the golden run only.
         seed: Seed of the draw.
         label: Name of the detector; "" = none.
-        bare: The mission without the detector and its mission keys, in which the fault is flown as well.
+        without_detector: The mission without the detector and its mission keys, in which the fault is flown as well.
         own_host: Flies the mission; None = the host of the fault.
 
     Raises:
         BadInputError: The mission has no such site.
     """
+    # Draw the fault; the golden run from which it was drawn is used again below.
     golden = None
     if fault is not None and not isinstance(fault, Fault):
         fault, golden = fault.draw(setup, seed)
@@ -209,10 +215,14 @@ def fly_request(
     if setup.make_detector is None:
         flight, golden = _flown(host, setup, fault, golden)
         return FlightResult(setup.scenario, flight, golden, fault)
+
+    # Fly under the detector, and once more without it.
     flight, watched_golden = _flown(host, setup, fault)
     unwatched = None
     if fault is not None and getattr(fault, "kernel", "") not in WATCHING:  # those exist only with the detector
-        unwatched, _ = _flown(host, ArmSetup(bare), fault, golden if bare == setup.scenario else None)
+        if without_detector != setup.scenario:
+            golden = None  # it is the golden run of another mission
+        unwatched, _ = _flown(host, ArmSetup(without_detector), fault, golden)
     return FlightResult(setup.scenario, flight, watched_golden, fault, label, unwatched)
 
 
@@ -235,6 +245,14 @@ def _flown(
 def _spec(mission: MissionSpec | None, options: dict[str, Any]) -> MissionSpec:
     """The mission with the given options replaced."""
     allow_typed(options.values())
-    return parse_config(
-        MissionSpec, {**({} if mission is None else mission.model_dump(exclude_unset=True)), **options}, "mission"
-    )
+    keys = {}
+    if mission is not None:
+        keys = mission.model_dump(exclude_unset=True)
+    return parse_config(MissionSpec, {**keys, **options}, "mission")
+
+
+def _path(folder: Path | str | None) -> Path | None:
+    """A folder as a `Path`; None stays None."""
+    if folder is None:
+        return None
+    return Path(folder)

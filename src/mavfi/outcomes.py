@@ -53,7 +53,7 @@ def effect_of(golden: FlightRecord | None, injected: FlightRecord) -> Effect:
 
 
 # ---- faults in a flight controller -------------------------------------------------------------------------------
-class Control(Enum):
+class ControlEffect(Enum):
     """What a fault in a flight controller does to a mission, from harmless to worst; the value names it in tables."""
 
     IDENTICAL = "bit-identical"
@@ -124,7 +124,7 @@ of the same flights: 11 % and 17 %."""
 _ASTRAY = (MissionStatus.COLLISION.label, MissionStatus.FLY_AWAY.label)
 
 
-def control_of(golden: FlightRecord | None, injected: FlightRecord) -> Control | None:
+def control_of(golden: FlightRecord | None, injected: FlightRecord) -> ControlEffect | None:
     """Class of a mission with a fault in its flight controller; the worst that applies.
 
     Args:
@@ -134,7 +134,7 @@ def control_of(golden: FlightRecord | None, injected: FlightRecord) -> Control |
     Returns:
         None: It cannot be judged, e.g. if errors were not measured.
     """
-    known = {Effect.MASKED: Control.IDENTICAL, Effect.CRASH: Control.ENDS, Effect.HANG: Control.HANGS}
+    known = {Effect.MASKED: ControlEffect.IDENTICAL, Effect.CRASH: ControlEffect.ENDS, Effect.HANG: ControlEffect.HANGS}
     effect = effect_of(golden, injected)
     errors = ControlErrors.of(injected)
     if effect in known:
@@ -144,10 +144,10 @@ def control_of(golden: FlightRecord | None, injected: FlightRecord) -> Control |
     follows = not errors.beyond(HEALTHY)
     lost = errors.beyond(LOST) or injected.status == MissionStatus.INVALID_STATE.label
     if lost or (injected.status in _ASTRAY and not follows):
-        return Control.LOST
+        return ControlEffect.LOST
     if follows and not _is_worse(golden, injected):
-        return Control.SLIGHT
-    return Control.DEGRADED
+        return ControlEffect.SLIGHT
+    return ControlEffect.DEGRADED
 
 
 def _is_worse(golden: FlightRecord, injected: FlightRecord) -> bool:

@@ -1,6 +1,6 @@
 """Pydantic's errors in mavfi's wording: one line that names key, value and what is allowed."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -40,42 +40,64 @@ def finding(error: ValidationError, model: type[BaseModel] | None = None, under:
 
     `under`: the key whose value is the model.
     """
-    found: list[Mapping[str, Any]] = [{**one} for one in error.errors()]
-    mistyped = [one for one in found if one["type"] == "extra_forbidden" and found[0]["type"] == "missing"]
-    first = (mistyped or found)[0]
-    if model is None:
-        owner = None
-        location = first["loc"]
-    else:
-        owner, location = _place(model, model, first["loc"])
+    first = _first(error)
+    owner = None
+    location = first["loc"]
+    if model is not None:
+        owner, location = _locate(model, model, first["loc"])
     kind = first["type"]
-    name = str(location[-1]) if location else ""
+    name = ""
+    if location:
+        name = str(location[-1])
     key = ".".join(filter(None, (under, *map(str, location))))
-    message: str = first["msg"].removeprefix("Value error, ")
+    value = first["input"]
+
+    # checks of mavfi's own models say in their message what is allowed
     if kind == "value_error":
+        message: str = first["msg"].removeprefix("Value error, ")
         if not key or message.startswith(f"{key}."):
             return message
         return f"key {key!r}: {message}"
+
+    # what earlier versions accepted: the message says what replaces it
     if kind == "extra_forbidden" and dropped_key(name):
         return dropped_key(name)
-    if kind == "literal_error" and dropped_value(name, first["input"]):
-        return dropped_value(name, first["input"])
+    if kind == "literal_error" and dropped_value(name, value):
+        return dropped_value(name, value)
+
+    # keys that do not exist, or are absent
     if kind == "extra_forbidden" and owner is not None:
-        known = [*owner.model_fields, *getattr(owner, "also_accepts", ())]
-        return f"unknown key {key!r}{hint(name, known)}; allowed: {', '.join(known)}"
+        known_keys = [*owner.model_fields, *getattr(owner, "also_accepts", ())]
+        return f"unknown key {key!r}{hint(name, known_keys)}; allowed: {', '.join(known_keys)}"
     if kind == "missing":
-        field = None if owner is None else owner.model_fields.get(name)
-        if field is not None and get_origin(field.annotation) is Literal:
-            allowed = get_args(field.annotation)
-        else:
-            allowed = ()
-        return f"key {key!r}: is required" + (f"; allowed: {', '.join(map(str, allowed))}" if allowed else "")
-    value = first["input"]
-    context = first.get("ctx", {})
+        return f"key {key!r}: is required{_choices_of(owner, name)}"
+
+    # values that are not allowed
     if kind == "literal_error":
-        words = [word.strip("'") for word in context["expected"].replace(" or ", ", ").split(", ")]
-        return f"key {key!r}: {shown(value)}: not known{hint(value, words)}; allowed: {context['expected']}"
+        expected = first["ctx"]["expected"]
+        words = [word.strip("'") for word in expected.replace(" or ", ", ").split(", ")]
+        return f"key {key!r}: {shown(value)}: not known{hint(value, words)}; allowed: {expected}"
     return f"key {key!r}: {shown(value)}: {allowed_by(first)}"
+
+
+def _first(error: ValidationError) -> Mapping[str, Any]:
+    """The error to report: the first, but an unknown key before an absent one, which it probably misspells."""
+    errors: list[Mapping[str, Any]] = [{**details} for details in error.errors()]
+    if errors[0]["type"] == "missing":
+        for details in errors:
+            if details["type"] == "extra_forbidden":
+                return details
+    return errors[0]
+
+
+def _choices_of(owner: type[BaseModel] | None, name: str) -> str:
+    """The values of a field that has a few, for the end of a message; "" = it has not."""
+    field = None
+    if owner is not None:
+        field = owner.model_fields.get(name)
+    if field is None or get_origin(field.annotation) is not Literal:
+        return ""
+    return f"; allowed: {', '.join(map(str, get_args(field.annotation)))}"
 
 
 def allowed_by(error: Mapping[str, Any]) -> str:
@@ -107,16 +129,23 @@ def refuse_other_kind(annotation: Any, value: object) -> None:  # noqa: ANN401
     kinds = _members(annotation)
     if isinstance(value, bool):
         if {int, float} & set(kinds) and bool not in kinds:
-            raise ValueError(f"{shown(value)}: allowed: {'a number' if float in kinds else 'a whole number'}")
+            number = "a number" if float in kinds else "a whole number"
+            raise ValueError(f"{shown(value)}: allowed: {number}")
     elif bool in kinds and set(kinds) <= {bool, type(None)} and value is not None:
         raise ValueError(f"{shown(value)}: allowed: true, false")
-    elif isinstance(value, (list, tuple, dict)):
-        origins = (dict,) if isinstance(value, dict) else (list, tuple)
-        inner = tuple(get_args(kind) for kind in kinds if get_origin(kind) in origins)
-        parts = tuple(part for one in inner for part in (one[1:] if origins == (dict,) else one) if part is not ...)
-        elements = value.values() if isinstance(value, dict) else value
-        for element in elements if parts else ():  # models check their own values
-            refuse_other_kind(Union[parts], element)  # noqa: UP007 - of any number
+    elif isinstance(value, dict):
+        _refuse_elements([get_args(kind)[1:] for kind in kinds if get_origin(kind) is dict], value.values())
+    elif isinstance(value, (list, tuple)):
+        _refuse_elements([get_args(kind) for kind in kinds if get_origin(kind) in (list, tuple)], value)
+
+
+def _refuse_elements(annotations: Sequence[tuple[Any, ...]], elements: Iterable[object]) -> None:
+    """Apply `refuse_other_kind` to the elements of a list or mapping; models (no annotation) check their own."""
+    element_kinds = tuple(kind for arguments in annotations for kind in arguments if kind is not ...)
+    if not element_kinds:
+        return
+    for element in elements:
+        refuse_other_kind(Union[element_kinds], element)  # noqa: UP007 - of any number
 
 
 @cache
@@ -129,7 +158,7 @@ def _members(annotation: Any) -> tuple[Any, ...]:  # noqa: ANN401
     return (annotation,)
 
 
-def _place(
+def _locate(
     owner: type[BaseModel],
     annotation: Any,
     location: tuple[int | str, ...],  # noqa: ANN401
@@ -143,18 +172,24 @@ def _place(
     kind = kinds[0]
     (first, *rest) = location
     if isinstance(kind, type) and issubclass(kind, BaseModel):
-        field = kind.model_fields.get(str(first))
         owner = kind
+        field = kind.model_fields.get(str(first))
         annotation = None if field is None else field.annotation
     elif get_origin(kind) in (dict, list, tuple):
-        annotation = get_args(kind)[min(int(first), len(get_args(kind)) - 1) if isinstance(first, int) else -1]
-        if annotation is Ellipsis:
-            annotation = get_args(kind)[0]
-        else:
-            annotation = annotation
+        annotation = _element_kind(get_args(kind), first)
     else:
         return owner, location
     if not rest:
         return owner, (first,)
-    owner, inner = _place(owner, annotation, tuple(rest))
+    owner, inner = _locate(owner, annotation, tuple(rest))
     return owner, (first, *inner)
+
+
+def _element_kind(arguments: tuple[Any, ...], key: int | str) -> Any:  # noqa: ANN401
+    """Annotation of an element, given the arguments of a list's, tuple's or dictionary's annotation, and its key."""
+    position = -1  # of a dictionary: its values
+    if isinstance(key, int):
+        position = min(key, len(arguments) - 1)
+    if arguments[position] is Ellipsis:  # tuple[X, ...]
+        return arguments[0]
+    return arguments[position]

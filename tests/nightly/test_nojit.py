@@ -1,4 +1,4 @@
-"""`make check-nojit` among the tests."""
+"""`make nightly ONLY=nojit` among the tests."""
 
 import pytest
 

@@ -15,15 +15,16 @@ MOST = 5
 
 def findings(runs: Runs) -> list[str]:
     """Compute up to `MOST` sentences; those that do not apply are omitted."""
-    found = [line for say in _SENTENCES for line in say(runs)]
-    return found[:MOST]
+    sentences = [sentence for compute in _SENTENCES for sentence in compute(runs)]
+    return sentences[:MOST]
 
 
-def _bits(own: Runs) -> str:
-    text = m.population_text(own.values("population"))
-    if text:
-        return f" ({text} bits)"
-    return ""
+def _bits(runs: Runs) -> str:
+    """The bits that faults are in, in brackets; empty for all bits of a word."""
+    text = m.population_text(runs.values("population"))
+    if not text:
+        return ""
+    return f" ({text} bits)"
 
 
 def _percent(rate: Rate) -> str:
@@ -43,8 +44,7 @@ def _success(runs: Runs) -> list[str]:
         return []
     without = m.rate_of(golden, "success")
     with_fault = m.rate_of(faulty, "success")
-    known = faulty.where(pl.col("golden_success").is_not_null())
-    test = m.against_golden(known)
+    test = m.against_golden(faulty.where(pl.col("golden_success").is_not_null()))
     return [
         f"Without a fault {_with_n(without)} of missions succeed, with one fault{_bits(faulty)} "
         f"{_with_n(with_fault)}: the fault loses {test.first_only} of {test.n} missions and saves {test.second_only} "
@@ -53,42 +53,46 @@ def _success(runs: Runs) -> list[str]:
 
 
 def _deaths(runs: Runs) -> list[str]:
-    own = runs.injected.where("judged", pl.col("kernel_effect").is_in(KERNEL_DUE), pl.col("kernel") != "", setting=FI)
     faulty = runs.injected.where("judged", setting=FI)
-    if not len(own) or not runs.has_missions:
+    deadly = faulty.where(pl.col("kernel_effect").is_in(KERNEL_DUE), pl.col("kernel") != "")
+    if not len(deadly) or not runs.has_missions:
         return []
     ended = m.rate_of(faulty, "success_if_ended")
     return [
-        f"{len(own)} of {len(faulty)} faults kill their kernel; if a dead node ended the mission, {_with_n(ended)} "
+        f"{len(deadly)} of {len(faulty)} faults kill their kernel; if a dead node ended the mission, {_with_n(ended)} "
         "would succeed."
     ]
 
 
 def _effects(runs: Runs) -> list[str]:
-    own = runs.injected.where("judged", pl.col("effect") != "unknown", setting=FI)
-    if not len(own):
+    faulty = runs.injected.where("judged", pl.col("effect") != "unknown", setting=FI)
+    if not len(faulty):
         return []
-    masked, silent, *others = (
-        m.rate_of(own, pl.col("effect").is_in(names))
-        for names in (("masked",), ("sdc",), ("detected",), KERNEL_DUE, ("not_activated",))
-    )
-    what = "are detected by protected code", "end in a crash or a hang", "do not reach their site"
-    rest = "".join(f", {_percent(rate)} {words}" for rate, words in zip(others, what, strict=True) if rate.successes)
+
+    def share(*effects: str) -> Rate:
+        return m.rate_of(faulty, pl.col("effect").is_in(effects))
+
+    others = {
+        "are detected by protected code": share("detected"),
+        "end in a crash or a hang": share(*KERNEL_DUE),
+        "do not reach their site": share("not_activated"),
+    }
+    rest = "".join(f", {_percent(rate)} {words}" for words, rate in others.items() if rate.successes)
     result = "flight" if runs.has_missions else "output"
     return [
-        f"{_percent(masked)} of {len(own)} faults leave the {result} as it was, bit for bit, "
-        f"{_percent(silent)} change it silently{rest}."
+        f"{_percent(share('masked'))} of {len(faulty)} faults leave the {result} as it was, bit for bit, "
+        f"{_percent(share('sdc'))} change it silently{rest}."
     ]
 
 
 def _worst_stage(runs: Runs) -> list[str]:
-    own = m.leading_faults(runs).where(setting=FI)
-    rates = {stage: m.rate_of(part, m.FAILS_OR_SLOWER) for (stage,), part in own.groups("stage").items() if stage}
+    faulty = m.leading_faults(runs).where(setting=FI)
+    rates = {stage: m.rate_of(part, m.FAILS_OR_SLOWER) for (stage,), part in faulty.groups("stage").items() if stage}
     if len(rates) < 2:
         return []
     ordered = sorted(rates.items(), key=lambda item: -(item[1].rate or 0.0))
     stages = "; ".join(f"{stage} {_with_n(rate)}" for stage, rate in ordered)
-    return [f"Missions that fail or take more than 5 % longer, by stage of the fault{_bits(own)}: {stages}."]
+    return [f"Missions that fail or take more than 5 % longer, by stage of the fault{_bits(faulty)}: {stages}."]
 
 
 def _recovery(runs: Runs) -> list[str]:
@@ -96,50 +100,48 @@ def _recovery(runs: Runs) -> list[str]:
     if not len(paired):
         return []
     leads = m.leads(m.population_names(runs.injected, ()))
-    parts = []
     arms = runs.campaign.get("arms", {})
     # in protected code the same instruction of the draw is another one: what comes back is not brought back by it
     protected = [name for name, arm in arms.items() if arm["mission"].get("protection")]
-    paired = paired.where(~pl.col("arm").is_in(protected))
-    for (setting,), own in paired.where(pl.col("population").is_in(leads)).groups("setting").items():
-        test = m.discordant(own)
-        found = m.recovery_of(own)
-        if found is None:
-            back = 0
-            lost = 0
-        else:
-            back = found.regained
-            lost = found.lost
+    compared = paired.where(~pl.col("arm").is_in(protected), pl.col("population").is_in(leads))
+    parts = []
+    for (setting,), pairs in compared.groups("setting").items():
+        regained = 0
+        lost = 0
+        recovery = m.recovery_of(pairs)
+        if recovery is not None:
+            regained = recovery.regained
+            lost = recovery.lost
         parts.append(
-            f"{own.first('arm') or setting} brings back {back} of {lost} lost missions and newly loses "
-            f"{test.first_only}"
+            f"{pairs.first('arm') or setting} brings back {regained} of {lost} lost missions and newly loses "
+            f"{m.discordant(pairs).first_only}"
         )
-    if parts:
-        return [f"{'; '.join(parts)}."]
-    return []
+    if not parts:
+        return []
+    return [f"{'; '.join(parts)}."]
 
 
 def _false_alarms(runs: Runs) -> list[str]:
-    own = runs.golden.where(pl.col("detector") != "", end="flown")
-    rates = {arm: m.alarm_rate(part) for (arm,), part in own.groups("arm").items()}
+    watched = runs.golden.where(pl.col("detector") != "", end="flown")
+    rates = {arm: m.alarm_rate(flights) for (arm,), flights in watched.groups("arm").items()}
     by_arm = "; ".join(
         f"{arm} {rate.per_hour:.1f} per hour [{rate.low:.1f}, {rate.high:.1f}] ({rate.events} in {rate.hours:.2g} h)"
         for arm, rate in rates.items()
         if rate.per_hour is not None
     )
-    if by_arm:
-        return [f"Alarms on flights without a fault: {by_arm}."]
-    return []
+    if not by_arm:
+        return []
+    return [f"Alarms on flights without a fault: {by_arm}."]
 
 
 def _flight_time(runs: Runs) -> list[str]:
-    own = runs.injected.where("judged", "success", pl.col("inflation").is_not_null(), setting=FI)
-    if not len(own):
+    successes = runs.injected.where("judged", "success", pl.col("inflation").is_not_null(), setting=FI)
+    if not len(successes):
         return []
-    median, worst = (m.quantile_of(own["inflation"], share) or 0.0 for share in (0.5, 1.0))
+    median, worst = (m.quantile_of(successes["inflation"], share) or 0.0 for share in (0.5, 1.0))
     return [
-        f"Of the missions that succeed with a fault (n = {len(own)}), the median takes {100 * median:+z.1f} % flight "
-        f"time, the worst {100 * worst:+z.1f} % ({m.worst_run(own)})."
+        f"Of the missions that succeed with a fault (n = {len(successes)}), the median takes {100 * median:+z.1f} % "
+        f"flight time, the worst {100 * worst:+z.1f} % ({m.worst_run(successes)})."
     ]
 
 

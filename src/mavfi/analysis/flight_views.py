@@ -12,7 +12,7 @@ from mavfi.analysis import published as paper
 from mavfi.analysis.measures import Measure
 from mavfi.analysis.rows import ACTIVATED, KERNEL_DUE, NO_SITE, NOT_ACTIVATED, POPULATIONS
 from mavfi.analysis.runs import ALL, Runs
-from mavfi.analysis.statistics import Rate, Recovery
+from mavfi.analysis.statistics import Rate, RecoveryRate
 from mavfi.analysis.table import NUMBER, PER_HOUR, PERCENT, POINTS, RATE, TEXT
 from mavfi.analysis.views import View, has
 from mavfi.campaign.plan import FI
@@ -76,21 +76,21 @@ def watched(runs: Runs) -> bool:
 
 
 # ---- success -----------------------------------------------------------------------------------------------------
-def unknown_note(own: Runs) -> list[str]:
+def unknown_note(runs: Runs) -> list[str]:
     """Note with the number of flights that could not be judged; none if all were."""
-    unknown = len(own.where(~pl.col("judged")))
-    if unknown:
-        return [f"{unknown} flights could not be judged (unknown) and are left out"]
-    return []
+    unknown = len(runs.where(~pl.col("judged")))
+    if not unknown:
+        return []
+    return [f"{unknown} flights could not be judged (unknown) and are left out"]
 
 
 def separable_note(runs: Runs) -> list[str]:
     """Note with the smallest differences that a success table can resolve."""
     parts = [f"{environment} {_points(golden)} / {_points(dr)}" for environment, golden, dr in m.separable(runs)]
+    if not parts:
+        return []
     start = "smaller differences, in points, are not distinguished (golden – fi / fi – dr, power 80 %): "
-    if parts:
-        return [start + "; ".join(parts)]
-    return []
+    return [start + "; ".join(parts)]
 
 
 def _points(share: float | None) -> str:
@@ -106,14 +106,14 @@ def of_missions(runs: Runs) -> Runs:
 
 def faulty_and_bare(runs: Runs) -> Runs:
     """Golden runs without a detector and all injected runs, labelled with the row names of the paper's table."""
-    own = of_missions(runs).where((pl.col("kind") == "injected") | (pl.col("arm") == ""))
     names = {
         "golden": "Golden run",
         "fi": "Injection run",
         "dr_gaussian": "Gaussian-based",
         "dr_autoencoder": "Autoencoder-based",
     }
-    return own.adding(row=pl.col("setting").replace(names))
+    faulty_or_bare = of_missions(runs).where((pl.col("kind") == "injected") | (pl.col("arm") == ""))
+    return faulty_or_bare.adding(row=pl.col("setting").replace(names))
 
 
 _SUCCESS = (
@@ -126,8 +126,8 @@ _SUCCESS = (
                 "here",
                 "here",
                 RATE,
-                lambda own: m.leading(own, m.population_names(own, ()), "success"),
-                counted=lambda own: m.in_leading(own, m.population_names(own, ())),
+                lambda runs: m.leading(runs, m.population_names(runs, ()), "success"),
+                counted=lambda runs: m.in_leading(runs, m.population_names(runs, ())),
             ),
             paper.column(paper.success),
         ),
@@ -175,12 +175,14 @@ _SUCCESS = (
 
 
 # ---- recovery ----------------------------------------------------------------------------------------------------
-def _recovery(of: Callable[[Runs, Recovery], Any]) -> Callable[[Runs], Any]:
-    def cell(own: Runs) -> Any:
-        found = m.recovery_of(own)
-        if found is None:
+def _recovery(cell_of: Callable[[Runs, RecoveryRate], Any]) -> Callable[[Runs], Any]:
+    """A measure of the recovery rate of a group; its cell is empty without pairs."""
+
+    def cell(runs: Runs) -> Any:
+        recovery = m.recovery_of(runs)
+        if recovery is None:
             return None
-        return of(own, found)
+        return cell_of(runs, recovery)
 
     return cell
 
@@ -189,26 +191,41 @@ NO_ESTIMATE = "no estimate"
 """Recovery rate whose denominator may be 0."""
 
 
-def _recovery_rate(_: Runs, found: Recovery) -> Any:
-    if found.rate is None:
+def _recovery_rate(_: Runs, recovery: RecoveryRate) -> Any:
+    if recovery.rate is None:
         return NO_ESTIMATE
-    return Rate(found.lost, found.rate, found.low, found.high)
+    return Rate(recovery.lost, recovery.rate, recovery.low, recovery.high)
 
 
-def _papers_recovery(own: Runs) -> float | None:
-    leads = own.first("population") in m.LEADING and paper.comparable(own.campaign, own.first("detector_profile"))
-    leads = leads and own.first("level") != MEMORY
-    if leads:
-        return paper.recovery(own.first("environment"), own.first("setting"))
-    return None
+def _papers_recovery(runs: Runs) -> float | None:
+    if runs.first("population") not in m.LEADING or runs.first("level") == MEMORY:
+        return None
+    if not paper.comparable(runs.campaign, runs.first("detector_profile")):
+        return None
+    return paper.recovery(runs.first("environment"), runs.first("setting"))
 
 
 def named_populations(runs: Runs) -> Runs:
     """Sort runs by population, and add the column `bits` with its display name."""
-    order = {name: place for place, name in enumerate(POPULATIONS)}
-    place = pl.col("population").replace_strict(order, default=len(order), return_dtype=pl.Int64)
+    ranks = {name: rank for rank, name in enumerate(POPULATIONS)}
+    rank = pl.col("population").replace_strict(ranks, default=len(ranks), return_dtype=pl.Int64)
     named = runs.frame.with_columns(bits=pl.col("population").replace(POPULATIONS))
-    return replace(runs, frame=named.sort(place, maintain_order=True))
+    return replace(runs, frame=named.sort(rank, maintain_order=True))
+
+
+def _recovery_notes(runs: Runs) -> list[str]:
+    notes = [
+        "lost: missions that succeed without the fault and fail with it; brought back: of these, those that "
+        "succeed with the detector on; newly lost / saved: missions that fail / succeed only with the detector on",
+        f"p: {m.PAIRED_TEST}; newly lost against saved by the detector",
+        f"recovery = (dr – fi) / (golden – fi), [exact binomial interval]; {NO_ESTIMATE} while the interval of "
+        "golden – fi contains 0; below 0 where more missions are newly lost than brought back",
+        HEALS if of_states(runs) else _HEALS_WITH_MEMORY,
+    ]
+    if has(runs.injected, level=INSTRUCTION):
+        notes.append(_SHIFTED)
+    notes += ["golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds", ONE_FAULT]
+    return notes
 
 
 _RECOVERY = (
@@ -218,40 +235,30 @@ _RECOVERY = (
         ("environment", "bits", "setting"),
         (
             m.count("pairs", "pairs"),
-            Measure("lost", "lost", NUMBER, _recovery(lambda _, found: found.lost)),
-            Measure("brought_back", "brought back", NUMBER, _recovery(lambda _, found: found.regained)),
-            Measure("newly_lost", "newly lost", NUMBER, lambda own: m.discordant(own).first_only),
-            Measure("only_dr", "saved", NUMBER, lambda own: m.discordant(own).second_only),
-            Measure("p", "p", "number .3g", lambda own: m.discordant(own).p_value),
+            Measure("lost", "lost", NUMBER, _recovery(lambda _, recovery: recovery.lost)),
+            Measure("brought_back", "brought back", NUMBER, _recovery(lambda _, recovery: recovery.regained)),
+            Measure("newly_lost", "newly lost", NUMBER, lambda runs: m.discordant(runs).first_only),
+            Measure("only_dr", "saved", NUMBER, lambda runs: m.discordant(runs).second_only),
+            Measure("p", "p", "number .3g", lambda runs: m.discordant(runs).p_value),
             Measure("recovery", "recovery", "percent with interval", _recovery(_recovery_rate)),
             Measure("paper", "paper", PERCENT, _papers_recovery),
             Measure(
                 "loss",
                 "golden – fault (points)",
                 POINTS,
-                _recovery(lambda own, found: Rate(len(own), found.loss, found.loss_low, found.loss_high)),
+                _recovery(lambda runs, recovery: Rate(len(runs), recovery.loss, recovery.loss_low, recovery.loss_high)),
             ),
         ),
         where=lambda runs: named_populations(m.against_fi(runs)),
         total=TOTAL,
-        notes=lambda runs: (
-            "lost: missions that succeed without the fault and fail with it; brought back: of these, those that "
-            "succeed with the detector on; newly lost / saved: missions that fail / succeed only with the detector on",
-            f"p: {m.PAIRED_TEST}; newly lost against saved by the detector",
-            f"recovery = (dr – fi) / (golden – fi), [exact binomial interval]; {NO_ESTIMATE} while the interval of "
-            "golden – fi contains 0; below 0 where more missions are newly lost than brought back",
-            *((HEALS,) if of_states(runs) else (_HEALS_WITH_MEMORY,)),
-            *((_SHIFTED,) if has(runs.injected, level=INSTRUCTION) else ()),
-            "golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds",
-            ONE_FAULT,
-        ),
+        notes=_recovery_notes,
         applies=_compared,
     ),
 )
 
 
 # ---- success by properties of the fault --------------------------------------------------------------------------
-FEWEST = 10  # minimum number of flights for a field to have a row in the report
+MIN_FLIGHTS = 10  # minimum number of flights for a field to have a row in the report
 
 
 def _slow_note(runs: Runs) -> tuple[str, ...]:
@@ -263,12 +270,16 @@ def _slow_note(runs: Runs) -> tuple[str, ...]:
     )
 
 
-def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> View:
-    """A table of success by properties of the fault and by setting."""
-    options = {"applies": of_states, "measures": (m.leading_success, m.other_success, m.hurt), "notes": _slow_note}
+def _by(name: str, title: str, by: tuple[str, ...], **options: Any) -> View:
+    """A table of success by properties of the fault and by setting; `options` replace those for faults in states."""
+    defaults = {"applies": of_states, "measures": (m.leading_success, m.other_success, m.hurt), "notes": _slow_note}
     levels = pl.col("level").is_in((STATE, MEMORY, SENSOR))
     return View(
-        name, title, (*by, "setting"), where=lambda runs: runs.injected.where("judged", levels), **{**options, **more}
+        name,
+        title,
+        (*by, "setting"),
+        where=lambda runs: runs.injected.where("judged", levels),
+        **{**defaults, **options},
     )
 
 
@@ -278,7 +289,7 @@ def _of_sensors_in_several(runs: Runs) -> bool:
 
 _OF_FAILURES: dict[str, Any] = {
     "applies": of_sensors,
-    "measures": (Measure("success", "success %", RATE, lambda own: m.rate_of(own, "success")), m.hurt),
+    "measures": (Measure("success", "success %", RATE, lambda runs: m.rate_of(runs, "success")), m.hurt),
     "notes": lambda _: (
         f"success, hurt: {INTERVALS}",
         "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes",
@@ -300,7 +311,7 @@ _BY_PROPERTY = (
     ),
     _by("by_failure", "Success by type of failure", ("field",), **_OF_FAILURES, headings=("type", "setting")),
     _by("by_bits", "Success by class of the flipped bit", ("bit_class",), applies=of_values),
-    _by("by_field", f"Success by field, {FEWEST} flights or more", ("state", "field"), least=FEWEST),
+    _by("by_field", f"Success by field, {MIN_FLIGHTS} flights or more", ("state", "field"), least=MIN_FLIGHTS),
 )
 
 
@@ -356,11 +367,10 @@ _ENDS = (
 # ---- flight time -------------------------------------------------------------------------------------------------
 def paired(runs: Runs) -> Runs:
     """Judged injected runs, with column `paired`: the mission succeeds with this fault in every setting."""
-    own = runs.injected.where("judged")
     pair = ("environment", "target", "index")
-    complete = pl.col("inflation").is_not_null().all()
+    succeeds = pl.col("inflation").is_not_null().all().over(pair)
     settings = pl.col("setting").n_unique().over("environment")
-    return own.adding(paired=(pl.len().over(pair) == settings) & complete.over(pair))
+    return runs.injected.where("judged").adding(paired=(pl.len().over(pair) == settings) & succeeds)
 
 
 FLIGHTS = Chapter(10, (*_SUCCESS, *_RECOVERY, *_BY_PROPERTY, *_ENDS))
@@ -371,9 +381,9 @@ def _golden_watched(runs: Runs) -> Runs:
     return runs.golden.where(pl.col("detector") != "", end="flown")
 
 
-def _kinds(own: Runs) -> str:
+def _kinds(runs: Runs) -> str:
     kinds: Counter[str] = Counter()
-    for record in own.recorded():
+    for record in runs.recorded():
         kinds.update(record.alarm_counts)
     # "source/action/outcome"; the name of the setting already contains the source
     return ", ".join(f"{' '.join(kind.split('/')[1:])} {count}" for kind, count in kinds.items())
@@ -381,7 +391,7 @@ def _kinds(own: Runs) -> str:
 
 def _systematic_note(runs: Runs) -> str:
     parts = _golden_watched(runs).groups("setting", "environment").values()
-    always = {(state, time_s) for own in parts for state, time_s, _ in m.systematic(own)}
+    always = {(state, time_s) for flights in parts for state, time_s, _ in m.systematic(flights)}
     alarms = "".join(f"; {state} at {time_s:.2f} s" for state, time_s in sorted(always))
     return f"systematic: same state and instant in more than 90 % of the flights{alarms}"
 
@@ -395,9 +405,9 @@ def _monitored_note(runs: Runs) -> str:
 
 
 def _detected(runs: Runs) -> Runs:
-    own = runs.injected.where("judged", pl.col("detector") != "", site_outcome=ACTIVATED)
+    activated = runs.injected.where("judged", pl.col("detector") != "", site_outcome=ACTIVATED)
     in_set = pl.when(pl.col("monitored")).then(pl.lit("yes")).otherwise(pl.lit("no"))
-    return named_populations(own).adding(in_monitored_set=in_set)
+    return named_populations(activated).adding(in_monitored_set=in_set)
 
 
 ALARMS = Chapter(
@@ -410,11 +420,11 @@ ALARMS = Chapter(
             (
                 m.count("flights", "flights"),
                 m.count("with_alarm", "with alarm", pl.col("alarms_total") > 0),
-                Measure("alarms", "alarms", NUMBER, lambda own: sum(own["alarms_total"])),
-                Measure("systematic", "systematic", NUMBER, lambda own: sum(n for _, _, n in m.systematic(own))),
-                Measure("hours", "exposure", "number .2f h", lambda own: sum(own["flight_time_s"]) / 3600),
+                Measure("alarms", "alarms", NUMBER, lambda runs: sum(runs["alarms_total"])),
+                Measure("systematic", "systematic", NUMBER, lambda runs: sum(n for _, _, n in m.systematic(runs))),
+                Measure("hours", "exposure", "number .2f h", lambda runs: sum(runs["flight_time_s"]) / 3600),
                 Measure("per_hour", "per hour", PER_HOUR, m.alarm_rate),
-                Measure("upper", "upper bound", "number .1f", lambda own: m.alarm_rate(own).upper),
+                Measure("upper", "upper bound", "number .1f", lambda runs: m.alarm_rate(runs).upper),
                 Measure("kinds", "kinds", TEXT, _kinds),
             ),
             where=_golden_watched,
@@ -472,21 +482,28 @@ def _calls_by_stages(runs: Runs) -> bool:
 
 # ---- success under both policies ---------------------------------------------------------------------------------
 def _success_of(kind: str, column: str) -> Callable[[Runs], Any]:
-    return lambda own: m.rate_of(own.where("judged"), column) if own.first("kind") == kind else None
+    """Share of judged runs of a kind for which a column is true; None for groups of another kind."""
+
+    def cell(runs: Runs) -> Any:
+        if runs.first("kind") != kind:
+            return None
+        return m.rate_of(runs.where("judged"), column)
+
+    return cell
 
 
 def _estimand(runs: Runs) -> str:
-    planned = {name: place for place, name in enumerate(runs.campaign.get("kernels", ()))}
+    """The population of which the rates are estimates, as a note."""
+    planned = {name: rank for rank, name in enumerate(runs.campaign.get("kernels", ()))}
     stages = runs.injected.where(level=INSTRUCTION).groups("stage")
     kernels = {
-        stage: sorted(own.values("kernel"), key=lambda name: planned.get(name, len(planned)))
-        for (stage,), own in stages.items()
+        stage: sorted(part.values("kernel"), key=lambda name: planned.get(name, len(planned)))
+        for (stage,), part in stages.items()
     }
     shares = "; ".join(f"{stage}: {', '.join(names)}" for stage, names in kernels.items())
     which = runs.campaign.get("which", "all")
-    if which == "all":
-        drawn = "dynamic instructions"
-    else:
+    drawn = "dynamic instructions"
+    if which != "all":
         drawn = f"dynamic instructions of class {which}"
     return (
         f"equal numbers of faults per stage, shared equally among its kernels ({shares}); within a kernel uniform over "
@@ -496,12 +513,12 @@ def _estimand(runs: Runs) -> str:
 
 def _missed_note(runs: Runs) -> str:
     parts = runs.injected.where("judged").groups("setting")
-    counts = ", ".join(f"{setting} {_missed(own)}" for (setting,), own in parts.items())
+    counts = ", ".join(f"{setting} {_missed(part)}" for (setting,), part in parts.items())
     return f"faults that found no such call or were not activated, kept in every rate: {counts}"
 
 
-def _missed(own: Runs) -> int:
-    return len(own.where(pl.col("site_outcome") != ACTIVATED))
+def _missed(runs: Runs) -> int:
+    return len(runs.where(pl.col("site_outcome") != ACTIVATED))
 
 
 _KERNEL_SUCCESS = (
@@ -550,19 +567,19 @@ def _effect(*effects: str) -> pl.Expr:
     return pl.col("kernel_effect").is_in(effects)
 
 
-_THREE = (
+_MASKED_SDC_DUE = (
     m.rate("masked", "masked", _effect("masked")),
     m.rate("sdc", "sdc", _effect("sdc")),
     m.rate("due", "due", _effect(*KERNEL_DUE)),
 )
-_FOUND = _effect("detected")
+_DETECTED = _effect("detected")
 
 
 def _replayable_note(runs: Runs) -> str:
-    own = kernel_runs(runs)
-    again = len(own.where("replayable"))
-    note = f"{again} of {len(own)} flights can be replayed bit for bit"
-    if again == len(own):
+    flights = kernel_runs(runs)
+    replayable = len(flights.where("replayable"))
+    note = f"{replayable} of {len(flights)} flights can be replayed bit for bit"
+    if replayable == len(flights):
         return note
     return f"{note}: not those with a corrupted address or branch in a kernel whose memory belongs to a library"
 
@@ -574,12 +591,12 @@ _KERNEL_EFFECTS = (
         ("environment", "kernel"),
         (
             m.count("n", "n"),
-            *_THREE,
+            *_MASKED_SDC_DUE,
             Measure(
                 "due_kinds",
                 "crash / hang / exc.",
                 TEXT,
-                lambda own: " / ".join(str(len(own.where(kernel_effect=name))) for name in KERNEL_DUE),
+                lambda runs: " / ".join(str(len(runs.where(kernel_effect=name))) for name in KERNEL_DUE),
             ),
         ),
         where=kernel_runs,
@@ -592,8 +609,8 @@ _KERNEL_EFFECTS = (
         ("environment", "kernel", "setting"),
         (
             m.count("n", "n"),
-            *_THREE,
-            m.rate("found", "detected", _FOUND),
+            *_MASKED_SDC_DUE,
+            m.rate("found", "detected", _DETECTED),
             m.rate("success", "success", "success"),
             m.rate("success_due", "success | due", "success", _effect(*KERNEL_DUE)),
         ),
@@ -605,7 +622,7 @@ _KERNEL_EFFECTS = (
             "values, or none: settings are compared as samples, not in pairs",
             _LEVEL,
         ),
-        applies=lambda runs: _of_instructions(runs) and len(_all_settings(runs).where(_FOUND)) > 0,
+        applies=lambda runs: _of_instructions(runs) and len(_all_settings(runs).where(_DETECTED)) > 0,
     ),
 )
 KERNELS = Chapter(70, (*_KERNEL_SUCCESS, *_KERNEL_EFFECTS))

@@ -43,9 +43,11 @@ def listing(runs: Runs, *, failed: bool = False) -> Table:
     hidden = [Column(name, name, TEXT, hidden=True) for name in frame.columns if name not in names]
     columns = (*shown, *hidden)
     rows = frame.select(column.key for column in columns).rows()
-    done, planned = (runs.campaign.get(key) for key in ("done", "total"))
-    flown = "" if done == planned else f" flown so far, {planned} planned"
-    return Table("runs", f"{len(listed)} of {len(runs)} runs{flown}", columns, rows)
+    title = f"{len(listed)} of {len(runs)} runs"
+    planned = runs.campaign.get("total")
+    if runs.campaign.get("done") != planned:
+        title = f"{title} flown so far, {planned} planned"
+    return Table("runs", title, columns, rows)
 
 
 _INTERESTING = 0.02  # relative increase in flight time from which a successful run is worth a picture
@@ -73,15 +75,18 @@ def ordered(runs: pl.DataFrame) -> list[str]:
     Lost missions come first, then delayed ones, then other changed flights, then masked faults; within each class,
     settings, environments and targets alternate.
     """
-    own = runs.filter(kind="injected", judged=True, end=str(End.FLOWN), site_outcome="activated")
+    explainable = runs.filter(kind="injected", judged=True, end=str(End.FLOWN), site_outcome="activated")
     lost = ~pl.col("success") & pl.col("golden_success")
     slower = pl.col("inflation").fill_null(0.0) > _INTERESTING
-    own = own.with_columns(
-        sort=pl.when(lost).then(0).when(slower).then(1).when(pl.col("effect") != "masked").then(2).otherwise(3)
+    changed = pl.col("effect") != "masked"
+    classified = explainable.with_columns(
+        sort=pl.when(lost).then(0).when(slower).then(1).when(changed).then(2).otherwise(3)
     )
+    # runs are numbered within each class, setting, environment and target: sorted by that, these alternate
     turn = pl.int_range(pl.len()).over("sort", "setting", "environment", "target")
-    found: list[str] = own.with_columns(turn=turn).sort("sort", "turn", maintain_order=True)["run_id"].to_list()
-    return found
+    in_turns = classified.with_columns(turn=turn).sort("sort", "turn", maintain_order=True)
+    run_ids: list[str] = in_turns["run_id"].to_list()
+    return run_ids
 
 
 def partner(runs: pl.DataFrame, run_id: str) -> str | None:
@@ -92,10 +97,13 @@ def partner(runs: pl.DataFrame, run_id: str) -> str | None:
         `fi`; None if there is no such run.
     """
     (row,) = runs.filter(run_id=run_id).to_dicts()
-    same = runs.filter(
+    same_fault = runs.filter(
         kind=row["kind"], world=row["world"], target=row["target"], index=row["index"], judged=True, end=str(End.FLOWN)
-    ).filter((pl.col("detector") != "") if not row["detector"] else (pl.col("setting") == FI))
-    found: list[str] = same.sort("success", descending=True, maintain_order=True)["run_id"].to_list()
-    if found:
-        return found[0]
-    return None
+    )
+    if row["detector"]:
+        partners = same_fault.filter(setting=FI)
+    else:
+        partners = same_fault.filter(pl.col("detector") != "")
+    if partners.is_empty():
+        return None
+    return str(partners.sort("success", descending=True, maintain_order=True)["run_id"][0])

@@ -14,7 +14,7 @@ from mavfi.analysis.statistics import (
     EventRate,
     Paired,
     Rate,
-    Recovery,
+    RecoveryRate,
     clustered_rate,
     event_rate_by_flight,
     mcnemar,
@@ -28,8 +28,8 @@ from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.faults.strata import HEADLINE, SIGN_EXPONENT
 from mavfi.record import FlightRecord
 
-_WORDS = ({"sign_exponent", "mantissa"}, {"sign", "exponent", "mantissa"})
-PARTITIONS = (*_WORDS, *({*strata, "length"} for strata in _WORDS))
+_WORD_PARTITIONS = ({"sign_exponent", "mantissa"}, {"sign", "exponent", "mantissa"})
+PARTITIONS = (*_WORD_PARTITIONS, *({*strata, "length"} for strata in _WORD_PARTITIONS))
 """Sets of strata that partition a word; with `length`, a message."""
 LEADING = (HEADLINE, ALL_BITS)  # leading populations of tables, which are compared with the paper
 PAIRED_TEST = "McNemar's exact test, all pairs of a world with the same random sign"
@@ -49,7 +49,7 @@ class Measure:
     form: str  # display format of cells, see `table`
     of: Callable[[Runs], Cell]  # rows of a group -> cell
     hidden: bool = False  # in CSV and JSON only
-    counted: Callable[[Runs], Runs] = lambda own: own  # rows of a group that the cell is computed from
+    counted: Callable[[Runs], Runs] = lambda runs: runs  # rows of a group -> rows that the cell is computed from
 
     @property
     def column(self) -> Column:
@@ -57,7 +57,7 @@ class Measure:
         return Column(self.key, self.heading, self.form, self.hidden)
 
 
-Spread = Callable[[Runs, tuple[str, ...]], Iterable[Measure]]
+MeasureFactory = Callable[[Runs, tuple[str, ...]], Iterable[Measure]]
 """Measures that depend on the data: (selected rows, columns to group by) -> measures."""
 
 
@@ -68,32 +68,32 @@ def count(key: str, heading: str, *tests: pl.Expr | str, **values: Any) -> Measu
         key,
         heading,
         NUMBER,
-        lambda own: len(own.where(*tests, **values)),
-        counted=lambda own: own.where(*tests, **values),
+        lambda runs: len(runs.where(*tests, **values)),
+        counted=lambda runs: runs.where(*tests, **values),
     )
 
 
 def first(column: str, heading: str) -> Measure:
     """Value of a column that is constant within a group, taken from the first row."""
-    return Measure(column, heading, TEXT, lambda own: own.first(column))
+    return Measure(column, heading, TEXT, lambda runs: runs.first(column))
 
 
 def median(column: str, heading: str, form: str = NUMBER) -> Measure:
     """Median of a column; None if it has no values."""
-    return Measure(column, heading, form, lambda own: own.frame[column].median())
+    return Measure(column, heading, form, lambda runs: runs.frame[column].median())
 
 
 def quantile(column: str, share: float, key: str, heading: str) -> Measure:
     """Quantile of a column."""
-    return Measure(key, heading, SIGNED, lambda own: quantile_of(own[column], share))
+    return Measure(key, heading, SIGNED, lambda runs: quantile_of(runs[column], share))
 
 
 def quantile_of(values: Iterable[float | None], share: float) -> float | None:
-    """Quantile of the known values; None if there are none."""
-    known = [value for value in values if value is not None]
-    if known:
-        return float(np.quantile(known, share))
-    return None
+    """Quantile of the values that are not None; None if there are none."""
+    numbers = [value for value in values if value is not None]
+    if not numbers:
+        return None
+    return float(np.quantile(numbers, share))
 
 
 def rate(key: str, heading: str, test: pl.Expr | str, *where: pl.Expr | str) -> Measure:
@@ -102,55 +102,63 @@ def rate(key: str, heading: str, test: pl.Expr | str, *where: pl.Expr | str) -> 
         key,
         heading,
         RATE,
-        lambda own: rate_of(own.where(*where), test),
-        counted=lambda own: own.where(*where),
+        lambda runs: rate_of(runs.where(*where), test),
+        counted=lambda runs: runs.where(*where),
     )
 
 
 def wilson_rate(key: str, heading: str, test: pl.Expr, *where: pl.Expr) -> Measure:
     """Share of rows that pass a test, among those that pass `where`, with a Wilson interval of independent rows."""
 
-    def of(own: Runs) -> Cell:
-        judged = own.where(*where)
+    def of(runs: Runs) -> Cell:
+        judged = runs.where(*where)
         return wilson(len(judged.where(test)), len(judged))
 
     return Measure(key, heading, RATE, of)
 
 
-def rate_of(own: Runs, test: pl.Expr | str) -> Rate:
+def rate_of(runs: Runs, test: pl.Expr | str) -> Rate:
     """Rate over rows, and its interval with missions as clusters."""
-    asked = pl.col(test) if isinstance(test, str) else test
-    passed = own.frame.select(asked.fill_null(value=False).alias("passed"))["passed"].to_list()
-    return clustered_rate(passed, own["world"])
+    passed = runs.frame.select(_expression(test).fill_null(value=False).alias("passed"))["passed"].to_list()
+    return clustered_rate(passed, runs["world"])
+
+
+def _expression(test: pl.Expr | str) -> pl.Expr:
+    """A test as an expression; a name is that of a flag column."""
+    if isinstance(test, str):
+        return pl.col(test)
+    return test
 
 
 # ---- by population -----------------------------------------------------------------------------------------------
-def populations(own: Runs, test: pl.Expr | str) -> dict[str, Rate]:
+def populations(runs: Runs, test: pl.Expr | str) -> dict[str, Rate]:
     """Rate of a property by population: each bit stratum, and the whole word if the strata partition it.
 
     Runs that could not be judged are excluded.
     """
-    memo = own.memo
-    key = ("populations", str(test))
-    if key not in memo:
-        judged = own.where("judged")
+    key = ("populations", str(test))  # several columns of a table need the same rates
+    if key not in runs.memo:
+        judged = runs.where("judged")
         rates = {name: rate_of(part, test) for (name,), part in judged.groups("population").items()}
         if set(rates) in PARTITIONS:
-            passed = judged.frame.select((pl.col(test) if isinstance(test, str) else test).alias("passed"))["passed"]
+            passed = judged.frame.select(_expression(test).alias("passed"))["passed"]
             rates[WHOLE_WORD] = weighted_rate(passed.to_list(), judged["weight"], judged["population"], judged["world"])
-        memo[key] = rates
-    found: dict[str, Rate] = memo[key]
-    return found
+        runs.memo[key] = rates
+    memoized: dict[str, Rate] = runs.memo[key]
+    return memoized
 
 
 def population_names(runs: Runs, by: Sequence[str]) -> list[str]:
     """Populations in table order, the headline stratum first; golden runs have none."""
-    found: dict[str, None] = {}
-    for part in runs.groups(*by).values():
-        own = part.where("judged").values("population")
-        found |= dict.fromkeys([*own, *([WHOLE_WORD] if set(own) in PARTITIONS else [])])
-    own = [name for name in found if name != "all"]
-    return sorted(own, key=lambda name: _ORDER.index(name) if name in _ORDER else len(_ORDER))
+    names: dict[str, None] = {}  # a set that keeps the order
+    for group in runs.groups(*by).values():
+        in_group = group.where("judged").values("population")
+        names |= dict.fromkeys(in_group)
+        if set(in_group) in PARTITIONS:
+            names[WHOLE_WORD] = None
+    names.pop("all", None)
+    rank = {name: index for index, name in enumerate(_ORDER)}
+    return sorted(names, key=lambda name: rank.get(name, len(_ORDER)))
 
 
 def leads(names: Sequence[str]) -> list[str]:
@@ -171,17 +179,18 @@ def population_text(names: Collection[str]) -> str:
     return "".join(POPULATIONS.get(name, name) for name in names if name != ALL_BITS)
 
 
-def leading(own: Runs, names: Sequence[str], test: pl.Expr | str) -> Rate | None:
+def leading(runs: Runs, names: Sequence[str], test: pl.Expr | str) -> Rate | None:
     """Rate in the leading population; for golden runs, over all of them."""
-    rates = populations(own, test)
-    return rates.get("all", rates.get(names[0]) if names else None)
+    rates = populations(runs, test)
+    if "all" in rates or not names:
+        return rates.get("all")
+    return rates.get(names[0])
 
 
-def in_leading(own: Runs, names: Sequence[str]) -> Runs:
+def in_leading(runs: Runs, names: Sequence[str]) -> Runs:
     """The rows over which `leading` computes the rate."""
-    judged = own.where("judged")
-    held = judged.values("population")
-    if "all" in held or not names:
+    judged = runs.where("judged")
+    if "all" in judged.values("population") or not names:
         return judged.where(population="all")
     return judged.where(population=names[0])
 
@@ -194,7 +203,11 @@ def leading_success(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     else:
         heading = "success %"
     yield Measure(
-        "success", heading, RATE, lambda own: leading(own, names, "success"), counted=lambda own: in_leading(own, names)
+        "success",
+        heading,
+        RATE,
+        lambda group: leading(group, names, "success"),
+        counted=lambda group: in_leading(group, names),
     )
 
 
@@ -202,10 +215,12 @@ def other_success(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     """Success in each of the other populations."""
 
     def within(name: str) -> Callable[[Runs], Cell]:
-        return lambda own: populations(own, "success").get(name)
+        return lambda group: populations(group, "success").get(name)
 
     def counted(name: str) -> Callable[[Runs], Runs]:
-        return lambda own: own.where("judged", *([] if name == WHOLE_WORD else [pl.col("population") == name]))
+        if name == WHOLE_WORD:
+            return lambda group: group.where("judged")
+        return lambda group: group.where("judged", population=name)
 
     for name in population_names(runs, by)[1:]:
         yield Measure(f"success_{name}", POPULATIONS.get(name, name), RATE, within(name), counted=counted(name))
@@ -219,20 +234,21 @@ def hurt(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     """Share of failed or slower missions, and the largest increase in flight time, in a group's leading population."""
     names = population_names(runs, by)
 
-    def shown(own: Runs) -> str:
-        held = own.where("judged").values("population")
-        if names[0] in held:
+    def shown_population(group: Runs) -> str:
+        """The leading population of the table or, if the group has none of it, the group's first one."""
+        in_group = group.where("judged").values("population")
+        if names[0] in in_group:
             return names[0]
-        return str(held[0])
+        return str(in_group[0])
 
-    def counted(own: Runs) -> Runs:
-        return own.where("judged", population=shown(own))
+    def counted(group: Runs) -> Runs:
+        return group.where("judged", population=shown_population(group))
 
-    def worst(own: Runs) -> Any:
-        return counted(own).frame["inflation"].max()
+    def worst(group: Runs) -> Any:
+        return counted(group).frame["inflation"].max()
 
-    def share(own: Runs) -> Rate:
-        return populations(own, FAILS_OR_SLOWER)[shown(own)]
+    def share(group: Runs) -> Rate:
+        return populations(group, FAILS_OR_SLOWER)[shown_population(group)]
 
     if names:
         yield Measure("hurt", "hurt %", RATE, share, counted=counted)
@@ -248,7 +264,7 @@ def against_fi(runs: Runs) -> Runs:
     """
     judged = runs.injected.where("judged")
     pair = ["environment", "target", "index"]
-    alone = judged.where(setting=FI).frame.drop("setting", "arm", "detector", "detector_profile")
+    without_detector = judged.where(setting=FI).frame.drop("setting", "arm", "detector", "detector_profile")
     arms = judged.where(pl.col("setting") != FI).frame.select(
         *pair,
         "setting",
@@ -263,63 +279,61 @@ def against_fi(runs: Runs) -> Runs:
         dr_time_s="time_s",
         dr_before="before",
     )
-    joined = alone.rename({"success": "fi_success"}).join(arms, on=pair, maintain_order="left_right")
+    joined = without_detector.rename({"success": "fi_success"}).join(arms, on=pair, maintain_order="left_right")
     return Runs(joined, runs.records, runs.campaign)
 
 
-def recovery_of(own: Runs) -> Recovery | None:
+def recovery_of(runs: Runs) -> RecoveryRate | None:
     """Recovery rate (dr - fi) / (golden - fi) of paired rows."""
-    if "recovery" not in own.memo:
-        known = own.where(pl.col("golden_success").is_not_null())
-        columns = (known[name] for name in ("world", "golden_success", "fi_success", "dr_success"))
-        own.memo["recovery"] = recovery(list(zip(*columns, strict=True)))
-    found: Recovery | None = own.memo["recovery"]
-    return found
+    if "recovery" not in runs.memo:
+        with_golden = runs.where(pl.col("golden_success").is_not_null())
+        columns = (with_golden[name] for name in ("world", "golden_success", "fi_success", "dr_success"))
+        runs.memo["recovery"] = recovery(list(zip(*columns, strict=True)))
+    memoized: RecoveryRate | None = runs.memo["recovery"]
+    return memoized
 
 
-def discordant(own: Runs) -> Paired:
+def discordant(runs: Runs) -> Paired:
     """McNemar's test of fi against the arm."""
-    return mcnemar(own["fi_success"], own["dr_success"], own["world"])
+    return mcnemar(runs["fi_success"], runs["dr_success"], runs["world"])
 
 
-def against_golden(own: Runs) -> Paired:
+def against_golden(runs: Runs) -> Paired:
     """McNemar's test of the golden run against the run with a fault."""
-    return mcnemar(own["golden_success"], own["success"], own["world"])
+    return mcnemar(runs["golden_success"], runs["success"], runs["world"])
 
 
 def separable(runs: Runs) -> list[tuple[str, float | None, float | None]]:
     """Smallest differences (golden - fi, fi - dr) that a success table can resolve, by environment."""
-    found = []
+    differences = []
     for (environment,), part in runs.groups("environment").items():
         golden = part.golden.where("judged", setting=GOLDEN)
         faulty = part.injected.where("judged", pl.col("population").is_in(LEADING), setting=FI)
         n = len(faulty)
-        share = sum(faulty["success"]) / len(faulty) if len(faulty) else 1.0
-        found.append((environment, smallest_difference(share, len(golden), n), smallest_difference(share, n, n)))
-    return found
+        share = sum(faulty["success"]) / n if n else 1.0
+        differences.append((environment, smallest_difference(share, len(golden), n), smallest_difference(share, n, n)))
+    return differences
 
 
 # ---- alarms and time ---------------------------------------------------------------------------------------------
-def alarm_rate(own: Runs) -> EventRate:
+def alarm_rate(runs: Runs) -> EventRate:
     """Alarms per hour of flight."""
-    return event_rate_by_flight(own["alarms_total"], [time / 3600 for time in own["flight_time_s"]])
+    return event_rate_by_flight(runs["alarms_total"], [time / 3600 for time in runs["flight_time_s"]])
 
 
-def systematic(own: Runs) -> list[tuple[str, float, int]]:
+def systematic(runs: Runs) -> list[tuple[str, float, int]]:
     """Alarms common to nearly all flights: state, instant (s), number of flights; empty for a single flight."""
+    if len(runs) <= 1:
+        return []
     flights: Counter[tuple[str, int]] = Counter()
-    for record in own.recorded():
+    for record in runs.recorded():
         flights.update({(alarm.state, round(1e6 * alarm.time_s)) for alarm in record.alarms})
-    return [
-        (state, 1e-6 * time_us, n)
-        for (state, time_us), n in sorted(flights.items())
-        if len(own) > 1 and n > SYSTEMATIC * len(own)
-    ]
+    return [(state, 1e-6 * time_us, n) for (state, time_us), n in sorted(flights.items()) if n > SYSTEMATIC * len(runs)]
 
 
-def recomputed(own: Runs) -> float | None:
+def recomputed(runs: Runs) -> float | None:
     """Recomputation time of all stages / compute time, over all rows."""
-    return recomputed_share(own.recorded())
+    return recomputed_share(runs.recorded())
 
 
 def recomputed_share(records: Iterable[FlightRecord], stages: Collection[str] = ()) -> float | None:
@@ -327,18 +341,19 @@ def recomputed_share(records: Iterable[FlightRecord], stages: Collection[str] = 
 
     Compute times of kernels include their recomputations.
     """
-    spent = compute = 0
+    recompute_us = 0
+    compute_us = 0
     for record in records:
-        compute += sum(record.compute_us.values()) - sum(record.recompute_us.values())
-        spent += sum(us for stage, us in record.recompute_us.items() if not stages or stage in stages)
-    if compute:
-        return spent / compute
-    return None
-
-
-def worst_run(own: Runs) -> str | None:
-    """Id of the run with the largest increase in flight time over its golden run."""
-    known = own.frame.filter(pl.col("inflation").is_not_null())
-    if known.is_empty():
+        compute_us += sum(record.compute_us.values()) - sum(record.recompute_us.values())
+        recompute_us += sum(us for stage, us in record.recompute_us.items() if not stages or stage in stages)
+    if not compute_us:
         return None
-    return str(known["run_id"][int(known["inflation"].arg_max() or 0)])
+    return recompute_us / compute_us
+
+
+def worst_run(runs: Runs) -> str | None:
+    """Id of the run with the largest increase in flight time over its golden run."""
+    compared = runs.frame.filter(pl.col("inflation").is_not_null())
+    if compared.is_empty():
+        return None
+    return str(compared["run_id"][int(compared["inflation"].arg_max() or 0)])

@@ -20,17 +20,21 @@ def _data() -> dict[str, Any]:
 
 def figure(name: str, **key: str) -> Any:
     """Look up a published value (number or text) by environment, setting, stage etc.; None = not published."""
-    found = _data()["figures"][name]
-    value = found["values"]
-    for column in found["by"]:
-        value = None if value is None else value.get(key[column])
+    published = _data()["figures"][name]
+    value = published["values"]
+    for column in published["by"]:
+        if value is None:
+            return None
+        value = value.get(key[column])
     return value
 
 
 def recovery(environment: str, setting: str) -> float | None:
     """Recovery rate (method - fi) / (golden - fi) from Table I; the paper quotes up to 89.6 % and 100 %."""
+    if setting in ("golden", "fi"):
+        return None
     golden, fi, method = (figure("success", environment=environment, setting=s) for s in ("golden", "fi", setting))
-    if None in (golden, fi, method) or setting in ("golden", "fi"):
+    if None in (golden, fi, method):
         return None
     return float((method - fi) / (golden - fi))
 
@@ -38,9 +42,9 @@ def recovery(environment: str, setting: str) -> float | None:
 def worst_time(environment: str, setting: str) -> float | None:
     """Relative increase of the worst flight time; for a detector, the remaining increase."""
     worst = figure("worst_time", environment=environment)
-    if worst is None or setting == "fi":
-        if worst is None:
-            return None
+    if worst is None:
+        return None
+    if setting == "fi":
         return float(worst)
     recovered = figure("worst_time_recovered", environment=environment, setting=setting)
     if recovered is None:
@@ -57,15 +61,15 @@ def comparable(campaign: Mapping[str, Any], detector_profile: str) -> bool:
 def column(find: Any, heading: str = "paper", form: str = PERCENT) -> Measure:
     """A column with the published value for an environment and setting, in rows comparable with the paper."""
 
-    def of(own: Runs) -> Any:
-        if not len(own) or not comparable(own.campaign, own.first("detector_profile")):
+    def cell(runs: Runs) -> Any:
+        if not len(runs) or not comparable(runs.campaign, runs.first("detector_profile")):
             return None
-        return find(own.first("environment"), own.first("setting"))
+        return find(runs.first("environment"), runs.first("setting"))
 
-    return Measure("paper", heading, form, of)
+    return Measure("paper", heading, form, cell)
 
 
 def success(environment: str, setting: str) -> float | None:
     """Success rate from Table I."""
-    found: float | None = figure("success", environment=environment, setting=setting)
-    return found
+    rate: float | None = figure("success", environment=environment, setting=setting)
+    return rate

@@ -21,7 +21,10 @@ POPULATIONS = {
     "mantissa": "mantissa", "length": "lengths of lists", ALL_BITS: "all bits",
 }  # fmt: skip
 """Display names of populations."""
-GOLDEN, INJECTED, NULL = "golden", "injected", "null"  # kinds of run
+GOLDEN = "golden"
+INJECTED = "injected"
+NULL = "null"
+"""Kinds of run."""
 ACTIVATED = "activated"
 NO_SITE = "no_site"
 NOT_ACTIVATED = "not_activated"
@@ -54,37 +57,71 @@ SCHEMA: dict[str, Any] = {
 
 
 def row_of(
-    run: Run, record: FlightRecord, own: FlightRecord | None, reference: FlightRecord | None,
+    run: Run,
+    record: FlightRecord,
+    arm_golden: FlightRecord | None,
+    reference: FlightRecord | None,
     monitored: Collection[tuple[str, str]],
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Compute the columns of a completed run.
 
-    Digests are compared with the golden run of the same arm, `own`; success and flight times with the golden run of the
-    same mission without a detector, `reference`, but with `own` if the fault is in a detector, whose false alarms
-    are no effect of the fault.  `monitored` contains the monitored states and fields.
+    Args:
+        run: The run.
+        record: Its record.
+        arm_golden: Golden run of the same arm, with which digests and alarms are compared.
+        reference: Golden run of the same mission without a detector, with which success and flight times are compared;
+            for a fault in a detector, whose false alarms are no effect of the fault, `arm_golden` takes its place.
+        monitored: Monitored states and fields.
     """
     spec = run.spec
-    fault = run.spec.fault
+    fault = spec.fault
     if getattr(fault, "kernel", "") in DETECTORS:
-        reference = own
+        reference = arm_golden
     environment = label_of(spec.environment)
-    planned = {} if fault is None else {
-        "level": fault.level, "site": fault.site, "bit": fault.bit, "stratum": fault.stratum, "weight": fault.weight,
-        "bit_class": fault.bit_class, "has_site": fault.has_site, "population": ALL_BITS,
-        **find_level(fault.level).columns(fault),
-    }  # fmt: skip
+    planned: dict[str, Any] = {}
+    if fault is not None:
+        planned = {
+            "level": fault.level,
+            "site": fault.site,
+            "bit": fault.bit,
+            "stratum": fault.stratum,
+            "weight": fault.weight,
+            "bit_class": fault.bit_class,
+            "has_site": fault.has_site,
+            "population": ALL_BITS,
+            **find_level(fault.level).columns(fault),
+        }
     planned["monitored"] = (planned.get("state", ""), planned.get("field", "")) in monitored
-    return {
-        "run_id": spec.run_id, "kind": spec.kind, "setting": spec.setting, "arm": spec.arm,
-        "detector": spec.detector, "detector_profile": spec.detector_profile, "environment": environment,
-        "seed": spec.seed, "world": f"{environment} {spec.seed}", "target": spec.target, "index": spec.index,
-        "weight": 1.0, "has_site": False, "population": "all", **planned,
-        **_happened(record, fault is not None, bool(planned.get("has_site"))), **_kernel(record),
-        **_judged(record, own, reference, spec), **_controlled(record, own, spec),
-        **_detected(record, own, planned.get("state", "")),
-        "digest": record.digest, "wall_s": run.wall_s, "note": run.note,
-        "reason": reason_of(run.note) if record.end is End.UNKNOWN else "",
-    }  # fmt: skip
+    # later entries replace earlier ones: the defaults of golden runs come before the columns of a fault,
+    # and the planned site and bit before those that the injection met
+    columns = {
+        "run_id": spec.run_id,
+        "kind": spec.kind,
+        "setting": spec.setting,
+        "arm": spec.arm,
+        "detector": spec.detector,
+        "detector_profile": spec.detector_profile,
+        "environment": environment,
+        "seed": spec.seed,
+        "world": f"{environment} {spec.seed}",
+        "target": spec.target,
+        "index": spec.index,
+        "weight": 1.0,
+        "has_site": False,
+        "population": "all",
+        **planned,
+        **_happened(record, is_faulty=fault is not None, has_site=bool(planned.get("has_site"))),
+        **_kernel(record),
+        **_judged(record, arm_golden, reference, spec),
+        **_controlled(record, arm_golden, spec),
+        **_detected(record, arm_golden, planned.get("state", "")),
+        "digest": record.digest,
+        "wall_s": run.wall_s,
+        "note": run.note,
+    }
+    if record.end is End.UNKNOWN:
+        columns["reason"] = reason_of(run.note)
+    return columns
 
 
 _DETAILS = {
@@ -94,40 +131,53 @@ _DETAILS = {
 """Columns by key in `Injection.details`."""
 
 
-def _happened(record: FlightRecord, faulty: bool, has_site: bool) -> dict[str, Any]:
+def _happened(record: FlightRecord, *, is_faulty: bool, has_site: bool) -> dict[str, Any]:
     """Columns for the injection; if there are several, for the first activated one."""
-    activated = any(injection.activated for injection in record.injections)
-    columns: dict[str, Any] = {"activated": activated}
-    if faulty:
-        reached = activated or not record.flown
-        if has_site:
-            columns["site_outcome"] = ACTIVATED if reached else NOT_ACTIVATED
-        else:
-            columns["site_outcome"] = NO_SITE
-    first = next((one for one in record.injections if one.activated), next(iter(record.injections), None))
-    if first is None:
-        return columns
-    return columns | _injection(first)
+    activated = [injection for injection in record.injections if injection.activated]
+    columns: dict[str, Any] = {"activated": bool(activated)}
+    if is_faulty:
+        columns["site_outcome"] = _site_outcome(record, bool(activated), has_site)
+    injections = activated or record.injections
+    if injections:
+        columns |= _injection(injections[0])
+    return columns
+
+
+def _site_outcome(record: FlightRecord, is_activated: bool, has_site: bool) -> str:
+    """Outcome of a planned site; a flight that died before its end counts as activated."""
+    if not has_site:
+        return NO_SITE
+    if is_activated or not record.flown:
+        return ACTIVATED
+    return NOT_ACTIVATED
 
 
 def _injection(injection: Injection) -> dict[str, Any]:
     details = injection.details
-    known: dict[str, Any] = {
-        column: str(details[key]) for key, column in _DETAILS.items() if details.get(key) is not None
+    columns: dict[str, Any] = {
+        "time_s": injection.time_s,
+        "before": _number(injection.before),
+        "after": _number(injection.after),
+        "file": injection.file,
+        "line": injection.line,
+        "replayable": details.get("replayable"),
     }
+    for key, column in _DETAILS.items():
+        if details.get(key) is not None:
+            columns[column] = str(details[key])
     if "path" in details:  # of a number in a call, by name
-        known["site"] = f"{details['call']}.{details['path']}"
+        columns["site"] = f"{details['call']}.{details['path']}"
     if injection.bit is not None:
-        known["bit"] = injection.bit
-    return {
-        "time_s": injection.time_s, "before": _number(injection.before), "after": _number(injection.after),
-        "file": injection.file, "line": injection.line, "replayable": details.get("replayable"), **known,
-    }  # fmt: skip
+        columns["bit"] = injection.bit
+    return columns
 
 
 def _number(value: object) -> float | None:
+    """A value as a float; None for no value, for text, and for integers beyond the range of floats."""
+    if value is None:
+        return None
     try:
-        return None if value is None else float(value)  # type: ignore[arg-type]
+        return float(value)  # type: ignore[arg-type]
     except (OverflowError, ValueError):
         return None
 
@@ -144,69 +194,90 @@ def _succeeded(record: FlightRecord) -> bool:
 
 
 def _judged(
-    record: FlightRecord, own: FlightRecord | None, reference: FlightRecord | None, spec: RunSpec
+    record: FlightRecord, arm_golden: FlightRecord | None, reference: FlightRecord | None, spec: RunSpec
 ) -> dict[str, Any]:
+    """Columns for the end of the flight, its effect, and its cost against the reference."""
     success = _succeeded(record)
     died = record.kernel is not None and record.kernel.effect in KERNEL_DUE
     columns: dict[str, Any] = {
-        "end": str(record.end), "status": record.status or str(record.end), "success": success,
-        "success_if_ended": success and not died, "judged": record.end is not End.UNKNOWN,
-        "golden_success": None if reference is None or reference.end is End.UNKNOWN else _succeeded(reference),
-        "effect": "" if spec.kind == GOLDEN else _effect(own, record),
-    }  # fmt: skip
+        "end": str(record.end),
+        "status": record.status or str(record.end),
+        "success": success,
+        "success_if_ended": success and not died,
+        "judged": record.end is not End.UNKNOWN,
+        "golden_success": None,
+        "effect": "",
+    }
+    if reference is not None and reference.end is not End.UNKNOWN:
+        columns["golden_success"] = _succeeded(reference)
+    if spec.kind != GOLDEN:
+        columns["effect"] = _effect(arm_golden, record)
+    # the flight itself; processes without a flight have none of it
     if record.flown:
         columns |= {
-            "flight_time_s": record.flight_time_s, "energy_j": energy(record.energy), "replans": record.replans,
-            "distance_m": record.distance_m, "time_limit_s": record.time_limit_s, "course_m": record.course_m,
+            "flight_time_s": record.flight_time_s,
+            "energy_j": energy(record.energy),
+            "replans": record.replans,
+            "distance_m": record.distance_m,
+            "time_limit_s": record.time_limit_s,
+            "course_m": record.course_m,
             "alarms_total": record.alarms_total,
-        }  # fmt: skip
+        }
+    # cost of the fault, if both missions succeed
     if reference is not None and reference.flown:
         columns["golden_flight_time_s"] = reference.flight_time_s
         if success and _succeeded(reference):
             columns["inflation"] = record.flight_time_s / reference.flight_time_s - 1
-            spent = energy(reference.energy)
-            if spent > 0:
-                columns["energy_inflation"] = energy(record.energy) / spent - 1
-            else:
-                columns["energy_inflation"] = None
+            golden_energy = energy(reference.energy)
+            if golden_energy > 0:
+                columns["energy_inflation"] = energy(record.energy) / golden_energy - 1
     return columns
 
 
-def _controlled(record: FlightRecord, own: FlightRecord | None, spec: RunSpec) -> dict[str, Any]:
+def _controlled(record: FlightRecord, arm_golden: FlightRecord | None, spec: RunSpec) -> dict[str, Any]:
     """Class of a firmware's mission, and how well it was controlled from the fault on (golden run: from the start)."""
     errors = ControlErrors.of(record)
     if errors is None:
         return {}
-    found = None if spec.kind == GOLDEN else control_of(own, record)
-    return {
-        "control": None if found is None else found.value, "tilt": errors.tilt, "attitude_error": errors.attitude,
-        "velocity_error": errors.velocity, "yaw_rate_error": errors.yaw_rate,
-    }  # fmt: skip
+    columns: dict[str, Any] = {
+        "tilt": errors.tilt,
+        "attitude_error": errors.attitude,
+        "velocity_error": errors.velocity,
+        "yaw_rate_error": errors.yaw_rate,
+    }
+    if spec.kind != GOLDEN:
+        control = control_of(arm_golden, record)
+        columns["control"] = None if control is None else control.value
+    return columns
 
 
-def _effect(own: FlightRecord | None, record: FlightRecord) -> str:
+def _effect(arm_golden: FlightRecord | None, record: FlightRecord) -> str:
     """Effect on the computation; for a dead process, the recorded effect on the kernel."""
     if record.end is End.DUE and record.kernel is not None:
         return record.kernel.effect
-    return effect_of(own, record).label
+    return effect_of(arm_golden, record).label
 
 
-def _detected(record: FlightRecord, own: FlightRecord | None, state: str) -> dict[str, Any]:
+def _detected(record: FlightRecord, arm_golden: FlightRecord | None, state: str) -> dict[str, Any]:
     """Whether an alarm is on the corrupted publication, and when an alarm absent in the golden run follows it."""
     instants = [injection.time_s for injection in record.injections if injection.activated]
-    known = set() if own is None else _instants_of(own.alarms)
-    at_site = any(
-        alarm.state == state and abs(alarm.time_s - time_s) < INSTANT for alarm in record.alarms for time_s in instants
-    )
-    after = [
-        max(0.0, alarm.time_s - time_s) for alarm in record.alarms for time_s in instants
-        if alarm.time_s - time_s > -INSTANT and not _instants_of([alarm]) <= known
-    ]  # fmt: skip
-    first = min(after, default=None)
+    golden_alarms = set() if arm_golden is None else _instants_of(arm_golden.alarms)
+    at_site = False
+    delays = []
+    for alarm in record.alarms:
+        in_golden = _instants_of([alarm]) <= golden_alarms
+        for time_s in instants:
+            after_s = alarm.time_s - time_s
+            if alarm.state == state and abs(after_s) < INSTANT:
+                at_site = True
+            if after_s > -INSTANT and not in_golden:
+                delays.append(max(0.0, after_s))
+    first = min(delays, default=None)
     return {
-        "detected_at_site": at_site, "detected_downstream": first is not None and first <= AFTERMATH,
+        "detected_at_site": at_site,
+        "detected_downstream": first is not None and first <= AFTERMATH,
         "alarm_after_s": first,
-    }  # fmt: skip
+    }
 
 
 def _instants_of(alarms: Iterable[AlarmRecord]) -> set[tuple[str, int]]:

@@ -8,21 +8,19 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from mavfi.analysis.rows import GOLDEN, INJECTED, NULL, SCHEMA, row_of
+from mavfi.analysis.statistics import CONFIDENCE
+from mavfi.campaign.config import ArmConfig, Campaign, label_of
+from mavfi.campaign.ledger import status, stored_campaign
 from mavfi.campaign.plan import FI
 from mavfi.campaign.store import Run, Store
+from mavfi.faults.fault import find_level
+from mavfi.mission import MissionSpec
+from mavfi.plugins import extensions
 from mavfi.record import FlightRecord
 from mavfi.states import MONITORED_SETS
 
 if TYPE_CHECKING:
     from mavfi.flight.host import Flight
-
-
-from mavfi.analysis.statistics import CONFIDENCE
-from mavfi.campaign.config import ArmConfig, Campaign, label_of
-from mavfi.campaign.ledger import status, stored_campaign
-from mavfi.faults.fault import find_level
-from mavfi.mission import MissionSpec
-from mavfi.plugins import extensions
 
 DEFAULT_MONITORED = "paper-13"
 ALL = "all"  # label of total rows, e.g. over all environments
@@ -62,21 +60,21 @@ class Runs:
 
         `campaign` is a description by `describe`; its `monitored_set` names the monitored fields.
         """
-        about = campaign or {}
+        description = campaign or {}
         done = [(run, run.record) for run in runs if run.record is not None]
+        # golden runs with which each run is compared: of its arm, and of its mission without a detector, from any arm
         golden = [(run.spec, record) for run, record in done if run.spec.kind == GOLDEN]
-        own = {(spec.arm, *spec.world): record for spec, record in golden}
-        # golden run of the same mission without a detector, from any arm
-        bare = {(spec.scenario, *spec.world): record for spec, record in reversed(golden) if not spec.detector}
-        monitored = MONITORED_SETS[about.get("monitored_set", DEFAULT_MONITORED)]
+        of_arm = {(spec.arm, *spec.world): record for spec, record in golden}
+        of_mission = {(spec.scenario, *spec.world): record for spec, record in reversed(golden) if not spec.detector}
+        monitored = MONITORED_SETS[description.get("monitored_set", DEFAULT_MONITORED)]
         rows = []
         for run, record in done:
             spec = run.spec
-            same_arm = own.get((spec.arm, *spec.world))
-            reference = bare.get((spec.scenario, *spec.world), same_arm)
-            rows.append(row_of(run, record, same_arm, reference, monitored))
+            arm_golden = of_arm.get((spec.arm, *spec.world))
+            reference = of_mission.get((spec.scenario, *spec.world), arm_golden)
+            rows.append(row_of(run, record, arm_golden, reference, monitored))
         frame = pl.DataFrame(rows, schema=SCHEMA).with_columns(pl.col(pl.String).fill_null(""))
-        return Runs(frame, {run.spec.run_id: record for run, record in done}, about)
+        return Runs(frame, {run.spec.run_id: record for run, record in done}, description)
 
     def __len__(self) -> int:
         return self.frame.height
@@ -108,11 +106,11 @@ class Runs:
 
     def where(self, *tests: pl.Expr | str, **values: Any) -> "Runs":
         """Rows that pass all tests: expressions, names of flag columns, and column=value."""
-        asked = [pl.col(test) if isinstance(test, str) else test for test in tests]
-        asked += [pl.col(column) == value for column, value in values.items()]
-        if asked:
-            return replace(self, frame=self.frame.filter(*asked))
-        return self
+        conditions = [pl.col(test) if isinstance(test, str) else test for test in tests]
+        conditions += [pl.col(column) == value for column, value in values.items()]
+        if not conditions:
+            return self
+        return replace(self, frame=self.frame.filter(*conditions))
 
     def adding(self, **columns: pl.Expr) -> "Runs":
         """The runs with columns added or replaced."""
@@ -134,7 +132,9 @@ class Runs:
     def exploded(self, parts: Callable[[FlightRecord], Sequence[Mapping[str, Any]]]) -> "Runs":
         """Expand each run to zero or more rows: the run's columns and those that `parts` extracts from its record."""
         rows = [{**row, **part} for row, record in zip(self, self.recorded(), strict=True) for part in parts(record)]
-        return replace(self, frame=pl.DataFrame(rows, infer_schema_length=None) if rows else self.frame.clear())
+        if not rows:
+            return replace(self, frame=self.frame.clear())
+        return replace(self, frame=pl.DataFrame(rows, infer_schema_length=None))
 
     @property
     def golden(self) -> "Runs":
@@ -163,7 +163,7 @@ class Runs:
 
 # ---- description of a campaign as plain data, for the headers and notes of tables ----------------------------------
 
-_NAMED = (
+_LISTED_KEYS = (
     "vehicle",
     "map",
     "flight_controller",
@@ -212,16 +212,23 @@ def describe(store: Store) -> dict[str, Any]:
 def drawn(campaign: Campaign) -> dict[str, Any]:
     """Describe the sampling of a campaign's faults and the flights or processes that they are injected into."""
     about: dict[str, Any] = find_level(campaign.sampling.level).about(campaign)
-    if "title" in about:
+    if "title" in about:  # of processes, not of flights
         return about
     how = about.pop("how")
     return about | _flights(campaign, about["each"], how)
 
 
 def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:
-    mission = campaign.spec(campaign.environments[0], campaign.first_seed)
-    speed = "" if mission.v_max is None else f" · {mission.v_max:g} m/s"
-    every = [campaign.spec(name, campaign.first_seed) for name in campaign.environments]
+    """Describe the flights of a campaign.
+
+    Args:
+        campaign: The campaign.
+        each: Unit to which the number of faults applies, e.g. "stage".
+        how: How a fault is drawn, in words.
+    """
+    # missions, faults and arms
+    missions_flown = [campaign.spec(name, campaign.first_seed) for name in campaign.environments]
+    mission = missions_flown[0]
     seeds = f"seeds {campaign.seeds.start} to {campaign.seeds.stop - 1}"
     missions = f"{campaign.missions} mission{'s' * (campaign.missions != 1)} per environment ({seeds})"
     lines = [f"{missions}, {campaign.faults} fault{'s' * (campaign.faults != 1)} per {each}, {how}"]
@@ -231,22 +238,28 @@ def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:
     if campaign.parts:
         parts = (f"{name} = {part.environment}" for name, part in campaign.parts.items())
         lines.append(f"parts: {', '.join(parts)}")
-    own = [
-        f"{key} {value}" for key in _NAMED if (value := getattr(mission, key)) != MissionSpec.model_fields[key].default
+    # keys of the mission that are not at their defaults
+    changed = [
+        f"{key} {getattr(mission, key)}"
+        for key in _LISTED_KEYS
+        if getattr(mission, key) != MissionSpec.model_fields[key].default
     ]
-    lines += [f"mission: {', '.join(own)}"] * bool(own)
-    title = (
-        f"campaign {campaign.name} · autopilot profile {mission.autopilot} · "
-        f"{', '.join(dict.fromkeys(spec.platform for spec in every))} · "
-        f"{mission.planner}{speed}"
-    )
+    if changed:
+        lines.append(f"mission: {', '.join(changed)}")
+    platforms = ", ".join(dict.fromkeys(spec.platform for spec in missions_flown))
+    speed = "" if mission.v_max is None else f" · {mission.v_max:g} m/s"
+    title = f"campaign {campaign.name} · autopilot profile {mission.autopilot} · {platforms} · {mission.planner}{speed}"
     return {"profile": mission.autopilot, "title": title, "lines": lines}
 
 
 def _arm(name: str, arm: ArmConfig) -> str:
-    if name == arm.detector:
-        own = f"{name} ({arm.profile})"
-    else:
-        own = f"{name} = {arm.detector} ({arm.profile})"
+    """An arm in words: its name, its detector unless it has the same name, and its keys of the mission."""
+    text = name
+    if arm.detector == name:
+        text = f"{name} ({arm.profile})"
+    elif arm.detector:
+        text = f"{name} = {arm.detector} ({arm.profile})"
     changed = ", ".join(f"{key} {value}" for key, value in arm.mission.items())
-    return " with ".join(part for part in (own if arm.detector else name, changed) if part)
+    if changed:
+        return f"{text} with {changed}"
+    return text

@@ -9,13 +9,14 @@ differences are therefore combined from score intervals by MOVER (Newcombe 1998;
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 import scipy  # loads its modules at first use
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
-_SEED = 20
+_SEED = 20  # of the bootstrap: all intervals are deterministic
 _POWER = 0.8  # power for `smallest_difference`
 TAIL = (1 - CONFIDENCE) / 2  # probability outside an interval on each side
 _NORMAL = NormalDist()
@@ -57,16 +58,25 @@ def score_bounds(rate: float, n: float) -> tuple[float, float]:
     """Bounds of Wilson's score interval; n may be fractional."""
     centre = (n * rate + _Z2 / 2) / (n + _Z2)
     half = float(np.sqrt(_Z2 * (n * rate * (1 - rate) + _Z2 / 4))) / (n + _Z2)
-    return 0.0 if rate <= 0 else max(0.0, centre - half), 1.0 if rate >= 1 else min(1.0, centre + half)
+    # at rates of 0 and 1 one bound is exact; the formula would miss it by a rounding error
+    low = 0.0
+    high = 1.0
+    if rate > 0:
+        low = max(0.0, centre - half)
+    if rate < 1:
+        high = min(1.0, centre + half)
+    return low, high
 
 
 def exact_bounds(hits: float, misses: float, tail: float = TAIL) -> tuple[float, float]:
     """Interval of a proportion after Clopper and Pearson (1934), with probability `tail` outside on each side."""
+    low = 0.0
+    high = 1.0
     if hits > 0:
         low = float(scipy.stats.beta.ppf(tail, hits, misses + 1))
-    else:
-        low = 0.0
-    return low, float(scipy.stats.beta.ppf(1 - tail, hits + 1, misses)) if misses > 0 else 1.0
+    if misses > 0:
+        high = float(scipy.stats.beta.ppf(1 - tail, hits + 1, misses))
+    return low, high
 
 
 def clustered_rate(success: Sequence[bool], world: Sequence[object]) -> Rate:
@@ -77,14 +87,14 @@ def clustered_rate(success: Sequence[bool], world: Sequence[object]) -> Rate:
     if not success:
         return wilson(0, 0)
     y = np.asarray(success, np.float64)
-    plain = wilson(int(y.sum()), len(y))
-    part = Part.of(y, np.ones(len(y)), world)
-    low, high = score_bounds(part.rate, part.effective)
-    return replace(plain, low=low, high=high)
+    independent = wilson(int(y.sum()), len(y))
+    clustered = StratumRate.of(y, np.ones(len(y)), world)
+    low, high = score_bounds(clustered.rate, clustered.effective)
+    return replace(independent, low=low, high=high)
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class StratumRate:
     """A weighted rate within one stratum, and its precision."""
 
     rate: float
@@ -92,20 +102,25 @@ class Part:
     spread: np.ndarray  # contribution of each world to the error of the estimate. Shape (worlds,)
 
     @staticmethod
-    def of(y: np.ndarray, weight: np.ndarray, world: Sequence[object]) -> "Part":
-        """Linearised ratio estimate; flights of weight 0 are excluded."""
-        whole = float(weight.sum())
-        rate = float((weight * y).sum()) / whole
-        spread = cluster_sums(world, weight * (y - rate) / whole)[:, 0]
-        independent = whole**2 / float((weight**2).sum())
-        alike = len(np.unique(y[weight > 0])) == 1
-        rate = round(rate) if alike else rate
-        variance = 0.0 if alike else float((spread**2).sum())
+    def of(y: np.ndarray, weight: np.ndarray, world: Sequence[object]) -> "StratumRate":
+        """Linearised ratio estimate; flights of weight 0 are excluded.
+
+        Args:
+            y: Whether each flight succeeded, 0 or 1. Shape (n,).
+            weight: Weight of each flight. Shape (n,).
+            world: World of each flight.
+        """
+        total = float(weight.sum())
+        rate = float((weight * y).sum()) / total
+        spread = cluster_sums(world, weight * (y - rate) / total)[:, 0]
+        independent = total**2 / float((weight**2).sum())  # Kish's number: less than n for unequal weights
+        if len(np.unique(y[weight > 0])) == 1:
+            # all flights end alike: exactly 0 or 1, without a variance from which a design effect could be computed
+            return StratumRate(round(rate), independent, spread)
+        variance = float((spread**2).sum())
         if variance > 0:
-            effective = min(independent, rate * (1 - rate) / variance)
-        else:
-            effective = independent
-        return Part(rate, effective, spread)
+            return StratumRate(rate, min(independent, rate * (1 - rate) / variance), spread)
+        return StratumRate(rate, independent, spread)
 
 
 def cluster_sums(clusters: Sequence[object], *columns: Sequence[float] | np.ndarray) -> np.ndarray:
@@ -114,11 +129,11 @@ def cluster_sums(clusters: Sequence[object], *columns: Sequence[float] | np.ndar
     Returns:
         Shape (clusters, columns), in order of first appearance of the clusters.
     """
-    places = {cluster: place for place, cluster in enumerate(dict.fromkeys(clusters))}
-    rows = np.array([places[cluster] for cluster in clusters], np.int64)
-    sums = np.zeros((len(places), len(columns)))
-    for index, column in enumerate(columns):
-        np.add.at(sums[:, index], rows, np.asarray(column, np.float64))
+    indices = {cluster: index for index, cluster in enumerate(dict.fromkeys(clusters))}
+    cluster_of_row = np.array([indices[cluster] for cluster in clusters], np.int64)
+    sums = np.zeros((len(indices), len(columns)))
+    for number, column in enumerate(columns):
+        np.add.at(sums[:, number], cluster_of_row, np.asarray(column, np.float64))
     return sums
 
 
@@ -134,10 +149,9 @@ def resample(sums: np.ndarray) -> np.ndarray:
 
 def draws(clusters: int) -> np.ndarray:
     """How often each cluster is in each bootstrap sample; deterministic. Shape (RESAMPLES, clusters)."""
-    found: np.ndarray = np.random.default_rng(_SEED).multinomial(
-        clusters, np.full(clusters, 1 / clusters), size=RESAMPLES
-    )
-    return found
+    random = np.random.default_rng(_SEED)
+    counts: np.ndarray = random.multinomial(clusters, np.full(clusters, 1 / clusters), size=RESAMPLES)
+    return counts
 
 
 def quantiles(values: np.ndarray, counts: np.ndarray, share: float) -> np.ndarray:
@@ -151,13 +165,20 @@ def quantiles(values: np.ndarray, counts: np.ndarray, share: float) -> np.ndarra
     Returns:
         Shape (samples,).
     """
-    upto = counts.cumsum(axis=1)
-    place = share * np.maximum(upto[:, -1] - 1, 0)
-    low, high = (
-        values[np.minimum((upto <= one(place)[:, None]).sum(axis=1), len(values) - 1)] for one in (np.floor, np.ceil)
-    )
-    found: np.ndarray = np.where(upto[:, -1] > 0, low + (place - np.floor(place)) * (high - low), np.nan)
-    return found
+    cumulative = counts.cumsum(axis=1)
+    size = cumulative[:, -1]
+    position = share * np.maximum(size - 1, 0)  # of the quantile in the sorted sample, fractional
+
+    def value_at(index: np.ndarray) -> np.ndarray:
+        """The value at an index of each sorted sample: the first one whose cumulative count exceeds the index."""
+        value: np.ndarray = values[np.minimum((cumulative <= index[:, None]).sum(axis=1), len(values) - 1)]
+        return value
+
+    low = value_at(np.floor(position))
+    high = value_at(np.ceil(position))
+    interpolated = low + (position - np.floor(position)) * (high - low)
+    result: np.ndarray = np.where(size > 0, interpolated, np.nan)
+    return result
 
 
 def weighted_rate(
@@ -175,19 +196,21 @@ def weighted_rate(
     if n == 0:
         return Rate(0, None, None, None)
     y = np.asarray(success, np.float64)
-    w = np.asarray(weight, np.float64)
-    inside = [np.array([s == name for s in stratum], np.float64) for name in dict.fromkeys(stratum)]
-    parts = [Part.of(y, i * w, world) for i in inside]
-    shares = np.array([float((i * w).sum() / i.sum()) for i in inside])
+    weights = np.asarray(weight, np.float64)
+    # rate and share of the population by stratum; a mask is 1 for the flights of a stratum, else 0
+    masks = [np.array([name == wanted for name in stratum], np.float64) for wanted in dict.fromkeys(stratum)]
+    strata = [StratumRate.of(y, mask * weights, world) for mask in masks]
+    shares = np.array([float((mask * weights).sum() / mask.sum()) for mask in masks])
     shares /= shares.sum()
-    rates = np.array([part.rate for part in parts])
-    bounds = np.array([score_bounds(part.rate, part.effective) for part in parts])
-    together = _correlation(np.array([part.spread for part in parts]))
+    rates = np.array([each.rate for each in strata])
+    # MOVER: distances from the rates to their bounds are added like correlated standard errors
+    bounds = np.array([score_bounds(each.rate, each.effective) for each in strata])
+    correlation = _correlation(np.array([each.spread for each in strata]))
     below = shares * (rates - bounds[:, 0])
     above = shares * (bounds[:, 1] - rates)
     rate = float(shares @ rates)
-    low = rate - float(np.sqrt(below @ together @ below))
-    high = rate + float(np.sqrt(above @ together @ above))
+    low = rate - float(np.sqrt(below @ correlation @ below))
+    high = rate + float(np.sqrt(above @ correlation @ above))
     return Rate(n, rate, max(0.0, low), min(1.0, high))
 
 
@@ -195,9 +218,9 @@ def _correlation(spread: np.ndarray) -> np.ndarray:
     """Correlation of estimates from their errors by world, shape (estimates, worlds); negative values are set to 0."""
     length = np.sqrt((spread**2).sum(axis=1))
     unit = spread / np.where(length > 0, length, 1.0)[:, None]
-    found: np.ndarray = np.clip(unit @ unit.T, 0.0, 1.0)
-    np.fill_diagonal(found, 1.0)
-    return found
+    correlation: np.ndarray = np.clip(unit @ unit.T, 0.0, 1.0)
+    np.fill_diagonal(correlation, 1.0)
+    return correlation
 
 
 def percentiles(samples: np.ndarray) -> tuple[float, float]:
@@ -213,10 +236,9 @@ def event_rate(events: int, hours: float) -> EventRate:
     """Rate of independent events in hours of exposure, with Garwood's exact Poisson interval."""
     if not hours > 0:
         return EventRate(events, hours, None, None, None, None)
+    low = 0.0
     if events:
         low = float(scipy.stats.chi2.ppf(TAIL, 2 * events)) / 2 / hours
-    else:
-        low = 0.0
     high = float(scipy.stats.chi2.ppf(1 - TAIL, 2 * events + 2)) / 2 / hours
     upper = float(scipy.stats.chi2.ppf(CONFIDENCE, 2 * events + 2)) / 2 / hours
     return EventRate(events, hours, events / hours, low, high, upper)
@@ -254,12 +276,12 @@ def smallest_difference(rate: float, first_n: int, second_n: int) -> float | Non
 
 def holm(p_values: Sequence[float | None]) -> list[float | None]:
     """Apply Holm's (1979) step-down correction over all tests with a p value; None remains None."""
-    known = sorted((p, place) for place, p in enumerate(p_values) if p is not None)
+    tests = sorted((p, index) for index, p in enumerate(p_values) if p is not None)
     adjusted: list[float | None] = [None] * len(p_values)
-    largest = 0.0
-    for rank, (p, place) in enumerate(known):
-        largest = max(largest, min(1.0, (len(known) - rank) * p))
-        adjusted[place] = largest
+    largest = 0.0  # adjusted values never decrease in the order of the p values
+    for rank, (p, index) in enumerate(tests):
+        largest = max(largest, min(1.0, (len(tests) - rank) * p))
+        adjusted[index] = largest
     return adjusted
 
 
@@ -277,7 +299,7 @@ class Paired:
 
 
 @dataclass(frozen=True, slots=True)
-class Recovery:
+class RecoveryRate:
     """Recovery rate (method - fi) / (golden - fi) and loss (golden - fi) over pairs, with intervals."""
 
     rate: float | None  # None, like its bounds, if undefined: the interval of the denominator contains 0
@@ -301,7 +323,7 @@ def mcnemar(first: Sequence[bool], second: Sequence[bool], world: Sequence[objec
     second_only = sum(b and not a for a, b in pairs)
     worlds = range(len(pairs)) if world is None else world
     sums = cluster_sums(worlds, [float(a) - float(b) for a, b in pairs])[:, 0]
-    return Paired(len(pairs), first_only, second_only, _of_random_signs([round(one) for one in sums]))
+    return Paired(len(pairs), first_only, second_only, _of_random_signs([round(total) for total in sums]))
 
 
 def _of_random_signs(differences: Sequence[int]) -> float:
@@ -313,40 +335,47 @@ def _of_random_signs(differences: Sequence[int]) -> float:
     return float(min(1.0, chances[distance >= abs(sum(differences))].sum()))
 
 
+class PairedDifference(NamedTuple):
+    """Difference of two success rates in the same missions, with its interval."""
+
+    estimate: float
+    low: float
+    high: float
+
+
 def paired_difference(
     first: Sequence[bool], second: Sequence[bool], world: Sequence[object], weight: Sequence[float] | None = None
-) -> tuple[float, float, float]:
-    """Difference of two success rates in the same missions, first - second, with MOVER's interval: estimate, low, high.
+) -> PairedDifference:
+    """Difference of two success rates in the same missions, first - second, with MOVER's interval.
 
     It is the difference between the shares of pairs in which only the first and only the second succeeds.  Each share
     has Wilson's interval for the effective number of pairs; their correlation is that of multinomial shares.  Without
     discordant pairs the interval keeps the width of these two.  At least one pair is required; weights (None = equal)
     have a sum above 0.
     """
-    one = np.asarray(first, bool)
-    other = np.asarray(second, bool)
-    if weight is None:
-        weights = np.ones(len(one))
-    else:
-        weights = np.asarray(weight, np.float64)
-    a, b = (Part.of(only.astype(np.float64), weights, world) for only in (one & ~other, other & ~one))
-    (a_low, a_high), (b_low, b_high) = score_bounds(a.rate, a.effective), score_bounds(b.rate, b.effective)
+    succeeds = np.asarray(first, bool)
+    other_succeeds = np.asarray(second, bool)
+    weights = np.ones(len(succeeds)) if weight is None else np.asarray(weight, np.float64)
+    # a and b: shares of pairs in which only the first, and only the second, succeeds
+    a = StratumRate.of((succeeds & ~other_succeeds).astype(np.float64), weights, world)
+    b = StratumRate.of((other_succeeds & ~succeeds).astype(np.float64), weights, world)
+    a_low, a_high = score_bounds(a.rate, a.effective)
+    b_low, b_high = score_bounds(b.rate, b.effective)
+    # correlation of two shares of one multinomial sample; 1e-300 only prevents a division by 0
     odds = a.rate * b.rate / max((1 - a.rate) * (1 - b.rate), 1e-300)
-    together = -float(np.sqrt(min(odds, 1.0)))
+    correlation = -float(np.sqrt(min(odds, 1.0)))
     difference = a.rate - b.rate
-    return (
-        difference,
-        max(-1.0, difference - _added(a.rate - a_low, b_high - b.rate, together)),
-        min(1.0, difference + _added(a_high - a.rate, b.rate - b_low, together)),
-    )
+    low = difference - _combined(a.rate - a_low, b_high - b.rate, correlation)
+    high = difference + _combined(a_high - a.rate, b.rate - b_low, correlation)
+    return PairedDifference(difference, max(-1.0, low), min(1.0, high))
 
 
-def _added(one: float, other: float, correlation: float) -> float:
+def _combined(first: float, second: float, correlation: float) -> float:
     """Distance from a difference to its bound, from the corresponding distances of its two terms (MOVER)."""
-    return float(np.sqrt(one**2 + other**2 - 2 * correlation * one * other))
+    return float(np.sqrt(first**2 + second**2 - 2 * correlation * first * second))
 
 
-def recovery(pairs: Sequence[tuple[object, bool, bool, bool]]) -> Recovery | None:
+def recovery(pairs: Sequence[tuple[object, bool, bool, bool]]) -> RecoveryRate | None:
     """Recovery rate of a method, the share of lost missions that it recovers; None without pairs.
 
     Pairs contain the world and the success without a fault, with the fault, and with fault and method.  If the method
@@ -357,25 +386,26 @@ def recovery(pairs: Sequence[tuple[object, bool, bool, bool]]) -> Recovery | Non
     if not pairs:
         return None
     worlds = [world for world, *_ in pairs]
-    golden, fi, method = (np.array([bool(pair[place]) for pair in pairs]) for place in (1, 2, 3))
-    loss, loss_low, loss_high = paired_difference(golden.tolist(), fi.tolist(), worlds)
+    golden, fi, method = np.array([successes for _, *successes in pairs], bool).T
+    loss = paired_difference(golden.tolist(), fi.tolist(), worlds)
     lost = golden & ~fi
     counts = int(lost.sum()), int((lost & method).sum())
-    if loss_low <= 0:
-        return Recovery(None, None, None, loss, loss_low, loss_high, *counts)
+    if loss.low <= 0:
+        return RecoveryRate(None, None, None, *loss, *counts)
     gain = float(np.mean(method.astype(np.float64) - fi))
     low, high = _exact(method[lost], [world for world, is_lost in zip(worlds, lost, strict=True) if is_lost])
     if np.any(fi & ~golden) or np.any((method != fi) & ~lost):
+        # the rate is no proportion of the lost missions any more: widen by a bootstrap of worlds
         totals = resample(cluster_sums(worlds, golden, fi, method))
         with np.errstate(invalid="ignore", divide="ignore"):
-            from_samples = percentiles((totals[:, 2] - totals[:, 1]) / (totals[:, 0] - totals[:, 1]))
-        low = min(low, from_samples[0])
-        high = max(high, from_samples[1])
-    return Recovery(gain / loss, low, high, loss, loss_low, loss_high, *counts)
+            sampled_low, sampled_high = percentiles((totals[:, 2] - totals[:, 1]) / (totals[:, 0] - totals[:, 1]))
+        low = min(low, sampled_low)
+        high = max(high, sampled_high)
+    return RecoveryRate(gain / loss.estimate, low, high, *loss, *counts)
 
 
 def _exact(success: np.ndarray, world: Sequence[object]) -> tuple[float, float]:
     """Clopper and Pearson's interval for the effective number of flights."""
-    part = Part.of(success.astype(np.float64), np.ones(len(success)), world)
-    hits = part.rate * part.effective
-    return exact_bounds(hits, part.effective - hits)
+    clustered = StratumRate.of(success.astype(np.float64), np.ones(len(success)), world)
+    hits = clustered.rate * clustered.effective
+    return exact_bounds(hits, clustered.effective - hits)

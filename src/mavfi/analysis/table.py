@@ -65,8 +65,8 @@ class Table:
         Raises:
             KeyError: The column does not exist.
         """
-        place = {column.key: place for place, column in enumerate(self.columns)}[key]
-        return [row[place] for row in self.rows]
+        indices = {column.key: index for index, column in enumerate(self.columns)}
+        return [row[indices[key]] for row in self.rows]
 
     def entries(self) -> list[dict[str, Cell]]:
         """Rows as mappings from column key to cell."""
@@ -103,11 +103,14 @@ class Table:
 
 
 def _flat(entry: dict[str, Cell]) -> dict[str, Cell]:
+    """A row with one entry per number: fields of a dataclass cell become columns KEY_FIELD, the rate itself KEY."""
     flat: dict[str, Cell] = {}
     for key, cell in entry.items():
         parts = _parts(cell)
         if parts is not cell:
-            flat |= {key if part == "rate" else f"{key}_{part}": value for part, value in parts.items()}
+            for part, value in parts.items():
+                column = key if part == "rate" else f"{key}_{part}"
+                flat[column] = value
         elif isinstance(cell, (list, tuple, dict)):
             flat[key] = json.dumps(plain(cell))
         else:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from mavfi.analysis.measures import Measure, Spread
+from mavfi.analysis.measures import Measure, MeasureFactory
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import RATE, UNKNOWN, Cell, Column, Table
 from mavfi.dropped import dropped_name
@@ -25,6 +25,13 @@ class _Row(NamedTuple):
     behind: tuple[tuple[str, ...], ...]
 
 
+class _Grid(NamedTuple):
+    """Columns and rows of a table, before sorting."""
+
+    columns: list[Column]
+    rows: list[_Row]
+
+
 @dataclass(frozen=True)
 class View:
     """Definition of a table over the runs of a campaign."""
@@ -32,7 +39,7 @@ class View:
     name: str  # for `mavfi report --view`
     title: str  # of its table
     by: tuple[str, ...]  # columns of the frame to group by: one row per group
-    measures: tuple[Measure | Spread, ...]  # the other columns
+    measures: tuple[Measure | MeasureFactory, ...]  # the other columns
     where: Callable[[Runs], Runs] = field(default=lambda runs: runs)  # selects rows of the frame; may add columns
     across: str = ""
     """"" = measures are columns.  Otherwise the values of this column of the frame become columns, and each measure
@@ -52,88 +59,103 @@ class View:
         chosen = self.where(runs)
         if self.total is not None and len(chosen):
             chosen = chosen.with_total(*self.total)
-        raised: dict[str, str] = {}
-        columns, rows = (self._across if self.across else self._down)(chosen, raised)
-        notes = [*(self.notes(runs) if rows else ()), *(f"{name}: unknown ({why})" for name, why in raised.items())]
-        ordered = self._ordered(columns, rows)
+        errors: dict[str, str] = {}  # of measures, by heading
+        grid = self._across(chosen, errors) if self.across else self._down(chosen, errors)
+        notes = list(self.notes(runs)) if grid.rows else []
+        notes += [f"{heading}: unknown ({error})" for heading, error in errors.items()]
+        rows = self._ordered(grid)
         return Table(
             self.name,
             self.title,
-            tuple(columns),
-            [row.cells for row in ordered],
+            tuple(grid.columns),
+            [row.cells for row in rows],
             max(1, len(self.by)),
             (*notes, *_flown_with(chosen)),
-            [row.behind for row in ordered],
+            [row.behind for row in rows],
         )
 
     def _measures(self, chosen: Runs) -> list[Measure]:
-        found: list[Measure] = []
-        for measure in self.measures if len(chosen) else ():
-            found += [measure] if isinstance(measure, Measure) else measure(chosen, self.by)
-        return found
+        """The measures, with those that depend on the data; none without runs."""
+        measures: list[Measure] = []
+        if not len(chosen):
+            return measures
+        for entry in self.measures:
+            if isinstance(entry, Measure):
+                measures.append(entry)
+            else:
+                measures += entry(chosen, self.by)
+        return measures
 
     def _keys(self) -> list[Column]:
         headings = self.headings or tuple(name.replace("_", " ") for name in self.by)
         return [Column(name, heading) for name, heading in zip(self.by, headings, strict=True)]
 
-    def _down(self, chosen: Runs, raised: dict[str, str]) -> tuple[list[Column], list[_Row]]:
+    def _down(self, chosen: Runs, errors: dict[str, str]) -> _Grid:
         """One row per group, one column per measure."""
         measures = self._measures(chosen)
-        groups = {key: own for key, own in chosen.groups(*self.by).items() if len(own) >= self.least}
-        rows = [
-            _Row(
-                (*key, *(_cell(measure, own, raised) for measure in measures)),
-                (*[own.ids] * len(key), *(_behind(measure, own) for measure in measures)),
-            )
-            for key, own in groups.items()
-        ]
-        return [*self._keys(), *(measure.column for measure in measures)], rows
+        rows = []
+        for key, group in chosen.groups(*self.by).items():
+            if len(group) < self.least:
+                continue
+            cells = (_cell(measure, group, errors) for measure in measures)
+            behind = (_behind(measure, group) for measure in measures)
+            rows.append(_Row((*key, *cells), (*[group.ids] * len(key), *behind)))
+        return _Grid([*self._keys(), *(measure.column for measure in measures)], rows)
 
-    def _across(self, chosen: Runs, raised: dict[str, str]) -> tuple[list[Column], list[_Row]]:
+    def _across(self, chosen: Runs, errors: dict[str, str]) -> _Grid:
         """One row per group and measure, one column per value of `across`; empty rows are omitted."""
-        values = chosen.values(self.across) if len(chosen) else []
+        if not len(chosen):
+            return _Grid([*self._keys(), Column("measure", "")], [])
+        values = chosen.values(self.across)
         measures = self._measures(chosen)
         rows = []
-        for key, own in chosen.groups(*self.by).items():
-            parts = own.groups(self.across)
+        for key, group in chosen.groups(*self.by).items():
+            parts = group.groups(self.across)
             for measure in measures:
-                cells = [_cell(measure, parts[(value,)], raised) if (value,) in parts else None for value in values]
+                cells: list[Cell] = [None] * len(values)
+                behind: list[tuple[str, ...]] = [()] * len(values)
+                for index, value in enumerate(values):
+                    if (value,) in parts:
+                        cells[index] = _cell(measure, parts[(value,)], errors)
+                        behind[index] = _behind(measure, parts[(value,)])
                 if any(cell is not None for cell in cells):
-                    behind = (_behind(measure, parts[(value,)]) if (value,) in parts else () for value in values)
-                    rows.append(_Row((*key, measure.heading, *cells), (*[own.ids] * len(key), (), *behind)))
-        return [*self._keys(), Column("measure", ""), *(Column(str(value), str(value), RATE) for value in values)], rows
+                    rows.append(_Row((*key, measure.heading, *cells), (*[group.ids] * len(key), (), *behind)))
+        columns = [Column(str(value), str(value), RATE) for value in values]
+        return _Grid([*self._keys(), Column("measure", ""), *columns], rows)
 
-    def _ordered(self, columns: list[Column], rows: list[_Row]) -> list[_Row]:
+    def _ordered(self, grid: _Grid) -> list[_Row]:
         """Sort rows by `largest`, or group rows with equal first cells; apply `limit`."""
+        rows = grid.rows
         if self.largest and rows:
-            largest = [column.key for column in columns].index(self.largest)
+            largest = [column.key for column in grid.columns].index(self.largest)
             return sorted(rows, key=lambda row: (-row.cells[largest], row.cells[0]))[: self.limit]
-        first = list(dict.fromkeys(row.cells[0] for row in rows))
-        return sorted(rows, key=lambda row: first.index(row.cells[0]))[: self.limit]
+        first_cells = list(dict.fromkeys(row.cells[0] for row in rows))
+        return sorted(rows, key=lambda row: first_cells.index(row.cells[0]))[: self.limit]
 
 
-def _cell(measure: Measure, own: Runs, raised: dict[str, str]) -> Cell:
+def _cell(measure: Measure, group: Runs, errors: dict[str, str]) -> Cell:
     try:
-        return measure.of(own)
+        return measure.of(group)
     except Exception as error:  # a failing measure must not abort the report
-        raised.setdefault(measure.heading or measure.key, f"{type(error).__name__}: {error}"[:100])
+        errors.setdefault(measure.heading or measure.key, f"{type(error).__name__}: {error}"[:100])
         return UNKNOWN
 
 
-def _behind(measure: Measure, own: Runs) -> tuple[str, ...]:
+def _behind(measure: Measure, group: Runs) -> tuple[str, ...]:
     """Ids of the runs counted in a cell; none for the paper's values, whose keys begin with "paper"."""
     if measure.key.startswith("paper"):
         return ()
-    return measure.counted(own).ids
+    return measure.counted(group).ids
 
 
 def _flown_with(runs: Runs) -> tuple[str, ...]:
     """Note on the autopilot profile and its deviations from the published code."""
     profile = runs.campaign.get("profile", "")
-    more = f"; {_PROFILES[profile]}" if profile in _PROFILES else ""
-    if profile:
-        return (f"autopilot profile {profile}{more}",)
-    return ()
+    if not profile:
+        return ()
+    if profile in _PROFILES:
+        return (f"autopilot profile {profile}; {_PROFILES[profile]}",)
+    return (f"autopilot profile {profile}",)
 
 
 VIEWS: Mapping[str, View] = Catalogue("mavfi.views")
@@ -159,18 +181,15 @@ def table_asked_for(runs: Runs, name: str) -> Table:
     """
     if dropped_name("views", name):
         raise BadInputError(dropped_name("views", name))
-    if name in VIEWS and VIEWS[name].applies(runs):
-        found = table(runs, name)
-    else:
-        found = None
-    if found is None or not found.rows:
-        if name in VIEWS:
-            wrong = "these runs have nothing to show in it"
-        else:
-            wrong = "not known"
-        names = [view.name for view in applicable(runs)]
-        raise BadInputError(f"view {name!r}: {wrong}; allowed: {allowed(names, name)}")
-    return found
+    problem = "not known"
+    if name in VIEWS:
+        if VIEWS[name].applies(runs):
+            requested = table(runs, name)
+            if requested.rows:
+                return requested
+        problem = "these runs have nothing to show in it"
+    names = [view.name for view in applicable(runs)]
+    raise BadInputError(f"view {name!r}: {problem}; allowed: {allowed(names, name)}")
 
 
 def applicable(runs: Runs) -> list[View]:
@@ -181,8 +200,8 @@ def applicable(runs: Runs) -> list[View]:
 def views_for(runs: Runs) -> list[Table]:
     """Tables of a campaign's report: non-empty tables of all applicable views, the headline first."""
     ordered = sorted(applicable(runs), key=lambda view: not view.leads)
-    found = [view.table(runs) for view in ordered if not view.by_name]
-    return [table for table in found if table.rows]
+    tables = [view.table(runs) for view in ordered if not view.by_name]
+    return [table for table in tables if table.rows]
 
 
 def has(runs: Runs, **values: Any) -> bool:

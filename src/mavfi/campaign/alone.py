@@ -7,7 +7,7 @@ from functools import partial
 from mavfi.campaign.plan import Flown, RunSpec
 from mavfi.detectors.detector import CustomCallError, split_noting_calls
 from mavfi.errors import MachineError
-from mavfi.ir.forked import WALL_CLOCK, Ended, ForkPoint
+from mavfi.ir.forked import WALL_CLOCK, ChildEnd, ForkPoint
 from mavfi.record import End, FlightRecord
 
 ATTEMPTS_ALONE = 3
@@ -60,7 +60,7 @@ def _check_machine(spec: RunSpec, fly_golden: Callable[[str], None]) -> None:
         raise MachineError(f"{spec.run_id}: the process died, and that of its golden run, too ({ended.detail})")
 
 
-def _run_in_child(work: Callable[[], bytes]) -> Ended:
+def _run_in_child(work: Callable[[], bytes]) -> ChildEnd:
     """Run `work`, which returns the report, in a forked child with the wall-time limit."""
     point = ForkPoint()
     with point.guard():

@@ -22,7 +22,7 @@ from mavfi.detectors.registry import check_detector
 from mavfi.errors import BadInputError, MachineError, MavfiError, SpecMismatchError, machine_failure
 from mavfi.faults.fault import Fault
 from mavfi.flight.compose import detector_for, with_keys_of
-from mavfi.flight.decide import Recovery
+from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.host import ArmSetup, Host, MissionFlights, Recorded, find_host
 from mavfi.levels.level import NULL, Sampled, Sampler, sampler_for
 from mavfi.mission import MissionSpec, Scenario
@@ -165,7 +165,7 @@ def setup_of(plan: MissionPlan, arm: Arm, host: Host, scenario: Scenario | None 
             )
         return detector
 
-    return ArmSetup(scenario, make if arm.detector else None, Recovery.of(spec))
+    return ArmSetup(scenario, make if arm.detector else None, RecoveryPolicy.of(spec))
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from mavfi.plugins import extensions
 MOST_FLIGHTS = 10_000
 
 if TYPE_CHECKING:
-    from mavfi.report.campaign_report import Report
+    from mavfi.report.campaign_report import CampaignReport
     from mavfi.report.figures import Drawn
 
 
@@ -148,7 +148,7 @@ def _check_files(html: Path | None, flights: int | None, figures: Path | None, w
         check_folder(figures)
 
 
-def show_report(found: "Report", show_all: bool) -> None:
+def show_report(found: "CampaignReport", show_all: bool) -> None:
     """Print a report: campaign, leading table or all tables, findings."""
     from mavfi.report.text import checks, header, show_header, show_table
 

@@ -168,7 +168,7 @@ def command(found: "Shrunk") -> str:
 
 # ---- results of `campaign.shrink` as text --------------------------------------------------------------------------
 
-Lines = list[tuple[str, str]]
+Story = list[tuple[str, str]]
 _WHAT = {
     "publications": "fewer wrong publications",
     "width": "one bit instead of several",
@@ -176,7 +176,7 @@ _WHAT = {
 }
 
 
-def lines(found: Shrunk) -> Lines:
+def lines(found: Shrunk) -> Story:
     """Headings and sentences: the smallest fault, the original, steps, golden run."""
     rows = [("smallest", _trial(found.smallest)), ("original", _trial(found.original))]
     for place, step in enumerate(found.steps):

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mavfi.errors import BadInputError, MavfiError, hint
-from mavfi.ir.forked import WALL_CLOCK, Ended, ForkPoint
+from mavfi.ir.forked import WALL_CLOCK, ChildEnd, ForkPoint
 from mavfi.states import STAGE_KERNELS, STATES, State
 
 DIFFERENT = 2.0
@@ -325,7 +325,7 @@ class NotedCalls:
             note[:] = _IDLE
 
 
-def split_noting_calls(point: ForkPoint, timeout: float) -> Ended | None:
+def split_noting_calls(point: ForkPoint, timeout: float) -> ChildEnd | None:
     """As `ForkPoint.split`.
 
     Raises:

@@ -99,8 +99,9 @@ class FaultSite:
     element: int | None = None
 
     def __str__(self) -> str:
-        element = "" if self.element is None else f"[{self.element}]"
-        return f"{self.state}.{self.field}{element}"
+        if self.element is None:
+            return f"{self.state}.{self.field}"
+        return f"{self.state}.{self.field}[{self.element}]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,13 +138,13 @@ class StateFault(Fault):
     times: int = 1
 
     def __post_init__(self) -> None:
-        for key, right, allowed in (
+        for key, is_allowed, allowed in (
             ("lasts_s", self.lasts_s >= 0.0, "0 or more"),
             ("share", 0.0 < self.share <= 1.0, "above 0, to 1"),
             ("width", self.width >= 1, "1 or more"),
             ("times", self.times >= 1, "1 or more"),
         ):
-            if not right:
+            if not is_allowed:
                 raise BadInputError(f"fault in {self.site}: {key}: {getattr(self, key)}: allowed: {allowed}")
 
     @property
@@ -171,9 +172,13 @@ class StateFault(Fault):
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; keys of `LIFETIME` with default values are omitted."""
-        own = {name: value for name, value in LIFETIME.items() if getattr(self, name) == value}
-        data = {name: value for name, value in Fault.to_json(self).items() if name not in own}
-        return data | ({"lasts_s": "inf"} if data.get("lasts_s") == float("inf") else {})
+        data = Fault.to_json(self)
+        for name, default in LIFETIME.items():
+            if data[name] == default:
+                del data[name]
+        if data.get("lasts_s") == float("inf"):
+            data["lasts_s"] = "inf"  # JSON has no infinity
+        return data
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
@@ -226,8 +231,9 @@ class MemoryFault(Fault):
     @property
     def site(self) -> str:
         """Kernel, field and index as text."""
-        index = "" if self.index is None else f"[{self.index}]"
-        return f"memory:{self.kernel}.{self.field}{index}"
+        if self.index is None:
+            return f"memory:{self.kernel}.{self.field}"
+        return f"memory:{self.kernel}.{self.field}[{self.index}]"
 
     @property
     def bit_class(self) -> str:
@@ -242,8 +248,7 @@ class InstructionFault(Fault):
     """The result of one dynamic instruction in one call of a compiled function, once.
 
     Attributes:
-        function: Module and name of a user's own function; "" = `kernel` and `entry` tell which one it is, wherever its
-            source is.
+        function: Module and name of a custom function; "" = `kernel` and `entry` name it, wherever its source is.
         ir_sha256: Digest of the IR to which the index refers; other machine code is rejected.
         index: Dynamic index among the values that the call writes, from 0.
         call: Index of the call in the flight, from 0; `NO_SITE` = the kernel executes no such instruction.
@@ -253,8 +258,8 @@ class InstructionFault(Fault):
             10,000.
         which: Class of instructions from which it was drawn.
         model: How the value is changed.
-        kernel: Kernel for which it was drawn, as in `states.KERNELS`; "" = a user's own function.
-        entry: Attribute of `pipeline.functions.KernelFunctions`; "" = a user's own function.
+        kernel: Kernel for which it was drawn, as in `states.KERNELS`; "" = a custom function.
+        entry: Attribute of `pipeline.functions.KernelFunctions`; "" = a custom function.
         value_class: "floating_point", "integer", "address" or "control".
         restart_s: Time after which a crashed node has restarted (s).
         stratum: Meaning of the bit: "sign", "exponent", "mantissa" or "other"; "" if not drawn.
@@ -407,8 +412,13 @@ class RegisterFault(Fault):
 
     def __post_init__(self) -> None:
         # A target that is single-stepped dies with its tracer: no steps unless there is a breakpoint anyway.
-        object.__setattr__(self, "access", self.access or ("either" if self.symbol else "read"))
-        object.__setattr__(self, "walk", self.walk or (DEFAULT_WALK if self.symbol else 1))
+        default_access = "read"
+        default_walk = 1
+        if self.symbol:
+            default_access = "either"
+            default_walk = DEFAULT_WALK
+        object.__setattr__(self, "access", self.access or default_access)
+        object.__setattr__(self, "walk", self.walk or default_walk)
         if self.registers not in REGISTERS:
             raise BadInputError(f"registers: {self.registers!r}: allowed: {', '.join(REGISTERS)}")
         if self.access not in ACCESSES:
@@ -452,7 +462,9 @@ def level_names() -> tuple[str, ...]:
 
 def fault_from_json(data: dict[str, Any]) -> Fault:
     """Inverse of `to_json` of any fault; an unknown level is a BadInputError."""
-    content = dict(data) if isinstance(data, dict) else {}
+    content: dict[str, Any] = {}
+    if isinstance(data, dict):
+        content = dict(data)
     level = content.pop("level", None)
     if not isinstance(level, str) or level not in level_names():
         raise BadInputError(f"fault: level {level!r}: not known; allowed: {', '.join(level_names())}")

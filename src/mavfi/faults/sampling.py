@@ -8,7 +8,8 @@ publication, uniform; element, uniform; bit, uniform within a stratum.  The same
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,14 +32,14 @@ class Target:
 
     def within(self, stratum: str) -> "Target":
         """The fields with bits in the stratum; raises a BadInputError if there are none."""
-        kept = {
-            state: tuple(name for name in names if bits_of(STATES[state].find(name), stratum))
-            for state, names in self.fields.items()
-        }
-        kept = {state: names for state, names in kept.items() if names}
-        if not kept:
+        fields = {}
+        for state, names in self.fields.items():
+            names_in_stratum = tuple(name for name in names if bits_of(STATES[state].find(name), stratum))
+            if names_in_stratum:
+                fields[state] = names_in_stratum
+        if not fields:
             raise BadInputError(f"{self.name}: no field has bits of the stratum {stratum!r}")
-        return Target(self.name, kept)
+        return Target(self.name, fields)
 
     def probability(self, state: str) -> float:
         """Probability of drawing any given field of the state."""
@@ -46,8 +47,10 @@ class Target:
 
 
 def live_fields(spec: StateSpec, autopilot: str) -> tuple[str, ...]:
-    """Unique names of the fields that some consumer reads; for a user's own autopilot profile, in any shipped one."""
-    autopilots = (autopilot,) if autopilot in AUTOPILOTS else AUTOPILOTS
+    """Unique names of the fields that some consumer reads; for a custom autopilot profile, in any shipped one."""
+    autopilots: tuple[str, ...] = AUTOPILOTS
+    if autopilot in AUTOPILOTS:
+        autopilots = (autopilot,)
     live = (field.name for field in spec.fields if not all(field.dead_in(name) for name in autopilots))
     return tuple(dict.fromkeys(live))
 
@@ -66,8 +69,8 @@ def stage_target(stage: str, autopilot: str, monitored_set: str | None = None, l
     if monitored_set is not None:
         if monitored_set not in MONITORED_SETS:
             raise BadInputError(f"monitored set {monitored_set!r}: not known; allowed: {', '.join(MONITORED_SETS)}")
-        watched = set(MONITORED_SETS[monitored_set])
-        fields = {state: tuple(n for n in names if (state, n) in watched) for state, names in fields.items()}
+        monitored = set(MONITORED_SETS[monitored_set])
+        fields = {state: tuple(name for name in names if (state, name) in monitored) for state, names in fields.items()}
     return Target(stage, {state: names for state, names in fields.items() if names})
 
 
@@ -91,7 +94,12 @@ def group_target(name: str, sites: Sequence[str], localization: str = "truth") -
 
 def stream(seed: int, *key: int | str) -> np.random.Generator:
     """The random stream of a fault, addressed by the mission's seed and a key of numbers and names."""
-    numbers = [zlib.crc32(part.encode()) if isinstance(part, str) else part for part in key]
+    numbers = []
+    for part in key:
+        if isinstance(part, str):
+            numbers.append(zlib.crc32(part.encode()))
+        else:
+            numbers.append(part)
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FAULT_PURPOSE, *numbers)))
 
 
@@ -125,35 +133,48 @@ def message_target(state: str) -> Target:
     return Target(state, {state: tuple(dict.fromkeys(field.name for field in (*spec.fields, *spec.lengths)))})
 
 
-def message_bits(state: str, stratum: str, count: int) -> tuple[list[tuple[str, int, range]], float]:
+class FieldBits(NamedTuple):
+    """A field of a message: its name, its number of copies, and the bits of a stratum in each copy."""
+
+    name: str
+    copies: int
+    bits: range
+
+
+def message_bits(state: str, stratum: str, count: int) -> tuple[list[FieldBits], float]:
     """The bits of a stratum in a message whose lists have `count` elements.
 
     Header fields that share their name with a list are left out, as are the standard header and the number of the
     message (see `faults.transit`).
 
     Returns:
-        Fields with their number of copies and the bits of each copy, and the stratum's share of the message.
+        The bits, by field, and the stratum's share of the message.
     """
     spec = STATES[state]
-    fields = [spec.find(name) for name in message_target(state).fields[state]]
-    copies = [count if spec.in_elements(field.name) else 1 for field in fields]
-    parts = [(field.name, n, bits_of(field, stratum)) for field, n in zip(fields, copies, strict=True)]
-    every = sum(WORD_BITS[field.dtype] * n for field, n in zip(fields, copies, strict=True))
-    return parts, sum(n * len(bits) for _, n, bits in parts) / every
+    parts = []
+    message_size = 0
+    for name in message_target(state).fields[state]:
+        field = spec.find(name)
+        copies = 1
+        if spec.in_elements(name):
+            copies = count
+        parts.append(FieldBits(field.name, copies, bits_of(field, stratum)))
+        message_size += WORD_BITS[field.dtype] * copies
+    return parts, sum(part.copies * len(part.bits) for part in parts) / message_size
 
 
-def place_in(parts: Sequence[tuple[str, int, range]], place: int) -> tuple[str, int, int]:
-    """Field, copy and bit of the bit number `place` of `message_bits`.
+def locate_bit(parts: Sequence[FieldBits], number: int) -> tuple[str, int, int]:
+    """Field, copy and bit of a bit of `message_bits`, given by its number, from 0.
 
     Raises:
         IndexError: There are fewer bits.
     """
     for name, copies, bits in parts:
-        if place < copies * len(bits):
-            copy, bit = divmod(place, len(bits))
-            return name, copy, bits[bit]
-        place -= copies * len(bits)
-    raise IndexError(place)
+        if number < copies * len(bits):
+            copy, index = divmod(number, len(bits))
+            return name, copy, bits[index]
+        number -= copies * len(bits)
+    raise IndexError(number)
 
 
 def draw_in_message(state: str, stratum: str, profile: Profile, seed: int, *address: int | str) -> StateFault:
@@ -164,18 +185,22 @@ def draw_in_message(state: str, stratum: str, profile: Profile, seed: int, *addr
     """
     random = stream(seed, f"message {state}", *address)
     spec = STATES[state]
+    nowhere = StateFault(FaultSite(state, spec.fields[0].name), NO_SITE, 0, stratum, 0.0, seed)
+    # The publication.
     times = profile.times_us.get(state, np.zeros(0, np.int64))
-    parts: list[tuple[str, int, range]] = []
-    share = 0.0
-    if len(times):
-        chosen = int(random.integers(len(times)))
-        parts, share = message_bits(state, stratum, int(profile.counts[state][chosen]))
-    total = sum(copies * len(bits) for _, copies, bits in parts)
+    if not len(times):
+        return nowhere
+    chosen = int(random.integers(len(times)))
+    # The bit of its message.
+    parts, share = message_bits(state, stratum, int(profile.counts[state][chosen]))
+    total = sum(part.copies * len(part.bits) for part in parts)
     if total == 0:
-        return StateFault(FaultSite(state, spec.fields[0].name), NO_SITE, 0, stratum, share, seed)
-    name, copy, bit = place_in(parts, int(random.integers(total)))
-    where = FaultSite(state, name, copy if spec.in_elements(name) else None)
-    return StateFault(where, int(times[chosen]), bit, stratum, share, seed)
+        return replace(nowhere, weight=share)
+    name, copy, bit = locate_bit(parts, int(random.integers(total)))
+    site = FaultSite(state, name)
+    if spec.in_elements(name):
+        site = FaultSite(state, name, copy)
+    return StateFault(site, int(times[chosen]), bit, stratum, share, seed)
 
 
 def share_out(shares: Mapping[str, float], count: int, seed: int, *address: str) -> list[str]:
@@ -185,12 +210,12 @@ def share_out(shares: Mapping[str, float], count: int, seed: int, *address: str)
     """
     total = sum(shares.values())
     exact = {stratum: count * share / total for stratum, share in shares.items()}
-    whole = {stratum: int(number) for stratum, number in exact.items()}
-    by_remainder = sorted(exact, key=lambda stratum: whole[stratum] - exact[stratum])
-    for stratum in by_remainder[: count - sum(whole.values())]:
-        whole[stratum] += 1
-    strata = [stratum for stratum, number in whole.items() for _ in range(number)]
-    return [strata[place] for place in stream(seed, "strata", *address).permutation(count)]
+    numbers = {stratum: int(number) for stratum, number in exact.items()}
+    by_remainder = sorted(exact, key=lambda stratum: numbers[stratum] - exact[stratum])
+    for stratum in by_remainder[: count - sum(numbers.values())]:
+        numbers[stratum] += 1
+    strata = [stratum for stratum, number in numbers.items() for _ in range(number)]
+    return [strata[index] for index in stream(seed, "strata", *address).permutation(count)]
 
 
 def draw_publication(random: np.random.Generator, profile: Profile, site: FaultSite) -> tuple[int, int | None]:
@@ -202,10 +227,9 @@ def draw_publication(random: np.random.Generator, profile: Profile, site: FaultS
     times = profile.times_us.get(site.state, np.zeros(0, np.int64))
     counts = profile.counts.get(site.state, np.zeros(0, np.int32))
     in_elements = STATES[site.state].in_elements(site.field)
+    candidates = np.arange(len(times))
     if in_elements:
         candidates = np.flatnonzero(counts > 0)
-    else:
-        candidates = np.arange(len(times))
     if len(candidates) == 0:
         return NO_SITE, site.element
     chosen = candidates[int(random.integers(len(candidates)))]

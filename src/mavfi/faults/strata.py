@@ -12,7 +12,7 @@ WORD_BITS = {"f8": 64, "f4": 32, "i8": 64, "i4": 32, "i2": 16, "u8": 64, "u4": 3
 """Bits of a word by its type; a flag has one, and flipping it inverts the flag."""
 
 
-class Typed(Protocol):
+class HasType(Protocol):
     """A field of a state, or a word of a memory."""
 
     @property
@@ -50,21 +50,21 @@ SIGN_EXPONENT = (HEADLINE, "sign", "exponent")
 """Strata of the headline's bits, together or apart."""
 
 
-def bits_of(field: Typed, stratum: str) -> range:
+def bits_of(field: HasType, stratum: str) -> range:
     """Bits of a field in a stratum, empty if its type has none; a BadInputError for an unknown stratum."""
     if stratum not in STRATA:
         raise BadInputError(f"stratum {stratum!r}: not known; allowed: {', '.join(STRATA)}")
-    parts = [bits for name, bits in _CLASSES[field.dtype].items() if name in STRATA[stratum]]
-    if not parts:
+    ranges = [bits for name, bits in _CLASSES[field.dtype].items() if name in STRATA[stratum]]
+    if not ranges:
         return range(0)
-    return range(min(part.start for part in parts), max(part.stop for part in parts))
+    return range(min(bits.start for bits in ranges), max(bits.stop for bits in ranges))
 
 
-def bit_class(field: Typed, bit: int) -> str:
+def bit_class(field: HasType, bit: int) -> str:
     """Class of one bit: "sign", "exponent", "mantissa", "other" (integers) or "flag"."""
     return next(name for name, bits in _CLASSES[field.dtype].items() if bit in bits)
 
 
-def word_share(field: Typed, stratum: str) -> float:
+def word_share(field: HasType, stratum: str) -> float:
     """Share of the field's bits in the stratum."""
     return len(bits_of(field, stratum)) / WORD_BITS[field.dtype]

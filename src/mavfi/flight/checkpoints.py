@@ -30,7 +30,7 @@ class Checkpoint:
     """An instant of a flight (None = its end) from which this or another flight can continue.
 
     It holds the numbers of rows, events and publications, the alarms with their outcomes so far, counts (see
-    `Record.counts`), a copy of the injector tap, and the memory of detector and recovery.
+    `LoopRecord.counts`), a copy of the injector tap, and the memory of detector and recovery.
     """
 
     instant: Instant | None

@@ -14,7 +14,7 @@ from mavfi.detectors.detector import Detector, check_states
 from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.registry import Loaded, load_detector, mission_keys
 from mavfi.errors import BadInputError
-from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.loop import CONTROL_PERIOD_US, Loop, latency, stage_latency
 from mavfi.flight.plant import MakePlant
@@ -36,14 +36,18 @@ from mavfi.sim.simulator import Simulator
 from mavfi.states import INJECTED_KERNEL, PLANNERS, Stage
 
 _DEFAULT_V_MAX = 3.0
+"""Speed limit where neither mission nor environment has one (m/s)."""
 _FILES = (".yaml", ".yml")
 _NOMINAL_RADIUS = 0.35
 """Collision radius of the vehicle for which the radii of an autopilot profile are specified (m)."""
 _LEAST_POSITION_NOISE = 1e-3
+"""Noise of position fixes that the estimator assumes at least (m), see `noise_of`."""
 _LEAST_HEADING_NOISE = 1e-3
-_RULES = ("alarm", "epoch_liveness")
+"""Noise of heading fixes that it assumes at least (rad)."""
+_AUTOPILOT_KEYS = ("alarm", "epoch_liveness")
 """Keys of an autopilot profile that a mission can override."""
 _LIMITS = ("arena_lower", "arena_upper", "flight_lower", "flight_upper", "goal")
+"""Arrays of a world that the pipeline may know."""
 
 
 def find_environment(name: str) -> EnvironmentConfig:
@@ -70,34 +74,38 @@ def resolve(spec: MissionSpec) -> Scenario:
     Raises:
         BadInputError: A name is unknown, a value is out of range, or options are incompatible.
     """
-    world = find_environment(spec.environment)
+    environment = find_environment(spec.environment)
+    vehicle_source = spec.environment  # the file that names the vehicle, for messages
     if spec.vehicle is not None:
-        world = world.model_copy(update={"vehicle": spec.vehicle})
-    if spec.v_max is not None:
-        speed = spec.v_max
-    else:
-        speed = world.v_max or _DEFAULT_V_MAX
+        environment = environment.model_copy(update={"vehicle": spec.vehicle})
+        vehicle_source = ""
+
+    # Options whose default depends on the environment.
+    speed = spec.v_max
+    if speed is None:
+        speed = environment.v_max or _DEFAULT_V_MAX
     if not 0.1 <= speed <= 20.0:
         raise BadInputError(f"v_max: {speed}: must lie between 0.1 and 20 m/s")
     camera = configs.CameraConfig(noise=spec.depth_noise)
-    if world.camera_range is not None:
-        camera = configs.CameraConfig(noise=spec.depth_noise, range=world.camera_range)
+    if environment.camera_range is not None:
+        camera = configs.CameraConfig(noise=spec.depth_noise, range=environment.camera_range)
     resolution = spec.map_resolution
     if resolution is None:
-        resolution = world.map_resolution
+        resolution = environment.map_resolution
+
+    # Everything else that is looked up by name.
+    protection = None
     if spec.protection:
         protection = rewriter().load(spec.protection)
-    else:
-        protection = None
     planner = find_planner(spec.planner)
     with _read_from(spec.planner, "name"):
         find_search(planner.name)
     with _read_from(spec.environment, "generator"):
-        find_generator(world.generator)
-    with _read_from(spec.environment if spec.vehicle is None else "", "vehicle"):
-        vehicle = find_vehicle(world.vehicle)
+        find_generator(environment.generator)
+    with _read_from(vehicle_source, "vehicle"):
+        vehicle = find_vehicle(environment.vehicle)
     return Scenario(
-        environment=world,
+        environment=environment,
         seed=spec.seed,
         autopilot=_autopilot(spec),
         vehicle=vehicle,
@@ -147,17 +155,21 @@ def _controller(name: str) -> str:
 
 def _autopilot(spec: MissionSpec) -> configs.AutopilotConfig:
     """The autopilot profile with the mission's overrides."""
-    own = {name: value for name in _RULES if (value := getattr(spec, name)) is not None}
-    return shipped("autopilots", configs.AutopilotConfig, spec.autopilot).model_copy(update=own)
+    overrides = {}
+    for key in _AUTOPILOT_KEYS:
+        value = getattr(spec, key)
+        if value is not None:
+            overrides[key] = value
+    return shipped("autopilots", configs.AutopilotConfig, spec.autopilot).model_copy(update=overrides)
 
 
 def _map_config(kind: str, resolution: float | None) -> configs.MapConfig:
-    if resolution is None:
-        chosen: dict[str, Any] = {"kind": kind}
-    else:
-        chosen = {"kind": kind, "resolution": resolution}
+    """The map's configuration; resolution (m): None = the default."""
+    keys: dict[str, Any] = {"kind": kind}
+    if resolution is not None:
+        keys["resolution"] = resolution
     find_map(kind)
-    return parse(configs.MapConfig, chosen, "map")
+    return parse(configs.MapConfig, keys, "map")
 
 
 def pipeline_config(
@@ -252,7 +264,7 @@ def new_loop(
     return Loop(scenario, world, plant, make, want_profile=profile, marks=rewindable)
 
 
-def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) -> None:
+def watch(loop: Loop, detector: Detector | None, recovery: RecoveryPolicy = INLINE) -> None:
     """Attach a detector to a flight that has not started; None = no effect.
 
     Raises:
@@ -265,14 +277,14 @@ def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) ->
     install(loop, detector, recovery, restarts_for(loop, recovery)).begin()
 
 
-def restarts_for(loop: Loop, recovery: Recovery) -> Restarts | None:
+def restarts_for(loop: Loop, recovery: RecoveryPolicy) -> Restarts | None:
     """What restarts nodes for a recovery policy, from what it sees from now on; None = the policy restarts none."""
     if recovery.restarts:
         return Restarts(loop, "readback")
     return None
 
 
-def install(loop: Loop, detector: Detector, recovery: Recovery, restarts: Restarts | None) -> DetectorTap:
+def install(loop: Loop, detector: Detector, recovery: RecoveryPolicy, restarts: Restarts | None) -> DetectorTap:
     """Install a detector's tap, and what it asks of the loop, in the place of those of another one."""
     if restarts is None:
         tap = DetectorTap(loop, detector, recovery)
@@ -280,12 +292,15 @@ def install(loop: Loop, detector: Detector, recovery: Recovery, restarts: Restar
         tap = DetectorTap(loop, detector, recovery, restarts.die)
     loop.taps.detector = tap
     loop.taps.watched = tap.states
-    loop.taps.seal = tap.seal if tap.seals else None
-    loop.taps.again = tap.lost if recovery.resends else None
+    loop.taps.seal = None
+    if tap.seals:
+        loop.taps.seal = tap.seal
+    loop.taps.answer_loss = None
+    if recovery.resends:
+        loop.taps.answer_loss = tap.lost
+    loop.verify = None
     if detector.duplicates:
         loop.verify = Duplicates(loop, detector.duplicates)
-    else:
-        loop.verify = None
     return tap
 
 
@@ -364,17 +379,18 @@ def watched(
         SpecMismatchError: The model was trained for a different configuration.
     """
     if detector is None:
-        return Watched(ArmSetup(resolve(mission), recovery=Recovery.of(mission)))
+        return Watched(ArmSetup(resolve(mission), recovery=RecoveryPolicy.of(mission)))
     mission = with_keys_of(mission, detector)
     scenario = resolve(mission)
-    recovery = Recovery.of(mission)
+    recovery = RecoveryPolicy.of(mission)
     if not isinstance(detector, str):
         return Watched(ArmSetup(scenario, lambda: detector, recovery), type(detector).__name__)
     loaded, model = detector_for(scenario, detector, profile, models, mission.trained_for, options)
     label = detector
     if model:
         label += f" ({profile})"
-        label += f", trained for {mission.trained_for}" if mission.trained_for else ""
+    if model and mission.trained_for:
+        label += f", trained for {mission.trained_for}"
     return Watched(ArmSetup(scenario, lambda: loaded, recovery), label, model)
 
 
@@ -396,7 +412,14 @@ def limits_of(scenario: Scenario, world: World) -> MissionLimits:
     platform = scenario.platform
     period = 1e-6 * CONTROL_PERIOD_US
     noise = noise_of(scenario.localization)
-    p, i, d = (max(map(abs, gains)) for gains in (autopilot.gain_p, autopilot.gain_i, autopilot.gain_d))
+    fix_noise = None
+    if noise is not None:
+        fix_noise = (noise.position, noise.heading)
+    # The command changes with the error by p, with its integral by i and with its rate by d; the rate may change sign.
+    p = max(map(abs, autopilot.gain_p))
+    i = max(map(abs, autopilot.gain_i))
+    d = max(map(abs, autopilot.gain_d))
+    command_step = _ERROR_STEP * (p + i * period + 2.0 * d / period)
     return MissionLimits(
         v_max=scenario.v_max,
         a_max=scenario.a_max,
@@ -412,12 +435,12 @@ def limits_of(scenario: Scenario, world: World) -> MissionLimits:
         plan_latency=1e-6 * stage_latency(platform, Stage.PLANNING),
         velocity_lag=1.0 / scenario.vehicle.velocity_gain,
         command_limit=autopilot.command_limit,
-        command_step=_ERROR_STEP * (p + i * period + 2.0 * d / period),
+        command_step=command_step,
         slowdown_cap=autopilot.slowdown_cap,
         tracker_slowdown=platform.tracker_slowdown,
         camera_range=scenario.camera.range,
         repeated=autopilot.alarm == "repeated",
-        fix_noise=None if noise is None else (noise.position, noise.heading),
+        fix_noise=fix_noise,
     )
 
 

@@ -1,7 +1,7 @@
 """Decisions of recovery, in pure Python: which response an alarm gets, and when the wait for a path is over.
 
 `decide` is the decision table; `recovery.DetectorTap` carries its actions out.  Nothing here depends on the flight but
-through the arguments: the alarm, what recovery remembers (`History`), and the mission's policy (`Recovery`).
+through the arguments: the alarm, what recovery remembers (`History`), and the mission's policy (`RecoveryPolicy`).
 """
 
 import math
@@ -45,7 +45,7 @@ response either: it changes the route, and several can lead into an obstacle."""
 
 # ---- the policy -----------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, slots=True)
-class Recovery:
+class RecoveryPolicy:
     """Recovery policy for the alarms of a detector; the attributes are keys of a mission.
 
     Attributes:
@@ -75,9 +75,9 @@ class Recovery:
             raise BadInputError(f"degraded: {self.degraded}: withholds commands; allowed: with coupling inline")
 
     @staticmethod
-    def of(spec: MissionSpec) -> "Recovery":
+    def of(spec: MissionSpec) -> "RecoveryPolicy":
         """The recovery policy of a mission."""
-        return Recovery(*(getattr(spec, key) for key in RECOVERY))
+        return RecoveryPolicy(*(getattr(spec, key) for key in RECOVERY))
 
     @property
     def gates(self) -> bool:
@@ -120,7 +120,7 @@ class Recovery:
         return self.restarts or self.degrades
 
 
-INLINE = Recovery()
+INLINE = RecoveryPolicy()
 """A gate that repeats the stage and accepts the result, even if it is the same value."""
 
 
@@ -277,7 +277,7 @@ class History(Memory):
 
 
 # ---- the decision table ---------------------------------------------------------------------------------------------
-def decide(rejection: Rejection, history: History, policy: Recovery) -> Action | None:
+def decide(rejection: Rejection, history: History, policy: RecoveryPolicy) -> Action | None:
     """The response to an alarm; None = the value passes.
 
     The first row that applies counts; "hard" is an alarm on a violated rule, whereas a statistical score may be high
@@ -314,28 +314,28 @@ def decide(rejection: Rejection, history: History, policy: Recovery) -> Action |
     return _recomputation_of(spec, policy)
 
 
-def decide_overdue(history: History, policy: Recovery) -> Action | None:
+def decide_overdue(history: History, policy: RecoveryPolicy) -> Action | None:
     """The response to a path that does not answer a collision alarm in time: its planner's node is restarted."""
     if history.restarts_left <= 0 and policy.degrades:
         return Action(Response.HOLD, Stage.CONTROL)
     return _restart_of(STATES[PATH], history, policy)
 
 
-def _is_without_cure(rejection: Rejection, history: History, policy: Recovery) -> bool:
+def _is_without_cure(rejection: Rejection, history: History, policy: RecoveryPolicy) -> bool:
     """Whether neither restarts nor recomputations have helped."""
     restarts_used_up = policy.restarts and rejection.origin is Origin.RECOMPUTED and history.restarts_left <= 0
     persists = rejection.time_us - history.series_start(rejection.time_us) > PERSISTS_US
     return restarts_used_up or persists
 
 
-def _restart_of(spec: StateSpec, history: History, policy: Recovery) -> Action | None:
+def _restart_of(spec: StateSpec, history: History, policy: RecoveryPolicy) -> Action | None:
     """Restart of the node that wrote a state; None = sensors have none, or no restart is left."""
     if spec.writer not in KERNELS or history.restarts_left <= 0:
         return None
     return Action(Response.RESTART, spec.stage, spec.writer, withholds=policy.gates)
 
 
-def _request(response: Response, spec: StateSpec, policy: Recovery) -> Action:
+def _request(response: Response, spec: StateSpec, policy: RecoveryPolicy) -> Action:
     """A request to the setpoint generator; the way-point in force is withheld, other values pass."""
     withholds = policy.gates and spec.name == WAYPOINT
     return Action(response, Stage.CONTROL, "waypoint", awaited=WAYPOINT, withholds=withholds)
@@ -348,7 +348,7 @@ def _charge_of(stage: Stage) -> Action:
     return Action(Response.RECOMPUTE, stage)
 
 
-def _recomputation_of(spec: StateSpec, policy: Recovery) -> Action:
+def _recomputation_of(spec: StateSpec, policy: RecoveryPolicy) -> Action:
     """Recomputation of the stage of a state, or only of the kernel that wrote it."""
     alone = policy.grain != "stage"
     restores: tuple[str, ...] = (spec.writer,)

@@ -37,7 +37,7 @@ from mavfi.flight.checkpoints import (
     take,
 )
 from mavfi.flight.compose import install, new_loop, restarts_for
-from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.host import Flight
 from mavfi.flight.loop import CONTROL_PERIOD_US, Loop
 from mavfi.mission import Scenario
@@ -51,12 +51,10 @@ TICKS = {"dense": 50, "octree": 200}
 
 
 # ---- golden flights stopped early -----------------------------------------------------------------------------------
-
-
-def fly_until(loop: Loop, enough: Callable[[], bool]) -> Flight | None:
-    """Fly a loop from its start until `enough` (evaluated after each control period) is true; None = stopped early."""
+def fly_until(loop: Loop, may_stop: Callable[[], bool]) -> Flight | None:
+    """Fly a loop from its start until `may_stop`, called after each control period, is true; None = it was stopped."""
     loop.begin()
-    while loop.status is None and not enough():
+    while loop.status is None and not may_stop():
         loop.run(len(loop.record.rows) + 1)
     if loop.status is None:
         return None
@@ -78,8 +76,6 @@ def check_prefix(loop: Loop, golden: FlightLog) -> None:
 
 
 # ---- functions whose calls are counted ------------------------------------------------------------------------------
-
-
 class Taken(NamedTuple):
     """A call that was made by somebody else, with its result."""
 
@@ -159,13 +155,13 @@ class FlownArm:
 
     name: str = ""
     detector: Detector | None = None
-    recovery: Recovery = INLINE
+    recovery: RecoveryPolicy = INLINE
 
 
 NO_DETECTOR = FlownArm()
 
 
-def takes_part(detector: Detector | None, recovery: Recovery) -> bool:
+def takes_part(detector: Detector | None, recovery: RecoveryPolicy) -> bool:
     """Whether a detector acts without an alarm, or answers one depending on earlier events other than its alarms.
 
     It seals values before they are published, has unreadable ones sent again, has steps computed twice, or waits for
@@ -212,7 +208,7 @@ class Track:
         return len(here.alarms) == len(there.alarms)
 
 
-class Branch:
+class FlightBranch:
     """A flight in progress that reuses parts of known flights of its mission.
 
     Args:
@@ -258,16 +254,15 @@ class Branch:
         self.loop.verify = None
         self.loop.taps.detector = None
         self.loop.taps.seal = None
-        self.loop.taps.again = None
+        self.loop.taps.answer_loss = None
         self.loop.taps.recorders.clear()
         if self._keeps_publications:
             self.loop.taps.recorders.append(lambda state, now: self.publications.append((state, now)))
 
         # Attach the detector.
         self._detector = arm.detector
-        if arm.detector is None:
-            self._restarts = None
-        else:
+        self._restarts = None
+        if arm.detector is not None:
             self._restarts = restarts_for(self.loop, arm.recovery)
         self._tap = self._new_tap()
 
@@ -377,7 +372,7 @@ class Branch:
             if self._detector is None:
                 self.append_rest(track, here.rows)
                 return
-            if self._own_golden is not None and self._continues_as_golden(here):
+            if self._own_golden is not None and self._continues_as_golden(self._own_golden, here):
                 self.append_rest(self._own_golden, here.rows)
                 return
             memory = self._detector_memory()
@@ -420,15 +415,12 @@ class Branch:
                 return True
         return False
 
-    def _continues_as_golden(self, here: Checkpoint) -> bool:
+    def _continues_as_golden(self, own_golden: Track, here: Checkpoint) -> bool:
         """Whether the remainder from a checkpoint of another flight equals that of the golden flight of this arm."""
-        if self._own_golden is None:
-            golden = None
-        else:
-            golden = self._own_golden.checkpoints.get(here.rows)
-        if golden is None or golden.instant is not here.instant:
+        golden_checkpoint = own_golden.checkpoints.get(here.rows)
+        if golden_checkpoint is None or golden_checkpoint.instant is not here.instant:
             return False
-        return self._is_settled() and self._has_detector_memory(golden)
+        return self._is_settled() and self._has_detector_memory(golden_checkpoint)
 
     # ---- simulation -------------------------------------------------------------------------------------------------
     def fly(self) -> Track:
@@ -451,19 +443,17 @@ class Branch:
     def _arrive_at_checkpoint(self) -> None:
         """Take a checkpoint if others may start here; reuse a known flight if the current state has converged to it."""
         rows = len(self.loop.record.rows)
+        track = None
         if self._is_settled() and self.comparable():
             track = self._converged()
-        else:
-            track = None
-        if self.keeps_checkpoints:
-            if track is None:
-                # Instruction faults are injected after golden checkpoints: these need the work arrays of kernels, too.
-                instant = take(self.loop, scratch=self._forward.scratch and self._own_golden is None)
-            else:
-                instant = track.checkpoints[rows].here
-            self.store_checkpoint(instant)
         if track is None:
+            if self.keeps_checkpoints:
+                # Instruction faults are injected after golden checkpoints: these need the work arrays of kernels, too.
+                self.store_checkpoint(take(self.loop, scratch=self._forward.scratch and self._own_golden is None))
             return
+        if self.keeps_checkpoints:
+            # the same object, by which flights recognize that they share a state
+            self.store_checkpoint(track.checkpoints[rows].here)
         if track is self._own_golden:
             self.append_rest(track, rows)
         elif not takes_part(self._arm.detector, self._arm.recovery):
@@ -478,20 +468,26 @@ class Branch:
         """A known flight in the current state that can be followed from here; None = none."""
         loop = self.loop
         rows = len(self.loop.record.rows)
-        compared: dict[int, bool] = {}  # several flights share an instant
-        for track in (*self._others, self._own_golden):
-            here = None if track is None else track.checkpoints.get(rows)
-            if track is None or here is None or not here.injector.spent:
+        is_here: dict[
+            int, bool
+        ] = {}  # result of the comparison, which takes long, by instant: several flights share one
+        tracks = list(self._others)
+        if self._own_golden is not None:
+            tracks.append(self._own_golden)
+        for track in tracks:
+            checkpoint = track.checkpoints.get(rows)
+            if checkpoint is None or not checkpoint.injector.spent:
                 continue  # the other flight's injection is still pending
-            if track is self._own_golden and not self._has_detector_memory(here):
-                continue
+            if track is self._own_golden and not self._has_detector_memory(checkpoint):
+                continue  # the detector remembers something else, and may act otherwise
             if track is not self._own_golden and not track.is_silent(rows):
-                continue
-            if isinstance(loop.taps.injector, CounterWatch) and not loop.taps.injector.same(here.injector):
-                continue
-            if id(here.instant) not in compared:
-                compared[id(here.instant)] = is_at(loop, here.here)
-            if compared[id(here.instant)]:
+                continue  # nothing of it could be followed
+            if isinstance(loop.taps.injector, CounterWatch) and not loop.taps.injector.same(checkpoint.injector):
+                continue  # a later injector would count publications otherwise
+            key = id(checkpoint.instant)
+            if key not in is_here:
+                is_here[key] = is_at(loop, checkpoint.here)
+            if is_here[key]:
                 return track
         return None
 
@@ -541,7 +537,7 @@ class FastForward:
         fault: StateFault | None = None,
         detector: Detector | None = None,
         arm: str = "",
-        recovery: Recovery = INLINE,
+        recovery: RecoveryPolicy = INLINE,
     ) -> Flight:
         """Fly, reusing known parts; only the golden flight without a detector has a profile.
 
@@ -559,7 +555,9 @@ class FastForward:
                 track = self._with_fault(fault, flown_arm)
         self.share.flights += 1
         self.share.ticks += len(track.rows)
-        return Flight(track.log, self._profile if fault is None and detector is None else None)
+        if fault is None and detector is None:
+            return Flight(track.log, self._profile)
+        return Flight(track.log)
 
     # ---- golden flights ---------------------------------------------------------------------------------------------
     def golden(self, arm: FlownArm = NO_DETECTOR) -> Track:
@@ -574,8 +572,8 @@ class FastForward:
     def _simulated(self, arm: FlownArm) -> Track:
         """A golden flight from take-off; the one without a detector leaves the profile."""
         loop = self.loop
-        plain = self._golden.get("")
-        branch = Branch(self, arm, [] if plain is None else [plain], keeps_checkpoints=True)
+        others = [self._golden[""]] if "" in self._golden else []
+        branch = FlightBranch(self, arm, others, keeps_checkpoints=True)
         loop.taps.injector = CounterWatch()
         if self._take_off is None:
             loop.begin()
@@ -585,17 +583,17 @@ class FastForward:
         if arm.detector is not None:
             arm.detector.start()
         branch.store_checkpoint(self._take_off)
-        loop.record.publications.wanted = arm.detector is None
+        loop.record.publications.want_profile = arm.detector is None
         track = branch.fly()
-        self._profile = loop.record.publications.profile() or self._profile
-        loop.record.publications.wanted = False
+        self._profile = loop.record.publications.profile() or self._profile  # None with a detector
+        loop.record.publications.want_profile = False
         return track
 
     def _replayed(self, arm: FlownArm) -> Track:
         """The golden flight with a detector that acts on alarms alone."""
         assert arm.detector is not None  # the other one is simulated
         plain = self.golden()
-        branch = Branch(self, arm, [plain], keeps_checkpoints=True)
+        branch = FlightBranch(self, arm, [plain], keeps_checkpoints=True)
         arm.detector.start()
         branch.begin(plain, plain.checkpoints[0])
         self.loop.taps.injector = CounterWatch()
@@ -625,7 +623,7 @@ class FastForward:
         assert isinstance(start.injector, CounterWatch)  # a golden flight's tap
         injector = StateInjector(fault, start.injector)
         if takes_part(arm.detector, arm.recovery):
-            branch = Branch(self, arm, own_golden=own_golden)
+            branch = FlightBranch(self, arm, own_golden=own_golden)
             return self._fly_on(branch, own_golden, rows, injector)
 
         # If nothing has happened so far, the run without a detector is identical up to the first alarm.
@@ -637,14 +635,14 @@ class FastForward:
         others = [plain_golden]
         if arm.detector is not None:
             others = [track for track in (*self._tracks(fault).values(), plain_golden) if track.checkpoints]
-        branch = Branch(self, arm, others, own_golden, keeps_checkpoints=self.watched)
+        branch = FlightBranch(self, arm, others, own_golden, keeps_checkpoints=self.watched)
         track = self._fly_on(branch, own_golden, rows, injector, without_detector)
         self._tracks(fault)[arm.name] = track
         return track
 
     def _fly_on(
         self,
-        branch: Branch,
+        branch: FlightBranch,
         own_golden: Track,
         rows: int,
         injector: StateInjector,
@@ -682,13 +680,19 @@ class FastForward:
         """
         golden = self.golden()
         loop = self.loop
-        count_places = {name: list(loop.record.calls).index(name) for name in functions}  # calls come first in counts
+        counted = list(loop.record.calls)  # these come first in the counts of a checkpoint
         with self.instrumented(functions), np.errstate(all="ignore"):
             for here, there in golden.pieces(0):
-                calls = {name: range(here.counts[place], there.counts[place]) for name, place in count_places.items()}
+                # Skip pieces of the flight without wanted calls.
+                calls = {}
+                for name in functions:
+                    index = counted.index(name)
+                    calls[name] = range(here.counts[index], there.counts[index])
                 if not any(function.is_wanted(calls[name]) for name, function in functions.items()):
                     continue
-                Branch(self, NO_DETECTOR).begin(golden, here)
+
+                # Fly the others again, as long as wanted calls are to come.
+                FlightBranch(self, NO_DETECTOR).begin(golden, here)
                 loop.taps.injector = here.injector.copy()
                 put(loop, here.here)
                 for name, function in functions.items():

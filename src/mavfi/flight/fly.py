@@ -7,7 +7,7 @@ from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import Fault, find_level
 from mavfi.faults.injector import Injector
 from mavfi.flight.compose import new_loop, watch
-from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.host import Flight
 from mavfi.flight.loop import Listener
 from mavfi.flight.plant import MakePlant
@@ -23,7 +23,7 @@ def fly(  # noqa: PLR0913 - each is independent
     fault: Fault | None = None,
     detector: Detector | None = None,
     *,
-    recovery: Recovery = INLINE,
+    recovery: RecoveryPolicy = INLINE,
     profile: bool = False,
     recorders: Sequence[Recorder] = (),
     functions: KernelFunctions = PLAIN,

@@ -7,9 +7,9 @@ lost, and the node returns with initialized memory after the restart latency.  I
 second child computes the step again, see `extras.hardening.protected`.  The golden flight then continues to the next
 injected call.
 
-How the golden flight comes to the injected calls is the `Start`: from take-off, or from the last golden checkpoint
-before each call, where children also end as soon as they converge to a known flight (`flight.fast_forward`).
-The records are the same.
+How the golden flight comes to the injected calls is the `GoldenApproach`: from take-off, or from the last golden
+checkpoint before each call, where children also end as soon as they converge to a known flight
+(`flight.fast_forward`).  The records are the same.
 
 A false alarm of a detector before the fault causes recomputations, which shift the call numbers: the sampled call may
 then end before the instruction's index, or have a narrower value there; so may one of a protected kernel, whose latency
@@ -32,18 +32,18 @@ from mavfi.detectors.detector import Detector, part_of, split_noting_calls
 from mavfi.detectors.registry import check_kernel
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.fault import InstructionFault
-from mavfi.faults.levels.instruction import Ended, ForkPoint, MismatchError
-from mavfi.faults.levels.instruction.arena import arena, own
+from mavfi.faults.levels.instruction import ChildEnd, ForkPoint, MismatchError
+from mavfi.faults.levels.instruction.arena import arena, copy_result
 from mavfi.faults.levels.instruction.plan import DATA, changed_nothing, check_fault, injection_of
-from mavfi.faults.levels.instruction.variant import Report, Variant, variant_for
+from mavfi.faults.levels.instruction.variant import InjectionReport, Variant, variant_for
 from mavfi.flight.checkpoints import fill, put
 from mavfi.flight.compose import new_loop, watch
-from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.fast_forward import (
     NO_DETECTOR,
-    Branch,
     CountedFunction,
     FastForward,
+    FlightBranch,
     FlownArm,
     Taken,
     Track,
@@ -124,7 +124,7 @@ class ChildReport:
 
 
 @dataclass(slots=True)
-class Case:
+class FaultCase:
     """One fault in progress.
 
     Attributes:
@@ -141,20 +141,20 @@ class Case:
     kernel: str
     call: int
     time_us: int = 0
-    value: Report | None = None
+    value: InjectionReport | None = None
     how: str = WAITING
     detail: str = ""
     report: ChildReport | None = None
     golden: Output | None = None
 
 
-def case_of(fault: InstructionFault, scenario: Scenario, detector: Detector | None = None) -> Case:
+def case_of(fault: InstructionFault, scenario: Scenario, detector: Detector | None = None) -> FaultCase:
     """The case of a fault before its injection; `BadInputError` if the mission lacks the kernel or detector."""
     check_kernel(fault.kernel, scenario.planner.name, detector)
-    return Case(fault, INJECTED_KERNEL.get(fault.kernel, ""), fault.call)
+    return FaultCase(fault, INJECTED_KERNEL.get(fault.kernel, ""), fault.call)
 
 
-def flight_of(case: Case, golden: Flight) -> Flight:
+def flight_of(case: FaultCase, golden: Flight) -> Flight:
     """The injected run, given the golden one."""
     log = golden.log
     if case.report is not None and case.report.log is not None:
@@ -164,20 +164,21 @@ def flight_of(case: Case, golden: Flight) -> Flight:
     return Flight(log, None, golden.world, golden.pipeline)
 
 
-def _effect(case: Case, golden: FlightLog) -> KernelEffect:
+def _effect(case: FaultCase, golden: FlightLog) -> KernelEffect:
     """Effect on the kernel: relative to its golden output if both steps completed, else to the whole flight."""
     report = case.report
     if case.how != "done" or report is None:
         return KernelEffect(case.how, case.detail, None)
     difference = None
     if report.log is None:
-        same = True
+        is_masked = True
     elif report.output is not None and case.golden is not None:
-        same = report.output.same(case.golden)
+        is_masked = report.output.same(case.golden)
         difference = first_difference(case.golden, report.output)
     else:
-        same = report.call_same and report.log.digest() == golden.digest()
-    return KernelEffect("masked" if same else "sdc", case.detail, difference)
+        is_masked = report.call_same and report.log.digest() == golden.digest()
+    effect = "masked" if is_masked else "sdc"
+    return KernelEffect(effect, case.detail, difference)
 
 
 def first_difference(golden: Output, injected: Output) -> dict[str, Any] | None:
@@ -196,9 +197,8 @@ def first_difference(golden: Output, injected: Output) -> dict[str, Any] | None:
         other_length = len(other_elements)
         difference = _in_fields(state, header, other_header, in_list=False)
         if difference is None and length != other_length:
-            difference = _difference(
-                state, "elements", None, length, other_length, 1, float(abs(length - other_length))
-            )
+            largest = float(abs(length - other_length))
+            difference = _difference(state, "elements", None, length, other_length, 1, largest)
         if difference is None:
             difference = _in_fields(state, elements, other_elements, in_list=True)
         if difference is not None:
@@ -207,22 +207,23 @@ def first_difference(golden: Output, injected: Output) -> dict[str, Any] | None:
 
 
 def _in_fields(state: str, golden: np.ndarray, injected: np.ndarray, *, in_list: bool) -> dict[str, Any] | None:
+    """The first field in which two structured arrays of one length differ bit for bit; None = they are identical."""
     for name in golden.dtype.names or ():
         before = np.ascontiguousarray(golden[name])
         after = np.ascontiguousarray(injected[name])
         width = before.dtype.itemsize
         bits = [values.view(np.uint8).reshape(-1, width) for values in (before, after)]
         rows = np.flatnonzero((bits[0] != bits[1]).any(axis=1))
-        if len(rows):
-            first = int(rows[0])
-            with np.errstate(all="ignore"):  # corrupted values may be infinite, or signalling NaN
-                changes = np.abs(after[rows].astype(np.float64) - before[rows].astype(np.float64))
-            if np.isfinite(changes).all():
-                largest = float(changes.max())
-            else:
-                largest = math.inf
-            element = first if in_list else None
-            return _difference(state, name, element, before[first].item(), after[first].item(), len(rows), largest)
+        if len(rows) == 0:
+            continue
+        first = int(rows[0])
+        with np.errstate(all="ignore"):  # corrupted values may be infinite, or signalling NaN
+            changes = np.abs(after[rows].astype(np.float64) - before[rows].astype(np.float64))
+        largest = math.inf
+        if np.isfinite(changes).all():
+            largest = float(changes.max())
+        element = first if in_list else None
+        return _difference(state, name, element, before[first].item(), after[first].item(), len(rows), largest)
     return None
 
 
@@ -262,7 +263,7 @@ def fly_instruction_faults(
     faults: Sequence[InstructionFault],
     detector: Detector | None = None,
     golden: Flight | None = None,
-    recovery: Recovery = INLINE,
+    recovery: RecoveryPolicy = INLINE,
 ) -> InjectedRuns:
     """Fly one mission with each of several instruction faults, all forked from one golden flight from take-off.
 
@@ -280,33 +281,33 @@ def fly_instruction_faults(
         MavfiError: `golden` differs from the golden flight flown here.
     """
     cases = [case_of(fault, scenario, detector) for fault in faults]
-    start = FromTakeOff(scenario, cases, detector, recovery, flies_whole_golden=golden is None)
-    Forks(start, cases).fly()
+    approach = FromTakeOff(scenario, cases, detector, recovery, flies_whole_golden=golden is None)
+    Forks(approach, cases).fly()
     if golden is None:
-        golden = start.golden
+        golden = approach.golden
         assert golden is not None  # a whole golden flight was requested
         check_flown(scenario.protection)
     else:
-        check_prefix(start.loop, golden.log)
+        check_prefix(approach.loop, golden.log)
     return InjectedRuns(golden, [flight_of(case, golden) for case in cases])
 
 
 def fly_with_publications(
-    scenario: Scenario, fault: InstructionFault, detector: Detector | None = None, recovery: Recovery = INLINE
+    scenario: Scenario, fault: InstructionFault, detector: Detector | None = None, recovery: RecoveryPolicy = INLINE
 ) -> tuple[Flight, list[Published]]:
     """Fly one mission with an instruction fault; also returns its publications, in order.
 
     Raises the errors of `fly_instruction_faults`.
     """
     case = case_of(fault, scenario, detector)
-    start = FromTakeOff(scenario, [case], detector, recovery, records=True)
-    Forks(start, [case]).fly()
-    assert start.golden is not None and start.publications is not None  # requested
+    approach = FromTakeOff(scenario, [case], detector, recovery, records=True)
+    Forks(approach, [case]).fly()
+    assert approach.golden is not None and approach.publications is not None  # requested
     check_flown(scenario.protection)
-    publications = start.publications  # of the golden flight: the injected run may have ended as equal to it
+    publications = approach.publications  # of the golden flight: the injected run may have ended as equal to it
     if case.report is not None and case.report.published is not None:
         publications = case.report.published
-    return flight_of(case, start.golden), publications
+    return flight_of(case, approach.golden), publications
 
 
 def fly_from_checkpoints(
@@ -332,9 +333,9 @@ def fly_from_checkpoints(
     """
     cases = [case_of(fault, forward.loop.scenario, arm.detector) for fault in faults]
     with np.errstate(all="ignore"):  # overflow of corrupted values is expected behaviour
-        start = FromCheckpoints(forward, arm, golden, watched)
-        Forks(start, cases).fly()
-    return InjectedRuns(golden, [flight_of(case, golden) for case in cases], start.followed(cases))
+        approach = FromCheckpoints(forward, arm, golden, watched)
+        Forks(approach, cases).fly()
+    return InjectedRuns(golden, [flight_of(case, golden) for case in cases], approach.followed(cases))
 
 
 # ---- forks ----------------------------------------------------------------------------------------------------------
@@ -354,7 +355,7 @@ class Child:
     """
 
     point: ForkPoint
-    case: Case
+    case: FaultCase
     dead: bool
     call_same: bool = False
     planned: bool = True
@@ -366,35 +367,35 @@ class Forks(Listener):
     """Injected runs that fork off a golden flight.
 
     Args:
-        start: How the golden flight comes to the injected calls.
+        approach: How the golden flight comes to the injected calls.
         cases: The faults, in order; they hold the results after `fly`.
 
     Attributes:
         child: Task of this process if it is a forked child; None = it flies the golden flight.
     """
 
-    def __init__(self, start: "Start", cases: Sequence[Case]) -> None:
+    def __init__(self, approach: "GoldenApproach", cases: Sequence[FaultCase]) -> None:
         self.cases = cases
         self.child: Child | None = None
-        self._start = start
-        self._loop = start.loop
-        self._detector = start.detector
-        self._rewriting = rewriting_of(start.loop.scenario.protection)
-        self._calls_may_shift = start.detector is not None or self._rewriting is not None
-        self._awaited: dict[str, list[Case]] = {}  # cases whose golden output is still to come, by kernel
+        self._approach = approach
+        self._loop = approach.loop
+        self._detector = approach.detector
+        self._rewriting = rewriting_of(approach.loop.scenario.protection)
+        self._calls_may_shift = approach.detector is not None or self._rewriting is not None
+        self._awaited: dict[str, list[FaultCase]] = {}  # cases whose golden output is still to come, by kernel
 
     def fly(self) -> None:
         """Fly the golden flight past all injected calls; does not return in children, which report and exit."""
         try:
             with np.errstate(all="ignore"):  # overflow of corrupted values is expected behaviour
-                self._start.fly(self)
+                self._approach.fly(self)
         except BaseException:
             if self.child is None:
                 raise
             with self.child.point.guard():
                 raise
 
-    def waiting(self) -> list[Case]:
+    def waiting(self) -> list[FaultCase]:
         """Cases that have not been injected, and can be."""
         return [case for case in self.cases if case.fault.has_site and case.how == WAITING]
 
@@ -414,7 +415,7 @@ class Forks(Listener):
                     return taken
         return None
 
-    def _inject(self, case: Case, function: Any, args: tuple[Any, ...]) -> Taken | None:
+    def _inject(self, case: FaultCase, function: Any, args: tuple[Any, ...]) -> Taken | None:
         # 1. Find the fault in the code of this call; if calls have shifted, it may be in a later one.
         variant = variant_for(function, args, self._rewriting)
         fault = self._fault_in(case.fault, variant, function, args)
@@ -429,7 +430,7 @@ class Forks(Listener):
         if ended is None:
             return Taken(self._injected_call(variant, fault, function, args))
         case.value = variant.report()
-        _settle(case, ended)
+        _note_end(case, ended)
         if case.how == WAITING:
             return None
 
@@ -439,7 +440,7 @@ class Forks(Listener):
             if ended is None:
                 if not case.kernel and self._detector is not None:
                     down_us = round(1e6 * case.fault.restart_s)
-                    self._start.restarts().detector_dies(self._detector, self._loop.now, down_us)
+                    self._approach.restarts().detector_dies(self._detector, self._loop.now, down_us)
                 return Taken(function(*args))
             case.report = _report_of(ended)
 
@@ -473,7 +474,7 @@ class Forks(Listener):
             return fault
         return None
 
-    def _fork(self, case: Case, *, dead: bool) -> Ended | None:
+    def _fork(self, case: FaultCase, *, dead: bool) -> ChildEnd | None:
         """None in the child; in the golden flight the child's termination, retried after a wall-clock timeout."""
         for _ in range(_ATTEMPTS):
             point = ForkPoint()
@@ -501,9 +502,9 @@ class Forks(Listener):
         child.dead = False
         if child.case.how == DETECTED:
             self._loop.record.alarms.append(rewriter().alarm(kernel.stage.value, states, now))
-            self._start.restarts().recompute(kernel.name, now, states)
+            self._approach.restarts().recompute(kernel.name, now, states)
         else:
-            self._start.restarts().die(kernel.name, now, round(1e6 * child.case.fault.restart_s))
+            self._approach.restarts().die(kernel.name, now, round(1e6 * child.case.fault.restart_s))
 
     # ---- in a child -------------------------------------------------------------------------------------------------
     def _injected_call(self, variant: Variant, fault: InstructionFault, function: Any, args: tuple[Any, ...]) -> Any:
@@ -517,8 +518,8 @@ class Forks(Listener):
             copies = tuple(copied(argument) for argument in args)
         else:
             copies = placed.args
-        golden = own((function(*copies), copies))  # the injected call reuses the arena
-        before = own(args)
+        golden = copy_result((function(*copies), copies))  # the injected call reuses the arena
+        before = copy_result(args)
 
         # The call with the fault.
         try:
@@ -543,7 +544,7 @@ class Forks(Listener):
         """End this child with the log of its flight, and those with detectors, by arm, as far as they are known."""
         assert self.child is not None  # called in children only
         child = self.child
-        publications = self._start.publications
+        publications = self._approach.publications
         self._end(ChildReport(log, child.output, child.call_same, published=publications, watched=watched or {}))
 
     def _end(self, report: ChildReport) -> NoReturn:
@@ -551,14 +552,15 @@ class Forks(Listener):
         self.child.point.finish(pickle.dumps(report))
 
 
-def _report_of(ended: Ended) -> ChildReport:
+def _report_of(ended: ChildEnd) -> ChildReport:
+    """The report of a child; a MavfiError if it ended without one."""
     if ended.how != "done":
         raise MavfiError(f"the flight with a restarted node ended with {ended.how} ({ended.detail})")
     report: ChildReport = pickle.loads(ended.payload)
     return report
 
 
-def _settle(case: Case, ended: Ended) -> None:
+def _note_end(case: FaultCase, ended: ChildEnd) -> None:
     """Note how the child with the injected call ended; a case whose instruction it missed waits for the next call."""
     case.how = ended.how
     case.detail = ended.detail
@@ -566,7 +568,7 @@ def _settle(case: Case, ended: Ended) -> None:
         return
     case.report = _report_of(ended)
     if case.report.missed:
-        case.call = case.call + 1
+        case.call += 1
         case.how = WAITING
         case.report = None
     elif case.report.detected:
@@ -593,7 +595,7 @@ def _is_contained(entry: str, before: Any, golden: Any, injected: Any) -> bool:
 
 
 # ---- how the golden flight comes to the injected calls --------------------------------------------------------------
-class Start(ABC):
+class GoldenApproach(ABC):
     """Flies the golden flight past all injected calls.
 
     Attributes:
@@ -615,7 +617,7 @@ class Start(ABC):
         """Let functions fork at their calls, and fly; in a child, complete its flight and report."""
 
 
-class FromTakeOff(Start):
+class FromTakeOff(GoldenApproach):
     """Flies the golden flight from take-off, once for all faults.
 
     Args:
@@ -636,9 +638,9 @@ class FromTakeOff(Start):
     def __init__(
         self,
         scenario: Scenario,
-        cases: Sequence[Case],
+        cases: Sequence[FaultCase],
         detector: Detector | None = None,
-        recovery: Recovery = INLINE,
+        recovery: RecoveryPolicy = INLINE,
         *,
         flies_whole_golden: bool = True,
         records: bool = False,
@@ -677,11 +679,11 @@ class FromTakeOff(Start):
         self.publications.append((state.copy(), now))
 
     def restarts(self) -> Restarts:
-        """See `Start.restarts`."""
+        """See `GoldenApproach.restarts`."""
         return self._restarts
 
     def fly(self, forks: Forks) -> None:
-        """See `Start.fly`."""
+        """See `GoldenApproach.fly`."""
         for function in self._functions:
             function.intercept = forks.intercept
         self.loop.listeners.append(forks)
@@ -697,7 +699,7 @@ class FromTakeOff(Start):
             forks.report(self.golden.log)
 
 
-class FromCheckpoints(Start):
+class FromCheckpoints(GoldenApproach):
     """Starts at the golden flight's last checkpoint before each injected call; arguments as of `fly_from_checkpoints`.
 
     An injected run with a detector equals the one without up to its first alarm.  So the child of the run without a
@@ -714,8 +716,9 @@ class FromCheckpoints(Start):
         self.detector = arm.detector
         self._forward = forward
         self._arm = arm
-        self._branch: Branch | None = None
-        self._golden, self._plain_golden = forward.golden(arm), forward.golden()
+        self._branch: FlightBranch | None = None
+        self._golden = forward.golden(arm)
+        self._plain_golden = forward.golden()
         if self._golden.log.digest() != golden.log.digest():
             raise MavfiError("two golden flights of one mission differ: no fault can be addressed")
         # All golden flights are flown before the forks, so that children have them.
@@ -723,7 +726,7 @@ class FromCheckpoints(Start):
         self._watched_golden = {other.name: forward.golden(other) for other in watched}
 
     def restarts(self) -> Restarts:
-        """See `Start.restarts`; they know all publications since take-off."""
+        """See `GoldenApproach.restarts`; they know all publications since take-off."""
         assert self._branch is not None  # it flies
         restarts = Restarts(self.loop, self.loop.scenario.dead_node)
         for state, now in self._branch.publications:
@@ -731,7 +734,7 @@ class FromCheckpoints(Start):
         return restarts
 
     def fly(self, forks: Forks) -> None:
-        """See `Start.fly`."""
+        """See `GoldenApproach.fly`."""
         with self._forking(forks):
             while waiting := forks.waiting():
                 rows = min(self._checkpoint_before(self._golden, case) for case in waiting)
@@ -761,16 +764,17 @@ class FromCheckpoints(Start):
             for function in functions:
                 function.intercept = None
 
-    def _checkpoint_before(self, golden: Track, case: Case) -> int:
+    def _checkpoint_before(self, golden: Track, case: FaultCase) -> int:
         """Number of rows of the last checkpoint before the injected call."""
-        place = list(self.loop.record.calls).index(case.fault.entry)  # calls come first in the counts
-        return max(rows for rows, checkpoint in golden.checkpoints.items() if checkpoint.counts[place] <= case.call)
+        count_index = list(self.loop.record.calls).index(case.fault.entry)  # calls come first in the counts
+        checkpoints = golden.checkpoints.items()
+        return max(rows for rows, checkpoint in checkpoints if checkpoint.counts[count_index] <= case.call)
 
-    def _jump(self, forks: Forks, rows: int) -> Branch:
+    def _jump(self, forks: Forks, rows: int) -> FlightBranch:
         """Continue the golden flight at a checkpoint."""
         golden = self._golden
         start = self._golden.checkpoints[rows]
-        branch = Branch(self._forward, self._arm, [self._plain_golden], golden, keeps_publications=True)
+        branch = FlightBranch(self._forward, self._arm, [self._plain_golden], golden, keeps_publications=True)
         branch.comparable = lambda: forks.child is not None and forks.child.comparable and not self.loop.down
         branch.begin(golden, start)
         self.loop.taps.injector = start.injector.copy()
@@ -788,7 +792,7 @@ class FromCheckpoints(Start):
         """Fly to the end, then under the detectors of the other arms, and report."""
         assert self._branch is not None  # it flies
         if not (child.planned and self._watched):
-            forks.report(self._branch.fly().log)
+            forks.report(self._branch.fly().log)  # does not return
         if child.comparable and child.case.how == WAITING:  # else checkpoints do not contain all: a node has died, e.g.
             self._branch.store_checkpoints_from_now_on()
         track = self._branch.fly()
@@ -800,27 +804,35 @@ class FromCheckpoints(Start):
                     logs[arm.name] = log
         forks.report(track.log, logs)
 
-    def _under_detector(self, track: Track, case: Case, arm: FlownArm) -> FlightLog | None:
+    def _under_detector(self, track: Track, case: FaultCase, arm: FlownArm) -> FlightLog | None:
         """The log of a completed flight of this child under the detector of an arm; None = it must be flown."""
         golden = self._watched_golden[arm.name]
         plain = self._plain_golden
         rows = self._checkpoint_before(plain, case)
         if not self._is_plain(golden, rows):
             return None
+
+        # Begin at the checkpoint before the fault.
         start = golden.checkpoints[rows]
-        branch = Branch(self._forward, arm, [track, plain], golden)
+        branch = FlightBranch(self._forward, arm, [track, plain], golden)
         branch.begin(golden, start)
         branch.restore_detector(start.detector)
-        first = min(track.checkpoints, default=None)
-        there = track.end if first is None else track.checkpoints[first]
-        if not branch.append_unless_alarm(track, plain.checkpoints[rows], there):
+
+        # Up to the first checkpoint after the fault there is none to continue from at an alarm.
+        first_rows = min(track.checkpoints, default=None)
+        first = track.end
+        if first_rows is not None:
+            first = track.checkpoints[first_rows]
+        if not branch.append_unless_alarm(track, plain.checkpoints[rows], first):
             return None
-        if first is not None:
-            self.loop.taps.injector = there.injector.copy()
-            branch.follow(track, first)
+
+        # From there, follow the completed flight as far as the detector raises no alarm.
+        if first_rows is not None:
+            self.loop.taps.injector = first.injector.copy()
+            branch.follow(track, first_rows)
         return branch.fly().log
 
-    def followed(self, cases: Sequence[Case]) -> dict[str, dict[int, Flight]]:
+    def followed(self, cases: Sequence[FaultCase]) -> dict[str, dict[int, Flight]]:
         """Runs of the other arms that are known, by arm and by number of the case."""
         flights: dict[str, dict[int, Flight]] = {arm.name: {} for arm in self._watched}
         for number, case in enumerate(cases):
@@ -835,11 +847,13 @@ class FromCheckpoints(Start):
                     flights[name][number] = flight_of(watched_case, Flight(golden.log))
         return flights
 
-    def _ends_as_golden(self, case: Case, golden: Track) -> bool:
+    def _ends_as_golden(self, case: FaultCase, golden: Track) -> bool:
         """Whether a call without effect is the same one in an arm with a detector: the flight is golden then."""
         rows = self._checkpoint_before(self._plain_golden, case)
-        before = [alarm for alarm in golden.log.alarms if round(1e6 * alarm.time_s) <= case.time_us]
-        return self._is_plain(golden, rows) and len(before) == len(golden.checkpoints[rows].alarms)
+        if not self._is_plain(golden, rows):
+            return False
+        alarms_before_call = sum(round(1e6 * alarm.time_s) <= case.time_us for alarm in golden.log.alarms)
+        return alarms_before_call == len(golden.checkpoints[rows].alarms)
 
     def _is_plain(self, golden: Track, rows: int) -> bool:
         """Whether a golden flight with a detector has the state, and the calls, of the one without at a checkpoint."""

@@ -9,7 +9,7 @@ from mavfi.config import Config
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
-from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import extensions, load_object
 from mavfi.record import FlightLog, FlightRecord, Profile, record_of
@@ -59,17 +59,17 @@ class RunResult:
     """The record of a run at a host without flights, as a `Recorded`.
 
     Attributes:
-        kept: The record.
+        flight_record: The record.
         passed: Calls of an error-free run of a program, from which faults are drawn.
     """
 
-    kept: FlightRecord
+    flight_record: FlightRecord
     passed: tuple[Any, ...] = ()
     profile: None = None
 
     def record(self) -> FlightRecord:
         """See `Recorded.record`."""
-        return self.kept
+        return self.flight_record
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ class ArmSetup:
 
     scenario: Scenario
     make_detector: Callable[[], Detector] | None = None
-    recovery: Recovery = INLINE
+    recovery: RecoveryPolicy = INLINE
     observers: tuple[Any, ...] = ()
 
     def detector(self) -> Detector | None:
@@ -112,12 +112,12 @@ def one_by_one(
     runs: Sequence[tuple[str, Fault]], run: Callable[[str, Fault], Recorded]
 ) -> Iterator[tuple[int, Recorded | Exception]]:
     """`MissionFlights.injected` of a host that runs them sequentially."""
-    for place, (arm, fault) in enumerate(runs):
+    for index, (arm, fault) in enumerate(runs):
         try:
-            found: Recorded | Exception = run(arm, fault)
+            result: Recorded | Exception = run(arm, fault)
         except Exception as error:  # noqa: BLE001 - ends this run only
-            found = error
-        yield place, found
+            result = error
+        yield index, result
 
 
 class ArmFlights(ABC):
@@ -143,10 +143,11 @@ class ArmFlights(ABC):
 
     def golden(self, arm: str, *, profile: bool = False) -> Flight:
         """See `MissionFlights.golden`."""
-        known = self._golden.get(arm)
-        if known is None or (profile and known.profile is None):
-            self._golden[arm] = known = self._fly(arm, None, profile=profile)
-        return known
+        golden = self._golden.get(arm)
+        if golden is None or (profile and golden.profile is None):
+            golden = self._fly(arm, None, profile=profile)
+            self._golden[arm] = golden
+        return golden
 
     def know(self, arm: str, flight: Flight) -> None:
         """See `MissionFlights.know`."""
@@ -222,8 +223,8 @@ def host_class(name: str) -> type[Host]:
     Raises:
         BadInputError: The host is unknown or cannot be imported.
     """
-    found: type[Host] = load_object("host", name, GROUP, SHIPPED)
-    return found
+    loaded_class: type[Host] = load_object("host", name, GROUP, SHIPPED)
+    return loaded_class
 
 
 def find_host(name: str, under_test: Config | None = None) -> Host:
@@ -232,9 +233,10 @@ def find_host(name: str, under_test: Config | None = None) -> Host:
     Raises:
         BadInputError: The host is unknown or cannot be imported.
     """
-    make: Any = host_class(name)
-    host: Host = make() if under_test is None else make(under_test)
-    return host
+    make: Callable[..., Host] = host_class(name)
+    if under_test is None:
+        return make()
+    return make(under_test)
 
 
 def host_for(fault: Fault | None) -> Host:

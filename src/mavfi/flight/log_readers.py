@@ -53,7 +53,7 @@ class Layout(Protocol):
         """Paths of all numbers of a message; lists that are longer are left out."""
 
 
-class Record:
+class RecordLayout:
     """Layout of the messages of a topic, by the offset of each number; see `Layout`.
 
     Args:
@@ -62,13 +62,16 @@ class Record:
     """
 
     def __init__(self, kind: str, leaves: Mapping[str, Leaf]) -> None:
-        self.kind, self._leaves = kind, dict(leaves)
+        self.kind = kind
+        self._leaves = dict(leaves)
 
     @staticmethod
-    def of(kind: str, dtype: np.dtype) -> "Record":
+    def of(kind: str, dtype: np.dtype) -> "RecordLayout":
         """The layout of rows of a structured array."""
-        fields = {} if dtype.fields is None else dtype.fields
-        return Record(kind, {name: Leaf(entry[1], entry[0].name) for name, entry in fields.items()})
+        leaves = {}
+        for name, (field_type, offset, *_) in (dtype.fields or {}).items():
+            leaves[name] = Leaf(offset, field_type.name)
+        return RecordLayout(kind, leaves)
 
     def check(self, path: str) -> str:
         """Kind of a number, e.g. "float32", or a BadInputError."""
@@ -201,11 +204,14 @@ def make_probes(first: Mapping[str, tuple[Layout, bytes]], wanted: Sequence[str]
 def _assign(name: str, first: Mapping[str, tuple[Layout, bytes]], fields: dict[str, list[str]]) -> None:
     """Assign a requested field to its topics."""
     topic, colon, path = name.rpartition(":")
-    if colon and _full(topic, first) not in first:
-        raise BadInputError(f"field {name}: topic {topic}: not watched; allowed: {allowed(first)}")
-    refusal: BadInputError | None = None
+    candidates = list(first)
+    if colon:
+        candidates = [_full(topic, first)]
+        if candidates[0] not in first:
+            raise BadInputError(f"field {name}: topic {topic}: not watched; allowed: {allowed(first)}")
+    refusal: BadInputError | None = None  # of the first topic that lacks it
     is_assigned = False
-    for candidate in [_full(topic, first)] if colon else list(first):
+    for candidate in candidates:
         try:
             first[candidate][0].check(path)
         except BadInputError as error:

@@ -82,7 +82,8 @@ class Judge:
 
     def __init__(self, scenario: Scenario, world: World) -> None:
         self._goal = world.goal.tolist()
-        self._lower, self._upper = world.arena_lower.tolist(), world.arena_upper.tolist()
+        self._lower = world.arena_lower.tolist()
+        self._upper = world.arena_upper.tolist()
         self._max_failed_plans = scenario.autopilot.max_failed_plans
         self.limit_us = int(1e6 * time_limit(world.course, scenario.v_max, scenario.platform))
 
@@ -171,11 +172,11 @@ def _state(name: str, values: np.ndarray) -> State:
 
 
 # ---- what a flight leaves -------------------------------------------------------------------------------------------
-class Publications:
-    """Counts publications by state; with a profile, also records their times, from which faults are sampled."""
+class PublicationCounts:
+    """Counts publications by state; if `want_profile`, also records their times, from which faults are sampled."""
 
-    def __init__(self, wanted: bool, states: Iterable[StateSpec]) -> None:
-        self.wanted = wanted
+    def __init__(self, states: Iterable[StateSpec], *, want_profile: bool) -> None:
+        self.want_profile = want_profile
         self._acted_on = {spec.name: ActedOn(spec) for spec in states}
         self.count = dict.fromkeys(self._acted_on, 0)
         self._times: dict[str, list[int]] = {name: [] for name in self._acted_on}
@@ -185,13 +186,13 @@ class Publications:
         """Count a publication."""
         name = state.spec.name
         self.count[name] += 1
-        if self.wanted and self._acted_on[name](state):
+        if self.want_profile and self._acted_on[name](state):
             self._times[name].append(time_us)
             self._sizes[name].append(len(state.elements))
 
     def profile(self) -> Profile | None:
         """The profile; None unless requested."""
-        if not self.wanted:
+        if not self.want_profile:
             return None
         return Profile(
             {name: np.array(times, np.int64) for name, times in self._times.items()},
@@ -199,13 +200,13 @@ class Publications:
         )
 
 
-class Record:
+class LoopRecord:
     """Record of one flight: rows, events, alarms with the outcomes known so far, and modelled times (us).
 
     `calls` counts the calls of compiled functions, by name, in flights that address faults by them; else it is empty.
     """
 
-    def __init__(self, kernels: Iterable[str], publications: Publications) -> None:
+    def __init__(self, kernels: Iterable[str], publications: PublicationCounts) -> None:
         self.rows: list[np.ndarray] = []
         self.events: list[Event] = []
         self.alarms: list[AlarmRecord] = []
@@ -228,8 +229,9 @@ class Record:
         name = state.spec.name
         header = state.header
         if name == "planning.path":
-            kind = "plan" if len(state.elements) else "plan_failed"
-            self.note(now, kind, {"vertices": len(state.elements)})
+            vertices = len(state.elements)
+            kind = "plan" if vertices else "plan_failed"
+            self.note(now, kind, {"vertices": vertices})
         elif name == "planning.trajectory":
             self.note(now, "trajectory", {"seq": int(header["trajectory_seq"][0]), "points": len(state.elements)})
         elif name == "perception.collision_status" and bool(header["collision"][0]):
@@ -328,6 +330,7 @@ class Loop:
         want_profile: bool = False,
         marks: bool = False,
     ) -> None:
+        # the mission, and what it is flown with
         self.scenario = scenario
         self.world = world
         self.plant = plant
@@ -340,10 +343,16 @@ class Loop:
         }
         self.sensors = Sensors(plant, scenario.localization)
         self.judge = Judge(scenario, world)
-        self.record = Record(self.kernels, Publications(want_profile, states_with(scenario.localization.kind).values()))
+        publications = PublicationCounts(states_with(scenario.localization.kind).values(), want_profile=want_profile)
+        self.record = LoopRecord(self.kernels, publications)
+
+        # what takes part in the flight
         self.taps = Taps()
         self.actions: dict[str, Callable[..., None]] = {}
         self.listeners: list[Listener] = []
+        self.verify: Callable[[Kernel, list[State], int], tuple[list[State], int]] | None = None
+
+        # the state of the flight, see `LoopMemory`
         self.queue: list[tuple[int, int, str, tuple[Any, ...]]] = []
         self.order = 0
         self.now = 0
@@ -351,8 +360,8 @@ class Loop:
         self.awaited: dict[str, Awaited] = {}
         self.requests: dict[str, Action] = {}
         self.down: set[str] = set()
-        self.verify: Callable[[Kernel, list[State], int], tuple[list[State], int]] | None = None
-        self.repeating = self.forked = False
+        self.repeating = False
+        self.forked = False
         self.mapped = False
         self.captured_us = 0
         self.failed_plans = 0
@@ -364,7 +373,7 @@ class Loop:
     def injected(self) -> bool:
         """Whether a fault has been injected."""
         injections: Sequence[Injection] = getattr(self.taps.injector, "injections", ())
-        return self.forked or any(one.activated for one in injections)
+        return self.forked or any(injection.activated for injection in injections)
 
     def attach(self, listener: Listener) -> None:
         """Let a listener take part in the flight, which has not started: it receives publications, too."""
@@ -387,18 +396,24 @@ class Loop:
 
     def begin(self) -> None:
         """Schedule the first actions; with an estimator, the first image requires an estimate."""
-        for action in (_TICK, "capture") if self.sensors.estimating else ("capture", _TICK):
-            self.at(0, action)
+        if self.sensors.estimating:
+            self.at(0, _TICK)
+            self.at(0, "capture")
+        else:
+            self.at(0, "capture")
+            self.at(0, _TICK)
 
     def run(self, until: int = sys.maxsize) -> None:
         """Run until the mission has a status, or until `until` control periods have elapsed and the next is due."""
         while self.status is None:
-            if self.queue[0][2] == _TICK and len(self.record.rows) >= until:
+            _, _, action, _ = self.queue[0]
+            if action == _TICK and len(self.record.rows) >= until:
                 return
             self.now, _, action, arguments = heapq.heappop(self.queue)
             # the plant stops at the first physics step at or after this instant
             self.plant.advance(-(-self.now // _PHYSICS_US) * _PHYSICS_US)
-            (self.actions.get(action) or getattr(self, action))(self.now, *arguments)
+            method = self.actions.get(action) or getattr(self, action)
+            method(self.now, *arguments)
 
     def flight(self) -> Flight:
         """The flight; requires that the mission has a status."""
@@ -458,23 +473,21 @@ class Loop:
 
         `latency_us` overrides the kernel's latency.
         """
-        request = None if kernel.name in SCANNING else self.requests.pop(kernel.name, None)  # perception: `capture`
-        if request is not None:
-            if request.kind is not Response.RECOMPUTE:
-                kernel.mark()  # the request replaces the step of this period
-            self.recompute(request, now)
-            return
-        if self.marks and kernel.name not in SCANNING:
-            kernel.mark()
+        if kernel.name not in SCANNING:  # perception is recomputed and marked as a whole, by `capture`
+            request = self.requests.pop(kernel.name, None)
+            if request is not None:
+                if request.kind is not Response.RECOMPUTE:
+                    kernel.mark()  # the request replaces the step of this period
+                self.recompute(request, now)
+                return
+            if self.marks:
+                kernel.mark()
         states = kernel.step(now)
-        if latency_us is None:
-            cost = self.latency[kernel.name]
-        else:
-            cost = latency_us
+        cost_us = self.latency[kernel.name] if latency_us is None else latency_us
         if self.verify is not None:
-            states, more = self.verify(kernel, states, now)
-            cost += more
-        self.finish(kernel, states, now, cost)
+            states, verification_us = self.verify(kernel, states, now)
+            cost_us += verification_us
+        self.finish(kernel, states, now, cost_us)
 
     def finish(self, kernel: Kernel, states: list[State], now: int, latency_us: int) -> None:
         """Publish a kernel's results after a latency; results of a dead node are lost."""
@@ -518,8 +531,8 @@ class Loop:
 
     def watch_losses(self) -> None:
         """From now on, take the next image when the injector loses a message that perception waits for."""
-        own = proxy(self)  # no cycle, so that maps are freed at once
-        self.taps.lost = lambda state, now: own.lost(state, now)
+        loop = proxy(self)  # no cycle, so that maps are freed at once
+        self.taps.note_loss = lambda state, now: loop.lost(state, now)
 
     def lost(self, state: State, now: int) -> None:
         """A message is lost in transit: without this scan, perception is ready for the next image."""
@@ -541,7 +554,7 @@ class Loop:
             if len(state.elements):
                 self.failed_plans = 0
             else:
-                self.failed_plans = self.failed_plans + 1
+                self.failed_plans += 1
         for kernel in self.readers[name]:
             if kernel.receive(state, now) and kernel.name not in PERIODIC:
                 if kernel.name in self.busy:
@@ -576,32 +589,37 @@ class Loop:
     def recompute(self, action: Action, now: int) -> None:
         """Restore memory and repeat the step, or request another way-point; charges the latency again."""
         kernel: Any = self.kernels[action.kernel]
-        cost = self.charge(action)
+        cost_us = self.charge(action)
+        # requests to the setpoint generator
         if action.kind is Response.STOP:
-            self.finish(kernel, kernel.stop(), now, cost)
+            self.finish(kernel, kernel.stop(), now, cost_us)
             return
         if action.kind is Response.ABANDON:
-            self.finish(kernel, kernel.abandon(now), now, cost)
+            self.finish(kernel, kernel.abandon(now), now, cost_us)
             return
+        # the step of one kernel, or that of its stage
         if action.alone:
             repeat(kernel)
             self.start(kernel, now)
             return
         for name in action.restores:
             self.kernels[name].rollback()
-        self.start(kernel, now, None if action.kernel in SCANNING else cost)
+        if action.kernel in SCANNING:
+            self.start(kernel, now)  # the kernels after it charge their own latencies
+        else:
+            self.start(kernel, now, cost_us)
 
     def charge(self, action: Action) -> int:
         """Charge a recomputation to its stage; returns its modelled time (us)."""
         platform = self.scenario.platform
         if action.alone:
-            cost = self.latency[action.kernel]
+            cost_us = self.latency[action.kernel]
         elif action.kernel:
-            cost = redo_latency(platform, action.kernel, action.stage)
+            cost_us = redo_latency(platform, action.kernel, action.stage)
         else:
-            cost = stage_latency(platform, action.stage)
-        self.record.recompute_us[action.stage.value] += cost
-        return cost
+            cost_us = stage_latency(platform, action.stage)
+        self.record.recompute_us[action.stage.value] += cost_us
+        return cost_us
 
     # ---- memory -----------------------------------------------------------------------------------------------------
     def memory(self) -> LoopMemory:
@@ -619,9 +637,9 @@ class Loop:
 
     def restore(self, memory: LoopMemory) -> None:
         """Continue from the state `memory`, which remains valid for further restores."""
-        own = memory.copy()
-        for name in own.__slots__:
-            setattr(self, name, getattr(own, name))
+        restored = memory.copy()
+        for name in restored.__slots__:
+            setattr(self, name, getattr(restored, name))
 
     # ---- record -----------------------------------------------------------------------------------------------------
     def log(self, status: MissionStatus, rejected_commands: int) -> FlightLog:
@@ -691,7 +709,9 @@ class Attached(Listener):
 
     def begin(self, loop: Loop) -> None:
         """See `Listener`."""
-        self._loop, self._seen, self._began = loop, [0, 0, 0], time.monotonic()
+        self._loop = loop
+        self._items_shown = [0, 0, 0]
+        self._began = time.monotonic()
         self._observer.begin(loop)
 
     def published(self, state: State, now: int) -> None:
@@ -701,18 +721,18 @@ class Attached(Listener):
     def after_tick(self, now: int) -> None:
         """See `Listener`."""
         loop = self._loop
-        self._observer.tick(loop.record.rows[-1], _new_items(loop, self._seen), loop.status)
+        self._observer.tick(loop.record.rows[-1], _new_items(loop, self._items_shown), loop.status)
         if self._pace > 0 and loop.status is None:
             time.sleep(max(0.0, self._began + 1e-6 * now / self._pace - time.monotonic()))
 
 
 def _new_items(loop: Loop, seen: list[int]) -> list[Item]:
-    """Items since the last call; `seen` counts the earlier ones."""
+    """Items since the last call; `seen` counts the earlier ones, by table, and is updated."""
     injections: Any = getattr(loop.taps.injector, "injections", ())
     tables = (injections, loop.record.events, loop.record.alarms)
     counts = [len(table) for table in tables]
     if counts == seen:
         return []
-    found = [item for table, count in zip(tables, seen, strict=True) for item in table[count:]]
+    items = [item for table, count in zip(tables, seen, strict=True) for item in table[count:]]
     seen[:] = counts
-    return found
+    return items

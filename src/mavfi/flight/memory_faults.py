@@ -56,7 +56,9 @@ def memory_of(loop: Loop, target: str, detector: Detector | None = None) -> Reme
         if target in loop.down:
             return None
         return cast("Remembers | None", loop.kernels.get(target))
-    part = None if loop.taps.detector is None else part_of(detector, target)
+    if loop.taps.detector is None:
+        return None  # the detector is down
+    part = part_of(detector, target)
     if part is None:
         return None
     return DetectorMemory(part)
@@ -77,11 +79,12 @@ class MemoryInjector(Injector):
         loop: The flight.
         fault: The fault.
         detector: The detector of the flight.
-
     """
 
     def __init__(self, loop: Loop, fault: MemoryFault, detector: Detector | None = None) -> None:
-        self._loop, self._fault, self._detector = proxy(loop), fault, detector  # the loop owns this object
+        self._loop = proxy(loop)  # the loop owns this object
+        self._fault = fault
+        self._detector = detector
         self._restarts = Restarts(loop, loop.scenario.dead_node)
         self._injection: Injection | None = None
         if fault.has_site:
@@ -105,8 +108,14 @@ class MemoryInjector(Injector):
     def _guard(self) -> None:
         """Make exceptions of a kernel or detector terminate its node instead of the flight."""
         target = self._fault.kernel
-        part: Any = part_of(self._detector, target) if target in DETECTORS else self._loop.kernels[target]
-        for name, answer in (_CHECKS if target in DETECTORS else _ANSWERS).items():
+        part: Any
+        if target in DETECTORS:
+            part = part_of(self._detector, target)
+            answers = _CHECKS
+        else:
+            part = self._loop.kernels[target]
+            answers = _ANSWERS
+        for name, answer in answers.items():
             if hasattr(part, name):
                 setattr(part, name, self._guarded(getattr(part, name), answer))
 
@@ -134,10 +143,9 @@ class MemoryInjector(Injector):
 
     def release(self) -> None:
         """Remove the guard of a detector, which outlives the flight."""
-        if self._fault.kernel in DETECTORS:
-            part = part_of(self._detector, self._fault.kernel)
-        else:
-            part = None
+        if self._fault.kernel not in DETECTORS:
+            return
+        part = part_of(self._detector, self._fault.kernel)
         if part is not None:
             for name in _CHECKS:
                 vars(part).pop(name, None)
@@ -151,7 +159,10 @@ class MemoryInjector(Injector):
 
     def finish(self) -> list[Injection]:
         """The injection; if the word did not exist, a record of the missed activation."""
+        if self._injection is not None:
+            return [self._injection]
         fault = self._fault
-        time_s = fault.time_us / 1e6 if fault.has_site else 0.0
-        missed = Injection(fault.level, fault.site, time_s, fault.bit, None, None, activated=False)
-        return [self._injection or missed]
+        time_s = 0.0
+        if fault.has_site:
+            time_s = fault.time_us / 1e6
+        return [Injection(fault.level, fault.site, time_s, fault.bit, None, None, activated=False)]

@@ -18,7 +18,7 @@ from mavfi.faults.fault import Fault, InstructionFault, StateFault, find_level, 
 from mavfi.faults.levels.instruction import Resolving
 from mavfi.flight.checkpoints import can_save_detector
 from mavfi.flight.compose import new_loop, resolve, watch
-from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.fast_forward import FastForward, FlownArm, check_prefix, fly_until, takes_part
 from mavfi.flight.fly import fly
 from mavfi.flight.forks import (
@@ -53,7 +53,7 @@ class LocalHost(Host):
     in_process = True
 
     def __init__(self, make_plant: MakePlant | None = None) -> None:
-        self.make_plant: MakePlant = Simulator if make_plant is None else make_plant
+        self.make_plant: MakePlant = make_plant or Simulator
         self.supports_fast_forward = make_plant is None
 
     @property
@@ -204,15 +204,16 @@ class LocalFlights(ArmFlights):
                 in_detectors.setdefault(arm, []).append(_InstructionRun(number, fault))
             else:
                 in_kernels.setdefault(arm, []).append(_InstructionRun(number, fault))
-        for place, flight in one_by_one([runs[number] for number in others], self._fly_injected):
-            yield others[place], flight
+        for index, flight in one_by_one([runs[number] for number in others], self._fly_injected):
+            yield others[index], flight
 
         # Arms without a detector are flown first: runs of arms with one may follow from theirs.
         known: dict[tuple[str, InstructionFault], Flight] = {}
+        arms = in_kernels.keys() | in_detectors.keys()
         for arm, batch in (*in_kernels.items(), *in_detectors.items()):
             yield from ((run.number, known[arm, run.fault]) for run in batch if (arm, run.fault) in known)
             unknown = [run for run in batch if (arm, run.fault) not in known]
-            yield from self._fly_batch(arm, unknown, in_kernels.keys() | in_detectors.keys(), known)
+            yield from self._fly_batch(arm, unknown, arms, known)
 
     def _fly_batch(
         self,
@@ -235,7 +236,7 @@ class LocalFlights(ArmFlights):
                 yield from self._fly_batch(arm, [run], arms, known)
             return
         for other_arm, flights in injected.watched.items():
-            known.update({(other_arm, faults[place]): flight for place, flight in flights.items()})
+            known.update({(other_arm, faults[index]): flight for index, flight in flights.items()})
         yield from ((run.number, flight) for run, flight in zip(batch, injected.flights, strict=True))
 
     def _fly_instruction_faults(
@@ -247,6 +248,7 @@ class LocalFlights(ArmFlights):
         if not self._local_host.supports_fast_forward:
             raise BadInputError("faults in instructions fork the flight; allowed: state, memory, sensor, in this world")
         in_detector = any(fault.kernel in DETECTORS for fault in faults)
+        # from golden checkpoints, if these contain all that the faults can change
         if golden is not None and not in_detector and not takes_part(detector, setup.recovery):
             with self._forwarding(arm) as forward:
                 if forward is not None and forward.scratch:
@@ -284,7 +286,11 @@ def _name_of(arm: str, detector: Detector | None) -> str:
 @contextmanager
 def _instrumented(detector: Detector | None, functions: Mapping[str, Any]) -> Iterator[KernelFunctions]:
     """Function table of the kernels with instrumented functions; the detector uses those of its own meanwhile."""
-    parts = [part for part in (part_of(detector, source) for source in DETECTORS) if part is not None]
+    parts = []
+    for source in DETECTORS:
+        part = part_of(detector, source)
+        if part is not None:
+            parts.append(part)
     for part in parts:
         part.instrument({name: function for name, function in functions.items() if name in part.compiled})
     of_kernels = {field.name for field in fields(KernelFunctions)}
@@ -296,7 +302,7 @@ def _instrumented(detector: Detector | None, functions: Mapping[str, Any]) -> It
 
 
 def fly_recorded(
-    scenario: Scenario, fault: Fault | None = None, detector: Detector | None = None, recovery: Recovery = INLINE
+    scenario: Scenario, fault: Fault | None = None, detector: Detector | None = None, recovery: RecoveryPolicy = INLINE
 ) -> tuple[Flight, list[Published]]:
     """Fly one mission; also returns the publications as received by consumers, in order.
 

@@ -44,7 +44,7 @@ Task = Generator[None, None, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Ended:
+class EndedTask:
     """A task that ended: its number, and its result or the exception that it raised."""
 
     number: int
@@ -83,7 +83,7 @@ class PilotedVehicle:
         self.on_ground = on_ground
         self._base_us = 0
         self._collided_before = False
-        self.ended: list[Ended] = []
+        self.ended: list[EndedTask] = []
         self._task: Task | None = None
         self.failures = Failures()
         self._number = 0
@@ -115,14 +115,13 @@ class PilotedVehicle:
 
     def _begin(self) -> None:
         """Set the state of a new simulator."""
-        if self.on_ground:
-            self.origin = self.sim.world.start.copy()
-        else:
-            self.origin = np.zeros(3)
         self.landed = self.on_ground
         self.api = False
         if self.on_ground:
+            self.origin = self.sim.world.start.copy()
             self.sim.arm(True)  # AirSim's default: the rotors turn from the start on
+        else:
+            self.origin = np.zeros(3)
 
     def reset(self) -> None:
         """Return to the start, and end a running task with False; time and obstacles are not reset."""
@@ -269,7 +268,7 @@ class PilotedVehicle:
 
     def _end(self, result: Any) -> None:
         self._task = None
-        self.ended.append(Ended(self._number, result))
+        self.ended.append(EndedTask(self._number, result))
         self.sim.rotors = None
         self.sim.command(np.zeros(4), 0.0)
 
@@ -298,14 +297,19 @@ class PilotedVehicle:
 DISTANCE_ACCURACY = 0.5
 """Distance within which a place is reached (m)."""
 TAKEOFF_HEIGHT = 2.0
+"""Climb at take-off (m)."""
 TAKEOFF_SPEED = 0.5
+"""Speed of that climb (m/s)."""
 LANDING_SPEED = 0.2
 HIGH_LANDING_SPEED = 2.0
 LOW = 2.0
 """Sink rates (m/s), the slower one below the height `LOW` (m)."""
 APPROX_ZERO_SPEED = 0.05
+"""Speed (m/s), and rate (rad/s), up to which a vehicle counts as being at rest."""
 STILL_PERIODS = 10
+"""Periods at rest after which a landing is complete."""
 _FOREVER_S = 1e6
+"""Duration of a task without an end (s)."""
 HOLD_S = 0.06
 """Validity of a command that is renewed every period (s)."""
 YAW_GAIN = 2.5
@@ -313,8 +317,9 @@ YAW_RATE = 1.5
 """Yaw rate (rad/s) per error (rad), and its limit (rad/s)."""
 _HEIGHT_GAIN = 1.0
 _CLIMB = 3.0
+"""Vertical speed (m/s) per error of height (m), and its limit (m/s)."""
 _LEAST_SPEED = 0.4
-"""At the end of a path (m/s)."""
+"""Speed at the end of a path (m/s)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -426,16 +431,19 @@ def fly_path(
     end = _end_of(vehicle, timeout)
     arc = 0.0
     while vehicle.now_us < end:
+        # the nearest point of the path, not before the last one: a path may cross itself
         here = np.array(vehicle.position)
         window = np.linspace(arc, min(arc + 2.0 * ahead, path.length), 21)
-        nearest = [float(np.square(path.at(float(candidate)) - here).sum()) for candidate in window]
-        arc = float(window[int(np.argmin(nearest))])
-        left = math.dist(path.points[-1], here)
-        if path.length - arc < DISTANCE_ACCURACY and left < DISTANCE_ACCURACY:
+        squared_distances = [float(np.square(path.at(float(candidate)) - here).sum()) for candidate in window]
+        arc = float(window[int(np.argmin(squared_distances))])
+        distance_to_end = math.dist(path.points[-1], here)
+        if path.length - arc < DISTANCE_ACCURACY and distance_to_end < DISTANCE_ACCURACY:
             return True
+
+        # fly to the point ahead of it, slower near the end
         way = path.at(min(arc + ahead, path.length)) - here
-        pace = min(speed, max(_LEAST_SPEED, path.length - arc))
-        scale = pace / max(math.hypot(*way), 1e-9)
+        reduced_speed = min(speed, max(_LEAST_SPEED, path.length - arc))
+        scale = reduced_speed / max(math.hypot(*way), 1e-9)
         velocity = (float(way[0]) * scale, float(way[1]) * scale, float(way[2]) * scale)
         vehicle.send(velocity, yaw.rate(vehicle, velocity), HOLD_S)
         yield
@@ -457,7 +465,7 @@ def take_off(vehicle: PilotedVehicle, timeout: float) -> Task:
 def land(vehicle: PilotedVehicle, timeout: float) -> Task:
     """Sink until the vehicle stands still on the ground."""
     end = _end_of(vehicle, timeout)
-    still = 0
+    still_periods = 0
     while vehicle.now_us < end:
         if vehicle.sim.height < LOW:
             sink = LANDING_SPEED
@@ -466,10 +474,10 @@ def land(vehicle: PilotedVehicle, timeout: float) -> Task:
         vehicle.send((0.0, 0.0, sink), 0.0, HOLD_S)
         yield
         if abs(vehicle.velocity[2]) <= APPROX_ZERO_SPEED:
-            still = still + 1
+            still_periods += 1
         else:
-            still = 0
-        if still > STILL_PERIODS:
+            still_periods = 0
+        if still_periods > STILL_PERIODS:
             vehicle.sim.rest()
             vehicle.note_landing()
             return True
@@ -569,9 +577,12 @@ def at_attitude(
         left = -sin(roll)
         up = cos(pitch) * cos(roll)
         force = np.array([c * forward - s * left, s * forward + c * left, up])
+        rate = 0.0
         if yaw_rate is None:
             memory[YAW_REFERENCE] = -yaw
-        rates = wanted_rates(frame, memory, 0.0 if yaw_rate is None else -yaw_rate, force, matrix, heading)
+        else:
+            rate = -yaw_rate
+        rates = wanted_rates(frame, memory, rate, force, matrix, heading)
         return _mixed(vehicle, rates, vertical, odometry)
 
     return rotors

@@ -32,7 +32,7 @@ from mavfi.flight.decide import (
     HoldPosition,
     Origin,
     PathDeadline,
-    Recovery,
+    RecoveryPolicy,
     Rejection,
     Response,
     decide,
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from mavfi.flight.loop import Loop
 
 COMMAND = "control.command"
+"""State that the degraded mode replaces."""
 UNREADABLE = "unreadable"
 """Source of the alarm on a message that its consumers cannot read."""
 
@@ -74,7 +75,7 @@ class DetectorTap:
         self,
         loop: "Loop",
         detector: Detector,
-        policy: Recovery = INLINE,
+        policy: RecoveryPolicy = INLINE,
         restart: Callable[[str, int, int], None] = lambda *_: None,
     ) -> None:
         self._loop = proxy(loop)  # the loop owns this object; no cycle, so that maps are freed at once
@@ -83,17 +84,17 @@ class DetectorTap:
         self._restart = restart
         self._is_custom = is_custom(detector)
         # looked up at each call, since a memory fault replaces the methods of a detector in flight
-        self._calls: Any = NotedCalls(detector) if self._is_custom else detector
+        self._calls: Any = detector
+        if self._is_custom:
+            self._calls = NotedCalls(detector)
         self._detector_seals = detector.seals
         self.seals = self._detector_seals or policy.resends
+        self._hold: HoldPosition | None = None
         if policy.degrades:
-            self._hold: HoldPosition | None = HoldPosition(loop.scenario.v_max)
-        else:
-            self._hold = None
+            self._hold = HoldPosition(loop.scenario.v_max)
+        self._deadline: PathDeadline | None = None
         if policy.answer_s:
-            self._deadline: PathDeadline | None = PathDeadline(policy.answer_s, loop.scenario.autopilot)
-        else:
-            self._deadline = None
+            self._deadline = PathDeadline(policy.answer_s, loop.scenario.autopilot)
         self.states = self._needed_states(detector.states)
         self.memory = History()
         self.alarm: Alarm | None = None
@@ -133,7 +134,10 @@ class DetectorTap:
     def __call__(self, state: State, now: int) -> State | None:
         """Check a value; the result of a recomputation passes without a check unless the policy escalates."""
         awaited = self._loop.awaited.pop(state.spec.name, None)
-        self.alarm = self.action = None
+        self.alarm = None
+        self.action = None
+
+        # In degraded mode nothing is checked, and every command is replaced.
         if self._hold is not None:
             if state.spec.name in HoldPosition.states:
                 self._hold.note(self.memory.hold, state)
@@ -142,22 +146,25 @@ class DetectorTap:
                     return self._hold.command(self.memory.hold, state)
                 return state
 
+        # Ask the detector; it records at once what it accepts.
         alarm = None
-        is_checked = self._is_checked(awaited, now)
-        if is_checked:
+        is_accepted = False
+        if self._is_checked(awaited, now):
             try:
                 alarm = self._calls.check(state, now)
                 if alarm is None:
                     self._calls.accept(state, now)
+                    is_accepted = True
             except Exception as error:  # noqa: BLE001 - of a custom detector
                 self.give_up(error, now)
                 alarm = None
-                is_checked = False
-            if alarm is None and is_checked and awaited is None:  # almost always
-                if self._deadline is not None:
-                    self._watch_deadline(state, now)
-                return state
-        return self._settle(state, now, alarm, awaited, is_accepted=is_checked and alarm is None)
+
+        # Fast path: a value of a regular step without an alarm, almost always.
+        if is_accepted and awaited is None:
+            if self._deadline is not None:
+                self._watch_deadline(state, now)
+            return state
+        return self._settle(state, now, alarm, awaited, is_accepted=is_accepted)
 
     def _is_checked(self, awaited: Awaited | None, now: int) -> bool:
         """Whether the detector is asked about a value."""
@@ -213,7 +220,8 @@ class DetectorTap:
         if spec.stage not in PPC_STAGES or self.memory.degraded:
             return False
         awaited = self._loop.awaited.pop(spec.name, None)
-        self.alarm = self.action = None
+        self.alarm = None
+        self.action = None
         alarm = None
         if not self.memory.silenced and (awaited is None or self._policy.escalates):
             alarm = Alarm(UNREADABLE, spec.stage.value, score=DIFFERENT, fields=(spec.name,), hard=True)
@@ -246,7 +254,9 @@ class DetectorTap:
         self.action = decide(Rejection(alarm, spec, self._origin(awaited), now), self.memory, self._policy)
         if alarm.hard and self._policy.degrades:
             self.memory.extend_series(now)
-        self.alarm = None if self.action is None else alarm
+        self.alarm = alarm
+        if self.action is None:
+            self.alarm = None
         return self.action
 
     def _origin(self, awaited: Awaited | None) -> Origin:
@@ -390,7 +400,9 @@ def record_of(alarm: Alarm, action: Action, state: str, time_us: int) -> AlarmRe
 # `pipeline.kernel.repeat`.  Each costs the kernel's latency; the results are published after the last one.  Only
 # published values are compared; memory is that of the last execution.
 SOURCE = "duplicate"
+"""Source of the alarm on two executions that differ."""
 _SCORE = 2.0
+"""Score of that alarm: above the threshold 1, without a finer meaning."""
 
 
 class Duplicates:
@@ -409,33 +421,29 @@ class Duplicates:
         """Return the results to publish, given the first execution's, and the time of the further executions (us)."""
         if kernel.name not in self._kernels:
             return first, 0
-        second = self._again(kernel, now)
-        runs = 1
+        second = self._execute_again(kernel, now)
+        extra_runs = 1
         published = second
-        differs = _difference(first, second)
-        if differs is not None:
-            published = self._again(kernel, now)
-            runs = 2
-            outcomes = {_same(published, first): "accepted", _same(published, second): "repaired"}
-            self._loop.record.alarms.append(
-                AlarmRecord(
-                    1e-6 * now,
-                    SOURCE,
-                    differs,
-                    kernel.stage.value,
-                    _SCORE,
-                    (differs,),
-                    "recompute",
-                    outcomes.get(True, "rejected"),
-                )
-            )
-        cost = runs * self._loop.latency[kernel.name]
+        different_state = _first_difference(first, second)
+        if different_state is not None:
+            # A third execution decides: the other one that equals it was correct.
+            published = self._execute_again(kernel, now)
+            extra_runs = 2
+            self._record_alarm(kernel, different_state, _outcome(first, second, published), now)
+        cost_us = extra_runs * self._loop.latency[kernel.name]
         record = self._loop.record
-        record.recompute_us[kernel.stage.value] += cost
-        record.compute_us[kernel.name] += cost
-        return published, cost
+        record.recompute_us[kernel.stage.value] += cost_us
+        record.compute_us[kernel.name] += cost_us
+        return published, cost_us
 
-    def _again(self, kernel: Kernel, now: int) -> list[State]:
+    def _record_alarm(self, kernel: Kernel, state: str, outcome: str, now: int) -> None:
+        """Add the alarm on a state in which two executions differ to the flight's record."""
+        stage = kernel.stage.value
+        alarm = AlarmRecord(1e-6 * now, SOURCE, state, stage, _SCORE, (state,), Response.RECOMPUTE.value, outcome)
+        self._loop.record.alarms.append(alarm)
+
+    def _execute_again(self, kernel: Kernel, now: int) -> list[State]:
+        """Repeat the kernel's last step; the repetition is not a call that a fault can address."""
         self._loop.repeating = True
         try:
             repeat(kernel)
@@ -444,16 +452,21 @@ class Duplicates:
             self._loop.repeating = False
 
 
-def _same(one: list[State], other: list[State]) -> bool:
-    return _difference(one, other) is None
+def _outcome(first: list[State], second: list[State], third: list[State]) -> str:
+    """Outcome of the alarm on two different executions, given the third one."""
+    if _first_difference(third, second) is None:
+        return "repaired"
+    if _first_difference(third, first) is None:
+        return "accepted"
+    return "rejected"
 
 
-def _difference(one: list[State], other: list[State]) -> str | None:
-    """Name of the first state that differs; None = all are bit-identical."""
-    for mine, its in zip(one, other, strict=False):
-        if mine.spec is not its.spec or not mine.same_bits(its):
-            return mine.spec.name
-    rest = (one if len(one) > len(other) else other)[min(len(one), len(other)) :]
-    if rest:
-        return rest[0].spec.name
+def _first_difference(left: list[State], right: list[State]) -> str | None:
+    """Name of the first state that differs, or that only one of two executions published; None = all are identical."""
+    for left_state, right_state in zip(left, right, strict=False):
+        if left_state.spec is not right_state.spec or not left_state.same_bits(right_state):
+            return left_state.spec.name
+    common = min(len(left), len(right))
+    for state in (*left[common:], *right[common:]):
+        return state.spec.name
     return None

@@ -36,9 +36,11 @@ class Restarts:
         self._acted_on = {spec.name: ActedOn(spec) for spec in STATES.values() if spec.acted_on}
         self._alarms: dict[str, State] = {}
         loop.taps.recorders.append(self.keep)
-        self._back = f"restart {policy}"  # a detector may restart nodes under a policy other than the mission's
-        loop.actions[self._back] = self._restart
-        loop.actions["again"] = self._again
+        self._restart_action = (
+            f"restart {policy}"  # a detector may restart nodes under a policy other than the mission's
+        )
+        loop.actions[self._restart_action] = self._restart
+        loop.actions["again"] = self._publish_repeated
 
     def keep(self, state: State, now: int) -> None:
         """Note a publication as consumers receive it: what a restarted node receives depends on all of them."""
@@ -61,7 +63,7 @@ class Restarts:
             self._loop.status = MissionStatus.NODE_DIED
         elif kernel not in self._loop.down:  # else the restart is scheduled already
             self._lose(kernel)
-            self._loop.at(now + after_us, self._back, kernel)
+            self._loop.at(now + after_us, self._restart_action, kernel)
 
     def detector_dies(self, detector: Detector, now: int, after_us: int) -> None:
         """Terminate the detector at this instant; publications pass unchecked and the flight continues.
@@ -96,6 +98,7 @@ class Restarts:
         self._loop.taps.detector = tap
 
     def _lose(self, kernel: str) -> None:
+        """Drop all that is in progress in the node of a kernel."""
         loop = self._loop
         names = in_node(kernel)
         loop.down.update(names)
@@ -110,15 +113,16 @@ class Restarts:
     def recompute(self, name: str, now: int, states: Sequence[State]) -> None:
         """Publish the results of a kernel's repeated step one latency later, under any policy."""
         loop = self._loop
-        cost = self._loop.latency[name]
-        if cost <= 0:
+        cost_us = self._loop.latency[name]
+        if cost_us <= 0:
             return  # a result without latency is published as in the error-free case
-        loop.record.recompute_us[loop.kernels[name].stage.value] += cost
+        loop.record.recompute_us[loop.kernels[name].stage.value] += cost_us
         loop.busy[name] = None
         loop.down.add(name)
-        loop.at(now + cost, "again", name, list(states))
+        loop.at(now + cost_us, "again", name, list(states))
 
-    def _again(self, now: int, name: str, states: list[State]) -> None:
+    def _publish_repeated(self, now: int, name: str, states: list[State]) -> None:
+        """Publish the results of a repeated step, and take up the kernel's pending input."""
         loop = self._loop
         loop.down.discard(name)
         waiting = loop.busy.pop(name)
@@ -130,49 +134,53 @@ class Restarts:
 
     # ---- restart ----------------------------------------------------------------------------------------------------
     def _restart(self, now: int, kernel: str) -> None:
+        """Start the node of a kernel again, with initialized memory."""
         loop = self._loop
         names = in_node(kernel)
-        fresh = loop.renew(kernel)
-        if not fresh:
-            return
+        new_kernels = loop.renew(kernel)
+        if not new_kernels:
+            return  # the node never returns
         for name in names:
-            loop.kernels[name] = fresh[name]
+            loop.kernels[name] = new_kernels[name]
             loop.down.discard(name)
             loop.busy.pop(name, None)
+        # all kernels of the node are in place before one of them publishes to another
         for state, readers in loop.readers.items():
             loop.readers[state] = [loop.kernels[reader.name] for reader in readers]
         for name in names:
             self._resume(loop.kernels[name], now)
 
     def _resume(self, kernel: Kernel, now: int) -> None:
+        """Pass a restarted kernel the messages that its policy provides, and start a step that they make due."""
+        read_back: tuple[str, ...] = ()
         if self._policy == "readback":
-            taken = kernel.resume(self._latest, now)
-        else:
-            taken = ()
-        due = False
+            read_back = kernel.resume(self._latest, now)
+        is_due = False
         node = in_node(kernel.name)
         for name in kernel.reads:
-            if STATES[name].writer in node or name in taken:
+            if STATES[name].writer in node or name in read_back:
                 continue  # own outputs and node-internal states: replaying them would execute an outdated path
             for state in self._messages(name):
-                due = kernel.receive(state, now) or due
+                is_due = kernel.receive(state, now) or is_due
         if self._loop.marks:
             kernel.mark()  # a recomputation of the current step must not undo the retransmitted inputs
-        if due and kernel.name not in PERIODIC:
+        if is_due and kernel.name not in PERIODIC:
             self._loop.start(kernel, now)
 
     def _messages(self, name: str) -> list[State]:
         """Messages of a state that a restarted node receives."""
         if name == CHANGES:
             return self._updates
+        messages = []
         latest = self._latest.get(name)
         alarm = self._alarms.get(name)
-        messages = [] if latest is None else [latest]
-        if self._policy == "readback" and alarm is not None and alarm is not latest and self._unanswered(alarm):
-            messages.insert(0, alarm)
+        if self._policy == "readback" and alarm is not None and alarm is not latest and self._is_unanswered(alarm):
+            messages.append(alarm)
+        if latest is not None:
+            messages.append(latest)
         return messages
 
-    def _unanswered(self, alarm: State) -> bool:
+    def _is_unanswered(self, alarm: State) -> bool:
         """Whether the way-point in force carries a lower sequence number than an alarm."""
         waypoint = self._latest.get(WAYPOINT)
         counter = alarm.spec.acted_on

@@ -106,10 +106,10 @@ class SensorInjector(Injector):
             if believed is not self._plant.odometry:
                 pose = np.concatenate([believed[:3], believed[6:10]])
         seen = _with_header(state, pose)
-        found = self._failures.ranges(time_us, ranges)
-        if found is not ranges:
+        failed_ranges = self._failures.ranges(time_us, ranges)
+        if failed_ranges is not ranges:
             seen = seen.copy()
-            seen.elements["range"] = found
+            seen.elements["range"] = failed_ranges
         return seen
 
     def finish(self) -> list[Injection]:
@@ -119,12 +119,12 @@ class SensorInjector(Injector):
 
 def _with_header(state: State, values: np.ndarray) -> State:
     """The state, or a copy with other leading numbers in its header."""
-    own = floats(state.header, len(values))
-    if own.tobytes() == values.tobytes():
+    current = floats(state.header, len(values))
+    if current.tobytes() == values.tobytes():
         return state
-    seen = state.copy()
-    floats(seen.header, len(values))[:] = values
-    return seen
+    changed = state.copy()
+    floats(changed.header, len(values))[:] = values
+    return changed
 
 
 def inject_sensor_fault(loop: Loop, fault: Fault | None) -> bool:
@@ -134,7 +134,10 @@ def inject_sensor_fault(loop: Loop, fault: Fault | None) -> bool:
     """
     if not isinstance(fault, SensorFault):
         return False
-    own = SensorInjector(loop, fault)
-    other = loop.taps.injector
-    loop.taps.injector = own if other is None else InTurn(own, other)
+    injector = SensorInjector(loop, fault)
+    earlier = loop.taps.injector
+    if earlier is None:
+        loop.taps.injector = injector
+    else:
+        loop.taps.injector = InTurn(injector, earlier)
     return True

@@ -13,7 +13,7 @@ Recorder = Callable[[State, int], None]
 """Receives each value as consumers will, and the instant (us)."""
 
 
-class Injector(Protocol):
+class InjectorTap(Protocol):
     """The injector tap, applied first."""
 
     @property
@@ -35,29 +35,32 @@ class InTurn:
         second: Applied to its result.
     """
 
-    def __init__(self, first: Injector, second: Injector) -> None:
+    def __init__(self, first: InjectorTap, second: InjectorTap) -> None:
         self._first = first
         self._second = second
 
     @property
     def spent(self) -> bool:
-        """See `Injector.spent`."""
+        """See `InjectorTap.spent`."""
         return self._first.spent and self._second.spent
 
     @property
     def injections(self) -> list[Injection]:
         """Those so far."""
-        return [one for injector in (self._first, self._second) for one in getattr(injector, "injections", ())]
+        injections: list[Injection] = []
+        for injector in (self._first, self._second):
+            injections += getattr(injector, "injections", ())
+        return injections
 
     def __call__(self, state: State, time_us: int) -> State | None:
-        """See `Injector`."""
+        """See `InjectorTap`."""
         seen = self._first(state, time_us)
         if seen is None:
             return None
         return self._second(seen, time_us)
 
     def finish(self) -> list[Injection]:
-        """See `Injector`."""
+        """See `InjectorTap`."""
         return self._first.finish() + self._second.finish()
 
 
@@ -71,18 +74,18 @@ class Taps:
         recorders: Called in list order.
         watched: Names of the states that the detector receives; None = all.
         seal: Receives each value before injection, as sent by the producer; None = unused.
-        again: Receives each value that the injector loses, and returns whether there is a response; it belongs to the
-            detector's tap, and is down with it.  None = unused.
-        lost: Receives each such value without a response; None = unused.
+        answer_loss: Receives each value that the injector loses, and returns whether there is a response; it belongs to
+            the detector's tap, and is down with it.  None = unused.
+        note_loss: Receives each such value without a response; None = unused.
     """
 
-    injector: Injector | None = None
+    injector: InjectorTap | None = None
     detector: Tap | None = None
     recorders: list[Recorder] = field(default_factory=list)
     watched: Set[str] | None = None
     seal: Recorder | None = None
-    again: Callable[[State, int], bool] | None = None
-    lost: Recorder | None = None
+    answer_loss: Callable[[State, int], bool] | None = None
+    note_loss: Recorder | None = None
 
     def __call__(self, state: State, time_us: int) -> State | None:
         """The value that consumers receive; None = none."""
@@ -101,6 +104,6 @@ class Taps:
         return seen
 
     def _lose(self, state: State, time_us: int) -> None:
-        answered = self.detector is not None and self.again is not None and self.again(state, time_us)
-        if not answered and self.lost is not None:
-            self.lost(state, time_us)
+        answered = self.detector is not None and self.answer_loss is not None and self.answer_loss(state, time_us)
+        if not answered and self.note_loss is not None:
+            self.note_loss(state, time_us)

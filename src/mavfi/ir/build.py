@@ -14,10 +14,13 @@ import llvmlite.binding as llvm
 from mavfi.errors import BadInputError
 from mavfi.ir.forked import run_in_child
 from mavfi.ir.fresh import run_fresh
-from mavfi.ir.module import BuildError, Module, RefusedError
+from mavfi.ir.module import BuildError, Module, NotInstrumentableError
 from mavfi.numerics.jit import uncached_copy
 
-_PATIENCE = 600.0
+_PATIENCE_S = 600.0
+"""Time limit of a compilation."""
+_BUILT, _NOT_INSTRUMENTABLE, _BAD_INPUT = b"B", b"R", b"I"
+"""First byte of an answer of the other process: the code, or the text of an error."""
 _CALL = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)
 _OPTIMISATION = 3
 """Optimisation level of code generation, as Numba's."""
@@ -41,7 +44,7 @@ Make = Callable[[Any, tuple[Any, ...]], bytes]
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class KernelSource:
     """A kernel compiled by Numba for one signature.
 
     Attributes:
@@ -63,53 +66,57 @@ def name_of(kernel: Any) -> str:
 
 
 def check(kernel: Any) -> None:
-    """Raise a RefusedError if it is not compiled, or compiled with flags that prevent exact replay."""
+    """Raise a NotInstrumentableError if it is not compiled, or compiled with flags that prevent exact replay."""
     flags = getattr(kernel, "targetoptions", None)
     if flags is None or not hasattr(kernel, "inspect_llvm"):
-        raise RefusedError(getattr(kernel, "__name__", repr(kernel)), "it is not a function compiled by kernel_jit")
+        raise NotInstrumentableError(
+            getattr(kernel, "__name__", repr(kernel)), "it is not a function compiled by kernel_jit"
+        )
     for flag in ("fastmath", "parallel", "forceobj"):
         if flags.get(flag):
-            raise RefusedError(name_of(kernel), f"{flag}={flags[flag]!r}")
+            raise NotInstrumentableError(name_of(kernel), f"{flag}={flags[flag]!r}")
 
 
 def build_apart(kernel: Any, signature: tuple[Any, ...], make: Make) -> bytes:
     """Result of `make` for a kernel and signature (Numba types of the arguments), from a fresh process if possible.
 
     Raises:
-        RefusedError: `make` met an unknown construct.
+        NotInstrumentableError: `make` met an unknown construct.
         BadInputError: `make` does not fit the kernel.
         BuildError: The compiler crashed.
     """
     check(kernel)
     work = partial(answer, make)
-    ended = run_fresh(kernel, signature, work, _PATIENCE)
+    ended = run_fresh(kernel, signature, work, _PATIENCE_S)
     if ended is None:
-        ended = run_in_child(lambda: work(kernel, signature), _PATIENCE)
+        ended = run_in_child(lambda: work(kernel, signature), _PATIENCE_S)
     if ended.how != "done":
         raise BuildError(f"{name_of(kernel)}: the compiler ended with {ended.detail}")
-    if ended.payload[:1] == b"R":
-        raise RefusedError(name_of(kernel), ended.payload[1:].decode())
-    if ended.payload[:1] == b"I":
-        raise BadInputError(ended.payload[1:].decode())
-    return ended.payload[1:]
+    kind = ended.payload[:1]
+    content = ended.payload[1:]
+    if kind == _NOT_INSTRUMENTABLE:
+        raise NotInstrumentableError(name_of(kernel), content.decode())
+    if kind == _BAD_INPUT:
+        raise BadInputError(content.decode())
+    return content
 
 
 def answer(make: Make, kernel: Any, signature: tuple[Any, ...]) -> bytes:
     """The part of `build_apart` that runs in another process: the result of `make`, or why there is none."""
     try:
-        return b"B" + make(kernel, signature)
-    except RefusedError as error:
-        return b"R" + error.construct.encode()
+        return _BUILT + make(kernel, signature)
+    except NotInstrumentableError as error:
+        return _NOT_INSTRUMENTABLE + error.construct.encode()
     except BadInputError as error:
-        return b"I" + str(error).encode()
+        return _BAD_INPUT + str(error).encode()
 
 
-def source_of(kernel: Any, signature: tuple[Any, ...]) -> Source:
+def source_of(kernel: Any, signature: tuple[Any, ...]) -> KernelSource:
     """Recompile a kernel in this process, since code loaded from a cache has no IR."""
     copy = uncached_copy(kernel)
     copy.compile(signature)
     names = copy.overloads[signature].fndesc
-    return Source(name_of(kernel), copy.inspect_llvm(signature), names.llvm_cpython_wrapper_name, names.env_name)
+    return KernelSource(name_of(kernel), copy.inspect_llvm(signature), names.llvm_cpython_wrapper_name, names.env_name)
 
 
 def environment_of(kernel: Any, signature: tuple[Any, ...]) -> Any:
@@ -148,9 +155,9 @@ def load_code(code: bytes, wrapper: str, environment_name: str, environment: Any
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target_machine())
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
-    place = engine.get_global_value_address(environment_name)
-    if place:
-        ctypes.c_void_p.from_address(place).value = id(environment)
+    environment_pointer = engine.get_global_value_address(environment_name)
+    if environment_pointer:
+        ctypes.c_void_p.from_address(environment_pointer).value = id(environment)
     return engine, _CALL(engine.get_function_address(wrapper))
 
 

@@ -37,7 +37,7 @@ _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, prctl(2)
 
 
 @dataclass(frozen=True, slots=True)
-class Ended:
+class ChildEnd:
     """How a child ended.
 
     Attributes:
@@ -52,7 +52,7 @@ class Ended:
     detail: str = ""
 
 
-Attend = Callable[[int], Ended | None]
+Attend = Callable[[int], ChildEnd | None]
 """Called in the parent with the child's pid before waiting for its report, e.g. to trace it.  A result other than None
 states how the child ended; it has then been waited for."""
 
@@ -68,7 +68,7 @@ class ForkPoint:
         """Whether this is the child."""
         return self._pipe >= 0
 
-    def split(self, timeout: float = 60.0, attend: Attend | None = None) -> Ended | None:
+    def split(self, timeout: float = 60.0, attend: Attend | None = None) -> ChildEnd | None:
         """Fork; `timeout` is the wall-clock limit of the child (s).
 
         Returns:
@@ -83,11 +83,13 @@ class ForkPoint:
         if pid == 0:
             os.close(reading)
             self._pipe = writing
-            _settle(parent)
+            _isolate(parent)
             return None
         os.close(writing)
         try:
-            ended = None if attend is None else attend(pid)
+            ended = None
+            if attend is not None:
+                ended = attend(pid)
             if ended is None:
                 return _wait(pid, reading, timeout)
             return ended
@@ -133,7 +135,7 @@ def write_all(handle: int, data: bytes) -> None:
         left = left[os.write(handle, left) :]
 
 
-def run_in_child(work: Callable[[], bytes], timeout: float = 60.0, attend: Attend | None = None) -> Ended:
+def run_in_child(work: Callable[[], bytes], timeout: float = 60.0, attend: Attend | None = None) -> ChildEnd:
     """Run `work`, which returns the report, in a forked child; otherwise as `ForkPoint.split`."""
     point = ForkPoint()
     with point.guard():
@@ -143,8 +145,8 @@ def run_in_child(work: Callable[[], bytes], timeout: float = 60.0, attend: Atten
     return ended
 
 
-def _settle(parent: int) -> None:
-    """Isolate the child: it dies with its parent, and has no core dumps, signal wake-ups or timers."""
+def _isolate(parent: int) -> None:
+    """In the child: it dies with its parent, and has no core dumps, signal wake-ups or timers."""
     ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(_EXCEPTION_EXIT)  # the parent ended before the death signal was set
@@ -155,20 +157,20 @@ def _settle(parent: int) -> None:
     signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
-def _wait(pid: int, pipe: int, timeout: float) -> Ended:
+def _wait(pid: int, pipe: int, timeout: float) -> ChildEnd:
     """Read the child's output until it exits, or kill it at the timeout."""
     deadline = time.monotonic() + timeout
     data = bytearray()
-    late = False
+    is_late = False
     handle = os.pidfd_open(pid)
     try:
+        # Read while it runs: a child with a full pipe would wait for us.
         sources = [handle, pipe]
-        while handle in sources:
+        while True:
             ready, _, _ = select.select(sources, [], [], max(0.0, deadline - time.monotonic()))
-            if not ready:
-                late = time.monotonic() >= deadline
-                if late:
-                    break
+            if not ready and time.monotonic() >= deadline:
+                is_late = True
+                break
             if pipe in ready:
                 chunk = os.read(pipe, _CHUNK)
                 data += chunk
@@ -177,16 +179,17 @@ def _wait(pid: int, pipe: int, timeout: float) -> Ended:
             elif handle in ready:
                 break  # it exited, and the pipe is empty
     finally:
-        if late or not select.select([handle], [], [], 0.0)[0]:
+        # Kill it if it still runs, also if this process was interrupted, and leave no zombie.
+        if is_late or not select.select([handle], [], [], 0.0)[0]:
             signal.pidfd_send_signal(handle, signal.SIGKILL)
         _, status = os.waitpid(pid, 0)
         os.close(handle)
-    if late:
-        return Ended("hang", detail=WALL_CLOCK)
+    if is_late:
+        return ChildEnd("hang", detail=WALL_CLOCK)
     return judge_exit(os.waitstatus_to_exitcode(status), bytes(data))
 
 
-def judge_exit(code: int, data: bytes = b"") -> Ended:
+def judge_exit(code: int, data: bytes = b"") -> ChildEnd:
     """How a child ended, from its exit code (negative = signal number) and the data that it wrote to its pipe.
 
     Raises:
@@ -196,21 +199,19 @@ def judge_exit(code: int, data: bytes = b"") -> Ended:
         name = _SIGNALS.get(-code, f"signal {-code}")
         if name in FROM_OUTSIDE:
             raise MachineError(f"the process of a flight was killed by {name}")
-        return Ended("crash", detail=name)
+        return ChildEnd("crash", detail=name)
     if code == HANG_EXIT:
-        return Ended("hang", detail="instruction budget")
+        return ChildEnd("hang", detail="instruction budget")
     if code == WILD_EXIT:
-        return Ended("crash", detail=WILD)
+        return ChildEnd("crash", detail=WILD)
     payload = data[LENGTH_BYTES:]
-    whole = len(data) >= LENGTH_BYTES and int.from_bytes(data[:LENGTH_BYTES], "little") == len(payload)
-    if code == 0 and whole:
-        return Ended("done", payload)
+    is_complete = len(data) >= LENGTH_BYTES and int.from_bytes(data[:LENGTH_BYTES], "little") == len(payload)
+    if code == 0 and is_complete:
+        return ChildEnd("done", payload)
+    if code == _MACHINE_EXIT and is_complete:
+        raise MachineError(payload.decode(errors="replace"))
     if code == _MACHINE_EXIT:
-        if whole:
-            why = payload.decode(errors="replace")
-        else:
-            why = "the process of a flight could not report"
-        raise MachineError(why)
-    if code == _EXCEPTION_EXIT and whole:
-        return Ended("exception", detail=payload.decode(errors="replace"))
-    return Ended("exception", detail=f"ended with status {code} without a report")
+        raise MachineError("the process of a flight could not report")
+    if code == _EXCEPTION_EXIT and is_complete:
+        return ChildEnd("exception", detail=payload.decode(errors="replace"))
+    return ChildEnd("exception", detail=f"ended with status {code} without a report")

@@ -23,7 +23,7 @@ from importlib import import_module
 from typing import Any
 
 from mavfi.errors import MachineError
-from mavfi.ir.forked import LENGTH_BYTES, Ended, framed, run_in_child
+from mavfi.ir.forked import LENGTH_BYTES, ChildEnd, framed, run_in_child
 
 _CPU = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
 _IDLE_S = 60.0
@@ -32,7 +32,7 @@ _NOT_HERE = b"N"
 """Loaded from a file that is on no path, or compilable only where it has been compiled (recursion in Numba)."""
 
 
-def run_fresh(kernel: Any, signature: tuple[Any, ...], work: Any, timeout: float) -> Ended | None:
+def run_fresh(kernel: Any, signature: tuple[Any, ...], work: Any, timeout: float) -> ChildEnd | None:
     """Call `work` with a kernel and a signature in a fresh process, for at most `timeout` seconds.
 
     `work` returns bytes, and can be pickled.
@@ -72,12 +72,16 @@ class _Template:
         self._channel, theirs = socket.socketpair()
         self._reader = self._channel.makefile("rb")
         self.close = weakref.finalize(self, _close, self._reader, self._channel)
-        own = {"NUMBA_CACHE_DIR": os.devnull, "PYTHONHASHSEED": "0", **_CPU}
-        paths = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        variables = {
+            "NUMBA_CACHE_DIR": os.devnull,
+            "PYTHONHASHSEED": "0",
+            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+            **_CPU,
+        }
         with theirs:
             subprocess.run(
                 [sys.executable, "-P", "-m", __name__],
-                env=os.environ | own | paths,
+                env=os.environ | variables,
                 process_group=0,
                 stdin=theirs.fileno(),
                 stdout=subprocess.DEVNULL,
@@ -104,20 +108,21 @@ class _Template:
         return None
 
 
-_own = threading.local()
+_of_thread = threading.local()
+"""The `template` of each thread."""
 
 
-def _ask(request: bytes) -> Ended:
+def _ask(request: bytes) -> ChildEnd:
     """How the fork of this thread's template ended that served the request."""
     for _ in range(2):  # it may have exited after a time without requests
-        if not getattr(_own, "template", None) or not _own.template.usable():
-            _own.template = _Template()
-        answer = _own.template.ask(request)
-        if isinstance(answer, Ended):
+        if not getattr(_of_thread, "template", None) or not _of_thread.template.usable():
+            _of_thread.template = _Template()
+        answer = _of_thread.template.ask(request)
+        if isinstance(answer, ChildEnd):
             return answer
         if answer is not None:
             raise answer
-        _own.template = None
+        _of_thread.template = None
     raise MachineError("the process that prepares kernels has ended")
 
 
@@ -132,8 +137,9 @@ def _close(reader: Any, channel: socket.socket) -> None:
 
 
 def _read(reader: Any) -> bytes:
-    """A framed text; empty at the end."""
-    return bytes(reader.read(int.from_bytes(reader.read(LENGTH_BYTES), "little")))
+    """The content of a frame, see `forked.framed`; empty at the end."""
+    size = int.from_bytes(reader.read(LENGTH_BYTES), "little")
+    return bytes(reader.read(size))
 
 
 # ---- in the template ------------------------------------------------------------------------------------------------
@@ -151,10 +157,11 @@ def main() -> None:
     channel.settimeout(_IDLE_S)
     with contextlib.suppress(OSError), channel.makefile("rb") as reader:
         while request := _read(reader):
-            channel.sendall(framed(pickle.dumps(_serve(channel, *pickle.loads(request)))))
+            answer = _serve(channel, *pickle.loads(request))
+            channel.sendall(framed(pickle.dumps(answer)))
 
 
-def _serve(channel: socket.socket, timeout: float, *request: Any) -> Ended | MachineError:  # noqa: ANN401 - `_prepare`
+def _serve(channel: socket.socket, timeout: float, *request: Any) -> ChildEnd | MachineError:  # noqa: ANN401 - `_prepare`
     """How a fork ended that served a request; it ends at once if the program does."""
 
     def work() -> bytes:
@@ -170,8 +177,16 @@ def _serve(channel: socket.socket, timeout: float, *request: Any) -> Ended | Mac
             return error
 
 
-def _prepare(folder: str, where: str, variables: dict[str, str], paths: list[str], request: bytes) -> bytes:
-    """The result of `work` in this process, under the settings of the program."""
+def _prepare(folder: str, working_directory: str, variables: dict[str, str], paths: list[str], request: bytes) -> bytes:
+    """The result of `work` in this process, under the settings of the program.
+
+    Args:
+        folder: For temporary files of this process.
+        working_directory: That of the program.
+        variables: Environment variables of the program.
+        paths: `sys.path` of the program.
+        request: Module and name of the kernel, signature and work, pickled.
+    """
     import numba
 
     code = os.path.join(folder, "code")
@@ -179,7 +194,7 @@ def _prepare(folder: str, where: str, variables: dict[str, str], paths: list[str
     os.environ.update(variables | {"NUMBA_CACHE_DIR": code, "TMPDIR": folder, **_CPU})
     numba.config.CACHE_DIR = code  # type: ignore[attr-defined]
     tempfile.tempdir = None
-    os.chdir(where)
+    os.chdir(working_directory)
     sys.path[:] = paths
     with contextlib.suppress(Exception):
         module, name, signature, work = pickle.loads(request)

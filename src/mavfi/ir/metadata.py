@@ -31,10 +31,11 @@ def variable_of(line: str, metadata: dict[int, str]) -> dict[str, str]:
 
 
 def _field(node: str, name: str) -> str:
-    found = re.search(_FIELD.format(name), node)
-    if found is None:
+    """Value of a field of a metadata node: number of another node, text or number; "" = there is none."""
+    match = re.search(_FIELD.format(name), node)
+    if match is None:
         return ""
-    return next(part for part in found.groups() if part is not None)
+    return next(part for part in match.groups() if part is not None)
 
 
 class Locations:
@@ -46,13 +47,13 @@ class Locations:
     def chain(self, location: int) -> tuple[Frame, ...]:
         """Source lines, the innermost inlined call first."""
         frames = []
-        here = str(location)
-        while here:
-            node = self._metadata.get(int(here), "")
+        number = str(location)
+        while number:
+            node = self._metadata.get(int(number), "")
             if not node.startswith("!DILocation("):
                 break
             frames.append(self._frame(_field(node, "scope"), int(_field(node, "line") or 0)))
-            here = _field(node, "inlinedAt")
+            number = _field(node, "inlinedAt")
         return tuple(frames)
 
     def function(self, subprogram: int) -> tuple[Frame, ...]:
@@ -61,7 +62,10 @@ class Locations:
         return (self._frame(str(subprogram), int(_field(node, "line") or 0)),)
 
     def _frame(self, scope: str, line: int) -> Frame:
-        node = self._metadata.get(int(scope), "") if scope else ""
+        """The frame of a line in a scope, given by its number or ""."""
+        node = ""
+        if scope:
+            node = self._metadata.get(int(scope), "")
         while node.startswith("!DILexicalBlock"):
             node = self._metadata.get(int(_field(node, "scope")), "")
         file = self._metadata.get(int(_field(node, "file") or -1), "")

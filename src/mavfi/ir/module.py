@@ -38,21 +38,26 @@ def parts(kind: str) -> list[str]:
 
 def split(text: str) -> list[str]:
     """Split a text at commas outside brackets."""
-    found = []
+    pieces = []
     depth = 0
     start = 0
     for i, character in enumerate(text):
-        depth += (character in "{[<(") - (character in "}]>)")
-        if character == "," and depth == 0:
-            found.append(text[start:i].strip())
+        if character in "{[<(":
+            depth += 1
+        elif character in "}]>)":
+            depth -= 1
+        elif character == "," and depth == 0:
+            pieces.append(text[start:i].strip())
             start = i + 1
-    return [*found, text[start:].strip()]
+    return [*pieces, text[start:].strip()]
 
 
 def is_floating(kind: str) -> bool:
     """Whether values of the type, or all elements of a vector, are floating-point numbers."""
     vector = _VECTOR.fullmatch(kind)
-    return (vector[2] if vector else kind) in _FLOATS
+    if vector is not None:
+        return vector[2] in _FLOATS
+    return kind in _FLOATS
 
 
 def holds_pointer(kind: str) -> bool:
@@ -111,8 +116,10 @@ class Instruction:
 
     def line(self, names: dict[str, str] | None = None, labels: dict[str, str] | None = None, suffix: str = "") -> str:
         """The instruction with its result, whose name is extended by a suffix."""
-        result = "" if self.result is None else f"{self.result}{suffix} = "
-        return f"  {result}{self.text(names, labels)}"
+        text = self.text(names, labels)
+        if self.result is None:
+            return f"  {text}"
+        return f"  {self.result}{suffix} = {text}"
 
 
 @dataclass(slots=True)
@@ -140,8 +147,10 @@ class Block:
 
     def all(self) -> list[Instruction]:
         """Every instruction."""
-        end = [] if self.terminator is None else [self.terminator]
-        return self.phis + self.allocations + self.body + end
+        instructions = self.phis + self.allocations + self.body
+        if self.terminator is not None:
+            instructions.append(self.terminator)
+        return instructions
 
 
 @dataclass(slots=True)
@@ -185,7 +194,7 @@ class Module:
 # ---- refusals: always an error, never a silent omission -------------------------------------------------------------
 
 
-class RefusedError(MavfiError):
+class NotInstrumentableError(MavfiError):
     """The kernel has a construct that cannot be instrumented exactly."""
 
     def __init__(self, kernel: str, construct: str) -> None:

@@ -8,7 +8,7 @@ import re
 from itertools import takewhile
 
 from mavfi.ir.metadata import variable_of
-from mavfi.ir.module import Block, Function, Instruction, Module, RefusedError, holds_pointer, parts
+from mavfi.ir.module import Block, Function, Instruction, Module, NotInstrumentableError, holds_pointer, parts
 
 _OUTSIDE = re.compile(r'@"?(?:_ZN7cpython|cfunc\.|NRT_|nrt_|numba_|\.dtor|__excinfo)')
 """Numba's wrappers and runtime: linked into every module, but not part of a kernel."""
@@ -26,7 +26,7 @@ def parse_module(text: str, kernel: str) -> Module:
     """Parse a module from `Dispatcher.inspect_llvm`; `kernel` is the name for error messages.
 
     Raises:
-        RefusedError: Unknown construct.
+        NotInstrumentableError: Unknown construct.
     """
     metadata = {int(number): rest for number, rest in _METADATA.findall(text)}
     module = Module(metadata=metadata)
@@ -34,7 +34,7 @@ def parse_module(text: str, kernel: str) -> Module:
     lines = iter(text.split("\n"))
     for line in lines:
         if line.startswith("define "):
-            body = list(takewhile(lambda line: line != "}", lines))
+            body = list(takewhile(lambda text: text != "}", lines))
             name = re.search(r'@(?:"[^"]*"|[-\w$.]+)(?=\()', line)
             if name is not None and _OUTSIDE.match(name[0]):
                 module.others.append(_bare(line, body, kernel))
@@ -51,23 +51,28 @@ def _top_level(line: str, kernel: str) -> str:
         return _ATTACHED.sub("", line)
     if line.startswith(("declare ", "$")):
         return " ".join(token for token in tokens_of(line, kernel) if token[0] not in "#!")
-    raise RefusedError(kernel, f"line {line[:80]!r}")
+    raise NotInstrumentableError(kernel, f"line {line[:80]!r}")
 
 
 def _bare(head: str, body: list[str], kernel: str) -> str:
     """A function outside the fault space, token by token, without attribute groups and metadata."""
     lines = [" ".join(token for token in tokens_of(_DEBUG.sub("", head), kernel) if token[0] != "#")]
     for line in body:
-        if not line.strip().startswith("#dbg_") and "@llvm.experimental.noalias.scope.decl" not in line:
-            label = LABEL.match(line)
-            lines.append(label[0] if label else _without_metadata(line, kernel))
+        if line.strip().startswith("#dbg_") or "@llvm.experimental.noalias.scope.decl" in line:
+            continue
+        label = LABEL.match(line)
+        if label is not None:
+            lines.append(label[0])
+        else:
+            lines.append(_without_metadata(line, kernel))
     return "\n".join([*lines, "}"])
 
 
 def _without_metadata(line: str, kernel: str) -> str:
+    """An instruction without attribute groups and attached metadata; other metadata are refused."""
     tokens = [token for token in tokens_of(_ATTACHED.sub("", line), kernel) if token[0] != "#"]
     if any(token[0] == "!" for token in tokens):
-        raise RefusedError(kernel, f"metadata in {line.strip()[:80]!r}")
+        raise NotInstrumentableError(kernel, f"metadata in {line.strip()[:80]!r}")
     return "  " + " ".join(tokens)
 
 
@@ -82,29 +87,41 @@ class _Reader:
         self.variables: dict[str, str] = {}
 
     def function(self, head: str, body: list[str]) -> Function:
+        """The function with this head and body."""
         function = self._head(head)
         lines = _joined([line for line in body if line.strip() and not line.lstrip().startswith(";")])
-        unnamed = sum(name[1:].isdigit() for name in self.names)
-        for number, line in enumerate(lines):
+        # An entry block without a label has the number after those of the unnamed parameters.
+        if lines and LABEL.match(lines[0]) is None:
+            unnamed = sum(name[1:].isdigit() for name in self.names)
+            function.blocks.append(self._block(f"%{unnamed}", 0))
+        for line in lines:
             label = LABEL.match(line)
-            if label is not None or number == 0:
-                old = f"%{label[1]}" if label is not None else f"%{unnamed}"
-                function.blocks.append(Block(self.names.setdefault(old, f"%b{len(function.blocks)}")))
             if label is None:
                 self._line(line.strip(), function.blocks[-1])
+            else:
+                function.blocks.append(self._block(f"%{label[1]}", len(function.blocks)))
         self._rename(function)
         return function
 
+    def _block(self, label: str, number: int) -> Block:
+        """A block, with a short name for its label."""
+        return Block(self.names.setdefault(label, f"%b{number}"))
+
     def _head(self, head: str) -> Function:
+        """The function without blocks, from the first line of its definition."""
         debug = _DEBUG.search(head)
         cursor = Cursor(tokens_of(_DEBUG.sub("", head), self.kernel), self.kernel)
         cursor.expect("define")
+        # linkage, result type and name
         linkage = ""
         while cursor.next in _LINKAGE:
             linkage += f"{cursor.take()} "
         skip_promises(cursor)
-        function = Function("", linkage, cursor.kind(), [], location=int(debug[1]) if debug else None)
-        function.name = cursor.take()
+        kind = cursor.kind()
+        function = Function(cursor.take(), linkage, kind, [])
+        if debug is not None:
+            function.location = int(debug[1])
+        # parameters, each with those attributes that the calling convention needs
         cursor.expect("(")
         while not cursor.accept(")"):
             kind = cursor.kind()
@@ -113,6 +130,7 @@ class _Reader:
             self.names[name] = f"%a{len(function.parameters)}"
             function.parameters.append((kind, self.names[name]))
             cursor.accept(",")
+        # attributes of the function
         while not cursor.accept("{"):
             if cursor.next.startswith("#"):
                 self._check_group(cursor.take())
@@ -122,28 +140,31 @@ class _Reader:
         return function
 
     def _check_group(self, group: str) -> None:
+        """Refuse an attribute group with unknown attributes."""
         words = re.sub(r"memory\([^)]*\)", "", self.groups.get(group, "")).split()
         unknown = [word for word in words if word not in _HARMLESS]
         if unknown:
-            raise RefusedError(self.kernel, f"function attribute {unknown[0]!r}")
+            raise NotInstrumentableError(self.kernel, f"function attribute {unknown[0]!r}")
 
     def _line(self, line: str, block: Block) -> None:
+        """Read an instruction or a debug record, and add it to its block."""
         if line.startswith("#dbg_"):
             self.variables.update(variable_of(line, self.metadata))
             return
         if block.terminator is not None:
-            raise RefusedError(self.kernel, f"{line[:80]!r} after the end of a block")
+            raise NotInstrumentableError(self.kernel, f"{line[:80]!r} after the end of a block")
         debug = re.search(r", !dbg !(\d+)", line)
         cursor = Cursor(tokens_of(_ATTACHED.sub("", line), self.kernel), self.kernel)
         instruction = parse_instruction(cursor)
         if instruction is None:
             return
-        instruction.location = int(debug[1]) if debug else None
+        if debug is not None:
+            instruction.location = int(debug[1])
         if instruction.opcode == "phi":
             block.phis.append(instruction)
         elif instruction.opcode == "alloca":
             if block.label != "%b0":
-                raise RefusedError(self.kernel, "memory taken from the stack within a loop or branch")
+                raise NotInstrumentableError(self.kernel, "memory taken from the stack within a loop or branch")
             block.allocations.append(instruction)
         elif instruction.opcode in ("br", "switch", "ret", "unreachable"):
             block.terminator = instruction
@@ -151,17 +172,19 @@ class _Reader:
             block.body.append(instruction)
 
     def _rename(self, function: Function) -> None:
+        """Give short names to all values, independent of the names and numbers that the compiler has chosen."""
         for block in function.blocks:
             for instruction in block.all():
                 if instruction.result is not None:
                     self.names[instruction.result] = f"%v{len(self.names)}"
         for block in function.blocks:
             if block.terminator is None:
-                raise RefusedError(self.kernel, f"a block without an end in {function.name}")
+                raise NotInstrumentableError(self.kernel, f"a block without an end in {function.name}")
             for instruction in block.all():
                 self._rename_in(instruction)
 
     def _rename_in(self, instruction: Instruction) -> None:
+        """Replace the names in an instruction; one that is not defined is refused."""
         names = self.names
         if instruction.result is not None:
             instruction.variable = self.variables.get(instruction.result)
@@ -173,7 +196,7 @@ class _Reader:
             instruction.conditions = [names[name] for name in instruction.conditions]
             instruction.arguments = [(kind, names.get(value, value)) for kind, value in instruction.arguments]
         except KeyError as error:
-            raise RefusedError(self.kernel, f"{error} is used but not defined") from None
+            raise NotInstrumentableError(self.kernel, f"{error} is used but not defined") from None
 
 
 def _joined(lines: list[str]) -> list[str]:
@@ -205,22 +228,22 @@ _SCALAR = re.compile(r"i\d+|half|bfloat|float|double|ptr|void")
 
 
 def tokens_of(line: str, kernel: str) -> list[str]:
-    """Tokens of a line without its comment; an unknown token is a RefusedError."""
-    found = []
+    """Tokens of a line without its comment; an unknown token is a NotInstrumentableError."""
+    tokens = []
     at = 0
     end = len(line.rstrip())
     while at < end:
         match = _TOKEN.match(line, at)
         if match is None:
-            raise RefusedError(kernel, f"text {line[at : at + 40].strip()!r} in {line.strip()[:80]!r}")
+            raise NotInstrumentableError(kernel, f"text {line[at : at + 40].strip()!r} in {line.strip()[:80]!r}")
         if match.lastgroup != "comment":
-            found.append(match[0].strip())
+            tokens.append(match[0].strip())
         at = match.end()
-    return found
+    return tokens
 
 
 class Cursor:
-    """Reads the tokens of one line from left to right; an unexpected token is a RefusedError."""
+    """Reads the tokens of one line from left to right; an unexpected token is a NotInstrumentableError."""
 
     def __init__(self, tokens: list[str], kernel: str) -> None:
         self.tokens = tokens
@@ -250,14 +273,15 @@ class Cursor:
 
     def accept(self, *allowed: str) -> bool:
         """Consume a token if it is one of these."""
-        found = self.next in allowed and bool(self.next)
-        self.at += found
-        return found
+        if not self.next or self.next not in allowed:
+            return False
+        self.at += 1
+        return True
 
-    def refused(self, why: str = "") -> RefusedError:
+    def refused(self, why: str = "") -> NotInstrumentableError:
         """The error that names the unknown construct."""
         line = " ".join(self.tokens)
-        return RefusedError(self.kernel, why or f"{self.next or 'end of line'!r} in {line[:120]!r}")
+        return NotInstrumentableError(self.kernel, why or f"{self.next or 'end of line'!r} in {line[:120]!r}")
 
     def finish(self) -> None:
         """Check that no token is left."""
@@ -266,14 +290,17 @@ class Cursor:
 
     def balanced(self) -> list[str]:
         """Consume an opening bracket up to the matching closing one."""
-        found = []
+        tokens = []
         depth = 0
         while True:
             token = self.take()
-            found.append(token)
-            depth += (token in OPEN) - (token in OPEN.values())
+            tokens.append(token)
+            if token in OPEN:
+                depth += 1
+            elif token in OPEN.values():
+                depth -= 1
             if depth == 0:
-                return found
+                return tokens
 
     def number(self) -> str:
         """Consume an unsigned number."""
@@ -324,6 +351,7 @@ class Cursor:
         raise self.refused()
 
     def _constant(self, tokens: list[str]) -> str:
+        """Text of a constant, which names no local value."""
         if any(token[0] == "%" for token in tokens):
             raise self.refused()
         return " ".join(tokens)
@@ -374,17 +402,18 @@ _PYTHON = re.compile(r"@\"?numba_gil_ensure")
 
 
 def parse_instruction(cursor: Cursor) -> Instruction | None:
-    """Read one instruction; None for a call that is only a promise; an unknown one is a RefusedError."""
+    """Read one instruction; None for a call that is only a promise; an unknown one is a NotInstrumentableError."""
     result = None
     if cursor.next.startswith("%"):
         result = cursor.local()
         cursor.expect("=")
     cursor.accept("tail")
     opcode = cursor.expect(*_READERS)
-    volatile = opcode == "load" and cursor.accept("volatile")
-    instruction = Instruction(opcode, [VOLATILE_LOAD if volatile else opcode], result)
+    instruction = Instruction(opcode, [opcode], result)
+    if opcode == "load" and cursor.accept("volatile"):
+        instruction.tokens = [VOLATILE_LOAD]
     while cursor.accept(*POISON_FLAGS):
-        pass
+        pass  # removed: with them, a corrupted value would be undefined behaviour
     if cursor.next in FAST_MATH:
         raise cursor.refused(f"fast math ({cursor.next!r} in {' '.join(cursor.tokens)[:80]!r})")
     _READERS[opcode](cursor, instruction)
@@ -396,10 +425,10 @@ def parse_instruction(cursor: Cursor) -> Instruction | None:
 
 def skip_promises(cursor: Cursor) -> list[str]:
     """Skip promise attributes; returns those required by the calling convention."""
-    kept = []
+    required = []
     while True:
         if cursor.next in ABI_ATTRIBUTES:
-            kept.append(cursor.take())
+            required.append(cursor.take())
         elif cursor.next == "align":
             cursor.take()
             cursor.number()
@@ -408,7 +437,7 @@ def skip_promises(cursor: Cursor) -> list[str]:
             if cursor.next == "(":
                 cursor.balanced()
         else:
-            return kept
+            return required
 
 
 def _like(kind: str, other: str) -> str:
@@ -419,6 +448,7 @@ def _like(kind: str, other: str) -> str:
 
 
 def _locals(*values: str) -> list[str]:
+    """Those values that are local names."""
     return [value for value in values if value.startswith("%")]
 
 
@@ -453,8 +483,10 @@ def _operands(cursor: Cursor, new: Instruction) -> None:
     new.kind = _result(new, kinds)
     if new.opcode == "select":
         new.conditions = _locals(new.tokens[2])
-    if new.opcode in ("load", "store"):
-        new.addresses = _locals(new.tokens[4 if new.opcode == "load" else 5])
+    elif new.opcode == "load":
+        new.addresses = _locals(new.tokens[4])
+    elif new.opcode == "store":
+        new.addresses = _locals(new.tokens[5])
 
 
 def _result(new: Instruction, kinds: list[str]) -> str:
@@ -478,6 +510,7 @@ def _result(new: Instruction, kinds: list[str]) -> str:
 
 
 def _compare(cursor: Cursor, new: Instruction) -> None:
+    """Read a comparison."""
     predicate = cursor.expect(*_PREDICATES[new.opcode])
     kind = cursor.kind()
     new.tokens += [predicate, kind, cursor.value(), cursor.expect(","), cursor.value()]
@@ -485,6 +518,7 @@ def _compare(cursor: Cursor, new: Instruction) -> None:
 
 
 def _phi(cursor: Cursor, new: Instruction) -> None:
+    """Read a phi: its type, and pairs of value and label."""
     new.kind = cursor.kind()
     new.tokens.append(new.kind)
     while True:
@@ -498,6 +532,7 @@ def _phi(cursor: Cursor, new: Instruction) -> None:
 
 
 def _element_address(cursor: Cursor, new: Instruction) -> None:
+    """Read a getelementptr; with a vector of pointers or indices, the result is a vector."""
     new.tokens += [cursor.kind(), cursor.expect(",")]
     kinds = [cursor.kind()]
     new.tokens += [kinds[0], cursor.value()]
@@ -509,6 +544,7 @@ def _element_address(cursor: Cursor, new: Instruction) -> None:
 
 
 def _call(cursor: Cursor, new: Instruction) -> None:
+    """Read a call of a named function, or an empty assembly."""
     abi = skip_promises(cursor)
     new.kind = cursor.kind()
     new.tokens += [*abi, new.kind]
@@ -539,6 +575,7 @@ def _copy(cursor: Cursor, new: Instruction) -> None:
 
 
 def _check_callee(cursor: Cursor, callee: str) -> None:
+    """Refuse parallel execution, object mode and unknown intrinsics."""
     if _PARALLEL.match(callee):
         raise cursor.refused(f"parallel execution ({callee})")
     if _PYTHON.match(callee):
@@ -548,8 +585,9 @@ def _check_callee(cursor: Cursor, callee: str) -> None:
 
 
 def _arguments(cursor: Cursor, new: Instruction) -> None:
+    """Read the arguments of a call, up to the closing bracket."""
     callee = str(new.callee)
-    if _DROPPED.match(callee):
+    if _DROPPED.match(callee):  # skip them, from the opening bracket on
         cursor.at -= 1
         cursor.balanced()
         return
@@ -570,6 +608,7 @@ def _arguments(cursor: Cursor, new: Instruction) -> None:
 
 
 def _branch(cursor: Cursor, new: Instruction) -> None:
+    """Read a branch, with or without condition."""
     if cursor.next != "label":
         new.tokens += [cursor.expect("i1"), cursor.value(), cursor.expect(",")]
         new.conditions = _locals(new.tokens[2])
@@ -578,6 +617,7 @@ def _branch(cursor: Cursor, new: Instruction) -> None:
 
 
 def _switch(cursor: Cursor, new: Instruction) -> None:
+    """Read a switch."""
     new.tokens += [cursor.kind(), cursor.value(), cursor.expect(","), cursor.expect("label"), cursor.local()]
     new.conditions = _locals(new.tokens[2])
     new.tokens.append(cursor.expect("["))
@@ -587,6 +627,7 @@ def _switch(cursor: Cursor, new: Instruction) -> None:
 
 
 def _return(cursor: Cursor, new: Instruction) -> None:
+    """Read a return."""
     kind = cursor.kind()
     new.tokens.append(kind)
     if kind != "void":

@@ -21,7 +21,7 @@ import llvmlite
 import numba
 import numpy as np
 
-from mavfi.ir.build import Source, build_apart, name_of, source_of
+from mavfi.ir.build import KernelSource, build_apart, name_of, source_of
 from mavfi.ir.module import Module, digest_of
 from mavfi.ir.parser import parse_module
 from mavfi.numerics.dependencies import UnknownDependencyError, content_digest, signature_digest
@@ -32,11 +32,11 @@ Shape = tuple[str, list[list[int]]]
 _FILE = re.compile(r'!DIFile\(filename: "([^"]*)", directory: "([^"]*)"')
 
 
-def cached_source(kernel: Any, signature: tuple[Any, ...]) -> Source:
+def cached_source(kernel: Any, signature: tuple[Any, ...]) -> KernelSource:
     """IR of a kernel for a signature.
 
     Raises:
-        RefusedError: It is not compiled, or with flags that prevent exact replay.
+        NotInstrumentableError: It is not compiled, or with flags that prevent exact replay.
         BuildError: The compiler crashed.
     """
     cache = ObjectCache("source", Path(__file__).parent)
@@ -71,11 +71,13 @@ def make(kernel: Any, signature: tuple[Any, ...]) -> bytes:
     return zlib.compress(json.dumps(astuple(source_of(kernel, signature))).encode(), 1)
 
 
-def _unpack(data: bytes) -> Source:
-    return Source(*json.loads(zlib.decompress(data)))
+def _unpack(data: bytes) -> KernelSource:
+    """Inverse of `make`."""
+    return KernelSource(*json.loads(zlib.decompress(data)))
 
 
-def _files(source: Source) -> list[str]:
+def _files(source: KernelSource) -> list[str]:
+    """Paths of the source files in its line tables."""
     return [os.path.join(folder, name) for name, folder in _FILE.findall(source.text)]
 
 
@@ -125,19 +127,23 @@ class ObjectCache:
 
     def store(self, key: str, data: bytes, files: Iterable[str]) -> None:
         """Write an entry made from source `files`, atomically: no other process reads a part; no space, no entry."""
-        numbas = Path(numba.__file__).parent  # covered by Numba's version
-        own = [file for file in sorted(files) if os.path.isfile(file) and numbas not in Path(file).parents]
-        sources = json.dumps({file: _digest_of(file) for file in own}).encode()
+        numba_folder = Path(numba.__file__).parent  # its files are covered by Numba's version
+        digests = {
+            file: _digest_of(file)
+            for file in sorted(files)
+            if os.path.isfile(file) and numba_folder not in Path(file).parents
+        }
+        sources = json.dumps(digests).encode()
         body = len(sources).to_bytes(8, "little") + sources + data
         path = self._path(key)
-        part = path.with_suffix(f".{os.getpid()}")
+        unfinished = path.with_suffix(f".{os.getpid()}")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            part.write_bytes(hashlib.sha256(body).digest() + body)
-            part.replace(path)
+            unfinished.write_bytes(hashlib.sha256(body).digest() + body)
+            unfinished.replace(path)
         except OSError:
             with contextlib.suppress(OSError):
-                part.unlink()
+                unfinished.unlink()
 
     def _path(self, key: str) -> Path:
         return code_folder() / self.folder / f"{key}.bin"
@@ -150,6 +156,7 @@ def folder_text(package: Path) -> bytes:
 
 
 def _digest_of(path: str) -> str:
+    """SHA-256 of a file; "" if it cannot be read."""
     try:
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
     except OSError:

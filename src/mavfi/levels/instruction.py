@@ -27,13 +27,13 @@ from mavfi.config import STORED
 from mavfi.detectors.detector import part_of
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import MODELS, NO_SITE, RESTART_S, Fault, InstructionFault, Model
-from mavfi.faults.levels.instruction import Profiling, Resolving, Site, budget_for, choose
+from mavfi.faults.levels.instruction import InjectionSite, Profiling, Resolving, budget_for, choose
 from mavfi.faults.levels.instruction.plan import plan
 from mavfi.faults.levels.instruction.table import parse_selection
 from mavfi.faults.sampling import stream
-from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.ir.module import DIGEST_VERSION
-from mavfi.levels.level import Draw, Golden, Level, Sampled, Sampler, Sampling, check_distinct, check_known
+from mavfi.levels.level import DECIMAL, Draw, Golden, Level, Sampled, Sampler, Sampling, check_distinct, check_known
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.record import Injection
@@ -46,10 +46,17 @@ if TYPE_CHECKING:
     from mavfi.flight.mission_flights import LocalFlights
 
 _ONE_INSTRUCTION = re.compile(
-    r"(?P<kernel>\w+)\.(?P<entry>\w+):call=(?P<call>\d+):index=(?P<index>\d+)"
-    r":(bit=(?P<bits>\d+(\+\d+)*)|value=0x(?P<value>[\da-f]+))(:model=(?P<model>\w+))?(:restart=(?P<restart>\d+(\.\d*)?))?"
-    r":budget=(?P<budget>\d+):ir=(?P<ir>[\da-f]{64})"
+    rf"""(?P<kernel>\w+)\.(?P<entry>\w+)
+    :call=(?P<call>\d+)
+    :index=(?P<index>\d+)
+    :(bit=(?P<bits>\d+(\+\d+)*)|value=0x(?P<value>[\da-f]+))
+    (:model=(?P<model>\w+))?
+    (:restart=(?P<restart>{DECIMAL}))?
+    :budget=(?P<budget>\d+)
+    :ir=(?P<ir>[\da-f]{{64}})""",
+    re.VERBOSE,
 )
+"""A fault in one instruction, as written by `InstructionLevel.text_of`."""
 _STORED_SCHEME = "uniform"
 """Value of the key `scheme` in the identities of ledgers; there was another one once."""
 _MAX_ROUNDS = 6
@@ -85,7 +92,9 @@ class InstructionRequest:
                 f"fault instruction:{kernel}: this mission executes no instruction {self.which!r} there; "
                 "allowed: a class that it executes"
             )
-        return fault, drawn.golden if detector is None else None
+        if detector is not None:
+            return fault, None
+        return fault, drawn.golden
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +151,7 @@ def draw_instruction_faults(
     *address: str,
     seed: int,
     detector: "Detector | None" = None,
-    recovery: Recovery = INLINE,
+    recovery: RecoveryPolicy = INLINE,
     flights: "LocalFlights | None" = None,
     arm: str = "",
 ) -> DrawnFaults:
@@ -154,7 +163,7 @@ def draw_instruction_faults(
 
     Raises:
         BadInputError: A kernel, class or fault model is unknown.
-        RefusedError: A kernel cannot be instrumented exactly.
+        NotInstrumentableError: A kernel cannot be instrumented exactly.
     """
     from mavfi.flight.host import ArmSetup
     from mavfi.flight.mission_flights import LocalHost
@@ -162,7 +171,9 @@ def draw_instruction_faults(
     functions = {kernel: _functions(kernel, scenario, detector) for kernel in request.kernels}
     parse_selection(request.which)
     if flights is None:
-        setup = ArmSetup(scenario, None if detector is None else lambda: detector, recovery)
+        setup = ArmSetup(scenario, recovery=recovery)
+        if detector is not None:
+            setup = ArmSetup(scenario, lambda: detector, recovery)
         flights = LocalHost().mission({arm: setup}, fast_forward=False)  # nothing would start from checkpoints
 
     # 1. Count the instructions of every call in the golden flight.
@@ -236,9 +247,9 @@ class _KernelDraw:
             number = self._number
         else:
             number = _SPARES * self._number
-        return [_Position(*calls[place], index) for place, index in choose(self._random, counts, number)]
+        return [_Position(*calls[position], index) for position, index in choose(self._random, counts, number)]
 
-    def take(self, position: _Position, site: Site | None) -> None:
+    def take(self, position: _Position, site: InjectionSite | None) -> None:
         """Plan a fault at a position if its instruction is of the class and faults are still missing."""
         if site is None or site not in self._selection or len(self._faults) >= self._number:
             return
@@ -361,7 +372,9 @@ class InstructionSampler(Sampler):
         """Fly the golden run with instruction counters, and draw its faults."""
         targets = [draw.target for draw in draws]
         in_detector = any(self.arms.get(name) == arm for name in DETECTORS)
-        counted_arms = {arm, ""} if in_detector else {arm}  # where a detector is counted, kernels are, too
+        counted_arms = {arm}
+        if in_detector:
+            counted_arms.add("")  # where a detector is counted, kernels are, too
         kernels = [name for name in self.sampling.kernels if self.arms.get(name, "") in counted_arms]
         if not kernels:
             return Sampled(flights.golden(arm))
@@ -369,6 +382,9 @@ class InstructionSampler(Sampler):
 
         sampling = self.sampling
         scenario = setup.scenario
+        local_flights = None
+        if isinstance(flights, LocalFlights):
+            local_flights = flights
         numbers = {name: targets.count(name) for name in kernels}
         request = InstructionRequest(numbers, sampling.which, sampling.model, sampling.restart_s)
         drawn = draw_instruction_faults(
@@ -378,7 +394,7 @@ class InstructionSampler(Sampler):
             seed=scenario.seed,
             recovery=setup.recovery,
             detector=setup.detector(),
-            flights=flights if isinstance(flights, LocalFlights) else None,
+            flights=local_flights,
             arm=arm,
         )
         flights.know(arm, drawn.golden)
@@ -440,9 +456,9 @@ class InstructionLevel(Level):
 
     def parse(self, text: str, localization: str) -> InstructionRequest | InstructionSite:
         """See `Level.parse`."""
-        one = _ONE_INSTRUCTION.fullmatch(text)
-        if one is not None:
-            return InstructionSite(_fault_in(one))
+        instruction = _ONE_INSTRUCTION.fullmatch(text)
+        if instruction is not None:
+            return InstructionSite(_fault_in(instruction))
         kernel = text.partition(":")[0]
         if not re.fullmatch(r"\w+", kernel):
             self.not_understood()
@@ -457,11 +473,14 @@ class InstructionLevel(Level):
         """See `Level.text_of`."""
         if not fault.kernel:
             return None
-        value = f"bit={'+'.join(map(str, fault.bits))}" if fault.bits else f"value={fault.value:#x}"
-        model = "" if fault.model == "one_bit" else f":model={fault.model}"
-        if fault.restart_s == RESTART_S:
-            restart = ""
-        else:
+        value = f"value={fault.value:#x}"
+        if fault.bits:
+            value = f"bit={'+'.join(map(str, fault.bits))}"
+        model = ""
+        if fault.model != "one_bit":
+            model = f":model={fault.model}"
+        restart = ""
+        if fault.restart_s != RESTART_S:
             restart = f":restart={fault.restart_s}"
         return (
             f"instruction:{fault.kernel}.{fault.entry}:call={fault.call}:index={fault.index}:{value}{model}{restart}"
@@ -486,16 +505,17 @@ class InstructionLevel(Level):
 
 def _fault_in(match: re.Match[str]) -> InstructionFault:
     """The fault that a text names in full."""
-    call, index, budget = (int(match[name]) for name in ("call", "index", "budget"))
-    bits = tuple(map(int, match["bits"].split("+"))) if match["bits"] else ()
+    bits: tuple[int, ...] = ()
+    if match["bits"]:
+        bits = tuple(map(int, match["bits"].split("+")))
     return InstructionFault(
         "",
         match["ir"],
-        index,
-        call,
+        int(match["index"]),
+        int(match["call"]),
         bits,
         int(match["value"] or "0", 16),
-        budget,
+        int(match["budget"]),
         model=_model(match["model"]),
         kernel=match["kernel"],
         entry=match["entry"],

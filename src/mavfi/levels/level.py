@@ -1,8 +1,8 @@
 """Interface of a fault level, and the drawing of a campaign's faults.
 
 A level says how its faults are written as text, drawn from golden flights, injected, described and made smaller.  It is
-a class without arguments, an entry point of the group `mavfi.levels`; nothing else in mavfi names it, but for the list
-of the core's own, `faults.fault.SHIPPED`.
+a class without arguments, an entry point of the group `mavfi.levels`; nothing else in mavfi names it, except the list
+of levels in the core, `faults.fault.SHIPPED`.
 """
 
 import re
@@ -29,10 +29,12 @@ if TYPE_CHECKING:
 
 NULL = "null"
 """Target of null runs: the complete path through the injector, with an empty mask; and the text of such a fault."""
+DECIMAL = r"\d+(\.\d*)?"
+"""Pattern of a number that is not negative, without exponent."""
 WHOLE = (r"\d+", "a whole number", int)
-SECONDS = (r"inf|\d+(\.\d*)?", "a number of seconds, or inf", float)
+SECONDS = (rf"inf|{DECIMAL}", "a number of seconds, or inf", float)
 """Values of options in the text of a fault: pattern, description, type."""
-_INSTANT = r"\d+(\.\d*)?([eE][+-]?\d+)?"
+_INSTANT = rf"{DECIMAL}([eE][+-]?\d+)?"
 _LATEST_S = 1e9
 
 
@@ -129,37 +131,55 @@ class Sampling(Config):
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """A fault to be drawn."""
+    """A fault to be drawn.
 
-    target: str  # stage, group, kernel, kind of registers or side of calls: a row of a table
-    index: int  # number of the fault within target and environment
-    seed: int  # seed of its mission
-    variant: str = ""  # arm in whose golden run it is drawn; "" = the campaign's own mission
-    stratum: str = ""  # stratum of its bit; "" = none
+    Attributes:
+        target: Stage, group, kernel, kind of registers or side of calls: a row of a table.
+        index: Number of the fault within target and environment.
+        seed: Seed of its mission.
+        variant: Arm in whose golden run it is drawn; "" = the campaign's own mission.
+        stratum: Stratum of its bit; "" = none.
+    """
+
+    target: str
+    index: int
+    seed: int
+    variant: str = ""
+    stratum: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class FaultBlock:
     """Faults of an environment with a common numbering; fault i belongs to mission i modulo the number of missions.
 
     Draws are created on demand: those of a million missions would not fit in memory.
+
+    Attributes:
+        count: Number of faults.
+        draw: The draw of fault i.
+        first: Position of fault 0 in the environment's plan.
+        step: Distance between the positions of faults i and i + 1.
     """
 
     count: int
-    draw: Callable[[int], Draw]  # draw of fault i
-    first: int  # position of fault 0 in the environment's plan
-    step: int = 1  # distance between the positions of faults i and i + 1
+    draw: Callable[[int], Draw]
+    first: int
+    step: int = 1
 
 
 @dataclass(slots=True)
 class Sampled:
-    """A golden run, with the data from which faults are drawn."""
+    """A golden run, with the data from which faults are drawn.
+
+    Attributes:
+        flight: The golden run.
+        counts: Executed instructions by kernel, see `FlightRecord`.
+        faults: Faults that were drawn during the flight, by target and stratum.
+    """
 
     flight: "Recorded"
-    counts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # per kernel, see `FlightRecord`
-    faults: Mapping[tuple[str, str], Sequence[Fault]] = field(
-        default_factory=dict
-    )  # drawn in flight, by target, stratum
+    counts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    faults: Mapping[tuple[str, str], Sequence[Fault]] = field(default_factory=dict)
 
 
 Golden = Mapping[str, Sampled]
@@ -195,15 +215,18 @@ class Sampler:
         self.orders: Mapping[str, str] = {}
         self.variants: Mapping[str, Mapping[str, Any]] = {}
         self.versions: Mapping[str, str] = {}
-        self._blocks: dict[str, Sequence[Block]] = {}
+        self._blocks: dict[str, Sequence[FaultBlock]] = {}
 
-    def blocks(self, environment: str) -> Sequence[Block]:
+    def blocks(self, environment: str) -> Sequence[FaultBlock]:
         """All faults of an environment, one block per target, with exact shares of the strata in each."""
         if environment not in self._blocks:
-            self._blocks[environment] = [self._block(environment, *target) for target in enumerate(self.targets)]
+            self._blocks[environment] = [
+                self._block(environment, position, target) for position, target in enumerate(self.targets)
+            ]
         return self._blocks[environment]
 
-    def _block(self, environment: str, place: int, target: str) -> Block:
+    def _block(self, environment: str, position: int, target: str) -> FaultBlock:
+        """The faults of a target, given its position among the targets."""
         campaign = self.campaign
         order = self.orders.get(target, target)
         strata = share_out(self.targets[target], campaign.faults, campaign.first_seed, environment, order)
@@ -212,8 +235,8 @@ class Sampler:
             return self.numbered(target, index, campaign.first_seed + index % campaign.missions, strata[index])
 
         if self.alternates:
-            return Block(campaign.faults, draw_one, place, len(self.targets))
-        return Block(campaign.faults, draw_one, place * campaign.faults)
+            return FaultBlock(campaign.faults, draw_one, first=position, step=len(self.targets))
+        return FaultBlock(campaign.faults, draw_one, first=position * campaign.faults)
 
     def numbered(self, target: str, index: int, seed: int, stratum: str) -> Draw:
         """The draw with this number in a target."""
@@ -235,15 +258,16 @@ class Sampler:
         By default those that `golden` has drawn.
         """
         del environment
-        waiting = {(arm, *key): iter(found) for arm, run in golden.items() for key, found in run.faults.items()}
-        return [next(waiting.get((one.variant, one.target, one.stratum), iter(())), None) for one in draws]
+        waiting = {(arm, *key): iter(faults) for arm, run in golden.items() for key, faults in run.faults.items()}
+        nothing: Iterator[Fault] = iter(())
+        return [next(waiting.get((draw.variant, draw.target, draw.stratum), nothing), None) for draw in draws]
 
     def null(self, index: int, seed: int, environment: str, golden: Golden) -> Fault:
         """The fault of a null run."""
         raise NotImplementedError
 
 
-def draws_of(blocks: Sequence[Block], missions: range, of: int) -> list[tuple[int, Draw]]:
+def draws_of(blocks: Sequence[FaultBlock], missions: range, of: int) -> list[tuple[int, Draw]]:
     """The draws of some missions of an environment, in plan order, each with its position.
 
     Args:
@@ -251,15 +275,13 @@ def draws_of(blocks: Sequence[Block], missions: range, of: int) -> list[tuple[in
         missions: Numbers of the missions, counted from 0.
         of: Total number of missions.
     """
-    return sorted(
-        (
-            (block.first + index * block.step, block.draw(index))
-            for block in blocks
-            for mission in missions
-            for index in range(mission, block.count, of)
-        ),
-        key=lambda found: found[0],
-    )
+    draws = []
+    for block in blocks:
+        for mission in missions:
+            for index in range(mission, block.count, of):
+                position = block.first + index * block.step
+                draws.append((position, block.draw(index)))
+    return sorted(draws, key=lambda pair: pair[0])
 
 
 def sampler_for(campaign: Any) -> Sampler:
@@ -330,26 +352,28 @@ class Level:
 
     def parts_of(self, text: str) -> Text:
         """The parts of a text, given without the level; a BadInputError names the one that is wrong."""
+        # Split it: SITE:name=value:name=value@INSTANT.
         body, _, instant = text.partition("@")
         site, *rest = body.split(":")
         options: dict[str, Any] = {}
         for part in rest:
             name, equals, value = part.partition("=")
-            if not equals and options:  # a value may have colons
+            if not equals and options:  # the last value goes on: it may have colons
                 name = next(reversed(options))
-                value = f"{options[next(reversed(options))]}:{part}"
+                value = f"{options[name]}:{part}"
             elif name in options:
                 self.not_understood()
             options[name] = value
         if not site:
             self.not_understood()
+        # Check names and values, then the order.
         for name, value in options.items():
             if name not in self.options:
                 allowed = ", ".join(f"{option}=" for option in self.options)
                 raise BadInputError(f"{name!r}: not known{hint(name, self.options)}; allowed: {allowed}")
-            pattern, words, kind = self.options[name]
+            pattern, description, kind = self.options[name]
             if not re.fullmatch(pattern, value):
-                raise BadInputError(f"{name}: {value!r}: allowed: {words}")
+                raise BadInputError(f"{name}: {value!r}: allowed: {description}")
             options[name] = kind(value)
         if list(options) != [name for name in self.options if name in options]:
             self.not_understood()
@@ -368,18 +392,18 @@ def instant_us(seconds: str) -> int | None:
 
 
 # ---- checks that the models of `sampling` share ----------------------------------------------------------------------
-def check_known(key: str, given: Iterable[str], allowed: Collection[str]) -> None:
+def check_known(key: str, names: Iterable[str], allowed: Collection[str]) -> None:
     """Raise a ValueError for a name that is not allowed."""
-    for name in given:
+    for name in names:
         if key.endswith("kernels") and dropped_name("kernels", name):
             raise ValueError(f"{key}: {dropped_name('kernels', name)}")
         if name not in allowed:
             raise ValueError(f"{key}: {name!r}: not known; allowed: {', '.join(allowed)}")
 
 
-def check_distinct(key: str, given: Iterable[str]) -> None:
+def check_distinct(key: str, names: Iterable[str]) -> None:
     """Raise a ValueError for a name that occurs twice."""
-    for name, count in Counter(given).items():
+    for name, count in Counter(names).items():
         if count > 1:
             raise ValueError(f"{key}: {name!r}: named {count} times; allowed: once")
 

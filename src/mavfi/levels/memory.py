@@ -8,7 +8,7 @@ none of its states are stored.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -39,9 +39,16 @@ if TYPE_CHECKING:
     from mavfi.flight.memory_faults import MemoryInjector
 
 _ACTION = "exposure"
-Site = tuple[str, str]
+MemorySite = tuple[str, str]
 """A kernel, a detector or recovery, and a name of its words (see `Words.named`)."""
-_Place = tuple[str, Words, range]
+
+
+class _Region(NamedTuple):
+    """Words of a kernel's memory from which faults are drawn."""
+
+    kernel: str
+    words: Words
+    indices: range
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,27 +71,31 @@ class MemoryRequest:
         """See `Request.draw`; a BadInputError if the target has no such word or bit at that instant."""
         from mavfi.detectors.registry import check_watched
 
-        watched = self.kernel in WATCHING
-        if watched:
+        in_detector = self.kernel in WATCHING
+        if in_detector:
             check_watched(self.kernel, setup.detector())
         else:
             setup = replace(setup, make_detector=None)
+        # Draw while the golden flight is flown.
         random = stream(seed, "memory", self.kernel)
         exposure = Exposure(((self.kernel, self.field),), "", self.bit, [_Drawing(random, seed)])
         golden = fly_exposed(setup, [exposure], self.time_us)
         (fault,) = exposure.faults()
         if not fault.has_site:
             names = collapsed(words.name for words in exposure.latest.get(self.kernel, ()))
-            if self.time_us is None:
-                when = ""
-            else:
+            bit = ""
+            if self.bit is not None:
+                bit = f" with a bit {self.bit}"
+            when = ""
+            if self.time_us is not None:
                 when = f" at {1e-6 * self.time_us:g} s"
-            bit = "" if self.bit is None else f" with a bit {self.bit}"
             raise BadInputError(
                 f"fault memory:{self.kernel}.{self.field}: no such word{bit}{when}{hint(self.field, names)}; "
                 f"allowed: {', '.join(names)}"
             )
-        return fault, None if watched else golden
+        if in_detector:
+            return fault, None
+        return fault, golden
 
 
 @dataclass(slots=True)
@@ -105,61 +116,68 @@ class Exposure:
         stratum: Stratum of the bits, "" = whole words.
         bit: A single bit number; None = all of the stratum.
         drawings: The faults to be drawn.
-        seen: Exposed bits x instants so far; `whole`: the same count for whole words.
+        seen: Exposed bits x instants so far.
+        seen_in_words: The same count for whole words.
         latest: The latest words, by kernel.
     """
 
-    sites: tuple[Site, ...]
+    sites: tuple[MemorySite, ...]
     stratum: str = ""
     bit: int | None = None
     drawings: list[_Drawing] = field(default_factory=list)
     seen: int = 0
-    whole: int = 0
+    seen_in_words: int = 0
     latest: Mapping[str, Sequence[Words]] = field(default_factory=dict)
 
     def look(self, remembered: Mapping[str, Sequence[Words]], now: int) -> None:
         """Update the drawings with the words at an instant (us)."""
-        self.latest, places = remembered, self._places(remembered)
-        sizes = [len(indices) * len(self._bits(words)) for _, words, indices in places]
-        here = sum(sizes)
-        self.seen += here
-        self.whole += sum(len(indices) * WORD_BITS[words.dtype] for _, words, indices in places)
+        self.latest = remembered
+        # The exposed bits at this instant, and so far.
+        regions = self._regions(remembered)
+        sizes = [len(region.indices) * len(self._bits(region.words)) for region in regions]
+        exposed = sum(sizes)
+        self.seen += exposed
+        self.seen_in_words += sum(len(region.indices) * WORD_BITS[region.words.dtype] for region in regions)
+        # Reservoir sampling: this instant replaces the choice with the probability of its share.
         for drawing in self.drawings:
-            if drawing.random.random() * self.seen < here:
-                drawing.chosen = self._chosen(drawing, places, sizes, now)
+            if drawing.random.random() * self.seen < exposed:
+                drawing.chosen = self._choose(drawing, regions, sizes, now)
 
-    def _places(self, remembered: Mapping[str, Sequence[Words]]) -> list[_Place]:
-        found: list[_Place] = []
+    def _regions(self, remembered: Mapping[str, Sequence[Words]]) -> list[_Region]:
+        """The target's words; those of a type without bits are left out."""
+        regions: list[_Region] = []
         for kernel, text in self.sites:
             for words in remembered.get(kernel, ()):
-                if words.dtype in WORD_BITS:
-                    indices = words.named(text)
-                else:
-                    indices = range(0)
+                if words.dtype not in WORD_BITS:
+                    continue
+                indices = words.named(text)
                 if indices:
-                    found.append((kernel, words, indices))
-        return found
+                    regions.append(_Region(kernel, words, indices))
+        return regions
 
     def _bits(self, words: Words) -> range:
+        """The bits of a word from which faults are drawn."""
+        bits = range(WORD_BITS[words.dtype])
         if self.stratum:
-            every = bits_of(words, self.stratum)
-        else:
-            every = range(WORD_BITS[words.dtype])
+            bits = bits_of(words, self.stratum)
         if self.bit is None:
-            return every
-        if self.bit in every:
+            return bits
+        if self.bit in bits:
             return range(self.bit, self.bit + 1)
         return range(0)
 
-    def _chosen(self, drawing: _Drawing, places: list[_Place], sizes: list[int], now: int) -> MemoryFault:
+    def _choose(self, drawing: _Drawing, regions: list[_Region], sizes: list[int], now: int) -> MemoryFault:
+        """A bit of some regions, uniformly; `sizes` are their numbers of bits."""
         number = int(drawing.random.integers(sum(sizes)))
-        place = 0
-        while number >= sizes[place]:
-            number -= sizes[place]
-            place += 1
-        kernel, words, indices = places[place]
+        position = 0
+        while number >= sizes[position]:
+            number -= sizes[position]
+            position += 1
+        kernel, words, indices = regions[position]
         bits = self._bits(words)
-        index = indices[number // len(bits)] if words.count > 1 else None
+        index = None
+        if words.count > 1:
+            index = indices[number // len(bits)]
         return MemoryFault(
             kernel, words.name, index, words.dtype, now, bits[number % len(bits)], self.stratum, seed=drawing.seed
         )
@@ -167,11 +185,10 @@ class Exposure:
     def faults(self) -> list[MemoryFault]:
         """The drawn faults with their weight; a target without words gives faults without a site."""
         nothing = MemoryFault(self.sites[0][0], self.sites[0][1], time_us=NO_SITE, stratum=self.stratum)
-        if self.stratum and self.whole:
-            weight = self.seen / self.whole
-        else:
-            weight = 1.0
-        return [replace(one.chosen or nothing, weight=weight, seed=one.seed) for one in self.drawings]
+        weight = 1.0
+        if self.stratum and self.seen_in_words:
+            weight = self.seen / self.seen_in_words
+        return [replace(drawing.chosen or nothing, weight=weight, seed=drawing.seed) for drawing in self.drawings]
 
 
 def fly_exposed(setup: "ArmSetup", exposures: Sequence[Exposure], time_us: int | None = None) -> "Flight":
@@ -197,7 +214,10 @@ def fly_exposed(setup: "ArmSetup", exposures: Sequence[Exposure], time_us: int |
             exposure.look(remembered, now)
 
     loop.actions[_ACTION] = look
-    for instant in range(0, loop.judge.limit_us, CONTROL_PERIOD_US) if time_us is None else (time_us,):
+    instants: Sequence[int] = range(0, loop.judge.limit_us, CONTROL_PERIOD_US)
+    if time_us is not None:
+        instants = (time_us,)
+    for instant in instants:
         loop.at(instant, _ACTION)
     return loop.fly()
 
@@ -240,14 +260,15 @@ class MemorySampler(Sampler):
     def __init__(self, campaign: Any) -> None:
         super().__init__(campaign)
         spec = campaign.spec(campaign.environments[0], campaign.first_seed)
-        self._known = _kernels_with(spec.localization)
+        self._kernels = _kernels_with(spec.localization)
         self._sites = self._find_targets()
         self.targets = dict.fromkeys(self._sites, self.sampling.strata or {"": 1.0})
         self.arms = {name: self._flown_in(sites) for name, sites in self._sites.items()}
 
-    def _find_targets(self) -> dict[str, tuple[Site, ...]]:
+    def _find_targets(self) -> dict[str, tuple[MemorySite, ...]]:
+        """The sites of each target, in the order of the plan."""
         sampling = self.sampling
-        kernels = sampling.kernels or tuple(self._known)
+        kernels = sampling.kernels or tuple(self._kernels)
         if sampling.groups:
             targets = {group.name: tuple(map(_site, group.sites)) for group in sampling.groups}
         elif sampling.share == "kernel":
@@ -256,14 +277,19 @@ class MemorySampler(Sampler):
             targets = {"memory": tuple((kernel, "") for kernel in kernels)}
         for kernel, _ in (site for sites in targets.values() for site in sites):
             try:
-                _check_kernel(kernel, self._known)
+                _check_kernel(kernel, self._kernels)
             except BadInputError as error:
                 raise BadInputError(f"sampling: {error}") from None
         return targets
 
-    def _flown_in(self, sites: tuple[Site, ...]) -> str:
+    def _flown_in(self, sites: tuple[MemorySite, ...]) -> str:
         """The arm in whose golden runs faults of a target are drawn; "" = the campaign's own mission."""
-        arms = {self.campaign.arm_with(name) if name in WATCHING else "" for name, _ in sites}
+        arms: set[str] = set()
+        for name, _ in sites:
+            if name in WATCHING:
+                arms.add(self.campaign.arm_with(name))
+            else:
+                arms.add("")
         if len(arms) != 1:
             raise BadInputError(f"sampling: {', '.join(name for name, _ in sites)}: allowed: targets of one arm")
         return arms.pop()
@@ -283,8 +309,9 @@ class MemorySampler(Sampler):
             exposure.drawings.append(_Drawing(random, draw.seed))
         if self.campaign.nulls and not arm:
             seed = setup.scenario.seed
-            every = exposures[NULL, ""] = Exposure(tuple((kernel, "") for kernel in self._known))
-            every.drawings.append(_Drawing(stream(seed, "memory", NULL, environment), seed))
+            all_kernels = Exposure(tuple((kernel, "") for kernel in self._kernels))
+            all_kernels.drawings.append(_Drawing(stream(seed, "memory", NULL, environment), seed))
+            exposures[NULL, ""] = all_kernels
         golden = fly_exposed(setup, list(exposures.values()))
         flights.know(arm, golden)
         return Sampled(golden, faults={key: exposure.faults() for key, exposure in exposures.items()})
@@ -292,23 +319,28 @@ class MemorySampler(Sampler):
     def null(self, index: int, seed: int, environment: str, golden: Golden) -> Fault:
         """A fault with an empty mask, drawn from the memory of all kernels."""
         del index, environment
-        drawn: Any = golden[""].faults[NULL, ""] if "" in golden else ()
-        fault = next(iter(drawn), None) or MemoryFault(self._known[0], "", time_us=NO_SITE, seed=seed)
+        fault = MemoryFault(self._kernels[0], "", time_us=NO_SITE, seed=seed)
+        if "" in golden:
+            drawn: Any = golden[""].faults[NULL, ""]
+            fault = next(iter(drawn), fault)
         return replace(fault, bit=None)
 
 
 def _kernels_with(localization: str) -> list[str]:
+    """The kernels that run with a localization."""
     return [name for name, row in KERNELS.items() if row.only_with in ("", localization)]
 
 
-def _check_kernel(kernel: str, known: Sequence[str]) -> None:
+def _check_kernel(kernel: str, kernels: Sequence[str]) -> None:
+    """Raise a BadInputError for anything but one of these kernels, a detector or recovery."""
     if dropped_name("kernels", kernel):
         raise BadInputError(dropped_name("kernels", kernel))
-    if kernel not in (*known, *WATCHING):
-        raise BadInputError(f"no kernel {kernel!r}; allowed: {', '.join((*known, *WATCHING))}")
+    if kernel not in (*kernels, *WATCHING):
+        raise BadInputError(f"no kernel {kernel!r}; allowed: {', '.join((*kernels, *WATCHING))}")
 
 
-def _site(text: str) -> Site:
+def _site(text: str) -> MemorySite:
+    """The site in a text "KERNEL.WORD"."""
     kernel, _, name = text.partition(".")
     return kernel, name
 
@@ -334,7 +366,9 @@ class MemoryLevel(Level):
 
     def text_of(self, fault: MemoryFault) -> str:
         """See `Level.text_of`."""
-        bit = "" if fault.bit is None else f":bit={fault.bit}"
+        bit = ""
+        if fault.bit is not None:
+            bit = f":bit={fault.bit}"
         return f"{fault.site}{bit}@{fault.time_us / 1e6}"
 
     def inject(self, loop: Any, fault: MemoryFault, detector: Any) -> "MemoryInjector":
@@ -347,14 +381,20 @@ class MemoryLevel(Level):
     def columns(self, fault: MemoryFault) -> dict[str, Any]:
         """See `Level.columns`."""
         stage = KERNEL_STAGES.get(fault.kernel, "")  # "": a detector
-        columns = {"stage": str(stage), "kernel": fault.kernel, "field": fault.field, "element": fault.index}
-        return columns | ({"population": fault.stratum} if fault.stratum else {})
+        columns: dict[str, Any] = {
+            "stage": str(stage),
+            "kernel": fault.kernel,
+            "field": fault.field,
+            "element": fault.index,
+        }
+        if fault.stratum:
+            columns["population"] = fault.stratum
+        return columns
 
     def about(self, campaign: Any) -> dict[str, Any]:
         """See `Level.about`."""
         sampling = campaign.sampling
+        each = {"kernel": "kernel", "exposure": "environment"}[sampling.share]
         if sampling.groups:
             each = "group"
-        else:
-            each = {"kernel": "kernel", "exposure": "environment"}[sampling.share]
         return {"each": each, "how": "uniform over remembered bits and instants"}

@@ -71,7 +71,7 @@ class SensorSampling(Sampling):
     def _unquoted(cls, types: Any) -> Any:  # noqa: ANN401 - as in the file
         """YAML reads an unquoted `off` as false."""
         if isinstance(types, list):
-            return ["off" if one is False else one for one in types]
+            return ["off" if kind is False else kind for kind in types]
         return types
 
     @model_validator(mode="after")
@@ -111,20 +111,19 @@ class SensorSampler(Sampler):
         return self._fault(units[index % len(units)], NULL, index, seed, environment, golden)
 
     def _fault(self, unit: str, kind: str, index: int, seed: int, environment: str, golden: Golden) -> SensorFault:
+        """The failure with this number of a device; without a golden run, it has no site."""
         address = environment, index // self.campaign.missions
-        most = UNITS[unit].instances
-        if most > 1:
-            instance = 1 + int(stream(seed, "instance", unit, *address).integers(most))
-        else:
-            instance = 0
+        instances = UNITS[unit].instances
+        instance = 0
+        if instances > 1:
+            instance = 1 + int(stream(seed, "instance", unit, *address).integers(instances))
         planned = SensorFault(unit, kind, lasts_s=float(self.sampling.lasts_s), instance=instance)
+        flight_time_us = 0
         if "" in golden:
-            length_us = round(1e6 * golden[""].flight.record().flight_time_s)
-        else:
-            length_us = 0
-        if not length_us:
+            flight_time_us = round(1e6 * golden[""].flight.record().flight_time_s)
+        if not flight_time_us:
             return replace(planned, time_us=NO_SITE, seed=seed)
-        return SensorRequest(planned, drawn=True).resolve(seed, length_us, *address)
+        return SensorRequest(planned, drawn=True).resolve(seed, flight_time_us, *address)
 
 
 def _is_read(unit: str, mission: MissionSpec) -> bool:
@@ -172,9 +171,8 @@ class SensorLevel(Level):
 
     def text_of(self, fault: SensorFault) -> str:
         """See `Level.text_of`."""
-        if fault.lasts_s == float("inf"):
-            lasts = ""
-        else:
+        lasts = ""
+        if fault.lasts_s != float("inf"):
             lasts = f":lasts={fault.lasts_s}"
         return f"sensor:{fault.device}:{fault.kind}{lasts}@{fault.time_us / 1e6}"
 

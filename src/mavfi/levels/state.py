@@ -33,6 +33,7 @@ from mavfi.faults.sampling import (
 )
 from mavfi.faults.strata import HEADLINE, WORD_BITS, WORDS, bits_of
 from mavfi.levels.level import (
+    DECIMAL,
     SECONDS,
     WHOLE,
     Draw,
@@ -80,11 +81,11 @@ class StateRequest:
         """See `Request.draw`."""
         from mavfi.flight.fly import fly
 
-        if self.needs_profile:
-            golden = fly(setup.scenario, profile=True)
-        else:
-            golden = None
-        return self.resolve(seed, setup.scenario.autopilot.name, None if golden is None else golden.profile), golden
+        autopilot = setup.scenario.autopilot.name
+        if not self.needs_profile:
+            return self.resolve(seed, autopilot), None
+        golden = fly(setup.scenario, profile=True)
+        return self.resolve(seed, autopilot, golden.profile), golden
 
     def resolve(self, seed: int, autopilot: str, profile: Profile | None = None) -> StateFault:
         """Draw what was not given; bits uniformly from the whole word.
@@ -97,20 +98,24 @@ class StateRequest:
         random = stream(seed, "spec", self.state.name)
         field = self._field(random, autopilot)
         width = self.lifetime.get("width", 1)
-        where = FaultSite(self.state.name, field.name, self.element)
+        # Publication and element.
+        site = FaultSite(self.state.name, field.name, self.element)
         time_us = self.time_us or 0
         if self.needs_profile:
-            drawn, element = draw_publication(random, self._later(profile or Profile()), where)
-            where = FaultSite(self.state.name, field.name, element)
-            time_us = drawn if self.time_us is None else self.time_us
-        if self.bit is None:
-            drawn_bit = int(random.integers(WORD_BITS[field.dtype] - width + 1))
-        else:
-            drawn_bit = self.bit
-        bit = None if self.null else drawn_bit
-        return StateFault(where, time_us, bit, seed=seed, **self.lifetime)
+            drawn_us, element = draw_publication(random, self._later(profile or Profile()), site)
+            site = FaultSite(self.state.name, field.name, element)
+            if self.time_us is None:
+                time_us = drawn_us
+        # Bit; a null fault draws one, too, and flips none.
+        bit = self.bit
+        if bit is None:
+            bit = int(random.integers(WORD_BITS[field.dtype] - width + 1))
+        if self.null:
+            bit = None
+        return StateFault(site, time_us, bit, seed=seed, **self.lifetime)
 
     def _field(self, random: np.random.Generator, autopilot: str) -> Field:
+        """The requested field, or one that has the requested element and bits."""
         if self.field is not None:
             return self.state.find(self.field)
         fields = [self.state.find(name) for name in live_fields(self.state, autopilot)]
@@ -177,13 +182,11 @@ class StateSampling(Sampling):
 
     @model_validator(mode="after")
     def _consistent(self) -> "StateSampling":
-        for key, given in (("groups", self.groups), ("messages", self.messages)):
-            if (self.scheme == key) != bool(given):
-                raise ValueError(
-                    f"sampling.scheme: {self.scheme!r}: allowed with the key {key}: {key}"
-                    if given
-                    else f"sampling.{key}: is required with scheme {key!r}; allowed: a list of 1 or more"
-                )
+        for key, value in (("groups", self.groups), ("messages", self.messages)):
+            if value and self.scheme != key:
+                raise ValueError(f"sampling.scheme: {self.scheme!r}: allowed with the key {key}: {key}")
+            if not value and self.scheme == key:
+                raise ValueError(f"sampling.{key}: is required with scheme {key!r}; allowed: a list of 1 or more")
         check_known("sampling.messages", self.messages, STATES)
         check_distinct("sampling.messages", self.messages)
         check_distinct("sampling.groups", [group.name for group in self.groups])
@@ -225,26 +228,27 @@ class StateSampler(Sampler):
                 target.within(stratum)
 
     def _find_targets(self) -> list[tuple[Target, Mapping[str, float]]]:
+        """The targets in the order of the plan, each with the shares of its strata."""
         sampling = self.sampling
         if sampling.scheme == "groups":
-            return [(self._group(place), g.strata or sampling.strata) for place, g in enumerate(sampling.groups)]
+            return [(self._group(i), group.strata or sampling.strata) for i, group in enumerate(sampling.groups)]
         if sampling.scheme == "messages":
             return [self._message(state) for state in sampling.messages]
+        monitored = None
         if sampling.sites == "monitored":
             monitored = self.campaign.monitored_set
-        else:
-            monitored = None
         return [
             (stage_target(stage, self._autopilot, monitored, self._localization), sampling.strata)
             for stage in PPC_STAGES
         ]
 
-    def _group(self, place: int) -> Target:
-        group = self.sampling.groups[place]
+    def _group(self, index: int) -> Target:
+        """The fields of a group; an error names the group by its index."""
+        group = self.sampling.groups[index]
         try:
             return group_target(group.name, group.sites, self._localization)
         except BadInputError as error:
-            raise BadInputError(f"sampling.groups.{place}.sites: {error}") from None
+            raise BadInputError(f"sampling.groups.{index}.sites: {error}") from None
 
     def _message(self, state: str) -> tuple[Target, Mapping[str, float]]:
         """A message, with the shares of those strata that it has."""
@@ -254,8 +258,11 @@ class StateSampler(Sampler):
             )
         target = message_target(state)
         fields = [STATES[state].find(name) for name in target.fields[state]]
-        shares = self.sampling.strata
-        return target, {one: shares[one] for one in shares if any(bits_of(field, one) for field in fields)} or shares
+        shares = {}
+        for stratum, share in self.sampling.strata.items():
+            if any(bits_of(field, stratum) for field in fields):
+                shares[stratum] = share
+        return target, shares or self.sampling.strata
 
     def _first_alike(self, name: str) -> str:
         """Name of the target whose draws a target with its own lifetime shares: the first one with the same fields."""
@@ -271,20 +278,26 @@ class StateSampler(Sampler):
     def draw(self, draws: Sequence[Draw], environment: str, golden: Golden) -> list[Fault | None]:
         """Draw from the profile of the golden run; without one, faults have no site."""
         profile = _profile(golden)
-        return [self._lasting(one.target, self._draw(one, profile, environment)) for one in draws]
+        return [self._fault(requested, profile, environment) for requested in draws]
 
-    def _draw(self, one: Draw, profile: Profile, environment: str) -> StateFault:
-        address = (one.seed, self.campaign.environment_of(environment), one.index // self.campaign.missions)
+    def _fault(self, requested: Draw, profile: Profile, environment: str) -> StateFault:
+        """The fault of a draw, with the lifetime of its target."""
+        address = self.campaign.environment_of(environment), requested.index // self.campaign.missions
         if self.sampling.scheme == "messages":
-            return draw_in_message(one.target, one.stratum, profile, *address)
-        return draw(self._fields[self.orders[one.target]], one.stratum, profile, *address)
+            fault = draw_in_message(requested.target, requested.stratum, profile, requested.seed, *address)
+        else:
+            target = self._fields[self.orders[requested.target]]
+            fault = draw(target, requested.stratum, profile, requested.seed, *address)
+        return self._lasting(requested.target, fault)
 
     def _lasting(self, target: str, fault: StateFault) -> StateFault:
         """A fault with the lifetime of its target; a burst that exceeds its word starts at a lower bit."""
         lifetime = (self._lifetimes.get(target) or self.sampling.lifetime).model_dump()
         bits = WORD_BITS[_dtype(fault)]
         width = min(lifetime["width"], bits)
-        bit = None if fault.bit is None else min(fault.bit, bits - width)
+        bit = fault.bit
+        if bit is not None:
+            bit = min(bit, bits - width)
         return replace(fault, **{**lifetime, "lasts_s": float(lifetime["lasts_s"]), "width": width, "bit": bit})
 
     def null(self, index: int, seed: int, environment: str, golden: Golden) -> Fault:
@@ -296,13 +309,14 @@ class StateSampler(Sampler):
 
 
 def _profile(golden: Golden) -> Profile:
-    profile = golden[""].flight.profile if "" in golden else None
-    if profile is None:
+    """Publications of the golden run; none without it."""
+    if "" not in golden or golden[""].flight.profile is None:
         return Profile()
-    return profile
+    return golden[""].flight.profile
 
 
 def _dtype(fault: StateFault) -> str:
+    """Type of the field."""
     return STATES[fault.where.state].find(fault.where.field).dtype
 
 
@@ -311,34 +325,46 @@ def fewer(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
     if not fault.lasting:
         return
     once = replace(fault, lasts_s=0.0, share=1.0, times=1)
-    yield from (replace(once, times=times) for times in _SHORTER if fault.lasts_s > 0 or times < fault.times)
+    for times in _SHORTER:
+        if fault.lasts_s > 0 or times < fault.times:
+            yield replace(once, times=times)
     if 0 < fault.lasts_s < float("inf"):
-        yield from (replace(fault, lasts_s=round(fault.lasts_s * part, 3)) for part in (0.125, 0.25, 0.5))
+        for part in (0.125, 0.25, 0.5):
+            yield replace(fault, lasts_s=round(fault.lasts_s * part, 3))
 
 
 def narrower(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
     """Single-bit faults for a multi-bit one."""
     if fault.bit is not None and fault.width > 1:
-        yield from (replace(fault, bit=fault.bit + place, width=1) for place in range(fault.width))
+        for offset in range(fault.width):
+            yield replace(fault, bit=fault.bit + offset, width=1)
 
 
 def lower(fault: Any, injection: Injection | None) -> Iterator[Fault]:
     """Faults in other bits of the word, of a state or a memory, that change its value less."""
     if fault.bit is None:
         return
-    dtype = _dtype(fault) if isinstance(fault, StateFault) else fault.dtype
-    before = None if injection is None else injection.before
+    if isinstance(fault, StateFault):
+        dtype = _dtype(fault)
+    else:
+        dtype = fault.dtype
+    before = None
+    if injection is not None:
+        before = injection.before
     sizes = {bit: change_of(before, dtype, bit) for bit in range(WORD_BITS[dtype])}
     smaller = [bit for bit, size in sizes.items() if size < sizes[fault.bit]]
-    yield from (replace(fault, bit=bit, stratum="", weight=1.0) for bit in sorted(smaller, key=lambda bit: sizes[bit]))
+    for bit in sorted(smaller, key=lambda bit: sizes[bit]):
+        yield replace(fault, bit=bit, stratum="", weight=1.0)
 
 
 def change_of(before: object, dtype: str, bit: int) -> float:
     """Absolute change of a value by a bit flip; infinite if not finite, the bit's index if the value is unknown."""
     if not isinstance(before, (int, float)):
         return float(bit)
-    size = np.dtype("u1" if dtype == "?" else dtype).itemsize
-    word = np.array([before]).astype("u1" if dtype == "?" else dtype)
+    if dtype == "?":
+        dtype = "u1"  # flags have no arithmetic
+    size = np.dtype(dtype).itemsize
+    word = np.array([before]).astype(dtype)
     flipped = (word.view(f"u{size}") ^ np.array(1 << bit, f"u{size}")).view(word.dtype)
     change = abs(float(flipped[0]) - float(word[0]))
     if np.isfinite(change):
@@ -359,7 +385,7 @@ class StateLevel(Level):
         "width": WHOLE,
         "times": WHOLE,
         "lasts": SECONDS,
-        "share": (r"\d+(\.\d*)?", "a number above 0, to 1", float),
+        "share": (DECIMAL, "a number above 0, to 1", float),
     }
     reductions = {"publications": fewer, "width": narrower, "bit": lower}
     absent = ("published", "no such publication came")
@@ -370,12 +396,15 @@ class StateLevel(Level):
 
     def parse(self, text: str, localization: str) -> StateRequest:
         """See `Level.parse`."""
+        # The site: a state or a field of it, and an element.
         parts = self.parts_of(text)
         match = _SITE.fullmatch(parts.site)
         if match is None:
             self.not_understood()
         spec, field = _find(match["path"], localization)
-        element = None if match["element"] is None else int(match["element"])
+        element = None
+        if match["element"] is not None:
+            element = int(match["element"])
         named = spec.name
         fields = spec.fields
         has_elements = bool(spec.elements)
@@ -385,6 +414,7 @@ class StateLevel(Level):
             has_elements = spec.in_elements(field)
         if element is not None and not has_elements:
             raise BadInputError(f"element [{element}]: {named} is no list; allowed: no element")
+        # Bits and duration.
         bits = max(WORD_BITS[candidate.dtype] for candidate in fields)
         lifetime = {"lasts_s" if name == "lasts" else name: value for name, value in parts.options.items()}
         bit = lifetime.pop("bit", None)
@@ -396,13 +426,14 @@ class StateLevel(Level):
 
     def text_of(self, fault: StateFault) -> str:
         """See `Level.text_of`."""
-        bit = "" if fault.bit is None else f":bit={fault.bit}"
-        lifetime = ""
+        options = ""
+        if fault.bit is not None:
+            options = f":bit={fault.bit}"
         for name in ("width", "times", "lasts_s", "share"):
             value = getattr(fault, name)
             if value != LIFETIME[name]:
-                lifetime += f":{name.removesuffix('_s')}={value}"
-        return f"state:{fault.where}{bit}{lifetime}@{fault.time_us / 1e6}"
+                options += f":{name.removesuffix('_s')}={value}"
+        return f"state:{fault.where}{options}@{fault.time_us / 1e6}"
 
     def seed_of(self, fault: StateFault) -> int | None:
         """See `Level.seed_of`: an intermittent fault draws its publications."""
@@ -439,16 +470,18 @@ class StateLevel(Level):
 
 
 def _find(path: str, localization: str) -> tuple[StateSpec, str | None]:
-    if path in STATES:
-        state = path
-        _ = ""
-        field = ""
-    else:
+    """State and field of a path "STATE.FIELD", or "STATE" alone; names contain dots."""
+    state = path
+    field = ""
+    if path not in STATES:
         state, _, field = path.rpartition(".")
-    known = states_with(localization)
+    published = states_with(localization)
     if state not in STATES:
-        raise BadInputError(f"no state {path!r}; allowed: {', '.join(known)}")
-    if state not in known:
+        raise BadInputError(f"no state {path!r}; allowed: {', '.join(published)}")
+    if state not in published:
         only = STATES[state].only_with
         raise BadInputError(f"{state} is published with localization {only} only, not {localization}")
-    return known[state], known[state].find(field).name if field else None
+    spec = published[state]
+    if not field:
+        return spec, None
+    return spec, spec.find(field).name

@@ -97,7 +97,7 @@ class CodeFiles(NullCache):
         dispatcher: The compiled function.
     """
 
-    def __init__(self, dispatcher: "Kernel") -> None:
+    def __init__(self, dispatcher: "KernelDispatcher") -> None:
         self._dispatcher = dispatcher
 
     @property
@@ -171,7 +171,7 @@ def _compiler() -> tuple[object, ...]:
     """What determines machine code, besides the function and the processor."""
     versions = numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:2]
     options = [getattr(numba.config, name) for name in ("OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "BOUNDSCHECK")]
-    own = code_digest(LineTables.__init__, LineTables.compile_extra, Kernel.get_call_template, _wide)
+    own = code_digest(LineTables.__init__, LineTables.compile_extra, KernelDispatcher.get_call_template, _wide)
     return (*versions, *options, own)
 
 
@@ -196,7 +196,7 @@ def _delete_oldest(folder: Path) -> None:
             excess -= size
 
 
-class Kernel(CPUDispatcher):
+class KernelDispatcher(CPUDispatcher):
     """A function that is compiled once for all kinds of integers.
 
     For `f(x, 0)` in compiled code Numba would compile `f` for the literal 0, in addition to int32 and int64.
@@ -224,14 +224,14 @@ def kernel_jit(function: F) -> F:
     """
     if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function
-    compiled: Any = Kernel(py_func=function, targetoptions=dict(_FLAGS), pipeline_class=LineTables)
+    compiled: Any = KernelDispatcher(py_func=function, targetoptions=dict(_FLAGS), pipeline_class=LineTables)
     compiled._cache = CodeFiles(compiled)
     return cast(F, compiled)
 
 
 def is_compiled(function: Callable[..., object]) -> bool:
     """Whether a function is compiled; not if it is plain Python, or instrumented."""
-    return isinstance(function, Kernel)
+    return isinstance(function, KernelDispatcher)
 
 
 def entry(function: F, *arguments: Any) -> F:  # noqa: ANN401 - examples, of which the types count, or types
@@ -249,4 +249,4 @@ def entry(function: F, *arguments: Any) -> F:  # noqa: ANN401 - examples, of whi
 def uncached_copy(dispatcher: Any) -> Any:
     """A dispatcher of the same function with the same flags that has its IR, which code loaded from a cache lacks."""
     flags, locals_ = dict(dispatcher.targetoptions), dict(dispatcher.locals)
-    return Kernel(dispatcher.py_func, locals_, flags, pipeline_class=LineTables)
+    return KernelDispatcher(dispatcher.py_func, locals_, flags, pipeline_class=LineTables)

@@ -33,7 +33,7 @@ REMARKS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class CampaignReport:
     """Tables of all applicable views (the leading one first), findings in sentences, and written files."""
 
     runs: Runs
@@ -55,12 +55,12 @@ class Report:
         return data
 
 
-def report_of(runs: Runs) -> Report:
+def report_of(runs: Runs) -> CampaignReport:
     """Compute tables and findings of a campaign, without writing files."""
-    return Report(runs, tuple(views_for(runs)), tuple(findings(runs)))
+    return CampaignReport(runs, tuple(views_for(runs)), tuple(findings(runs)))
 
 
-def write_report(directory: Path) -> Report:
+def write_report(directory: Path) -> CampaignReport:
     """Analyse a campaign, and write report.md, readme_block.md, summary.json and PNG figures to its folder.
 
     Raises:
@@ -80,7 +80,7 @@ def write_report(directory: Path) -> Report:
     return replace(found, files=tuple(directory / name for name in (*texts, *captions)))
 
 
-def _markdown(found: Report, captions: Mapping[str, str], today: str) -> str:
+def _markdown(found: CampaignReport, captions: Mapping[str, str], today: str) -> str:
     """The complete report in Markdown, with figures and captions."""
     first, *rest = header(found.runs.campaign)
     parts = [

@@ -54,11 +54,11 @@ _ROLES = {
     "check": ", the comparison with its shadow",
 }
 """Role of an instruction of protected code."""
-Lines = list[tuple[str, str]]
+Story = list[tuple[str, str]]
 """Pairs of a heading and a sentence."""
 
 
-def lines(found: Explanation) -> Lines:
+def lines(found: Explanation) -> Story:
     """Explain a run: the verdict, the run, and the steps of `steps`."""
     spec = found.spec
     log = found.flight.log
@@ -79,7 +79,7 @@ def steps(
     first: Difference | None,
     parted: Departure,
     spread: Sequence[Spread] = (),
-) -> Lines:
+) -> Story:
     """Explain a flight: the fault, first difference, propagation, path, alarms, and the ends of both flights."""
     story = [line for injection in log.injections for line in injection_lines(injection, fault, log)]
     if log.kernel is None or first is not None:
@@ -93,7 +93,7 @@ def steps(
     return story
 
 
-def spread_lines(found: Sequence[Spread]) -> Lines:
+def spread_lines(found: Sequence[Spread]) -> Story:
     """Propagation of the error: interval and number of differing values, by state."""
     if not found:
         return []
@@ -158,7 +158,7 @@ def _mission(log: FlightLog, golden: FlightLog) -> str:
     return f"the mission succeeds after {now:.2f} s ({signed_percent(now / before - 1)} against the golden run)"
 
 
-def injection_lines(injection: Injection, fault: Fault | None, log: FlightLog) -> Lines:
+def injection_lines(injection: Injection, fault: Fault | None, log: FlightLog) -> Story:
     """The injected value before and after; for instructions, also source line and effect on the kernel."""
     story = [("fault", _fault(injection, fault))]
     details = injection.details
@@ -282,7 +282,7 @@ _UNANSWERED = {
 """What follows from these events."""
 
 
-def alarm_lines(log: FlightLog, golden: FlightLog | None, most: int = MOST_ALARMS) -> Lines:
+def alarm_lines(log: FlightLog, golden: FlightLog | None, most: int = MOST_ALARMS) -> Story:
     """Number of alarms, then up to `most` of them, those within `AFTERMATH` of the injection first."""
     events = {event.kind: event for event in log.events if event.kind in _UNANSWERED}
     if not (log.alarms or events):

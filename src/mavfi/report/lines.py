@@ -14,7 +14,7 @@ ERROR = "error"
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class LogLine:
     """One line.
 
     Attributes:
@@ -32,7 +32,7 @@ class Line:
     data: str
 
 
-def lines_of(log: FlightLog) -> list[Line]:
+def lines_of(log: FlightLog) -> list[LogLine]:
     """All lines of a flight by time, injections first; an injection without an instant is left out."""
     items: list[Event | AlarmRecord | Injection] = [*log.injections, *log.events, *log.alarms]
     found = map(line_of, items)
@@ -42,7 +42,7 @@ def lines_of(log: FlightLog) -> list[Line]:
 
 def lines_at(
     time_s: float, items: Iterable[Event | AlarmRecord | Injection], status: MissionStatus | None
-) -> list[Line]:
+) -> list[LogLine]:
     """Lines of what happened in a running flight at an instant (s); with a status, also that the mission has ended."""
     lines = [line for line in map(line_of, items) if line is not None]
     if status is not None:
@@ -50,29 +50,31 @@ def lines_at(
     return lines
 
 
-def end_line(time_s: float, status: MissionStatus) -> Line:
+def end_line(time_s: float, status: MissionStatus) -> LogLine:
     """The line of the end of the mission."""
     text = f"{status.label}: {status.value}"
-    return Line(max(0, round(1e6 * time_s)), INFO, "mission", text, text)
+    return LogLine(max(0, round(1e6 * time_s)), INFO, "mission", text, text)
 
 
-def line_of(item: Event | AlarmRecord | Injection) -> Line | None:
+def line_of(item: Event | AlarmRecord | Injection) -> LogLine | None:
     """The line of an event, an alarm or an injection; None if it has no finite instant."""
     if isinstance(item, Event):
         text = f"{item.kind} {_pairs(item.data)}".strip()
-        return Line(max(0, item.time_us), INFO, "event", text, text)
+        return LogLine(max(0, item.time_us), INFO, "event", text, text)
     if not math.isfinite(item.time_s):
         return None
     time_us = max(0, round(1e6 * item.time_s))
     data = _pairs(item.to_json())
     if isinstance(item, AlarmRecord):
-        return Line(time_us, WARN, "alarm", f"alarm: {item.source} {item.state}, {item.action}, {item.outcome}", data)
+        return LogLine(
+            time_us, WARN, "alarm", f"alarm: {item.source} {item.state}, {item.action}, {item.outcome}", data
+        )
     if item.activated:
         change = f"{_short(item.before)} -> {_short(item.after)}"
     else:
         change = "not activated"
     bit = "" if item.bit is None else f" bit {item.bit}"
-    return Line(time_us, ERROR, "injection", f"fault: {item.site}{bit}: {change}", data)
+    return LogLine(time_us, ERROR, "injection", f"fault: {item.site}{bit}: {change}", data)
 
 
 def _short(value: object) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from mavfi.numerics.elementary import acos
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.rotations import rotation_matrix, wrap_angle, yaw_of
-from mavfi.sim.controller import Start
+from mavfi.sim.controller import InitialConditions
 from mavfi.sim.engine import GRAVITY
 from mavfi.sim.environments.world import Voxels
 from mavfi.sim.scene import STEP_US
@@ -212,7 +212,7 @@ class Cascade:
     period_us = STEP_US
     rewindable = True
 
-    def __init__(self, start: Start) -> None:
+    def __init__(self, start: InitialConditions) -> None:
         self._airframe = airframe_of(start.vehicle)
         self.memory = np.zeros(MEMORY_SIZE)
         self.memory[YAW_REFERENCE] = start.heading

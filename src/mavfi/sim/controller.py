@@ -16,7 +16,7 @@ GROUP = "mavfi.flight_controllers"
 _SHIPPED = {"cascade": "mavfi.sim.cascade:Cascade"}
 
 
-class Start(NamedTuple):
+class InitialConditions(NamedTuple):
     """Vehicle and state with which a controller starts.
 
     Attributes:
@@ -33,7 +33,7 @@ class Start(NamedTuple):
 
 
 class Controller(Protocol):
-    """A flight controller; constructed from a `Start`.
+    """A flight controller; constructed from its `InitialConditions`.
 
     Attributes:
         period_us: Its period and that of the physics (us): 4000 divided by an integer.
@@ -50,7 +50,7 @@ class Controller(Protocol):
         Args:
             time_us: Current time.
             setpoint: Wanted vx vy vz, world frame (m/s), and yaw rate (rad/s), finite and within limits. Shape (4,).
-            odometry: True state, as in `Start`. Shape (13,).
+            odometry: True state, as in `InitialConditions`. Shape (13,).
             force: Specific force during the last period, body frame (m/s^2). Shape (3,).
 
         Returns:
@@ -68,7 +68,7 @@ class Controller(Protocol):
         """Release what it holds, such as a process; may be called twice."""
 
 
-MakeController = Callable[[Start], Controller]
+MakeController = Callable[[InitialConditions], Controller]
 
 
 def find_controller(name: str) -> MakeController:

@@ -15,7 +15,7 @@ from mavfi.numerics.jit import entry
 from mavfi.plugins import build
 from mavfi.sim.camera import Camera
 from mavfi.sim.cascade import Cascade, advance
-from mavfi.sim.controller import Controller, Start, find_controller
+from mavfi.sim.controller import Controller, InitialConditions, find_controller
 from mavfi.sim.environments.world import World
 from mavfi.sim.imu import Imu, Positioning
 from mavfi.sim.scene import ACCELEROMETER, STEP_US, build_model
@@ -152,7 +152,7 @@ class Simulator:
             "flight controller",
             name,
             find_controller(name),
-            Start(self._scenario.vehicle, start, heading, self._scenario.seed),
+            InitialConditions(self._scenario.vehicle, start, heading, self._scenario.seed),
         )
         return controller
 

@@ -31,11 +31,8 @@ CHOSEN = (
 )
 """Fast tests of what extras plug into, in tests/core/unit."""
 WITH_EXTRAS = {
-    "analysis/test_about.py": ("test_trials_on_a_node", "test_registers_of_a_firmware"),
-    "analysis/test_flight_views.py": (
-        "test_the_campaign_is_whole_and_the_success_table_leads",
-        "test_tables_on_faults_say_that_rates_are_conditional",
-    ),
+    "analysis/test_about.py": ("test_trials_on_a_node",),
+    "analysis/test_flight_views.py": ("test_tables_on_faults_say_that_rates_are_conditional",),
     "analysis/test_kernel_views.py": (
         "test_which_tables_a_campaign_of_kernels_has",
         "test_what_one_bit_in_a_register_does",
@@ -46,7 +43,6 @@ WITH_EXTRAS = {
         "test_mistakes_are_named_when_the_file_is_read",
     ),
     "campaign/test_plan.py": ("test_specs_survive_json_with_faults_of_every_level",),
-    "cli/test_app.py": ("test_help_names_the_extra_in_brackets",),
     "levels/test_state.py": ("test_messages_that_cannot_be_drawn_are_refused",),
     "levels/test_text.py": ("test_errors_are_one_line_that_says_what_is_allowed",),
     "test_files.py": ("test_a_name_that_is_too_long_is_one_line",),

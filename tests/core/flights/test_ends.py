@@ -9,7 +9,7 @@ from mavfi.flight.loop import Listener
 from mavfi.mission import FLY_AWAY_MARGIN, MissionSpec, MissionStatus
 from mavfi.sim.simulator import Simulator
 from mavfi.states import floats
-from tests.core.flights.missions import AUTOPILOTS, fault, golden, mission
+from tests.core.flights.missions import AUTOPILOTS, FAR_GOAL, GOAL, fault, golden, mission
 
 
 @pytest.mark.slow
@@ -42,7 +42,7 @@ def test_a_blind_vehicle_collides():
             ranges, pose = super().depth()
             return np.full_like(ranges, np.inf), pose
 
-    flight = new_loop(mission(), make_plant=Blind).fly()
+    flight = new_loop(mission(goal=FAR_GOAL), make_plant=Blind).fly()
     assert flight.log.status is MissionStatus.COLLISION
 
 
@@ -59,8 +59,8 @@ def judge(odometry, now=1_000_000, failed_plans=0):
         ({}, None),
         ({0: np.nan}, MissionStatus.INVALID_STATE),
         ({12: np.inf}, MissionStatus.INVALID_STATE),
-        ({0: 45.0, 1: 5.0, 2: 4.9}, MissionStatus.SUCCESS),
-        ({0: 45.0, 1: 5.0, 2: 5.1}, None),
+        ({0: GOAL[0], 1: GOAL[1], 2: GOAL[2] + 1.9}, MissionStatus.SUCCESS),
+        ({0: GOAL[0], 1: GOAL[1], 2: GOAL[2] + 2.1}, None),
         ({0: 120.0 + FLY_AWAY_MARGIN + 0.1}, MissionStatus.FLY_AWAY),
         ({1: -30.0 - FLY_AWAY_MARGIN - 0.1}, MissionStatus.FLY_AWAY),
         ({2: 12.0 + FLY_AWAY_MARGIN - 0.1}, None),

@@ -9,7 +9,7 @@ from mavfi.config import LocalizationConfig, parse
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import MemoryFault
 from mavfi.flight.compose import detector_for, resolve
-from mavfi.flight.decide import Recovery
+from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import ODOMETRY, STATES, floats, states_with
@@ -160,7 +160,7 @@ def watched(autopilot, fault, *recorders):
     """A flight under the acceptance test, with the recovery that goes with it."""
     scenario = mission(autopilot, localization="estimator", dead_node="readback")
     detector, _ = detector_for(scenario, "acceptance", "paper")
-    recovery = Recovery(grain="message", same_twice="escalate")
+    recovery = RecoveryPolicy(grain="message", same_twice="escalate")
     return fly(scenario, fault, detector, recovery=recovery, recorders=recorders)
 
 

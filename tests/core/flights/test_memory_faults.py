@@ -13,7 +13,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults import strata
 from mavfi.faults.fault import MemoryFault
 from mavfi.flight.compose import detector_for, new_loop
-from mavfi.flight.decide import Recovery
+from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.memory_faults import DetectorMemory, MemoryInjector, flip_bit
@@ -223,7 +223,7 @@ def test_a_published_message_is_not_changed_with_what_a_detector_remembers_of_it
 
 def test_a_fault_in_a_detector_is_recorded_and_gone_in_the_next_flight():
     watching = detector("acceptance")
-    recovery = Recovery(grain="message")
+    recovery = RecoveryPolicy(grain="message")
     clean = fly(mission(), None, watching, recovery=recovery).log
     log = fly(mission(), LAST_COMMAND, watching, recovery=recovery).log
     (injection,) = log.injections

@@ -3,12 +3,12 @@
 import pytest
 
 from mavfi.flight.compose import new_loop, watch
-from mavfi.flight.decide import Recovery
+from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
 from mavfi.states import ODOMETRY
 from tests.core.flights.missions import AUTOPILOTS, Scripted, fault, golden, mission
 
-OBSERVER = Recovery("observer")
+OBSERVER = RecoveryPolicy("observer")
 
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)

@@ -21,7 +21,7 @@ from mavfi.report.explain import steps
 from tests.core.flights.missions import golden, mission
 
 pytestmark = pytest.mark.slow
-AT = 4_000_000
+AT = 2_000_000
 ROWS = AT // 20_000
 KINDS = {"gyro": "off", "compass": "wrong", "position": "drift", "depth_camera": "delayed", "motor": "intermittent"}
 

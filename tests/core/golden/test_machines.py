@@ -28,7 +28,7 @@ from mavfi.flight.forks import fly_instruction_faults
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
 
-folder, workers, program = sys.argv[1], int(sys.argv[2]), sys.argv[3]
+folder, workers, program, size = sys.argv[1], int(sys.argv[2]), sys.argv[3], sys.argv[4]
 flights = (
     {"environment": "sparse", "seed": 7, "fault": "state:control.command.vx:bit=62", "detector": "autoencoder",
      "profile": "tuned"},
@@ -42,11 +42,16 @@ for flight in flights:
 
 mission = resolve(MissionSpec(environment="sparse", seed=7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0)))
 kernels = ("pid", "octomap", "rrt_connect", "point_cloud", "collision_check")
+if size == "small":
+    kernels = kernels[:2]
 for which in ("address", "control", "data"):
     drawn = draw_instruction_faults(mission, InstructionRequest(dict.fromkeys(kernels, 3), which=which), seed=1)
     for flight in fly_instruction_faults(mission, sum(drawn.faults.values(), []), golden=drawn.golden).flights:
         injection = json.dumps(flight.log.injections[0].to_json(), sort_keys=True)
         print(flight.log.kernel.effect, flight.log.kernel.detail, flight.log.digest(), injection)
+
+if size == "small":
+    sys.exit()
 
 instructions = mavfi.Campaign(
     name="instructions", environments=("sparse",), missions=2, faults=4,
@@ -80,23 +85,17 @@ MACHINES = {
     "all of it, and code for any x86-64": {**BASELINE, **OLDER_CODE, **ELSEWHERE},
 }
 LAST = list(MACHINES)[-1]
-IN_CI = ("C library without FMA", "C library without AVX-512")
-"""And the last one; the others repeat parts of it."""
 PYTHONS = os.environ.get("MAVFI_PYTHONS", "").split()
-
-
-pytestmark = pytest.mark.long
-in_ci = pytest.mark.machines
 
 
 SEVERAL_TYPES = {"mavfi.numerics.stored._put", "mavfi.numerics.stored._space"}
 """Functions that are compiled for each kind of values, see `mavfi.numerics.stored`."""
 
 
-def ends_and_digests(machine: dict[str, str], folder: Path, workers: int = 1) -> list[str]:
+def ends_and_digests(machine: dict[str, str], folder: Path, workers: int = 1, size: str = "full") -> list[str]:
     """Of flights and campaigns, in a process that thinks it runs on another machine."""
     result = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", FLIGHTS, str(folder), str(workers), str(PROGRAM)],
+        [sys.executable, "-W", "ignore", "-c", FLIGHTS, str(folder), str(workers), str(PROGRAM), size],
         env={**os.environ, **machine},
         capture_output=True,
         text=True,
@@ -111,7 +110,15 @@ def here(tmp_path_factory):
     return ends_and_digests({}, tmp_path_factory.mktemp("here"))
 
 
-@in_ci
+def test_a_small_part_has_the_same_bits_with_older_libraries_elsewhere(tmp_path):
+    """The night flies all of it, see below."""
+    here = ends_and_digests({}, tmp_path / "here", size="small")
+    assert [line.split()[0] for line in here[:3]] == ["success", "collision", "success"]
+    assert len(here) == 3 + 2 * 3 * 3
+    assert ends_and_digests({**BASELINE, **ELSEWHERE}, tmp_path / "there", size="small") == here
+
+
+@pytest.mark.machines
 def test_they_have_all_effects(here):
     assert [line.split()[0] for line in here[:3]] == ["success", "collision", "success"]
     assert {line.split()[0] for line in here[3 : CAMPAIGNS.start]} >= {"masked", "sdc", "crash"}
@@ -119,14 +126,13 @@ def test_they_have_all_effects(here):
     assert [line.split()[0] for line in here[CAMPAIGNS.stop :]] == ["ended"] * (find_spec("cosysairsim") is not None)
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[in_ci] * (name in IN_CI)) for name in MACHINES if name != LAST]
-)
+@pytest.mark.machines
+@pytest.mark.parametrize("name", [name for name in MACHINES if name != LAST])
 def test_they_have_the_same_bits(name, here, tmp_path):
     assert ends_and_digests(MACHINES[name], tmp_path) == here
 
 
-@in_ci
+@pytest.mark.machines
 def test_they_have_the_same_bits_in_another_folder_with_an_empty_cache_and_two_workers(here, tmp_path):
     """Each function is compiled once, for the oldest machine."""
     there = tmp_path / "another-folder-with-a-long-name" / "of-packages"
@@ -139,11 +145,12 @@ def test_they_have_the_same_bits_in_another_folder_with_an_empty_cache_and_two_w
     assert {name for name in compiled if compiled.count(name) > 1} <= SEVERAL_TYPES
 
 
+@pytest.mark.machines
 @pytest.mark.skipif(not PYTHONS, reason="MAVFI_PYTHONS: no other interpreters with mavfi are named")
 def test_every_python_gives_the_same_ledger(tmp_path):
     """Of faults in states; the space of faults in instructions depends on Python's bytecode, and its version is stored.
 
-    MAVFI_PYTHONS="py312/bin/python py313/bin/python" python -m pytest -m long tests/core/golden/test_machines.py
+    MAVFI_PYTHONS="py312/bin/python py313/bin/python" python -m pytest -m machines tests/core/golden/test_machines.py
     """
     digests = {}
     for number, python in enumerate([sys.executable, *PYTHONS]):

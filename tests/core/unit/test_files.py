@@ -49,7 +49,7 @@ def test_files_and_folders_are_told_apart(tmp_path):
     ],
 )
 def test_a_name_that_is_too_long_is_one_line(command, tmp_path, monkeypatch, capsys):
-    """Found by `make reliability ONLY=fuzz` as a traceback."""
+    """Found by `make nightly ONLY=fuzz` as a traceback."""
     monkeypatch.chdir(tmp_path)
     assert run(command.replace("{}", LONG).split()) == 2
     *before, line = capsys.readouterr().err.splitlines()

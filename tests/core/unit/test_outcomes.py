@@ -9,7 +9,7 @@ from mavfi.outcomes import (
     HEALTHY,
     LONGER,
     LOST,
-    Control,
+    ControlEffect,
     ControlErrors,
     Effect,
     control_of,
@@ -80,19 +80,19 @@ OTHER_ROUTE = mission(time_s=45.0)
 @pytest.mark.parametrize(
     ("injected", "expected"),
     [
-        (mission(digest="a"), Control.IDENTICAL),
-        (OTHER_ROUTE, Control.SLIGHT),
-        (mission(status="collision"), Control.DEGRADED),  # follows all commands into an obstacle
-        (mission(status="timeout"), Control.DEGRADED),
-        (mission(replace(CALM, attitude=math.radians(4.1))), Control.DEGRADED),
-        (mission(replace(CALM, attitude=math.radians(4.1)), "timeout"), Control.DEGRADED),
-        (mission(replace(CALM, attitude=math.radians(4.1)), "collision"), Control.LOST),
-        (mission(replace(CALM, velocity=1.6), "fly_away"), Control.LOST),
-        (mission(replace(CALM, tilt=math.radians(61.0))), Control.LOST),  # recovers, and arrives
-        (mission(replace(CALM, velocity=4.7), "collision"), Control.LOST),  # falls without tilting
-        (mission(CALM, "invalid_state"), Control.LOST),
-        (dead("crash"), Control.ENDS),
-        (dead("hang"), Control.HANGS),
+        (mission(digest="a"), ControlEffect.IDENTICAL),
+        (OTHER_ROUTE, ControlEffect.SLIGHT),
+        (mission(status="collision"), ControlEffect.DEGRADED),  # follows all commands into an obstacle
+        (mission(status="timeout"), ControlEffect.DEGRADED),
+        (mission(replace(CALM, attitude=math.radians(4.1))), ControlEffect.DEGRADED),
+        (mission(replace(CALM, attitude=math.radians(4.1)), "timeout"), ControlEffect.DEGRADED),
+        (mission(replace(CALM, attitude=math.radians(4.1)), "collision"), ControlEffect.LOST),
+        (mission(replace(CALM, velocity=1.6), "fly_away"), ControlEffect.LOST),
+        (mission(replace(CALM, tilt=math.radians(61.0))), ControlEffect.LOST),  # recovers, and arrives
+        (mission(replace(CALM, velocity=4.7), "collision"), ControlEffect.LOST),  # falls without tilting
+        (mission(CALM, "invalid_state"), ControlEffect.LOST),
+        (dead("crash"), ControlEffect.ENDS),
+        (dead("hang"), ControlEffect.HANGS),
     ],
 )
 def test_the_class_of_a_mission_is_the_worst_that_applies(injected, expected):
@@ -102,7 +102,7 @@ def test_the_class_of_a_mission_is_the_worst_that_applies(injected, expected):
 @pytest.mark.parametrize("name", ["tilt", "attitude", "velocity", "yaw_rate"])
 @pytest.mark.parametrize(
     ("limits", "within", "beyond"),
-    [(HEALTHY, Control.SLIGHT, Control.DEGRADED), (LOST, Control.DEGRADED, Control.LOST)],
+    [(HEALTHY, ControlEffect.SLIGHT, ControlEffect.DEGRADED), (LOST, ControlEffect.DEGRADED, ControlEffect.LOST)],
 )
 def test_a_limit_itself_is_within(name, limits, within, beyond):
     limit = getattr(limits, name)
@@ -112,24 +112,24 @@ def test_a_limit_itself_is_within(name, limits, within, beyond):
 
 @pytest.mark.parametrize("error", [math.nan, math.inf])
 def test_an_error_that_is_not_finite_is_none_of_a_vehicle_in_control(error):
-    assert control_of(GOLDEN, mission(replace(CALM, yaw_rate=error))) is Control.LOST
+    assert control_of(GOLDEN, mission(replace(CALM, yaw_rate=error))) is ControlEffect.LOST
 
 
 def test_time_and_energy_count_beyond_what_another_route_takes():
     longest, most = (1.0 + LONGER) * 40.0, (1.0 + COSTLIER) * 40.0
-    assert control_of(GOLDEN, mission(time_s=longest)) is Control.SLIGHT
-    assert control_of(GOLDEN, mission(time_s=longest + 0.02)) is Control.DEGRADED
+    assert control_of(GOLDEN, mission(time_s=longest)) is ControlEffect.SLIGHT
+    assert control_of(GOLDEN, mission(time_s=longest + 0.02)) is ControlEffect.DEGRADED
     assert energy(mission(powered_s=most).energy) == pytest.approx((1.0 + COSTLIER) * energy(GOLDEN.energy))
-    assert control_of(GOLDEN, mission(powered_s=most - 0.02)) is Control.SLIGHT
-    assert control_of(GOLDEN, mission(powered_s=most + 0.02)) is Control.DEGRADED
-    assert control_of(GOLDEN, mission(time_s=20.0)) is Control.SLIGHT
+    assert control_of(GOLDEN, mission(powered_s=most - 0.02)) is ControlEffect.SLIGHT
+    assert control_of(GOLDEN, mission(powered_s=most + 0.02)) is ControlEffect.DEGRADED
+    assert control_of(GOLDEN, mission(time_s=20.0)) is ControlEffect.SLIGHT
 
 
 def test_a_mission_that_its_golden_run_loses_too_is_not_lost_by_the_fault():
     golden = mission(digest="a", status="timeout", time_s=150.0)
-    assert control_of(golden, mission(status="collision")) is Control.SLIGHT
-    assert control_of(golden, mission(replace(CALM, velocity=2.0), "collision")) is Control.LOST
-    assert control_of(golden, mission(time_s=400.0)) is Control.SLIGHT
+    assert control_of(golden, mission(status="collision")) is ControlEffect.SLIGHT
+    assert control_of(golden, mission(replace(CALM, velocity=2.0), "collision")) is ControlEffect.LOST
+    assert control_of(golden, mission(time_s=400.0)) is ControlEffect.SLIGHT
 
 
 @pytest.mark.parametrize(

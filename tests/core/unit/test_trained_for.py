@@ -43,7 +43,7 @@ def setup():
 
 def score(spec, overrides):
     arm = Arm("mine", overrides, "limits", "tuned")
-    scores._score(scores._Task(spec, (arm,), (), ()))
+    scores._score(scores._ScoringTask(spec, (arm,), (), ()))
 
 
 CALLERS = {

@@ -28,12 +28,12 @@ from mavfi.extras.bench.matrix_profile import (
     subsequences,
 )
 from mavfi.extras.bench.trees import (
-    Branch,
     GradientBoostingDetector,
     HalfSpaceTreesDetector,
     IsolationForestDetector,
     Regressor,
-    Trees,
+    Split,
+    StateTrees,
     forest_of,
     half_spaces,
     limit_of,
@@ -191,11 +191,11 @@ def random_tree(random, depth, width=3):
         return float(random.normal())
     threshold = random.integers(-9, 9) / 4.0 if random.random() < 0.5 else random.normal()
     below, above = random_tree(random, depth - 1, width), random_tree(random, depth - 1, width)
-    return Branch(int(random.integers(width)), float(threshold), below, above)
+    return Split(int(random.integers(width)), float(threshold), below, above)
 
 
 def leaf_of(tree, row):
-    while isinstance(tree, Branch):
+    while isinstance(tree, Split):
         tree = tree.low if row[tree.column] <= tree.threshold else tree.high
     return tree
 
@@ -214,7 +214,9 @@ def some_codes(random, count):
 @pytest.mark.parametrize("seed", range(5))
 def test_a_forest_sums_the_leaves_that_a_naive_walk_reaches(seed):
     random = np.random.default_rng(seed)
-    states = [Trees([random_tree(random, 6) for _ in range(count)], random.uniform(0.1, 2.0)) for count in (5, 0, 9)]
+    states = [
+        StateTrees([random_tree(random, 6) for _ in range(count)], random.uniform(0.1, 2.0)) for count in (5, 0, 9)
+    ]
     (codes, rows), slots = some_codes(random, 60), np.arange(60) % 3
     sums = [sum(leaf_of(tree, row) for tree in states[slot].trees) for row, slot in zip(rows, slots, strict=True)]
     wanted = np.array(sums) / [states[slot].unit for slot in slots]
@@ -256,7 +258,7 @@ def test_limits_in_codes_are_thresholds_of_inputs(seed):
         random.choice([random.normal(), 8.0 * random.normal(), *bounds, random.integers(-99, 99) / scale])
     )
     lower = every[scaled(every, np.array([scale])) <= threshold]
-    assert limit_of(Branch(0, threshold, 0.0, 0.0), inputs) == (lower[-1] if len(lower) else -(1 << 15) - 1)
+    assert limit_of(Split(0, threshold, 0.0, 0.0), inputs) == (lower[-1] if len(lower) else -(1 << 15) - 1)
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -19,10 +19,10 @@ from mavfi.extras.bench.bench import (
     ROWS,
     Bench,
     checksum,
-    entries,
     faults_of,
     level_of,
     load_bench,
+    select_parts,
     with_only,
     with_schemes,
 )
@@ -40,52 +40,53 @@ LIBRARIES = set(trainable(["bench"])) - set(trainable())
 
 def test_every_part_of_a_shipped_bench_can_be_flown():
     for name in names("bench"):
-        for part, entry in entries(load_bench(name), "paper").items():
+        for part, entry in select_parts(load_bench(name), "paper").items():
             assert entry.campaign.arms, part
             assert entry.part.view in VIEWS
             assert not entry.campaign.on_design_seeds
 
 
 def test_a_scheme_that_was_trained_for_other_flights_is_left_out_with_the_reason():
-    found = entries(SLOW, "quick")["slow"]
+    found = select_parts(SLOW, "quick")["slow"]
     assert "no model is trained" in found.left_out["gaussian"]
     assert "gaussian" not in found.campaign.arms and "recommended" in found.campaign.arms
 
 
 @pytest.mark.parametrize("part", ["cortex-a57", "rrt", "rrt-star", "other-profile"])
 def test_parts_that_detectors_were_not_trained_for_are_flown_with_the_models_there_are(part):
-    found = entries(BENCH, "quick", parts=[part])[part]
+    found = select_parts(BENCH, "quick", parts=[part])[part]
     arms = arms_of(found.campaign)
     used = model_hashes(found.campaign, scenarios_of(found.campaign, arms), None)
-    trained = entries(BENCH, "quick", parts=["sites"])["sites"].campaign
+    trained = select_parts(BENCH, "quick", parts=["sites"])["sites"].campaign
     assert used == model_hashes(trained, scenarios_of(trained, arms_of(trained)), None)
     assert {"gaussian", "limits", "recommended"} <= set(used)
 
 
 def test_schemes_of_libraries_that_are_not_installed_are_left_out_with_the_reason(monkeypatch):
     monkeypatch.setattr(library, "find_spec", lambda name: None)
-    found = entries(BENCH, "quick", parts=["sites"])["sites"]
+    found = select_parts(BENCH, "quick", parts=["sites"])["sites"]
     assert set(found.left_out) == {name for name, arm in BENCH.arms.items() if arm.detector in LIBRARIES}
     assert all("not installed; install it with: pip install 'mavfi[bench]'" in one for one in found.left_out.values())
 
 
 def test_parts_by_level_and_by_name():
     for level in ("instruction", "memory", "sensor", "message"):
-        found = entries(BENCH, "quick", levels=[level])
+        found = select_parts(BENCH, "quick", levels=[level])
         assert next(iter(found)) == level and all(level_of(one.campaign) == level for one in found.values())
         assert not any(name in found for name in ("state", "sites", "golden"))
-    assert list(entries(BENCH, "quick", parts=["sites"])) == ["sites"]
+    assert list(select_parts(BENCH, "quick", parts=["sites"])) == ["sites"]
 
 
 def test_policies_of_dead_nodes_are_flown_where_nodes_die():
     arms = {
-        name: entry.campaign.arms for name, entry in entries(BENCH, "quick", parts=["sites", "instruction"]).items()
+        name: entry.campaign.arms
+        for name, entry in select_parts(BENCH, "quick", parts=["sites", "instruction"]).items()
     }
     assert "readback" in arms["instruction"] and "readback" not in arms["sites"]
 
 
 def test_a_detector_of_ones_own_takes_the_place_of_the_schemes():
-    found = entries(with_only(BENCH, [DETECTOR]), "quick", parts=["sites"])["sites"].campaign
+    found = select_parts(with_only(BENCH, [DETECTOR]), "quick", parts=["sites"])["sites"].campaign
     assert list(found.arms) == ["FakeDetector"]
     assert found.arms["FakeDetector"].detector == DETECTOR
 
@@ -129,12 +130,12 @@ def test_shipped_lists_have_one_entry_per_column():
 def test_what_cannot_be_flown_is_refused(schemes, selection, message):
     bench = with_schemes(BENCH, list(schemes)) if schemes else BENCH
     with pytest.raises(BadInputError, match=message):
-        entries(bench, **{"scale": "quick", **selection})
+        select_parts(bench, **{"scale": "quick", **selection})
 
 
 def test_a_bench_that_nobody_can_fly_is_refused():
     with pytest.raises(BadInputError, match="no scheme can fly: .*no model is trained"):
-        entries(with_only(SLOW, ["gaussian"]), "quick")
+        select_parts(with_only(SLOW, ["gaussian"]), "quick")
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.compose import resolve
 from mavfi.flight.loop import Listener
 from mavfi.mission import MissionSpec, MissionStatus
-from mavfi.outcomes import LOST_TILT, Control, ControlErrors, control_of
+from mavfi.outcomes import LOST_TILT, ControlEffect, ControlErrors, control_of
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -73,7 +73,7 @@ def test_a_vehicle_whose_rotors_stop_is_out_of_control_without_tilting(golden):
     errors = ControlErrors.of(struck.record())
     assert struck.log.status is MissionStatus.COLLISION
     assert errors.velocity > 3.0 and errors.tilt < LOST_TILT
-    assert control_of(golden.record(), struck.record()) is Control.LOST
+    assert control_of(golden.record(), struck.record()) is ControlEffect.LOST
 
 
 def _stop_rotors(time_us, loop):

@@ -10,10 +10,10 @@ from mavfi.campaign.config import load_campaign
 from mavfi.cli.commands import run
 from mavfi.config import config_root
 from mavfi.extras.hardening import certify
-from mavfi.extras.hardening.advise import Study
+from mavfi.extras.hardening.advise import HardeningStudy
 from mavfi.extras.hardening.certify import Certificate, Certification
 from mavfi.extras.hardening.observed import GoldenCheck
-from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan, load_plan, save_plan
+from mavfi.extras.hardening.plan import Coverage, FunctionPlan, ProtectionPlan, load_plan, save_plan
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,9 @@ def test_bad_input_is_one_line_and_exit_code_2(words, message, tmp_path, capsys,
 def opened(monkeypatch):
     """A ledger with the digest of no plan, whose next missions are among those of the shipped one."""
     campaign = load_campaign("hardening").model_copy(update={"first_seed": 9_999})
-    monkeypatch.setattr(Study, "open", lambda directory, _: Study(directory, campaign, "0" * 64, ("pid",)))
+    monkeypatch.setattr(
+        HardeningStudy, "open", lambda directory, _: HardeningStudy(directory, campaign, "0" * 64, ("pid",))
+    )
 
 
 def test_a_shipped_plan_is_certified_by_name(opened, tmp_path, capsys, monkeypatch):
@@ -54,7 +56,7 @@ def test_a_shipped_plan_is_certified_by_name(opened, tmp_path, capsys, monkeypat
 def test_a_certificate_is_stated_in_the_plan_and_by_the_exit_code(opened, silent, code, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     planned = FunctionPlan(kernel="pid", function="m.track", signature="f8", ir_sha256="ab" * 32, sites=((0, 0, 1),))
-    save_plan(Plan(functions=(planned,)), Path("plan.yaml"))
+    save_plan(ProtectionPlan(functions=(planned,)), Path("plan.yaml"))
     effects = {"masked": 50, "sdc": 50}, {"detected": 99, "sdc": silent}
     claim, paired = Coverage(estimate=0.95, low=0.9, high=0.98), mcnemar([True], [False])
     certificate = Certificate("pid", "m.track", "f8", 9, *effects, 1.0, claim, paired)

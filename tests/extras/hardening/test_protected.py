@@ -4,7 +4,7 @@ import pytest
 
 from mavfi.config import PlatformConfig, shipped
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.plan import Plan, Site, load_plan, save_plan
+from mavfi.extras.hardening.plan import ModuleSite, ProtectionPlan, load_plan, save_plan
 from mavfi.extras.hardening.protected import SOURCE
 from mavfi.faults.levels.instruction.variant import signature_of
 from mavfi.flight.compose import resolve
@@ -18,7 +18,7 @@ from mavfi.outcomes import Effect, effect_of
 from mavfi.pipeline.functions import PLAIN
 from mavfi.record import record_of
 from mavfi.report.explain import injection_lines, verdict
-from tools.full_plan import full_plan
+from tools.full_protection import full_plan
 
 pytestmark = pytest.mark.slow
 
@@ -46,7 +46,7 @@ def golden():
 
 @pytest.fixture(scope="module")
 def plan(golden):
-    return Plan(functions=tuple(full_plan("pid", PLAIN.track, types) for types in golden[1]))
+    return ProtectionPlan(functions=tuple(full_plan("pid", PLAIN.track, types) for types in golden[1]))
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +141,7 @@ def test_a_detected_fault_is_explained(golden, paired_logs):
     ("changes", "function_changes", "message"),
     [
         ({}, {"ir_sha256": "ab" * 32}, r"^protection of \S+pid\.track: planned for IR abababababab, this is [^\n]*$"),
-        ({}, {"sites": (Site(0, 999, 0),)}, r"site 999:0 of function 0: not in its code[^\n]*$"),
+        ({}, {"sites": (ModuleSite(0, 999, 0),)}, r"site 999:0 of function 0: not in its code[^\n]*$"),
         ({}, {"kernel": "pidd"}, "kernel 'pidd': not known"),
         ({}, {"function": "m.f"}, "function 'm.f': not of kernel pid; allowed: mavfi.kernels.control.pid.track"),
         ({"numba": "0.1"}, {}, "planned with numba 0.1, this is"),

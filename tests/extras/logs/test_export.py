@@ -9,7 +9,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mavfi.cli.commands import run
 from mavfi.extras.logs.files import write_bag, write_csv, write_mcap
-from mavfi.extras.logs.timeline import FIRST_STAMP_NS, Publications, timeline
+from mavfi.extras.logs.timeline import FIRST_STAMP_NS, PublishedStates, timeline
 from mavfi.flight.compose import resolve
 from mavfi.flight.mission_flights import fly_recorded
 from mavfi.mission import MissionSpec
@@ -36,7 +36,7 @@ def flight(recorded):
 @pytest.fixture(scope="module")
 def published(recorded):
     flight, seen = recorded
-    return Publications([(time_us, state) for state, time_us in seen], flight.pipeline["octomap"].grid)
+    return PublishedStates([(time_us, state) for state, time_us in seen], flight.pipeline["octomap"].grid)
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from mavfi.cli.commands import run
 from mavfi.errors import BadInputError
-from mavfi.extras.logs.watch import Judged, LogAlarm, LogWatch, Rates, read_recording, select
+from mavfi.extras.logs.watch import JudgedLog, LogAlarm, LogRates, LogWatch, read_recording, select
 from mavfi.flight.log_readers import open_flight_log
 
 
@@ -34,7 +34,7 @@ def test_flips_are_drawn_by_class_and_detected(watching, recordings):
     assert [classes.count(name) for name in ("sign", "exponent", "mantissa")] == [30, 30, 30]
     bits = {"sign": range(63, 64), "exponent": range(52, 63), "mantissa": range(52)}
     assert all(flip.bit in bits[flip.bit_class] and flip.field in ("x", "y", "vz") for flip in judged.flips)
-    found = {name: rate.rate for name, rate in Rates([judged]).flips.items()}
+    found = {name: rate.rate for name, rate in LogRates([judged]).flips.items()}
     assert found["sign"] > 0.5 and found["exponent"] > 0.5 and found["mantissa"] < 0.5
     assert watching.judge(recordings["a"], flips=90, seed=5).flips == judged.flips
     assert watching.judge(recordings["a"], flips=90, seed=6).flips != judged.flips
@@ -67,8 +67,8 @@ def test_a_file_that_is_cut_is_named(files, tmp_path, ending):
 
 def test_alarms_close_together_are_one_event():
     alarms = [LogAlarm(0, time, "row", 2.0, ()) for time in (0, 900_000, 1_800_000, 5_000_000)]
-    assert Judged("x", 3600.0, 10, alarms, []).events == 2
-    rates = Rates([Judged("x", 1800.0, 10, alarms, []), Judged("y", 1800.0, 10, [], [])])
+    assert JudgedLog("x", 3600.0, 10, alarms, []).events == 2
+    rates = LogRates([JudgedLog("x", 1800.0, 10, alarms, []), JudgedLog("y", 1800.0, 10, [], [])])
     assert rates.alarms.per_hour == pytest.approx(2.0)
     assert rates.headline().startswith("2 false alarm events in 60.0 min of normal flight: 2 [0.242, 7.22] per hour")
 

@@ -16,7 +16,7 @@ from mavfi.extras.paper.cli import FLIGHTS
 from mavfi.extras.paper.cli_report import StudyBar
 from mavfi.extras.paper.report import study_report
 from mavfi.extras.paper.steps import FLIGHTS as FLIGHTS_STEP
-from mavfi.extras.paper.steps import Steps
+from mavfi.extras.paper.steps import StepTimes
 from mavfi.extras.paper.study import load_study
 from tests.core.unit.campaign.fakes import small
 
@@ -95,16 +95,16 @@ def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(ca
     flights = ["training flights", "fitting of detectors", FLIGHTS_STEP]
     reports = ["tables and figures", "report.html and its flights"]
     steps = ["set-up (make setup)", "compilation", *flights, "timed flights", *reports]
-    assert list(Steps.load(out).seconds) == steps and all(f"| {step} |" in written for step in steps)
+    assert list(StepTimes.load(out).seconds) == steps and all(f"| {step} |" in written for step in steps)
     assert "- Machine: " in written and written.count("- Digest of the ledger in ") == 2
-    spent = Steps.load(out).seconds[FLIGHTS_STEP]
+    spent = StepTimes.load(out).seconds[FLIGHTS_STEP]
     monkeypatch.setattr("mavfi.campaign.training.record", never)
     monkeypatch.setattr("mavfi.extras.paper.overheads.measure", never)
     monkeypatch.setattr("mavfi.extras.paper.cli.FLIGHTS", 0)
     assert run([*arguments, "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert set(data["campaigns"]) == {".", "instructions"} and len(data["provenance"]) == 6
-    assert Steps.load(out).seconds[FLIGHTS_STEP] > spent, "a resumed study adds to its times"
+    assert StepTimes.load(out).seconds[FLIGHTS_STEP] > spent, "a resumed study adds to its times"
 
 
 @pytest.mark.slow

@@ -1,7 +1,7 @@
 import pytest
+from examples.pictures import drawing
 
 from tests.core.flights.missions import golden, mission
-from tools import drawing
 
 
 @pytest.fixture(scope="module")

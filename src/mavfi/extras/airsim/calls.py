@@ -12,7 +12,7 @@ from mavfi.config import checked
 from mavfi.errors import BadInputError
 from mavfi.faults.levels.message.definition import Leaf
 from mavfi.files import read_file
-from mavfi.flight.log_readers import LoggedMessage, Record, check_topics
+from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics
 from mavfi.record import LATEST_S
 
 _LARGEST = 1 << 28
@@ -82,7 +82,7 @@ class CallsReader:
         """See `FlightLogReader`."""
         calls = read_calls(self._path)
         check_topics(self._path, topics, {call.topic for call in calls})
-        layouts: dict[tuple[str, ...], Record] = {}
+        layouts: dict[tuple[str, ...], RecordLayout] = {}
         for call in calls:
             if topics and call.topic not in topics:
                 continue
@@ -90,5 +90,5 @@ class CallsReader:
             shape = (call.topic, *values)
             if shape not in layouts:
                 leaves = {name or "value": Leaf(8 * index, "float64") for index, name in enumerate(values)}
-                layouts[shape] = Record(call.topic, leaves)
+                layouts[shape] = RecordLayout(call.topic, leaves)
             yield LoggedMessage(call.topic, call.time_us, layouts[shape], np.array(list(values.values())).tobytes())

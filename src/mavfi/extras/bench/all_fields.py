@@ -21,7 +21,7 @@ from mavfi.numerics.jit import entry, kernel_jit
 from mavfi.states import STATES, State
 
 
-class Judged(NamedTuple):
+class JudgedPublication(NamedTuple):
     """Score of the publication judged last.
 
     Attributes:
@@ -38,7 +38,7 @@ class Judged(NamedTuple):
 
 
 @kernel_jit
-def conclude(first: int, last: int, measured: ResidualState, judged: Judged, limit: np.ndarray) -> float:
+def conclude(first: int, last: int, measured: ResidualState, judged: JudgedPublication, limit: np.ndarray) -> float:
     """Score of the distances [first, last), also stored."""
     reading = Reading(judged.distance, judged.unit, first, last, measured.place[REGIME])
     judged.score[0] = score_of(reading, limit, judged.ratios)
@@ -55,8 +55,8 @@ class CodeScorer(Scorer):
         tables: Further tables and memory of the compiled functions.
 
     Attributes:
-        judge: Compiled: residual state, `Judged`, limits of the threshold, then the tables; returns the score of the
-            publication measured last.
+        judge: Compiled: residual state, `JudgedPublication`, limits of the threshold, then the tables; returns the
+            score of the publication measured last.
         learns: Compiled: adapts to an accepted publication; same arguments as `judge`. None: nothing is learned.
     """
 
@@ -80,7 +80,7 @@ class CodeScorer(Scorer):
     def use(self, threshold: Threshold) -> None:
         """Set the threshold; called before the first flight."""
         super().use(threshold)
-        judged = Judged(self._distance, self._unit, threshold.ratios, np.zeros(1))
+        judged = JudgedPublication(self._distance, self._unit, threshold.ratios, np.zeros(1))
         self._judged_last = judged
         self._tables = (self.field_codes.measured, judged, threshold.limit, *self._tables)
         self.instrument({})
@@ -211,7 +211,7 @@ def from_centre(codes: np.ndarray, centre: np.ndarray, regime: int, distance: np
 
 
 @kernel_jit
-def judge_limits(measured: ResidualState, judged: Judged, limit: np.ndarray, centre: np.ndarray) -> float:
+def judge_limits(measured: ResidualState, judged: JudgedPublication, limit: np.ndarray, centre: np.ndarray) -> float:
     """Score of the distances from the centre of each field and regime, shape (n, regimes)."""
     first, last = measured.spans[measured.place[SLOT]]
     regime = measured.place[REGIME]
@@ -280,7 +280,9 @@ def residuals_of_part(vector: np.ndarray, network: Network, first: int, last: in
 
 
 @kernel_jit
-def hold(measured: ResidualState, judged: Judged, limit: np.ndarray, network: Network, holding: Holding) -> None:
+def hold(
+    measured: ResidualState, judged: JudgedPublication, limit: np.ndarray, network: Network, holding: Holding
+) -> None:
     """Hold the codes of a normal publication; 0 for an anomalous one."""
     if measured.place[LEARNED] == NEVER:
         return
@@ -292,7 +294,7 @@ def hold(measured: ResidualState, judged: Judged, limit: np.ndarray, network: Ne
 
 @kernel_jit
 def judge_reconstruction(
-    measured: ResidualState, judged: Judged, limit: np.ndarray, network: Network, holding: Holding
+    measured: ResidualState, judged: JudgedPublication, limit: np.ndarray, network: Network, holding: Holding
 ) -> float:
     """Score of the reconstruction errors of the latest codes; see `hold`."""
     hold(measured, judged, limit, network, holding)

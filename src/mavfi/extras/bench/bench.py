@@ -34,7 +34,7 @@ ROWS = ".rows.csv"
 """Ending of files with published rows; those without it are fault lists."""
 
 
-class Part(Config):
+class BenchPart(Config):
     """One campaign of a bench."""
 
     campaign: str = Field(description="name or path; its arms are those of the bench")
@@ -50,7 +50,7 @@ class Bench(Config):
     """Schemes under comparison, and the campaigns in which they fly."""
 
     name: Name
-    parts: dict[Name, Part] = Field(min_length=1, description="by name")
+    parts: dict[Name, BenchPart] = Field(min_length=1, description="by name")
     arms: dict[str, ArmConfig] = Field(min_length=1, description="schemes by name, as the arms of a campaign")
 
     @model_validator(mode="after")
@@ -68,10 +68,10 @@ class Bench(Config):
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class SelectedPart:
     """A part with its campaign; `left_out`: schemes that cannot fly it, with the reason."""
 
-    part: Part
+    part: BenchPart
     campaign: Campaign
     left_out: Mapping[str, str] = field(default_factory=dict)
 
@@ -120,9 +120,9 @@ def scales(bench: Bench) -> list[str]:
     return ["quick", *sorted(set.intersection(*own) - {"quick"})]
 
 
-def entries(
+def select_parts(
     bench: Bench, scale: str, *, levels: Iterable[str] = (), parts: Iterable[str] = (), models_dir: Path | None = None
-) -> dict[str, Entry]:
+) -> dict[str, SelectedPart]:
     """Select the parts to fly, by name.
 
     Args:
@@ -179,7 +179,7 @@ def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
     return parse(Campaign, {**own.to_json(), **changed, "arms": arms}, f"bench {bench.name}: {name}")
 
 
-def _entry(bench: Bench, name: str, campaign: Campaign, models_dir: Path | None) -> Entry:
+def _entry(bench: Bench, name: str, campaign: Campaign, models_dir: Path | None) -> SelectedPart:
     """The part without schemes whose detectors were trained for a different configuration, or are not installed."""
     check_names(campaign, f"bench {bench.name}: {name}")
     left_out = {}
@@ -192,7 +192,7 @@ def _entry(bench: Bench, name: str, campaign: Campaign, models_dir: Path | None)
             except (NotInstalledError, SpecMismatchError) as error:
                 left_out[arm.name] = str(error)
     arms = {arm: config for arm, config in campaign.arms.items() if arm not in left_out}
-    return Entry(bench.parts[name], campaign.model_copy(update={"arms": arms}), left_out)
+    return SelectedPart(bench.parts[name], campaign.model_copy(update={"arms": arms}), left_out)
 
 
 def faults_of(directory: Path) -> str:

@@ -59,8 +59,8 @@ def detectors(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi bench detectors --level state --detector my_package:MyDetector[/bold]
     """
-    from mavfi.extras.bench.bench import entries, load_bench, scales, with_only, with_schemes
-    from mavfi.extras.bench.leaderboard import Flown, write_leaderboard
+    from mavfi.extras.bench.bench import load_bench, scales, select_parts, with_only, with_schemes
+    from mavfi.extras.bench.leaderboard import BenchFlights, write_leaderboard
     from mavfi.report.text import show_table
 
     chosen = load_bench(bench)
@@ -76,10 +76,10 @@ def detectors(  # noqa: PLR0913 - one parameter per option
         chosen = with_schemes(chosen, scheme)
     if detector:
         chosen = with_only(chosen, detector, profile or "paper")
-    selected = entries(chosen, scale, levels=level or (), parts=part or (), models_dir=models)
+    selected = select_parts(chosen, scale, levels=level or (), parts=part or (), models_dir=models)
     out = out or Path("out") / "-".join(["bench", scale, *(chosen.arms if detector or scheme else ())])
     check_folder(out)
-    flown = Flown(chosen, selected, scale, out)
+    flown = BenchFlights(chosen, selected, scale, out)
     with stoppable(f"Stopped. What is done is kept in {out}; the same command resumes."):
         flown.fly(workers, models)
         scored = flown.scores(workers, models)

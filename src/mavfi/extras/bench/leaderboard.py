@@ -17,7 +17,7 @@ from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.run import run_campaigns
 from mavfi.cli.progress import Bar
 from mavfi.errors import write_text
-from mavfi.extras.bench.bench import SCORES, Bench, Entry, checksum, faults_of, frozen_faults, published_rows
+from mavfi.extras.bench.bench import SCORES, Bench, SelectedPart, checksum, faults_of, frozen_faults, published_rows
 from mavfi.extras.bench.scores import Scores, scores, unscored
 from mavfi.extras.bench.scores import table as table_of_scores
 from mavfi.files import is_file
@@ -31,7 +31,7 @@ _MOST_ALARMS = 1e4
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
+class BenchFlights:
     """Selected parts of a bench at a scale, and the folder of their ledgers.
 
     Attributes:
@@ -42,7 +42,7 @@ class Flown:
     """
 
     bench: Bench
-    parts: Mapping[str, Entry]
+    parts: Mapping[str, SelectedPart]
     scale: str
     folder: Path
 
@@ -75,7 +75,7 @@ class Flown:
             tables[SCORES] = table_of_scores(scored, list(self.scored), unscored(self.scored.values(), scored))
         return tables
 
-    def _table(self, name: str, entry: Entry) -> Table:
+    def _table(self, name: str, entry: SelectedPart) -> Table:
         """The table of a part, with notes on agreement with the frozen faults and on omitted schemes."""
         ledger = self.folder / name
         faults = faults_of(ledger)
@@ -101,7 +101,11 @@ class Flown:
 
 
 def write_leaderboard(
-    flown: Flown, own: Mapping[str, Table], shown: Mapping[str, Table], scored: Mapping[str, Scores], command: str
+    flown: BenchFlights,
+    own: Mapping[str, Table],
+    shown: Mapping[str, Table],
+    scored: Mapping[str, Scores],
+    command: str,
 ) -> None:
     """Write page, tables and curves of a bench to its folder; `shown`: the tables beside published rows.
 

@@ -22,7 +22,7 @@ from mavfi.extras.bench.all_fields import (
     AllFieldsDetector,
     CodeScorer,
     Holding,
-    Judged,
+    JudgedPublication,
     StateScorer,
     conclude,
     hold,
@@ -91,7 +91,7 @@ def rates(codes: np.ndarray, slots: np.ndarray, model: Any) -> np.ndarray:  # no
 @kernel_jit
 def learn(
     measured: ResidualState,
-    judged: Judged,
+    judged: JudgedPublication,
     limit: np.ndarray,
     model: Any,
     holding: Holding,
@@ -112,7 +112,7 @@ def update(measured: ResidualState, holding: Holding) -> None:
 @kernel_jit
 def judge_model(
     measured: ResidualState,
-    judged: Judged,
+    judged: JudgedPublication,
     limit: np.ndarray,
     model: Any,
     holding: Holding,

@@ -15,7 +15,7 @@ from mavfi.detectors.autoencoder import INPUT_LIMIT
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import Model
 from mavfi.detectors.training import Sample
-from mavfi.extras.bench.all_fields import AllFieldsDetector, CodeScorer, Judged, StateScorer, conclude
+from mavfi.extras.bench.all_fields import AllFieldsDetector, CodeScorer, JudgedPublication, StateScorer, conclude
 from mavfi.extras.bench.field_codes import FieldCodes
 from mavfi.extras.bench.library import LibraryDetector, require, scaled
 from mavfi.extras.bench.residual_state import LEARNED, NEVER, REGIME, SLOT, ResidualState
@@ -120,7 +120,7 @@ def nearest(stretch: np.ndarray, history: np.ndarray, sums: np.ndarray, squares:
 
 
 @kernel_jit
-def learn(measured: ResidualState, judged: Judged, limit: np.ndarray, series: Series) -> None:
+def learn(measured: ResidualState, judged: JudgedPublication, limit: np.ndarray, series: Series) -> None:
     """Store a value that consumers received, normal or not, as in training.
 
     After an anomaly that was left out, the subsequence ended before it, and any next value was an anomaly as well.
@@ -153,7 +153,7 @@ def distance_of(slot: int, series: Series) -> float:
 
 
 @kernel_jit
-def judge_stretch(measured: ResidualState, judged: Judged, limit: np.ndarray, series: Series) -> float:
+def judge_stretch(measured: ResidualState, judged: JudgedPublication, limit: np.ndarray, series: Series) -> float:
     """Score of the subsequence that a publication completes; 0 until the first is complete."""
     learn(measured, judged, limit, series)
     slot, complete = measured.place[SLOT], extend(measured, series)

@@ -110,7 +110,7 @@ def _above(scores: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, slots=True)
-class _Task:
+class _ScoringTask:
     """A golden flight and the faults scored in it; its text appears in the message about a lost worker."""
 
     mission: MissionSpec
@@ -124,7 +124,7 @@ class _Task:
 
 
 @dataclass(slots=True)
-class _Kept:
+class _FlightScores:
     """Scores of one detector in one flight."""
 
     golden: list[float] = field(default_factory=list)
@@ -133,13 +133,13 @@ class _Kept:
     corrupted: dict[int, float] = field(default_factory=dict)
 
 
-class _Scorer:
+class _ScoreRecorder:
     """Recorder in which detectors score each publication, and its corrupted copies at fault sites."""
 
     def __init__(self, detectors: Mapping[str, Detector], faults: Sequence[StateFault]) -> None:
         self._detectors: Mapping[str, Any] = detectors  # those that have `score`
         self._injectors = {place: StateInjector(fault) for place, fault in enumerate(faults)}
-        self.kept = {name: _Kept() for name in detectors}
+        self.kept = {name: _FlightScores() for name in detectors}
         for detector in detectors.values():
             detector.start()
 
@@ -183,7 +183,7 @@ def unscored(campaigns: Iterable[Campaign], found: Mapping[str, Scores]) -> dict
     return reasons
 
 
-def _score(task: _Task) -> dict[str, _Kept]:
+def _score(task: _ScoringTask) -> dict[str, _FlightScores]:
     """Fly a golden flight; returns the scores by arm."""
     scenario = resolve(task.mission)
     judging = {}
@@ -192,7 +192,7 @@ def _score(task: _Task) -> dict[str, _Kept]:
         detector = detector_for(scenario, arm.detector, arm.profile, task.models_dir, trained_for, arm.options).detector
         if not detector.seals:
             judging[arm.name] = detector
-    scorer = _Scorer(judging, task.faults)
+    scorer = _ScoreRecorder(judging, task.faults)
     log = fly(scenario, recorders=[scorer]).log
     hours = quality_of_flight(log).flight_time_s / 3600
     for kept in scorer.kept.values():
@@ -223,7 +223,7 @@ def scores(
     """
     tasks = _tasks(directories, models_dir)
     places = {id(task): place for place, task in enumerate(tasks)}
-    flown: list[tuple[_Task, dict[str, _Kept]]] = []
+    flown: list[tuple[_ScoringTask, dict[str, _FlightScores]]] = []
     progress(0, len(tasks))
     for pair in map_each(executor, _score, tasks):
         flown.append(pair)
@@ -234,9 +234,9 @@ def scores(
     return {name: own for name, own in found.items() if own.judged}
 
 
-def _tasks(directories: Sequence[Path], models_dir: Path | None) -> list[_Task]:
+def _tasks(directories: Sequence[Path], models_dir: Path | None) -> list[_ScoringTask]:
     """One task per mission, with the faults of all campaigns that contain it."""
-    tasks: dict[str, _Task] = {}
+    tasks: dict[str, _ScoringTask] = {}
     for directory in directories:
         judged = Runs.read(directory).injected.where("judged", setting=FI, site_outcome=ACTIVATED)
         lost = {row["run_id"]: bool(row["golden_success"]) and not row["success"] for row in judged}
@@ -248,7 +248,7 @@ def _tasks(directories: Sequence[Path], models_dir: Path | None) -> list[_Task]:
             for seed in campaign.seeds:
                 mission = campaign.spec(environment, seed)
                 own = [spec for spec in specs if spec.world == (environment, seed)]
-                task = tasks.setdefault(mission.model_dump_json(), _Task(mission, arms, (), (), models_dir))
+                task = tasks.setdefault(mission.model_dump_json(), _ScoringTask(mission, arms, (), (), models_dir))
                 tasks[mission.model_dump_json()] = replace(
                     task,
                     arms=tuple({arm.name: arm for arm in (*task.arms, *arms)}.values()),
@@ -258,7 +258,7 @@ def _tasks(directories: Sequence[Path], models_dir: Path | None) -> list[_Task]:
     return list(tasks.values())
 
 
-def _joined(flown: Sequence[tuple[_Task, _Kept]]) -> Scores:
+def _joined(flown: Sequence[tuple[_ScoringTask, _FlightScores]]) -> Scores:
     golden = np.sort(np.array([score for _, kept in flown for score in kept.golden]))[::-1]
     corrupted = [kept.corrupted.get(place, 0.0) for task, kept in flown for place in range(len(task.faults))]
     harmful = [lost for task, _ in flown for lost in task.harmful]

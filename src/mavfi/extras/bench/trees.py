@@ -24,7 +24,7 @@ from mavfi.numerics.elementary import exp, log
 from mavfi.numerics.jit import kernel_jit
 
 
-class Branch(NamedTuple):
+class Split(NamedTuple):
     """A node with children.
 
     Attributes:
@@ -40,7 +40,7 @@ class Branch(NamedTuple):
     high: "Tree"
 
 
-Tree = float | Branch
+Tree = float | Split
 """A branch, or the value of a leaf."""
 
 
@@ -70,7 +70,7 @@ class Forest(NamedTuple):
     values: np.ndarray
 
 
-class Trees(NamedTuple):
+class StateTrees(NamedTuple):
     """Trees of a state, and the unit of the sum of their leaves."""
 
     trees: Sequence[Tree]
@@ -82,7 +82,7 @@ _CODES_TO = 1 << 15
 """All codes are between these."""
 
 
-def limit_of(branch: Branch, inputs: Inputs) -> int:
+def limit_of(branch: Split, inputs: Inputs) -> int:
     """Largest code that goes to the lower child of a branch."""
     scale = float(inputs.scale[branch.column])
     if not -INPUT_LIMIT <= branch.threshold < INPUT_LIMIT:  # inputs are clamped to these: all codes, or none
@@ -142,7 +142,7 @@ def spans_of(counts: Sequence[int] | np.ndarray) -> np.ndarray:
 
 
 def forest_of(
-    states: Sequence[Trees], inputs: Inputs, decays: bool = False, sign: float = 1.0, shift: float = 0.0
+    states: Sequence[StateTrees], inputs: Inputs, decays: bool = False, sign: float = 1.0, shift: float = 0.0
 ) -> Forest:
     """The tables of a forest.
 
@@ -166,7 +166,7 @@ def forest_of(
 
     def fill(place: int, tree: Tree) -> list[tuple[int, Tree]]:
         """Fill in a node; returns its children with their places."""
-        if not isinstance(tree, Branch):
+        if not isinstance(tree, Split):
             values[place] = tree
             return []
         words[place] = pack(limit_of(tree, inputs), int(inputs.columns[tree.column]), len(words))
@@ -207,7 +207,7 @@ class IsolationForestDetector(OutlierDetector):
         forest = fitted.detector_
         trees = [_isolation_tree(one.tree_, 0, 0) for one in forest.estimators_]
         unit = len(trees) * path_length(forest.max_samples_) / log(2.0)
-        found = forest_of([Trees(trees, unit)], inputs, decays=True, shift=float(forest.offset_))
+        found = forest_of([StateTrees(trees, unit)], inputs, decays=True, shift=float(forest.offset_))
         return found._replace(spans=np.tile(found.spans, (states, 1)), unit=np.full(states, unit))
 
 
@@ -225,7 +225,7 @@ def _isolation_tree(tree: Any, node: int, depth: int) -> Tree:  # noqa: ANN401 -
     if low < 0:
         return depth + path_length(int(tree.n_node_samples[node]))
     below, above = (_isolation_tree(tree, child, depth + 1) for child in (low, high))
-    return Branch(int(tree.feature[node]), single_limit(float(tree.threshold[node])), below, above)
+    return Split(int(tree.feature[node]), single_limit(float(tree.threshold[node])), below, above)
 
 
 def single_limit(threshold: float) -> float:
@@ -275,13 +275,13 @@ def fitted(rows: np.ndarray) -> Any:  # noqa: ANN401 - of the library
     return forest
 
 
-def _half_space_trees(rows: np.ndarray, own: np.ndarray) -> Trees:
+def _half_space_trees(rows: np.ndarray, own: np.ndarray) -> StateTrees:
     if not len(own) or not len(rows):
-        return Trees([], 1.0)
+        return StateTrees([], 1.0)
     forest = fitted(rows[:, own])
     trees = [_half_space_tree(tree, own, 0, 0.0, _LEAST * forest.window_size) for tree in forest.trees]
     most = float(_TREES * forest.window_size * (2 ** (_HEIGHT + 1) - 1))
-    return Trees(trees, most)
+    return StateTrees(trees, most)
 
 
 def _half_space_tree(node: Any, own: np.ndarray, depth: int, above: float, least: float) -> Tree:  # noqa: ANN401
@@ -290,7 +290,7 @@ def _half_space_tree(node: Any, own: np.ndarray, depth: int, above: float, least
     if depth == _HEIGHT or node.r_mass < least:
         return total
     low, high = (_half_space_tree(child, own, depth + 1, total, least) for child in node.children)
-    return Branch(int(own[node.feature]), math.nextafter(float(node.threshold), -math.inf), low, high)
+    return Split(int(own[node.feature]), math.nextafter(float(node.threshold), -math.inf), low, high)
 
 
 class HalfSpaceTreesDetector(LibraryDetector):
@@ -461,7 +461,7 @@ Words = defaultdict[tuple[int, bool], list[int]]
 
 def _leaves(tree: Tree, number: int, first: int, inputs: Inputs, words: Words) -> list[float]:
     """Values of the leaves of a subtree of tree `number`, whose branches it adds; its first leaf has bit `first`."""
-    if not isinstance(tree, Branch):
+    if not isinstance(tree, Split):
         return [tree]
     limit = limit_of(tree, inputs)
     below = limit < 0  # 0 goes to the upper child
@@ -495,7 +495,7 @@ def _boosted_tree(node: Mapping[str, Any], left_out: int) -> Tree:
         return float(node["leaf_value"])
     column = int(node["split_feature"])
     low, high = (_boosted_tree(node[child], left_out) for child in ("left_child", "right_child"))
-    return Branch(column + (column >= left_out), float(node["threshold"]), low, high)
+    return Split(column + (column >= left_out), float(node["threshold"]), low, high)
 
 
 class GradientBoostingDetector(LibraryDetector):

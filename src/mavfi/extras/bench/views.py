@@ -173,7 +173,7 @@ def _schemes(
     level: str,
     name: str,
     title: str,
-    measures: tuple[Measure | m.Spread, ...],
+    measures: tuple[Measure | m.MeasureFactory, ...],
     notes: Callable[[Runs], Iterable[str]],
 ) -> View:
     """A table with one row per scheme, for faults of one level."""

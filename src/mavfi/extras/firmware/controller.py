@@ -18,7 +18,7 @@ from mavfi.extras.firmware.tracking import Tracking
 from mavfi.numerics.elementary import atan2, cos, sin
 from mavfi.numerics.rotations import rotation_matrix, yaw_of
 from mavfi.sim.cascade import MEMORY_SIZE, wanted_thrust
-from mavfi.sim.controller import Start
+from mavfi.sim.controller import InitialConditions
 from mavfi.sim.engine import GRAVITY
 from mavfi.sim.scene import STEP_US
 from mavfi.sim.vehicle import airframe_of
@@ -42,7 +42,7 @@ class BetaflightController:
     period_us = PERIOD_NS // 1000
     rewindable = False
 
-    def __init__(self, start: Start) -> None:
+    def __init__(self, start: InitialConditions) -> None:
         self._airframe = airframe_of(start.vehicle)
         self._memory = np.zeros(MEMORY_SIZE)
         self._matrix = np.empty((3, 3))

@@ -16,9 +16,9 @@ from mavfi.extras.firmware.tracking import Tracking
 from mavfi.faults.fault import RegisterFault
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.compose import new_loop, resolve, watch
-from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host
-from mavfi.flight.loop import Listener, Record
+from mavfi.flight.loop import Listener, LoopRecord
 from mavfi.flight.sensor_faults import inject_sensor_fault
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.outcomes import ControlErrors
@@ -90,7 +90,7 @@ def fly(
     fault: RegisterFault | SensorFault | None = None,
     detector: Detector | None = None,
     *,
-    recovery: Recovery = INLINE,
+    recovery: RecoveryPolicy = INLINE,
     profile: bool = False,
     observers: Sequence[Listener] = (),
 ) -> Flight:
@@ -147,7 +147,7 @@ def _errors(controller: BetaflightController, flight: Flight) -> dict[str, Any]:
 class _LossListener(Listener):
     """Records the end of the firmware, once."""
 
-    def __init__(self, record: Record, controller: BetaflightController) -> None:
+    def __init__(self, record: LoopRecord, controller: BetaflightController) -> None:
         self._record = record
         self._controller = controller
 

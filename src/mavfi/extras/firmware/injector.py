@@ -78,7 +78,7 @@ class FirmwareInjector:
             def walk(count: int) -> bool:
                 for _ in range(count):
                     tracee.step(_STOP_LIMIT_S)
-                return space.place(tracee.instruction_pointer()).library != str(firmware.shim)
+                return space.location_of(tracee.instruction_pointer()).library != str(firmware.shim)
 
             done = flip_here(self.fault, self._choices, tracee, memory, walk)
             if done is not None:

@@ -1,4 +1,4 @@
-"""How well a firmware follows its set-points: what lasts of its errors, for the classes of `mavfi.outcomes.Control`."""
+"""How well a firmware follows its set-points: what lasts of its errors, for `mavfi.outcomes.ControlEffect`."""
 
 import math
 from array import array
@@ -27,7 +27,7 @@ class Tracking:
         Args:
             time_us: The instant of the flight (us).
             setpoint: Wanted vx vy vz (m/s), world frame, and yaw rate (rad/s). Shape (4,).
-            odometry: True state, as in `sim.controller.Start`. Shape (13,).
+            odometry: True state, as in `sim.controller.InitialConditions`. Shape (13,).
             wanted: Specific force asked of the firmware, world frame (m/s^2). Shape (3,).
             up: The body's z axis, world frame: unit vector. Shape (3,).
         """

@@ -11,7 +11,7 @@ from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import SIGNED, Cell
 from mavfi.analysis.views import View, has
 from mavfi.extras.registers.classes import class_of, function_of
-from mavfi.outcomes import COSTLIER, HEALTHY, LASTING_S, LONGER, LOST, Control
+from mavfi.outcomes import COSTLIER, HEALTHY, LASTING_S, LONGER, LOST, ControlEffect
 from mavfi.plugins import Chapter
 
 FIRMWARE = "firmware"
@@ -27,7 +27,7 @@ _OUTCOMES = {
 _MEASURES = (m.count("n", "runs"), *(m.rate(key, heading, test) for key, (heading, test) in _OUTCOMES.items()))
 _CLASSES = (
     m.count("n", "runs"),
-    *(m.rate(one.name.lower(), one.value, pl.col("control") == one.value) for one in Control),
+    *(m.rate(one.name.lower(), one.value, pl.col("control") == one.value) for one in ControlEffect),
 )
 _INTERVALS = "per cent, [95 % interval, Wilson, adjusted for runs that share a mission], count"
 
@@ -59,7 +59,7 @@ def _by_third(runs: Runs) -> Runs:
 def _by_class(runs: Runs) -> Runs:
     """Activated faults, the classes from harmless to worst."""
     own = _faults(runs)
-    place = pl.col("control").replace_strict({one.value: rank for rank, one in enumerate(Control)}, default=None)
+    place = pl.col("control").replace_strict({one.value: rank for rank, one in enumerate(ControlEffect)}, default=None)
     return replace(own, frame=own.frame.sort(place, maintain_order=True))
 
 

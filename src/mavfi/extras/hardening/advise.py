@@ -30,36 +30,57 @@ from mavfi.extras.hardening.choose import NOTHING, Choice
 from mavfi.extras.hardening.compiled import Timed, compare
 from mavfi.extras.hardening.duplicate import protect
 from mavfi.extras.hardening.observed import observe
-from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan, Site
-from mavfi.extras.hardening.target import Injected, Judged, Learn, Target, injections_in, targets_of
+from mavfi.extras.hardening.plan import Coverage, FunctionKey, FunctionPlan, ModuleSite, ProtectionPlan
+from mavfi.extras.hardening.target import (
+    FunctionTarget,
+    Injected,
+    Injector,
+    JudgedCorruptions,
+    injections_in,
+    targets_of,
+)
 from mavfi.ir.build import environment_of
 from mavfi.mission import Scenario
 from mavfi.states import INJECTABLE, PLANNERS
 
-FRACTIONS = tuple(place / 20 for place in range(1, 21))
+FRACTIONS = tuple(twentieths / 20 for twentieths in range(1, 21))
 """Steps of a curve: shares of the cost of duplicating everything."""
 _UNITS = 10_000
 """Number of units into which a budget is divided."""
 TIMED_S = 1.0
 """For how long a function and its variants are timed at most (s): `mavfi harden` has a minute."""
-_MUCH = 0.02
-"""Share of a flight's kernel time from which on the error of a time matters to a budget."""
-_ATTEMPTS = 4
-"""How often a choice is made of which some steps are timed again, at most."""
-_ROUNDS = 400
-"""Number of rounds per second of that time that are enough: short functions have thousands."""
+_MAX_ROUNDS_PER_S = 400
+"""Rounds per second of that time after which timing ends: short functions would have thousands."""
+_MIN_RETIMED_SHARE = 0.02
+"""Share of a flight's kernel time from which on the error of a function's time matters to a budget."""
+_MAX_RETIMINGS = 4
+"""How often steps of a choice are timed again at most."""
 
 
-Ladder = list[tuple[float, Choice, Judged]]
-"""Fraction, choice and prediction of each step of a function, from nothing to everything."""
+class LadderStep(NamedTuple):
+    """A choice for one function before its time is measured.
+
+    Attributes:
+        fraction: Fraction of the instructions that duplicating everything adds; 0 = unprotected.
+        choice: What is duplicated.
+        judged: Prediction, by injection.
+    """
+
+    fraction: float
+    choice: Choice
+    judged: JudgedCorruptions
+
+
+Ladder = list[LadderStep]
+"""Steps of a function, from nothing to everything."""
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class CurveStep:
     """A choice for one function.
 
     Attributes:
-        fraction: Of the instructions that duplicating everything adds; 0 = unprotected.
+        fraction: Fraction of the instructions that duplicating everything adds; 0 = unprotected.
         choice: What is duplicated.
         time: Measured time / that of plain code.
         judged: Prediction, by injection.
@@ -68,7 +89,7 @@ class Step:
     fraction: float
     choice: Choice
     time: float
-    judged: Judged
+    judged: JudgedCorruptions
 
     @property
     def coverage(self) -> Rate:
@@ -87,16 +108,16 @@ class Curve:
         steps: By cost.
     """
 
-    target: Target
+    target: FunctionTarget
     ticks: float
     share: float
-    steps: tuple[Step, ...]
+    steps: tuple[CurveStep, ...]
 
-    def extra(self, step: Step) -> float:
+    def extra(self, step: CurveStep) -> float:
         """Time that a step adds, as a share of the flight's kernel time."""
         return self.share * (step.time - 1)
 
-    def removed(self, step: Step) -> float:
+    def removed(self, step: CurveStep) -> float:
         """Silent corruptions that a step removes, per flight in which every dynamic instruction is injected once."""
         return self.target.sdc_mass * (step.coverage.rate or 0.0)
 
@@ -118,9 +139,9 @@ class Advice:
     shared: float = 0.0
 
     @property
-    def steps(self) -> list[tuple[Curve, Step]]:
+    def steps(self) -> list[tuple[Curve, CurveStep]]:
         """The chosen step of each function."""
-        return [(curve, curve.steps[place]) for curve, place in zip(self.curves, self.chosen, strict=True)]
+        return [(curve, curve.steps[step]) for curve, step in zip(self.curves, self.chosen, strict=True)]
 
     @property
     def spent(self) -> float:
@@ -133,66 +154,65 @@ class Advice:
         return coverage_of_steps(self.steps)
 
 
-def coverage_of(judged: Judged) -> Rate:
+def coverage_of(judged: JudgedCorruptions) -> Rate:
     """Share of silent corruptions that are removed, with an interval clustered by call."""
-    return clustered_rate([hit for _, hit in judged], [one.world for one, _ in judged])
+    return clustered_rate([removed for _, removed in judged], [injected.world for injected, _ in judged])
 
 
-def coverage_of_steps(steps: Sequence[tuple[Curve, Step]]) -> Rate:
+def coverage_of_steps(steps: Sequence[tuple[Curve, CurveStep]]) -> Rate:
     """Predicted coverage of a step of each of several functions, weighted by their expected silent corruptions."""
-    rows = [
-        (hit, curve.target.sdc_mass, curve.target.name, f"{curve.target.name} {one.world}")
-        for curve, step in steps
-        if curve.target.sdc_mass > 0
-        for one, hit in step.judged
-    ]
+    rows = []  # removed, weight, stratum and cluster of each silent corruption
+    for curve, step in steps:
+        target = curve.target
+        if target.sdc_mass > 0:
+            for injected, removed in step.judged:
+                rows.append((removed, target.sdc_mass, target.name, f"{target.name} {injected.world}"))
     if rows:
         return weighted_rate(*zip(*rows, strict=True))
     return Rate(0, None, None, None)
 
 
-def every_choice(target: Target, fractions: Sequence[float] = FRACTIONS) -> Ladder:
+def every_choice(target: FunctionTarget, fractions: Sequence[float] = FRACTIONS) -> Ladder:
     """Nothing, and the best choices that add at most these fractions of the instructions of full duplication."""
-    return [(fraction, target.chooser.share(fraction), target.judged(fraction)) for fraction in (0.0, *fractions)]
+    return [LadderStep(f, target.chooser.share(f), target.judged(f)) for f in (0.0, *fractions)]
 
 
-def choices_of(target: Target) -> Ladder:
-    """Those of all choices that are predicted to remove more than each cheaper one, and full duplication.
+def choices_of(target: FunctionTarget) -> Ladder:
+    """The choices that are predicted to remove more than each cheaper one, and full duplication.
 
     The others would be built and timed in vain.
     """
     ladder: Ladder = []
-    most = -1
+    most_removed = -1
     for step in every_choice(target):
-        fraction, _, judged = step
-        removed = sum(hit for _, hit in judged)
-        if removed > most or fraction == FRACTIONS[-1]:
+        removed = sum(is_removed for _, is_removed in step.judged)
+        if removed > most_removed or step.fraction == FRACTIONS[-1]:
             ladder.append(step)
-        most = max(most, removed)
+        most_removed = max(most_removed, removed)
     return ladder
 
 
-class Prepared(NamedTuple):
-    """What can be said of a function before its time is measured.
+class PreparedFunction(NamedTuple):
+    """A function before its time is measured.
 
     Attributes:
-        injections: In its recorded calls.
-        choices: Its steps.
-        codes: As of `codes_of`, for all of them.
+        injections: Injections in its recorded calls.
+        ladder: Its steps.
+        codes: Machine code of all steps, see `codes_of`.
     """
 
     injections: list[Injected]
-    choices: Ladder
+    ladder: Ladder
     codes: list[bytes]
 
 
 Tell = Callable[[str], None]
 """Receives a line of text when a piece of work begins."""
-Choices = Callable[[Target], Ladder]
+LadderMaker = Callable[[FunctionTarget], Ladder]
 """Makes the steps of a function, as `choices_of`."""
 
 
-def codes_of(target: Target, duplicated: Sequence[Collection[Site]]) -> list[bytes]:
+def codes_of(target: FunctionTarget, duplicated: Sequence[Collection[ModuleSite]]) -> list[bytes]:
     """Machine code of a function to be timed: plain, then with each set of sites duplicated."""
     source = target.source
     plain = target.module
@@ -200,71 +220,94 @@ def codes_of(target: Target, duplicated: Sequence[Collection[Site]]) -> list[byt
     return [Timed.code_of(source, module) for module in (plain, *variants)]
 
 
-def times_of(target: Target, codes: Sequence[bytes], seconds: float = TIMED_S) -> tuple[float, list[float]]:
-    """Ticks of a plain call, and the time of a call of each further code, as a multiple of it; at most `seconds`."""
+def times_of(target: FunctionTarget, codes: Sequence[bytes], seconds: float = TIMED_S) -> tuple[float, list[float]]:
+    """Time a function for at most some seconds.
+
+    Args:
+        target: The function.
+        codes: Machine code of its plain and its protected variants, see `codes_of`.
+        seconds: For how long (s).
+
+    Returns:
+        Ticks of a plain call, and the time of a call of each protected variant as a multiple of it, at least 1.
+    """
     environment = environment_of(target.seen.function, target.seen.signature)
-    base, *others = (Timed(target.source, code, environment).ticks for code in codes)
-    clocks = {str(place): clock for place, clock in enumerate(others)}
+    plain, *protected = (Timed(target.source, code, environment).ticks for code in codes)
+    clocks = {str(number): clock for number, clock in enumerate(protected)}
     end = monotonic() + seconds
-    timing = compare(base, clocks, target.seen.calls, lambda rounds: rounds >= _ROUNDS * seconds or monotonic() > end)
+
+    def is_enough(rounds: int) -> bool:
+        return rounds >= _MAX_ROUNDS_PER_S * seconds or monotonic() > end
+
+    timing = compare(plain, clocks, target.seen.calls, is_enough)
     return timing.ticks, [max(timing.ratios[name], 1.0) for name in clocks]
 
 
 def prepare_all(
-    targets: Sequence[Target], wanted: Collection[str], tell: Tell, learn: Learn, workers: int, choices: Choices
-) -> list[Prepared]:
+    targets: Sequence[FunctionTarget],
+    wanted: Collection[str],
+    tell: Tell,
+    inject: Injector,
+    workers: int,
+    choices: LadderMaker,
+) -> list[PreparedFunction]:
     """Inject, choose and build for the functions of some flights; the functions keep their injections.
 
     Args:
         targets: The functions; those of kernels that are not `wanted` are built as they are.
         wanted: Kernels to protect.
         tell: Called with the name of each function.
-        learn: Injects faults in a function without injections.
+        inject: Injects faults in a function without injections.
         workers: Number of processes.
         choices: Makes the steps of a function.
     """
 
-    def at(place: int) -> Prepared:
-        target = targets[place]
+    def prepare(number: int) -> PreparedFunction:
+        target = targets[number]
         if set(wanted).isdisjoint(target.kernels):  # only the time of its plain code is of interest
-            return Prepared([], [(0.0, NOTHING, [])], codes_of(target, []))
-        target.injections = target.injections or learn(target.seen)
+            return PreparedFunction([], [LadderStep(0.0, NOTHING, [])], codes_of(target, []))
+        target.injections = target.injections or inject(target.seen)
         ladder = choices(target)
-        codes = codes_of(target, [target.sites(choice) for _, choice, _ in ladder[1:]])
-        return Prepared(target.injections, ladder, codes)
+        codes = codes_of(target, [target.sites(step.choice) for step in ladder[1:]])
+        return PreparedFunction(target.injections, ladder, codes)
 
-    longest = sorted(range(len(targets)), key=lambda place: -sum(targets[place].seen.variant.table.sizes()))
-    ready: dict[int, Prepared] = {}
-    for place, own in map_each(LocalExecutor(workers), at, longest):
-        ready[place] = own
-        targets[place].injections = own.injections
-        tell(f"injected faults in {targets[place].name} and made its choices ({len(ready)} of {len(targets)})")
-    return [ready[place] for place in range(len(targets))]
+    # The largest functions first: none of them is left for a single worker at the end.
+    longest_first = sorted(range(len(targets)), key=lambda number: -sum(targets[number].seen.variant.table.sizes()))
+    prepared: dict[int, PreparedFunction] = {}
+    for number, result in map_each(LocalExecutor(workers), prepare, longest_first):
+        prepared[number] = result
+        targets[number].injections = result.injections  # they were made in another process
+        tell(f"injected faults in {targets[number].name} and made its choices ({len(prepared)} of {len(targets)})")
+    return [prepared[number] for number in range(len(targets))]
 
 
 def curves_of(
-    targets: Sequence[Target], ready: Sequence[Prepared], other_ticks: float, tell: Tell, seconds: float
+    targets: Sequence[FunctionTarget],
+    prepared: Sequence[PreparedFunction],
+    other_ticks: float,
+    tell: Tell,
+    seconds: float,
 ) -> tuple[Curve, ...]:
     """Time the steps of the functions of a flight.
 
     Args:
         targets: The functions.
-        ready: As of `prepare_all`.
+        prepared: The same functions, see `prepare_all`.
         other_ticks: Ticks of all other functions in the flight.
         tell: Called with the name of each function.
         seconds: For how long each is timed at most (s).
     """
     rows = []
-    for target, own in zip(targets, ready, strict=True):
+    for target, function in zip(targets, prepared, strict=True):
         tell(f"timing {target.name}")
-        ticks, times = times_of(target, own.codes, seconds)
+        ticks, times = times_of(target, function.codes, seconds)
         steps = [
-            Step(fraction, choice, time, judged)
-            for (fraction, choice, judged), time in zip(own.choices, (1.0, *times), strict=True)
+            CurveStep(step.fraction, step.choice, time, step.judged)
+            for step, time in zip(function.ladder, (1.0, *times), strict=True)
         ]
         rows.append((target, ticks * target.seen.total, tuple(steps)))
-    whole = other_ticks + sum(ticks for _, ticks, _ in rows)
-    return tuple(Curve(target, ticks, ticks / whole, steps) for target, ticks, steps in rows)
+    flight_ticks = other_ticks + sum(ticks for _, ticks, _ in rows)
+    return tuple(Curve(target, ticks, ticks / flight_ticks, steps) for target, ticks, steps in rows)
 
 
 def allocate(curves: Sequence[Curve], budget: float) -> tuple[int, ...]:
@@ -273,8 +316,9 @@ def allocate(curves: Sequence[Curve], budget: float) -> tuple[int, ...]:
     A multiple-choice knapsack problem, solved by dynamic programming over units of the budget (Kellerer, Pferschy
     and Pisinger, Knapsack Problems, 2004, chapter 11); the time of a step is rounded up to whole units.
     """
-    best = np.zeros(_UNITS + 1)  # most that is removed within so many units
-    taken: list[np.ndarray] = []
+    # Forwards: how much do the first functions remove within each number of units, and by which steps?
+    best = np.zeros(_UNITS + 1)
+    taken: list[np.ndarray] = []  # by function: index of the step within each number of units
     for curve in curves:
         gains = np.full((len(curve.steps), _UNITS + 1), -np.inf)
         for number, step in enumerate(curve.steps):
@@ -283,6 +327,8 @@ def allocate(curves: Sequence[Curve], budget: float) -> tuple[int, ...]:
                 gains[number, units:] = best[: _UNITS + 1 - units] + curve.removed(step)
         taken.append(gains.argmax(axis=0))  # of equal ones the first, which adds fewest instructions
         best = gains.max(axis=0)
+
+    # Backwards: the step of the last function within all units, then that of the one before within what is left.
     left = _UNITS
     chosen = []
     for curve, steps in zip(reversed(curves), reversed(taken), strict=True):
@@ -291,10 +337,10 @@ def allocate(curves: Sequence[Curve], budget: float) -> tuple[int, ...]:
     return tuple(reversed(chosen))
 
 
-def settle(
-    curves: Sequence[Curve], ready: Sequence[Prepared], budget: float, seconds: float = TIMED_S
+def allocate_and_retime(
+    curves: Sequence[Curve], prepared: Sequence[PreparedFunction], budget: float, seconds: float = TIMED_S
 ) -> tuple[tuple[Curve, ...], tuple[int, ...]]:
-    """Steps as of `allocate`; those of functions that take much of the flight's time are timed again once chosen.
+    """Choose steps by `allocate`; once chosen, those of functions that take much of the flight are timed again.
 
     Of steps whose times are measured with an error, those are chosen whose error is favourable: together they would
     exceed the budget.  The second measurement does not depend on the choice.
@@ -302,21 +348,21 @@ def settle(
     Returns:
         The curves, with the new times, and the index of the chosen step for each of them.
     """
-    own = list(curves)
-    known = set[tuple[int, int]]()
-    for _ in range(_ATTEMPTS):
-        chosen = set(enumerate(allocate(own, budget)))
-        again = {(n, place) for n, place in chosen - known if place and own[n].share >= _MUCH}
-        if not again:
+    updated = list(curves)
+    retimed = set[tuple[int, int]]()  # function and step
+    for _ in range(_MAX_RETIMINGS):
+        chosen = set(enumerate(allocate(updated, budget)))
+        due = {(n, step) for n, step in chosen - retimed if step and updated[n].share >= _MIN_RETIMED_SHARE}
+        if not due:
             break
-        known |= again
-        for n, place in again:
-            codes = ready[n].codes
-            _, (time,) = times_of(own[n].target, [codes[0], codes[place]], seconds)
-            steps = list(own[n].steps)
-            steps[place] = replace(steps[place], time=time)
-            own[n] = replace(own[n], steps=tuple(steps))
-    return tuple(own), allocate(own, budget)
+        retimed |= due
+        for n, step in due:
+            codes = prepared[n].codes
+            _, (time,) = times_of(updated[n].target, [codes[0], codes[step]], seconds)
+            steps = list(updated[n].steps)
+            steps[step] = replace(steps[step], time=time)
+            updated[n] = replace(updated[n], steps=tuple(steps))
+    return tuple(updated), allocate(updated, budget)
 
 
 def _units(time: float, budget: float) -> int:
@@ -335,13 +381,13 @@ FRESH = 2
 
 
 @dataclass(frozen=True)
-class Study:
+class HardeningStudy:
     """A campaign of instruction faults, as input of the choice.
 
     Attributes:
-        directory: Of the ledger.
-        campaign: Its campaign.
-        digest: Of its runs.
+        directory: Folder of its ledger.
+        campaign: The campaign.
+        digest: Digest of its runs.
         kernels: Kernels to protect.
     """
 
@@ -351,7 +397,7 @@ class Study:
     kernels: tuple[str, ...]
 
     @staticmethod
-    def open(directory: Path, kernels: Sequence[str] = ()) -> "Study":
+    def open(directory: Path, kernels: Sequence[str] = ()) -> "HardeningStudy":
         """Open a ledger; no `kernels` = all in which it has faults.
 
         Raises:
@@ -360,13 +406,13 @@ class Study:
         with Store.open(directory) as store:
             campaign = stored_campaign(store)
             digest = store.digest()
-        known = _sampled(campaign)
-        if not known:
+        sampled = _sampled(campaign)
+        if not sampled:
             raise BadInputError(f"{directory}: no kernels are sampled; allowed: a campaign of level instruction")
         for kernel in kernels:
-            if kernel not in known:
-                raise BadInputError(f"--kernels: {kernel!r}: allowed: {', '.join(known)}")
-        return Study(directory, campaign, digest, tuple(kernels) or known)
+            if kernel not in sampled:
+                raise BadInputError(f"--kernels: {kernel!r}: allowed: {', '.join(sampled)}")
+        return HardeningStudy(directory, campaign, digest, tuple(kernels) or sampled)
 
     @cached_property
     def runs(self) -> Runs:
@@ -375,8 +421,8 @@ class Study:
 
     def by_planner(self) -> dict[str, tuple[str, ...]]:
         """All kernels of the missions that are flown, by planner; that of the campaign's mission comes first."""
-        own = self.campaign.spec(self.campaign.environments[0], self.campaign.first_seed).planner
-        planners = dict.fromkeys([own, *(kernel for kernel in self.kernels if kernel in PLANNERS)])
+        planner_of_campaign = self.campaign.spec(self.campaign.environments[0], self.campaign.first_seed).planner
+        planners = dict.fromkeys([planner_of_campaign, *(kernel for kernel in self.kernels if kernel in PLANNERS)])
         common = tuple(kernel for kernel in INJECTABLE if kernel not in PLANNERS)
         return {planner: (*common, planner) for planner in planners if planner in PLANNERS}
 
@@ -400,10 +446,10 @@ class Study:
     @property
     def worlds(self) -> list[str]:
         """Names of the environments of its campaign, whose own names may be paths or parts."""
-        own = host_of(self.campaign)
+        host = host_of(self.campaign)
         seed = self.campaign.first_seed
         specs = (self.campaign.spec(environment, seed) for environment in self.campaign.environments)
-        return list(dict.fromkeys(own.resolve(spec).environment.name for spec in specs))
+        return list(dict.fromkeys(host.resolve(spec).environment.name for spec in specs))
 
     @property
     def studied(self) -> dict[str, tuple[int, int]]:
@@ -431,65 +477,88 @@ def _sampled(campaign: Campaign) -> tuple[str, ...]:
     return tuple(kernel for kernel in getattr(campaign.sampling, "kernels", ()) if kernel in INJECTABLE)
 
 
+class _PlannerFlight(NamedTuple):
+    """Functions in the golden flight of a planner: those that flights of earlier planners call, too, and new ones."""
+
+    shared: list[FunctionTarget]
+    new: list[FunctionTarget]
+
+
 def advise(
-    study: Study,
+    study: HardeningStudy,
     budget: float,
     tell: Tell = lambda _: None,
     *,
     addresses: bool = False,
-    learn: Learn = injections_in,
+    inject: Injector = injections_in,
     workers: int = 1,
     seconds: float = TIMED_S,
-    choices: Choices = choices_of,
+    choices: LadderMaker = choices_of,
 ) -> list[Advice]:
     """Advice by planner of the missions, that of the campaign's planner first.
 
-    The budget applies to each flight.  Functions that several planners share are chosen in the first one.  `addresses`
-    is that of `Target`; `learn`, `workers` and `choices` are those of `prepare_all`, `seconds` is that of `curves_of`.
+    The budget applies to each flight.  Functions that several planners share are chosen in the first one.
+
+    Args:
+        study: The ledger.
+        budget: Largest share of a flight's kernel time to add.
+        tell: Called with each piece of work.
+        addresses: See `FunctionTarget`.
+        inject: See `prepare_all`.
+        workers: Number of processes.
+        seconds: For how long each function is timed at most (s).
+        choices: See `prepare_all`.
 
     Raises:
         BadInputError: A mission cannot be flown.
     """
+    # 1. Fly a golden mission with each planner: which functions does it call that no earlier planner calls?
     environment = study.campaign.environments[0]
     seed = study.campaign.first_seed
-    flights: list[tuple[list[Target], list[Target]]] = []  # of each planner: those of earlier ones, and new ones
-    known: dict[tuple[str, str], Target] = {}
+    flights: list[_PlannerFlight] = []
+    earlier: dict[FunctionKey, FunctionTarget] = {}
     for planner, kernels in study.by_planner().items():
         tell(f"flying the golden mission {environment} {seed} with {planner}")
         seen = observe(study.scenario(environment, seed, planner), kernels)
         targets = targets_of(seen, addresses=addresses)
-        shared = [known[target.key] for target in targets if target.key in known]
-        flights.append((shared, [target for target in targets if target.key not in known]))
-        known |= {target.key: target for target in flights[-1][1]}
-    every = [target for _, new in flights for target in new]
-    made = prepare_all(every, study.kernels, tell, learn, workers, choices)
-    ready = {target.key: one for target, one in zip(every, made, strict=True)}
-    found: list[Advice] = []
-    for shared, new in flights:
-        steps = {curve.target.key: (curve, step) for advice in found for curve, step in advice.steps}
-        before = [steps[target.key] for target in shared]
-        other_ticks = sum(curve.ticks for curve, _ in before)
-        own = [ready[target.key] for target in new]
-        curves = curves_of(new, own, other_ticks, tell, seconds)
-        whole = other_ticks + sum(curve.ticks for curve in curves)
-        spent = sum(curve.ticks * (step.time - 1) for curve, step in before) / whole
-        found.append(Advice(budget, *settle(curves, own, budget - spent, seconds), spent))
-    return found
+        shared = [earlier[target.key] for target in targets if target.key in earlier]
+        new = [target for target in targets if target.key not in earlier]
+        flights.append(_PlannerFlight(shared, new))
+        earlier |= {target.key: target for target in new}
+
+    # 2. Inject faults in all functions, and make and build their steps, in parallel.
+    targets = [target for flight in flights for target in flight.new]
+    results = prepare_all(targets, study.kernels, tell, inject, workers, choices)
+    prepared_of = {target.key: result for target, result in zip(targets, results, strict=True)}
+
+    # 3. Time the steps and spend the budget of each flight; shared functions have spent a part of it already.
+    advices: list[Advice] = []
+    for flight in flights:
+        chosen = {curve.target.key: (curve, step) for advice in advices for curve, step in advice.steps}
+        shared_steps = [chosen[target.key] for target in flight.shared]
+        shared_ticks = sum(curve.ticks for curve, _ in shared_steps)
+        prepared = [prepared_of[target.key] for target in flight.new]
+        curves = curves_of(flight.new, prepared, shared_ticks, tell, seconds)
+        flight_ticks = shared_ticks + sum(curve.ticks for curve in curves)
+        spent = sum(curve.ticks * (step.time - 1) for curve, step in shared_steps) / flight_ticks
+        curves, steps = allocate_and_retime(curves, prepared, budget - spent, seconds)
+        advices.append(Advice(budget, curves, steps, spent))
+    return advices
 
 
-def plan_of(study: Study, advices: Sequence[Advice]) -> Plan:
+def plan_of(study: HardeningStudy, advices: Sequence[Advice]) -> ProtectionPlan:
     """The plan of an advice; functions that were considered and are not protected have the kind none."""
-    ticks: dict[str, float] = defaultdict(float)
+    ticks_of_kernel: dict[str, float] = defaultdict(float)
     for advice in advices:
         for curve in advice.curves:
-            ticks[curve.target.kernels[0]] += curve.ticks
-    functions = [
-        planned_of(curve.target, step, round(curve.ticks / ticks[curve.target.kernels[0]], 4))
-        for advice in advices
-        for curve, step in advice.steps
-        if len(curve.steps) > 1  # of the kernels to protect
-    ]
-    return Plan(
+            ticks_of_kernel[curve.target.kernels[0]] += curve.ticks
+    functions = []
+    for advice in advices:
+        for curve, step in advice.steps:
+            if len(curve.steps) > 1:  # others are of kernels that are not to be protected
+                share = round(curve.ticks / ticks_of_kernel[curve.target.kernels[0]], 4)
+                functions.append(planned_of(curve.target, step, share))
+    return ProtectionPlan(
         cpu=processor(),
         ledger=study.digest,
         studied=study.studied,
@@ -498,10 +567,9 @@ def plan_of(study: Study, advices: Sequence[Advice]) -> Plan:
     )
 
 
-def planned_of(target: Target, step: Step, share: float | None = None) -> FunctionPlan:
-    """The entry of a function in a plan; `share` of the time of its kernel."""
+def planned_of(target: FunctionTarget, step: CurveStep, share: float | None = None) -> FunctionPlan:
+    """The entry of a function in a plan; `share`: its share of the time of its kernel."""
     sites = target.sites(step.choice)
-    predicted = stated(step.coverage) if sites else None
     return FunctionPlan(
         kernel=target.kernels[0],
         function=target.name,
@@ -513,12 +581,12 @@ def planned_of(target: Target, step: Step, share: float | None = None) -> Functi
         lines=target.lines(sites),
         time=round(step.time, 3),
         share=share,
-        predicted=predicted,
+        predicted=coverage_in_plan(step.coverage) if sites else None,
     )
 
 
-def stated(found: Rate) -> Coverage | None:
+def coverage_in_plan(rate: Rate) -> Coverage | None:
     """A rate as a plan states it; None if it is not known."""
-    if found.rate is None or found.low is None or found.high is None:
+    if rate.rate is None or rate.low is None or rate.high is None:
         return None
-    return Coverage(estimate=found.rate, low=found.low, high=found.high)
+    return Coverage(estimate=rate.rate, low=rate.low, high=rate.high)

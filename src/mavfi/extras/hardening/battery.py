@@ -16,16 +16,16 @@ import numpy as np
 
 from mavfi.extras.hardening.duplicate import MESSAGE
 from mavfi.faults.levels.instruction.plan import budget_for
-from mavfi.faults.levels.instruction.table import Site
+from mavfi.faults.levels.instruction.table import InjectionSite
 from mavfi.faults.levels.instruction.variant import Passes, Variant
 from mavfi.ir.forked import run_in_child
 from mavfi.outcomes import Effect
 
 _LIBC = ctypes.CDLL(None, use_errno=True)
-_KEPT_BYTES = 1 << 27
-"""Most memory of the recorded arguments of one function."""
-_LARGE_BYTES = 1 << 16
-"""Least size of an array that is worth a mapping of its own."""
+_MAX_RECORDED_BYTES = 1 << 27
+"""Largest memory of the recorded arguments of one function."""
+_MIN_MAPPED_BYTES = 1 << 16
+"""Smallest size of an array for which a separate memory mapping pays."""
 
 
 def copied(value: Any) -> Any:  # noqa: ANN401 - numbers, arrays and tuples of these
@@ -33,30 +33,37 @@ def copied(value: Any) -> Any:  # noqa: ANN401 - numbers, arrays and tuples of t
     return _copied(value, {}, read_only=False)
 
 
-def kept(value: Any) -> Any:  # noqa: ANN401
-    """The same, to be copied again before use: large arrays are in memory that nothing can write.
+def read_only_copy(value: Any) -> Any:  # noqa: ANN401
+    """A deep copy whose large arrays are in memory that nothing can write; it is copied again before use.
 
-    Forks share it. They do not copy its page tables, which for all recorded calls takes two thirds of a fork, and a
-    fault in one of them cannot reach it.
+    Forked processes share this memory: its page tables, which for all recorded calls take two thirds of the time of a
+    fork, are not copied, and an injected fault cannot write to it.
     """
     return _copied(value, {}, read_only=True)
 
 
-def _copied(value: Any, known: dict[int, tuple[int, np.ndarray]], *, read_only: bool) -> Any:
-    """A copy; `known`: lowest address and copy of the memory of arrays that own some, by their id."""
+def _copied(value: Any, memories: dict[int, tuple[int, np.ndarray]], *, read_only: bool) -> Any:
+    """A deep copy.
+
+    Args:
+        value: Numbers, arrays and tuples of these.
+        memories: Lowest address, and copy, of the memory of each array that owns some, by its id; extended.
+        read_only: Whether copies of large arrays are write-protected.
+    """
     if isinstance(value, tuple):
-        parts = [_copied(part, known, read_only=read_only) for part in value]
+        parts = [_copied(part, memories, read_only=read_only) for part in value]
         if hasattr(value, "_fields"):
             return type(value)(*parts)
         return tuple(parts)
     if not isinstance(value, np.ndarray) or value.dtype.hasobject:
         return value
+    # Views of one array stay views of one copy.
     root = value
     while isinstance(root.base, np.ndarray):
         root = root.base
-    if id(root) not in known:
-        known[id(root)] = _memory(root, read_only=read_only)
-    start, memory = known[id(root)]
+    if id(root) not in memories:
+        memories[id(root)] = _memory(root, read_only=read_only)
+    start, memory = memories[id(root)]
     moved: np.ndarray = np.ndarray(value.shape, value.dtype, memory.data, value.ctypes.data - start, value.strides)
     moved.flags.writeable = value.flags.writeable
     return moved
@@ -70,7 +77,7 @@ def _memory(root: np.ndarray, *, read_only: bool) -> tuple[int, np.ndarray]:
         low = root.ctypes.data
         high = root.ctypes.data
     size = high - low
-    if not read_only or size < _LARGE_BYTES:
+    if not read_only or size < _MIN_MAPPED_BYTES:
         memory = np.empty(max(size, 1), np.uint8)
         ctypes.memmove(memory.ctypes.data, low, size)
         return low, memory
@@ -81,25 +88,25 @@ def _memory(root: np.ndarray, *, read_only: bool) -> tuple[int, np.ndarray]:
     return low, memory
 
 
-def same_bits(one: Any, other: Any) -> bool:  # noqa: ANN401
+def same_bits(value: Any, other: Any) -> bool:  # noqa: ANN401
     """Whether numbers, arrays and tuples of these are equal bit for bit, with types and shapes."""
-    if type(one) is not type(other):
+    if type(value) is not type(other):
         return False
-    if isinstance(one, tuple | list):
-        return len(one) == len(other) and all(map(same_bits, one, other))
-    if isinstance(one, np.ndarray):
-        return one.dtype == other.dtype and one.shape == other.shape and _same_memory(one, other)
-    if isinstance(one, float | complex | np.generic):
-        return np.asarray(one).tobytes() == np.asarray(other).tobytes()
-    return bool(one == other)
+    if isinstance(value, tuple | list):
+        return len(value) == len(other) and all(map(same_bits, value, other))
+    if isinstance(value, np.ndarray):
+        return value.dtype == other.dtype and value.shape == other.shape and _same_memory(value, other)
+    if isinstance(value, float | complex | np.generic):
+        return np.asarray(value).tobytes() == np.asarray(other).tobytes()
+    return bool(value == other)
 
 
-def _same_memory(one: np.ndarray, other: np.ndarray) -> bool:
-    left = np.ascontiguousarray(one)
+def _same_memory(array: np.ndarray, other: np.ndarray) -> bool:
+    left = np.ascontiguousarray(array)
     right = np.ascontiguousarray(other)
     # without temporary arrays, which large outputs would need
-    places = (ctypes.c_void_p(array.ctypes.data) for array in (left, right))
-    return int(_LIBC.memcmp(*places, ctypes.c_size_t(left.nbytes))) == 0
+    addresses = (ctypes.c_void_p(array.ctypes.data) for array in (left, right))
+    return int(_LIBC.memcmp(*addresses, ctypes.c_size_t(left.nbytes))) == 0
 
 
 def size_of(value: Any) -> int:  # noqa: ANN401
@@ -111,33 +118,38 @@ def size_of(value: Any) -> int:  # noqa: ANN401
     return 0
 
 
-class Recording:
+class CallRecording:
     """Arguments of some calls of a function, evenly spread over all of them.
 
     Attributes:
         total: Number of calls so far.
-        kept: Arguments before the call, by its number.
+        arguments: Arguments before the call, by its number.
 
     Args:
-        most: At most twice as many calls are kept, fewer if they need more than `_KEPT_BYTES`.
+        enough: At most twice as many calls are recorded, fewer if they need more than `_MAX_RECORDED_BYTES`.
     """
 
-    def __init__(self, most: int = 12) -> None:
-        self._most = most
+    def __init__(self, enough: int = 12) -> None:
+        self._max_calls = 2 * enough
         self._stride = 1
         self.total = 0
-        self.kept: dict[int, tuple[Any, ...]] = {}
+        self.arguments: dict[int, tuple[Any, ...]] = {}
 
     def note(self, args: tuple[Any, ...]) -> None:
-        """Count a call that is about to be made, and keep its arguments if it is its turn."""
+        """Count a call that is about to be made, and record its arguments if it is its turn."""
         call = self.total
-        self.total = self.total + 1
+        self.total += 1
         if call % self._stride:
             return
-        self.kept[call] = kept(args)
-        while len(self.kept) > 1 and (len(self.kept) * size_of(args) > _KEPT_BYTES or len(self.kept) > 2 * self._most):
+        self.arguments[call] = read_only_copy(args)
+        # When there are too many, every other one goes, and later ones are recorded half as often.
+        while len(self.arguments) > 1 and self._is_full(size_of(args)):
             self._stride *= 2
-            self.kept = {number: own for number, own in self.kept.items() if number % self._stride == 0}
+            self.arguments = {n: recorded for n, recorded in self.arguments.items() if n % self._stride == 0}
+
+    def _is_full(self, bytes_per_call: int) -> bool:
+        calls = len(self.arguments)
+        return calls * bytes_per_call > _MAX_RECORDED_BYTES or calls > self._max_calls
 
 
 # ---- outputs --------------------------------------------------------------------------------------------------------
@@ -164,18 +176,21 @@ def outputs_of(entry: str, function: Any, result: Any, args: tuple[Any, ...]) ->
     work = _WORK.get(entry, ())
     counted = _COUNTED.get(entry, ())
     rows = _rows(result)
-    own = []
+    changed = []
     for name, value in zip(names, args, strict=True):
-        if name not in work:
-            own.append(value[:rows] if name in counted else value)
-    return result, *own
+        if name in counted:
+            changed.append(value[:rows])
+        elif name not in work:
+            changed.append(value)
+    return result, *changed
 
 
 def _rows(result: Any) -> int:
     """The resulting number of rows: the last one of several numbers; a corrupted one must not be an error."""
-    last = result[-1] if isinstance(result, tuple) else result
-    if isinstance(last, (int, np.integer)):
-        return max(int(last), 0)
+    if isinstance(result, tuple):
+        result = result[-1]
+    if isinstance(result, (int, np.integer)):
+        return max(int(result), 0)
     return 0
 
 
@@ -183,11 +198,13 @@ def _rows(result: Any) -> int:
 
 _SURVIVED = (Effect.MASKED, Effect.SDC, Effect.DETECTED, Effect.EXCEPTION, Effect.NOT_ACTIVATED)
 """Effects that do not end the process."""
-MASKED, SDC, DETECTED, EXCEPTION, NOT_ACTIVATED = _KNOWN = tuple(effect.label for effect in _SURVIVED)
-_TIMEOUT = 60.0
+_SURVIVED_LABELS = tuple(effect.label for effect in _SURVIVED)
+MASKED, SDC, DETECTED, EXCEPTION, NOT_ACTIVATED = _SURVIVED_LABELS
+_TIMEOUT_S = 60.0
+"""Time after which a child process hangs, in addition to a second per fault."""
 
 
-class Place(NamedTuple):
+class InjectionPoint(NamedTuple):
     """A bit of the result of one dynamic instruction.
 
     Attributes:
@@ -234,51 +251,58 @@ class Battery:
     @cached_property
     def _golden(self) -> list[tuple[Any, ...]]:
         """Outputs of each call of plain code."""
-        return [kept(self._outputs(self._function(*own), own)) for own in map(copied, self.calls)]
+        golden = []
+        for recorded in self.calls:
+            args = copied(recorded)
+            result = self._function(*args)  # changes the arguments
+            golden.append(read_only_copy(self._outputs(result, args)))
+        return golden
 
     def _outputs(self, result: Any, args: tuple[Any, ...]) -> tuple[Any, ...]:
         return outputs_of(self._entry, self._function, result, args)
 
-    def draw(self, random: np.random.Generator, n: int) -> list[Place]:
-        """Draw places, uniformly over the dynamic instructions of all calls, then over the bits of the result."""
+    def draw(self, random: np.random.Generator, n: int) -> list[InjectionPoint]:
+        """Draw `n` points, uniformly over the dynamic instructions of all calls, then over the bits of the result."""
         sizes = self.variant.sizes
         weights = (self.executions * sizes).astype(np.float64).ravel()
-        found = []
+        points = []
         for flat in random.choice(weights.size, size=n, p=weights / weights.sum()):
             call, block = divmod(int(flat), len(sizes))
             offset = int(random.integers(sizes[block]))
             number = int(random.integers(self.executions[call, block]))
             bit = int(random.integers(self.site(block, offset).width))
-            found.append(Place(call, block, number, offset, bit))
-        return found
+            points.append(InjectionPoint(call, block, number, offset, bit))
+        return points
 
-    def site(self, block: int, offset: int) -> Site:
+    def site(self, block: int, offset: int) -> InjectionSite:
         """A static instruction."""
         return self.variant.table.blocks[block][offset]
 
-    def run(self, places: Sequence[Place]) -> list[str]:
-        """Effect of each injection, as if in a child process of its own: they share one as long as it lives."""
-        indices = self._indices(places)
+    def run(self, points: Sequence[InjectionPoint]) -> list[str]:
+        """Effect of each injection, as if each had a child process: several share one for as long as it lives."""
+        indices = self._indices(points)
         self.variant.own_report()
-        found = [""] * len(places)
-        for call in {place.call for place in places}:
-            left = [number for number, place in enumerate(places) if place.call == call]
+        effects = [""] * len(points)
+        for call in {point.call for point in points}:
+            left = [number for number, point in enumerate(points) if point.call == call]
+            # A child ends with the first fault that ends its process; the next child continues behind it.
             while left:
-                effects = self._effects(call, [(indices[n], places[n].bit) for n in left])
-                for n, effect in zip(left, effects, strict=False):
-                    found[n] = effect
-                left = left[len(effects) :]
-        return found
+                effects_in_child = self._effects(call, [(indices[number], points[number].bit) for number in left])
+                for number, effect in zip(left, effects_in_child, strict=False):
+                    effects[number] = effect
+                left = left[len(effects_in_child) :]
+        return effects
 
-    def _indices(self, places: Sequence[Place]) -> list[int]:
-        """Dynamic index of each place in its call."""
+    def _indices(self, points: Sequence[InjectionPoint]) -> list[int]:
+        """Dynamic index of each point in its call."""
         starts: dict[tuple[int, int, int], int] = {}
-        for call in {place.call for place in places}:
-            wanted = {(place.block, place.number) for place in places if place.call == call}
-            passes = Passes(len(self.variant.table.blocks), wanted)
+        for call in {point.call for point in points}:
+            executions = {(point.block, point.number) for point in points if point.call == call}
+            passes = Passes(len(self.variant.table.blocks), executions)
             self.variant.locate(passes, *copied(self.calls[call]))
-            starts.update({(call, *one): passes.start(*one) for one in wanted})
-        return [starts[place.call, place.block, place.number] + place.offset for place in places]
+            for block, number in executions:
+                starts[call, block, number] = passes.start(block, number)
+        return [starts[point.call, point.block, point.number] + point.offset for point in points]
 
     def _effects(self, call: int, faults: Sequence[tuple[int, int]]) -> list[str]:
         """Effects of faults (dynamic index and bit) in one child, up to the first that ends it.
@@ -287,19 +311,21 @@ class Battery:
         """
         golden = self._golden[call]
         budget = budget_for(int(self.counts[call]))
-        done = mmap.mmap(-1, len(faults))
+        codes = mmap.mmap(-1, len(faults))  # shared with the child: 1 + index in `_SURVIVED_LABELS`; 0 = not injected
 
-        def injected() -> bytes:
+        def inject_all() -> bytes:
             for number, (index, bit) in enumerate(faults):
-                done[number] = 1 + _KNOWN.index(self._injected(copied(self.calls[call]), index, bit, budget, golden))
+                effect = self._injected(copied(self.calls[call]), index, bit, budget, golden)
+                codes[number] = 1 + _SURVIVED_LABELS.index(effect)
                 report = self.variant.report()
                 if report is not None and not report.planned:
                     break
             return b""
 
-        ended = run_in_child(injected, _TIMEOUT + len(faults))
-        effects = [_KNOWN[code - 1] for code in done[:] if code]
+        ended = run_in_child(inject_all, _TIMEOUT_S + len(faults))
+        effects = [_SURVIVED_LABELS[code - 1] for code in codes[:] if code]
         if ended.how != "done" and len(effects) < len(faults):
+            # The child ended in the fault after these; an end before its flip is not its effect.
             effects.append(NOT_ACTIVATED if self.variant.report() is None else ended.how)
         return effects
 

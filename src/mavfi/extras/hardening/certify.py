@@ -10,23 +10,24 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, astuple, dataclass
+from enum import StrEnum
 from functools import cached_property
 from math import hypot, inf, sqrt
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mavfi.analysis.statistics import TAIL, Paired, Rate, holm, mcnemar, wilson
 from mavfi.campaign.fingerprint import processor
 from mavfi.errors import BadInputError, write_text
-from mavfi.extras.hardening.advise import Study, Tell, codes_of, stated, times_of
-from mavfi.extras.hardening.battery import SDC, Battery, Place, counts_of
-from mavfi.extras.hardening.observed import GoldenCheck, Seen, check_golden, entries_of, observe
-from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan
+from mavfi.extras.hardening.advise import HardeningStudy, Tell, codes_of, coverage_in_plan, times_of
+from mavfi.extras.hardening.battery import SDC, Battery, InjectionPoint, counts_of
+from mavfi.extras.hardening.observed import GoldenCheck, ObservedFunction, check_golden, entries_of, observe
+from mavfi.extras.hardening.plan import Coverage, FunctionKey, FunctionPlan, ProtectionPlan
 from mavfi.extras.hardening.protected import Protection, check_plan
-from mavfi.extras.hardening.target import Target, affordable
+from mavfi.extras.hardening.target import FunctionTarget, affordable_faults
 from mavfi.faults.levels.instruction.build import cached_build
 from mavfi.faults.levels.instruction.variant import variant_of
 from mavfi.faults.sampling import stream
@@ -61,22 +62,28 @@ def ratio_bounds(above: Rate, below: Rate) -> tuple[float, float]:
     """Interval of the ratio of two independent rates, from their own intervals."""
     p, low_p, high_p = bounds_of(above)
     q, low_q, high_q = bounds_of(below)
+    # MOVER for a ratio (Donner and Zou 2012): roots of a quadratic equation for each bound
     lower = (p * q) ** 2 - low_p * high_q * (2 * p - low_p) * (2 * q - high_q)
     upper = (p * q) ** 2 - high_p * low_q * (2 * p - high_p) * (2 * q - low_q)
-    bottom = high_q * (2 * q - high_q)
-    top = low_q * (2 * q - low_q)
-    low = (p * q - sqrt(max(lower, 0.0))) / bottom if bottom > 0 else 0.0
-    return max(low, 0.0), (p * q + sqrt(max(upper, 0.0))) / top if top > 0 else inf
+    lower_denominator = high_q * (2 * q - high_q)
+    upper_denominator = low_q * (2 * q - low_q)
+    low = 0.0
+    high = inf
+    if lower_denominator > 0:
+        low = max((p * q - sqrt(max(lower, 0.0))) / lower_denominator, 0.0)
+    if upper_denominator > 0:
+        high = (p * q + sqrt(max(upper, 0.0))) / upper_denominator
+    return low, high
 
 
 def difference(measured: Rate, predicted: Rate) -> tuple[float, float]:
     """Interval of measured - predicted coverage (MOVER for a difference); infinite if one is not known."""
     if measured.rate is None or predicted.rate is None:
         return -inf, inf
-    one, low, high = bounds_of(measured)
-    other, other_low, other_high = bounds_of(predicted)
-    gap = one - other
-    return gap - hypot(one - low, other_high - other), gap + hypot(high - one, other - other_low)
+    p, low_p, high_p = bounds_of(measured)
+    q, low_q, high_q = bounds_of(predicted)
+    gap = p - q
+    return gap - hypot(p - low_p, high_q - q), gap + hypot(high_p - p, q - low_q)
 
 
 def p_value_below(measured: Rate, predicted: Rate) -> float | None:
@@ -95,22 +102,41 @@ def p_value_below(measured: Rate, predicted: Rate) -> float | None:
     return 0.0
 
 
-def bounds_of(found: Rate) -> tuple[float, float, float]:
-    """Rate, and its bounds."""
-    assert found.rate is not None and found.low is not None and found.high is not None  # as with any injection
-    return found.rate, found.low, found.high
+class Bounds(NamedTuple):
+    """A known rate with its 95 % interval."""
+
+    rate: float
+    low: float
+    high: float
+
+
+def bounds_of(rate: Rate) -> Bounds:
+    """The rate and its interval; it must be known, as with any injection."""
+    assert rate.rate is not None and rate.low is not None and rate.high is not None
+    return Bounds(rate.rate, rate.low, rate.high)
 
 
 # ---- the certificate of a function ----------------------------------------------------------------------------------
 
-CONFIRMED = "confirmed"
-REFUTED = "refuted"
-BETTER = "better"
-UNDECIDED = "undecided"
-UNKNOWN = "unknown"
+
+class Verdict(StrEnum):
+    """How a measured coverage relates to its prediction, at 95 %; the values are stored in certificates."""
+
+    CONFIRMED = "confirmed"
+    """They agree, and the interval of their difference is narrow enough to tell."""
+    REFUTED = "refuted"
+    """The measured coverage is lower."""
+    BETTER = "better"
+    """The measured coverage is higher."""
+    UNDECIDED = "undecided"
+    """They may agree, but so might most other predictions: there are too few silent corruptions."""
+    UNKNOWN = "unknown"
+    """There is no prediction, or nothing was measured."""
+
+
 _TIMED_S = 4.0
 """For how long a function is timed (s): within 1 s the time of `insert_scan`, most of a flight's, varies by 2 %."""
-RESOLVED = 0.2
+MAX_HALF_WIDTH = 0.2
 """Largest half-width of the interval of measured - predicted coverage with which a prediction is confirmed: a wider one
 would contain 0 for almost any prediction."""
 
@@ -130,6 +156,11 @@ class FunctionResult:
     function: str
     signature: str
     instructions: int
+
+    @property
+    def key(self) -> FunctionKey:
+        """Function and signature, as in a plan."""
+        return FunctionKey(self.function, self.signature)
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,30 +206,28 @@ class Certificate(FunctionResult):
         return rate_of(self.predicted)
 
     @property
-    def verdict(self) -> str:
+    def verdict(self) -> Verdict:
         """See `verdict_of`."""
         return verdict_of(self.coverage, self.predicted_rate)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
-        same = (
-            "kernel",
-            "function",
-            "signature",
-            "instructions",
-            "verdict",
-            "growth",
-            "time",
-            "planned_time",
-            "before",
-            "after",
-        )
-        rates = ("coverage", "sdc_before", "sdc_after")
         paired = zip(("n", "plain_only", "protected_only", "p"), astuple(self.paired), strict=True)
         return {
-            **{key: getattr(self, key) for key in same},
-            **{key: asdict(getattr(self, key)) for key in rates},
-            "predicted": None if self.predicted is None else self.predicted.model_dump(),
+            "kernel": self.kernel,
+            "function": self.function,
+            "signature": self.signature,
+            "instructions": self.instructions,
+            "verdict": self.verdict.value,
+            "growth": self.growth,
+            "time": self.time,
+            "planned_time": self.planned_time,
+            "before": self.before,
+            "after": self.after,
+            "coverage": asdict(self.coverage),
+            "sdc_before": asdict(self.sdc_before),
+            "sdc_after": asdict(self.sdc_after),
+            "predicted": self.predicted and self.predicted.model_dump(),
             "paired": dict(paired),
         }
 
@@ -235,147 +264,170 @@ def rate_of(predicted: Coverage | None) -> Rate:
     return NO_RATE
 
 
-def verdict_of(measured: Rate, predicted: Rate) -> str:
-    """Whether a measured coverage agrees with its prediction, is lower, or higher, at 95 %; or too few SDCs to tell."""
+def verdict_of(measured: Rate, predicted: Rate) -> Verdict:
+    """Whether a measured coverage agrees with its prediction."""
     if measured.rate is None or predicted.rate is None:
-        return UNKNOWN
+        return Verdict.UNKNOWN
     low, high = difference(measured, predicted)
-    if low <= 0 <= high:
-        if (high - low) / 2 <= RESOLVED:
-            return CONFIRMED
-        return UNDECIDED
     if high < 0:
-        return REFUTED
-    return BETTER
+        return Verdict.REFUTED
+    if low > 0:
+        return Verdict.BETTER
+    if (high - low) / 2 > MAX_HALF_WIDTH:
+        return Verdict.UNDECIDED
+    return Verdict.CONFIRMED
 
 
 @dataclass
-class Pair:
+class FunctionPair:
     """A function with and without protection, with the same calls.
 
     Attributes:
         seen: The plain function.
         planned: Its protection.
         plain: Injections without it.
-        guarded: Injections with it.
+        protected: Injections with it.
     """
 
-    seen: Seen
+    seen: ObservedFunction
     planned: FunctionPlan
     plain: Battery
-    guarded: Battery
+    protected: Battery
 
     @staticmethod
-    def of(seen: Seen, planned: FunctionPlan) -> "Pair":
+    def of(seen: ObservedFunction, planned: FunctionPlan) -> "FunctionPair":
         """Build the protected variant; `BadInputError` if the plan is of other code."""
-        guarded = variant_of(seen.function, seen.signature, Protection(planned))
-        batteries = (Battery(seen.entry, seen.function, variant, seen.calls) for variant in (seen.variant, guarded))
-        return Pair(seen, planned, *batteries)
+        variant = variant_of(seen.function, seen.signature, Protection(planned))
+        plain = Battery(seen.entry, seen.function, seen.variant, seen.calls)
+        protected = Battery(seen.entry, seen.function, variant, seen.calls)
+        return FunctionPair(seen, planned, plain, protected)
 
     @cached_property
-    def target(self) -> Target:
+    def target(self) -> FunctionTarget:
         """The function."""
-        return Target((self.planned.kernel,), self.seen, addresses=self.planned.addresses)
+        return FunctionTarget((self.planned.kernel,), self.seen, addresses=self.planned.addresses)
 
     @property
     def growth(self) -> float:
         """Dynamic instructions of protected code / plain code, over the recorded calls."""
-        return float(self.guarded.counts.sum() / self.plain.counts.sum())
+        return float(self.protected.counts.sum() / self.plain.counts.sum())
 
     def time(self) -> float:
         """Protected / plain execution time, measured on the recorded calls."""
         _, (time,) = times_of(self.target, codes_of(self.target, [self.planned.sites]), _TIMED_S)
         return time
 
-    def counterparts(self, places: Sequence[Place]) -> list[Place]:
+    def counterparts(self, points: Sequence[InjectionPoint]) -> list[InjectionPoint]:
         """The same instructions, executions and bits in protected code: original instructions keep their names."""
         module = self.target.module
         names = _names(module)
         protected = {name: position for position, name in _names(Protection(self.planned)(module)).items()}
-        found = []
-        for place in places:
-            block, offset = protected[names[place.block, place.offset]]
-            found.append(place._replace(block=block, offset=offset))
-        return found
+        counterparts = []
+        for point in points:
+            block, offset = protected[names[point.block, point.offset]]
+            counterparts.append(point._replace(block=block, offset=offset))
+        return counterparts
 
 
 def _names(module: Module) -> dict[tuple[int, int], tuple[str, str]]:
     """Function and result of each site, by block and offset of the table of sites."""
-    blocks = [(function.name, block) for function in module.functions for block in function.blocks if block.sites]
-    return {
-        (number, offset): (name, str(site.result))
-        for number, (name, block) in enumerate(blocks)
-        for offset, site in enumerate(block.sites)
-    }
+    names = {}
+    block_index = 0
+    for function in module.functions:
+        for block in function.blocks:
+            for offset, site in enumerate(block.sites):
+                names[block_index, offset] = function.name, str(site.result)
+            if block.sites:  # the table has no blocks without sites
+                block_index += 1
+    return names
 
 
-def certify(pair: Pair, faults: int, *address: Any) -> Certificate:
-    """Inject `faults` faults in plain and as many in protected code, and those of plain code in protected code, too."""
-    random = stream(0, "certificate", pair.planned.function, pair.planned.signature, *map(str, address))
-    places = pair.plain.draw(random, faults)
-    before = pair.plain.run(places)
-    again = pair.guarded.run(pair.counterparts(places))
-    after = pair.guarded.run(pair.guarded.draw(random, faults))
+def certify(pair: FunctionPair, faults: int, *address: Any) -> Certificate:
+    """Certify the protection of a function.
+
+    Args:
+        pair: The function.
+        faults: Number of faults in plain code, and as many others in protected code.
+        address: Of the random stream from which they are drawn.
+    """
     planned = pair.planned
-    seen = pair.seen
+    random = stream(0, "certificate", planned.function, planned.signature, *map(str, address))
+    # The order of the draws is part of the certificate: the stream is shared.
+    points = pair.plain.draw(random, faults)
+    before = pair.plain.run(points)
+    same_faults_protected = pair.protected.run(pair.counterparts(points))
+    after = pair.protected.run(pair.protected.draw(random, faults))
     return Certificate(
-        planned.kernel,
-        planned.function,
-        planned.signature,
-        seen.instructions,
-        counts_of(before),
-        counts_of(after),
-        pair.growth,
-        planned.predicted,
-        mcnemar([one == SDC for one in before], [one == SDC for one in again]),
-        pair.time(),
-        planned.time,
+        kernel=planned.kernel,
+        function=planned.function,
+        signature=planned.signature,
+        instructions=pair.seen.instructions,
+        before=counts_of(before),
+        after=counts_of(after),
+        growth=pair.growth,
+        predicted=planned.predicted,
+        paired=mcnemar(_is_silent(before), _is_silent(same_faults_protected)),
+        time=pair.time(),
+        planned_time=planned.time,
     )
 
 
-def observe_plain(kernel: str, seen: Seen, faults: int, *address: Any) -> Unprotected:
+def _is_silent(effects: Sequence[str]) -> list[bool]:
+    return [effect == SDC for effect in effects]
+
+
+def observe_plain(kernel: str, seen: ObservedFunction, faults: int, *address: Any) -> Unprotected:
     """Inject at most `faults` faults in a function that is not protected, fewer in long calls."""
     battery = Battery(seen.entry, seen.function, seen.variant, seen.calls)
     random = stream(0, "certificate", *seen.key, *map(str, address))
-    effects = battery.run(battery.draw(random, min(faults, affordable(battery))))
+    effects = battery.run(battery.draw(random, min(faults, affordable_faults(battery))))
     return Unprotected(kernel, *seen.key, seen.instructions, counts_of(effects))
 
 
-def together(certificates: Sequence[Certificate], others: Sequence[Unprotected] = ()) -> Rate:
+def combined_coverage(certificates: Sequence[Certificate], others: Sequence[Unprotected] = ()) -> Rate:
     """Share of the silent corruptions of several functions that is removed: none of those in `others`.
 
     Each function is weighted by its silent corruptions per flight.  With `others` the bounds are the products of those
     of the coverage of protected functions and of their share of all silent corruptions.
     """
-    known = [one for one in certificates if one.sdc_before.rate is not None]
-    rest = [one for one in others if one.sdc.rate is not None]
-    if not known:
+    protected = [result for result in certificates if result.sdc_before.rate is not None]
+    plain = [result for result in others if result.sdc.rate is not None]
+    if not protected:
         return NO_RATE
-    whole = sum(one.instructions for one in known) + sum(one.instructions for one in rest)
-    before = _sum([(one.instructions / whole, one.sdc_before) for one in known])
-    after = _sum([(one.instructions * one.growth / whole, one.sdc_after) for one in known])
-    found = coverage(before, after, 1.0)
-    if not rest or found.rate is None:
-        return found
-    left = _sum([(one.instructions / whole, one.sdc) for one in rest])
-    assert left.rate is not None and before.rate is not None  # as with any injection
-    shares = [1 / (1 + ratio) for ratio in ratio_bounds(left, before)]  # of the protected functions: highest, lowest
-    _, low, high = bounds_of(found)
-    products = [bound * share for bound in (low, high) for share in shares]
-    return Rate(found.n, found.rate * before.rate / (before.rate + left.rate), min(products), max(products))
+
+    # 1. The coverage of the protected functions alone, from their corruptions per instruction of the flight.
+    total = sum(result.instructions for result in protected) + sum(result.instructions for result in plain)
+    before = _weighted_sum([(result.instructions / total, result.sdc_before) for result in protected])
+    after = _weighted_sum([(result.instructions * result.growth / total, result.sdc_after) for result in protected])
+    of_protected = coverage(before, after, 1.0)
+    if not plain or of_protected.rate is None:
+        return of_protected
+
+    # 2. Their share of all corruptions: what is left in the others is not removed.
+    elsewhere = _weighted_sum([(result.instructions / total, result.sdc) for result in plain])
+    assert elsewhere.rate is not None and before.rate is not None  # as with any injection
+    removed = of_protected.rate * before.rate / (before.rate + elsewhere.rate)
+    share_bounds = [1 / (1 + ratio) for ratio in ratio_bounds(elsewhere, before)]
+    _, low, high = bounds_of(of_protected)
+    products = [bound * share_bound for bound in (low, high) for share_bound in share_bounds]
+    return Rate(of_protected.n, removed, min(products), max(products))
 
 
-def foreseen(certificates: Sequence[Certificate], others: Sequence[Unprotected] = ()) -> Rate:
-    """What `together` finds if each function is as predicted, with the same weights; all None without a prediction."""
-    masses = [one.instructions * (one.sdc_before.rate or 0.0) for one in certificates]
-    whole = sum(masses) + sum(one.instructions * (one.sdc.rate or 0.0) for one in others)
-    predicted = [one.predicted_rate for one in certificates]
-    if not whole or any(one.rate is None for one in predicted):
+def predicted_coverage(certificates: Sequence[Certificate], others: Sequence[Unprotected] = ()) -> Rate:
+    """What `combined_coverage` gives if each function is as predicted, with the same weights.
+
+    Returns:
+        All None if a function has no prediction.
+    """
+    masses = [result.instructions * (result.sdc_before.rate or 0.0) for result in certificates]
+    total_mass = sum(masses) + sum(result.instructions * (result.sdc.rate or 0.0) for result in others)
+    predicted = [certificate.predicted_rate for certificate in certificates]
+    if not total_mass or any(rate.rate is None for rate in predicted):
         return NO_RATE
-    return _sum([(mass / whole, one) for mass, one in zip(masses, predicted, strict=True)])
+    return _weighted_sum([(mass / total_mass, rate) for mass, rate in zip(masses, predicted, strict=True)])
 
 
-def _sum(parts: Sequence[tuple[float, Rate]]) -> Rate:
+def _weighted_sum(parts: Sequence[tuple[float, Rate]]) -> Rate:
     """Weighted sum of independent rates, with MOVER's interval."""
     bounds = [(weight, *bounds_of(rate)) for weight, rate in parts]
     value = sum(weight * rate for weight, rate, _, _ in bounds)
@@ -384,21 +436,25 @@ def _sum(parts: Sequence[tuple[float, Rate]]) -> Rate:
     return Rate(sum(rate.n for _, rate in parts), value, value - below, value + above)
 
 
-def pairs_of(seen: Sequence[Seen], plan: Plan) -> list[Pair]:
+def pairs_of(seen: Sequence[ObservedFunction], plan: ProtectionPlan) -> list[FunctionPair]:
     """The observed functions that the plan protects; `BadInputError` if it is of other code."""
-    found = [(one, planned) for one in seen if (planned := _planned(one, plan)) is not None]
+    protected = []
+    for function in seen:
+        planned = _planned(function, plan)
+        if planned is not None:
+            protected.append((function, planned))
     with ThreadPoolExecutor(2) as ahead:  # each build waits for a process of its own
-        for one, planned in found:
-            ahead.submit(cached_build, one.function, one.signature, Protection(planned))
-    return [Pair.of(one, planned) for one, planned in found]
+        for function, planned in protected:
+            ahead.submit(cached_build, function.function, function.signature, Protection(planned))
+    return [FunctionPair.of(function, planned) for function, planned in protected]
 
 
-def unprotected(seen: Sequence[Seen], plan: Plan) -> list[Seen]:
+def unprotected(seen: Sequence[ObservedFunction], plan: ProtectionPlan) -> list[ObservedFunction]:
     """The observed functions that are not among `pairs_of`."""
-    return [one for one in seen if _planned(one, plan) is None]
+    return [function for function in seen if _planned(function, plan) is None]
 
 
-def _planned(seen: Seen, plan: Plan) -> FunctionPlan | None:
+def _planned(seen: ObservedFunction, plan: ProtectionPlan) -> FunctionPlan | None:
     """What the plan duplicates in a function; None = nothing."""
     planned = plan.find(name_of(seen.function), seen.signature)
     if planned is not None and planned.sites:
@@ -406,15 +462,13 @@ def _planned(seen: Seen, plan: Plan) -> FunctionPlan | None:
     return None
 
 
-# ---- the certificate of a plan --------------------------------------------------------------------------------------
+# ---- the time that a plan adds --------------------------------------------------------------------------------------
 
 TOLERANCE = 0.02
 """Share of a flight's kernel time by which a plan may exceed its budget: the time of a function that takes most of a
 flight is measured within a few per cent."""
-_SECONDS = 0.25
+_SHARE_TIMED_S = 0.25
 """For how long a plain function is timed, for its share of a flight (s)."""
-Key = tuple[str, str]
-"""Function and signature, as in a plan."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -422,10 +476,10 @@ class Spending:
     """Time that a plan adds to the flights of a planner, as a share of their kernel time.
 
     Attributes:
-        planner: Of the flights.
-        measured: With the time ratios that the certificate measured.
-        planned: With those of the plan, in the same flights.
-        budget: That of the plan; None = not known.
+        planner: Planner of the flights.
+        measured: Share with the time ratios that the certificate measured.
+        planned: Share with the time ratios of the plan, in the same flights.
+        budget: Budget of the plan; None = not known.
     """
 
     planner: str
@@ -436,38 +490,42 @@ class Spending:
     @property
     def refuted(self) -> bool:
         """Whether more is added than the budget, or without one than planned, by more than `TOLERANCE`."""
-        return self.measured > (self.planned if self.budget is None else self.budget) + TOLERANCE
+        allowed = self.planned if self.budget is None else self.budget
+        return self.measured > allowed + TOLERANCE
 
 
-def ticks_of(seen: Seen) -> float:
+def ticks_of(seen: ObservedFunction) -> float:
     """Ticks of the time stamp counter per plain call of a function."""
-    target = Target(("",), seen)
-    ticks, _ = times_of(target, codes_of(target, []), _SECONDS)
+    target = FunctionTarget(("",), seen)
+    ticks, _ = times_of(target, codes_of(target, []), _SHARE_TIMED_S)
     return ticks
 
 
 def spending_of(
     planner: str,
-    flown: Sequence[Seen],
-    ticks: Mapping[Key, float],
+    flown: Sequence[ObservedFunction],
+    ticks: Mapping[FunctionKey, float],
     certificates: Sequence[Certificate],
     budget: float | None,
 ) -> Spending:
     """What a plan adds to flights.
 
     Args:
-        planner: Of the flights.
+        planner: Planner of the flights.
         flown: All functions of their kernels.
         ticks: As of `ticks_of`, for each of these.
         certificates: Of the functions that the plan protects; those without a measured time count as planned.
-        budget: That of the plan.
+        budget: Budget of the plan; None = not known.
     """
-    spent = {seen.key: seen.total * ticks[seen.key] for seen in flown}
-    whole = sum(spent.values())
-    own = [(spent.get((one.function, one.signature), 0.0) / whole, one) for one in certificates]
-    planned = sum(share * (one.planned_time - 1) for share, one in own)
-    measured = sum(share * ((one.time or one.planned_time) - 1) for share, one in own)
-    return Spending(planner, measured, planned, budget)
+    plain_ticks = {seen.key: seen.total * ticks[seen.key] for seen in flown}
+    flight_ticks = sum(plain_ticks.values())
+    planned = []
+    measured = []
+    for certificate in certificates:
+        share = plain_ticks.get(certificate.key, 0.0) / flight_ticks  # 0: these flights do not call it
+        planned.append(share * (certificate.planned_time - 1))
+        measured.append(share * ((certificate.time or certificate.planned_time) - 1))
+    return Spending(planner, sum(measured), sum(planned), budget)
 
 
 # ---- the certificate of a plan --------------------------------------------------------------------------------------
@@ -502,15 +560,15 @@ class Certification:
     @property
     def coverage(self) -> Rate:
         """Share of the silent corruptions in `scope` that is removed."""
-        return together(self.certificates, self.others)
+        return combined_coverage(self.certificates, self.others)
 
     @property
     def predicted(self) -> Rate:
         """The same, by the predictions for its functions."""
-        return foreseen(self.certificates, self.others)
+        return predicted_coverage(self.certificates, self.others)
 
     @property
-    def verdict(self) -> str:
+    def verdict(self) -> Verdict:
         """Whether both agree, see `verdict_of`."""
         return verdict_of(self.coverage, self.predicted)
 
@@ -520,17 +578,22 @@ class Certification:
 
         Of ten correct ones, each judged at 95 %, one is too high by chance in every fourth or fifth certificate.
         """
-        found = holm([p_value_below(one.coverage, one.predicted_rate) for one in self.certificates])
-        return sum(p is not None and p < 2 * TAIL for p in found)
+        p_values = [
+            p_value_below(certificate.coverage, certificate.predicted_rate) for certificate in self.certificates
+        ]
+        return sum(p is not None and p < 2 * TAIL for p in holm(p_values))
 
     @property
     def refuted(self) -> bool:
         """Whether a prediction or the budget is refuted, or a golden flight differs or raises an alarm."""
-        false = self.verdict == REFUTED or self.wrong > 0
-        return not self.golden.passed or false or any(one.refuted for one in self.spending)
+        prediction_refuted = self.verdict == Verdict.REFUTED or self.wrong > 0
+        budget_refuted = any(spending.refuted for spending in self.spending)
+        return prediction_refuted or budget_refuted or not self.golden.passed
 
 
-def certify_plan(study: Study, plan: Plan, faults: int, tell: Tell = lambda _: None) -> Certification:
+def certify_plan(
+    study: HardeningStudy, plan: ProtectionPlan, faults: int, tell: Tell = lambda _: None
+) -> Certification:
     """Certify a plan with missions and faults that its choice has not seen.
 
     Args:
@@ -549,47 +612,54 @@ def certify_plan(study: Study, plan: Plan, faults: int, tell: Tell = lambda _: N
     others: list[Unprotected] = []
     golden = GoldenCheck()
     missions: list[str] = []
-    ticks: dict[Key, float] = {}
+    ticks: dict[FunctionKey, float] = {}
     spending: list[Spending] = []
     for planner, kernels in study.by_planner().items():
-        flown: list[Seen] = []
+        # 1. Fly fresh missions: which functions are called, and do protected flights have the same digests?
+        observed: list[ObservedFunction] = []
         for scenario in study.fresh(planner):
             tell(f"flying {scenario.environment.name} {scenario.seed} with {planner}")
-            flown += [seen for own in observe(scenario, kernels).values() for seen in own]
+            for functions in observe(scenario, kernels).values():
+                observed += functions
             golden = golden.plus(check_golden(scenario, plan, kernels))
             missions.append(f"{scenario.environment.name}-{scenario.seed}-{planner}")
-        done = {(one.function, one.signature) for one in (*certificates, *others)}
-        every = merged(flown)
-        known = [one for one in every if one.entry in entries_of(study.kernels)]
-        fresh = [one for one in known if one.key not in done]
-        pairs = pairs_of(fresh, plan)
-        for pair in pairs:
+        flown = merged(observed)
+
+        # 2. Inject faults in the studied functions; those of several planners are certified with the first one.
+        done = {result.key for result in (*certificates, *others)}
+        studied = entries_of(study.kernels)
+        fresh = [function for function in flown if function.entry in studied and function.key not in done]
+        for pair in pairs_of(fresh, plan):
             tell(f"injecting {3 * faults} faults in {pair.planned.function}")
             certificates.append(certify(pair, faults, plan.digest))
-        for one in unprotected(fresh, plan):
-            tell(f"injecting faults in {name_of(one.function)}, which is not duplicated")
-            kernel = next(kernel for kernel in kernels if one.entry in INJECTABLE[kernel])
-            others.append(observe_plain(kernel, one, faults, plan.digest))
+        for function in unprotected(fresh, plan):
+            tell(f"injecting faults in {name_of(function.function)}, which is not duplicated")
+            kernel = next(kernel for kernel in kernels if function.entry in INJECTABLE[kernel])
+            others.append(observe_plain(kernel, function, faults, plan.digest))
+
+        # 3. Time all functions of the flights: what does the plan add to them?
         tell(f"timing the functions of flights with {planner}")
-        ticks |= {one.key: ticks_of(one) for one in every if one.key not in ticks}
-        spending.append(spending_of(planner, every, ticks, certificates, plan.budget))
+        for function in flown:
+            if function.key not in ticks:
+                ticks[function.key] = ticks_of(function)
+        spending.append(spending_of(planner, flown, ticks, certificates, plan.budget))
+
     if not certificates:
         raise BadInputError("the plan protects no function of these missions; allowed: one with sites")
-    scope = () if study.complete else study.kernels
     return Certification(
-        plan.digest,
-        faults,
-        tuple(missions),
-        tuple(certificates),
-        golden,
-        tuple(others),
-        scope,
-        processor(),
-        tuple(spending),
+        plan=plan.digest,
+        faults=faults,
+        missions=tuple(missions),
+        certificates=tuple(certificates),
+        golden=golden,
+        others=tuple(others),
+        scope=() if study.complete else study.kernels,
+        cpu=processor(),
+        spending=tuple(spending),
     )
 
 
-def check_fresh(study: Study, plan: Plan) -> None:
+def check_fresh(study: HardeningStudy, plan: ProtectionPlan) -> None:
     """Raise a BadInputError if the choice of a plan may have seen the missions with which it is to be certified."""
     if plan.ledger == study.digest:
         return
@@ -607,38 +677,41 @@ def check_fresh(study: Study, plan: Plan) -> None:
                 )
 
 
-def merged(seen: Sequence[Seen]) -> list[Seen]:
+def merged(seen: Sequence[ObservedFunction]) -> list[ObservedFunction]:
     """Join what several flights showed of the same function and signature."""
-    found: dict[tuple[str, Any], Seen] = {}
-    for one in seen:
-        key = one.entry, one.signature
-        if key not in found:
-            found[key] = Seen(one.function, one.entry, one.signature, one.variant, np.zeros_like(one.executions))
-        own = found[key]
-        own.executions = own.executions + one.executions
-        own.total += one.total
-        own.calls = [*own.calls, *one.calls]
-    return list(found.values())
+    sums: dict[tuple[str, Any], ObservedFunction] = {}
+    for part in seen:
+        key = part.entry, part.signature
+        if key not in sums:
+            none = np.zeros_like(part.executions)
+            sums[key] = ObservedFunction(part.function, part.entry, part.signature, part.variant, none)
+        whole = sums[key]
+        whole.executions = whole.executions + part.executions
+        whole.total += part.total
+        whole.calls = [*whole.calls, *part.calls]
+    return list(sums.values())
 
 
-def with_certified(plan: Plan, other: Plan) -> Plan:
+def with_certified(plan: ProtectionPlan, other: ProtectionPlan) -> ProtectionPlan:
     """The plan with the certified coverage that another one states for the same protected code."""
-    known = {_code_of(one): one.certified for one in other.functions}
-    return _stating(plan, lambda one: known.get(_code_of(one)))
+    certified = {_code_of(planned): planned.certified for planned in other.functions}
+    return _stating(plan, lambda planned: certified.get(_code_of(planned)))
 
 
-def certified_plan(plan: Plan, certification: Certification) -> Plan:
+def certified_plan(plan: ProtectionPlan, certification: Certification) -> ProtectionPlan:
     """The plan with the coverage that its certificate states."""
-    measured = {(one.function, one.signature): stated(one.coverage) for one in certification.certificates}
-    return _stating(plan, lambda one: measured.get((one.function, one.signature), one.certified))
+    measured = {certificate.key: coverage_in_plan(certificate.coverage) for certificate in certification.certificates}
+    return _stating(plan, lambda planned: measured.get(planned.key, planned.certified))
 
 
 def _code_of(planned: FunctionPlan) -> tuple[str, str, str, bytes]:
+    """What identifies the protected code of a function."""
     return planned.function, planned.signature, planned.kind, Protection(planned).key
 
 
-def _stating(plan: Plan, certified: Callable[[FunctionPlan], Coverage | None]) -> Plan:
-    functions = tuple(one.model_copy(update={"certified": certified(one)}) for one in plan.functions)
+def _stating(plan: ProtectionPlan, certified: Callable[[FunctionPlan], Coverage | None]) -> ProtectionPlan:
+    """The plan with the certified coverage of each function."""
+    functions = tuple(planned.model_copy(update={"certified": certified(planned)}) for planned in plan.functions)
     return plan.model_copy(update={"functions": functions})
 
 
@@ -663,10 +736,10 @@ def certification_json(certification: Certification) -> dict[str, Any]:
         "golden": certification.golden._asdict(),
         "coverage": asdict(certification.coverage),
         "predicted": asdict(certification.predicted),
-        "verdict": certification.verdict,
+        "verdict": certification.verdict.value,
         "cpu": certification.cpu,
         "kernels": list(certification.scope) or "all",
-        "functions": [one.to_json() for one in certification.certificates],
-        "unprotected": [one.to_json() for one in certification.others],
-        "spending": [asdict(one) for one in certification.spending],
+        "functions": [certificate.to_json() for certificate in certification.certificates],
+        "unprotected": [other.to_json() for other in certification.others],
+        "spending": [asdict(spending) for spending in certification.spending],
     }

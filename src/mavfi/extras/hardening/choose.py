@@ -23,13 +23,13 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from mavfi.extras.hardening.duplicate import candidates, is_fork, reads_memory
-from mavfi.extras.hardening.plan import Site
+from mavfi.extras.hardening.plan import ModuleSite
 from mavfi.ir.flow import back_edges
 from mavfi.ir.module import Function, Instruction, Module, is_floating
 
-_DIVISIONS = {"fdiv": 4.0, "frem": 8.0, "sdiv": 8.0, "udiv": 8.0, "srem": 8.0, "urem": 8.0}
+_DIVISION_COSTS = {"fdiv": 4.0, "frem": 8.0, "sdiv": 8.0, "udiv": 8.0, "srem": 8.0, "urem": 8.0}
 _ROUNDING = re.compile(r"@(?:llvm\.)?(?:sqrt|floor|ceil|trunc|rint|nearbyint|round|roundeven)f?(?:\.|$)")
-_CALL = 6.0
+_ROUNDING_COST = 6.0
 """Costs of slow instructions, in simple ones.  Divisions occupy their unit for several cycles (A. Fog, Instruction
 tables); rounding is a call of libm in code for every x86-64 processor.  Rough: times are measured afterwards."""
 OUTSIDE = -1
@@ -52,8 +52,14 @@ class Use(NamedTuple):
     compared: bool = False
 
 
-class Entry(NamedTuple):
-    """An incoming value of a phi: its index or `OUTSIDE`, executions of the edge's block, whether it closes a loop."""
+class PhiInput(NamedTuple):
+    """An incoming value of a phi.
+
+    Attributes:
+        value: Its index, or `OUTSIDE`.
+        executions: Executions of the block from which it comes.
+        closes_loop: Whether it comes from the end of a loop.
+    """
 
     value: int
     executions: float
@@ -66,7 +72,7 @@ class Value:
 
     Attributes:
         site: Where it is computed.
-        opcode: Of its instruction.
+        opcode: Opcode of its instruction.
         kind: LLVM type.
         executions: Number of executions.
         operands: Indices of its operands that can be duplicated, without repetition.
@@ -75,17 +81,17 @@ class Value:
         weight: Cost of its instruction, in simple ones.
     """
 
-    site: Site
+    site: ModuleSite
     opcode: str
     kind: str
     executions: float
     operands: tuple[int, ...] = ()
     uses: list[Use] = field(default_factory=list)
-    entries: tuple[Entry, ...] = ()
+    entries: tuple[PhiInput, ...] = ()
     weight: float = 1.0
 
     @property
-    def own_memory(self) -> bool:
+    def reloads(self) -> bool:
         """Whether its shadow needs no copy of an operand (a volatile load)."""
         return self.opcode == "load"
 
@@ -113,27 +119,32 @@ def values_of(module: Module, executions: Mapping[tuple[int, int], float], *, ad
     values: list[Value] = []
     allowed = set(candidates(module))
     for number, function in enumerate(module.functions):
-        counts = {block.label: executions.get((number, place)) for place, block in enumerate(function.blocks)}
-        back = back_edges(function)
-        # Values first: an operand of a phi may be computed later.
+        counts = {block.label: executions.get((number, n)) for n, block in enumerate(function.blocks)}
+
+        # 1. Number all values first: an operand of a phi may be computed later.
         index: dict[str, int] = {}
-        made: list[tuple[Value, Instruction, str]] = []
-        for place, block in enumerate(function.blocks):
+        new: list[tuple[Value, Instruction, str]] = []
+        for block_number, block in enumerate(function.blocks):
             for offset, instruction in enumerate(block.sites):
-                site = Site(number, place, offset)
+                site = ModuleSite(number, block_number, offset)
                 if site in allowed:
-                    index[str(instruction.result)] = len(values) + len(made)
+                    index[str(instruction.result)] = len(values) + len(new)
                     value = Value(site, instruction.opcode, instruction.kind, counts[block.label] or 0.0)
-                    made.append((value, instruction, block.label))
-        values += [value for value, _, _ in made]
-        for value, instruction, header in made:
+                    new.append((value, instruction, block.label))
+        values += [value for value, _, _ in new]
+
+        # 2. Their operands and incoming values.
+        back = back_edges(function)
+        for value, instruction, header in new:
             value.weight = weight_of(instruction)
-            used = [name for name, _ in instruction.incoming] or instruction.uses()
-            value.operands = tuple(dict.fromkeys(index[name] for name in used if name in index))
+            operands = [name for name, _ in instruction.incoming] or instruction.uses()
+            value.operands = tuple(dict.fromkeys(index[name] for name in operands if name in index))
             value.entries = tuple(
-                Entry(index.get(name, OUTSIDE), counts.get(label) or 0.0, (label, header) in back)
+                PhiInput(index.get(name, OUTSIDE), counts.get(label) or 0.0, (label, header) in back)
                 for name, label in instruction.incoming
             )
+
+        # 3. Their uses.
         for name, use in _uses_of(function, index, counts, addresses=addresses):
             values[index[name]].uses.append(use)
     return values
@@ -148,8 +159,8 @@ def _uses_of(
             if is_fork(instruction):
                 continue
             user = index.get(str(instruction.result), OUTSIDE)
-            needed = instruction.incoming or [(name, block.label) for name in dict.fromkeys(instruction.uses())]
-            for name, label in needed:
+            operands = instruction.incoming or [(name, block.label) for name in dict.fromkeys(instruction.uses())]
+            for name, label in operands:
                 if name in index:
                     compared = addresses and reads_memory(instruction) and name in instruction.addresses
                     yield name, Use(user, label, counts.get(label), compared)
@@ -159,9 +170,9 @@ def weight_of(instruction: Instruction) -> float:
     """Cost of an instruction, in simple ones."""
     if instruction.callee is not None:
         if _ROUNDING.match(instruction.callee):
-            return _CALL
+            return _ROUNDING_COST
         return 1.0
-    return _DIVISIONS.get(instruction.opcode, 1.0)
+    return _DIVISION_COSTS.get(instruction.opcode, 1.0)
 
 
 def cost(values: Sequence[Value], index: int, chosen: Set[int]) -> float:
@@ -184,15 +195,15 @@ def added(values: Sequence[Value], chosen: Set[int]) -> float:
 def _copies(value: Value, chosen: Set[int]) -> float:
     """A shadow needs an operand that differs from the original's, or code generation would merge the two."""
     if value.in_loop_header:
-        plain = (entry for entry in value.entries if entry.value not in chosen and not entry.closes_loop)
-        return sum(entry.executions for entry in plain)
-    if value.own_memory or any(operand in chosen for operand in value.operands):
+        initial = (entry for entry in value.entries if not entry.closes_loop)
+        return sum(entry.executions for entry in initial if entry.value not in chosen)
+    if value.reloads or any(operand in chosen for operand in value.operands):
         return 0.0
     return min((entry.executions for entry in value.entries), default=value.executions)
 
 
 def _comparisons(value: Value, chosen: Set[int]) -> float:
-    """Compared where it is made, or where it leaves the set, whichever is executed less often."""
+    """A value is compared where it is made, or where it leaves the set, whichever is executed less often."""
     exits = {use.block: use.executions for use in value.uses if use.compared or use.user not in chosen}
     if exits:
         return value.comparison * least_executed(value, exits.values())
@@ -201,12 +212,12 @@ def _comparisons(value: Value, chosen: Set[int]) -> float:
 
 def least_executed(value: Value, exits: Iterable[float | None]) -> float:
     """Executions of a value's comparisons, from those of the blocks in which it leaves the chosen set."""
-    there = 0.0
+    at_exits = 0.0
     for executions in exits:
-        if executions is None:
+        if executions is None:  # not counted: compared where it is made
             return value.executions
-        there += executions
-    return min(value.executions, there)
+        at_exits += executions
+    return min(value.executions, at_exits)
 
 
 # ---- minimum cuts ---------------------------------------------------------------------------------------------------
@@ -214,6 +225,7 @@ def least_executed(value: Value, exits: Iterable[float | None]) -> float:
 _SOURCE = 0
 _SINK = 1
 _FIRST = 2
+"""Nodes: the source, the sink, and that of the first value."""
 _SCALE = 2**29
 """SciPy's capacities are 32-bit integers; more than the sum of all finite ones is infinite."""
 
@@ -233,63 +245,73 @@ class Cuts:
         self._n = len(values)
         self._nodes = _FIRST + self._n
         self._edges: list[tuple[int, int, float]] = []  # from, to, cost
-        self._tied: list[tuple[int, int]] = []
+        self._tied: list[tuple[int, int]] = []  # from, to, without limit
         self._benefit = np.asarray(benefit, np.float64)
         for index, value in enumerate(values):
             self._add(_FIRST + index, value)
 
     def _add(self, node: int, value: Value) -> None:
-        pay = value.weight * value.executions
+        """Add the edges of a value."""
+        # Its shadow costs in any case,
+        cost_if_chosen = value.weight * value.executions
+        # a copy of an operand if that is not chosen,
         if value.in_loop_header:
             for entry in value.entries:
                 if not entry.closes_loop:
-                    pay += self._pay(node, entry.value, entry.executions)
-        elif not value.own_memory:
+                    cost_if_chosen += self._charge_unless(entry.value, node, entry.executions)
+        elif not value.reloads:
             copy = min((entry.executions for entry in value.entries), default=value.executions)
             for operand in value.operands or (OUTSIDE,):
-                pay += self._pay(node, operand, copy / max(len(value.operands), 1))
+                cost_if_chosen += self._charge_unless(operand, node, copy / max(len(value.operands), 1))
+        # and a comparison if any use is not chosen.
         exits = {use.block: use.executions for use in value.uses}
         if exits:
-            pay += self._compare(node, value, value.comparison * least_executed(value, exits.values()))
-        self._edges.append((node, _SINK, pay))
+            comparison = value.comparison * least_executed(value, exits.values())
+            cost_if_chosen += self._charge_comparison(node, value, comparison)
+        self._edges.append((node, _SINK, cost_if_chosen))
 
-    def _pay(self, node: int, other: int, price: float) -> float:
+    def _charge_unless(self, other: int, node: int, price: float) -> float:
         """Charge a price if a node is chosen and another value is not; returns what is due in any case."""
         if other == OUTSIDE:
             return price
         self._edges.append((node, _FIRST + other, price))
         return 0.0
 
-    def _compare(self, node: int, value: Value, price: float) -> float:
+    def _charge_comparison(self, node: int, value: Value, price: float) -> float:
+        """Charge the comparison of a value once if any of its uses is not chosen; returns what is due in any case."""
         if any(use.compared or use.user == OUTSIDE for use in value.uses):
             return price
-        anywhere = self._nodes
+        all_uses = self._nodes  # a new node, chosen only together with all uses
         self._nodes += 1
-        self._edges.append((node, anywhere, price))
-        self._tied += [(anywhere, _FIRST + use.user) for use in value.uses]
+        self._edges.append((node, all_uses, price))
+        self._tied += [(all_uses, _FIRST + use.user) for use in value.uses]
         return 0.0
 
     def at(self, price: float) -> frozenset[int]:
         """The set that maximises benefit - price x cost, by index of value."""
-        wanted = np.flatnonzero(self._benefit > 0)
-        if not len(wanted):
+        beneficial = np.flatnonzero(self._benefit > 0)
+        if not len(beneficial):
             return frozenset()
+
+        # 1. Edges: from the source with benefits, with costs at this price, and unlimited ones; scaled to integers.
         start, end, costs = (np.array(part) for part in zip(*self._edges, strict=True))
         tied = np.array(self._tied, np.int64).reshape(-1, 2)
-        finite = np.concatenate([self._benefit[wanted], price * costs])
+        finite = np.concatenate([self._benefit[beneficial], price * costs])
         scaled = np.rint(finite * (_SCALE / max(self._benefit.sum(), 1e-300))).clip(max=_SCALE)
-        starts = np.concatenate([np.full(len(wanted), _SOURCE), start, tied[:, 0]])
-        ends = np.concatenate([_FIRST + wanted, end, tied[:, 1]])
+        starts = np.concatenate([np.full(len(beneficial), _SOURCE), start, tied[:, 0]])
+        ends = np.concatenate([_FIRST + beneficial, end, tied[:, 1]])
         weights = np.concatenate([scaled, np.full(len(tied), _SCALE)]).astype(np.int32)
         graph = csr_array((weights, (starts, ends)), shape=(self._nodes, self._nodes))
         graph.sum_duplicates()
         graph.data = graph.data.clip(max=_SCALE).astype(np.int32)
+
+        # 2. The source side of a minimum cut is what can be reached in the residual graph of a maximum flow.
         residual = graph - maximum_flow(graph, _SOURCE, _SINK).flow
         residual.data = np.maximum(residual.data, 0)
         residual.eliminate_zeros()
         reached = breadth_first_order(residual, _SOURCE, return_predecessors=False)
-        own = reached[(reached >= _FIRST) & (reached < _FIRST + self._n)]
-        return frozenset((own - _FIRST).tolist())
+        values = reached[(reached >= _FIRST) & (reached < _FIRST + self._n)]
+        return frozenset((values - _FIRST).tolist())
 
 
 # ---- choices --------------------------------------------------------------------------------------------------------
@@ -337,29 +359,29 @@ class Chooser:
         return self.choice(index for index, value in enumerate(self.values) if value.executions)
 
     def choice(self, chosen: Iterable[int]) -> Choice:
-        """Cost and benefit of a set of values."""
-        own = frozenset(chosen)
-        return Choice(own, total_cost(self.values, own), float(self.benefit[list(own)].sum()))
+        """The choice of a set of values, with its cost and benefit."""
+        indices = frozenset(chosen)
+        return Choice(indices, total_cost(self.values, indices), float(self.benefit[list(indices)].sum()))
 
     @cached_property
     def hull(self) -> list[Choice]:
         """Choices on the upper convex hull of benefit over cost, from nothing to everything."""
-        whole = self.full
+        full = self.full
         cuts = Cuts(self.values, self.benefit)
-        scale = whole.benefit / whole.cost if whole.cost else 0.0
-        found = {NOTHING.chosen: NOTHING, whole.chosen: whole}
+        scale = full.benefit / full.cost if full.cost else 0.0
+        choices = {NOTHING.chosen: NOTHING, full.chosen: full}
         for price in _PRICES:
             chosen = cuts.at(float(price * scale))
-            if chosen not in found:
-                found[chosen] = self.choice(chosen)
-        return upper_hull(found.values())
+            if chosen not in choices:
+                choices[chosen] = self.choice(chosen)
+        return upper_hull(choices.values())
 
     def share(self, fraction: float) -> Choice:
         """The choice that adds at most a fraction of the instructions of full duplication."""
-        if fraction in (0.0, 1.0):
-            if fraction:
-                return self.full
+        if fraction == 0.0:
             return NOTHING
+        if fraction == 1.0:
+            return self.full
         return self.within(fraction * self.full.cost)
 
     def within(self, budget: float) -> Choice:
@@ -368,21 +390,21 @@ class Chooser:
         return self.choice([*step.corner.chosen, *step.added[: step.taken]])
 
     @cached_property
-    def _steps(self) -> list["_Step"]:
+    def _steps(self) -> list["_GreedyStep"]:
         """The corners of the hull, and greedy additions from each of them to the cost of the next one."""
         steps = []
         for corner, following in zip(self.hull, [*self.hull[1:], self.full], strict=True):
-            added: list[int] = []
-            steps.append(_Step(corner, added, 0, corner.cost, corner.benefit))
+            added: list[int] = []  # shared by all steps from this corner
+            steps.append(_GreedyStep(corner, added, 0, corner.cost, corner.benefit))
             spent = corner.cost
             gained = corner.benefit
             for index, price in self._greedy(corner.chosen):
-                spent = spent + price
-                gained = gained + float(self.benefit[index])
+                spent += price
+                gained += float(self.benefit[index])
                 if spent >= following.cost:
                     break
                 added.append(index)
-                steps.append(_Step(corner, added, len(added), spent, gained))
+                steps.append(_GreedyStep(corner, added, len(added), spent, gained))
         return steps
 
     def _greedy(self, start: frozenset[int]) -> Iterator[tuple[int, float]]:
@@ -423,8 +445,8 @@ class Chooser:
         return after - before
 
 
-class _Step(NamedTuple):
-    """A corner of the hull with the first `taken` of some additions."""
+class _GreedyStep(NamedTuple):
+    """A corner of the hull with the first `taken` of the values that are added to it greedily, and their total."""
 
     corner: Choice
     added: list[int]
@@ -436,7 +458,7 @@ class _Step(NamedTuple):
 def upper_hull(choices: Iterable[Choice]) -> list[Choice]:
     """The choices on the upper convex hull of benefit over cost, by cost."""
     hull: list[Choice] = []
-    for choice in sorted(choices, key=lambda one: (one.cost, -one.benefit)):
+    for choice in sorted(choices, key=lambda choice: (choice.cost, -choice.benefit)):
         if hull and choice.benefit <= hull[-1].benefit:
             continue
         while len(hull) > 1 and _slope(hull[-2], choice) >= _slope(hull[-2], hull[-1]):
@@ -445,5 +467,5 @@ def upper_hull(choices: Iterable[Choice]) -> list[Choice]:
     return hull
 
 
-def _slope(one: Choice, other: Choice) -> float:
-    return (other.benefit - one.benefit) / max(other.cost - one.cost, 1e-12)
+def _slope(cheaper: Choice, dearer: Choice) -> float:
+    return (dearer.benefit - cheaper.benefit) / max(dearer.cost - cheaper.cost, 1e-12)

@@ -17,9 +17,11 @@ from mavfi.files import is_file
 
 if TYPE_CHECKING:
     from mavfi.analysis.table import Table
-    from mavfi.extras.hardening.advise import Study
+    from mavfi.extras.hardening.advise import HardeningStudy
 
 EXIT_REFUTED = 3
+DEFAULT_BUDGET = 0.10
+DEFAULT_FAULTS = 400
 
 
 def harden(  # noqa: PLR0913 - one parameter per option
@@ -55,7 +57,7 @@ def harden(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi harden out/kernels --plan plan.yaml --certify[/bold]
     """
-    from mavfi.extras.hardening.advise import Study
+    from mavfi.extras.hardening.advise import HardeningStudy
 
     check_number("--budget", budget, 0.0, 10.0)
     check_number("--faults", faults, 1, 100_000)
@@ -67,14 +69,15 @@ def harden(  # noqa: PLR0913 - one parameter per option
             if value is not None:
                 raise BadInputError(f"{option}: {value}: allowed: without --certify")
         check_file("--html", html, PAGES)
-        _certify(Study.open(directory, names), plan, faults or 400, html, as_json=as_json)
+        _certify(HardeningStudy.open(directory, names), plan, faults or DEFAULT_FAULTS, html, as_json=as_json)
         return
     if faults is not None:
         raise BadInputError(f"--faults: {faults}: allowed: with --certify")
     check_file("--plan", plan, (".yaml", ".yml"))
     check_file("--html", html, PAGES)
-    share = 0.10 if budget is None else budget
-    _advise(Study.open(directory, names), share, plan, html, addresses=addresses, as_json=as_json)
+    if budget is None:
+        budget = DEFAULT_BUDGET
+    _advise(HardeningStudy.open(directory, names), budget, plan, html, addresses=addresses, as_json=as_json)
 
 
 def _tell(text: str) -> None:
@@ -82,19 +85,19 @@ def _tell(text: str) -> None:
 
 
 def _advise(
-    study: "Study", budget: float, path: Path | None, html: Path | None, *, addresses: bool, as_json: bool
+    study: "HardeningStudy", budget: float, path: Path | None, html: Path | None, *, addresses: bool, as_json: bool
 ) -> None:
     from mavfi.extras.hardening import certify, plan, report, summary
     from mavfi.extras.hardening.advise import advise, plan_of
 
     harm = summary.harm_of(study.runs)
     advices = advise(study, budget, _tell, addresses=addresses, workers=os.cpu_count() or 1)
-    made = plan_of(study, advices)
+    advised_plan = plan_of(study, advices)
     if path is not None:
         with suppress(BadInputError):  # there is none yet
-            made = certify.with_certified(made, plan.load_plan(path))
-        plan.save_plan(made, path)
-    advice = summary.summary(study, advices, harm, made)
+            advised_plan = certify.with_certified(advised_plan, plan.load_plan(path))
+        plan.save_plan(advised_plan, path)
+    advice = summary.summary(study, advices, harm, advised_plan)
     if html is not None:
         report.write_page(html, advice, study.directory, path)
     if as_json:
@@ -104,25 +107,25 @@ def _advise(
     say_written(path, html)
 
 
-def _certify(study: "Study", path: Path, faults: int, html: Path | None, *, as_json: bool) -> None:
+def _certify(study: "HardeningStudy", path: Path, faults: int, html: Path | None, *, as_json: bool) -> None:
     from mavfi.extras.hardening import certify, plan, report
 
     planned = plan.load_plan(str(path))
     check_writable(path.with_suffix(".certificate.json"))
-    certified = certify.certify_plan(study, planned, faults, _tell)
-    written = [certify.save_certification(certified, path)]
+    certification = certify.certify_plan(study, planned, faults, _tell)
+    written = [certify.save_certification(certification, path)]
     if is_file(path):  # not a shipped plan, given by name
-        plan.save_plan(certify.certified_plan(planned, certified), path)
+        plan.save_plan(certify.certified_plan(planned, certification), path)
         written.append(path)
     if html is not None:
-        report.write_certificate(html, certified, study.directory, path, study.selected)
+        report.write_certificate(html, certification, study.directory, path, study.selected)
         written.append(html)
     if as_json:
-        write_json(certify.certification_json(certified))
+        write_json(certify.certification_json(certification))
     else:
-        _show(report.verdict_line(certified), (), report.certificate_table(certified))
+        _show(report.verdict_line(certification), (), report.certificate_table(certification))
         say_written(*written)
-    if certified.refuted:
+    if certification.refuted:
         raise typer.Exit(EXIT_REFUTED)
 
 

@@ -18,12 +18,12 @@ import numpy as np
 
 from mavfi.extras.hardening.battery import copied
 from mavfi.extras.hardening.duplicate import callees
-from mavfi.ir.build import Rewrite, Source, environment_of, load_code, translate
+from mavfi.ir.build import KernelSource, Rewrite, environment_of, load_code, translate
 from mavfi.ir.module import Function, Module
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source
 
-_LIBRARY = "_ZN5numba"
+_NUMBA_PREFIX = "_ZN5numba"
 """Start of the names of Numba's own functions; not inlined, since most compose messages of exceptions, and take long to
 translate."""
 
@@ -39,7 +39,7 @@ class Compiled:
         environment: Numba's environment of the function, which the code points to.
     """
 
-    def __init__(self, source: Source, code: bytes, environment: Any) -> None:
+    def __init__(self, source: KernelSource, code: bytes, environment: Any) -> None:
         self._environment = environment
         self._engine, self._function = load_code(code, source.wrapper, source.environment, environment)
 
@@ -72,14 +72,20 @@ def code_of(module: Module, text: str) -> bytes:
         module: The module.
         text: Its IR, see `text_of`, with additions.
     """
-    if not any(one.role for function in module.functions for block in function.blocks for one in block.body):
+    if not _is_protected(module):
         return translate(text)
-    own = {name for function in module.functions if not (name := _plain(function.name)).startswith(_LIBRARY)}
-    called = set().union(*map(callees, module.functions))
-    return translate(text, partial(inlined, names=own & set(map(_plain, called))))
+    defined = {_llvm_name(function.name) for function in module.functions}
+    called = {_llvm_name(name) for function in module.functions for name in callees(function)}
+    inlinable = {name for name in defined & called if not name.startswith(_NUMBA_PREFIX)}
+    return translate(text, partial(inlined, names=inlinable))
 
 
-def _plain(name: str) -> str:
+def _is_protected(module: Module) -> bool:
+    blocks = (block for function in module.functions for block in function.blocks)
+    return any(instruction.role for block in blocks for instruction in block.body)
+
+
+def _llvm_name(name: str) -> str:
     """Name of a function as LLVM has it, without the sigil and quotation marks of the IR."""
     return name[1:].strip('"')
 
@@ -134,17 +140,17 @@ def main_function(module: Module, wrapper: str) -> Function:
 
 _REPETITIONS = "mavfi_repetitions"
 _TICKS = "mavfi_ticks"
-_LONG_ENOUGH = 60_000
+_MIN_LOOP_TICKS = 60_000
 """Ticks of a measured loop (about 20 us), far more than those of reading the counter."""
-_MOST_REPETITIONS = 200
-_SHORT = 3_000_000
+_MAX_REPETITIONS = 200
+_SHORT_CALL = 3_000_000
 """Ticks of a call (about 1 ms) that fills the caches in a small part of its time."""
-_WARM = 2
+_WARM_UP_CALLS = 2
 """Calls before that of a short one that is timed: after one, `plan_rrt_connect` takes x1.22, not x1.18 (Intel)."""
-_FEWEST_ROUNDS = 9
+_MIN_ROUNDS = 9
 _QUIET_SHARE = 0.25
-_FEWEST_QUIET = 3
-"""Share of a call's rounds that count, the fastest ones, and their fewest number."""
+_MIN_QUIET = 3
+"""Share of a call's rounds that count, the fastest ones, and their smallest number."""
 
 
 class Timing(NamedTuple):
@@ -168,12 +174,13 @@ class Timed(Compiled):
         code: As of `code_of`.
     """
 
-    def __init__(self, source: Source, code: bytes, environment: Any) -> None:
+    def __init__(self, source: KernelSource, code: bytes, environment: Any) -> None:
         super().__init__(source, code, environment)
-        self._repetitions, self._ticks = self.word(_REPETITIONS), self.word(_TICKS)
+        self._repetitions = self.word(_REPETITIONS)
+        self._ticks = self.word(_TICKS)
 
     @staticmethod
-    def code_of(source: Source, module: Module) -> bytes:
+    def code_of(source: KernelSource, module: Module) -> bytes:
         """Machine code of a variant of a function's module, with its loop."""
         return code_of(module, looping(text_of(module), source.wrapper, main_function(module, source.wrapper)))
 
@@ -187,10 +194,12 @@ class Timed(Compiled):
 def looping(text: str, wrapper: str, main: Function) -> str:
     """IR in which the wrapper calls a function in a loop, and stores the ticks of the time stamp counter."""
     name = main.name
+    # The wrapper calls the loop instead of the function.
     parts = text.split("\ndefine ")
-    for place, part in enumerate(parts):
+    for number, part in enumerate(parts):
         if wrapper in part.split("\n", 1)[0]:
-            parts[place] = part.replace(f"{name} (", "@mavfi_loop (").replace(f"{name}(", "@mavfi_loop(")
+            parts[number] = part.replace(f"{name} (", "@mavfi_loop (").replace(f"{name}(", "@mavfi_loop(")
+    # The loop reads the counter outside of it, so that short calls are timed as well.
     typed = ", ".join(f"{kind} {parameter}" for kind, parameter in main.parameters)
     return (
         "\ndefine ".join(parts)
@@ -226,36 +235,41 @@ Clock = Callable[[tuple[Any, ...], int], float]
 def compare(
     plain: Clock, variants: Mapping[str, Clock], calls: Sequence[tuple[Any, ...]], enough: Callable[[int], bool]
 ) -> Timing:
-    """Time variants in turn on recorded calls, until `enough` of the number of rounds, each with one call.
+    """Time variants in turn on recorded calls, one call per round, until `enough` says so of the number of rounds.
 
     The order of the variants changes from round to round; each runs on a copy of the arguments.  A short call follows
     others that are not timed: between so many variants the caches hold none of its code.
     """
     clocks = {"": plain, **variants}
     names = list(clocks)
-    rows: list[dict[str, float]] = []
+    # 1. How long is a call? Short ones are repeated, and made before without being timed.
     first = min(plain(copied(calls[0]), 1) for _ in range(3))
-    repetitions = int(np.clip(_LONG_ENOUGH / max(first, 1.0), 1, _MOST_REPETITIONS))
+    repetitions = int(np.clip(_MIN_LOOP_TICKS / max(first, 1.0), 1, _MAX_REPETITIONS))
+    warm_up_calls = _WARM_UP_CALLS if first < _SHORT_CALL else 0
 
     def timed(clock: Clock, args: tuple[Any, ...]) -> float:
-        for _ in range(_WARM if first < _SHORT else 0):
+        for _ in range(warm_up_calls):
             clock(copied(args), 1)
         return clock(copied(args), repetitions)
 
-    while len(rows) < max(_FEWEST_ROUNDS, len(calls)) or not enough(len(rows)):
-        place = len(rows) % len(names)
-        args = calls[len(rows) % len(calls)]
-        rows.append({name: timed(clocks[name], args) for name in names[place:] + names[:place]})
-    by_call = [quiet(rows[place :: len(calls)]) for place in range(len(calls))]
-    plainly = np.array([np.median([row[""] for row in own]) for own in by_call])
-    ratios = {
-        name: float(np.average([np.median([row[name] / row[""] for row in own]) for own in by_call], weights=plainly))
-        for name in variants
-    }
-    return Timing(ratios, float(plainly.mean()))
+    # 2. Rounds, each with one call and another order of the variants.
+    rounds: list[dict[str, float]] = []
+    while len(rounds) < max(_MIN_ROUNDS, len(calls)) or not enough(len(rounds)):
+        start = len(rounds) % len(names)
+        args = calls[len(rounds) % len(calls)]
+        rounds.append({name: timed(clocks[name], args) for name in names[start:] + names[:start]})
+
+    # 3. Medians over the fastest rounds of each call, and over all calls their mean, weighted by plain time.
+    rounds_of_call = [quiet(rounds[call :: len(calls)]) for call in range(len(calls))]
+    plain_ticks = np.array([np.median([ticks[""] for ticks in of_call]) for of_call in rounds_of_call])
+    ratios = {}
+    for name in variants:
+        medians = [np.median([ticks[name] / ticks[""] for ticks in of_call]) for of_call in rounds_of_call]
+        ratios[name] = float(np.average(medians, weights=plain_ticks))
+    return Timing(ratios, float(plain_ticks.mean()))
 
 
 def quiet(rounds: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]]:
     """The fastest rounds of a call by the time of all variants together, which prefers none of them."""
-    kept = max(_FEWEST_QUIET, math.ceil(_QUIET_SHARE * len(rounds)))
-    return sorted(rounds, key=lambda row: sum(row.values()))[:kept]
+    count = max(_MIN_QUIET, math.ceil(_QUIET_SHARE * len(rounds)))
+    return sorted(rounds, key=lambda ticks: sum(ticks.values()))[:count]

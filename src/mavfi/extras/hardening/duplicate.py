@@ -17,7 +17,7 @@ from collections import defaultdict
 from collections.abc import Collection
 from dataclasses import replace
 
-from mavfi.extras.hardening.plan import Site
+from mavfi.extras.hardening.plan import ModuleSite
 from mavfi.ir.flow import back_edges, loop_depths, successors
 from mavfi.ir.module import Block, Function, Instruction, Module, width
 from mavfi.ir.parser import VOLATILE_LOAD
@@ -33,25 +33,26 @@ _SMALL = re.compile(r"i[1-7]")
 _VECTOR = re.compile(r"<\d+ x (?:double|float|i64|i32|i16|i8|ptr)>")
 
 
-def candidates(module: Module) -> list[Site]:
+def candidates(module: Module) -> list[ModuleSite]:
     """All sites that can be duplicated, in text order."""
     able = reporting(module)
-    return [
-        Site(i, j, k)
-        for i, function in enumerate(module.functions)
-        if function.name in able
-        for kinds in [kinds_of(function)]
-        for j, block in enumerate(function.blocks)
-        for k, instruction in enumerate(block.sites)
-        if can_repeat(instruction) and _can_differ(instruction, kinds)
-    ]
+    sites = []
+    for i, function in enumerate(module.functions):
+        if function.name not in able:
+            continue
+        kinds = kinds_of(function)
+        for j, block in enumerate(function.blocks):
+            for k, instruction in enumerate(block.sites):
+                if can_repeat(instruction) and _can_differ(instruction, kinds):
+                    sites.append(ModuleSite(i, j, k))
+    return sites
 
 
 def reporting(module: Module) -> set[str]:
     """Functions that can return a status, and are called only by such functions and by Numba's wrapper."""
     able = {function.name for function in module.functions if function.kind == "i32"}
     calls = [(function.name, called) for function in module.functions for called in callees(function)]
-    while True:
+    while True:  # removing a function may leave another one with a caller that cannot return a status
         lost = {called for caller, called in calls if caller not in able} & able
         if not lost:
             return able
@@ -60,9 +61,8 @@ def reporting(module: Module) -> set[str]:
 
 def callees(function: Function) -> set[str]:
     """Names of the functions that a function calls."""
-    return {
-        instruction.callee for block in function.blocks for instruction in block.body if instruction.callee is not None
-    }
+    instructions = (instruction for block in function.blocks for instruction in block.body)
+    return {instruction.callee for instruction in instructions if instruction.callee is not None}
 
 
 def can_repeat(instruction: Instruction) -> bool:
@@ -102,9 +102,12 @@ def constraint_of(kind: str) -> str | None:
 
 def kinds_of(function: Function) -> dict[str, str]:
     """Types of a function's values, by name."""
-    parameters = {name: kind.removesuffix(" signext").removesuffix(" zeroext") for kind, name in function.parameters}
-    made = {str(one.result): one.kind for block in function.blocks for one in block.all() if one.result is not None}
-    return parameters | made
+    kinds = {name: kind.removesuffix(" signext").removesuffix(" zeroext") for kind, name in function.parameters}
+    for block in function.blocks:
+        for instruction in block.all():
+            if instruction.result is not None:
+                kinds[str(instruction.result)] = instruction.kind
+    return kinds
 
 
 # ---- duplication ----------------------------------------------------------------------------------------------------
@@ -119,11 +122,16 @@ COPY = "copy"
 CHECK = "check"
 """Roles of added instructions."""
 _STOP = "%detected"
-_ARBITRARY = re.compile(r"\b(?:undef|poison)\b")
+"""Label of the block that returns the status."""
+_UNDEFINED = re.compile(r"\b(?:undef|poison)\b")
+_FIRST_IS_RARE = "!1"
+"""Weights of a branch that hardly ever goes to its first target."""
+_SECOND_IS_RARE = "!2"
+"""Weights of a branch that hardly ever goes to its second target."""
 _WEIGHTS = ['!1 = !{!"branch_weights", i32 1, i32 100000}', '!2 = !{!"branch_weights", i32 100000, i32 1}']
 
 
-def protect(module: Module, sites: Collection[Site], *, addresses: bool) -> Module:
+def protect(module: Module, sites: Collection[ModuleSite], *, addresses: bool) -> Module:
     """A module in which the values at the given sites are duplicated and compared.
 
     Fault-free results are bit-identical.  Results of the original instructions keep their names, so that the sites of
@@ -137,79 +145,109 @@ def protect(module: Module, sites: Collection[Site], *, addresses: bool) -> Modu
     Returns:
         The protected module; an equal one for no sites.
     """
-    allowed = set(candidates(module)) & set(sites)
-    if not allowed:
+    duplicable = set(candidates(module)) & set(sites)
+    if not duplicable:
         return module
+
+    # 1. Names of the chosen values, by function.
     chosen: dict[int, set[str]] = defaultdict(set)
-    for number, block, offset in allowed:
+    for number, block, offset in duplicable:
         chosen[number].add(str(module.functions[number].blocks[block].sites[offset].result))
+
+    # 2. Functions that may return the status: those with chosen values, and all callers of such functions.
     able = reporting(module)
     detecting = {module.functions[number].name for number in chosen}
-    while True:  # callers of detecting functions propagate their status
-        callers = {one.name for one in module.functions if one.name in able and callees(one) & detecting} - detecting
+    while True:
+        callers = {f.name for f in module.functions if f.name in able and callees(f) & detecting} - detecting
         if not callers:
             break
         detecting |= callers
-    functions = [
-        _Duplicator(_settled(function), chosen[number], addresses, detecting).run()
-        if function.name in detecting
-        else function
-        for number, function in enumerate(module.functions)
-    ]
-    known = {line.split(" ")[0] for line in module.preamble}
-    added = [line for line in GLOBALS if line.split(" ")[0] not in known]
+
+    # 3. Write them anew, and let the wrapper raise an error.
+    functions = []
+    for number, function in enumerate(module.functions):
+        if function.name in detecting:
+            function = _Duplicator(_without_undefined(function), chosen[number], addresses, detecting).run()
+        functions.append(function)
+    declared = {line.split(" ")[0] for line in module.preamble}
+    added = [line for line in GLOBALS if line.split(" ")[0] not in declared]
     others = [raising(text, detecting, DETECTED) for text in module.others]
     return replace(module, preamble=[*module.preamble, *added, *_WEIGHTS], functions=functions, others=others)
 
 
 class _Duplicator:
-    """Writes one function with shadows of its chosen values."""
+    """Writer of one function with shadows of its chosen values.
+
+    Args:
+        function: The function, without undefined values.
+        chosen: Names of the values to duplicate.
+        addresses: Whether addresses are compared before loads, too.
+        detecting: Names of the functions that may return `DETECTED`.
+
+    Attributes:
+        kinds: Types of all values, by name.
+        home: Block and instruction that compute each value.
+        headers: Labels of the latches of each loop header.
+        chosen: Names of the values that get a shadow.
+        uses: See `_uses`.
+        checked_in: See `_places_of_checks`.
+        checked_last: See `_checks_at_end`.
+        numbers: Number of added instructions.
+        tails: Copies at the end of a block, by its label.
+        starts: Initial value of a phi's shadow, by result, label and value.
+        ends: Label of the last part of a block that leads to another one, by both labels.
+        made: Blocks written so far.
+        block: The part of a block that is being written.
+        copies: Copies of operands in this block, by operand.
+        checked: Values compared in this block.
+    """
 
     def __init__(self, function: Function, chosen: set[str], addresses: bool, detecting: set[str]) -> None:
         self.function = function
         self.addresses = addresses
         self.detecting = detecting
         self.kinds = kinds_of(function)
-        self.home = {str(one.result): (block, one) for block in function.blocks for one in block.sites}
+        self.home = {str(site.result): (block, site) for block in function.blocks for site in block.sites}
         self.headers: dict[str, set[str]] = defaultdict(set)
         for latch, header in back_edges(function):
             self.headers[header].add(latch)
         self.chosen = self._separable(chosen)
         self.uses = self._uses()
-        self.checked_in = self._places()
-        self.checked_last = self._last()
+        self.checked_in = self._places_of_checks()
+        self.checked_last = self._checks_at_end()
         self.numbers = 0
-        self.tails: dict[str, list[Instruction]] = defaultdict(list)  # copies at the end of a block
-        self.starts: dict[tuple[str, str, str], str] = {}  # of a phi's shadow: by result, label and value
-        self.ends: dict[tuple[str, str], str] = {}  # last part of a block that leads to another one
+        self.tails: dict[str, list[Instruction]] = defaultdict(list)
+        self.starts: dict[tuple[str, str, str], str] = {}
+        self.ends: dict[tuple[str, str], str] = {}
         self.made: list[Block] = []
 
     # ---- what is duplicated and compared ----------------------------------------------------------------------------
     def _separable(self, chosen: set[str]) -> set[str]:
         """The chosen values without those whose shadow code generation could merge with them."""
-        while True:
-            kept = {name for name in chosen if self._differs(self.home[name][1], chosen)}
-            if kept == chosen:
-                return kept
-            chosen = kept
+        while True:  # removing a value may leave a user of it without an operand of its own
+            separable = {name for name in chosen if self._differs(self.home[name][1], chosen)}
+            if separable == chosen:
+                return separable
+            chosen = separable
 
-    def _differs(self, one: Instruction, chosen: set[str]) -> bool:
-        return one.opcode in ("load", "phi") or any(
-            name in chosen or can_copy(self.kinds.get(name, "")) for name in one.uses()
-        )
+    def _differs(self, instruction: Instruction, chosen: set[str]) -> bool:
+        """Whether a shadow of an instruction can have an operand that the original does not have."""
+        if instruction.opcode in ("load", "phi"):
+            return True
+        return any(name in chosen or can_copy(self.kinds.get(name, "")) for name in instruction.uses())
 
     def _uses(self) -> dict[str, list[tuple[Instruction, str]]]:
         """Users of each chosen value, with the label of the block in which it must be available."""
-        found: dict[str, list[tuple[Instruction, str]]] = defaultdict(list)
+        uses: dict[str, list[tuple[Instruction, str]]] = defaultdict(list)
         for block in self.function.blocks:
-            for one in block.all():
-                if one.opcode == "phi":
-                    for value, label in one.incoming:
-                        found[value].append((one, label))
+            for user in block.all():
+                if user.opcode == "phi":
+                    for value, label in user.incoming:  # needed at the end of the block before
+                        uses[value].append((user, label))
                 else:
-                    for name in dict.fromkeys(one.uses()):
-                        found[name].append((one, block.label))
-        return {name: found[name] for name in self.chosen}
+                    for name in dict.fromkeys(user.uses()):
+                        uses[name].append((user, block.label))
+        return {name: uses[name] for name in self.chosen}
 
     def _leaves(self, name: str, user: Instruction) -> bool:
         """Whether a value must be compared before this use of it."""
@@ -217,26 +255,31 @@ class _Duplicator:
             return self.addresses and reads_memory(user) and name in user.addresses
         return not (is_fork(user) and name == user.tokens[2])
 
-    def _places(self) -> dict[str, set[str]]:
-        """Labels of the blocks in which each value is compared; {its own} = where it is computed."""
+    def _places_of_checks(self) -> dict[str, set[str]]:
+        """Labels of the blocks in which each value is compared; the only one may be that in which it is computed."""
         depth = loop_depths(self.function)
-        found = {}
+        places = {}
         for name, users in self.uses.items():
             exits = {label for user, label in users if self._leaves(name, user)}
-            if exits:
-                own = self.home[name][0].label
-                there = sum(10.0 ** depth[label] for label in exits)
-                found[name] = exits if there < 10.0 ** depth[own] else {own}
-        return found
+            if not exits:
+                continue
+            # Ten executions per loop are assumed: the cheaper place is taken.
+            home = self.home[name][0].label
+            executions_at_exits = sum(10.0 ** depth[label] for label in exits)
+            if executions_at_exits < 10.0 ** depth[home]:
+                places[name] = exits
+            else:
+                places[name] = {home}
+        return places
 
-    def _last(self) -> dict[str, list[str]]:
+    def _checks_at_end(self) -> dict[str, list[str]]:
         """Values to be compared at the end of each block, since a phi takes them."""
-        found: dict[str, list[str]] = defaultdict(list)
+        names: dict[str, list[str]] = defaultdict(list)
         for name, labels in self.checked_in.items():
             for user, label in self.uses[name]:
                 if user.opcode == "phi" and label in labels and self._leaves(name, user):
-                    found[label].append(name)
-        return found
+                    names[label].append(name)
+        return names
 
     def _only_decides(self, name: str) -> bool:
         """Whether a value is a comparison for branches only: its shadow is computed on their edges."""
@@ -244,38 +287,46 @@ class _Duplicator:
 
     # ---- writing ----------------------------------------------------------------------------------------------------
     def run(self) -> Function:
+        """The protected function."""
+        # 1. Copies with which shadows of phis begin: they stand in blocks that may be written earlier.
         for block in self.function.blocks:
             for phi in block.phis:
                 if phi.result in self.chosen:
                     self._start(phi, block.label)
+
+        # 2. The blocks, each in one part or several.
         for block in self.function.blocks:
             self._write(block)
+
+        # 3. Phis must name the parts of blocks that lead to them, and all checks need the block that stops.
         for block in self.made:
-            block.phis = [  # they name the parts of blocks that lead to them
-                replace(
-                    phi,
-                    incoming=[(value, self.ends.get((before, block.label), before)) for value, before in phi.incoming],
-                )
-                for phi in block.phis
-            ]
+            block.phis = [self._from_parts(phi, block.label) for phi in block.phis]
         if any(_STOP in successors(block.terminator) for block in self.made):
             end = Instruction("ret", ["ret", "i32", str(DETECTED)])
             self.made.append(Block(_STOP, terminator=end, unreached=True))
         return replace(self.function, blocks=self.made)
 
+    def _from_parts(self, phi: Instruction, label: str) -> Instruction:
+        incoming = [(value, self.ends.get((before, label), before)) for value, before in phi.incoming]
+        return replace(phi, incoming=incoming)
+
     def _start(self, phi: Instruction, label: str) -> None:
-        """Copies of the values with which a shadow begins that no shadow of its own sets apart."""
+        """Copy incoming values of a phi that have no shadow, where its own shadow would else equal the original."""
         latches = self.headers[label]
         plain = [(value, before) for value, before in phi.incoming if value not in self.chosen]
-        if latches:  # or the original and the shadow would be one recurrence
-            plain = [(value, before) for value, before in plain if before not in latches] or plain
-        elif len(plain) < len(phi.incoming):
-            return
-        for value, before in plain if latches else plain[:1]:
-            name = self._copy(value, phi, self.tails[before])
-            self.starts[str(phi.result), before, value] = name
+        if latches:
+            # Without different initial values, original and shadow would be one recurrence.
+            initial = [(value, before) for value, before in plain if before not in latches]
+            copied = initial or plain
+        elif len(plain) == len(phi.incoming):
+            copied = plain[:1]
+        else:
+            copied = []  # an incoming value has a shadow, which sets the phi's apart
+        for value, before in copied:
+            self.starts[str(phi.result), before, value] = self._copy(value, phi, self.tails[before])
 
     def _write(self, block: Block) -> None:
+        """Write a block: originals, each followed by its shadow and checks; a check begins a new part."""
         self.block = Block(block.label, list(block.phis), block.allocations)
         self.made.append(self.block)
         self.copies: dict[str, str] = {}
@@ -285,21 +336,22 @@ class _Duplicator:
                 self.block.phis.append(self._shadow_of_phi(phi))
         for phi in block.phis:
             self._check_where_computed(phi, block.label)
-        for one in block.body:
-            self._check_uses(one, block.label)
-            self.block.body.append(one)
-            if one.result in self.chosen and not self._only_decides(one.result):
-                self._shadow(one, shadow(one.result))
-            self._check_where_computed(one, block.label)
-            if one.callee in self.detecting:
+        for instruction in block.body:
+            self._check_uses(instruction, block.label)
+            self.block.body.append(instruction)
+            if instruction.result in self.chosen and not self._only_decides(instruction.result):
+                self._shadow(instruction, shadow(instruction.result))
+            self._check_where_computed(instruction, block.label)
+            if instruction.callee in self.detecting:
                 # the called function has detected a difference: its caller need not look at the status
-                self._stop_if("eq", "i32", [str(one.result), str(DETECTED)], one)
+                self._stop_if("eq", "i32", [str(instruction.result), str(DETECTED)], instruction)
         for name in self.checked_last[block.label]:
             self._check(name, block.terminator)
         self.block.body += self.tails[block.label]
         self._finish(block)
 
     def _finish(self, block: Block) -> None:
+        """Write the terminator of a block."""
         end = block.terminator
         assert end is not None  # of parsed blocks
         if is_fork(end) and end.tokens[2] in self.chosen:
@@ -311,39 +363,43 @@ class _Duplicator:
 
     def _shadow_of_phi(self, phi: Instruction) -> Instruction:
         result = str(phi.result)
-        incoming = [
-            (shadow(value) if value in self.chosen else self.starts.get((result, label, value), value), label)
-            for value, label in phi.incoming
-        ]
+        incoming = []
+        for value, label in phi.incoming:
+            if value in self.chosen:
+                shadow_value = shadow(value)
+            else:
+                shadow_value = self.starts.get((result, label, value), value)
+            incoming.append((shadow_value, label))
         return replace(phi, result=shadow(result), incoming=incoming, role=SHADOW)
 
-    def _shadow(self, one: Instruction, result: str) -> None:
+    def _shadow(self, instruction: Instruction, result: str) -> None:
         """Append the shadow of an instruction, named `result`."""
-        names = {name: shadow(name) for name in one.uses() if name in self.chosen}
-        first = one.tokens[0]
-        if not names and one.opcode == "load":
-            first = VOLATILE_LOAD
-        elif not names:
-            able = [name for name in one.uses() if can_copy(self.kinds.get(name, ""))]
+        operands = {name: shadow(name) for name in instruction.uses() if name in self.chosen}
+        opcode = instruction.tokens[0]
+        if not operands and instruction.opcode == "load":
+            opcode = VOLATILE_LOAD
+        elif not operands:
+            # A copy that this block has already is best, then one that needs no detour through a byte.
+            able = [name for name in instruction.uses() if can_copy(self.kinds.get(name, ""))]
             name = min(able, key=lambda name: (name not in self.copies, constraint_of(self.kinds[name]) is None))
             if name not in self.copies:
-                self.copies[name] = self._copy(name, one, self.block.body)
-            names = {name: self.copies[name]}
+                self.copies[name] = self._copy(name, instruction, self.block.body)
+            operands = {name: self.copies[name]}
         self.block.body.append(
             replace(
-                one,
+                instruction,
                 result=result,
                 role=SHADOW,
-                tokens=[first, *(names.get(token, token) for token in one.tokens[1:])],
-                addresses=[names.get(name, name) for name in one.addresses],
-                conditions=[names.get(name, name) for name in one.conditions],
-                arguments=[(kind, names.get(value, value)) for kind, value in one.arguments],
+                tokens=[opcode, *(operands.get(token, token) for token in instruction.tokens[1:])],
+                addresses=[operands.get(name, name) for name in instruction.addresses],
+                conditions=[operands.get(name, name) for name in instruction.conditions],
+                arguments=[(kind, operands.get(value, value)) for kind, value in instruction.arguments],
             )
         )
 
     def _copy(self, value: str, like: Instruction, body: list[Instruction]) -> str:
         """Append a copy of a value that code generation takes for another one; returns its name."""
-        kind = like.kind if like.opcode == "phi" else self.kinds[value]
+        kind = like.kind if like.opcode == "phi" else self.kinds[value]  # the value of a phi may be a constant
         constraint = constraint_of(kind)
         if constraint is None:  # a few bits: through a byte
             wide = self._new("zext", [kind, value, "to", "i8"], "i8", like, body, COPY)
@@ -366,10 +422,11 @@ class _Duplicator:
         return name
 
     # ---- comparisons ------------------------------------------------------------------------------------------------
-    def _check_where_computed(self, one: Instruction, label: str) -> None:
-        name = str(one.result)
+    def _check_where_computed(self, instruction: Instruction, label: str) -> None:
+        """Compare the result of an instruction if that is to happen in its block."""
+        name = str(instruction.result)
         if self.checked_in.get(name) == {label} and self.home[name][0].label == label:
-            self._check(name, one)
+            self._check(name, instruction)
 
     def _check_uses(self, user: Instruction, label: str) -> None:
         """Compare the values that leave the set here."""
@@ -387,77 +444,80 @@ class _Duplicator:
         body = self.block.body
         if kind.startswith("<") and "ptr" in kind:
             numbers = kind.replace("ptr", "i64")
-            pair = [self._new("ptrtoint", [kind, one, "to", numbers], numbers, like, body, CHECK) for one in pair]
+            pair = [self._new("ptrtoint", [kind, value, "to", numbers], numbers, like, body, CHECK) for value in pair]
             kind = numbers
         if kind != "ptr" and kind[0] != "i":
             word = f"i{width(kind)}"
-            pair = [self._new("bitcast", [kind, one, "to", word], word, like, body, CHECK) for one in pair]
+            pair = [self._new("bitcast", [kind, value, "to", word], word, like, body, CHECK) for value in pair]
             kind = word
         self._stop_if("ne", kind, pair, like)
 
     def _stop_if(self, predicate: str, kind: str, pair: list[str], like: Instruction) -> None:
-        differs = self._new("icmp", [predicate, kind, pair[0], ",", pair[1]], "i1", like, self.block.body, CHECK)
+        """End this part of the block: return the status if a comparison is true, else go on in a new part."""
+        is_true = self._new("icmp", [predicate, kind, pair[0], ",", pair[1]], "i1", like, self.block.body, CHECK)
         first = self.block.label.split("c")[0]
         following = f"{first}c{self.numbers}"
-        self.block.terminator = _branch(differs, _STOP, following, "!1", like)
+        self.block.terminator = _branch(is_true, _STOP, following, _FIRST_IS_RARE, like)
         self.block = Block(following, runs_as=(first,))
         self.made.append(self.block)
 
     def _check_edges(self, label: str, end: Instruction) -> None:
         """Branch on the condition, then on its shadow: both must lead to the same block."""
         condition = end.tokens[2]
-        first = self.block
-        maker = self.home[condition][1]
-        targets = successors(end)
-        edges = [f"{label}e{number}" for number in range(len(targets))]
-        first.terminator = _branch(condition, edges[0], edges[1], "", end)
-        for number, (edge, target) in enumerate(zip(edges, targets, strict=True)):
-            self.block = Block(edge, runs_as=(label, edges[0]) if number else ())
-            self.made.append(self.block)
-            other = shadow(condition)
-            if self._only_decides(condition):
-                other = f"{edge}s"
-                kept = self.copies
-                self.copies = dict(kept)  # a copy made on one edge is not known on the other one
-                self._shadow(maker, other)
-                self.copies = kept
-            pair = (target, _STOP) if number == 0 else (_STOP, target)
-            self.block.terminator = _branch(other, *pair, "!2" if number == 0 else "!1", end)
-            self.ends[label, target] = edge
+        if_true, if_false = successors(end)
+        true_edge = f"{label}e0"
+        false_edge = f"{label}e1"
+        self.block.terminator = _branch(condition, true_edge, false_edge, "", end)
+
+        other = self._begin_edge(true_edge, condition, runs_as=())
+        self.block.terminator = _branch(other, if_true, _STOP, _SECOND_IS_RARE, end)
+        self.ends[label, if_true] = true_edge
+
+        other = self._begin_edge(false_edge, condition, runs_as=(label, true_edge))
+        self.block.terminator = _branch(other, _STOP, if_false, _FIRST_IS_RARE, end)
+        self.ends[label, if_false] = false_edge
+
+    def _begin_edge(self, edge: str, condition: str, runs_as: tuple[str, ...]) -> str:
+        """Begin the block of an edge; returns the shadow of the condition there."""
+        self.block = Block(edge, runs_as=runs_as)
+        self.made.append(self.block)
+        if not self._only_decides(condition):
+            return shadow(condition)
+        copies = self.copies
+        self.copies = dict(copies)  # a copy made on one edge is not known on the other one
+        self._shadow(self.home[condition][1], f"{edge}s")
+        self.copies = copies
+        return f"{edge}s"
 
 
-def _settled(function: Function) -> Function:
-    """A function with zeros for arbitrary values, which may differ between a value and its shadow."""
-    blocks = [
-        Block(
-            block.label,
-            [_without_arbitrary(one) for one in block.phis],
-            block.allocations,
-            [_without_arbitrary(one) for one in block.body],
-            None if block.terminator is None else _without_arbitrary(block.terminator),
-        )
-        for block in function.blocks
-    ]
+def _without_undefined(function: Function) -> Function:
+    """A function with zeros for undefined values, which may differ between a value and its shadow."""
+    blocks = []
+    for block in function.blocks:
+        phis = [_with_zeros(phi) for phi in block.phis]
+        body = [_with_zeros(instruction) for instruction in block.body]
+        terminator = block.terminator and _with_zeros(block.terminator)
+        blocks.append(Block(block.label, phis, block.allocations, body, terminator))
     return replace(function, blocks=blocks)
 
 
-def _without_arbitrary(one: Instruction) -> Instruction:
-    def settled(text: str) -> str:
-        if text[0] in '@%"':
+def _with_zeros(instruction: Instruction) -> Instruction:
+    def defined(text: str) -> str:
+        if text[0] in '@%"':  # a name
             return text
-        return _ARBITRARY.sub("zeroinitializer", text)
+        return _UNDEFINED.sub("zeroinitializer", text)
 
     return replace(
-        one,
-        tokens=[settled(token) for token in one.tokens],
-        incoming=[(settled(value), label) for value, label in one.incoming],
-        arguments=[(kind, settled(value)) for kind, value in one.arguments],
+        instruction,
+        tokens=[defined(token) for token in instruction.tokens],
+        incoming=[(defined(value), label) for value, label in instruction.incoming],
+        arguments=[(kind, defined(value)) for kind, value in instruction.arguments],
     )
 
 
-def is_fork(one: Instruction) -> bool:
-    """Whether it is a branch to one of two blocks."""
-    return one.opcode == "br" and len(set(successors(one))) == 2
+def is_fork(instruction: Instruction) -> bool:
+    """Whether an instruction is a branch to one of two blocks."""
+    return instruction.opcode == "br" and len(set(successors(instruction))) == 2
 
 
 def shadow(name: str) -> str:
@@ -467,7 +527,8 @@ def shadow(name: str) -> str:
 
 def _branch(condition: str, first: str, second: str, weights: str, like: Instruction) -> Instruction:
     tokens = ["br", "i1", condition, ",", "label", first, ",", "label", second]
-    tokens += [",", "!prof", weights] if weights else []
+    if weights:
+        tokens += [",", "!prof", weights]
     return Instruction("br", tokens, conditions=[condition], location=like.location)
 
 
@@ -479,7 +540,7 @@ GLOBALS = [
     "@PyExc_SystemError = external global ptr",
     f'@mavfi_detected = private constant [{len(MESSAGE) + 1} x i8] c"{MESSAGE}\\00"',
 ]
-_AFTER = re.compile(r"\s*(?:%\S+ = load |call void @(?:PyEval_RestoreThread|NRT_decref) )")
+_FOLLOWS_CALL = re.compile(r"\s*(?:%\S+ = load |call void @(?:PyEval_RestoreThread|NRT_decref) )")
 """What follows the call: results are read, the interpreter's lock is taken, arguments are released."""
 
 
@@ -491,8 +552,10 @@ def raising(text: str, kernels: set[str], status: int) -> str:
     calls = [number for number, line in enumerate(lines) if _called(line) in kernels]
     if len(calls) != 1:
         return text
+
+    # The check stands behind the call and what belongs to it, and begins a new block.
     end = calls[0] + 1
-    while _AFTER.match(lines[end]):
+    while _FOLLOWS_CALL.match(lines[end]):
         end += 1
     label = next(line[:-1] for line in lines[calls[0] :: -1] if re.fullmatch(r'(?:"[^"]*"|[-\w$.]+):', line))
     result = lines[calls[0]].split()[0]
@@ -504,13 +567,17 @@ def raising(text: str, kernels: set[str], status: int) -> str:
         "  ret ptr null",
         "mavfi.fine:",
     ]
-    after = [line.replace(f"%{label} ]", "%mavfi.fine ]") if " = phi " in line else line for line in lines]
-    return "\n".join([*after[:end], *check, *after[end:]])
+
+    # Phis after it must name the new block instead of that of the call.
+    for number, line in enumerate(lines):
+        if " = phi " in line:
+            lines[number] = line.replace(f"%{label} ]", "%mavfi.fine ]")
+    return "\n".join([*lines[:end], *check, *lines[end:]])
 
 
 def _called(line: str) -> str:
     """Name of the function that a line calls for a status; "" = none."""
-    found = re.match(r'\s*%\S+ = call i32 (@(?:"[^"]*"|[-\w$.]+)) \(', line)
-    if found is None:
+    match = re.match(r'\s*%\S+ = call i32 (@(?:"[^"]*"|[-\w$.]+)) \(', line)
+    if match is None:
         return ""
-    return found[1]
+    return match[1]

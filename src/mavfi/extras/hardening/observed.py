@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.extras.hardening.battery import Recording
+from mavfi.extras.hardening.battery import CallRecording
 from mavfi.extras.hardening.compiled import Compiled, compiled
-from mavfi.extras.hardening.plan import Plan, signature_text
+from mavfi.extras.hardening.plan import FunctionKey, ProtectionPlan, signature_text
 from mavfi.extras.hardening.protected import protection_of
 from mavfi.faults.levels.instruction.variant import Variant, signature_of, variant_for
 from mavfi.flight.fly import fly
@@ -19,12 +19,12 @@ from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.states import INJECTABLE
 
-_CALLS = 12
-"""Recorded calls per signature, about."""
+_RECORDED_CALLS = 12
+"""About how many calls per signature are recorded; at most twice as many."""
 
 
 @dataclass(slots=True)
-class Seen:
+class ObservedFunction:
     """What golden flights showed of a function compiled for one signature.
 
     Attributes:
@@ -51,9 +51,9 @@ class Seen:
         return self.variant.written(self.executions)
 
     @property
-    def key(self) -> tuple[str, str]:
+    def key(self) -> FunctionKey:
         """Function and signature, as in a plan."""
-        return name_of(self.function), self.signature_text
+        return FunctionKey(name_of(self.function), self.signature_text)
 
     @property
     def signature_text(self) -> str:
@@ -61,7 +61,7 @@ class Seen:
         return signature_text(self.signature)
 
 
-class Observing:
+class ObservedCalls:
     """Replaces a function in a flight: counts its blocks and records arguments, by signature.
 
     Args:
@@ -74,7 +74,7 @@ class Observing:
         self._entry = entry
         self._function = function
         self._ahead = ahead
-        self._seen: dict[tuple[Any, ...], tuple[Seen, Recording]] = {}
+        self._seen: dict[tuple[Any, ...], tuple[ObservedFunction, CallRecording]] = {}
 
     def __call__(self, *args: Any) -> Any:
         """Call the function; bit-identical result."""
@@ -82,8 +82,8 @@ class Observing:
         if signature not in self._seen:
             variant = variant_for(self._function, args)
             blocks = np.zeros(len(variant.table.blocks), np.int64)
-            seen = Seen(self._function, self._entry, signature, variant, blocks)
-            self._seen[signature] = seen, Recording(_CALLS)
+            seen = ObservedFunction(self._function, self._entry, signature, variant, blocks)
+            self._seen[signature] = seen, CallRecording(_RECORDED_CALLS)
             self._ahead.submit(cached_source, self._function, signature)
         seen, recording = self._seen[signature]
         recording.note(args)
@@ -91,11 +91,11 @@ class Observing:
         seen.executions += times
         return result
 
-    def seen(self) -> list[Seen]:
-        """By signature, in order of the first call."""
+    def seen(self) -> list[ObservedFunction]:
+        """What the flight showed of the function, by signature, in order of the first call."""
         for seen, recording in self._seen.values():
             seen.total = recording.total
-            seen.calls = [*recording.kept.values()]
+            seen.calls = [*recording.arguments.values()]
         return [seen for seen, _ in self._seen.values()]
 
 
@@ -104,18 +104,18 @@ def entries_of(kernels: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for kernel in kernels for name in INJECTABLE[kernel]))
 
 
-def observe(scenario: Scenario, kernels: Sequence[str]) -> dict[str, list[Seen]]:
+def observe(scenario: Scenario, kernels: Sequence[str]) -> dict[str, list[ObservedFunction]]:
     """Fly a golden mission; returns the executed functions by kernel.
 
     Raises:
         BadInputError: The mission cannot be flown.
-        RefusedError: A kernel cannot be instrumented exactly.
+        NotInstrumentableError: A kernel cannot be instrumented exactly.
     """
     names = entries_of(kernels)
     with ThreadPoolExecutor(1) as ahead, np.errstate(all="ignore"):
-        made = {name: Observing(name, getattr(PLAIN, name), ahead) for name in names}
-        fly(scenario, functions=PLAIN.instrumented(names, lambda name, _: made[name]))
-    return {kernel: [seen for name in INJECTABLE[kernel] for seen in made[name].seen()] for kernel in kernels}
+        observers = {name: ObservedCalls(name, getattr(PLAIN, name), ahead) for name in names}
+        fly(scenario, functions=PLAIN.instrumented(names, lambda name, _: observers[name]))
+    return {kernel: [seen for name in INJECTABLE[kernel] for seen in observers[name].seen()] for kernel in kernels}
 
 
 class GoldenCheck(NamedTuple):
@@ -143,7 +143,7 @@ class GoldenCheck(NamedTuple):
         return GoldenCheck(*map(sum, zip(self, other, strict=True)))
 
 
-class Guarded:
+class ProtectedFunction:
     """A function of which planned signatures run protected code; after a detection the plain one runs.
 
     Attributes:
@@ -151,22 +151,18 @@ class Guarded:
         alarms: Detections.
     """
 
-    def __init__(self, function: Any, plan: Plan) -> None:
+    def __init__(self, function: Any, plan: ProtectionPlan) -> None:
         self._function = function
         self._plan = plan
         self._protected: dict[tuple[Any, ...], Compiled | None] = {}
-        self.calls = self.alarms = 0
+        self.calls = 0
+        self.alarms = 0
 
     def __call__(self, *args: Any) -> Any:
         """Call the function."""
         signature = signature_of(args)
         if signature not in self._protected:
-            protection = protection_of(self._plan, name_of(self._function), signature)
-            if protection is None:
-                code = None
-            else:
-                code = compiled(self._function, signature, protection)[0]
-            self._protected[signature] = code
+            self._protected[signature] = self._compiled(signature)
         protected = self._protected[signature]
         if protected is None:
             return self._function(*args)
@@ -177,13 +173,22 @@ class Guarded:
             self.alarms += 1
             return self._function(*args)
 
+    def _compiled(self, signature: tuple[Any, ...]) -> Compiled | None:
+        """Protected code for a signature; None = it is not planned."""
+        protection = protection_of(self._plan, name_of(self._function), signature)
+        if protection is None:
+            return None
+        code, _ = compiled(self._function, signature, protection)
+        return code
 
-def check_golden(scenario: Scenario, plan: Plan, kernels: Sequence[str]) -> GoldenCheck:
+
+def check_golden(scenario: Scenario, plan: ProtectionPlan, kernels: Sequence[str]) -> GoldenCheck:
     """Fly a mission plain and with protected functions, and compare."""
     names = entries_of(kernels)
-    made = {name: Guarded(getattr(PLAIN, name), plan) for name in names}
+    functions = {name: ProtectedFunction(getattr(PLAIN, name), plan) for name in names}
     with np.errstate(all="ignore"):
         plain = fly(scenario).log.digest()
-        own = fly(scenario, functions=PLAIN.instrumented(names, lambda name, _: made[name])).log.digest()
-    calls, alarms = (sum(getattr(one, count) for one in made.values()) for count in ("calls", "alarms"))
-    return GoldenCheck(1, int(plain == own), calls, alarms)
+        protected = fly(scenario, functions=PLAIN.instrumented(names, lambda name, _: functions[name])).log.digest()
+    calls = sum(function.calls for function in functions.values())
+    alarms = sum(function.alarms for function in functions.values())
+    return GoldenCheck(1, int(plain == protected), calls, alarms)

@@ -30,12 +30,12 @@ from mavfi.version import __version__
 
 Kind = Literal["duplicate", "none"]
 _RANGES = re.compile(r"(\d+):(\d+(?:-\d+)?(?:,\d+(?:-\d+)?)*)")
-_LINE = 100
-_MOST = 1_000_000
+_LINE_WIDTH = 100
+_MAX_NUMBER = 1_000_000
 """Largest number of a block or an offset."""
 
 
-class Site(NamedTuple):
+class ModuleSite(NamedTuple):
     """A static instruction with a result, in the parsed module of a kernel.
 
     The numbers count from 0: `function` in `Module.functions`, `block` in `Function.blocks`, `offset` in `Block.sites`.
@@ -44,6 +44,22 @@ class Site(NamedTuple):
     function: int
     block: int
     offset: int
+
+    def __repr__(self) -> str:
+        """Part of `Protection.key`, by which faults of stored certificates were drawn: it must not change."""
+        return f"Site(function={self.function}, block={self.block}, offset={self.offset})"
+
+
+class FunctionKey(NamedTuple):
+    """A compiled function, as in a plan.
+
+    Attributes:
+        function: Module and name.
+        signature: Numba types of the arguments, see `signature_text`.
+    """
+
+    function: str
+    signature: str
 
 
 class Coverage(Config):
@@ -61,7 +77,7 @@ class Coverage(Config):
 
 
 def _is_none(value: Any) -> bool:
-    """Whether an optional value is left out: a plan without it has the digest that it had before there was any."""
+    """Whether an optional value is left out of the JSON: plans without it keep the digest of older versions."""
     return value is None
 
 
@@ -75,7 +91,7 @@ class FunctionPlan(Config):
     kind: Kind = Field("duplicate", description="duplicate: of sites; none")
     addresses: bool = Field(False, description="addresses are compared before loads, too")
     libm: Literal[False] = Field(False, description="calls of libm are not duplicated")
-    sites: tuple[Site, ...] = Field((), description="by function: blocks with offsets, e.g. {0: '0:0-3,5 2:1'}")
+    sites: tuple[ModuleSite, ...] = Field((), description="by function: blocks with offsets, e.g. {0: '0:0-3,5 2:1'}")
     lines: tuple[str, ...] = Field((), description="source lines of the sites, file:line, for readers")
     time: float = Field(1.0, ge=1, le=100, description="protected / plain execution time, measured")
     share: float | None = Field(
@@ -86,21 +102,27 @@ class FunctionPlan(Config):
         None, exclude_if=_is_none, description="coverage measured with fresh missions and faults"
     )
 
+    @property
+    def key(self) -> FunctionKey:
+        """Its function and signature."""
+        return FunctionKey(self.function, self.signature)
+
     @field_validator("sites", mode="before")
     @classmethod
-    def _expanded(cls, given: Any) -> Any:
-        if not isinstance(given, dict):
-            return given
-        return tuple(site for number, text in given.items() for site in _expand(number, text))
+    def _expanded(cls, sites: Any) -> Any:
+        if not isinstance(sites, dict):
+            return sites
+        return tuple(site for number, text in sites.items() for site in _expand(number, text))
 
     @field_validator("sites")
     @classmethod
-    def _sorted(cls, sites: tuple[Site, ...]) -> tuple[Site, ...]:
+    def _sorted(cls, sites: tuple[ModuleSite, ...]) -> tuple[ModuleSite, ...]:
         return tuple(sorted(set(sites)))
 
     @field_serializer("sites")
-    def _compact(self, sites: tuple[Site, ...]) -> dict[int, str]:
-        return {number: " ".join(_ranges(list(own))) for number, own in groupby(sites, key=lambda site: site.function)}
+    def _compact(self, sites: tuple[ModuleSite, ...]) -> dict[int, str]:
+        by_function = groupby(sites, key=lambda site: site.function)
+        return {number: " ".join(_ranges(list(in_function))) for number, in_function in by_function}
 
     @model_validator(mode="after")
     def _consistent(self) -> "FunctionPlan":
@@ -109,7 +131,7 @@ class FunctionPlan(Config):
         return self
 
 
-class Plan(Config):
+class ProtectionPlan(Config):
     """A protection plan.
 
     `functions` has at most one entry for a function and signature; other functions are not protected.
@@ -129,23 +151,25 @@ class Plan(Config):
     functions: tuple[FunctionPlan, ...] = ()
 
     @model_validator(mode="after")
-    def _consistent(self) -> "Plan":
+    def _consistent(self) -> "ProtectionPlan":
         for environment, (first, last) in self.studied.items():
             if last < first:
                 raise ValueError(f"studied.{environment}: {first}, {last}: allowed: ascending")
         seen = set()
-        for one in self.functions:
-            if (one.function, one.signature) in seen:
-                raise ValueError(f"functions: {one.function!r} ({one.signature}): planned twice; allowed: once")
-            seen.add((one.function, one.signature))
+        for planned in self.functions:
+            if planned.key in seen:
+                raise ValueError(f"functions: {planned.function!r} ({planned.signature}): planned twice; allowed: once")
+            seen.add(planned.key)
         return self
 
     @property
-    def bare(self) -> "Plan":
+    def bare(self) -> "ProtectionPlan":
         """The plan without what flights do not depend on: lines, coverage, and functions that are left as they are."""
         nothing = {"lines": (), "predicted": None, "certified": None}
         functions = tuple(
-            one.model_copy(update=nothing) for one in self.functions if one.kind != "none" or one.time > 1.0
+            planned.model_copy(update=nothing)
+            for planned in self.functions
+            if planned.kind != "none" or planned.time > 1.0  # a time above 1 is charged even without sites
         )
         return self.model_copy(update={"functions": functions, "studied": {}, "budget": None})
 
@@ -158,7 +182,10 @@ class Plan(Config):
     def digest(self) -> str:
         """SHA-256 of the bare content, which identifies the plan; modules of functions are not part of it."""
         bare = self.bare
-        functions = [one.model_copy(update={"function": one.function.rpartition(".")[2]}) for one in bare.functions]
+        functions = []
+        for planned in bare.functions:
+            name_without_module = planned.function.rpartition(".")[2]
+            functions.append(planned.model_copy(update={"function": name_without_module}))
         content = bare.model_copy(update={"functions": tuple(functions)})
         return hashlib.sha256(content.model_dump_json().encode()).hexdigest()
 
@@ -167,22 +194,22 @@ class Plan(Config):
 
         The times of its functions are weighted by their shares of its time; without shares it is the largest one.
         """
-        own = [one for one in self.functions if one.kernel == kernel]
-        if any(one.share is None for one in own):
-            return max(one.time for one in own)
-        return 1.0 + sum((one.share or 0.0) * (one.time - 1.0) for one in own)
+        functions = [planned for planned in self.functions if planned.kernel == kernel]
+        if any(planned.share is None for planned in functions):
+            return max(planned.time for planned in functions)
+        return 1.0 + sum((planned.share or 0.0) * (planned.time - 1.0) for planned in functions)
 
     def find(self, function: str, signature: tuple[Any, ...]) -> FunctionPlan | None:
         """The entry for a function (module and name) and the Numba types of its arguments; None = not protected."""
-        text = signature_text(signature)
-        return next((one for one in self.functions if (one.function, one.signature) == (function, text)), None)
+        key = FunctionKey(function, signature_text(signature))
+        return next((planned for planned in self.functions if planned.key == key), None)
 
     def check_versions(self) -> None:
         """Raise a BadInputError if the plan was made with another compiler, which makes other code."""
         for package, planned in (("numba", self.numba), ("llvmlite", self.llvmlite)):
-            here = version(package)
-            if here != planned:
-                raise BadInputError(f"protection: planned with {package} {planned}, this is {here}; make it again")
+            installed = version(package)
+            if installed != planned:
+                raise BadInputError(f"protection: planned with {package} {planned}, this is {installed}; make it again")
 
 
 def signature_text(signature: tuple[Any, ...]) -> str:
@@ -207,7 +234,7 @@ def check_code(plan: FunctionPlan, ir_sha256: str, sites: Sequence[Sequence[int]
             "numba or llvmlite differ; make the plan again with mavfi harden"
         )
     for site in plan.sites:
-        blocks = sites[site.function] if site.function < len(sites) else ()
+        blocks = sites[site.function] if site.function < len(sites) else ()  # of another function: no blocks
         if site.block >= len(blocks) or site.offset >= blocks[site.block]:
             raise BadInputError(
                 f"protection of {plan.function}: site {site.block}:{site.offset} of function {site.function}: not in "
@@ -215,18 +242,18 @@ def check_code(plan: FunctionPlan, ir_sha256: str, sites: Sequence[Sequence[int]
             )
 
 
-def load_plan(name: str | Path) -> Plan:
+def load_plan(name: str | Path) -> ProtectionPlan:
     """Read a plan from a path, or a shipped one by name.
 
     Raises:
         BadInputError: The file does not exist or is invalid; one line.
     """
     if isinstance(name, Path):
-        return load(Plan, name)
-    return shipped("protections", Plan, name)
+        return load(ProtectionPlan, name)
+    return shipped("protections", ProtectionPlan, name)
 
 
-def save_plan(plan: Plan, path: Path) -> None:
+def save_plan(plan: ProtectionPlan, path: Path) -> None:
     """Write a plan as YAML.
 
     Raises:
@@ -234,16 +261,16 @@ def save_plan(plan: Plan, path: Path) -> None:
     """
     content = plan.model_dump(mode="json", exclude_defaults=True)
     content = {key: getattr(plan, key) for key in ("mavfi", "numba", "llvmlite", "cpu", "ledger")} | content
-    text = yaml.dump(content, sort_keys=False, width=_LINE, allow_unicode=True)
+    text = yaml.dump(content, sort_keys=False, width=_LINE_WIDTH, allow_unicode=True)
     write_text(path, text)
 
 
-def _expand(number: Any, text: Any) -> list[Site]:
+def _expand(number: Any, text: Any) -> list[ModuleSite]:
     """Sites of function `number` from e.g. "0:0-3,5 2:1"."""
     if not str(number).isdecimal() or not isinstance(text, str):
         raise ValueError(f"{number!r}: {textwrap.shorten(repr(text), 60)}; allowed: e.g. {{0: '0:0-3,5 2:1'}}")
     function = int(number)
-    found = []
+    sites = []
     for part in text.split():
         match = _RANGES.fullmatch(part)
         if match is None:
@@ -253,21 +280,28 @@ def _expand(number: Any, text: Any) -> list[Site]:
             block = int(match[1])
             low = int(first)
             high = int(last or first)
-            if max(block, low, high) > _MOST or high < low:
-                raise ValueError(f"{part!r}: allowed: ascending numbers up to {_MOST:,}")
-            found += [Site(function, block, offset) for offset in range(low, high + 1)]
-    return found
+            if max(block, low, high) > _MAX_NUMBER or high < low:
+                raise ValueError(f"{part!r}: allowed: ascending numbers up to {_MAX_NUMBER:,}")
+            sites += [ModuleSite(function, block, offset) for offset in range(low, high + 1)]
+    return sites
 
 
-def _ranges(sites: Collection[Site]) -> list[str]:
+def _ranges(sites: Collection[ModuleSite]) -> list[str]:
     """Inverse of `_expand`, one text per block."""
-    found = []
-    for block, own in groupby(sites, key=lambda site: site.block):
-        spans: list[list[int]] = []
-        for site in own:
+    texts = []
+    for block, in_block in groupby(sites, key=lambda site: site.block):
+        spans: list[list[int]] = []  # first and last offset of each run without a gap
+        for site in in_block:
             if spans and site.offset == spans[-1][1] + 1:
                 spans[-1][1] = site.offset
             else:
                 spans.append([site.offset, site.offset])
-        found.append(f"{block}:" + ",".join(f"{low}" if low == high else f"{low}-{high}" for low, high in spans))
-    return found
+        offsets = ",".join(_span_text(low, high) for low, high in spans)
+        texts.append(f"{block}:{offsets}")
+    return texts
+
+
+def _span_text(low: int, high: int) -> str:
+    if low == high:
+        return f"{low}"
+    return f"{low}-{high}"

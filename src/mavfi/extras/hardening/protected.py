@@ -18,14 +18,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mavfi.config import parse
 from mavfi.errors import BadInputError
 from mavfi.extras.hardening.duplicate import MESSAGE, protect
-from mavfi.extras.hardening.plan import FunctionPlan, Plan, check_code, load_plan, signature_text
+from mavfi.extras.hardening.plan import FunctionPlan, ProtectionPlan, check_code, load_plan, signature_text
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.levels.instruction import budget_for
 from mavfi.faults.levels.instruction.api import apart
@@ -41,46 +41,46 @@ from mavfi.states import INJECTABLE, State
 SOURCE = KEY
 """Source of the alarms."""
 _compared: set[tuple[FunctionPlan, Any]] = set()
-"""Plans of functions that fit the code, with the signature."""
+"""Plans of functions that were compared with the code and fit it, with the signature."""
 
 
 class ProtectionRewriter:
     """Rewrites functions by plans of protection; see `mavfi.rewriting.Rewriter`."""
 
-    def load(self, name: str) -> Plan:
+    def load(self, name: str) -> ProtectionPlan:
         """Read a plan: a shipped one by name, or a file."""
         plan = load_plan(name)
         check_plan(plan, name)
         return plan.bare
 
-    def read(self, data: Mapping[str, Any], *, stored: bool) -> Plan:
+    def read(self, data: Mapping[str, Any], *, stored: bool) -> ProtectionPlan:
         """The plan in a scenario's data."""
-        return parse(Plan, dict(data), KEY, stored=stored)
+        return parse(ProtectionPlan, dict(data), KEY, stored=stored)
 
-    def check(self, plan: Plan, name: str) -> None:
+    def check(self, plan: ProtectionPlan, name: str) -> None:
         """See `check_plan`."""
         check_plan(plan, name)
 
-    def check_flown(self, plan: Plan) -> None:
+    def check_flown(self, plan: ProtectionPlan) -> None:
         """Compare a plan with the code of the functions that this process has called.
 
         Raises:
             BadInputError: A function has other IR than planned, or lacks a planned site.
         """
-        left = [planned for planned in _planned(plan) if (planned[0], planned[2]) not in _compared]
+        left = [called for called in _called(plan) if (called.plan, called.signature) not in _compared]
         if not left:
             return
         with ThreadPoolExecutor(2) as pool:  # without an entry in the cache each waits for a process of its own
-            shapes = list(pool.map(lambda planned: cached_shape(*planned[1:]), left))
-        for (function_plan, _, signature), shape in zip(left, shapes, strict=True):
-            check_code(function_plan, *shape)
-            _compared.add((function_plan, signature))
+            shapes = list(pool.map(lambda called: cached_shape(called.function, called.signature), left))
+        for called, shape in zip(left, shapes, strict=True):
+            check_code(called.plan, *shape)
+            _compared.add((called.plan, called.signature))
 
-    def time_of(self, plan: Plan, kernel: str) -> float:
-        """See `Plan.time_of`."""
+    def time_of(self, plan: ProtectionPlan, kernel: str) -> float:
+        """See `ProtectionPlan.time_of`."""
         return plan.time_of(kernel)
 
-    def rewriting(self, plan: Plan) -> Rewriting:
+    def rewriting(self, plan: ProtectionPlan) -> Rewriting:
         """See `protection_of`."""
         return partial(protection_of, plan)
 
@@ -124,46 +124,58 @@ REWRITER = ProtectionRewriter()
 
 
 # ---- plans and the code ---------------------------------------------------------------------------------------------
-def check_plan(plan: Plan, name: str) -> None:
+def check_plan(plan: ProtectionPlan, name: str) -> None:
     """Check a plan without its code; messages contain its name.
 
     Raises:
         BadInputError: It was made by another compiler, or names an unknown kernel or function.
     """
     plan.check_versions()
-    for one in plan.functions:
-        if one.kernel not in INJECTABLE:
+    for planned in plan.functions:
+        if planned.kernel not in INJECTABLE:
             allowed = ", ".join(INJECTABLE)
-            raise BadInputError(f"protection {name}: kernel {one.kernel!r}: not known; allowed: {allowed}")
-        functions = [name_of(getattr(PLAIN, entry)) for entry in INJECTABLE[one.kernel]]
-        if one.function not in functions:
+            raise BadInputError(f"protection {name}: kernel {planned.kernel!r}: not known; allowed: {allowed}")
+        functions = [name_of(getattr(PLAIN, entry)) for entry in INJECTABLE[planned.kernel]]
+        if planned.function not in functions:
             raise BadInputError(
-                f"protection {name}: function {one.function!r}: not of kernel {one.kernel}; allowed: "
+                f"protection {name}: function {planned.function!r}: not of kernel {planned.kernel}; allowed: "
                 + ", ".join(functions)
             )
 
 
-def _planned(plan: Plan) -> Iterator[tuple[FunctionPlan, Any, tuple[Any, ...]]]:
-    """Planned functions that have been called: plan, function, and signature."""
-    functions = {name_of(getattr(PLAIN, entry)): getattr(PLAIN, entry) for own in INJECTABLE.values() for entry in own}
-    for one in plan.functions:
-        function = functions.get(one.function)  # None in a stored mission of other code, whose digest is compared
+class _CalledFunction(NamedTuple):
+    """A planned function that this process has called, with the Numba types of its arguments."""
+
+    plan: FunctionPlan
+    function: Any
+    signature: tuple[Any, ...]
+
+
+def _called(plan: ProtectionPlan) -> Iterator[_CalledFunction]:
+    """Planned functions that this process has called."""
+    functions = {}
+    for entries in INJECTABLE.values():
+        for entry in entries:
+            function = getattr(PLAIN, entry)
+            functions[name_of(function)] = function
+    for planned in plan.functions:
+        function = functions.get(planned.function)  # None in a stored mission of other code: its digest is compared
         for signature in list(getattr(function, "overloads", ())):
-            if signature_text(signature) == one.signature:
-                yield one, function, signature
+            if signature_text(signature) == planned.signature:
+                yield _CalledFunction(planned, function, signature)
 
 
-def protection_of(plan: Plan, function: str, signature: tuple[Any, ...]) -> "Protection | None":
+def protection_of(plan: ProtectionPlan, function: str, signature: tuple[Any, ...]) -> "Protection | None":
     """Protection of a function (module and name) for the Numba types of its arguments; None = its code is plain."""
-    found = plan.find(function, signature)
-    if found is not None and found.sites:
-        return Protection(found)
+    planned = plan.find(function, signature)
+    if planned is not None and planned.sites:
+        return Protection(planned)
     return None
 
 
 @dataclass(frozen=True, slots=True)
 class Protection:
-    """Rewrites the module of a planned function; see `mavfi.ir.build.Rewrite`."""
+    """The rewriter of a planned function's module; see `mavfi.ir.build.Rewrite`."""
 
     plan: FunctionPlan
 

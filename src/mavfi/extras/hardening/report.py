@@ -11,15 +11,13 @@ from mavfi.analysis.statistics import Rate
 from mavfi.analysis.table import Table
 from mavfi.errors import write_text
 from mavfi.extras.hardening.certify import (
-    CONFIRMED,
-    REFUTED,
-    RESOLVED,
+    MAX_HALF_WIDTH,
     TOLERANCE,
-    UNDECIDED,
-    UNKNOWN,
     Certificate,
     Certification,
+    Spending,
     Unprotected,
+    Verdict,
     bounds_of,
 )
 from mavfi.extras.hardening.summary import PROTECTED, AdviceSummary, FunctionSummary, LineSummary
@@ -56,13 +54,12 @@ _CERTIFICATE = (
 
 def headline(summary: AdviceSummary) -> str:
     """The advice in one sentence."""
-    protected = [row.kernel for row in summary.kernels if row.added > 0 or row.coverage.rate]
+    protected = [kernel.kernel for kernel in summary.kernels if kernel.added > 0 or kernel.coverage.rate]
     if not protected:
         return f"Nothing can be protected within {percent(summary.budget)} of a flight's kernel time."
-    if summary.complete:
-        corruptions = "all silent corruptions (SDC)"
-    else:
-        corruptions = f"the silent corruptions (SDC) in {', '.join(row.kernel for row in summary.kernels)}"
+    corruptions = "all silent corruptions (SDC)"
+    if not summary.complete:
+        corruptions = f"the silent corruptions (SDC) in {', '.join(kernel.kernel for kernel in summary.kernels)}"
     return (
         f"Protect {', '.join(protected)}: {percent(summary.spent)} more kernel time per flight removes "
         f"{interval(summary.coverage)} of {corruptions}, predicted from {summary.injections:,} injections."
@@ -83,27 +80,9 @@ def caveats(summary: AdviceSummary) -> list[str]:
 
 def advice_table(summary: AdviceSummary) -> Table:
     """What to protect, by function; the last column is left out if nothing has been certified."""
-    rows: list[tuple[str, ...]] = []
-    for row in summary.functions:
-        if row.certified is None:
-            certified = ABSENT
-        else:
-            certified = interval(row.certified)
-        rows.append(
-            (
-                row.kernel,
-                row.entry,
-                percent(row.share),
-                f"×{row.time:.2f}",
-                percent(row.added, 2),
-                interval(row.coverage),
-                str(row.coverage.n),
-                f"{row.sites} of {row.all_sites}",
-                certified,
-            )
-        )
+    rows = [_advice_row(function) for function in summary.functions]
     columns: tuple[str, ...] = _ADVICE
-    if all(row.certified is None for row in summary.functions):
+    if all(function.certified is None for function in summary.functions):
         columns = _ADVICE[:-1]
         rows = [row[:-1] for row in rows]
     notes = (
@@ -114,60 +93,77 @@ def advice_table(summary: AdviceSummary) -> Table:
     return Table.of_text("What to protect", columns, rows, notes)
 
 
-def verdict_line(certification: Certification) -> str:
-    """The certificate in one sentence."""
-    golden = certification.golden
-    verdicts = [one.verdict for one in certification.certificates if one.verdict != UNKNOWN]
-    judged = UNDECIDED if certification.verdict == UNDECIDED else CONFIRMED
-    if certification.refuted:
-        outcome = REFUTED
-    elif verdicts:
-        outcome = judged
-    else:
-        outcome = "measured; it has no prediction"
-    scope = certification.scope
-    counted = f"the SDCs in {', '.join(scope)}" if scope else "all SDCs"
-    foreseen = certification.predicted
-    if foreseen.rate is None:
-        said = ""
-    else:
-        said = f" (predicted with the same weights: {interval(foreseen)})"
-    alone = verdicts.count(REFUTED)
-    if alone:
-        corrected = f" ({certification.wrong} with Holm's correction for so many)"
-    else:
-        corrected = ""
+def _advice_row(function: FunctionSummary) -> tuple[str, ...]:
     return (
-        f"The plan is {outcome}: {interval(certification.coverage)} of {counted} are removed, on fresh missions and "
-        f"faults{said}; {alone} of {len(verdicts)} predictions are refuted{corrected}, "
-        f"{verdicts.count(UNDECIDED)} undecided; golden digests equal in {golden.same} of {golden.flights} flights; "
-        f"{golden.alarms} false alarms in {golden.calls:,} calls{_spent(certification)}."
+        function.kernel,
+        function.entry,
+        percent(function.share),
+        f"×{function.time:.2f}",
+        percent(function.added, 2),
+        interval(function.coverage),
+        str(function.coverage.n),
+        f"{function.sites} of {function.all_sites}",
+        ABSENT if function.certified is None else interval(function.certified),
     )
 
 
-def _spent(certification: Certification) -> str:
-    """What the plan adds to the flights to which it adds most, and whether that is too much."""
-    if not certification.spending:
-        return ""
-    most = max(certification.spending, key=lambda one: (one.refuted, one.measured))
-    if most.budget is None:
-        known = ""
-    else:
-        known = f"; the budget is {percent(most.budget)}"
-    if most.refuted:
-        outcome = f", more than {percent(TOLERANCE)} beyond it: refuted"
-    else:
-        outcome = ""
+def verdict_line(certification: Certification) -> str:
+    """The certificate in one sentence."""
+    golden = certification.golden
+    verdicts = [row.verdict for row in certification.certificates if row.verdict != Verdict.UNKNOWN]
+    undecided = verdicts.count(Verdict.UNDECIDED)
+    refuted = verdicts.count(Verdict.REFUTED)
+
+    # Each part of the sentence is empty where there is nothing to say.
+    corrected = ""
+    if refuted:
+        corrected = f" ({certification.wrong} with Holm's correction for so many)"
+    predicted = ""
+    if certification.predicted.rate is not None:
+        predicted = f" (predicted with the same weights: {interval(certification.predicted)})"
+    corruptions = "all SDCs"
+    if certification.scope:
+        corruptions = f"the SDCs in {', '.join(certification.scope)}"
+    time = ""
+    if certification.spending:
+        time = _time_sentence(max(certification.spending, key=lambda spending: (spending.refuted, spending.measured)))
     return (
-        f"; it adds {percent(most.measured)} of a flight's kernel time (with the plan's times: {percent(most.planned)}"
-        f"{known}){outcome}"
+        f"The plan is {_outcome(certification, verdicts)}: {interval(certification.coverage)} of {corruptions} are "
+        f"removed, on fresh missions and faults{predicted}; {refuted} of {len(verdicts)} predictions are refuted"
+        f"{corrected}, {undecided} undecided; golden digests equal in {golden.same} of {golden.flights} flights; "
+        f"{golden.alarms} false alarms in {golden.calls:,} calls{time}."
+    )
+
+
+def _outcome(certification: Certification, verdicts: Sequence[Verdict]) -> str:
+    """What the certificate says of the plan; `verdicts` are those of functions with a prediction."""
+    if certification.refuted:
+        return Verdict.REFUTED
+    if not verdicts:
+        return "measured; it has no prediction"
+    if certification.verdict == Verdict.UNDECIDED:
+        return Verdict.UNDECIDED
+    return Verdict.CONFIRMED
+
+
+def _time_sentence(spending: Spending) -> str:
+    """What the plan adds to the flights of a planner, and whether that is too much."""
+    budget = ""
+    if spending.budget is not None:
+        budget = f"; the budget is {percent(spending.budget)}"
+    outcome = ""
+    if spending.refuted:
+        outcome = f", more than {percent(TOLERANCE)} beyond it: refuted"
+    return (
+        f"; it adds {percent(spending.measured)} of a flight's kernel time (with the plan's times: "
+        f"{percent(spending.planned)}{budget}){outcome}"
     )
 
 
 def certificate_table(certification: Certification) -> Table:
     """Certificates by function."""
-    rows = [_certificate_row(one) for one in certification.certificates]
-    rows += [_unprotected_row(one) for one in certification.others]
+    rows = [_certificate_row(certificate) for certificate in certification.certificates]
+    rows += [_unprotected_row(result) for result in certification.others]
     notes = (
         f"{certification.faults} faults per function in plain code, as many in protected code, uniform over its own "
         "dynamic instructions; SDCs removed: 1 - SDC after x instr. / SDC before, so that added instructions do not "
@@ -176,44 +172,49 @@ def certificate_table(certification: Certification) -> Table:
         "DUE (crash, hang, exception) at IR level; pairs: of the faults in plain code, injected once more in protected "
         "code: SDC in plain code only : in protected code only, McNemar's test",
         "undecided: the interval of measured - predicted coverage contains 0, but is wider than "
-        f"±{100 * RESOLVED:.0f} points, so that other predictions would pass as well; more faults would help",
+        f"±{100 * MAX_HALF_WIDTH:.0f} points, so that other predictions would pass as well; more faults would help",
         *(
-            f"flights with {one.planner}: adds {percent(one.measured)} of their kernel time (with the plan's times: "
-            f"{percent(one.planned)})"
-            for one in certification.spending
+            f"flights with {spending.planner}: adds {percent(spending.measured)} of their kernel time (with the plan's "
+            f"times: {percent(spending.planned)})"
+            for spending in certification.spending
         ),
     )
     return Table.of_text("Certificate", _CERTIFICATE, rows, notes)
 
 
-def _certificate_row(one: Certificate) -> tuple[str, ...]:
-    n = sum(one.after.values())
+def _certificate_row(certificate: Certificate) -> tuple[str, ...]:
+    after = certificate.after
+    paired = certificate.paired
+    injections = sum(after.values())
     return (
-        one.kernel,
-        one.function.rpartition(".")[2],
-        interval(one.sdc_before),
-        interval(one.sdc_after),
-        percent(one.after.get("detected", 0) / n),
-        percent(sum(one.after.get(name, 0) for name in KERNEL_DUE) / n),
-        f"×{one.growth:.2f}",
-        _time(one),
-        interval(one.coverage),
-        interval(one.predicted_rate),
-        one.verdict,
-        f"{one.paired.first_only} : {one.paired.second_only}, p = {one.paired.p_value:.2g}",
+        certificate.kernel,
+        certificate.function.rpartition(".")[2],
+        interval(certificate.sdc_before),
+        interval(certificate.sdc_after),
+        percent(after.get("detected", 0) / injections),
+        percent(sum(after.get(name, 0) for name in KERNEL_DUE) / injections),
+        f"×{certificate.growth:.2f}",
+        _time(certificate),
+        interval(certificate.coverage),
+        interval(certificate.predicted_rate),
+        certificate.verdict.value,
+        f"{paired.first_only} : {paired.second_only}, p = {paired.p_value:.2g}",
     )
 
 
-def _time(one: Certificate) -> str:
+def _time(certificate: Certificate) -> str:
     """Time ratio as measured, with that of the plan."""
-    if one.time is None:
+    if certificate.time is None:
         return ABSENT
-    return f"×{one.time:.2f} (×{one.planned_time:.2f})"
+    return f"×{certificate.time:.2f} (×{certificate.planned_time:.2f})"
 
 
-def _unprotected_row(one: Unprotected) -> tuple[str, ...]:
-    known = (one.kernel, one.function.rpartition(".")[2], interval(one.sdc))
-    row = dict.fromkeys(_CERTIFICATE, ABSENT) | dict(zip(_CERTIFICATE, known, strict=False)) | {"": "not duplicated"}
+def _unprotected_row(result: Unprotected) -> tuple[str, ...]:
+    row = dict.fromkeys(_CERTIFICATE, ABSENT)
+    row["kernel"] = result.kernel
+    row["function"] = result.function.rpartition(".")[2]
+    row["SDC before"] = interval(result.sdc)
+    row[""] = "not duplicated"  # in the column of verdicts
     return tuple(row.values())
 
 
@@ -232,19 +233,27 @@ _SPACE = "\u00a0"
 """Between a number and its unit in headings, where a line must not break."""
 WIDTH = 300
 HEIGHT = 190
-"""Of a curve (pixels)."""
+"""Size of a curve (pixels)."""
 _LEFT = 46
 _RIGHT = 20
 _TOP = 10
 _BOTTOM = 32
+"""Margins around the axes (pixels)."""
 _TICKS = (1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0)
+"""Time ratios at which the axis of time may have a tick."""
 _MAX_TICKS = 5
 _MIN_SPAN = 0.05
 """Smallest range of the axis of time: a curve of one step has none."""
 
 
-class Line(NamedTuple):
-    """A source line: its numbers, its text, and whether lines just before it were not executed."""
+class SourceLine(NamedTuple):
+    """A source line of a listing.
+
+    Attributes:
+        summary: Its number and what the plan protects in it.
+        code: Its text; "" = not known.
+        gap: Whether lines just before it were not executed.
+    """
 
     summary: LineSummary
     code: str
@@ -257,7 +266,16 @@ class Line(NamedTuple):
 
 
 class Point(NamedTuple):
-    """A step of a curve: its position, the ends of its interval (y), and its text."""
+    """A step of a curve.
+
+    Attributes:
+        x: Position of its time (pixels).
+        y: Position of its coverage (pixels).
+        low: Position of the lower end of the interval of its coverage (pixels).
+        high: Position of the upper end (pixels).
+        chosen: Whether the advice takes this step.
+        text: Description.
+    """
 
     x: float
     y: float
@@ -267,7 +285,7 @@ class Point(NamedTuple):
     text: str
 
 
-class Drawing(NamedTuple):
+class CurveDrawing(NamedTuple):
     """A function's curve with its axes.
 
     Attributes:
@@ -345,19 +363,21 @@ def page(summary: AdviceSummary, directory: Path, plan: Path | None) -> str:
 
 def _command(directory: Path, kernels: Sequence[str], plan: Path, budget: str = "", addresses: str = "") -> str:
     """The command that makes a plan; `budget` and `addresses` are these options as text."""
-    only = f" --kernels {','.join(kernels)}" if kernels else ""
-    return f"mavfi harden {shlex.quote(str(directory))}{budget}{only}{addresses} --plan {shlex.quote(str(plan))}"
+    selection = ""
+    if kernels:
+        selection = f" --kernels {','.join(kernels)}"
+    return f"mavfi harden {shlex.quote(str(directory))}{budget}{selection}{addresses} --plan {shlex.quote(str(plan))}"
 
 
-def source(function: FunctionSummary) -> dict[str, list[Line]]:
+def source(function: FunctionSummary) -> dict[str, list[SourceLine]]:
     """The executed source lines of a function by file, with what the plan protects."""
     files = {}
     for file, summaries in groupby(function.lines, key=lambda line: line.file):
         text = dict(enumerate(read_source(file) or (), start=1))
-        lines: list[Line] = []
+        lines: list[SourceLine] = []
         for summary in summaries:
             gap = bool(lines) and summary.line > lines[-1].summary.line + 1
-            lines.append(Line(summary, text.get(summary.line, ""), gap))
+            lines.append(SourceLine(summary, text.get(summary.line, ""), gap))
         files[file or "instructions without a source line"] = lines
     return files
 
@@ -367,8 +387,8 @@ def escapes(function: FunctionSummary) -> dict[str, float]:
     return {reason: share for reason, share in function.escapes.items() if reason != PROTECTED and share > 0}
 
 
-def best(times: Sequence[float], rates: Sequence[float]) -> list[int]:
-    """Indices of the steps that remove more than all that take less time, by time: what a time buys."""
+def pareto_front(times: Sequence[float], rates: Sequence[float]) -> list[int]:
+    """Indices of the steps that remove more than all that take less time, in order of time."""
     front: list[int] = []
     for index in sorted(range(len(times)), key=lambda index: (times[index], -rates[index])):
         if not front or rates[index] > rates[front[-1]]:
@@ -376,16 +396,17 @@ def best(times: Sequence[float], rates: Sequence[float]) -> list[int]:
     return front
 
 
-def curve(function: FunctionSummary) -> Drawing:
+def curve(function: FunctionSummary) -> CurveDrawing:
     """A function's curve of predicted coverage over time."""
-    last = max(1 + _MIN_SPAN, *(step.time for step in function.steps))
+    last_time = max(1 + _MIN_SPAN, *(step.time for step in function.steps))
 
     def x(time: float) -> float:
-        return _LEFT + round((WIDTH - _LEFT - _RIGHT) * (time - 1) / (last - 1), 1)
+        return _LEFT + round((WIDTH - _LEFT - _RIGHT) * (time - 1) / (last_time - 1), 1)
 
     def y(share: float) -> float:
         return round(HEIGHT - _BOTTOM - (HEIGHT - _TOP - _BOTTOM) * share, 1)
 
+    # Steps without a known coverage are left out.
     points: list[Point] = []
     rates: list[float] = []
     times: list[float] = []
@@ -396,11 +417,12 @@ def curve(function: FunctionSummary) -> Drawing:
             times.append(step.time)
             text = f"×{step.time:.2f} time: {interval(step.coverage)} of SDCs"
             points.append(Point(x(step.time), y(rate), y(low), y(high), step.chosen, text))
-    inside = [tick for tick in _TICKS if tick <= last + 1e-9]
-    ticks = inside[:: -(-len(inside) // _MAX_TICKS)]
-    return Drawing(
+    inside = [tick for tick in _TICKS if tick <= last_time + 1e-9]
+    every = -(-len(inside) // _MAX_TICKS)  # rounded up
+    ticks = inside[::every]
+    return CurveDrawing(
         points,
-        " ".join(f"{points[index].x},{points[index].y}" for index in best(times, rates)),
+        " ".join(f"{points[index].x},{points[index].y}" for index in pareto_front(times, rates)),
         [(x(tick), f"×{tick:g}") for tick in ticks],
         [(y(share), percent(share, 0)) for share in (0.0, 0.5, 1.0)],
     )

@@ -11,15 +11,17 @@ from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate, wilson
 from mavfi.campaign.plan import FI
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.advise import Advice, Curve, Step, Study, coverage_of, coverage_of_steps
+from mavfi.extras.hardening.advise import Advice, Curve, CurveStep, HardeningStudy, coverage_of, coverage_of_steps
 from mavfi.extras.hardening.certify import rate_of
 from mavfi.extras.hardening.choose import added
 from mavfi.extras.hardening.duplicate import candidates
-from mavfi.extras.hardening.plan import Plan, Site
-from mavfi.extras.hardening.target import Target
+from mavfi.extras.hardening.plan import FunctionKey, ModuleSite, ProtectionPlan
+from mavfi.extras.hardening.target import FunctionTarget
 from mavfi.outcomes import Effect
 
 _SDC = Effect.SDC.label
+_SMALLEST_SUM = 1e-300
+"""Divisor of shares where all are 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,13 +45,16 @@ def harm_of(runs: Runs) -> Harm:
     Raises:
         BadInputError: No flight with a fault in an instruction is done.
     """
-    own = runs.injected.where("judged", "golden_success", level="instruction", setting=FI, site_outcome=ACTIVATED)
-    if not len(own):
+    injected = runs.injected.where("judged", "golden_success", level="instruction", setting=FI, site_outcome=ACTIVATED)
+    if not len(injected):
         raise BadInputError("no flight with a fault in an instruction is done (level: instruction)")
-    silent = own.where(kernel_effect=_SDC)
-    dead = own.where(pl.col("kernel_effect").is_in(KERNEL_DUE))
-    lost = [wilson(part["success"].count(False), len(part)) for part in (silent, dead)]
-    return Harm(lost[0], lost[1], wilson(len(dead), len(own)))
+    silent = injected.where(kernel_effect=_SDC)
+    dead = injected.where(pl.col("kernel_effect").is_in(KERNEL_DUE))
+    return Harm(
+        silent=wilson(silent["success"].count(False), len(silent)),
+        dead=wilson(dead["success"].count(False), len(dead)),
+        dead_share=wilson(len(dead), len(injected)),
+    )
 
 
 # ---- the advice -----------------------------------------------------------------------------------------------------
@@ -193,13 +198,14 @@ class AdviceSummary:
     harm: Harm
 
 
-def summary(study: Study, advices: Sequence[Advice], harm: Harm, plan: Plan | None = None) -> AdviceSummary:
+def summary(
+    study: HardeningStudy, advices: Sequence[Advice], harm: Harm, plan: ProtectionPlan | None = None
+) -> AdviceSummary:
     """Sum up an advice; `plan` is the plan made from it, which states the certified coverage of functions."""
     first = advices[0]
-    certified = {}
-    for planned in () if plan is None else plan.functions:
-        if planned.certified is not None:
-            certified[planned.function, planned.signature] = rate_of(planned.certified)
+    certified: dict[FunctionKey, Rate] = {}
+    if plan is not None:
+        certified = {planned.key: rate_of(planned.certified) for planned in plan.functions if planned.certified}
     studied = [(curve, step) for advice in advices for curve, step in advice.steps if curve.target.injections]
     return AdviceSummary(
         campaign=study.campaign.name,
@@ -217,12 +223,12 @@ def summary(study: Study, advices: Sequence[Advice], harm: Harm, plan: Plan | No
     )
 
 
-def growth_of(curve: Curve, step: Step) -> float:
+def growth_of(curve: Curve, step: CurveStep) -> float:
     """Dynamic instructions of a step / those of the plain function."""
     return 1 + added(curve.target.values, step.choice.chosen) / max(curve.target.seen.instructions, 1)
 
 
-def _kernel(kernel: str, studied: Sequence[tuple[Curve, Step]]) -> KernelSummary:
+def _kernel(kernel: str, studied: Sequence[tuple[Curve, CurveStep]]) -> KernelSummary:
     steps = [(curve, step) for curve, step in studied if kernel in curve.target.kernels]
     share = sum(curve.share for curve, _ in steps)
     extra = sum(curve.extra(step) for curve, step in steps)
@@ -230,7 +236,7 @@ def _kernel(kernel: str, studied: Sequence[tuple[Curve, Step]]) -> KernelSummary
     return KernelSummary(kernel, share, extra, time, coverage_of_steps(steps))
 
 
-def _function(curve: Curve, chosen: Step, certified: Rate | None) -> FunctionSummary:
+def _function(curve: Curve, chosen: CurveStep, certified: Rate | None) -> FunctionSummary:
     target = curve.target
     sites = target.sites(chosen.choice)
     steps = tuple(
@@ -259,35 +265,44 @@ def _function(curve: Curve, chosen: Step, certified: Rate | None) -> FunctionSum
     )
 
 
-def _escapes(target: Target, sites: Collection[Site]) -> dict[str, float]:
+def _escapes(target: FunctionTarget, sites: Collection[ModuleSite]) -> dict[str, float]:
     """Shares of the expected silent corruptions: removed, not affordable, and not duplicable, the latter by opcode."""
     repeatable = set(candidates(target.module))
     masses: dict[str, float] = defaultdict(float)
-    for site, row, _, mass in target.masses:
-        if site in sites:
+    for executed in target.masses:
+        if executed.site in sites:
             reason = PROTECTED
-        elif site in repeatable:
+        elif executed.site in repeatable:
             reason = "beyond the budget"
         else:
-            reason = f"cannot repeat: {row.opcode}"
-        masses[reason] += mass
-    whole = max(sum(masses.values()), 1e-300)
-    return {name: mass / whole for name, mass in sorted(masses.items(), key=lambda item: -item[1]) if mass}
+            reason = f"cannot repeat: {executed.row.opcode}"
+        masses[reason] += executed.mass
+    total = max(sum(masses.values()), _SMALLEST_SUM)
+    return {reason: mass / total for reason, mass in sorted(masses.items(), key=lambda item: -item[1]) if mass}
 
 
-def _lines(target: Target, sites: Collection[Site]) -> tuple[LineSummary, ...]:
+@dataclass(slots=True)
+class _LineSums:
+    """Sums over the executed sites of a source line: executions, expected silent corruptions, and removed ones."""
+
+    executions: float = 0.0
+    mass: float = 0.0
+    removed: float = 0.0
+
+
+def _lines(target: FunctionTarget, sites: Collection[ModuleSite]) -> tuple[LineSummary, ...]:
     """Executed source lines, by file and number."""
-    sums: dict[tuple[str, int], list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0])
-    for site, row, executions, mass in target.masses:
-        line = sums[row.file, row.line]
-        line[0] += executions
-        line[1] += mass
-        line[2] += mass if site in sites else 0.0
-    all_times = max(sum(times for times, _, _ in sums.values()), 1e-300)
-    all_masses = max(sum(mass for _, mass, _ in sums.values()), 1e-300)
+    sums: dict[tuple[str, int], _LineSums] = defaultdict(_LineSums)
+    for executed in target.masses:
+        line = sums[executed.row.file, executed.row.line]
+        line.executions += executed.executions
+        line.mass += executed.mass
+        if executed.site in sites:
+            line.removed += executed.mass
+    all_executions = max(sum(line.executions for line in sums.values()), _SMALLEST_SUM)
+    all_masses = max(sum(line.mass for line in sums.values()), _SMALLEST_SUM)
     lines = []
-    for file, number in sorted(sums):
-        times, mass, removed = sums[file, number]
-        protected = removed / mass if mass else 0.0
-        lines.append(LineSummary(file, number, times / all_times, mass / all_masses, protected))
+    for (file, number), line in sorted(sums.items(), key=lambda item: item[0]):
+        protected = line.removed / line.mass if line.mass else 0.0
+        lines.append(LineSummary(file, number, line.executions / all_executions, line.mass / all_masses, protected))
     return tuple(lines)

@@ -15,21 +15,20 @@ import numpy as np
 
 from mavfi.extras.hardening.battery import NOT_ACTIVATED, SDC, Battery
 from mavfi.extras.hardening.choose import Choice, Chooser, Value, values_of
-from mavfi.extras.hardening.observed import Seen
-from mavfi.extras.hardening.plan import Site
-from mavfi.faults.levels.instruction.table import Site as TableSite
-from mavfi.faults.levels.instruction.table import Table
+from mavfi.extras.hardening.observed import ObservedFunction
+from mavfi.extras.hardening.plan import FunctionKey, ModuleSite
+from mavfi.faults.levels.instruction.table import InjectionSite, SiteTable
 from mavfi.faults.sampling import stream
-from mavfi.ir.build import Source, name_of
+from mavfi.ir.build import KernelSource, name_of
 from mavfi.ir.module import Module
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source
 
-MOST = 400
-FEWEST = 150
-"""Faults per function."""
-_WORK = 4e8
-"""Dynamic instructions that the faults of a function may execute (some seconds)."""
+MAX_FAULTS = 400
+MIN_FAULTS = 150
+"""Bounds of the number of faults per function."""
+_MAX_INSTRUCTIONS = 4e8
+"""Dynamic instructions that the faults of a function may execute together (some seconds)."""
 STRENGTH = 4.0
 """Number of imaginary injections with which the rate of a group is shrunk to that of the next larger group."""
 Groups = tuple[Hashable, ...]
@@ -40,7 +39,7 @@ class Injected(NamedTuple):
     """An activated injection.
 
     Attributes:
-        block: Index of the instruction's block, as in `Site`.
+        block: Index of the instruction's block, as in `ModuleSite`.
         offset: Its index in the block.
         sdc: Whether an output of the function was silently corrupted.
         world: What it has in common with others: the call.
@@ -52,27 +51,27 @@ class Injected(NamedTuple):
     world: str
 
 
-def affordable(battery: Battery) -> int:
-    """Number of faults that take some seconds."""
-    return int(np.clip(_WORK / battery.counts.mean(), FEWEST, MOST))
+def affordable_faults(battery: Battery) -> int:
+    """Number of faults in a function that take some seconds."""
+    return int(np.clip(_MAX_INSTRUCTIONS / battery.counts.mean(), MIN_FAULTS, MAX_FAULTS))
 
 
-def injections_in(seen: Seen, times: int = 1) -> list[Injected]:
-    """Inject faults in the recorded calls of a function: `times` those that take some seconds."""
+def injections_in(seen: ObservedFunction, times: int = 1) -> list[Injected]:
+    """Inject `times` as many faults in the recorded calls of a function as take some seconds."""
     battery = Battery(seen.entry, seen.function, seen.variant, seen.calls)
-    places = battery.draw(stream(0, "harden", name_of(seen.function)), times * affordable(battery))
+    points = battery.draw(stream(0, "harden", name_of(seen.function)), times * affordable_faults(battery))
     return [
-        Injected(place.block, place.offset, effect == SDC, str(place.call))
-        for place, effect in zip(places, battery.run(places), strict=True)
+        Injected(point.block, point.offset, effect == SDC, str(point.call))
+        for point, effect in zip(points, battery.run(points), strict=True)
         if effect != NOT_ACTIVATED
     ]
 
 
-Learn = Callable[[Seen], list[Injected]]
+Injector = Callable[[ObservedFunction], list[Injected]]
 """Injects faults in a function, as `injections_in`."""
 
 
-class Rates:
+class SiteRates:
     """Rates of sites from few injections: there is less than one per site.
 
     The rate of a group with k successes of n injections is (k + 4 p) / (n + 4), where p is the rate of the next larger
@@ -83,40 +82,56 @@ class Rates:
     """
 
     def __init__(self, injections: Iterable[tuple[Groups, bool]]) -> None:
-        self._n: Counter[Hashable] = Counter()
-        self._k: Counter[Hashable] = Counter()
+        self._injections: Counter[Hashable] = Counter()
+        self._successes: Counter[Hashable] = Counter()
         for groups, success in injections:
-            for group in (None, *groups):
-                self._n[group] += 1
-                self._k[group] += success
+            for group in (None, *groups):  # None: the group of all sites
+                self._injections[group] += 1
+                self._successes[group] += success
 
     def of(self, groups: Sequence[Hashable]) -> float:
         """Rate of a site, whether injected or not; 0 without any injection."""
-        rate = self._k[None] / max(self._n[None], 1)
+        rate = self._successes[None] / max(self._injections[None], 1)
         for group in groups:
-            rate = (self._k[group] + STRENGTH * rate) / (self._n[group] + STRENGTH)
+            rate = (self._successes[group] + STRENGTH * rate) / (self._injections[group] + STRENGTH)
         return rate
 
 
-def groups_of(site: TableSite) -> Groups:
+def groups_of(site: InjectionSite) -> Groups:
     """Groups of a site, from opcode and type over line and value class to the site itself."""
     opcode: Hashable = ("opcode", site.opcode, site.kind)
     return opcode, ("line", site.file, site.line, site.value_class), ("site", site.block, site.offset)
 
 
-def rates_of(injections: Sequence[Injected], table: Table) -> Rates:
+def rates_of(injections: Sequence[Injected], table: SiteTable) -> SiteRates:
     """Rates of silent corruption of a function's sites, from the injections in it."""
-    return Rates((groups_of(table.blocks[one.block][one.offset]), one.sdc) for one in injections)
+    return SiteRates((groups_of(table.blocks[fault.block][fault.offset]), fault.sdc) for fault in injections)
 
 
-Judged = Sequence[tuple[Injected, bool]]
+JudgedCorruptions = Sequence[tuple[Injected, bool]]
 """Silent corruptions, and whether they are removed."""
 FOLDS = 4
 """Parts of the injections, each of which judges a choice made from the others."""
 
 
+class SiteMass(NamedTuple):
+    """An executed site with its weight in the choice.
+
+    Attributes:
+        site: As in a plan.
+        row: Its row in the table of sites.
+        executions: In the golden flight.
+        mass: Expected silent corruptions, if each of these executions were injected once.
+    """
+
+    site: ModuleSite
+    row: InjectionSite
+    executions: int
+    mass: float
+
+
 @dataclass
-class Target:
+class FunctionTarget:
     """A function compiled for one signature.
 
     Attributes:
@@ -127,22 +142,22 @@ class Target:
     """
 
     kernels: tuple[str, ...]
-    seen: Seen
+    seen: ObservedFunction
     injections: list[Injected] = field(default_factory=list)
     addresses: bool = False
 
     @property
-    def key(self) -> tuple[str, str]:
+    def key(self) -> FunctionKey:
         """Name and signature, as in a plan."""
         return self.seen.key
 
     @property
     def name(self) -> str:
         """Module and name, as in a plan."""
-        return self.key[0]
+        return self.key.function
 
     @cached_property
-    def source(self) -> Source:
+    def source(self) -> KernelSource:
         """IR as in a fresh process."""
         return cached_source(self.seen.function, self.seen.signature)
 
@@ -152,41 +167,42 @@ class Target:
         return parse_module(self.source.text, self.name)
 
     @cached_property
-    def places(self) -> list[tuple[int, int]]:
+    def blocks(self) -> list[tuple[int, int]]:
         """Function and block, as in a plan, of each block of the table of sites."""
-        return [
-            (number, place)
-            for number, function in enumerate(self.module.functions)
-            for place, block in enumerate(function.blocks)
-            if block.sites
-        ]
+        blocks = []
+        for function_index, function in enumerate(self.module.functions):
+            for block_index, block in enumerate(function.blocks):
+                if block.sites:  # the table has no blocks without sites
+                    blocks.append((function_index, block_index))
+        return blocks
 
     @cached_property
     def values(self) -> list[Value]:
         """Values that can be duplicated, with their executions in the golden flight."""
-        executions = dict(zip(self.places, map(float, self.seen.executions), strict=True))
+        executions = dict(zip(self.blocks, map(float, self.seen.executions), strict=True))
         return values_of(self.module, executions, addresses=self.addresses)
 
     @cached_property
-    def rows(self) -> list[TableSite]:
+    def rows(self) -> list[InjectionSite]:
         """Row of the table of sites for each value."""
-        block = {place: number for number, place in enumerate(self.places)}
+        table_index = {block: index for index, block in enumerate(self.blocks)}
         table = self.seen.variant.table.blocks
-        return [table[block[value.site[:2]]][value.site.offset] for value in self.values]
+        return [table[table_index[value.site[:2]]][value.site.offset] for value in self.values]
 
-    def site_of(self, injected: Injected) -> Site:
+    def site_of(self, injected: Injected) -> ModuleSite:
         """Site of an injection, as in a plan."""
-        return Site(*self.places[injected.block], injected.offset)
+        return ModuleSite(*self.blocks[injected.block], injected.offset)
 
     def benefit(self, injections: Sequence[Injected]) -> np.ndarray:
         """Expected silent corruptions of each value, if every dynamic instruction of the flight were injected once."""
         rates = rates_of(injections, self.seen.variant.table)
-        return np.array([v.executions * rates.of(groups_of(r)) for v, r in zip(self.values, self.rows, strict=True)])
+        values_and_rows = zip(self.values, self.rows, strict=True)
+        return np.array([value.executions * rates.of(groups_of(row)) for value, row in values_and_rows])
 
     @property
     def sdc_mass(self) -> float:
         """Expected silent corruptions of the whole function: dynamic instructions x rate of silent corruption."""
-        return sum(mass for *_, mass in self.masses)
+        return sum(executed.mass for executed in self.masses)
 
     @cached_property
     def chooser(self) -> Chooser:
@@ -196,50 +212,60 @@ class Target:
     @cached_property
     def _folds(self) -> list[tuple[list[Injected], Chooser]]:
         """Parts of the injections, by call, each with the choices from all others."""
-        worlds = sorted({one.world for one in self.injections})
+        # Injections in one call depend on each other, so they stay together if there are enough calls.
+        worlds = sorted({injected.world for injected in self.injections})
+        by_call = len(worlds) >= FOLDS
         parts: list[list[Injected]] = [[] for _ in range(FOLDS)]
-        for number, one in enumerate(self.injections):
-            parts[(worlds.index(one.world) if len(worlds) >= FOLDS else number) % FOLDS].append(one)
-        rest = [[one for other in parts if other is not part for one in other] for part in parts]
-        return [(part, Chooser(self.values, self.benefit(own))) for part, own in zip(parts, rest, strict=True) if part]
+        for number, injected in enumerate(self.injections):
+            group = worlds.index(injected.world) if by_call else number
+            parts[group % FOLDS].append(injected)
+
+        folds = []
+        for part in parts:
+            if part:
+                others = [injected for other in parts if other is not part for injected in other]
+                folds.append((part, Chooser(self.values, self.benefit(others))))
+        return folds
 
     @cached_property
-    def masses(self) -> list[tuple[Site, TableSite, int, float]]:
-        """All executed sites: as in a plan, row of the table, executions, and expected silent corruptions."""
-        rates = rates_of(self.injections, self.seen.variant.table)
-        rows = self.seen.variant.table.executions(self.seen.executions)
-        return [
-            (Site(*self.places[row.block], row.offset), row, times, times * rates.of(groups_of(row)))
-            for row, times in rows
-            if times
-        ]
+    def masses(self) -> list[SiteMass]:
+        """All executed sites with their expected silent corruptions."""
+        table = self.seen.variant.table
+        rates = rates_of(self.injections, table)
+        masses = []
+        for row, executions in table.executions(self.seen.executions):
+            if executions:
+                site = ModuleSite(*self.blocks[row.block], row.offset)
+                masses.append(SiteMass(site, row, executions, executions * rates.of(groups_of(row))))
+        return masses
 
     def judged(self, fraction: float) -> list[tuple[Injected, bool]]:
         """Silent corruptions, and whether a choice made without them removes them; see `Chooser.share`."""
-        found = []
+        judged = []
         for part, chooser in self._folds:
             chosen = self.sites(chooser.share(fraction))
-            found += [(one, self.site_of(one) in chosen) for one in part if one.sdc]
-        return found
+            judged += [(injected, self.site_of(injected) in chosen) for injected in part if injected.sdc]
+        return judged
 
-    def sites(self, choice: Choice) -> frozenset[Site]:
+    def sites(self, choice: Choice) -> frozenset[ModuleSite]:
         """Sites of a choice, as in a plan."""
         return frozenset(self.values[index].site for index in choice.chosen)
 
-    def lines(self, sites: Collection[Site]) -> tuple[str, ...]:
+    def lines(self, sites: Collection[ModuleSite]) -> tuple[str, ...]:
         """Source lines of sites, file:line, in order."""
-        own = {(row.file, row.line) for value, row in zip(self.values, self.rows, strict=True) if value.site in sites}
-        return tuple(f"{file}:{line}" for file, line in sorted(own))
+        values_and_rows = zip(self.values, self.rows, strict=True)
+        lines = {(row.file, row.line) for value, row in values_and_rows if value.site in sites}
+        return tuple(f"{file}:{line}" for file, line in sorted(lines))
 
 
-def targets_of(seen: Mapping[str, Sequence[Seen]], *, addresses: bool = False) -> list[Target]:
-    """Targets by function and signature; `addresses` as in `Target`."""
-    found: dict[tuple[str, str], Target] = {}
+def targets_of(seen: Mapping[str, Sequence[ObservedFunction]], *, addresses: bool = False) -> list[FunctionTarget]:
+    """Targets by function and signature; `addresses` as in `FunctionTarget`."""
+    targets: dict[tuple[str, str], FunctionTarget] = {}
     for kernel, functions in seen.items():
-        for one in functions:
-            key = one.entry, one.variant.ir_sha256
-            if key in found:
-                found[key].kernels = (*found[key].kernels, kernel)
+        for function in functions:
+            key = function.entry, function.variant.ir_sha256
+            if key in targets:  # several kernels call it
+                targets[key].kernels = (*targets[key].kernels, kernel)
             else:
-                found[key] = Target((kernel,), one, addresses=addresses)
-    return list(found.values())
+                targets[key] = FunctionTarget((kernel,), function, addresses=addresses)
+    return list(targets.values())

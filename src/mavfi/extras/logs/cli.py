@@ -15,7 +15,7 @@ from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
     from mavfi.extras.logs.live import LiveView
-    from mavfi.extras.logs.watch import Judged, LogWatch, Rates
+    from mavfi.extras.logs.watch import JudgedLog, LogRates, LogWatch
 
 _MOST_FLIPS = 100_000
 _MOST_LISTED = 10
@@ -75,7 +75,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     """
     from mavfi.detectors.preprocess import PROFILES
     from mavfi.detectors.registry import of_monitored_fields
-    from mavfi.extras.logs.watch import Rates
+    from mavfi.extras.logs.watch import LogRates
 
     check_name("--detector", detector, of_monitored_fields())
     check_name("--profile", profile, PROFILES)
@@ -92,7 +92,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     with stoppable("Stopped."):
         wanted = options.listed(fields)
         trained, judged = _judge(logs, train or [], split, (detector, profile), wanted, fault, (inject, seed))
-    rates = Rates(judged)
+    rates = LogRates(judged)
     used = sum(watching.trained_on for watching in trained)
     names = {
         topic: [f.name for f in probe.spec.header] for watching in trained for topic, probe in watching.probes.items()
@@ -140,7 +140,7 @@ def _judge(
     fields: list[str],
     fault: str,
     flips: tuple[int, int],
-) -> tuple[list[LogWatch], list[Judged]]:
+) -> tuple[list[LogWatch], list[JudgedLog]]:
     """Train and judge; each LOG that is split trains its own detector."""
     from mavfi.extras.logs.watch import LogWatch, cut_text, judge_rest, read_recording, select
 
@@ -156,7 +156,7 @@ def _judge(
     return [watching for watching, _ in pairs], [judged for _, judged in pairs]
 
 
-def _summary(rates: Rates) -> list[str]:
+def _summary(rates: LogRates) -> list[str]:
     """Detection of flips and known faults."""
     from mavfi.report.text import rate
 
@@ -171,7 +171,7 @@ def _summary(rates: Rates) -> list[str]:
     return lines
 
 
-def _table(judged: list[Judged]) -> Table:
+def _table(judged: list[JudgedLog]) -> Table:
     from mavfi.extras.logs.watch import delay_text
 
     table = titled_table("Recordings")
@@ -188,7 +188,7 @@ def _table(judged: list[Judged]) -> Table:
     return table
 
 
-def _list_alarms(judged: list[Judged]) -> None:
+def _list_alarms(judged: list[JudgedLog]) -> None:
     """The first false alarms of each recording."""
     out = console()
     for recording in judged:

@@ -30,7 +30,7 @@ ROS_ENDINGS = (".bag", ".mcap")
 """Formats with publications, for which the flight is flown again."""
 
 
-class Request(Config):
+class SavedRequest(Config):
     """What a saved flight was flown with, as stored by `mavfi fly --save`."""
 
     mission: MissionSpec
@@ -113,7 +113,7 @@ def _recorded(source: Path, run_id: str) -> Recorded:
         if log.meta.get("request") is None:
             request = None
         else:
-            request = parse(Request, log.meta["request"], "request", stored=True)
+            request = parse(SavedRequest, log.meta["request"], "request", stored=True)
         if request is None or request.fault is None:
             fault = None
         else:
@@ -130,7 +130,7 @@ def _recorded(source: Path, run_id: str) -> Recorded:
     return log, published, golden
 
 
-def _setup(request: Request | None, scenario: Scenario) -> ArmSetup:
+def _setup(request: SavedRequest | None, scenario: Scenario) -> ArmSetup:
     """Mission, detector and recovery of a saved flight; without a request, the mission only."""
     from mavfi.cli.fly import watched
     from mavfi.flight.host import ArmSetup
@@ -151,7 +151,7 @@ def _write(log: FlightLog, to: Path, source: str, published: list[Publication] |
         return count
     import numpy as np
 
-    from mavfi.extras.logs.timeline import Publications, timeline
+    from mavfi.extras.logs.timeline import PublishedStates, timeline
     from mavfi.flight.compose import pipeline_config
     from mavfi.pipeline.kernel import map_grid
     from mavfi.sim.environments import build_world
@@ -161,7 +161,7 @@ def _write(log: FlightLog, to: Path, source: str, published: list[Publication] |
     publications = None
     if published is not None:
         grid = map_grid(pipeline_config(scenario, world, np.zeros((1, 3))))
-        publications = Publications([(item.time_us, item.state) for item in published], grid)
+        publications = PublishedStates([(item.time_us, item.state) for item in published], grid)
     write = write_bag if to.suffix == ".bag" else write_mcap
     return write(timeline(log, world, publications, golden), to)
 

@@ -12,7 +12,7 @@ from rosbags.interfaces import Connection
 from mavfi.errors import BadInputError
 from mavfi.faults.levels.message.definition import Definition
 from mavfi.files import read_file
-from mavfi.flight.log_readers import LoggedMessage, Record, check_topics, reading
+from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, reading
 
 TOPIC = "row"
 """The only topic of a table."""
@@ -50,7 +50,7 @@ class CsvReader:
         rows = np.zeros(len(lines), [(name, np.float64) for name in chosen])
         for name, column in chosen.items():
             rows[name] = column
-        layout = Record.of(TOPIC, rows.dtype)
+        layout = RecordLayout.of(TOPIC, rows.dtype)
         for time_us, row in zip(times, rows, strict=True):
             yield LoggedMessage(TOPIC, time_us, layout, row.tobytes())
 

@@ -15,7 +15,7 @@ from scipy.ndimage import binary_erosion
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.numerics.voxels import Grid
 from mavfi.record import FlightLog
-from mavfi.report.lines import Line, lines_of
+from mavfi.report.lines import LogLine, lines_of
 from mavfi.sim.environments.world import World
 from mavfi.states import State, rows
 
@@ -39,7 +39,7 @@ _POINT_SIZE = 12
 
 
 @dataclass(frozen=True, slots=True)
-class Publications:
+class PublishedStates:
     """What the kernels of a flight published.
 
     Attributes:
@@ -88,7 +88,7 @@ def _orientation(wxyz: np.ndarray) -> dict[str, float]:
 
 
 def timeline(
-    log: FlightLog, world: World, published: Publications | None = None, golden: FlightLog | None = None
+    log: FlightLog, world: World, published: PublishedStates | None = None, golden: FlightLog | None = None
 ) -> Iterator[Message]:
     """All messages of a flight, in chronological order.
 
@@ -112,7 +112,7 @@ def timeline(
     yield from heapq.merge(ticks, lines, _published(published), key=lambda message: message.time_ns)
 
 
-def _published(published: Publications | None) -> Iterator[Message]:
+def _published(published: PublishedStates | None) -> Iterator[Message]:
     if published is not None:
         convert = Converter(published.grid)
         for time_us, state in published.states:
@@ -297,7 +297,7 @@ def _voxels(world: World, header: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def log_message(line: Line) -> Message:
+def log_message(line: LogLine) -> Message:
     """An event, alarm, injection or end of the mission as a log message."""
     time_ns = stamp_ns(1e-6 * line.time_us)
     fields = {"time": _time(time_ns), "level": line.level, "name": line.name, "msg": line.data}

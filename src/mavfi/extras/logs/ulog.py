@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError, writing
-from mavfi.flight.log_readers import LoggedMessage, Record, check_topics, numeric, reading
+from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, numeric, reading
 from mavfi.numerics.frames import ned_of
 from mavfi.record import FlightLog
-from mavfi.report.lines import ERROR, INFO, WARN, Line, line_of, lines_of
+from mavfi.report.lines import ERROR, INFO, WARN, LogLine, line_of, lines_of
 
 _LANDED = "vehicle_land_detected"
 _FILE_HEADER = 16
@@ -75,7 +75,7 @@ class UlogReader:
             flown = np.zeros(len(times), np.bool_)
             for begin, end in spans:
                 flown |= (times >= begin) & (times < end)
-            layout = Record.of(topic, rows.dtype)
+            layout = RecordLayout.of(topic, rows.dtype)
             messages += [
                 LoggedMessage(topic, time_us, layout, row.tobytes())
                 for time_us, row in zip(times[flown].tolist(), rows[flown], strict=True)
@@ -209,5 +209,5 @@ def _samples(log: FlightLog) -> list[tuple[int, bytes]]:
     return samples + [(instant, _message("D", struct.pack("<HQB", number, instant, on))) for instant, on in onset]
 
 
-def _logged(line: Line) -> bytes:
+def _logged(line: LogLine) -> bytes:
     return _message("L", _LEVELS[line.level] + struct.pack("<Q", line.time_us) + line.text.encode())

@@ -26,7 +26,7 @@ _INJECTION_STREAM = 1
 
 
 @dataclass(frozen=True)
-class Recording:
+class LogRecording:
     """Messages of a recorded flight.
 
     Attributes:
@@ -44,19 +44,19 @@ class Recording:
     cut: bool = False
 
     @property
-    def normal(self) -> "Recording":
+    def normal(self) -> "LogRecording":
         """The part before the known fault."""
         if self.onset_us is None:
             return self
         return replace(self, messages=[message for message in self.messages if message.time_us < self.onset_us])
 
-    def split(self, share: float) -> tuple["Recording", "Recording"]:
+    def split(self, share: float) -> tuple["LogRecording", "LogRecording"]:
         """The first share of its messages, and the rest."""
         count = round(share * len(self.messages))
         return replace(self, messages=self.messages[:count]), replace(self, messages=self.messages[count:])
 
 
-def read_recording(path: Path, fault: str = "", *, required: bool = True) -> Recording:
+def read_recording(path: Path, fault: str = "", *, required: bool = True) -> LogRecording:
     """Read a recorded flight.
 
     Args:
@@ -81,7 +81,7 @@ def read_recording(path: Path, fault: str = "", *, required: bool = True) -> Rec
     others = [message for message in messages if not fault or message.topic != topic]
     is_cut = getattr(reader, "is_cut", None)
     cut = is_cut is not None and is_cut()
-    return Recording(path.name, others, onset, getattr(reader, "recommended", {}), cut)
+    return LogRecording(path.name, others, onset, getattr(reader, "recommended", {}), cut)
 
 
 def _onset(messages: Sequence[LoggedMessage], number: str) -> int | None:
@@ -97,7 +97,7 @@ def _onset(messages: Sequence[LoggedMessage], number: str) -> int | None:
 
 
 # ---- selection of fields -------------------------------------------------------------------------------------------
-def select(recordings: Sequence[Recording], wanted: Sequence[str] = ()) -> dict[str, Probe]:
+def select(recordings: Sequence[LogRecording], wanted: Sequence[str] = ()) -> dict[str, Probe]:
     """Monitored fields by topic: those that all recordings have, with finite numbers in every message.
 
     Args:
@@ -127,7 +127,7 @@ def select(recordings: Sequence[Recording], wanted: Sequence[str] = ()) -> dict[
     return probes
 
 
-def cut_text(recordings: Sequence[Recording]) -> str:
+def cut_text(recordings: Sequence[LogRecording]) -> str:
     """Which files are cut; "" = none."""
     names = [recording.name for recording in recordings if recording.cut]
     if names:
@@ -135,7 +135,7 @@ def cut_text(recordings: Sequence[Recording]) -> str:
     return ""
 
 
-def _by_topic(recording: Recording) -> dict[str, list[LoggedMessage]]:
+def _by_topic(recording: LogRecording) -> dict[str, list[LoggedMessage]]:
     groups: dict[str, list[LoggedMessage]] = {}
     for message in recording.messages:
         groups.setdefault(message.topic, []).append(message)
@@ -213,7 +213,7 @@ class Flip:
 
 
 @dataclass(frozen=True)
-class Judged:
+class JudgedLog:
     """What a detector found in one recording.
 
     Attributes:
@@ -258,7 +258,7 @@ class LogWatch:
         BadInputError: Unknown kind, or too few messages.
     """
 
-    def __init__(self, kind: str, profile: str, probes: Mapping[str, Probe], training: Sequence[Recording]) -> None:
+    def __init__(self, kind: str, profile: str, probes: Mapping[str, Probe], training: Sequence[LogRecording]) -> None:
         self.probes = dict(probes)
         flights = [[state for _, state in self._states(recording)] for recording in training]
         counts = {
@@ -273,7 +273,7 @@ class LogWatch:
         self.detector: Any = learn(kind, profile, training_states, specs)
         self.trained_on = sum(map(len, training_states))
 
-    def _states(self, recording: Recording) -> Iterator[tuple[LoggedMessage, State]]:
+    def _states(self, recording: LogRecording) -> Iterator[tuple[LoggedMessage, State]]:
         for message in recording.messages:
             state = self._read(message, message.data)
             if state is not None:
@@ -286,7 +286,7 @@ class LogWatch:
             return None
         return replace(probe, definition=message.layout).read(data)
 
-    def judge(self, recording: Recording, flips: int = 0, seed: int = 0) -> Judged:
+    def judge(self, recording: LogRecording, flips: int = 0, seed: int = 0) -> JudgedLog:
         """Judge a recording.
 
         Args:
@@ -302,7 +302,7 @@ class LogWatch:
         clean = [alarm for alarm in alarms if onset is None or alarm.time_us < onset]
         late = [alarm for alarm in alarms if onset is not None and alarm.time_us >= onset]
         times = [judged[index][0].time_us for index in normal]
-        return Judged(
+        return JudgedLog(
             recording.name,
             _exposure_s(times),
             len(normal),
@@ -377,12 +377,12 @@ class LogWatch:
 def judge_rest(
     kind: str,
     profile: str,
-    recording: Recording,
+    recording: LogRecording,
     share: float,
     fields: Sequence[str] = (),
     flips: int = 0,
     seed: int = 0,
-) -> tuple[LogWatch, Judged]:
+) -> tuple[LogWatch, JudgedLog]:
     """Train a detector on the first share of a recording, and judge the rest."""
     first, rest = recording.split(share)
     watching = LogWatch(kind, profile, select([first.normal, rest.normal], fields), [first.normal])
@@ -413,10 +413,10 @@ _HOUR = 3600.0
 
 
 @dataclass(frozen=True)
-class Rates:
+class LogRates:
     """Rates over several recordings."""
 
-    recordings: Sequence[Judged]
+    recordings: Sequence[JudgedLog]
 
     @property
     def exposure_s(self) -> float:
@@ -481,7 +481,7 @@ def rate_text(rate: EventRate) -> str:
     return f"{value} [{low}, {high}]"
 
 
-def delay_text(judged: Judged) -> str:
+def delay_text(judged: JudgedLog) -> str:
     """Delay of the first alarm after the known fault."""
     if not judged.has_fault:
         return ""

@@ -16,12 +16,12 @@ import numpy as np
 
 from mavfi.errors import BadInputError, writing
 from mavfi.faults.levels.message.definition import FORMATS, Leaf
-from mavfi.flight.log_readers import LoggedMessage, Record, check_topics, reading
+from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, reading
 from mavfi.flight.loop import Item, Loop
 from mavfi.mission import MissionStatus
 from mavfi.numerics.frames import Triple, euler, geodetic, ned_of
 from mavfi.record import FlightLog
-from mavfi.report.lines import ERROR, INFO, WARN, Line, lines_at, lines_of
+from mavfi.report.lines import ERROR, INFO, WARN, LogLine, lines_at, lines_of
 from mavfi.states import State
 
 _GROUND_STATION = 250
@@ -103,12 +103,12 @@ class TlogReader:
 
 def _all_of(link: Any) -> Iterator[LoggedMessage]:
     """All messages of vehicles."""
-    layouts: dict[str, Record] = {}
+    layouts: dict[str, RecordLayout] = {}
     while (message := link.recv_match()) is not None:
         topic = message.get_type()
         if topic in _WITHOUT_NUMBERS or topic.startswith("UNKNOWN") or message.get_srcSystem() >= _GROUND_STATION:
             continue
-        layout = layouts.setdefault(topic, Record(topic, _leaves(type(message))))
+        layout = layouts.setdefault(topic, RecordLayout(topic, _leaves(type(message))))
         yield LoggedMessage(topic, round(1e6 * message._timestamp), layout, _payload(message))
 
 
@@ -186,7 +186,7 @@ class FlightMessages:
         """Packs messages of system 1, component 1, and writes each packet to a file-like object."""
         return self._dialect.MAVLink(file, srcSystem=1, srcComponent=1)
 
-    def text(self, line: Line, number: int) -> Iterator[Any]:
+    def text(self, line: LogLine, number: int) -> Iterator[Any]:
         """The STATUSTEXT messages of a line; chunks of a long text share an id derived from `number`."""
         parts = chunks_of(line.text)
         shared_id = 0 if len(parts) == 1 else number % 65_535 + 1

@@ -1,6 +1,6 @@
 """Claims: statements of the paper, each tested on the runs of a campaign."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import polars as pl
@@ -18,7 +18,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.paper.overhead_views import ALL
 from mavfi.extras.paper.redundancy import TMR, band, between, ratio, shipped_designs
 from mavfi.extras.paper.views import by_bits, compared
-from mavfi.extras.paper.worlds import Difference, Mean, between_worlds, within_worlds
+from mavfi.extras.paper.worlds import Mean, MeanDifference, between_worlds, within_worlds
 from mavfi.states import Stage
 
 
@@ -60,23 +60,24 @@ def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
     unknown = next((name for name in names if name not in CLAIMS), None)
     if unknown is not None:
         raise BadInputError(f"claim {unknown!r}: not known; allowed: {', '.join(CLAIMS)}")
-    runs = {own.campaign["name"]: own for own in campaigns}
     claims = [CLAIMS[name] for name in names]
-    tested = [_tested(claim, runs.get(claim.campaign)) for claim in claims]
-    adjusted = holm([one.p_value for one in tested])
+    runs_by_campaign = {runs.campaign["name"]: runs for runs in campaigns}
+    results = [_test(claim, runs_by_campaign.get(claim.campaign)) for claim in claims]
+    # the correction is over the claims of this table: those that could not be tested do not count
+    adjusted = holm([evidence.p_value for evidence in results])
     rows = [
         (
             claim.name,
             claim.statement,
-            verdict(one, corrected),
+            verdict(evidence, corrected),
             claim.section,
-            one.here,
-            one.p_value,
+            evidence.here,
+            evidence.p_value,
             corrected,
             claim.method,
             claim.campaign,
         )
-        for claim, one, corrected in zip(claims, tested, adjusted, strict=True)
+        for claim, evidence, corrected in zip(claims, results, adjusted, strict=True)
     ]
     count = sum(p is not None for p in adjusted)
     return Table(
@@ -96,7 +97,7 @@ def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
             "of worlds",
             "published autopilot profile, faults and platforms of this project: see the fidelity page for differences",
         ),
-        behind=[tuple(one.behind if key in _LINKED else () for key in _KEYS) for one in tested],
+        behind=[_behind_cells(evidence) for evidence in results],
     )
 
 
@@ -116,17 +117,22 @@ _LINKED = ("verdict", "p", "holm_p")
 """Columns, and those whose cells open the tested runs."""
 
 
-def _tested(claim: Claim, runs: Runs | None) -> Evidence:
+def _behind_cells(evidence: Evidence) -> tuple[tuple[str, ...], ...]:
+    """Ids of the runs that each cell of a row opens."""
+    return tuple(evidence.behind if key in _LINKED else () for key in _KEYS)
+
+
+def _test(claim: Claim, runs: Runs | None) -> Evidence:
     if runs is None or not len(runs):
         return Evidence(f"no runs of campaign {claim.campaign}", None, supports=False)
     return claim.test(runs)
 
 
-def verdict(one: Evidence, corrected: float | None) -> str:
+def verdict(evidence: Evidence, corrected: float | None) -> str:
     """Verdict (confirmed, contradicted or undecided) from the corrected p value."""
     if corrected is None or corrected >= LEVEL:
         return UNDECIDED
-    if one.supports:
+    if evidence.supports:
         return CONFIRMED
     return CONTRADICTED
 
@@ -138,44 +144,51 @@ STATES = "states"
 INSTRUCTIONS = "table1_instructions"
 VALUES = "table1"
 """Names of the campaigns used in the tests."""
-HURT = m.FAILS_OR_SLOWER
+HARMED = m.FAILS_OR_SLOWER
 SUCCESS = pl.col("success")
-ALTERED = pl.when("success").then(pl.col("inflation").abs() > m.SLOWER)
+TIME_CHANGED = pl.when("success").then(pl.col("inflation").abs() > m.SLOWER)
 """Whether flight time changes by more than 5 %; null for failures."""
-LOSS = pl.col("golden_success").cast(pl.Float64) - pl.col("success").cast(pl.Float64)
+SUCCESS_LOST = pl.col("golden_success").cast(pl.Float64) - pl.col("success").cast(pl.Float64)
 """Success lost to the fault: success without it - success with it."""
 WITHIN = "random signs of the differences of worlds"
 _BETWEEN = "worlds shuffled between the groups"
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
-    """How means are written: value x factor before the name."""
+class MeanFormat:
+    """How means are written: value x factor before the name of the unit."""
 
     name: str
     factor: float = 1.0
     form: str = ".1f"
 
-    def text(self, mean: Mean, own: str = "") -> str:
-        """E.g. "97.0 s [95.1, 99.2] (n = 100)"; `own`: of what."""
-        value, *bounds = (f"{self.factor * one:{self.form}}" for one in (mean.value, *(mean.bounds or ())))
-        interval = f" [{', '.join(bounds)}]" if bounds else ""
-        return f"{own} {value} {self.name}{interval} (n = {mean.n})".lstrip()
+    def text(self, mean: Mean, group: str = "") -> str:
+        """E.g. "97.0 s [95.1, 99.2] (n = 100)", after the name of the group of runs."""
+        interval = ""
+        if mean.bounds is not None:
+            interval = f" [{', '.join(self._number(bound) for bound in mean.bounds)}]"
+        return f"{group} {self._number(mean.value)} {self.name}{interval} (n = {mean.n})".lstrip()
+
+    def _number(self, value: float) -> str:
+        return f"{self.factor * value:{self.form}}"
 
 
-PERCENT = Unit("%", 100.0)
+PERCENT = MeanFormat("%", 100.0)
 
 
-def tested(found: Difference | None, one: str, other: str, *, more: bool, what: str, unit: Unit = PERCENT) -> Evidence:
+def evidence_of(
+    difference: MeanDifference | None, first: str, second: str, *, more: bool, what: str, unit: MeanFormat = PERCENT
+) -> Evidence:
     """Evidence from a difference, which the claim states to be positive (`more`) or negative.
 
-    `one` and `other` name the groups in the text; "" = a constant, which is left out.
+    `first` and `second` name the groups in the text; "" = a constant, which is left out.
     """
-    if found is None:
+    if difference is None:
         return Evidence("no runs to compare", None, supports=False)
-    means = ", ".join(unit.text(mean, own) for mean, own in ((found.first, one), (found.second, other)) if own)
-    here = f"{what}: {means}, {found.worlds} worlds"
-    return Evidence(here, found.p_value, (found.difference > 0) == more, found.behind)
+    groups = ((difference.first, first), (difference.second, second))
+    means = ", ".join(unit.text(mean, group) for mean, group in groups if group)
+    here = f"{what}: {means}, {difference.worlds} worlds"
+    return Evidence(here, difference.p_value, (difference.difference > 0) == more, difference.behind)
 
 
 def equality(test: Callable[[Runs], Evidence]) -> Callable[[Runs], Evidence]:
@@ -191,7 +204,7 @@ def _of(column: str, *names: str) -> pl.Expr:
     return pl.col(column).is_in(names)
 
 
-def _compared(
+def _compare_faults(
     select: Callable[[Runs], Runs],
     first: tuple[str, pl.Expr],
     second: tuple[str, pl.Expr],
@@ -200,20 +213,22 @@ def _compared(
     more: bool,
     what: str,
 ) -> Callable[[Runs], Evidence]:
-    """Test of two kinds of faults in the same worlds."""
+    """Test of two kinds of faults, each with its name and the condition on its runs, in the same worlds."""
+    first_name, is_first = first
+    second_name, is_second = second
 
     def test(runs: Runs) -> Evidence:
-        own = select(runs)
-        found = within_worlds(own.where(first[1]), own.where(second[1]), value)
-        return tested(found, first[0], second[0], more=more, what=what)
+        faults = select(runs)
+        difference = within_worlds(faults.where(is_first), faults.where(is_second), value)
+        return evidence_of(difference, first_name, second_name, more=more, what=what)
 
     return test
 
 
 _PERCEPTION = ("perception", _of("stage", "perception"))
-_LATER = ("planning and control", _of("stage", "planning", "control"))
-_HURT = "fails or > 5 % longer"
-_WORDS = {FI: "fault", "dr_gaussian": "fault with GAD", "dr_autoencoder": "fault with AAD"}
+_PLANNING_CONTROL = ("planning and control", _of("stage", "planning", "control"))
+_HARMED_WORDS = "fails or > 5 % longer"
+_SETTING_WORDS = {FI: "fault", "dr_gaussian": "fault with GAD", "dr_autoencoder": "fault with AAD"}
 """Settings of paired tests."""
 
 
@@ -221,12 +236,14 @@ def _lost(select: pl.Expr | None = None, setting: str = FI) -> Callable[[Runs], 
     """Test of golden runs against the same missions with a fault."""
 
     def test(runs: Runs) -> Evidence:
-        own = m.leading_faults(runs).where(pl.col("golden_success").is_not_null(), setting=setting)
-        own = own if select is None else own.where(select)
-        once = replace(own, frame=own.frame.unique("world", maintain_order=True))  # a world has one golden run
-        golden = once.adding(value=pl.col("golden_success"))
-        found = within_worlds(golden, own.adding(value=SUCCESS), pl.col("value"))
-        return tested(found, "golden", _WORDS[setting], more=True, what="success")
+        faults = m.leading_faults(runs).where(pl.col("golden_success").is_not_null(), setting=setting)
+        if select is not None:
+            faults = faults.where(select)
+        # a world has a single golden run, however many faults were injected in it
+        first_faults = replace(faults, frame=faults.frame.unique("world", maintain_order=True))
+        golden = first_faults.adding(value=pl.col("golden_success"))
+        difference = within_worlds(golden, faults.adding(value=SUCCESS), pl.col("value"))
+        return evidence_of(difference, "golden", _SETTING_WORDS[setting], more=True, what="success")
 
     return test
 
@@ -235,10 +252,12 @@ def _above_golden(value: pl.Expr, what: str, select: pl.Expr | None = None) -> C
     """Test of a value that is 0 in golden runs by definition."""
 
     def test(runs: Runs) -> Evidence:
-        own = _faults(runs).where("golden_success", *(() if select is None else (select,))).adding(value=value)
-        known = own.where(pl.col("value").is_not_null())
-        found = within_worlds(known, known.adding(value=pl.lit(0.0)), pl.col("value"))
-        return tested(found, "fault", "", more=True, what=what)
+        faults = _faults(runs).where("golden_success")
+        if select is not None:
+            faults = faults.where(select)
+        faults = faults.adding(value=value).where(pl.col("value").is_not_null())
+        difference = within_worlds(faults, faults.adding(value=pl.lit(0.0)), pl.col("value"))
+        return evidence_of(difference, "fault", "", more=True, what=what)
 
     return test
 
@@ -247,43 +266,42 @@ def paired(setting: str, other: str, column: str, *, more: bool, what: str, **wh
     """Paired test of two settings with the same faults; pairs with a null value in either setting are excluded."""
 
     def test(runs: Runs) -> Evidence:
-        own = m.leading_faults(runs).where(pl.col("setting").is_in((setting, other)), **where)
+        flights = m.leading_faults(runs).where(pl.col("setting").is_in((setting, other)), **where)
         pair = ("environment", "target", "index")
         complete = (pl.len().over(pair) == 2) & pl.col(column).is_not_null().all().over(pair)
-        own = own.where(complete)
-        found = within_worlds(own.where(setting=setting), own.where(setting=other), pl.col(column))
-        return tested(found, _WORDS[setting], _WORDS[other], more=more, what=what)
+        flights = flights.where(complete)
+        difference = within_worlds(flights.where(setting=setting), flights.where(setting=other), pl.col(column))
+        return evidence_of(difference, _SETTING_WORDS[setting], _SETTING_WORDS[other], more=more, what=what)
 
     return test
 
 
-def _in_dense(runs: Runs, value: pl.Expr | str, *, more: bool, what: str) -> Evidence:
+def _in_dense(runs: Runs, value: pl.Expr, *, more: bool, what: str) -> Evidence:
     """Evidence from flights in Dense and in the other environments."""
-    own = runs.adding(value=pl.col(value) if isinstance(value, str) else value)
-    dense = own.where(environment="dense")
-    others = own.where(pl.col("environment") != "dense")
-    return tested(between_worlds(dense, others, pl.col("value")), "Dense", "other environments", more=more, what=what)
+    flights = runs.adding(value=value)
+    dense = flights.where(environment="dense")
+    others = flights.where(pl.col("environment") != "dense")
+    difference = between_worlds(dense, others, pl.col("value"))
+    return evidence_of(difference, "Dense", "other environments", more=more, what=what)
 
 
 def _hardest(runs: Runs) -> Evidence:
-    own = _faults(runs).where(pl.col("golden_success").is_not_null())
-    return _in_dense(own, LOSS, more=True, what="success lost to a fault")
+    faults = _faults(runs).where(pl.col("golden_success").is_not_null())
+    return _in_dense(faults, SUCCESS_LOST, more=True, what="success lost to a fault")
 
 
 def _hardest_to_recover(runs: Runs) -> Evidence:
     lost = m.against_fi(m.leading_faults(runs)).where("golden_success", ~pl.col("fi_success"))
-    return _in_dense(lost, "dr_success", more=False, what="lost missions that GAD or AAD bring back")
+    return _in_dense(lost, pl.col("dr_success"), more=False, what="lost missions that GAD or AAD bring back")
 
 
 def _most_missed(runs: Runs) -> Evidence:
-    own = m.leading_faults(runs).where(pl.col("detector") != "", site_outcome=ACTIVATED)
-    return _in_dense(own, "detected_at_site", more=False, what="faults detected at their site by GAD or AAD")
+    faults = m.leading_faults(runs).where(pl.col("detector") != "", site_outcome=ACTIVATED)
+    return _in_dense(faults, pl.col("detected_at_site"), more=False, what="faults detected at their site by GAD or AAD")
 
 
-_BITS = {
-    name: (words, _of("bits", *bits))
-    for name, words, bits in (("high", "sign and exponent", ("sign", "exponent")), ("low", "mantissa", ("mantissa",)))
-}
+_HIGH_BITS = ("sign and exponent", _of("bits", "sign", "exponent"))
+_LOW_BITS = ("mantissa", _of("bits", "mantissa"))
 
 
 Row = tuple[str, str, Callable[[Runs], Evidence]]
@@ -296,19 +314,20 @@ def _claims(section: str, campaign: str, *rows: Row, method: str = WITHIN) -> li
 
 
 def _of_kernels() -> list[Claim]:
-    check = _of("kernel", "collision_check")
-    before = _of("kernel", "point_cloud", "octomap")
-    critical = _compared(
-        _faults, ("collision check", check), ("point cloud and OctoMap", before), HURT, more=True, what=_HURT
+    """Claims on the effect of a fault by the kernel that it hits."""
+    collision_check = ("collision check", _of("kernel", "collision_check"))
+    clouds_and_maps = ("point cloud and OctoMap", _of("kernel", "point_cloud", "octomap"))
+    critical = _compare_faults(_faults, collision_check, clouds_and_maps, HARMED, more=True, what=_HARMED_WORDS)
+    wider = _compare_faults(
+        _faults, _PLANNING_CONTROL, _PERCEPTION, TIME_CHANGED, more=True, what="flight time changed by > 5 %"
     )
-    wider = _compared(_faults, _LATER, _PERCEPTION, ALTERED, more=True, what="flight time changed by > 5 %")
     return _claims(
         "III-A",
         KERNELS,
         (
             "perception_least_critical",
             "The perception stage is the least critical",
-            _compared(_faults, _PERCEPTION, _LATER, HURT, more=False, what=_HURT),
+            _compare_faults(_faults, _PERCEPTION, _PLANNING_CONTROL, HARMED, more=False, what=_HARMED_WORDS),
         ),
         ("collision_check_critical", "Collision check is the critical kernel within perception", critical),
         (
@@ -319,26 +338,32 @@ def _of_kernels() -> list[Claim]:
         (
             "clouds_and_maps_negligible",
             "Faults in point cloud and OctoMap lose no missions (little to negligible impact)",
-            equality(_lost(before)),
+            equality(_lost(clouds_and_maps[1])),
         ),
         (
             "planning_control_success",
             "Faults in planning and control lower the success rate (by up to 8 %)",
-            _lost(_LATER[1]),
+            _lost(_PLANNING_CONTROL[1]),
         ),
     )
 
 
 def _of_states() -> list[Claim]:
+    """Claims on the effect of a fault by the state and the bit that it hits."""
     sequence = "future_collision_seq"
     time = "time_to_collision"
-    robust = _compared(
-        _faults, (sequence, _of("target", sequence)), (time, _of("target", time)), HURT, more=False, what=_HURT
+    robust = _compare_faults(
+        _faults,
+        (sequence, _of("target", sequence)),
+        (time, _of("target", time)),
+        HARMED,
+        more=False,
+        what=_HARMED_WORDS,
     )
     waypoints = _of("target", "waypoint position", "waypoint yaw", "waypoint velocity")
 
     def by_class(value: pl.Expr, what: str) -> Callable[[Runs], Evidence]:
-        return _compared(by_bits, _BITS["high"], _BITS["low"], value, more=True, what=what)
+        return _compare_faults(by_bits, _HIGH_BITS, _LOW_BITS, value, more=True, what=what)
 
     more = "Faults in sign and exponent fields increase"
     return _claims(
@@ -348,7 +373,7 @@ def _of_states() -> list[Claim]:
         (
             "sign_exponent_matter_most",
             "Faults in sign and exponent fields have a greater impact",
-            by_class(HURT, _HURT),
+            by_class(HARMED, _HARMED_WORDS),
         ),
         (
             "sign_exponent_flight_time",
@@ -361,7 +386,7 @@ def _of_states() -> list[Claim]:
             "waypoints_harm",
             "Faults in position, yaw and velocity of way-points lead to crashes or longer flights (cannot be "
             "contradicted)",
-            _above_golden(HURT, _HURT, waypoints),
+            _above_golden(HARMED, _HARMED_WORDS, waypoints),
         ),
     )
 
@@ -441,19 +466,19 @@ _MISSIONS = (
 
 _FLIGHTS = "sign test of flights"
 _NOT_MEASURED = "not measured by flight"
-_SHARE = Unit("% of compute time", 100.0, ".3g")
+_OVERHEAD_SHARE = MeanFormat("% of compute time", 100.0, ".3g")
 
 
 def _overhead(setting: str, bound: float) -> Callable[[Runs], Evidence]:
     """Test of the overhead (recomputation / compute time, by run, in modelled time) against an upper bound."""
 
     def test(runs: Runs) -> Evidence:
-        known = _shares(runs, setting)
-        found = within_worlds(known, known.adding(value=pl.lit(bound)), pl.col("value"))
-        if found is None:
+        shares = _shares(runs, setting)
+        difference = within_worlds(shares, shares.adding(value=pl.lit(bound)), pl.col("value"))
+        if difference is None:
             return Evidence("no runs", None, supports=False)
-        here = f"{Unit('%', 100.0, '.3g').text(found.first)} of compute time, {found.worlds} worlds"
-        return Evidence(here, found.p_value, found.difference < 0, found.behind)
+        here = f"{MeanFormat('%', 100.0, '.3g').text(difference.first)} of compute time, {difference.worlds} worlds"
+        return Evidence(here, difference.p_value, difference.difference < 0, difference.behind)
 
     return test
 
@@ -462,10 +487,10 @@ def _measured_overhead(arm: str, bound: float) -> Callable[[Runs], Evidence]:
     """Test of measured detection and recovery of golden flights, as shares of their kernels' time."""
 
     def test(runs: Runs) -> Evidence:
-        shares = list(_timed(runs, arm).values())
-        if not shares:
+        flights = _timed(runs, arm)
+        if not flights:
             return Evidence(_NOT_MEASURED, None, supports=False)
-        spent = [detection + recovery for detection, recovery in shares]
+        spent = [detection + recovery for detection, recovery in flights.values()]
         above = sum(share > bound for share in spent)
         count = len(spent)
         here = f"{100 * sum(spent) / count:.3g} % of the kernels' time, mean of {count} flights; above it in {above}"
@@ -487,62 +512,75 @@ def _timed(runs: Runs, arm: str) -> dict[tuple[str, int], tuple[float, float]]:
 
 def _shares(runs: Runs, setting: str, *stages: Stage) -> Runs:
     """Runs of a setting, with the recomputation of stages (all by default) / compute time, modelled, as `value`."""
-    own = runs.where("judged", setting=setting)
-    shares = {run_id: recomputed_share([runs.records[run_id]], stages) for run_id in own["run_id"]}
-    return own.adding(value=pl.col("run_id").replace_strict(shares, return_dtype=pl.Float64))
+    flown = runs.where("judged", setting=setting)
+    shares = {run_id: recomputed_share([runs.records[run_id]], stages) for run_id in flown["run_id"]}
+    return flown.adding(value=pl.col("run_id").replace_strict(shares, return_dtype=pl.Float64))
 
 
 def _less(runs: Runs) -> Evidence:
     """Test of the modelled recomputation of both detectors, on the same missions."""
-    found = within_worlds(_shares(runs, "dr_autoencoder"), _shares(runs, "dr_gaussian"), pl.col("value"))
-    return tested(found, "AAD", "GAD", more=False, what="recomputation", unit=_SHARE)
+    difference = within_worlds(_shares(runs, "dr_autoencoder"), _shares(runs, "dr_gaussian"), pl.col("value"))
+    return evidence_of(difference, "AAD", "GAD", more=False, what="recomputation", unit=_OVERHEAD_SHARE)
 
 
 def _of_early_stages(runs: Runs) -> Evidence:
     """Test of the modelled recomputation by stage."""
     early = _shares(runs, "dr_gaussian", Stage.PERCEPTION, Stage.PLANNING)
-    found = within_worlds(early, _shares(runs, "dr_gaussian", Stage.CONTROL), pl.col("value"))
+    difference = within_worlds(early, _shares(runs, "dr_gaussian", Stage.CONTROL), pl.col("value"))
     words = "perception and planning", "control"
-    return tested(found, *words, more=True, what="recomputation of GAD", unit=_SHARE)
+    return evidence_of(difference, *words, more=True, what="recomputation of GAD", unit=_OVERHEAD_SHARE)
 
 
 def _measured_against(*parts: int, more: bool) -> Callable[[Runs], Evidence]:
     """Sign test of both detectors on the same golden flights, measured; parts: 0 = detection, 1 = recovery."""
 
     def test(runs: Runs) -> Evidence:
-        aad, gad = (
-            {flight: sum(shares[part] for part in parts) for flight, shares in _timed(runs, arm).items()}
-            for arm in ("autoencoder", "gaussian")
-        )
+        aad = _summed(_timed(runs, "autoencoder"), parts)
+        gad = _summed(_timed(runs, "gaussian"), parts)
         shared = [flight for flight in aad if flight in gad]
         if not shared:
             return Evidence(_NOT_MEASURED, None, supports=False)
-        above, below = (sum(sign * aad[one] > sign * gad[one] for one in shared) for sign in (1, -1))
+        # sign test: flights with equal times are left out
+        above = sum(aad[flight] > gad[flight] for flight in shared)
+        below = sum(aad[flight] < gad[flight] for flight in shared)
+        p_value = 1.0
         if above + below:
             p_value = float(binomtest(above, above + below).pvalue)
-        else:
-            p_value = 1.0
         means = (
-            f"{name} {100 * sum(own[one] for one in shared) / len(shared):.3g} %"
-            for name, own in (("AAD", aad), ("GAD", gad))
+            f"{name} {100 * sum(times[flight] for flight in shared) / len(shared):.3g} %"
+            for name, times in (("AAD", aad), ("GAD", gad))
         )
-        here = f"{', '.join(means)} of the kernels' time; AAD's is higher in {above} and lower in {below} of "
-        return Evidence(f"{here}{len(shared)} flights", p_value, supports=above > below if more else above < below)
+        here = (
+            f"{', '.join(means)} of the kernels' time; AAD's is higher in {above} and lower in {below} of "
+            f"{len(shared)} flights"
+        )
+        supports = above > below if more else above < below
+        return Evidence(here, p_value, supports)
 
     return test
 
 
+def _summed(
+    flights: Mapping[tuple[str, int], tuple[float, float]], parts: Sequence[int]
+) -> dict[tuple[str, int], float]:
+    """Sum of some parts of the measured times of each flight."""
+    return {flight: sum(shares[part] for part in parts) for flight, shares in flights.items()}
+
+
 def _largest(name: str, setting: str) -> float:
     """The paper's largest recomputation overhead of a detector over environments, summed over stages."""
-    stages = [
-        paper.figure(name, environment=place, setting=setting, stage=stage)
-        for place in ("factory", "farm", "sparse", "dense")
-        for stage in ("perception", "planning", "control")
-    ]
-    return max(float(sum(stages[place : place + 3])) for place in range(0, len(stages), 3))
+    sums = []
+    for environment in ("factory", "farm", "sparse", "dense"):
+        stages = [
+            paper.figure(name, environment=environment, setting=setting, stage=stage)
+            for stage in ("perception", "planning", "control")
+        ]
+        sums.append(float(sum(stages)))
+    return max(sums)
 
 
 def _of_overhead() -> Iterable[Claim]:
+    """Claims on the compute time of detection and recovery."""
     for arm, short in (("gaussian", "GAD"), ("autoencoder", "AAD")):
         if arm == "gaussian":
             bound = _largest("recompute_overhead", "dr_gaussian")
@@ -572,17 +610,19 @@ SLOW = "cortex-a57"
 _MODEL = "none: a model without chance"
 
 
-_SECONDS = Unit("s")
-_KILOJOULES = Unit("kJ", 1e-3)
+_SECONDS = MeanFormat("s")
+_KILOJOULES = MeanFormat("kJ", 1e-3)
 
 
-def _of_golden(column: str, what: str, unit: Unit) -> Callable[[Runs], Evidence]:
+def _of_golden(column: str, what: str, unit: MeanFormat) -> Callable[[Runs], Evidence]:
     """Test of successful golden flights on both platforms."""
 
     def test(runs: Runs) -> Evidence:
-        own = compared(runs).where(setting=GOLDEN)
-        found = within_worlds(own.where(environment=SLOW), own.where(environment=FAST), pl.col(column), by="seed")
-        return tested(found, SLOW, FAST, more=True, what=what, unit=unit)
+        flights = compared(runs).where(setting=GOLDEN)
+        difference = within_worlds(
+            flights.where(environment=SLOW), flights.where(environment=FAST), pl.col(column), by="seed"
+        )
+        return evidence_of(difference, SLOW, FAST, more=True, what=what, unit=unit)
 
     return test
 
@@ -591,37 +631,38 @@ def _times_as_long(factor: float) -> Callable[[Runs], Evidence]:
     """Test of successful flights with a fault: mean time on the slow platform - factor x mean time on the fast one."""
 
     def test(runs: Runs) -> Evidence:
-        own = compared(runs).where(setting=FI)
-        scaled = own.where(environment=FAST).adding(flight_time_s=factor * pl.col("flight_time_s"))
-        found = within_worlds(own.where(environment=SLOW), scaled, pl.col("flight_time_s"), by="seed")
-        return tested(found, SLOW, f"{factor:g} x {FAST}", more=True, what="mean flight time", unit=_SECONDS)
+        flights = compared(runs).where(setting=FI)
+        scaled = flights.where(environment=FAST).adding(flight_time_s=factor * pl.col("flight_time_s"))
+        difference = within_worlds(flights.where(environment=SLOW), scaled, pl.col("flight_time_s"), by="seed")
+        return evidence_of(difference, SLOW, f"{factor:g} x {FAST}", more=True, what="mean flight time", unit=_SECONDS)
 
     return test
 
 
 def _same_trend(runs: Runs) -> Evidence:
     """Test of the share of faults that harm."""
-    own = leading_faults(runs).where(setting=FI)
-    found = within_worlds(own.where(environment=SLOW), own.where(environment=FAST), HURT, by="seed")
-    return tested(found, SLOW, FAST, more=True, what="fails or > 5 % longer")
+    faults = leading_faults(runs).where(setting=FI)
+    difference = within_worlds(faults.where(environment=SLOW), faults.where(environment=FAST), HARMED, by="seed")
+    return evidence_of(difference, SLOW, FAST, more=True, what="fails or > 5 % longer")
 
 
 def _redundant(vehicle: str) -> Callable[[Runs], Evidence]:
     """Flight time with TMR by the model; its inputs were calibrated to the claim, so it tests nothing."""
 
     def test(_: Runs) -> Evidence:
-        designs = [design for design in shipped_designs() if design.craft == vehicle]
-        found = []
-        for design in designs:
-            found.append(f"{design.calibration}: {ratio(design, TMR):.3f} (band {between(*band(design, TMR))})")
-        return Evidence(
-            f"by the model, calibrated to this value after the fact: {'; '.join(found)}", None, supports=True
-        )
+        ratios = [
+            f"{design.calibration}: {ratio(design, TMR):.3f} (band {between(*band(design, TMR))})"
+            for design in shipped_designs()
+            if design.craft == vehicle
+        ]
+        here = f"by the model, calibrated to this value after the fact: {'; '.join(ratios)}"
+        return Evidence(here, None, supports=True)
 
     return test
 
 
 def _of_redundancy() -> Iterable[Claim]:
+    """Claims on flight time with redundant processors."""
     for name, vehicle in (("redundancy_airsim", "airsim_uav"), ("redundancy_spark", "dji_spark")):
         times = paper.figure("redundancy_time", vehicle=vehicle, scheme=TMR)
         text = f"TMR makes flights of {vehicle} {times:g} times as long as detection does"
@@ -629,6 +670,7 @@ def _of_redundancy() -> Iterable[Claim]:
 
 
 def _of_platforms() -> Iterable[Claim]:
+    """Claims on golden flights, on the effect of a fault, and on recovery, on the slow platform and the fast one."""
     yield Claim(
         "slow_platform_time",
         "Flights on the Cortex-A57 take longer (115 s : 322 s)",
@@ -658,14 +700,8 @@ def _of_platforms() -> Iterable[Claim]:
     for arm, short in (("gaussian", "GAD"), ("autoencoder", "AAD")):
         share = paper.figure("platforms_recovered", setting=f"dr_{arm}")
         text = f"On the Cortex-A57 {short} recovers flight time (by {100 * share:.1f} % of the worst)"
-        yield Claim(
-            f"{arm}_recovers_slow_platform",
-            text,
-            "VI-D",
-            PLATFORMS,
-            WITHIN,
-            shorter(f"dr_{arm}", FI),
-        )
+        test = shorter(f"dr_{arm}", FI)
+        yield Claim(f"{arm}_recovers_slow_platform", text, "VI-D", PLATFORMS, WITHIN, test)
     yield Claim(
         "autoencoder_beats_gaussian_slow_platform",
         "On the Cortex-A57 AAD recovers more flight time than GAD",

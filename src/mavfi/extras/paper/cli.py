@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.training import RecordedFlights
     from mavfi.extras.paper.cli_report import StudyBar
-    from mavfi.extras.paper.steps import Steps
+    from mavfi.extras.paper.steps import StepTimes
     from mavfi.extras.paper.study import Study
     from mavfi.mission import MissionSpec
 
@@ -65,9 +65,10 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     from mavfi.extras.paper.overheads import measure, save
     from mavfi.extras.paper.report import check_names
     from mavfi.extras.paper.steps import FLIGHTS as FLIGHTS_STEP
-    from mavfi.extras.paper.steps import Steps
+    from mavfi.extras.paper.steps import StepTimes
     from mavfi.extras.paper.study import load_study
 
+    # everything that can be refused is refused before anything is flown
     chosen = load_study(study)
     check_names(chosen, study)
     campaigns = chosen.campaigns_at(scale)
@@ -78,8 +79,10 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     lacking = _untrained(campaigns.values(), out / MODELS, chosen.training_flights)
     wanted = {pair for campaign in campaigns.values() for pair in _detectors(campaign)}
     timed = _to_be_timed(chosen, campaigns, out)
+
+    # each step writes its results, so that the command can be stopped and resumed
     stopped = f"Stopped. What is done is kept in {out}; the same command resumes."
-    with stoppable(stopped), StudyBar(f"study {chosen.name}", Steps.begin(out, workers)) as bar:
+    with stoppable(stopped), StudyBar(f"study {chosen.name}", StepTimes.begin(out, workers)) as bar:
         with bar.timed("compilation", "tasks"):
             compile_ahead(campaigns.values(), executor, bar.show)
         fly = partial(record, out / MODELS, chosen.training_flights, workers=workers, progress=bar.show, only=wanted)
@@ -119,7 +122,7 @@ def _train(
                 bar.show(done, len(trainings))
 
 
-def _say_where(out: Path, campaigns: Mapping[str, "Runs"], steps: "Steps") -> None:
+def _say_where(out: Path, campaigns: Mapping[str, "Runs"], steps: "StepTimes") -> None:
     """Print where report, ledgers and models are, the digests of the ledgers, and how long it took."""
     from mavfi.cli.progress import duration
     from mavfi.extras.paper.report import MARKDOWN
@@ -134,18 +137,21 @@ def _say_where(out: Path, campaigns: Mapping[str, "Runs"], steps: "Steps") -> No
         name = runs.campaign["name"]
         digest = short(runs.campaign["digest"])
         terminal.print(Text(f"  {name:{width}}  {digest}  {out / folder}"), soft_wrap=True)
-    took = duration(sum(steps.seconds.values())) + (", set-up included" if SET_UP in steps.seconds else " in all")
+    took = duration(sum(steps.seconds.values()))
+    took += ", set-up included" if SET_UP in steps.seconds else " in all"
     terminal.print(f"The models are in {out / MODELS}. It took {took}.", soft_wrap=True)
 
 
 def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> list["MissionSpec"]:
     """Missions for which detectors are still to be trained, without duplicates."""
-    found: dict[tuple[str, ...], MissionSpec] = {}
+    untrained: dict[tuple[str, ...], MissionSpec] = {}
     for campaign in campaigns:
-        for mission in _missions(campaign) if any(arm.detector for arm in campaign.arms.values()) else ():
+        if not _detectors(campaign):
+            continue
+        for mission in _missions(campaign):
             if not _trained(campaign, mission, folder, flights):
-                found.setdefault(tuple(_trained_for(mission).values()), mission)
-    return list(found.values())
+                untrained.setdefault(tuple(_trained_for(mission).values()), mission)
+    return list(untrained.values())
 
 
 def _to_be_timed(study: "Study", campaigns: Mapping[str, "Campaign"], out: Path) -> list[str]:
@@ -175,24 +181,26 @@ def _check_ledger(campaign: "Campaign", folder: Path) -> None:
     if not is_file(folder / FILE):
         return
     with Store.open(folder) as store:
-        held = store.meta("identity")
+        stored = store.meta("identity")
     wanted = identity_of(campaign, scenarios_of(campaign, arms_of(campaign)), {})
-    differing = differences(*({key: one.get(key) for key in ("campaign", "scenarios")} for one in (held, wanted)))
+    # without the models, which may still have to be trained
+    keys = ("campaign", "scenarios")
+    differing = differences({key: stored.get(key) for key in keys}, {key: wanted.get(key) for key in keys})
     if differing:
         raise BadInputError(f"{folder}: holds another campaign (differs in: {differing}); choose another directory")
 
 
 def _missions(campaign: "Campaign") -> list["MissionSpec"]:
     """Training missions of a campaign's detectors: one per platform, or that which `trained_for` names."""
-    found: dict[str, MissionSpec] = {}
+    missions: dict[str, MissionSpec] = {}
     for environment in campaign.environments:
         mission = campaign.spec(environment, campaign.first_seed)
         if mission.trained_for:
             autopilot, platform = mission.trained_for.split("/")
             planner = type(mission).model_fields["planner"].default
             mission = mission.model_copy(update={"autopilot": autopilot, "platform": platform, "planner": planner})
-        found.setdefault(mission.platform, mission)
-    return list(found.values())
+        missions.setdefault(mission.platform, mission)
+    return list(missions.values())
 
 
 def _trained_for(mission: "MissionSpec") -> dict[str, str]:
@@ -206,8 +214,8 @@ def _trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flights
     from mavfi.detectors.model import Model
 
     here = versions()
-    wanted = {**_trained_for(mission), "flights": flights}
-    held = set()
+    training = {**_trained_for(mission), "flights": flights}
+    trained = set()
     for path in sorted(folder.glob("*.json")):
         try:
             model = Model.load(path)
@@ -215,9 +223,9 @@ def _trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flights
             return False
         origin = model.provenance
         fresh = all(here.get(name) == version for name, version in origin.get("versions", {}).items())
-        if fresh and all(origin.get(key) == value for key, value in wanted.items()):
-            held.add((model.kind, model.profile))
-    return _detectors(campaign) <= held
+        if fresh and all(origin.get(key) == value for key, value in training.items()):
+            trained.add((model.kind, model.profile))
+    return _detectors(campaign) <= trained
 
 
 def _detectors(campaign: "Campaign") -> set[tuple[str, str]]:

@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any
 
 from rich.text import Text
 
+from mavfi.analysis.table import Table
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.store import FILE, Store
@@ -18,12 +19,12 @@ from mavfi.cli.console import console
 from mavfi.cli.progress import Bar
 from mavfi.cli.report import Reported
 from mavfi.extras.paper.report import StudyReport, stored_study, write_study, write_texts
-from mavfi.extras.paper.steps import Steps
+from mavfi.extras.paper.steps import StepTimes
 from mavfi.extras.paper.study import Study
 from mavfi.files import check_folder
-from mavfi.report.campaign_report import Report, write_report
+from mavfi.report.campaign_report import CampaignReport, write_report
 from mavfi.report.figures import Drawn, drawn
-from mavfi.report.html.report_page import Headline, Part, Section, write_page
+from mavfi.report.html.report_page import Headline, PageSection, ReportedCampaign, write_page
 from mavfi.report.text import show_table
 
 
@@ -35,7 +36,7 @@ class StudyBar(Bar):
         steps: To which the wall times of the steps are added.
     """
 
-    def __init__(self, study: str, steps: Steps) -> None:
+    def __init__(self, study: str, steps: StepTimes) -> None:
         super().__init__(study)
         self.steps = steps
         self._study = study
@@ -80,16 +81,26 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
         partial(write_study, study, scale, folder),  # the longest first
         *(partial(write_report, directory) for directory in campaigns),
     ]
-    with nullcontext() if bar is None else bar.timed("tables and figures", "reports"):
-        show = None if bar is None else bar.show
-        written, *found = _written(tasks, 1 if _polars_has_threads() else workers, show)
-    if bar is not None:
+    if _polars_has_threads():
+        report_workers = 1
+    else:
+        report_workers = workers
+    if bar is None:
+        written, *campaign_reports = _written(tasks, report_workers)
+    else:
+        with bar.timed("tables and figures", "reports"):
+            written, *campaign_reports = _written(tasks, report_workers, bar.show)
         written = replace(written, steps=bar.steps)
-    reports = dict(zip(campaigns, found, strict=True))
+
+    # the page needs the reports of all campaigns
+    reports = dict(zip(campaigns, campaign_reports, strict=True))
     count = 0
     if page is not None:
-        with bar.timed("report.html and its flights") if bar else Bar("flights of the page") as shown:
+        page_bar = bar.timed("report.html and its flights") if bar else Bar("flights of the page")
+        with page_bar as shown:
             count = write_study_html(page, folder, written, scale, reports, flights, workers, shown.show)
+
+    # once more, with the time of the page
     if bar is not None:
         write_texts(written, scale, folder)
     return written, count
@@ -118,18 +129,18 @@ def _written(
     tasks: Sequence[Callable[[], Any]], workers: int, show: Callable[[int, int], None] | None = None
 ) -> list[Any]:
     """Reports in the order of the tasks that write them."""
-    alone = workers == 1
     numbered = enumerate(tasks)
-    if alone:
-        each: Iterator[tuple[tuple[int, Callable[[], Any]], Any]] = ((task, _write(task)) for task in numbered)
+    results: Iterator[tuple[tuple[int, Callable[[], Any]], Any]]
+    if workers == 1:
+        results = ((task, _write(task)) for task in numbered)
     else:
-        each = map_each(LocalExecutor(workers), _write, numbered)
-    done: dict[int, Any] = {}
-    for (place, _), found in each:
-        done[place] = found
+        results = map_each(LocalExecutor(workers), _write, numbered)
+    reports: dict[int, Any] = {}
+    for (number, _), report in results:  # in the order in which they are finished
+        reports[number] = report
         if show is not None:
-            show(len(done), len(tasks))
-    return [done[place] for place in range(len(tasks))]
+            show(len(reports), len(tasks))
+    return [reports[number] for number in range(len(tasks))]
 
 
 def _write(task: tuple[int, Callable[[], Any]]) -> Any:  # noqa: ANN401 - the report that the task writes
@@ -140,61 +151,72 @@ def _write(task: tuple[int, Callable[[], Any]]) -> Any:  # noqa: ANN401 - the re
 def show_study_report(written: StudyReport, show_all: bool) -> None:
     """Print a study: the first table of each headline section (or all tables of all sections), and the findings."""
     terminal = console()
-    for section in written.sections if show_all else written.headline:
-        terminal.print(Text(section.section.title, "bold"))
-        for table in section.tables if show_all else section.tables[:1]:
-            show_table(table, terminal)
     if show_all:
+        for section in written.sections:
+            _show_tables(section.definition.title, section.tables)
         for table in written.times:
             show_table(table, terminal)
+    else:
+        for section in written.headline:
+            _show_tables(section.definition.title, section.tables[:1])
     for title, lines in written.findings.items():
         terminal.print(Text(title, "bold"))
         for line in lines:
             terminal.print(Text(f"· {line}"))
 
 
+def _show_tables(title: str, tables: Sequence[Table]) -> None:
+    terminal = console()
+    terminal.print(Text(title, "bold"))
+    for table in tables:
+        show_table(table, terminal)
+
+
 # ---- the page --------------------------------------------------------------------------------------------------------
-def sections_of_study(study: StudyReport) -> list[Section]:
+def sections_of_study(study: StudyReport) -> list[PageSection]:
     """Sections of a study: the headline, then all sections in order, then the times."""
-    found = [
-        Section(
-            one.section.title, one.tables, drawn(one.runs, one.section.figures) if one.runs else (), one.section.text
-        )
-        for one in study.sections
-    ]
-    leading = [found[study.sections.index(one)] for one in study.headline]
-    first = [Section(one.title, one.tables[:1], one.figures[:1]) for one in leading[:1]]
-    return [*first, *found, Section("Where the time goes", study.times)]
+    sections = []
+    for report in study.sections:
+        figures = drawn(report.runs, report.definition.figures) if report.runs else ()
+        sections.append(PageSection(report.definition.title, report.tables, figures, report.definition.text))
+    headline = []
+    if study.headline:
+        leading = sections[study.sections.index(study.headline[0])]
+        headline.append(PageSection(leading.title, leading.tables[:1], leading.figures[:1]))
+    return [*headline, *sections, PageSection("Where the time goes", study.times)]
 
 
 def drawn_of_study(study: StudyReport) -> list[Drawn]:
     """Figures of a study; their names begin with that of the campaign."""
-    return [
-        replace(found, name=f"{one.runs.campaign['name']}_{found.name}")
-        for one in study.sections
-        if one.runs is not None
-        for found in drawn(one.runs, one.section.figures)
-    ]
+    figures = []
+    for section in study.sections:
+        if section.runs is not None:
+            campaign = section.runs.campaign["name"]
+            for figure in drawn(section.runs, section.definition.figures):
+                figures.append(replace(figure, name=f"{campaign}_{figure.name}"))
+    return figures
 
 
 def headline_of_study(study: StudyReport) -> Headline:
     """Headline of a study: environments, number of runs by level, provenance; the remarks describe each campaign."""
     campaigns = [runs.campaign for runs in study.campaigns.values()]
-    done, total = (sum(campaign[key] for campaign in campaigns) for key in ("done", "total"))
+    done = sum(campaign["done"] for campaign in campaigns)
+    total = sum(campaign["total"] for campaign in campaigns)
     levels = Counter[str]()
     for runs in study.campaigns.values():
         levels.update(runs.injected["level"])
     golden = sum(len(runs.golden) for runs in study.campaigns.values())
     counts = [f"{golden:,} without a fault", *(f"{n:,} with one at {level} level" for level, n in levels.most_common())]
     nulls = sum(len(runs.where(kind="null")) for runs in study.campaigns.values())
-    counts += [f"{nulls:,} as with a fault, but without one (null)"] if nulls else []
-    places = dict.fromkeys(
-        campaign.get("parts", {}).get(name, {}).get("environment") or name
+    if nulls:
+        counts.append(f"{nulls:,} as with a fault, but without one (null)")
+    environments = dict.fromkeys(
+        campaign.get("parts", {}).get(name, {}).get("environment") or name  # a part may have a name of its own
         for campaign in campaigns
         for name in campaign["environments"]
     )
     lines = [
-        f"Missions of an autonomous quadrotor in {', '.join(places)}: at most one flipped bit per mission",
+        f"Missions of an autonomous quadrotor in {', '.join(environments)}: at most one flipped bit per mission",
         f"{done:,} of {total:,} runs done in {len(campaigns)} campaigns: {', '.join(counts)}",
         *study.provenance,
     ]
@@ -206,7 +228,7 @@ def write_study_html(  # noqa: PLR0913 - what the command was given
     root: Path,
     study: StudyReport,
     scale: str,
-    reports: Mapping[Path, Report],
+    reports: Mapping[Path, CampaignReport],
     flights: int | None,
     workers: int,
     show: Callable[[int, int], None],
@@ -226,7 +248,7 @@ def write_study_html(  # noqa: PLR0913 - what the command was given
     Returns:
         Number of flights in the page.
     """
-    parts = [Part(directory, report) for directory, report in reports.items()]
+    parts = [ReportedCampaign(directory, report) for directory, report in reports.items()]
     repeat = [
         ("Fly the study, or what is left of it", f"mavfi reproduce {study.study.name} --scale {scale} --out {root}"),
         (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {root} --share 0.02"),

@@ -10,7 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import polars as pl
 from pydantic import Field, model_validator
@@ -135,18 +135,11 @@ def total_failures(exposed: Iterable[Exposed], upset: float) -> Estimate:
     Distances to the bounds are added in quadrature (MOVER; Zou and Donner 2008), since the faults of different kernels
     are drawn independently.
     """
-    found = [one.failures(upset) for one in exposed]
-    value = sum(one.value for one in found)
-    below, above = (math.hypot(*(gap(one) for one in found)) for gap in (_below, _above))
+    failures = [kernel.failures(upset) for kernel in exposed]
+    value = sum(kernel.value for kernel in failures)
+    below = math.hypot(*(kernel.value - kernel.low for kernel in failures))
+    above = math.hypot(*(kernel.high - kernel.value for kernel in failures))
     return Estimate(value, value - below, value + above)
-
-
-def _below(found: Estimate) -> float:
-    return found.value - found.low
-
-
-def _above(found: Estimate) -> float:
-    return found.high - found.value
 
 
 # ---- failures per flight hour by setting and kernel, from campaigns with instruction faults ------------------------
@@ -158,16 +151,27 @@ def instructions_per_hour(golden: Runs) -> dict[str, float]:
     """Dynamic instructions per flight hour by kernel, from golden runs with instruction counts."""
     counted = [record for record in golden.recorded() if record.counts]
     hours = sum(record.flight_time_s for record in counted) / 3600
-    found: dict[str, float] = {}
+    executed: dict[str, float] = {}
     for record in counted:
         for kernel, counts in record.counts.items():
-            found[kernel] = found.get(kernel, 0.0) + counts["instructions"]
+            executed[kernel] = executed.get(kernel, 0.0) + counts["instructions"]
     if hours > 0:
-        return {kernel: number / hours for kernel, number in found.items()}
+        return {kernel: number / hours for kernel, number in executed.items()}
     return {}
 
 
-def exposed(runs: Runs, success: str = "success") -> dict[tuple[str, str], dict[str, tuple[list[str], Exposed]]]:
+class KernelFaults(NamedTuple):
+    """The faults of a campaign in one kernel or detector, and what they cost."""
+
+    run_ids: list[str]
+    exposed: Exposed
+
+
+ExposedKernels = dict[tuple[str, str], dict[str, KernelFaults]]
+"""By (environment, setting), and kernel."""
+
+
+def exposed(runs: Runs, success: str = "success") -> ExposedKernels:
     """Kernels in the fault space, by environment and setting, each with the ids of its runs with a fault.
 
     Harm is measured against the golden run of the same arm and mission.  An upset affects every instruction with the
@@ -178,27 +182,30 @@ def exposed(runs: Runs, success: str = "success") -> dict[tuple[str, str], dict[
     """
     if ("exposed", success) not in runs.memo:
         runs.memo["exposed", success] = _exposed(runs, success)
-    found: dict[tuple[str, str], dict[str, tuple[list[str], Exposed]]] = runs.memo["exposed", success]
-    return found
+    kernels: ExposedKernels = runs.memo["exposed", success]
+    return kernels
 
 
-def _exposed(runs: Runs, success: str) -> dict[tuple[str, str], dict[str, tuple[list[str], Exposed]]]:
-    golden = _golden(runs)
-    found: dict[tuple[str, str], dict[str, tuple[list[str], Exposed]]] = {}
-    faulty = runs.injected.where("judged", level=INSTRUCTION)
-    for (environment, setting, arm), own in faulty.groups("environment", "setting", "arm").items():
+def _exposed(runs: Runs, success: str) -> ExposedKernels:
+    golden_runs = _golden(runs)
+    kernels_by_setting: ExposedKernels = {}
+    injected = runs.injected.where("judged", level=INSTRUCTION)
+    for (environment, setting, arm), faults in injected.groups("environment", "setting", "arm").items():
         counts = instructions_per_hour(runs.golden.where(environment=environment, arm=arm))
-        for (kernel,), part in own.groups("kernel").items():
-            known = [row for row in part if row["has_site"] and (row["arm"], row["world"]) in golden]
-            if counts.get(kernel) and known:
-                worlds = [row["world"] for row in known]
-                before = [golden[arm, row["world"]] for row in known]
-                weights = _weights(runs, kernel, [one["run_id"] for one in before], worlds)
-                after = [row[success] for row in known]
-                harm = Estimate(*paired_difference([one["success"] for one in before], after, worlds, weights))
-                one = Exposed(counts[kernel], harm)
-                found.setdefault((environment, setting), {})[kernel] = [row["run_id"] for row in known], one
-    return found
+        for (kernel,), kernel_faults in faults.groups("kernel").items():
+            # only faults that had an instruction to hit, and a flight without them to compare with
+            rows = [row for row in kernel_faults if row["has_site"] and (row["arm"], row["world"]) in golden_runs]
+            if not counts.get(kernel) or not rows:
+                continue
+            worlds = [row["world"] for row in rows]
+            golden = [golden_runs[arm, world] for world in worlds]
+            weights = _weights(runs, kernel, [row["run_id"] for row in golden], worlds)
+            without_fault = [row["success"] for row in golden]
+            with_fault = [row[success] for row in rows]
+            harm = Estimate(*paired_difference(without_fault, with_fault, worlds, weights))
+            kernels = kernels_by_setting.setdefault((environment, setting), {})
+            kernels[kernel] = KernelFaults([row["run_id"] for row in rows], Exposed(counts[kernel], harm))
+    return kernels_by_setting
 
 
 def _golden(runs: Runs) -> dict[tuple[str, str], dict[str, Any]]:
@@ -210,9 +217,9 @@ def _weights(runs: Runs, kernel: str, golden: Sequence[str], worlds: Sequence[st
     """Weight of each fault: instructions of its golden run / faults of its world; None = these are not counted."""
     faults = Counter(worlds)
     executed = [runs.records[run_id].counts.get(kernel, {}).get("instructions", 0) for run_id in golden]
-    found = [number / faults[world] for number, world in zip(executed, worlds, strict=True)]
-    if any(found):
-        return found
+    weights = [number / faults[world] for number, world in zip(executed, worlds, strict=True)]
+    if any(weights):
+        return weights
     return None
 
 
@@ -229,25 +236,21 @@ def payoff(runs: Runs, environment: str, setting: str, upset: float, kernels: Co
     Returns:
         Differences in pairs of runs with the same fault; None if no kernel was injected in both settings.
     """
-    if (environment, setting) in exposed(runs):
-        changed = changes(runs, environment, setting, kernels)
-    else:
-        changed = {}
-    own = [one for _, one in own_parts(runs, environment, setting)]
-    if changed:
-        return total_failures([*parts_of(changed), *own], upset)
-    return None
+    if (environment, setting) not in exposed(runs):
+        return None
+    changes = _changes(runs, environment, setting, kernels)
+    if not changes:
+        return None
+    return total_failures([*changes, *_detector_parts(runs, environment, setting)], upset)
 
 
-def own_parts(runs: Runs, environment: str, setting: str) -> list[tuple[int, Exposed]]:
-    """What the faults in a setting's own detector cause, each with the number of faults."""
+def _detector_parts(runs: Runs, environment: str, setting: str) -> list[Exposed]:
+    """What the faults in a setting's own detector cause."""
     kernels = exposed(runs).get((environment, setting), {})
-    return [(len(ids), one) for kernel, (ids, one) in kernels.items() if kernel in DETECTORS]
+    return [faults.exposed for kernel, faults in kernels.items() if kernel in DETECTORS]
 
 
-def changes(
-    runs: Runs, environment: str, setting: str, kernels: Collection[str] = ()
-) -> dict[str, tuple[int, tuple[Exposed, ...]]]:
+def _changes(runs: Runs, environment: str, setting: str, kernels: Collection[str]) -> list[Exposed]:
     """Change of the failures by faults in kernels under a setting, in pairs with the same fault.
 
     A pair counts if the mission succeeds without a fault in both settings: what a detector loses by false alarms is no
@@ -261,115 +264,126 @@ def changes(
         kernels: Only these kernels; all if empty.
 
     Returns:
-        By kernel the number of pairs and the parts; instructions are those of the setting's golden runs or, where these
-        were not counted, of those without an arm.
+        The parts of all kernels; instructions are those of the setting's golden runs or, where these were not counted,
+        of those without an arm.
     """
     pairs = against_fi(runs).where("judged", "has_site", level=INSTRUCTION, environment=environment, setting=setting)
-    golden = _golden(runs)
-    flown = runs.golden.where(environment=environment)
-    counts = {arm: instructions_per_hour(flown.where(arm=arm)) for arm in ("", *pairs.values("arm"))}
-    found = {}
-    for (kernel, arm), every in pairs.groups("kernel", "arm").items():
-        fine = [
+    golden_runs = _golden(runs)
+    golden = runs.golden.where(environment=environment)
+    counts = {arm: instructions_per_hour(golden.where(arm=arm)) for arm in ("", *pairs.values("arm"))}
+    parts_by_kernel: dict[str, list[Exposed]] = {}
+    for (kernel, arm), kernel_pairs in pairs.groups("kernel", "arm").items():
+        counted_arm = arm if counts[arm] else ""
+        if kernel in DETECTORS or kernel not in counts[counted_arm]:
+            continue
+        if kernels and kernel not in kernels:
+            continue
+        fault_free = [
             world
-            for world in every.values("world")
-            if all(golden.get((one, world), {}).get("success") for one in ("", arm))
+            for world in kernel_pairs.values("world")
+            if all(golden_runs.get((flown_arm, world), {}).get("success") for flown_arm in ("", arm))
         ]
-        own = every.where(pl.col("world").is_in(fine))
-        counted = arm if counts[arm] else ""
-        if len(own) and kernel in counts[counted] and kernel not in DETECTORS and (not kernels or kernel in kernels):
-            ids = [[golden[one, world]["run_id"] for world in own["world"]] for one in (counted, "")]
-            instructions = counts[counted][kernel], counts[""].get(kernel, 0.0)
-            found[kernel] = len(own), _changed(own, kernel, instructions, *ids)
-    return found
+        kernel_pairs = kernel_pairs.where(pl.col("world").is_in(fault_free))
+        if not len(kernel_pairs):
+            continue
+        with_setting = [golden_runs[counted_arm, world]["run_id"] for world in kernel_pairs["world"]]
+        without_arm = [golden_runs["", world]["run_id"] for world in kernel_pairs["world"]]
+        instructions = counts[counted_arm][kernel], counts[""].get(kernel, 0.0)
+        parts_by_kernel[kernel] = _changed(kernel_pairs, kernel, instructions, with_setting, without_arm)
+    return [part for parts in parts_by_kernel.values() for part in parts]
 
 
 def _changed(
-    own: Runs, kernel: str, instructions: tuple[float, float], golden: Sequence[str], plain: Sequence[str]
-) -> tuple[Exposed, ...]:
-    """The parts of `changes` of a kernel, given instructions and golden runs with the setting and without an arm."""
-    worlds = own["world"]
-    alone = own["fi_success"]
-    changed = paired_difference(alone, own["dr_success"], worlds, _weights(own, kernel, golden, worlds))
-    harm = paired_difference([True] * len(own), alone, worlds, _weights(own, kernel, plain, worlds))
-    with_setting, without = instructions
-    added = with_setting - without if without else 0.0
-    return Exposed(with_setting, Estimate(*changed)), *([Exposed(added, Estimate(*harm))] if added else [])
-
-
-def parts_of(changed: Mapping[str, tuple[int, tuple[Exposed, ...]]]) -> list[Exposed]:
-    """The parts of all kernels of `changes`."""
-    return [part for _, parts in changed.values() for part in parts]
+    pairs: Runs, kernel: str, instructions: tuple[float, float], with_setting: Sequence[str], without_arm: Sequence[str]
+) -> list[Exposed]:
+    """The parts of `_changes` of a kernel, from instructions and golden runs with the setting and without an arm."""
+    worlds = pairs["world"]
+    fault_alone = pairs["fi_success"]
+    weights = _weights(pairs, kernel, with_setting, worlds)
+    harm_change = Estimate(*paired_difference(fault_alone, pairs["dr_success"], worlds, weights))
+    with_setting_count, without_arm_count = instructions
+    parts = [Exposed(with_setting_count, harm_change)]
+    if without_arm_count:
+        added = with_setting_count - without_arm_count
+        if added:
+            weights = _weights(pairs, kernel, without_arm, worlds)
+            harm = Estimate(*paired_difference([True] * len(pairs), fault_alone, worlds, weights))
+            parts.append(Exposed(added, harm))
+    return parts
 
 
 def payoffs(runs: Runs, upset: float) -> list[str]:
     """Whether each detector prevents more failures than its own instructions cause, in words."""
-    found = []
+    sentences = []
     for environment, setting in exposed(runs):
-        if setting != FI:
-            whole = payoff(runs, environment, setting, upset)
-        else:
-            whole = None
+        if setting == FI:
+            continue
+        difference = payoff(runs, environment, setting, upset)
+        if difference is None:
+            continue
+        text = f"{verdict(difference)} over all kernels and its own instructions"
         planner = payoff(runs, environment, setting, upset, tuple(PLANNERS))
-        if whole is not None:
-            text = f"{verdict(whole)} over all kernels and its own instructions"
-            if planner is not None:
-                text += f"; {verdict(planner)} over the planner and its own instructions"
-            found.append(f"does {setting} pay in {environment}? {text}")
-    return found
+        if planner is not None:
+            text += f"; {verdict(planner)} over the planner and its own instructions"
+        sentences.append(f"does {setting} pay in {environment}? {text}")
+    return sentences
 
 
-def verdict(found: Estimate) -> str:
+def verdict(difference: Estimate) -> str:
     """Whether a difference of failures per flight hour is below zero, and the difference."""
-    if found.high < 0:
+    if difference.high < 0:
         word = "yes"
-    elif found.low > 0:
+    elif difference.low > 0:
         word = "no"
     else:
         word = "undecided at this n"
-    return f"{word}, {found.value:+.1e} [{found.low:+.1e}, {found.high:+.1e}] failures per flight hour"
+    return f"{word}, {difference.value:+.1e} [{difference.low:+.1e}, {difference.high:+.1e}] failures per flight hour"
 
 
 def uncounted(runs: Runs) -> list[str]:
     """Settings with instruction faults that `exposed` omits, since their golden runs have no instruction counts."""
     counted = {setting for _, setting in exposed(runs)}
-    every = dict.fromkeys(row["setting"] for row in runs.injected.where(level=INSTRUCTION))
-    return [setting for setting in every if setting not in counted]
+    settings = dict.fromkeys(row["setting"] for row in runs.injected.where(level=INSTRUCTION))
+    return [setting for setting in settings if setting not in counted]
 
 
 def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
     """Rows for each kernel of a setting, and one for their sum; `run_id`: the runs behind it."""
     upset = upsets_per_instruction(upsets).value
-    every = exposed(runs)
-    ended = exposed(runs, "success_if_ended")
-    for (environment, setting), kernels in every.items():
-        parts = [one for _, one in kernels.values()]
-        own = {"environment": environment, "setting": setting}
-        worse = {kernel: one for kernel, (_, one) in ended[environment, setting].items()}
-        for kernel, (ids, one) in kernels.items():
-            numbers = _numbers(one.instructions, one.harm, one.failures(upset), worse[kernel].failures(upset))
-            yield {**own, "kernel": kernel, "run_id": ids, "n": len(ids), **numbers}
-        whole = sum(one.instructions for one in parts)
+    kernels_by_setting = exposed(runs)
+    ended_by_setting = exposed(runs, "success_if_ended")
+    for (environment, setting), kernels in kernels_by_setting.items():
+        group = {"environment": environment, "setting": setting}
+        ended = {kernel: faults.exposed for kernel, faults in ended_by_setting[environment, setting].items()}
+
+        # a row for each kernel
+        for kernel, (run_ids, part) in kernels.items():
+            numbers = _numbers(part.instructions, part.harm, part.failures(upset), ended[kernel].failures(upset))
+            yield {**group, "kernel": kernel, "run_id": run_ids, "n": len(run_ids), **numbers}
+
+        # their sum, against that of faults without a detector
+        parts = _parts(kernels)
+        instructions = sum(part.instructions for part in parts)
         total = total_failures(parts, upset)
-        harm = total_failures(parts, 1.0).times(1 / whole)
-        base = every.get((environment, FI))
-        if base:
-            alone = total_failures([one for _, one in base.values()], upset).value
-        else:
-            alone = 0.0
-        if setting != FI and alone > 0:
-            against = total.value / alone
-        else:
-            against = None
-        every_id = [run_id for ids, _ in kernels.values() for run_id in ids]
+        harm = total_failures(parts, 1.0).times(1 / instructions)
+        against = None
+        if setting != FI and (environment, FI) in kernels_by_setting:
+            alone = total_failures(_parts(kernels_by_setting[environment, FI]), upset).value
+            if alone > 0:
+                against = total.value / alone
+        run_ids = [run_id for faults in kernels.values() for run_id in faults.run_ids]
         yield {
-            **own,
+            **group,
             "kernel": ALL,
-            "run_id": every_id,
-            "n": len(every_id),
+            "run_id": run_ids,
+            "n": len(run_ids),
             "against": against,
-            **_numbers(whole, harm, total, total_failures(worse.values(), upset)),
+            **_numbers(instructions, harm, total, total_failures(ended.values(), upset)),
         }
+
+
+def _parts(kernels: Mapping[str, KernelFaults]) -> list[Exposed]:
+    return [faults.exposed for faults in kernels.values()]
 
 
 def _numbers(instructions: float, harm: Estimate, failures: Estimate, ended: Estimate) -> dict[str, Any]:
@@ -396,13 +410,13 @@ def _computed(runs: Runs, upsets: UpsetConfig) -> Runs:
     return replace(runs, frame=frame)
 
 
-def _harm(own: Runs) -> Rate:
-    return Rate(own.first("n"), own.first("harm"), own.first("harm_low"), own.first("harm_high"))
+def _harm(runs: Runs) -> Rate:
+    return Rate(runs.first("n"), runs.first("harm"), runs.first("harm_low"), runs.first("harm_high"))
 
 
 def _estimate(key: str, heading: str) -> Measure:
     names = (key, f"{key}_low", f"{key}_high")
-    return Measure(key, heading, ESTIMATE, lambda own: Estimate(*map(own.first, names)))
+    return Measure(key, heading, ESTIMATE, lambda runs: Estimate(*map(runs.first, names)))
 
 
 _DIFFERENCE = (
@@ -449,9 +463,9 @@ _VIEW = View(
     ("environment", "setting", "kernel"),
     (
         _estimate("failures", "failures per flight hour"),
-        Measure("against", "against fi", "number .2f ×", lambda own: own.first("against"), hidden=True),
-        Measure("instructions", "instructions/h", "number .2e", lambda own: own.first("instructions")),
-        Measure("n", "faults", NUMBER, lambda own: own.first("n")),
+        Measure("against", "against fi", "number .2f ×", lambda runs: runs.first("against"), hidden=True),
+        Measure("instructions", "instructions/h", "number .2e", lambda runs: runs.first("instructions")),
+        Measure("n", "faults", NUMBER, lambda runs: runs.first("n")),
         Measure("harm", "harm (points)", POINTS, _harm),
         _estimate("ended", "failures, dead node ends mission"),
     ),
@@ -464,16 +478,21 @@ CHAPTER = Chapter(50, (_VIEW,))
 
 def failure_table(runs: Runs, upsets: UpsetConfig) -> Table:
     """The view as a table, computed with the given upset rates."""
-    made = replace(_VIEW, where=lambda own: _computed(own, upsets), notes=lambda own: failure_notes(upsets, own))
-    return made.table(runs)
+    view = replace(_VIEW, where=lambda runs: _computed(runs, upsets), notes=lambda runs: failure_notes(upsets, runs))
+    return view.table(runs)
 
 
 def summary(runs: Runs, upsets: UpsetConfig) -> list[str]:
     """Failures per flight hour of each setting, one sentence per environment, and whether its detector pays."""
     upset = upsets_per_instruction(upsets).value
-    found: dict[str, list[str]] = {}
+    rates_by_environment: dict[str, list[str]] = {}
     for (environment, setting), kernels in exposed(runs).items():
-        total = total_failures([one for _, one in kernels.values()], upset)
-        found.setdefault(environment, []).append(f"{setting} {total.value:.1e} [{total.low:.1e}, {total.high:.1e}]")
-    rates = [f"Failures per flight hour, {environment}: {'; '.join(rates)}." for environment, rates in found.items()]
+        total = total_failures(_parts(kernels), upset)
+        rates_by_environment.setdefault(environment, []).append(
+            f"{setting} {total.value:.1e} [{total.low:.1e}, {total.high:.1e}]"
+        )
+    rates = [
+        f"Failures per flight hour, {environment}: {'; '.join(texts)}."
+        for environment, texts in rates_by_environment.items()
+    ]
     return [*rates, *(f"{text[0].upper()}{text[1:]}." for text in payoffs(runs, upset))]

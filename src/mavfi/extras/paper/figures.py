@@ -63,7 +63,7 @@ def _rows(runs: Runs, select: Callable[[Runs], Runs], column: str) -> Figure | N
     shown = select(runs)
     if not len(shown.injected):
         return None
-    environments = {name: own.groups(column) for (name,), own in shown.groups("environment").items()}
+    environments = {name: flights.groups(column) for (name,), flights in shown.groups("environment").items()}
     counts = [len(groups) for groups in environments.values()]
     height = 0.75 + sum(0.75 + _ROW * count for count in counts)
     figure = Figure(figsize=(9.2, height), layout="constrained")
@@ -71,18 +71,20 @@ def _rows(runs: Runs, select: Callable[[Runs], Runs], column: str) -> Figure | N
     for (left, right), (environment, groups) in zip(panels, environments.items(), strict=True):
         names = [str(name) for (name,) in groups]
         golden = names.index(GOLDEN_ROW) if GOLDEN_ROW in names else None
-        _times(left, [own.where("success") for own in groups.values()], golden)
-        for place, own in enumerate(groups.values()):
-            label = {"environment": environment, column: names[place]}
-            _link_times(left, own, place, label)
-            rate = rate_of(own, "success")
+        # left: flight times, which link to the missions that succeed
+        _times(left, [flights.where("success") for flights in groups.values()], golden)
+        for row, flights in enumerate(groups.values()):
+            label = {"environment": environment, column: names[row]}
+            _link_times(left, flights, row, label)
+            # right: share of missions that succeed, with its interval
+            rate = rate_of(flights, "success")
             if rate.rate is None or rate.low is None or rate.high is None:
                 continue
-            look = _look(names[place])
-            links.points(right, [rate.rate], [place], [links.to_runs(own, **label)])
+            look = _look(names[row])
+            links.points(right, [rate.rate], [row], [links.to_runs(flights, **label)])
             right.errorbar(
                 rate.rate,
-                place,
+                row,
                 xerr=[[rate.rate - rate.low], [rate.high - rate.rate]],
                 markersize=6,
                 linestyle="",
@@ -92,8 +94,8 @@ def _rows(runs: Runs, select: Callable[[Runs], Runs], column: str) -> Figure | N
                 zorder=4,
                 **look,
             )
-        sizes = [len(own) for own in groups.values()]
-        left.set_yticks(range(len(names)), [f"{name}  (n = {n})" for name, n in zip(names, sizes, strict=True)])
+        labels = [f"{name}  (n = {len(flights)})" for name, flights in zip(names, groups.values(), strict=True)]
+        left.set_yticks(range(len(names)), labels)
         right.set_yticks(range(len(names)), [])
         left.set_title(environment)
         for axes in (left, right):
@@ -116,9 +118,9 @@ def _look(name: str) -> dict[str, str]:
 
 def _times(axes: Axes, parts: Sequence[Runs], golden: int | None) -> None:
     """Draw a box per part, and a line at the golden median."""
-    for place, arrived in enumerate(parts):
+    for row, arrived in enumerate(parts):
         if len(arrived):
-            _box(axes, arrived, place, style.BLUE if place == golden else style.ORANGE)
+            _box(axes, arrived, row, style.BLUE if row == golden else style.ORANGE)
     if golden is not None and len(parts[golden]):
         axes.axvline(
             float(np.median(parts[golden]["flight_time_s"])),
@@ -129,12 +131,12 @@ def _times(axes: Axes, parts: Sequence[Runs], golden: int | None) -> None:
         )
 
 
-def _box(axes: Axes, arrived: Runs, place: float, colour: str, *, upright: bool = False) -> None:
+def _box(axes: Axes, arrived: Runs, position: float, colour: str, *, upright: bool = False) -> None:
     """Draw median and quartiles of flight times, with every run as a dot; dots have deterministic jitter."""
     values = arrived["flight_time_s"]
     axes.boxplot(
         [values],
-        positions=[place],
+        positions=[position],
         widths=_BOX,
         orientation="vertical" if upright else "horizontal",
         whis=0,
@@ -145,17 +147,18 @@ def _box(axes: Axes, arrived: Runs, place: float, colour: str, *, upright: bool 
         medianprops={"color": style.INK, "linewidth": 2.0},
         boxprops={"color": style.INK, "linewidth": 0.8},
     )
-    spread = place + 0.8 * _BOX * (np.arange(len(values)) * 0.618 % 1.0 - 0.5)  # golden ratio: even, without overlap
-    at = (spread, values) if upright else (values, spread)
-    drawn = axes.plot(*at, ".", color=colour, markersize=4.5, markeredgewidth=0, alpha=0.65, zorder=2)
-    links.dots(drawn, arrived["run_id"])
+    spread = position + 0.8 * _BOX * (np.arange(len(values)) * 0.618 % 1.0 - 0.5)  # golden ratio: even, without overlap
+    x = spread if upright else values
+    y = values if upright else spread
+    dots = axes.plot(x, y, ".", color=colour, markersize=4.5, markeredgewidth=0, alpha=0.65, zorder=2)
+    links.dots(dots, arrived["run_id"])
 
 
-def _link_times(axes: Axes, own: Runs, place: float, label: Mapping[str, str], *, upright: bool = False) -> None:
+def _link_times(axes: Axes, flights: Runs, position: float, label: Mapping[str, str], *, upright: bool = False) -> None:
     """Link the band of box and dots to the missions that succeed."""
-    arrived = own.where("success")
+    arrived = flights.where("success")
     if len(arrived):
-        links.band(axes, place, links.to_runs(arrived, **label), upright=upright)
+        links.band(axes, position, links.to_runs(arrived, **label), upright=upright)
 
 
 # ---- Fig. 6 ------------------------------------------------------------------------------------------------------
@@ -170,30 +173,33 @@ def distributions(runs: Runs) -> Figure | None:
     panels = figure.subplots(1, len(environments), squeeze=False, sharey=True)[0]
     looks = style.setting_looks(settings)
     for axes, environment in zip(panels, environments, strict=True):
-        own = shown.where(environment=environment)
-        for place, setting in enumerate(settings):
-            part = own.where(setting=setting)
+        # a box of all flights, the mean of the slowest, and the worst with its time
+        flights = shown.where(environment=environment)
+        for column, setting in enumerate(settings):
+            part = flights.where(setting=setting)
             arrived = part.where("success")
             values = arrived["flight_time_s"]
             if values:
-                _box(axes, arrived, place, looks[setting]["color"], upright=True)
+                _box(axes, arrived, column, looks[setting]["color"], upright=True)
                 tail = value_at_risk(values)
-                axes.plot([place], [tail], "_", color=style.INK, markersize=15, markeredgewidth=1.2, zorder=4)
-                axes.plot([place], [max(values)], linestyle="", markersize=6.5, zorder=5, **looks[setting])
-                _link_times(axes, part, place, {"environment": environment, "setting": setting}, upright=True)
+                axes.plot([column], [tail], "_", color=style.INK, markersize=15, markeredgewidth=1.2, zorder=4)
+                axes.plot([column], [max(values)], linestyle="", markersize=6.5, zorder=5, **looks[setting])
+                _link_times(axes, part, column, {"environment": environment, "setting": setting}, upright=True)
                 worst = part.where("success", flight_time_s=max(values)).first("run_id")
-                links.points(axes, [place], [max(values)], [links.to_run(worst)])
+                links.points(axes, [column], [max(values)], [links.to_run(worst)])
                 axes.annotate(
                     f"{max(values):.0f} s",
-                    (place, max(values)),
+                    (column, max(values)),
                     (0, 6),
                     textcoords="offset points",
                     ha="center",
                     fontsize=8,
                 )
-        limit = own.frame["time_limit_s"].max()
+        limit = flights.frame["time_limit_s"].max()
         axes.set_title(f"{environment} (limit {limit:.0f} s)" if isinstance(limit, float) else environment)
-        axes.set_xticks(range(len(settings)), [f"{_short(name)}\n{_count(own, name)}" for name in settings], fontsize=8)
+        axes.set_xticks(
+            range(len(settings)), [f"{_short(name)}\n{_count(flights, name)}" for name in settings], fontsize=8
+        )
         axes.set_xlim(-0.6, len(settings) - 0.4)
         axes.tick_params(axis="x", length=0)
         axes.grid(axis="y")
@@ -218,9 +224,9 @@ def _short(setting: str) -> str:
     return arm
 
 
-def _count(own: Runs, setting: str) -> str:
+def _count(flights: Runs, setting: str) -> str:
     """Successes / n of a setting, as text."""
-    part = own.where(setting=setting)
+    part = flights.where(setting=setting)
     return f"{len(part.where('success'))}/{len(part)}"
 
 
@@ -251,29 +257,30 @@ def flight_times(runs: Runs) -> Figure | None:
 
     The dashed line is the paper's flight time; the paper does not specify its flights.
     """
-    known = platforms(runs)
+    platform_of = platforms(runs)
     flown = compared(runs)
     settings = [GOLDEN, *flown.settings()]
-    if not known or len(settings) < 2:
+    if not platform_of or len(settings) < 2:
         return None
-    figure = Figure(figsize=(1.2 + 2.9 * len(known), 3.9), layout="constrained")
-    panels = figure.subplots(1, len(known), sharey=True, squeeze=False)[0]
+    figure = Figure(figsize=(1.2 + 2.9 * len(platform_of), 3.9), layout="constrained")
+    panels = figure.subplots(1, len(platform_of), sharey=True, squeeze=False)[0]
     looks = style.setting_looks(settings)
-    for axes, (environment, platform) in zip(panels, known.items(), strict=True):
-        for place, setting in enumerate(settings):
-            own = flown.where(environment=environment, setting=setting)
-            times = np.sort(own.frame["flight_time_s"].to_numpy())
+    for axes, (environment, platform) in zip(panels, platform_of.items(), strict=True):
+        for column, setting in enumerate(settings):
+            flights = flown.where(environment=environment, setting=setting)
+            times = np.sort(flights.frame["flight_time_s"].to_numpy())
             if not len(times):
                 continue
-            spread = place - 0.32 + 0.64 * ((np.arange(len(times)) * 0.618034) % 1.0)
+            spread = column - 0.32 + 0.64 * ((np.arange(len(times)) * 0.618034) % 1.0)
             axes.plot(spread, times, linestyle="", markersize=3, alpha=0.45, markeredgewidth=0, **looks[setting])
-            links.band(axes, place, links.to_runs(own, platform=platform, setting=setting), upright=True)
+            links.band(axes, column, links.to_runs(flights, platform=platform, setting=setting), upright=True)
+            # quartiles as a bar, the median on it, and the worst time as a number
             low, middle, high = np.quantile(times, (0.25, 0.5, 0.75))
-            axes.plot([place, place], [low, high], color=style.INK, linewidth=3.2, solid_capstyle="butt")
-            axes.plot(place, middle, "o", color="white", markeredgecolor=style.INK, markersize=5, zorder=5)
+            axes.plot([column, column], [low, high], color=style.INK, linewidth=3.2, solid_capstyle="butt")
+            axes.plot(column, middle, "o", color="white", markeredgecolor=style.INK, markersize=5, zorder=5)
             axes.annotate(
                 f"{times[-1]:.0f}",
-                (place, times[-1]),
+                (column, times[-1]),
                 (0, 4),
                 textcoords="offset points",
                 ha="center",
@@ -293,6 +300,7 @@ def flight_times(runs: Runs) -> Figure | None:
                     textcoords="offset points",
                     color=style.INK,
                 )
+        # a row of settings below each platform
         names = [style.setting_label(setting).replace(" + ", " +\n") for setting in settings]
         axes.set_xticks(range(len(settings)), names, fontsize=8)
         axes.tick_params(axis="x", length=0)
@@ -320,20 +328,16 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
     width = 0.7 / len(calibrations)
     from_paper = False
     for axes, vehicle in zip(panels, vehicles, strict=True):
-        own = [design for design in designs if design.craft == vehicle]
-        finite = [
-            value
-            for design in own
-            for name in names
-            for value in (*band(design, name), _energy(design, name))
-            if math.isfinite(value)
-        ]
+        variants = [design for design in designs if design.craft == vehicle]
+        finite = _finite_ratios(variants)
         top = 1.0 + 1.08 * max(0.05, max(finite) - 1.0)
-        for design in own:
-            place = calibrations.index(design.calibration)
-            colour, marker = _DESIGN_LOOKS[place % len(_DESIGN_LOOKS)]
+
+        # our ratios: a band and a mark by design and scheme; what cannot hover is a triangle at the upper edge
+        for design in variants:
+            calibration = calibrations.index(design.calibration)
+            colour, marker = _DESIGN_LOOKS[calibration % len(_DESIGN_LOOKS)]
             for x, name in enumerate(names):
-                at = x + (place - (len(calibrations) - 1) / 2) * width
+                at = x + (calibration - (len(calibrations) - 1) / 2) * width
                 low, high = band(design, name)
                 axes.plot([at, at], [low, min(high, top)], color=colour, linewidth=1.8)
                 if math.isinf(high):
@@ -342,6 +346,8 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
                 energy = _energy(design, name)
                 if math.isfinite(energy):
                     axes.plot(at, energy, marker, color=colour, markersize=6, fillstyle="none")
+
+        # those of the paper
         for x, name in enumerate(names):
             printed = paper.figure("redundancy_time", vehicle=vehicle, scheme=name)
             if printed is not None:
@@ -364,12 +370,22 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
         Line2D([], [], linestyle="", marker="o", color=style.GREY, fillstyle="none", label="energy (hover power)"),
         Line2D([], [], color=style.GREY, linewidth=1.8, label="band; triangle: cannot hover"),
     ]
-    handles += [Line2D([], [], color=style.INK, label="the paper's figure")] if from_paper else []
+    if from_paper:
+        handles.append(Line2D([], [], color=style.INK, label="the paper's figure"))
     columns = min(3, 1 + len(vehicles))
     figure.legend(
         handles=handles, loc="outside upper left", ncols=columns, fontsize=8.5, columnspacing=1.2, handlelength=1.8
     )
     return figure
+
+
+def _finite_ratios(designs: Sequence[DesignConfig]) -> list[float]:
+    """All ratios of designs with which the vehicle can fly, for the scale of the axis."""
+    ratios = []
+    for design in designs:
+        for scheme in schemes():
+            ratios += [*band(design, scheme), _energy(design, scheme)]
+    return [value for value in ratios if math.isfinite(value)]
 
 
 def _energy(design: DesignConfig, scheme: str) -> float:
@@ -390,7 +406,7 @@ RULE = (
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class PathCase:
     """Run ids of one fault: golden run, run with the fault, and run with the fault and a detector."""
 
     stage: str
@@ -403,44 +419,52 @@ class Case:
     recovered_inflation: float | None
 
 
-def path_cases(runs: Runs) -> list[Case]:
+def path_cases(runs: Runs) -> list[PathCase]:
     """Select one case per stage by `RULE`, in Dense or else the last environment."""
     environments = runs.values("environment")
     if not environments:
         return []
-    own = runs.where(environment=ENVIRONMENT if ENVIRONMENT in environments else environments[-1])
-    return [case for stage in STAGES if (case := _case(own, stage)) is not None]
+    environment = ENVIRONMENT if ENVIRONMENT in environments else environments[-1]
+    cases = (_case(runs.where(environment=environment), stage) for stage in STAGES)
+    return [case for case in cases if case is not None]
 
 
-def _case(own: Runs, stage: str) -> Case | None:
-    faults = own.where("judged", "golden_success", stage=stage, site_outcome=ACTIVATED)
+def _case(runs: Runs, stage: str) -> PathCase | None:
+    """The case of a stage that `RULE` selects; None if no fault was activated in it."""
+    faults = runs.where("judged", "golden_success", stage=stage, site_outcome=ACTIVATED)
     alone = faults.where(setting=FI)
     if not len(alone):
         return None
-    watched = against_fi(faults).frame.filter("dr_success")
-    # at most what the fault adds: a false alarm can lead to another, shorter way
+
+    # what a detector saves: flight time, at most what the fault adds (a false alarm can lead to another, shorter way),
+    # or the mission
+    with_detector = against_fi(faults).frame.filter("dr_success")
     gain = pl.col("inflation") - pl.col("dr_inflation").clip(lower_bound=0.0)
-    shortened = watched.filter("fi_success", gain >= LEAST).sort(-gain, "run_id", "arm")
-    saved = watched.filter(~pl.col("fi_success")).sort(-pl.col("distance_m"), "run_id", "arm")
-    row: dict[str, Any] | None = next((found.row(0, named=True) for found in (shortened, saved) if len(found)), None)
-    if row is None:
+    shortened = with_detector.filter("fi_success", gain >= LEAST).sort(-gain, "run_id", "arm")
+    saved = with_detector.filter(~pl.col("fi_success")).sort(-pl.col("distance_m"), "run_id", "arm")
+    row: dict[str, Any]
+    if len(shortened):
+        row = shortened.row(0, named=True)
+    elif len(saved):
+        row = saved.row(0, named=True)
+    else:  # none saves anything: the worst fault, with any detector that flew
         lost = alone.frame.filter(~pl.col("success")).sort(-pl.col("distance_m"), "run_id")
         slowest = alone.frame.sort("inflation", "run_id", descending=[True, False], nulls_last=True)
+        worst = lost if len(lost) else slowest
         arm = next((arm for arm in faults.values("arm") if arm), "")
-        row = {**(lost if len(lost) else slowest).row(0, named=True), "dr_inflation": None, "arm": arm}
+        row = {**worst.row(0, named=True), "dr_inflation": None, "arm": arm}
+
+    # the flights without the fault, and with fault and detector
     arm = str(row["arm"])
-    golden = own.golden.where(arm="", world=row["world"])
+    golden = runs.golden.where(arm="", world=row["world"])
+    recovered = ""
     if arm:
-        again = faults.where(arm=arm, target=row["target"], index=row["index"])
-    else:
-        again = None
-    if again is not None and len(again):
-        recovered = again.first("run_id")
-    else:
-        recovered = ""
-    return Case(
+        same_fault = faults.where(arm=arm, target=row["target"], index=row["index"])
+        if len(same_fault):
+            recovered = same_fault.first("run_id")
+    return PathCase(
         stage,
-        own.first("environment"),
+        runs.first("environment"),
         golden.first("run_id"),
         str(row["run_id"]),
         recovered,
@@ -458,7 +482,8 @@ _MARGIN = 2.0
 _WIDTH = 40.0
 """Minimum displayed width across the course (m)."""
 _FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
-"""Corners of each face of a box; the bits of a corner's number select x, y, z."""
+"""Corners of each face of a box; the bits `_UPPER` of a corner's number select the upper x, y, z."""
+_UPPER = (4, 2, 1)
 _LOOKS: tuple[dict[str, Any], ...] = (
     {"color": style.SKY, "linewidth": 5.0, "zorder": 4},
     {"color": style.ORANGE, "linewidth": 2.4, "zorder": 5},
@@ -496,20 +521,23 @@ def trajectories(runs: Runs) -> Figure | None:
 
 def _from_above(axes: Axes, flights: Sequence["Flight"]) -> None:
     world = flights[0].world
+    # paths first: `trajectories` links the first lines of the axes to the runs
     points = [positions(flight) for flight in flights]
     for path, look in zip(points, _LOOKS, strict=False):
         axes.plot(path[:, 0], path[:, 1], **look)
+    # obstacles
     boxes = [
         Rectangle((low[0], low[1]), high[0] - low[0], high[1] - low[1])
         for low, high in zip(world.lower, world.upper, strict=True)
     ]
     axes.add_collection(PatchCollection(boxes, facecolor=_SOLID, edgecolor=_EDGE, linewidth=0.5, zorder=1))
+    # marks: start, goal, injection, collisions, alarms
     mark: dict[str, Any] = {"linestyle": "", "color": style.INK, "zorder": 8, "markersize": 8}
     axes.plot(*world.start[:2], marker="o", label="start", **mark)
     axes.plot(*world.goal[:2], marker="s", label="goal", **mark)
-    place = _injection(flights[1])
+    injection = _injection(flights[1])
     star: dict[str, Any] = {**mark, "color": style.AMBER, "markeredgecolor": style.INK, "markersize": 15, "zorder": 9}
-    axes.plot(*place.T[:2], marker="*", label="injection", **star)
+    axes.plot(*injection.T[:2], marker="*", label="injection", **star)
     for path, flight, look in zip(points, flights, _LOOKS, strict=False):
         if flight.log.status is MissionStatus.COLLISION:
             end = {**mark, "color": look["color"], "markeredgecolor": "white", "markersize": 10}
@@ -526,20 +554,16 @@ def _from_above(axes: Axes, flights: Sequence["Flight"]) -> None:
 
 
 def _in_space(axes: Any, flights: Sequence["Flight"]) -> None:
-    world, lower, upper = flights[0].world, *_limits(flights)
+    world = flights[0].world
+    lower, upper = _limits(flights)
     points = [positions(flight) for flight in flights]
+    # obstacles near the paths only: all of them would hide these
+    shown = np.zeros(0, bool)
     if len(world.lower):
         shown = near_boxes(world, np.concatenate(points))
-    else:
-        shown = np.zeros(0, bool)
     faces = []
     for low, high in zip(world.lower[shown], world.upper[shown], strict=True):
-        low = np.maximum(low, lower)
-        high = np.minimum(high, upper)
-        corners = np.array(
-            [[high[axis] if corner >> (2 - axis) & 1 else low[axis] for axis in range(3)] for corner in range(8)]
-        )
-        faces += [corners[list(face)] for face in _FACES]
+        faces += _box_faces(np.maximum(low, lower), np.minimum(high, upper))
     axes.add_collection3d(Poly3DCollection(faces, facecolors=_SOLID, edgecolors=_EDGE, linewidths=0.4, alpha=0.25))
     for path, look in zip(points, _LOOKS, strict=False):
         axes.plot(*path.T, **look)
@@ -560,6 +584,12 @@ def _in_space(axes: Any, flights: Sequence["Flight"]) -> None:
     extent = upper - lower
     axes.set_box_aspect((extent[0], extent[1], 3.0 * extent[2]), zoom=1.2)
     axes.view_init(elev=32, azim=-70)
+
+
+def _box_faces(low: np.ndarray, high: np.ndarray) -> list[np.ndarray]:
+    """Corners of the faces of a box, each of shape (4, 3)."""
+    corners = np.array([np.where(np.array(_UPPER) & corner, high, low) for corner in range(8)])
+    return [corners[list(face)] for face in _FACES]
 
 
 def _limits(flights: Sequence["Flight"]) -> tuple[np.ndarray, np.ndarray]:
@@ -585,7 +615,7 @@ def _fault(flight: "Flight") -> str:
     return f"{injection.site}{bit} at {injection.time_s:.1f} s"
 
 
-def _ends(case: Case, flights: Sequence["Flight"]) -> str:
+def _ends(case: PathCase, flights: Sequence["Flight"]) -> str:
     ends = []
     for flight, change in zip(flights, (None, case.inflation, case.recovered_inflation), strict=False):
         more = "" if change is None else f" ({signed_percent(change)})"

@@ -33,14 +33,17 @@ def load(directory: Path) -> dict[str, Any]:
     """
     path = directory / FILE
     try:
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        found["processor"], found["missions"]
-        {(row["environment"], row["arm"], row["stage"]): (row["detection"], row["recovery"]) for row in found["rows"]}
+        measured: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        measured["processor"], measured["missions"]
+        {
+            (row["environment"], row["arm"], row["stage"]): (row["detection"], row["recovery"])
+            for row in measured["rows"]
+        }
     except FileNotFoundError:
         return {}
     except (OSError, ValueError, KeyError, TypeError):
         raise BadInputError(f"{path}: is not a file of measured overheads; remove it, or measure again") from None
-    return found
+    return measured
 
 
 def of_stages(record: FlightRecord) -> list[Mapping[str, Any]]:
@@ -51,18 +54,18 @@ def of_stages(record: FlightRecord) -> list[Mapping[str, Any]]:
     return [{"stage": stage, "recomputed_us": us, "pipeline_us": compute} for stage, us in spent.items()]
 
 
-def _timed(own: Runs) -> Mapping[str, Any]:
+def _timed(runs: Runs) -> Mapping[str, Any]:
     """Measured overheads of an environment, arm and stage; empty if there are none."""
-    place = own.first("environment"), own.first("arm"), own.first("stage")
-    rows = own.campaign.get("overheads", {}).get("rows", ())
-    return next((row for row in rows if (row["environment"], row["arm"], row["stage"]) == place), {})
+    group = runs.first("environment"), runs.first("arm"), runs.first("stage")
+    rows = runs.campaign.get("overheads", {}).get("rows", ())
+    return next((row for row in rows if (row["environment"], row["arm"], row["stage"]) == group), {})
 
 
 def _measured(*keys: str) -> Measure:
     """Sum of measured overheads, as shares of the kernels' time on this machine; see `mavfi.extras.paper.overheads`."""
 
-    def of(own: Runs) -> float | None:
-        row = _timed(own)
+    def of(runs: Runs) -> float | None:
+        row = _timed(runs)
         if row:
             return float(sum(row[key] for key in keys))
         return None
@@ -71,22 +74,22 @@ def _measured(*keys: str) -> Measure:
     return Measure(f"measured_{name}", f"{name}, measured", SMALL, of)
 
 
-def _modelled(own: Runs) -> float | None:
-    compute = sum(own["pipeline_us"])
+def _modelled(runs: Runs) -> float | None:
+    compute = sum(runs["pipeline_us"])
     if compute:
-        return float(sum(own["recomputed_us"]) / compute)
+        return float(sum(runs["recomputed_us"]) / compute)
     return None
 
 
-def _detection_modelled(own: Runs) -> float | None:
+def _detection_modelled(runs: Runs) -> float | None:
     """Time of the detector, as fast on the platform as on the machine that was measured / modelled compute time."""
-    found: float | None = _timed(own).get("detection_modelled")
-    return found
+    share: float | None = _timed(runs).get("detection_modelled")
+    return share
 
 
-def _sum_modelled(own: Runs) -> float | None:
-    detection = _detection_modelled(own)
-    recovery = _modelled(own)
+def _sum_modelled(runs: Runs) -> float | None:
+    detection = _detection_modelled(runs)
+    recovery = _modelled(runs)
     if detection is None or recovery is None:
         return None
     return detection + recovery
@@ -95,14 +98,14 @@ def _sum_modelled(own: Runs) -> float | None:
 def _papers(key: str, of_stage: str, of_all: str = "") -> Measure:
     """The paper's value for a stage, or its value for all stages if given."""
 
-    def of(own: Runs) -> float | None:
-        stage = own.first("stage")
+    def of(runs: Runs) -> float | None:
+        stage = runs.first("stage")
         name = of_all if stage == ALL else of_stage
-        if not name or not paper.comparable(own.campaign, own.first("detector_profile")):
+        if not name or not paper.comparable(runs.campaign, runs.first("detector_profile")):
             return None
-        where = {"environment": own.first("environment"), "setting": own.first("setting"), "stage": stage}
-        found: float | None = paper.figure(name, **where)
-        return found
+        where = {"environment": runs.first("environment"), "setting": runs.first("setting"), "stage": stage}
+        printed: float | None = paper.figure(name, **where)
+        return printed
 
     return Measure(f"paper_{key}", "paper" if of_stage else "paper, sum", SMALL, of)
 

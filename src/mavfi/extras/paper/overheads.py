@@ -22,7 +22,7 @@ from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError, write_text
 from mavfi.extras.paper.overhead_views import ALL, FILE
 from mavfi.flight.compose import detector_for, new_loop, resolve, watch
-from mavfi.flight.decide import SCANNING, Action, Recovery
+from mavfi.flight.decide import SCANNING, Action, RecoveryPolicy
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import KERNELS, PPC_STAGES, Stage, State
@@ -118,6 +118,7 @@ def cost(
     Raises:
         BadInputError: The mission cannot be flown, or the detector or its model does not exist.
     """
+    # a pipeline whose kernels are timed
     clock = _Clock()
 
     def build(config: Any) -> Any:
@@ -130,9 +131,11 @@ def cost(
     scenario = resolve(mission)
     detector = detector_for(scenario, name, profile, models_dir, mission.trained_for, options).detector
     loop = new_loop(scenario, make_kernels=build)
-    watch(loop, detector, Recovery.of(mission))
+    watch(loop, detector, RecoveryPolicy.of(mission))
     if loop.verify is not None:
         loop.verify = clock.timed_verification(loop.verify)
+
+    # count the steps that a recovery repeats: they are timed with all other steps of their kernels
     repeated: Counter[tuple[str, str]] = Counter()
     recompute = loop.recompute
 
@@ -142,11 +145,14 @@ def cost(
         recompute(action, now)
 
     loop.recompute = counted  # type: ignore[method-assign]
+
+    # record what the detector checks, for the replay
     states = loop.taps.watched
     shown = list[tuple[State, int]]()
     loop.taps.recorders.append(lambda state, now: shown.append((state, now)))
     meta = loop.fly().log.meta
-    recomputed, computed = (sum(meta[key].values()) for key in ("recompute_us", "compute_us"))
+    recomputed = sum(meta["recompute_us"].values())
+    computed = sum(meta["compute_us"].values())
     if not computed > recomputed:
         raise BadInputError(f"platform {scenario.platform.name}: latency_us: all are 0; allowed: one above 0 at least")
     watched = [(state, now) for state, now in shown if states is None or state.spec.name in states]
@@ -166,25 +172,29 @@ def _detection(
 ) -> dict[str, float]:
     """Time of a detector by stage; `again`: that of steps that were computed again."""
 
-    def spent(own: Sequence[tuple[State, int]]) -> float:
-        times = [replay(detector, own)] if own else [0.0]
-        while own and times[0] < LONG_S and len(times) < _REPLAYS:
-            times.append(replay(detector, own))
+    def spent(checked: Sequence[tuple[State, int]]) -> float:
+        if not checked:
+            return 0.0
+        times = [replay(detector, checked)]
+        while times[0] < LONG_S and len(times) < _REPLAYS:
+            times.append(replay(detector, checked))
         return statistics.median(times)
 
-    parts = {str(stage): spent([one for one in publications if one[0].spec.stage is stage]) for stage in PPC_STAGES}
-    found = {stage: time + again.get(stage, 0.0) for stage, time in parts.items()}
-    return {**found, ALL: spent(publications) + sum(again.values())}
+    by_stage = {}
+    for stage in PPC_STAGES:
+        of_stage = [(state, now) for state, now in publications if state.spec.stage is stage]
+        by_stage[str(stage)] = spent(of_stage) + again.get(str(stage), 0.0)
+    return {**by_stage, ALL: spent(publications) + sum(again.values())}
 
 
 def _recovery(clock: _Clock, repeated: Mapping[tuple[str, str], int]) -> dict[str, float]:
-    found = dict.fromkeys(STAGES, 0.0)
+    by_stage = dict.fromkeys(STAGES, 0.0)
     for (kernel, method), spent in clock.seconds.items():
         if method in ("mark", "rollback") and KERNELS[kernel].stage is not Stage.SENSOR:
-            found[str(KERNELS[kernel].stage)] += spent
+            by_stage[str(KERNELS[kernel].stage)] += spent
     for (stage, kernel), times in repeated.items():
-        found[stage] += times * clock.step(kernel)
-    return {**found, ALL: sum(found.values())}
+        by_stage[stage] += times * clock.step(kernel)
+    return {**by_stage, ALL: sum(by_stage.values())}
 
 
 def replay(detector: Detector, publications: Sequence[tuple[State, int]]) -> float:
@@ -266,12 +276,16 @@ def measure(
 
 
 def _shares(costs: Iterable[Cost], stage: str) -> dict[str, Any]:
-    found = [
-        (one.detection[stage] / one.kernels, one.recovery[stage] / one.kernels, one.detection[stage] / one.compute)
-        for one in costs
+    shares = [
+        (
+            flight.detection[stage] / flight.kernels,
+            flight.recovery[stage] / flight.kernels,
+            flight.detection[stage] / flight.compute,
+        )
+        for flight in costs
     ]
-    medians = map(statistics.median, zip(*found, strict=True))
-    return dict(zip(("detection", "recovery", "detection_modelled"), medians, strict=True)) | {"flights": found}
+    medians = map(statistics.median, zip(*shares, strict=True))
+    return dict(zip(("detection", "recovery", "detection_modelled"), medians, strict=True)) | {"flights": shares}
 
 
 def save(measured: Mapping[str, Any], directory: Path) -> Path:

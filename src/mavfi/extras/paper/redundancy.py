@@ -64,10 +64,10 @@ class DesignConfig(Config):
 
     @model_validator(mode="after")
     def _known_keys(self) -> "DesignConfig":
-        for key, names_ in (("bands", NUMBERS), ("sources", tuple(type(self).model_fields))):
+        for key, allowed in (("bands", NUMBERS), ("sources", tuple(type(self).model_fields))):
             for name in getattr(self, key):
-                if name not in names_:
-                    raise ValueError(f"{key}: {name!r}: not known; allowed: {', '.join(names_)}")
+                if name not in allowed:
+                    raise ValueError(f"{key}: {name!r}: not known; allowed: {', '.join(allowed)}")
         if not max_acceleration(self, self.mass + payload(self, 1)) > 0:
             weight = GRAVITY * (self.mass + payload(self, 1))
             raise ValueError(
@@ -163,9 +163,16 @@ def energy_ratio(slow: Performance, fast: Performance) -> float:
 def at_ends(design: DesignConfig, key: str) -> tuple[DesignConfig | None, DesignConfig | None]:
     """The design with a parameter at each end of its band; None = cannot hover even with one processor."""
     band = design.bands[key]
-    found = [design.model_copy(update={key: value}) for value in (band.low, band.high)]
-    low, high = (one if performance(one).acceleration > 0 else None for one in found)
-    return low, high
+    designs = [design.model_copy(update={key: value}) for value in (band.low, band.high)]
+    low, high = designs
+    return _if_hovering(low), _if_hovering(high)
+
+
+def _if_hovering(design: DesignConfig) -> DesignConfig | None:
+    """The design, unless it cannot hover with a single processor."""
+    if performance(design).acceleration > 0:
+        return design
+    return None
 
 
 def find_design(name: str) -> DesignConfig:
@@ -207,11 +214,12 @@ def ratio(design: DesignConfig, scheme: str) -> float:
 def band(design: DesignConfig, scheme: str) -> tuple[float, float]:
     """Smallest and largest ratio when each parameter in turn is set to the ends of its band."""
     ends = [end for key in design.bands for end in at_ends(design, key) if end is not None]
-    found = [ratio(end, scheme) for end in (design, *ends)]
-    return min(found), max(found)
+    ratios = [ratio(end, scheme) for end in (design, *ends)]
+    return min(ratios), max(ratios)
 
 
-def _of(rows: Iterable[dict[str, Any]]) -> Runs:
+def _table_of(rows: Iterable[dict[str, Any]]) -> Runs:
+    """Rows of a model's results, in the form that views are made of."""
     return Runs(pl.DataFrame(list(rows), infer_schema_length=None))
 
 
@@ -221,49 +229,49 @@ def _comparison(designs: Sequence[DesignConfig]) -> Runs:
     for design in designs:
         reference = performance(design, *schemes()[AUTOENCODER])
         for scheme, (copies, overhead) in schemes().items():
-            own = performance(design, copies, overhead)
+            scheme_performance = performance(design, copies, overhead)
             low, high = band(design, scheme)
             rows.append(
                 {
                     "vehicle": design.craft,
                     "calibration": design.calibration,
                     "scheme": scheme,
-                    "payload": 1000 * own.payload,
-                    "mass": 1000 * own.mass,
-                    "acceleration": own.acceleration,
-                    "speed": own.speed,
-                    "time": time_ratio(own, reference),
+                    "payload": 1000 * scheme_performance.payload,
+                    "mass": 1000 * scheme_performance.mass,
+                    "acceleration": scheme_performance.acceleration,
+                    "speed": scheme_performance.speed,
+                    "time": time_ratio(scheme_performance, reference),
                     "low": low,
                     "high": high,
-                    "energy": energy_ratio(own, reference),
-                    "limited": time_ratio(own, reference, SPEED_LIMIT),
+                    "energy": energy_ratio(scheme_performance, reference),
+                    "limited": time_ratio(scheme_performance, reference, SPEED_LIMIT),
                     "paper": paper.figure("redundancy_time", vehicle=design.craft, scheme=scheme),
                     "paper_energy": paper.figure("redundancy_energy", vehicle=design.craft, scheme=scheme),
                 }
             )
-    return _of(rows)
+    return _table_of(rows)
 
 
 def _sensitivity(designs: Sequence[DesignConfig]) -> Runs:
     """Sensitivity of TMR: one row per design and parameter with a band."""
     rows = []
     for design in designs:
-        for key, found in design.bands.items():
-            low, high = (None if end is None else ratio(end, TMR) for end in at_ends(design, key))
+        for key, supported in design.bands.items():
+            low, high = at_ends(design, key)
             rows.append(
                 {
                     "vehicle": design.craft,
                     "calibration": design.calibration,
                     "parameter": key.replace("_", " "),
                     "value": getattr(design, key),
-                    "from": found.low,
-                    "to": found.high,
-                    "at_low": low,
-                    "at_high": high,
+                    "from": supported.low,
+                    "to": supported.high,
+                    "at_low": None if low is None else ratio(low, TMR),
+                    "at_high": None if high is None else ratio(high, TMR),
                     "source": design.sources.get(key, ""),
                 }
             )
-    return _of(rows)
+    return _table_of(rows)
 
 
 def _stopping(speed: float) -> float:
@@ -274,12 +282,19 @@ def _stopping(speed: float) -> float:
 def _published_speeds() -> Runs:
     """Check of the model: one row per published pair of action period and speed."""
     mavbench = [("MAVBench, a and d of its launch files", 6.0, 6.5, *pair) for pair in ((0.0, 8.83), (4.0, 1.57))]
-    seen, braking = 7.0, 5.0  # range (m) and acceleration limit (m/s^2) of the published mission
+    sensing_range = 7.0  # m, of the published mission
+    braking = 5.0  # m/s^2, its limit of acceleration
     roborun = [
-        ("RoboRun, fit of stopping distances", braking, seen, (seen - _stopping(speed)) / speed, speed)
+        (
+            "RoboRun, fit of stopping distances",
+            braking,
+            sensing_range,
+            (sensing_range - _stopping(speed)) / speed,
+            speed,
+        )
         for speed in (2.0, 3.0, 4.0, 6.0)
     ]
-    return _of(
+    return _table_of(
         {
             "source": source,
             "period": round(period, 3),
@@ -293,8 +308,8 @@ def _published_speeds() -> Runs:
 
 
 def _number(key: str, heading: str, form: str) -> Measure:
-    def of(own: Runs) -> Any:
-        value = own.first(key)
+    def of(runs: Runs) -> Any:
+        value = runs.first(key)
         if value is not None and math.isinf(value):
             return "cannot hover"
         return value
@@ -309,10 +324,10 @@ def between(low: float, high: float) -> str:
     return f"{low:.2f}–{high:.2f}"
 
 
-def _band(own: Runs) -> str | None:
-    low = own.first("low")
-    high = own.first("high")
-    if low < high and own.first("scheme") != AUTOENCODER:
+def _band(runs: Runs) -> str | None:
+    low = runs.first("low")
+    high = runs.first("high")
+    if low < high and runs.first("scheme") != AUTOENCODER:
         return between(low, high)
     return None
 
@@ -390,27 +405,26 @@ CHAPTER = Chapter(100, (_COMPARED, _BAND, _SPEEDS))
 def redundancy_tables(designs: Sequence[DesignConfig]) -> list[Table]:
     """Tables for designs: comparison, sensitivity (if any design has bands), and check of the model."""
     nothing = Runs(pl.DataFrame())
-    found = [replace(_COMPARED, where=lambda _: _comparison(designs)).table(nothing)]
+    tables = [replace(_COMPARED, where=lambda _: _comparison(designs)).table(nothing)]
     if any(design.bands for design in designs):
-        found.append(replace(_BAND, where=lambda _: _sensitivity(designs)).table(nothing))
-    return [*found, _SPEEDS.table(nothing)]
+        tables.append(replace(_BAND, where=lambda _: _sensitivity(designs)).table(nothing))
+    return [*tables, _SPEEDS.table(nothing)]
 
 
 def summary(designs: Sequence[DesignConfig]) -> list[str]:
     """One sentence per design with the flight time of TMR relative to detection."""
-    found = []
+    sentences = []
     for design in designs:
         times = ratio(design, TMR)
-        (low, high) = band(design, TMR)
-        printed = paper.figure("redundancy_time", vehicle=design.craft, scheme=TMR)
-        reach = f", band {between(low, high)}" if design.bands else ""
-        if printed is not None:
-            reference = f"; the paper: {printed:.2f} times"
-        else:
-            reference = ""
         if math.isinf(times):
             what = "cannot hover"
         else:
-            what = f"takes {times:.2f} times as long as with a detector{reach}"
-        found.append(f"{design.craft} ({design.calibration}): with TMR it {what}{reference}.")
-    return found
+            what = f"takes {times:.2f} times as long as with a detector"
+            if design.bands:
+                what += f", band {between(*band(design, TMR))}"
+        reference = ""
+        printed = paper.figure("redundancy_time", vehicle=design.craft, scheme=TMR)
+        if printed is not None:
+            reference = f"; the paper: {printed:.2f} times"
+        sentences.append(f"{design.craft} ({design.calibration}): with TMR it {what}{reference}.")
+    return sentences

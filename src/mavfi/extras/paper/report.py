@@ -17,8 +17,8 @@ from mavfi.config import parse
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, write_text, writing
 from mavfi.extras.paper.claims import CLAIMS, claims_table
-from mavfi.extras.paper.steps import FLIGHTS, SET_UP, Steps
-from mavfi.extras.paper.study import Section, Study
+from mavfi.extras.paper.steps import FLIGHTS, SET_UP, StepTimes
+from mavfi.extras.paper.study import Study, StudySection
 from mavfi.files import LARGEST_TEXT, is_file, read_file
 from mavfi.record import plain
 from mavfi.report.campaign_report import markdown_table
@@ -35,7 +35,7 @@ JSON = "study.json"
 class SectionReport:
     """A section of the study with its results."""
 
-    section: Section
+    definition: StudySection
     runs: Runs | None  # of its campaign, with the flights needed by its figures
     tables: tuple[Table, ...]  # in the order of the section, without empty ones
     captions: Mapping[str, str] = field(default_factory=dict)  # by figure file, relative to the study's folder
@@ -48,49 +48,50 @@ class StudyReport:
     study: Study
     campaigns: Mapping[str, Runs]  # by folder
     sections: tuple[SectionReport, ...]
-    steps: Steps
+    steps: StepTimes
     files: tuple[Path, ...] = ()
 
     @property
     def headline(self) -> list[SectionReport]:
         """Sections marked as headline, shown first; all sections if none is marked."""
-        return [one for one in self.sections if one.section.headline and one.tables] or list(self.sections)
+        marked = [section for section in self.sections if section.definition.headline and section.tables]
+        return marked or list(self.sections)
 
     @property
     def findings(self) -> dict[str, list[str]]:
         """Findings in sentences by title of their section: tested claims first, then the headline's campaigns."""
-        found = {}
-        for one in self.sections:
-            claims = [entry for table in one.tables if table.name == "claims" for entry in table.entries()]
+        sentences = {}
+        for section in self.sections:
+            claims = [entry for table in section.tables if table.name == "claims" for entry in table.entries()]
             if claims:
-                found[one.section.title] = _verdicts(claims)
-        of_campaigns = {one.section.campaign: one for one in reversed(self.headline) if one.runs is not None}
-        for one in reversed(of_campaigns.values()):
-            lines = findings(one.runs) if one.runs is not None else []
+                sentences[section.definition.title] = _verdicts(claims)
+        # the findings of a campaign stand in its first section
+        first_sections = {}
+        for section in reversed(self.headline):
+            if section.runs is not None:
+                first_sections[section.definition.campaign] = (section.definition.title, section.runs)
+        for title, runs in reversed(first_sections.values()):
+            lines = findings(runs)
             if lines:
-                found.setdefault(one.section.title, []).extend(lines)
-        return found
+                sentences.setdefault(title, []).extend(lines)
+        return sentences
 
     @property
     def tables(self) -> dict[str, Table]:
         """All tables by name; those of a campaign begin with its name."""
-        found: dict[str, Table] = {}
-        for one in self.sections:
-            if one.runs is None:
-                start = ""
-            else:
-                start = f"{one.runs.campaign['name']}_"
-            found |= {f"{start}{table.name}": table for table in one.tables}
-        return found
+        tables: dict[str, Table] = {}
+        for section in self.sections:
+            prefix = ""
+            if section.runs is not None:
+                prefix = f"{section.runs.campaign['name']}_"
+            tables |= {f"{prefix}{table.name}": table for table in section.tables}
+        return tables
 
     @property
     def times(self) -> list[Table]:
         """Tables of wall time by step, if it was flown by `mavfi reproduce`, and of worker time by campaign."""
-        return [
-            table
-            for table in (step_table(self.steps.seconds, self.campaigns), time_table(self.campaigns))
-            if table.rows
-        ]
+        tables = (step_table(self.steps.seconds, self.campaigns), time_table(self.campaigns))
+        return [table for table in tables if table.rows]
 
     @property
     def programs(self) -> list[str]:
@@ -101,26 +102,26 @@ class StudyReport:
     def provenance(self) -> list[str]:
         """Lines on where, when, by which program and with which versions the study was flown, and how long it took."""
         runs = self.steps.runs
-        whole = sum(self.steps.seconds.values()) / 60
+        minutes = sum(self.steps.seconds.values()) / 60
         lines = [f"Machine: {name}." for name in dict.fromkeys(run["machine"] for run in runs)]
         if runs:
+            resumed = ""
             if len(runs) > 1:
-                again = f", last resumed {runs[-1]['begun']} (run {len(runs)})"
-            else:
-                again = ""
+                resumed = f", last resumed {runs[-1]['begun']} (run {len(runs)})"
+            set_up = ""
             if SET_UP in self.steps.seconds:
                 set_up = ", set-up included"
-            else:
-                set_up = ""
-            lines.append(f"Begun {runs[0]['begun']}{again}; wall time in all: {whole:.1f} min{set_up}.")
-        lines += [f"Program: {'; then '.join(self.programs)}."] if runs else []
+            lines.append(f"Begun {runs[0]['begun']}{resumed}; wall time in all: {minutes:.1f} min{set_up}.")
+            lines.append(f"Program: {'; then '.join(self.programs)}.")
+
+        # campaigns of a resumed study may have been flown with different versions: each is named once
         flown_with: dict[str, str] = {}
-        for name, text in (one for runs in self.campaigns.values() for one in runs.campaign["versions"].items()):
-            known = flown_with.get(name, text)
-            if text in known.split(" and "):
-                flown_with[name] = known
-            else:
-                flown_with[name] = f"{known} and {text}"
+        for campaign in self.campaigns.values():
+            for name, version in campaign.campaign["versions"].items():
+                if name not in flown_with:
+                    flown_with[name] = version
+                elif version not in flown_with[name].split(" and "):
+                    flown_with[name] += f" and {version}"
         return [*lines, f"Versions: {', '.join(versions({'versions': flown_with}))}."]
 
     @property
@@ -150,7 +151,10 @@ def _verdicts(claims: Sequence[Mapping[str, Any]]) -> list[str]:
     counts = Counter(claim["verdict"] for claim in claims)
     parts = ", ".join(f"{counts[verdict]} {verdict}" for verdict in sorted(counts))
     against = "; ".join(claim["statement"] for claim in claims if claim["verdict"] == "contradicted")
-    return [f"{len(claims)} claims: {parts}.", *([f"Contradicted: {against}."] if against else [])]
+    sentences = [f"{len(claims)} claims: {parts}."]
+    if against:
+        sentences.append(f"Contradicted: {against}.")
+    return sentences
 
 
 def check_names(study: Study, where: str) -> None:
@@ -182,35 +186,40 @@ def study_report(study: Study, folder: Path) -> StudyReport:
         BadInputError: A campaign does not exist, a name is unknown, or the folder cannot be written.
     """
     campaigns = {name: Runs.read(folder / name) for name in study.campaigns}
-    sections = study.sections or tuple(
-        Section(title=found[0].title, campaign=name, views=(found[0].name,))
-        for name, runs in campaigns.items()
-        if (found := views_for(runs))
-    )
-    reports = tuple(_section(section, campaigns, folder) for section in sections)
-    return StudyReport(study, campaigns, reports, Steps.load(folder))
+    sections = study.sections or _leading_sections(campaigns)
+    reports = tuple(_section_report(section, campaigns, folder) for section in sections)
+    return StudyReport(study, campaigns, reports, StepTimes.load(folder))
 
 
-def _section(section: Section, campaigns: Mapping[str, Runs], folder: Path) -> SectionReport:
+def _leading_sections(campaigns: Mapping[str, Runs]) -> tuple[StudySection, ...]:
+    """Sections of a study that defines none: the leading view of each campaign."""
+    sections = []
+    for name, runs in campaigns.items():
+        views = views_for(runs)
+        if views:
+            sections.append(StudySection(title=views[0].title, campaign=name, views=(views[0].name,)))
+    return tuple(sections)
+
+
+def _section_report(section: StudySection, campaigns: Mapping[str, Runs], folder: Path) -> SectionReport:
+    """Compute the tables of a section, and draw its figures."""
+    tables = []
+    captions: dict[str, str] = {}
     runs = campaigns.get(section.campaign)
     if section.claims:
-        tables = [claims_table(section.claims, campaigns.values())]
-    else:
-        tables = []
-    captions: dict[str, str] = {}
-    shown = runs
+        tables.append(claims_table(section.claims, campaigns.values()))
     if runs is not None:
         tables += [table(runs, name) for name in section.views]
-        cases = [run_id for name in section.figures for run_id in drawing(name).cases(runs)]
-        shown = with_flights(runs, folder / section.campaign, cases)
+        # some figures draw flights, which are replayed only for them
+        flight_ids = [run_id for name in section.figures for run_id in drawing(name).cases(runs)]
+        runs = with_flights(runs, folder / section.campaign, flight_ids)
         pictures = folder / FIGURES_FOLDER
         if section.figures:
             with writing(pictures):
                 pictures.mkdir(parents=True, exist_ok=True)
-        start = f"{runs.campaign['name']}_"
-        written = draw(shown, pictures, section.figures, start)
+        written = draw(runs, pictures, section.figures, f"{runs.campaign['name']}_")
         captions = {f"{FIGURES_FOLDER}/{file}": text for file, text in written.items()}
-    return SectionReport(section, shown, tuple(table for table in tables if table.rows), captions)
+    return SectionReport(section, runs, tuple(table for table in tables if table.rows), captions)
 
 
 def write_study(study: Study, scale: str, folder: Path) -> StudyReport:
@@ -219,23 +228,25 @@ def write_study(study: Study, scale: str, folder: Path) -> StudyReport:
     Raises:
         BadInputError: See `study_report`.
     """
-    found = study_report(study, folder)
-    files = [*write_texts(found, scale, folder), *(name for one in found.sections for name in one.captions)]
-    return replace(found, files=tuple(folder / name for name in files))
+    report = study_report(study, folder)
+    files = write_texts(report, scale, folder)
+    for section in report.sections:
+        files += section.captions
+    return replace(report, files=tuple(folder / name for name in files))
 
 
-def write_texts(found: StudyReport, scale: str, folder: Path) -> list[str]:
+def write_texts(report: StudyReport, scale: str, folder: Path) -> list[str]:
     """Write study.md, study.json and tables (CSV) of a study flown at a scale; returns their names.
 
     Raises:
         BadInputError: A file cannot be written.
     """
     today = date.today().isoformat()
-    flown = {"date": today, "scale": scale, "definition": found.study.model_dump(mode="json", exclude_defaults=True)}
+    flown = {"date": today, "scale": scale, "definition": report.study.model_dump(mode="json", exclude_defaults=True)}
     texts = {
-        MARKDOWN: _markdown(found, today, scale),
-        JSON: json.dumps({**flown, **found.to_json()}, indent=1, allow_nan=False) + "\n",
-        **{f"{TABLES_FOLDER}/{name}.csv": table.to_csv() for name, table in found.tables.items()},
+        MARKDOWN: _markdown(report, today, scale),
+        JSON: json.dumps({**flown, **report.to_json()}, indent=1, allow_nan=False) + "\n",
+        **{f"{TABLES_FOLDER}/{name}.csv": table.to_csv() for name, table in report.tables.items()},
     }
     with writing(folder / TABLES_FOLDER):
         (folder / TABLES_FOLDER).mkdir(exist_ok=True)
@@ -254,23 +265,23 @@ def stored_study(folder: Path) -> tuple[Study, str] | None:
     if not is_file(path):
         return None
     try:
-        held = json.loads(read_file(path, LARGEST_TEXT))
-        definition = held["definition"]
-        scale = str(held["scale"])
+        stored = json.loads(read_file(path, LARGEST_TEXT))
+        definition = stored["definition"]
+        scale = str(stored["scale"])
     except (ValueError, TypeError, KeyError) as error:
         raise BadInputError(f"{path}: is no record of a study ({error!r}); `mavfi reproduce` writes it again") from None
     return parse(Study, definition, f"{path}: definition"), scale
 
 
-def _markdown(found: StudyReport, today: str, scale: str) -> str:
-    parts = [f"# Study {found.study.name}", f"Report of {today}, scale {scale}."]
-    parts.append("\n".join(f"- {line}" for line in (*found.provenance, *found.digests)))
-    for part in found.sections:
-        parts += [f"# {part.section.title}", part.section.text]
-        parts += [f"![{name}]({name})\n\n{text}" for name, text in part.captions.items()]
-        parts += [markdown_table(shown) for shown in part.tables]
-    parts += ["# Campaigns", *map(markdown_table, found.times)]
-    for runs in found.campaigns.values():
+def _markdown(report: StudyReport, today: str, scale: str) -> str:
+    parts = [f"# Study {report.study.name}", f"Report of {today}, scale {scale}."]
+    parts.append("\n".join(f"- {line}" for line in (*report.provenance, *report.digests)))
+    for section in report.sections:
+        parts += [f"# {section.definition.title}", section.definition.text]
+        parts += [f"![{name}]({name})\n\n{text}" for name, text in section.captions.items()]
+        parts += map(markdown_table, section.tables)
+    parts += ["# Campaigns", *map(markdown_table, report.times)]
+    for runs in report.campaigns.values():
         first, *rest = header(runs.campaign)
         parts += [f"## {first[0].upper()}{first[1:]}", "\n".join(f"- {line}" for line in [*rest, *checks(runs)])]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -283,12 +294,13 @@ _MINUTES = "number .1f min"
 
 def step_table(seconds: Mapping[str, float], campaigns: Mapping[str, Runs]) -> Table:
     """Wall time (s) by step, with the runs per second of the campaigns, and the sum."""
-    whole = sum(seconds.values())
-    runs = {FLIGHTS: sum(map(len, campaigns.values()))}
-    rows = [
-        (step, spent / 60, spent / whole if whole else None, runs[step] / spent if step in runs and spent else None)
-        for step, spent in [*seconds.items(), ("all", whole)]
-    ]
+    total = sum(seconds.values())
+    runs = sum(map(len, campaigns.values()))
+    rows = []
+    for step, spent in [*seconds.items(), ("all", total)]:
+        share = spent / total if total else None
+        pace = runs / spent if step == FLIGHTS and spent else None
+        rows.append((step, spent / 60, share, pace))
     columns = (
         Column("step", "step"),
         Column("wall", "wall time", _MINUTES),
@@ -348,10 +360,16 @@ def _row(name: str, parts: list[Runs]) -> tuple[object, ...]:
         name,
         len(golden),
         sum(golden) / 60,
-        sum(golden) / len(golden) if golden else None,
+        _mean(golden),
         len(faulty),
         sum(faulty) / 60,
-        sum(faulty) / len(faulty) if faulty else None,
+        _mean(faulty),
         sum(every) / 60,
         len(every) / sum(every) if every else None,
     )
+
+
+def _mean(seconds: list[float]) -> float | None:
+    if not seconds:
+        return None
+    return sum(seconds) / len(seconds)

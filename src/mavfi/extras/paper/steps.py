@@ -28,7 +28,7 @@ SET_UP_FILE = Path(sys.prefix) / "setup-seconds"
 
 
 @dataclass(frozen=True, slots=True)
-class Steps:
+class StepTimes:
     """Wall times (s) by step, and when and where each run of the command began."""
 
     folder: Path
@@ -36,7 +36,7 @@ class Steps:
     runs: list[dict[str, str]] = field(default_factory=list)  # "begun" (UTC), "machine" and "program"
 
     @staticmethod
-    def load(folder: Path) -> "Steps":
+    def load(folder: Path) -> "StepTimes":
         """The steps so far; without any if the folder has no file of them.
 
         Raises:
@@ -44,26 +44,26 @@ class Steps:
         """
         path = folder / FILE
         try:
-            held = json.loads(path.read_text(encoding="utf-8"))
-            seconds = {str(step): float(spent) for step, spent in held["seconds"].items()}
-            runs = [{key: str(run[key]) for key in ("begun", "machine", "program")} for run in held["runs"]]
+            stored = json.loads(path.read_text(encoding="utf-8"))
+            seconds = {str(step): float(spent) for step, spent in stored["seconds"].items()}
+            runs = [{key: str(run[key]) for key in ("begun", "machine", "program")} for run in stored["runs"]]
         except FileNotFoundError:
-            return Steps(folder)
+            return StepTimes(folder)
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             raise BadInputError(f"{path}: is not a file of wall times; remove it") from None
-        return Steps(folder, seconds, runs)
+        return StepTimes(folder, seconds, runs)
 
     @staticmethod
-    def begin(folder: Path, workers: int) -> "Steps":
+    def begin(folder: Path, workers: int) -> "StepTimes":
         """The steps so far, and a new run on this machine; set-up counts once, as that of the first run."""
-        found = Steps.load(folder)
+        steps = StepTimes.load(folder)
         spent = set_up_seconds()
-        if spent is not None and SET_UP not in found.seconds:
-            found = replace(found, seconds={SET_UP: spent, **found.seconds})
+        if spent is not None and SET_UP not in steps.seconds:
+            steps = replace(steps, seconds={SET_UP: spent, **steps.seconds})
         begun = datetime.now(UTC).isoformat(" ", "seconds")
         where = f"{machine()}, {workers} worker{'s' * (workers != 1)}"
-        found.runs.append({"begun": begun, "machine": where, "program": program()})
-        return found
+        steps.runs.append({"begun": begun, "machine": where, "program": program()})
+        return steps
 
     @contextmanager
     def timed(self, step: str) -> Iterator[None]:

@@ -11,7 +11,7 @@ from mavfi.errors import BadInputError
 from mavfi.levels.level import check_distinct, check_known
 
 
-class Section(Config):
+class StudySection(Config):
     """A section of a study's report: tables and figures of one campaign, or claims tested on any of them."""
 
     title: str
@@ -23,7 +23,7 @@ class Section(Config):
     headline: bool = Field(False, description="its first table is printed, and leads the page; all, if none is marked")
 
     @model_validator(mode="after")
-    def _consistent(self) -> "Section":
+    def _consistent(self) -> "StudySection":
         if (self.views or self.figures) and not self.campaign:
             raise ValueError(f"section {self.title!r}: views and figures are of a campaign; needed: key campaign")
         return self
@@ -40,7 +40,7 @@ class Study(Config):
     scales: dict[str, dict[str, Scale]] = Field(
         default_factory=dict, description="sizes of campaigns by folder, where they differ from those of the campaign"
     )
-    sections: tuple[Section, ...] = Field(
+    sections: tuple[StudySection, ...] = Field(
         (), description="of its report, in this order; by default the leading table of each campaign"
     )
 
@@ -58,15 +58,15 @@ class Study(Config):
         Raises:
             BadInputError: A campaign does not exist, does not define the scale, or is in two folders.
         """
-        found = {folder: load_campaign(name) for folder, name in self.campaigns.items()}
+        campaigns = {folder: load_campaign(name) for folder, name in self.campaigns.items()}
         try:  # names of files and steps
-            check_distinct(f"study {self.name}: campaigns", [campaign.name for campaign in found.values()])
+            check_distinct(f"study {self.name}: campaigns", [campaign.name for campaign in campaigns.values()])
         except ValueError as error:
             raise BadInputError(str(error)) from None
         sizes = self.scales.get(scale, {})
         return {
             folder: campaign.resized(sizes[folder]) if folder in sizes else campaign.at_scale(scale)
-            for folder, campaign in found.items()
+            for folder, campaign in campaigns.items()
         }
 
 

@@ -55,26 +55,26 @@ def by_state(runs: Runs) -> Runs:
 def by_bits(runs: Runs) -> Runs:
     """Section III-B: golden runs, and runs with a fault in a float of a state, by class of the flipped bit."""
     floats = pl.col("population").is_in(BIT_CLASSES) & (pl.col("bit_class") == pl.col("population"))
-    own = named_populations(runs.injected.where("judged", floats, level="state", setting=FI))
-    return with_golden(own, runs, "bits")
+    faults = named_populations(runs.injected.where("judged", floats, level="state", setting=FI))
+    return with_golden(faults, runs, "bits")
 
 
 _TIMES = (
-    Measure("median_s", "flight time, median", SECONDS, lambda own: _quantile(own, 0.5)),
-    Measure("p95_s", "95 %", SECONDS, lambda own: _quantile(own, 0.95)),
-    Measure("worst_s", "worst", SECONDS, lambda own: _quantile(own, 1.0)),
+    Measure("median_s", "flight time, median", SECONDS, lambda runs: _quantile(runs, 0.5)),
+    Measure("p95_s", "95 %", SECONDS, lambda runs: _quantile(runs, 0.95)),
+    Measure("worst_s", "worst", SECONDS, lambda runs: _quantile(runs, 1.0)),
     m.quantile("inflation", 1.0, "worst_time", "worst against golden"),
     Measure("worst_run", "worst run", TEXT, m.worst_run, hidden=True),
 )
 
 
-def _pairs(own: Runs) -> Runs:
+def _pairs(runs: Runs) -> Runs:
     """Runs with a fault whose golden run was judged."""
-    return own.injected.where(pl.col("golden_success").is_not_null())
+    return runs.injected.where(pl.col("golden_success").is_not_null())
 
 
-def _p_value(own: Runs) -> float | None:
-    pairs = _pairs(own)
+def _p_value(runs: Runs) -> float | None:
+    pairs = _pairs(runs)
     if len(pairs):
         return m.against_golden(pairs).p_value
     return None
@@ -83,8 +83,8 @@ def _p_value(own: Runs) -> float | None:
 _P = Measure("p", "p against golden", "number .3g", _p_value, counted=_pairs)
 
 
-def _quantile(own: Runs, share: float) -> float | None:
-    return m.quantile_of(own.where("success")["flight_time_s"], share)
+def _quantile(runs: Runs, share: float) -> float | None:
+    return m.quantile_of(runs.where("success")["flight_time_s"], share)
 
 
 def _shown(
@@ -118,7 +118,8 @@ def _shown(
 
 
 def _kernels_note() -> str:
-    worst, lost = (paper.figure("kernels_worst", quantity=name) for name in ("flight_time", "success_loss"))
+    worst = paper.figure("kernels_worst", quantity="flight_time")
+    lost = paper.figure("kernels_worst", quantity="success_loss")
     return (
         f"the paper (Fig. 3, a drawing without numbers; section III-A): flight time up to {100 * worst:+z.1f} %, "
         f"success lower by up to {100 * lost:.0f} points, both in planning and control; a node that dies is restarted; "
@@ -177,18 +178,18 @@ def value_at_risk(values: list[float]) -> float | None:
     return float(largest[: max(1, round(TAIL * len(largest)))].mean())
 
 
-def _censored(own: Runs) -> list[float]:
+def _censored(runs: Runs) -> list[float]:
     """Flight times (s), with the time limit for failures."""
     at = (
         pl.when("success")
         .then("flight_time_s")
         .otherwise(pl.col("time_limit_s").fill_null(pl.col("time_limit_s").max()))
     )
-    return own.frame.select(at.alias("s"))["s"].drop_nulls().to_list()
+    return runs.frame.select(at.alias("s"))["s"].drop_nulls().to_list()
 
 
 def _increase(share: float) -> Callable[[Runs], float | None]:
-    return lambda own: m.quantile_of(own.where("paired")["inflation"], share)
+    return lambda runs: m.quantile_of(runs.where("paired")["inflation"], share)
 
 
 def _recovered(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
@@ -196,10 +197,10 @@ def _recovered(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     del by
     alone = runs.where("paired", setting=FI)
 
-    def compared(own: Runs) -> tuple[Runs, ...]:
-        if own.first("setting") in (GOLDEN, FI):
+    def compared(group: Runs) -> tuple[Runs, ...]:
+        if group.first("setting") in (GOLDEN, FI):
             return ()
-        return alone.where(environment=own.first("environment")), own.where("paired")
+        return alone.where(environment=group.first("environment")), group.where("paired")
 
     def points(key: str, heading: str, share: float) -> Measure:
         return contrast_measure(key, heading, POINTS_TEST, compared, "inflation", share, operator.sub)
@@ -209,12 +210,12 @@ def _recovered(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     yield points("recovered_p95", "of the 95 %", 0.95)
 
 
-def _papers(own: Runs) -> float | None:
-    if not paper.comparable(own.campaign, own.first("detector_profile")):
+def _papers(runs: Runs) -> float | None:
+    if not paper.comparable(runs.campaign, runs.first("detector_profile")):
         return None
-    place = {key: own.first(key) for key in SETTING}
-    found: float | None = paper.figure("worst_time_recovered", **place)
-    return found
+    setting = {key: runs.first(key) for key in SETTING}
+    recovered: float | None = paper.figure("worst_time_recovered", **setting)
+    return recovered
 
 
 _FLIGHT_TIMES = (
@@ -226,9 +227,11 @@ _FLIGHT_TIMES = (
             m.count("n", "n"),
             m.rate("success", "success %", "success"),
             *_TIMES[:3],
-            Measure("time_limit", "limit", "number .0f s", lambda own: own.frame["time_limit_s"].max()),
-            Measure("cvar_s", "CVaR 5 %", SECONDS, lambda own: value_at_risk(own.where("success")["flight_time_s"])),
-            Measure("cvar_limit_s", "CVaR, failures at the limit", SECONDS, lambda own: value_at_risk(_censored(own))),
+            Measure("time_limit", "limit", "number .0f s", lambda runs: runs.frame["time_limit_s"].max()),
+            Measure("cvar_s", "CVaR 5 %", SECONDS, lambda runs: value_at_risk(runs.where("success")["flight_time_s"])),
+            Measure(
+                "cvar_limit_s", "CVaR, failures at the limit", SECONDS, lambda runs: value_at_risk(_censored(runs))
+            ),
             m.count("pairs", "pairs", "paired"),
             Measure("p95", "95 % increase", SIGNED, _increase(0.95)),
             Measure("worst", "worst increase", SIGNED, _increase(1.0)),
@@ -238,9 +241,9 @@ _FLIGHT_TIMES = (
                 "worst_energy",
                 "worst energy",
                 SIGNED,
-                lambda own: m.quantile_of(own.where("paired")["energy_inflation"], 1.0),
+                lambda runs: m.quantile_of(runs.where("paired")["energy_inflation"], 1.0),
             ),
-            Measure("worst_run", "worst run", TEXT, lambda own: m.worst_run(own.where("paired")), hidden=True),
+            Measure("worst_run", "worst run", TEXT, lambda runs: m.worst_run(runs.where("paired")), hidden=True),
         ),
         where=distribution,
         applies=lambda runs: of_values(runs) or has(runs.injected, level=INSTRUCTION),
@@ -267,56 +270,57 @@ _RATIO = "number .2f ×"
 def platforms(runs: Runs) -> dict[str, str]:
     """Platform by environment, in order, for a campaign whose parts are distinct platforms; empty for others."""
     parts = runs.campaign.get("parts", {})
-    found = {name: part["platform"] for name, part in parts.items() if part.get("platform")}
-    if len(found) > 1 and len(set(found.values())) == len(found):
-        return found
+    platform_of = {name: part["platform"] for name, part in parts.items() if part.get("platform")}
+    distinct = len(set(platform_of.values())) == len(platform_of)
+    if len(platform_of) > 1 and distinct:
+        return platform_of
     return {}
 
 
 def compared(runs: Runs) -> Runs:
     """Successful runs, without golden runs of detector arms, which differ from the bare ones by false alarms only."""
-    own = of_missions(runs).where("judged", "success")
-    return own.where(pl.col("setting").is_in([GOLDEN, *runs.settings()]))
+    flown = of_missions(runs).where("judged", "success")
+    return flown.where(pl.col("setting").is_in([GOLDEN, *runs.settings()]))
 
 
-def _worst(own: Runs) -> float:
-    found: Any = own.frame["flight_time_s"].max()
-    return float(found)
+def _worst(runs: Runs) -> float:
+    seconds: Any = runs.frame["flight_time_s"].max()
+    return float(seconds)
 
 
-def _median(own: Runs) -> float | None:
-    found: Any = own.frame["flight_time_s"].median()
-    if found is None:
+def _median(runs: Runs) -> float | None:
+    seconds: Any = runs.frame["flight_time_s"].median()
+    if seconds is None:
         return None
-    return float(found)
+    return float(seconds)
 
 
-def _power(own: Runs) -> float | None:
+def _power(runs: Runs) -> float | None:
     """Mean power (W): total energy / total flight time."""
-    seconds = sum(own["flight_time_s"])
+    seconds = sum(runs["flight_time_s"])
     if seconds:
-        return float(sum(own["energy_j"]) / seconds)
+        return float(sum(runs["energy_j"]) / seconds)
     return None
 
 
 def _on_platform(quantity: str, setting: str = GOLDEN) -> Callable[[Runs], Any]:
     """A value of the paper's table, shown in the rows of one setting."""
 
-    def of(own: Runs) -> Any:
-        if own.first("setting") != setting or not paper.comparable(own.campaign, ""):
+    def of(runs: Runs) -> Any:
+        if runs.first("setting") != setting or not paper.comparable(runs.campaign, ""):
             return None
-        return paper.figure("platforms", quantity=quantity, platform=_platform(own))
+        return paper.figure("platforms", quantity=quantity, platform=_platform(runs))
 
     return of
 
 
-def _platform(own: Runs) -> str:
-    return platforms(own).get(own.first("environment"), "")
+def _platform(runs: Runs) -> str:
+    return platforms(runs).get(runs.first("environment"), "")
 
 
-def _papers_power(own: Runs) -> float | None:
-    time = _on_platform("flight_time_s")(own)
-    energy = _on_platform("energy_kj")(own)
+def _papers_power(runs: Runs) -> float | None:
+    time = _on_platform("flight_time_s")(runs)
+    energy = _on_platform("energy_kj")(runs)
     if time and energy:
         return float(1000 * energy / time)
     return None
@@ -328,36 +332,37 @@ def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     groups = runs.groups("environment", "setting")
     first = next(iter(platforms(runs)), "")
 
-    def on_both(own: Runs) -> tuple[Runs, ...]:
-        base = groups.get((first, own.first("setting")))
-        if base is None or own.first("environment") == first:
+    def on_both(group: Runs) -> tuple[Runs, ...]:
+        base = groups.get((first, group.first("setting")))
+        if base is None or group.first("environment") == first:
             return ()
-        return (own, base)
+        return (group, base)
 
     def ratio(key: str, heading: str, column: str, share: float) -> Measure:
         return contrast_measure(key, heading, TIMES_TEST, on_both, column, share, operator.truediv, by="seed")
 
-    def papers_ratio(own: Runs) -> float | None:
-        slow = own.first("environment") != first and own.first("setting") == FI
-        found: float = paper.figure("platforms_worst", quantity="flight_time_ratio")
-        if slow and paper.comparable(own.campaign, ""):
-            return found
-        return None
+    def papers_ratio(group: Runs) -> float | None:
+        slow = group.first("environment") != first and group.first("setting") == FI
+        if not slow or not paper.comparable(group.campaign, ""):
+            return None
+        printed: float = paper.figure("platforms_worst", quantity="flight_time_ratio")
+        return printed
 
-    def recoverable(own: Runs) -> tuple[Runs, ...]:
-        golden, faulty = (groups.get((own.first("environment"), setting)) for setting in (GOLDEN, FI))
-        if golden is None or faulty is None or own.first("setting") in (GOLDEN, FI):
+    def recoverable(group: Runs) -> tuple[Runs, ...]:
+        golden = groups.get((group.first("environment"), GOLDEN))
+        faulty = groups.get((group.first("environment"), FI))
+        if golden is None or faulty is None or group.first("setting") in (GOLDEN, FI):
             return ()
         if _worst(faulty) > _worst(golden):
-            return (faulty, own, golden)
+            return (faulty, group, golden)
         return ()
 
-    def papers_recovery(own: Runs) -> float | None:
-        slow = own.first("environment") != first and paper.comparable(own.campaign, own.first("detector_profile"))
-        if slow:
-            recovered: float | None = paper.figure("platforms_recovered", setting=own.first("setting"))
-            return recovered
-        return None
+    def papers_recovery(group: Runs) -> float | None:
+        slow = group.first("environment") != first
+        if not slow or not paper.comparable(group.campaign, group.first("detector_profile")):
+            return None
+        recovered: float | None = paper.figure("platforms_recovered", setting=group.first("setting"))
+        return recovered
 
     yield ratio("median_ratio", "median ratio", "flight_time_s", 0.5)
     yield ratio("energy_ratio", "of energy", "energy_j", 0.5)
@@ -377,30 +382,28 @@ def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
 
 def _explanation(runs: Runs) -> list[str]:
     """Notes that compare the paper's ratio of flight times with that of the campaign."""
-    golden = {name: own for (name,), own in compared(runs).where(setting=GOLDEN).groups("environment").items()}
-    times = [_median(golden[name]) for name in platforms(runs) if name in golden]
-    if len(times) > 1 and times[0] and times[-1]:
-        ours = times[-1] / times[0]
-    else:
-        ours = None
-    held = {
-        quantity: [paper.figure("platforms", quantity=quantity, platform=name) for name in ("i9-9940x", "cortex-a57")]
-        for quantity in ("flight_time_s", "energy_kj")
-    }
-    fast, slow = held["flight_time_s"]
-    watts = [1000 * energy / time for energy, time in zip(held["energy_kj"], (fast, slow), strict=True)]
+    # the paper's table: the fast platform and the slow one
+    fast = paper.figure("platforms", quantity="flight_time_s", platform="i9-9940x")
+    slow = paper.figure("platforms", quantity="flight_time_s", platform="cortex-a57")
+    fast_watts = 1000 * paper.figure("platforms", quantity="energy_kj", platform="i9-9940x") / fast
+    slow_watts = 1000 * paper.figure("platforms", quantity="energy_kj", platform="cortex-a57") / slow
     lines = [
         f"the paper's {slow} s / {fast} s = {slow / fast:.1f} is what its text says of the worst flight times, so its "
         "table may hold worst cases; which flights, course and environment is not said",
         "the published tracker advances its reference by 10 ms per loop and needs 26 ms per loop on the TX2, so "
         "flights there take up to 2.6 times as long; latencies of perception and planning add to that where it waits",
-        f"the paper's energy / flight time is {watts[0]:.0f} W and {watts[1]:.0f} W, little more than the constant of "
-        "the power model: its energies follow from its times",
+        f"the paper's energy / flight time is {fast_watts:.0f} W and {slow_watts:.0f} W, little more than the constant "
+        "of the power model: its energies follow from its times",
     ]
-    if ours is None:
+    # this campaign: golden flights on the first and the last platform
+    golden = compared(runs).where(setting=GOLDEN)
+    by_environment = {name: group for (name,), group in golden.groups("environment").items()}
+    times = [_median(by_environment[name]) for name in platforms(runs) if name in by_environment]
+    if len(times) < 2 or not times[0] or not times[-1]:
         return lines
-    flown = compared(runs).where(setting=GOLDEN)
-    course, distance = (m.quantile_of(flown[name], 0.5) or 0.0 for name in ("course_m", "distance_m"))
+    ours = times[-1] / times[0]
+    course = m.quantile_of(golden["course_m"], 0.5) or 0.0
+    distance = m.quantile_of(golden["distance_m"], 0.5) or 0.0
     return [
         f"ours: golden flights take {ours:.2f} times as long (medians), over a course of {course:.0f} m and "
         f"{distance:.0f} m of path",
@@ -423,12 +426,12 @@ CHAPTER = Chapter(
                 Measure("worst_s", "worst time", _SECONDS, _worst),
                 Measure("paper_s", "paper", _SECONDS, _on_platform("flight_time_s")),
                 m.median("energy_j", "median energy", _KJ),
-                Measure("paper_kj", "paper", _KJ, lambda own: _kilo(_on_platform("energy_kj")(own))),
+                Measure("paper_kj", "paper", _KJ, lambda runs: _kilo(_on_platform("energy_kj")(runs))),
                 Measure("power_w", "power", "number .0f W", _power),
                 Measure("paper_w", "paper", "number .0f W", _papers_power),
                 _against_first,
                 Measure(
-                    "paper_processor", "paper: processor", "text", lambda own: _watts(_on_platform("power_w")(own))
+                    "paper_processor", "paper: processor", "text", lambda runs: _watts(_on_platform("power_w")(runs))
                 ),
             ),
             where=compared,

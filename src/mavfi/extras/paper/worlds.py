@@ -40,7 +40,7 @@ class Mean:
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class MeanDifference:
     """A difference of means, first - second, and its p value."""
 
     first: Mean
@@ -51,40 +51,41 @@ class Difference:
     behind: tuple[str, ...]  # ids of the runs with a value
 
 
-def within_worlds(first: Runs, second: Runs, value: pl.Expr, *, by: str = "world") -> Difference | None:
+def within_worlds(first: Runs, second: Runs, value: pl.Expr, *, by: str = "world") -> MeanDifference | None:
     """Compare two groups of runs in the same worlds, with random signs of each world's difference.
 
     `by` names the column that identifies the world.  Runs with a null value are excluded; None if the groups share no
     world.
     """
-    one = _by_world(first, value, by)
-    other = _by_world(second, value, by)
-    shared = [world for world in one if world in other]
+    first_values = _by_world(first, value, by)
+    second_values = _by_world(second, value, by)
+    shared = [world for world in first_values if world in second_values]
     if not shared:
         return None
-    differences = np.array([np.mean(one[world]) - np.mean(other[world]) for world in shared])
+    differences = np.array([np.mean(first_values[world]) - np.mean(second_values[world]) for world in shared])
     p_value = _p_value((differences,), np.mean, "samples")
     return _compared(first, second, value, len(shared), float(differences.mean()), p_value)
 
 
-def between_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | None:
+def between_worlds(first: Runs, second: Runs, value: pl.Expr) -> MeanDifference | None:
     """Compare two groups of runs in different worlds, with worlds permuted between them; None if a group is empty."""
-    one = _by_world(first, value)
-    other = _by_world(second, value)
-    if not one or not other:
+    first_values = _by_world(first, value)
+    second_values = _by_world(second, value)
+    if not first_values or not second_values:
         return None
-    means = tuple(np.array([np.mean(values) for values in part.values()]) for part in (one, other))
-    difference = float(means[0].mean() - means[1].mean())
-    p_value = _p_value(means, _difference, "independent")
-    return _compared(first, second, value, len(one) + len(other), difference, p_value)
+    first_means = np.array([np.mean(values) for values in first_values.values()])
+    second_means = np.array([np.mean(values) for values in second_values.values()])
+    difference = float(first_means.mean() - second_means.mean())
+    p_value = _p_value((first_means, second_means), _difference, "independent")
+    return _compared(first, second, value, len(first_values) + len(second_values), difference, p_value)
 
 
 def _compared(
     first: Runs, second: Runs, value: pl.Expr, worlds: int, difference: float, p_value: float | None
-) -> Difference:
+) -> MeanDifference:
     ids = (part.where(value.is_not_null()).ids for part in (first, second))
     behind = tuple(dict.fromkeys(run_id for part in ids for run_id in part))
-    return Difference(_mean(first, value), _mean(second, value), worlds, difference, p_value, behind)
+    return MeanDifference(_mean(first, value), _mean(second, value), worlds, difference, p_value, behind)
 
 
 CONTRAST = "[95 % interval]: bootstrap of worlds; p: randomization test, settings swapped in whole worlds"
@@ -116,30 +117,31 @@ def contrast(
     Returns:
         None if a group is empty.
     """
-    parts = [group.frame.select(by, value=column, group=pl.lit(place)) for place, group in enumerate(groups)]
+    parts = [group.frame.select(by, value=column, group=pl.lit(index)) for index, group in enumerate(groups)]
     rows = pl.concat(parts).drop_nulls().sort("value")
     values = rows["value"].to_numpy()
     group = rows["group"].to_numpy()
     if set(group) != set(range(len(groups))):
         return None
-    places = {world: place for place, world in enumerate(rows[by].unique(maintain_order=True))}
-    world = np.array([places[one] for one in rows[by]])
+    world_index = {world: index for index, world in enumerate(rows[by].unique(maintain_order=True))}
+    world = np.array([world_index[name] for name in rows[by]])
 
-    def found(counts: np.ndarray, own: np.ndarray) -> list[np.ndarray]:
-        return [quantiles(values, counts * (own == place), share) for place in range(len(groups))]
+    def group_quantiles(counts: np.ndarray, membership: np.ndarray) -> list[np.ndarray]:
+        return [quantiles(values, counts * (membership == index), share) for index in range(len(groups))]
 
     def swapped(signs: np.ndarray, axis: int = -1) -> np.ndarray:
         del axis
         flipped = (np.atleast_2d(signs)[:, world] < 0) & (group < 2)
-        first, second, *_ = found(np.ones(flipped.shape, np.int32), np.where(flipped, 1 - group, group))
+        first, second, *_ = group_quantiles(np.ones(flipped.shape, np.int32), np.where(flipped, 1 - group, group))
         difference: np.ndarray = (first - second).reshape(signs.shape[:-1])
         return difference
 
+    # a sample may lack every world of a group: its contrast is NaN, and no part of the interval
     with np.errstate(invalid="ignore", divide="ignore"):
-        low, high = percentiles(of(*found(draws(len(places))[:, world], group)))
-        value = float(of(*found(np.ones((1, len(values)), np.int32), group))[0])
-    p_value = _p_value((np.ones(len(places)),), swapped, "samples", batch=max(1, _ENTRIES // len(values)))
-    return Contrast(len(places), value, low, high, None, p_value)
+        low, high = percentiles(of(*group_quantiles(draws(len(world_index))[:, world], group)))
+        value = float(of(*group_quantiles(np.ones((1, len(values)), np.int32), group))[0])
+    p_value = _p_value((np.ones(len(world_index)),), swapped, "samples", batch=max(1, _ENTRIES // len(values)))
+    return Contrast(len(world_index), value, low, high, None, p_value)
 
 
 def contrast_measure(  # noqa: PLR0913 - what `Measure` and `contrast` take
@@ -155,14 +157,14 @@ def contrast_measure(  # noqa: PLR0913 - what `Measure` and `contrast` take
 ) -> Measure:
     """A column of contrasts; `groups` maps the rows of a group to the compared ones, none = no cell."""
 
-    def counted(own: Runs) -> Runs:
-        compared = groups(own)
+    def counted(runs: Runs) -> Runs:
+        compared = groups(runs)
         if compared:
-            return replace(own, frame=pl.concat([one.frame for one in compared]))
-        return own
+            return replace(runs, frame=pl.concat([part.frame for part in compared]))
+        return runs
 
-    def cell(own: Runs) -> Contrast | None:
-        compared = groups(own)
+    def cell(runs: Runs) -> Contrast | None:
+        compared = groups(runs)
         if compared:
             return contrast(compared, column, share, of, by=by)
         return None
@@ -203,7 +205,7 @@ def _p_value(
         return None
     if not any(part.any() for part in data):
         return 1.0
-    found = scipy.stats.permutation_test(
+    result = scipy.stats.permutation_test(
         data,
         statistic,
         permutation_type=kind,
@@ -212,4 +214,4 @@ def _p_value(
         batch=batch,
         rng=np.random.default_rng(_SEED),
     )
-    return float(min(1.0, found.pvalue))
+    return float(min(1.0, result.pvalue))

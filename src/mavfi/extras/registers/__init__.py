@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 __all__ = ["inject"]
 
-_LAST_WORDS = 5.0
-"""Time for a cancelled tracer to release the target (s)."""
+_RELEASE_S = 5.0
+"""Time for a cancelled tracer to release the target."""
 
 
 def inject(
@@ -56,7 +56,8 @@ def inject(
 
     check_target(pid, os.getpid())
     order = {"pid": pid, "fault": fault.to_json(), "count": count, "tool": os.getpid()}
-    done: list[Injection] = []
+    injections: list[Injection] = []
+    # The tracer gets one order, and answers with a line per injection.
     with subprocess.Popen(
         [sys.executable, "-m", "mavfi.extras.registers.tracer"],
         stdin=subprocess.PIPE,
@@ -68,18 +69,20 @@ def inject(
             tracer.stdin.write(json.dumps(order).encode() + b"\n")
             tracer.stdin.flush()
             for line in tracer.stdout:
-                done.append(_read(json.loads(line)))
+                injection = _read(json.loads(line))
+                injections.append(injection)
                 if tell is not None:
-                    tell(done[-1])
+                    tell(injection)
         finally:
             tracer.stdin.close()  # makes the tracer release the target and exit
-            tracer.wait(_LAST_WORDS)
-    if len(done) < count:
+            tracer.wait(_RELEASE_S)
+    if len(injections) < count:
         raise MavfiError(f"pid {pid}: the tracer ended with exit code {tracer.returncode}")
-    return done
+    return injections
 
 
 def _read(answer: dict[str, Any]) -> "Injection":
+    """The injection in an answer of the tracer, or its error."""
     from mavfi.record import Injection
 
     if "refused" in answer:

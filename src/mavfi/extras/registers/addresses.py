@@ -15,11 +15,14 @@ from mavfi.errors import BadInputError
 
 _SYMBOL = struct.Struct("<IBBHQQ")  # Elf64_Sym: name, info, other, section, value, size
 _FUNCTIONS = (2, 10)  # STT_FUNC, STT_GNU_IFUNC
-_SHOWN = 5
+_MAX_NAMES = 5
+"""Largest number of names in an error."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Mapping:
+    """A line of /proc/PID/maps: addresses, and what is mapped there."""
+
     start: int
     end: int
     executable: bool
@@ -28,7 +31,7 @@ class _Mapping:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class CodeLocation:
     """Location of an address: file, offset in it, and function with the distance from its start."""
 
     library: str
@@ -47,32 +50,44 @@ class _Symbols:
 
     def offset_of(self, address: int) -> int | None:
         """File offset of an address."""
-        fits = (start + address - first for start, size, first in self.segments if first <= address < first + size)
-        return next(fits, None)
+        for start, size, first in self.segments:
+            if first <= address < first + size:
+                return start + address - first
+        return None
+
+    def address_of(self, offset: int) -> int | None:
+        """Address of a file offset."""
+        for start, size, first in self.segments:
+            if start <= offset < start + size:
+                return first + offset - start
+        return None
 
     def name_at(self, offset: int) -> str:
-        """Function that contains a file offset, and the distance from its start."""
-        fits = (first + offset - start for start, size, first in self.segments if start <= offset < start + size)
-        address = next(fits, None)
-        starts = list(self.functions)
+        """Function that contains a file offset, and the distance from its start; "" = none."""
+        address = self.address_of(offset)
         if address is None:
-            index = -1
-        else:
-            index = bisect.bisect_right(starts, address) - 1
-        if address is None or index < 0:
+            return ""
+        starts = list(self.functions)
+        index = bisect.bisect_right(starts, address) - 1
+        if index < 0:
             return ""
         distance = address - starts[index]
-        (size, name) = self.functions[starts[index]]
-        return "" if size and distance >= size else f"{name.split('@')[0]}+{distance:#x}"
+        size, name = self.functions[starts[index]]
+        if size and distance >= size:
+            return ""
+        return f"{name.split('@')[0]}+{distance:#x}"
 
 
 def _mappings(text: str) -> list[_Mapping]:
+    """The mappings in the text of /proc/PID/maps."""
     mappings = []
     for line in text.splitlines():
-        columns = line.split(None, 5)
-        start, end = (int(text, 16) for text in columns[0].split("-"))
-        name = columns[5] if len(columns) > 5 else "[anon]"
-        mappings.append(_Mapping(start, end, "x" in columns[1], int(columns[2], 16), name))
+        addresses, permissions, offset, _, _, *names = line.split(None, 5)
+        start, _, end = addresses.partition("-")
+        name = "[anon]"
+        if names:
+            name = names[0]
+        mappings.append(_Mapping(int(start, 16), int(end, 16), "x" in permissions, int(offset, 16), name))
     return mappings
 
 
@@ -118,25 +133,28 @@ class AddressSpace:
         os.close(self._root)
 
     def _symbols_of(self, mapping: _Mapping) -> _Symbols | None:
+        """Functions of a mapped file; None if it cannot be read."""
         if not mapping.name.startswith("/"):
             return None
         # as seen by the target, which may run in a container
         path = f"/proc/self/fd/{self._root}{mapping.name}"
         try:
-            held = os.stat(path)
+            status = os.stat(path)
         except OSError:
             return None
-        return _symbols(path, (held.st_ino, held.st_mtime_ns))
+        return _symbols(path, (status.st_ino, status.st_mtime_ns))
 
-    def place(self, address: int) -> Place:
+    def location_of(self, address: int) -> CodeLocation:
         """Location of an address."""
         for mapping in _mappings(self._text):
             if not mapping.start <= address < mapping.end:
                 continue
             offset = address - mapping.start + mapping.offset
             symbols = self._symbols_of(mapping)
-            return Place(mapping.name, offset, "" if symbols is None else symbols.name_at(offset))
-        return Place("[anon]", address, "")
+            if symbols is None:
+                return CodeLocation(mapping.name, offset, "")
+            return CodeLocation(mapping.name, offset, symbols.name_at(offset))
+        return CodeLocation("[anon]", address, "")
 
     def find(self, text: str) -> int:
         """Address of a function, by its exact name or a unique part of it.
@@ -150,21 +168,22 @@ class AddressSpace:
             return next(iter(functions))
         if not functions:
             raise BadInputError(f"symbol {text!r}: no function of process {self._pid} has this name or part of it")
-        some = ", ".join(sorted(set(functions.values()))[:_SHOWN])
+        some = ", ".join(sorted(set(functions.values()))[:_MAX_NAMES])
         raise BadInputError(f"symbol {text!r}: {len(functions)} functions of process {self._pid} match; some: {some}")
 
     def _matches(self, text: str) -> Iterator[tuple[int, str]]:
         """Functions whose names contain a text: load address, and name without a version."""
         for mapping in _mappings(self._text):
-            if mapping.executable:
-                symbols = self._symbols_of(mapping)
-            else:
-                symbols = None
+            if not mapping.executable:
+                continue
+            symbols = self._symbols_of(mapping)
             if symbols is None:
                 continue
-            last = mapping.offset + mapping.end - mapping.start
-            for at, (_, name) in symbols.functions.items():
-                plain = name.split("@")[0]
-                offset = symbols.offset_of(at) if text in plain else None
-                if offset is not None and mapping.offset <= offset < last:
-                    yield mapping.start + offset - mapping.offset, plain
+            end = mapping.offset + mapping.end - mapping.start
+            for address, (_, versioned_name) in symbols.functions.items():
+                name = versioned_name.split("@")[0]
+                if text not in name:
+                    continue
+                offset = symbols.offset_of(address)
+                if offset is not None and mapping.offset <= offset < end:
+                    yield mapping.start + offset - mapping.offset, name

@@ -63,10 +63,11 @@ def inject(  # noqa: PLR0913 - one parameter per option
 
     fault = RegisterFault(registers, access, symbol, walk=walk, timeout=timeout, null=null, seed=seed)
     process = _process(pid, others)
-    done = inject_register(process, fault, count, None if as_json else _report)
-    if as_json:
-        injections = [injection.to_json() for injection in done]
-        write_json({"pid": process, "fault": fault.to_json(), "injections": injections})
+    if not as_json:
+        inject_register(process, fault, count, _report)
+        return
+    injections = [injection.to_json() for injection in inject_register(process, fault, count)]
+    write_json({"pid": process, "fault": fault.to_json(), "injections": injections})
 
 
 def _process(pid: int | None, others: dict[str, Any]) -> int:
@@ -83,20 +84,23 @@ def _process(pid: int | None, others: dict[str, Any]) -> int:
 def _report(injection: Injection) -> None:
     """Print one injection in two lines; operands and names are never interpreted as markup."""
     details = injection.details
-    when = "before" if details["access"] == "read" else "after"
-    done = "injected"
+    when = "after"
+    if details["access"] == "read":
+        when = "before"
+    effect = "injected"
     values = f"{injection.before} → {injection.after}"
     if not injection.activated:
-        done = "NOT injected as planned"
+        effect = "NOT injected as planned"
     elif injection.before == injection.after:
-        done = "not flipped (null injection)"
+        effect = "not flipped (null injection)"
         values = f"{injection.before}, unchanged"
+    # What was changed, then where.
     out = console()
     out.print(
         Text.assemble(
             f"pid {details['pid']}, thread {details['thread']}: ",
             (injection.site, "bold"),
-            f" bit {injection.bit} {done} {when} ",
+            f" bit {injection.bit} {effect} {when} ",
             (details["instruction"], "bold"),
             f": {values}",
         )

@@ -20,18 +20,20 @@ from typing import Any
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.registers.addresses import AddressSpace
 from mavfi.extras.registers.ptrace import WAIT_ALL, TargetGoneError, Tracee, TracerTimeoutError, await_news
-from mavfi.extras.registers.registers import Instruction, Register, decode, enters_kernel, flip, value_of
+from mavfi.extras.registers.registers import MachineInstruction, Register, decode, enters_kernel, flip, value_of
 from mavfi.extras.registers.target import busiest_thread, check_target, not_permitted, threads_of
 from mavfi.faults.fault import RegisterFault
 from mavfi.record import Injection
 
 _REACH = 40
 """Instructions after the walk within which the first eligible one is injected."""
-_PAUSES = (2e-4, 5e-3)
-"""Shortest and longest time between two attempts (s)."""
-_STEP_LIMIT = 2.0
-_NAP = 1e-3
-_LONGEST_INSTRUCTION = 15
+_PAUSES_S = (2e-4, 5e-3)
+"""Shortest and longest time between two attempts."""
+_STEP_LIMIT_S = 2.0
+"""Longest wait for a thread to stop."""
+_NAP_S = 1e-3
+"""Time between two looks whether the search is over."""
+_MAX_INSTRUCTION_BYTES = 15  # Intel SDM, vol. 2, 2.3.11
 _VERBS = {"read": "reads", "write": "writes", "either": "reads or writes"}
 _NOUNS = {"general": "a general register", "fp": "an fp register", "all": "a register"}
 
@@ -47,15 +49,16 @@ class _Search:
     cancelled: Callable[[], bool]
 
     def is_over(self) -> bool:
+        """Whether the time is up, or nobody waits for the injection."""
         return time.monotonic() > self.deadline or self.cancelled()
 
 
 @dataclass(frozen=True, slots=True)
-class Done:
+class RegisterFlip:
     """An injection, before its address is resolved to a location."""
 
     address: int
-    instruction: Instruction
+    instruction: MachineInstruction
     access: str
     register: Register
     bit: int
@@ -65,25 +68,31 @@ class Done:
 
 @dataclass(slots=True)
 class _Attempt:
-    """The stopped target: thread, file of its memory, start and finally duration of the stop (s).
+    """The stopped target.
 
-    `walked` instructions have been single-stepped.
+    Attributes:
+        tracee: The thread.
+        memory: File of its memory.
+        since: Start of the stop (s).
+        walked: Number of instructions that have been single-stepped.
+        flip: The injection; None = there is none yet.
+        stopped: Duration of the stop (s), after it.
     """
 
     tracee: Tracee
     memory: int
     since: float
     walked: int = 0
-    done: Done | None = None
+    flip: RegisterFlip | None = None
     stopped: float = 0.0
 
     def walk(self, count: int) -> bool:
         """Single-step instructions; False before one that would enter the kernel, which may block."""
         for _ in range(count):
-            code = os.pread(self.memory, _LONGEST_INSTRUCTION, self.tracee.instruction_pointer())
+            code = os.pread(self.memory, _MAX_INSTRUCTION_BYTES, self.tracee.instruction_pointer())
             if enters_kernel(code):
                 return False
-            self.tracee.step(_STEP_LIMIT)
+            self.tracee.step(_STEP_LIMIT_S)
             self.walked += 1
         return True
 
@@ -107,18 +116,15 @@ def inject_once(pid: int, fault: RegisterFault, number: int, tool: int, cancelle
             attempts += 1
             with closing(AddressSpace(pid)) as space:
                 with _stopped(search, space) as attempt:
-                    attempt.done = _try(search, attempt)
-                    if attempt.done is not None:
-                        space.read()
-                if attempt.done is not None:
-                    return _record(search, attempt, attempt.done, attempts, space)
+                    attempt.flip = _try(search, attempt)
+                    if attempt.flip is not None:
+                        space.read()  # as it was at the injection
+                # The target runs again: names are looked up now.
+                if attempt.flip is not None:
+                    return _record(search, attempt, attempt.flip, attempts, space)
             if search.is_over():
-                raise TracerTimeoutError(
-                    f"pid {pid}: found no instruction that {_VERBS[fault.access]} {_NOUNS[fault.registers]} "
-                    f"({attempts} stops in {fault.timeout:g} s, system calls excluded"
-                    f"{'' if fault.steps else '; --walk looks further'})"
-                )
-            time.sleep(search.choices.uniform(*_PAUSES))
+                raise TracerTimeoutError(_no_instruction(search, attempts))
+            time.sleep(search.choices.uniform(*_PAUSES_S))
     except TargetGoneError as error:
         raise MavfiError(f"pid {pid}: {error} before the injection") from None
     except PermissionError:
@@ -127,7 +133,19 @@ def inject_once(pid: int, fault: RegisterFault, number: int, tool: int, cancelle
         raise MavfiError(f"pid {pid}: ended before the injection") from None
 
 
-def _try(search: _Search, attempt: _Attempt) -> Done | None:
+def _no_instruction(search: _Search, attempts: int) -> str:
+    """Text of the error that no eligible instruction was reached in some stops."""
+    fault = search.fault
+    remedy = ""
+    if not fault.steps:
+        remedy = "; --walk looks further"
+    return (
+        f"pid {search.pid}: found no instruction that {_VERBS[fault.access]} {_NOUNS[fault.registers]} "
+        f"({attempts} stops in {fault.timeout:g} s, system calls excluded{remedy})"
+    )
+
+
+def _try(search: _Search, attempt: _Attempt) -> RegisterFlip | None:
     """Walk, and flip a bit at the first eligible instruction; None if there is none."""
     fault = search.fault
     choices = search.choices
@@ -138,7 +156,7 @@ def _try(search: _Search, attempt: _Attempt) -> Done | None:
 
 def flip_here(
     fault: RegisterFault, choices: random.Random, tracee: Tracee, memory: int, walk: Callable[[int], bool]
-) -> Done | None:
+) -> RegisterFlip | None:
     """Flip a bit at the first eligible instruction, beginning with the next one of a stopped thread.
 
     Args:
@@ -151,36 +169,44 @@ def flip_here(
     Returns:
         The injection; None if no instruction within reach is eligible.
     """
-    if fault.access == "either":
+    access = fault.access
+    if access == "either":
         access = choices.choice(("read", "write"))
-    else:
-        access = fault.access
-    for left in reversed(range(_REACH if fault.steps else 1)):
+    reach = 1
+    if fault.steps:
+        reach = _REACH
+    for tried in range(1, reach + 1):
         address = tracee.instruction_pointer()
-        instruction = decode(os.pread(memory, _LONGEST_INSTRUCTION, address), address)
+        instruction = decode(os.pread(memory, _MAX_INSTRUCTION_BYTES, address), address)
         if instruction is None:
             return None
         registers = _qualifying(instruction, access, fault.registers)
+        # what a system call writes is there after a step that may block
         if registers and not (instruction.enters_kernel and access == "write"):
             register = choices.choice(registers)
             bit = choices.choice(register.bits)
             if access == "write":
-                tracee.step(_STEP_LIMIT)
+                tracee.step(_STEP_LIMIT_S)
             before = value_of(tracee, register)
             if not fault.null:
                 flip(tracee, register, bit)
-            return Done(address, instruction, access, register, bit, before, value_of(tracee, register))
-        if not left or not walk(1):
+            return RegisterFlip(address, instruction, access, register, bit, before, value_of(tracee, register))
+        if tried == reach or not walk(1):
             return None
     return None
 
 
-def _qualifying(instruction: Instruction, access: str, wanted: str) -> list[Register]:
-    registers = instruction.reads if access == "read" else instruction.writes
-    return [register for register in registers if wanted == "all" or register.is_vector == (wanted == "fp")]
+def _qualifying(instruction: MachineInstruction, access: str, kind: str) -> list[Register]:
+    """The registers of a kind, as in `RegisterFault.registers`, that an instruction reads or writes."""
+    registers = instruction.writes
+    if access == "read":
+        registers = instruction.reads
+    if kind == "all":
+        return list(registers)
+    return [register for register in registers if register.is_vector == (kind == "fp")]
 
 
-def _record(search: _Search, attempt: _Attempt, done: Done, attempts: int, space: AddressSpace) -> Injection:
+def _record(search: _Search, attempt: _Attempt, flipped: RegisterFlip, attempts: int, space: AddressSpace) -> Injection:
     """The injection record."""
     details = {
         "pid": search.pid,
@@ -189,29 +215,34 @@ def _record(search: _Search, attempt: _Attempt, done: Done, attempts: int, space
         "walked": attempt.walked,
         "stopped_us": round(1e6 * attempt.stopped),
     }
-    return injection_of(done, space, search.fault, details)
+    return injection_of(flipped, space, search.fault, details)
 
 
-def injection_of(done: Done, space: AddressSpace, fault: RegisterFault, details: Mapping[str, Any]) -> Injection:
+def injection_of(
+    flipped: RegisterFlip, space: AddressSpace, fault: RegisterFault, details: Mapping[str, Any]
+) -> Injection:
     """The record of an injection, with time 0; values and addresses are hexadecimal text, for up to 256 bits."""
-    location = space.place(done.address)
+    location = space.location_of(flipped.address)
+    planned = flipped.before
+    if not fault.null:
+        planned ^= 1 << flipped.bit
     return Injection(
         fault.level,
-        done.register.name,
+        flipped.register.name,
         0.0,
-        done.bit,
-        f"{done.before:#x}",
-        f"{done.after:#x}",
-        done.after == done.before ^ (0 if fault.null else 1 << done.bit),
+        flipped.bit,
+        f"{flipped.before:#x}",
+        f"{flipped.after:#x}",
+        activated=flipped.after == planned,
         details={
-            "address": f"{done.address:#x}",
+            "address": f"{flipped.address:#x}",
             "library": location.library,
             "offset": f"{location.offset:#x}",
             "symbol": location.symbol,
-            "instruction": done.instruction.text,
-            "access": done.access,
-            "register": done.register.name,
-            "width": done.register.width,
+            "instruction": flipped.instruction.text,
+            "access": flipped.access,
+            "register": flipped.register.name,
+            "width": flipped.register.width,
             **details,
         },
     )
@@ -230,9 +261,9 @@ def _stopped(search: _Search, space: AddressSpace) -> Iterator[_Attempt]:
         else:
             tracee = Tracee(busiest_thread(pid), cancelled=search.cancelled)
             cleanup.callback(tracee.detach)
-            time.sleep(search.choices.uniform(*_PAUSES))
+            time.sleep(search.choices.uniform(*_PAUSES_S))
             since = time.perf_counter()
-            tracee.interrupt(_STEP_LIMIT)
+            tracee.interrupt(_STEP_LIMIT_S)
         attempt = _Attempt(tracee, memory, since)
         yield attempt
         tracee.detach()
@@ -244,54 +275,56 @@ def _stop_at(search: _Search, space: AddressSpace, cleanup: ExitStack) -> tuple[
     pid = search.pid
     fault = search.fault
     address = space.find(fault.symbol)
-    held: dict[int, Tracee] = {}
+    tracees: dict[int, Tracee] = {}
 
-    def let_go() -> None:
-        for tracee in held.values():
+    def release_all() -> None:
+        for tracee in tracees.values():
             tracee.detach()
 
-    cleanup.callback(let_go)
+    cleanup.callback(release_all)
+    # Set a breakpoint in each thread; they continue.
     for thread in threads_of(pid):
         try:
-            held[thread] = Tracee(thread, cancelled=search.cancelled)
-            held[thread].interrupt(_STEP_LIMIT)
-            held[thread].follow_threads()
-            held[thread].set_breakpoint(address)
-            held[thread].resume()
+            tracees[thread] = Tracee(thread, cancelled=search.cancelled)
+            tracees[thread].interrupt(_STEP_LIMIT_S)
+            tracees[thread].follow_threads()
+            tracees[thread].set_breakpoint(address)
+            tracees[thread].resume()
         except (ProcessLookupError, PermissionError, TargetGoneError):  # no permission: it is ending
             if thread == pid:
                 raise
-            held.pop(thread, None)  # a thread that has ended since it was listed
-    arrived = _first_at(address, held, search)
+            tracees.pop(thread, None)  # a thread that has ended since it was listed
+    arrived = _first_at(address, tracees, search)
     since = time.perf_counter()
     arrived.clear_breakpoint()
-    del held[arrived.thread]
+    # Release the others first: they are not to wait for the injection.
+    del tracees[arrived.thread]
     cleanup.callback(arrived.detach)
-    let_go()
-    held.clear()
+    release_all()
+    tracees.clear()
     return arrived, since
 
 
-def _first_at(address: int, held: dict[int, Tracee], search: _Search) -> Tracee:
+def _first_at(address: int, tracees: dict[int, Tracee], search: _Search) -> Tracee:
     """Wait for the first thread to reach an address; includes newly created threads."""
-    while held:
+    while tracees:
         thread, status = os.waitpid(-1, WAIT_ALL | os.WNOHANG)
         if not thread:
             if search.is_over():
                 fault = search.fault
                 raise TracerTimeoutError(f"pid {search.pid}: did not call {fault.symbol!r} within {fault.timeout:g} s")
-            await_news(_NAP)
+            await_news(_NAP_S)
             continue
-        new = thread not in held
-        if new:  # created by a traced thread
-            held[thread] = Tracee(thread, seize=False, cancelled=search.cancelled)
-        tracee = held[thread]
+        is_new = thread not in tracees
+        if is_new:  # created by a traced thread
+            tracees[thread] = Tracee(thread, seize=False, cancelled=search.cancelled)
+        tracee = tracees[thread]
         try:
             stop = tracee.note(status)
         except TargetGoneError:
-            del held[thread]
+            del tracees[thread]
             continue
-        if new:
+        if is_new:
             tracee.set_breakpoint(address)
         elif not stop.signal and not stop.interrupted and tracee.instruction_pointer() == address:
             return tracee

@@ -15,7 +15,8 @@ from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Fault, RegisterFault
 from mavfi.faults.sampling import stream
 from mavfi.levels.level import Draw, Golden, Level, Sampler, Sampling, check_distinct, check_known
 
-PATIENCE_S = 20.0  # time limit for the process to reach the injection point (s)
+PATIENCE_S = 20.0
+"""Time limit for the process to reach the injection point."""
 
 
 class RegisterSampling(Sampling):
@@ -47,7 +48,9 @@ class RegisterSampler(Sampler):
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Golden) -> list[Fault | None]:
         """One fault per draw; None without a golden run for comparison."""
-        return [self._fault(d.target, d.index, environment, golden) if "" in golden else None for d in draws]
+        if "" not in golden:
+            return [None] * len(draws)
+        return [self._fault(draw.target, draw.index, environment, golden) for draw in draws]
 
     def null(self, index: int, seed: int, environment: str, golden: Golden) -> Fault:
         """A fault with every step except the flip; kinds of registers alternate."""
@@ -58,10 +61,17 @@ class RegisterSampler(Sampler):
     def _fault(
         self, registers: str, index: int, environment: str, golden: Golden, *, null: bool = False
     ) -> RegisterFault:
+        """The fault with this number; in a process that flies no mission, from its start on."""
         sampling = self.sampling
         seed = self.campaign.first_seed + index
-        flown = golden[""].flight.record() if "" in golden else None
-        length_us = 0 if flown is None else round(1e6 * flown.flight_time_s)  # 0: a process that flies no mission
+        node = ""
+        time_us = 0
+        if "" in golden:
+            record = golden[""].flight.record()
+            node = str(record.extra.get("node", ""))
+            flight_time_us = round(1e6 * record.flight_time_s)
+            if flight_time_us:
+                time_us = int(stream(seed, environment, registers).integers(flight_time_us))
         return RegisterFault(
             registers,
             sampling.access,
@@ -70,8 +80,8 @@ class RegisterSampler(Sampler):
             timeout=PATIENCE_S,
             null=null,
             seed=seed,
-            node="" if flown is None else str(flown.extra.get("node", "")),
-            time_us=int(stream(seed, environment, registers).integers(length_us)) if length_us else 0,
+            node=node,
+            time_us=time_us,
         )
 
 

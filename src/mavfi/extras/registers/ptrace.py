@@ -41,8 +41,10 @@ _XMM = 160
 _DEBUG_REGISTERS = 848
 """offsetof(struct user, u_debugreg)."""
 _SPINS = 200
-_HALT_LIMIT = 2.0
-_NAP = 1e-3
+"""Number of looks at a thread before waiting for a signal."""
+_HALT_LIMIT_S = 2.0
+"""Longest wait for a thread that is to be released."""
+_NAP_S = 1e-3
 _NEWS = (signal.SIGCHLD,)
 
 GENERAL = (
@@ -94,6 +96,8 @@ class TracerTimeoutError(MavfiError):
 
 
 class _Registers(ctypes.Structure):
+    """struct user_regs_struct."""
+
     _fields_ = [(name, ctypes.c_uint64) for name in GENERAL]
 
 
@@ -116,6 +120,7 @@ def await_news(seconds: float) -> None:
 
 
 def _ptrace(request: int, thread: int, address: int = 0, data: int = 0) -> None:
+    """Make a request; an error is an OSError."""
     if _syscall(_SYS_PTRACE, request, thread, address, data) < 0:
         code = ctypes.get_errno()
         raise OSError(code, os.strerror(code), f"ptrace {request:#x} of {thread}")
@@ -201,7 +206,7 @@ class Tracee:
                 continue
             if time.monotonic() > deadline or self.cancelled():
                 raise TracerTimeoutError(f"thread {self.thread}: did not stop within {timeout:g} s")
-            await_news(_NAP)
+            await_news(_NAP_S)
 
     def note(self, status: int) -> Stop:
         """Process a status of waitpid; returns why the thread stopped."""
@@ -209,7 +214,9 @@ class Tracee:
             self.stopped = False
             self.ended = True
             code = os.waitstatus_to_exitcode(status)
-            raise TargetGoneError(f"the target ended {f'by signal {-code}' if code < 0 else f'with {code}'}", code)
+            if code < 0:
+                raise TargetGoneError(f"the target ended by signal {-code}", code)
+            raise TargetGoneError(f"the target ended with {code}", code)
         self.stopped = True
         event = status >> 16
         number = os.WSTOPSIG(status)
@@ -233,7 +240,7 @@ class Tracee:
             if not self.stopped:
                 self.cancelled = bool  # never cancelled: a breakpoint would be left behind
                 _ptrace(_INTERRUPT, self.thread)
-                number = self.wait(_HALT_LIMIT).signal
+                number = self.wait(_HALT_LIMIT_S).signal
             if self._has_breakpoint:
                 self.clear_breakpoint()
             _ptrace(_DETACH, self.thread, 0, number)
@@ -269,8 +276,9 @@ class Tracee:
         area, length = self._extended()
         low = _XMM + 16 * index
         high = _YMM_HIGH + 16 * index
-        has_high = length >= high + 16 and area[_XSTATE_HEADER] & _YMM_COMPONENT
-        upper = bytes(area[high : high + 16]) if has_high else bytes(16)
+        upper = bytes(16)
+        if length >= high + 16 and area[_XSTATE_HEADER] & _YMM_COMPONENT:
+            upper = bytes(area[high : high + 16])
         return int.from_bytes(bytes(area[low : low + 16]) + upper, "little")
 
     def set_vector(self, index: int, value: int) -> None:

@@ -46,14 +46,19 @@ class Register:
 
 
 def _general() -> dict[str, Register]:
+    """General registers by name, with their parts: of "rax", "ah" starts at bit 8."""
     families = [[(f"r{x}x", 64), (f"e{x}x", 32), (f"{x}x", 16), (f"{x}l", 8), (f"{x}h", 8)] for x in "abcd"]
     families += [[(f"r{x}", 64), (f"e{x}", 32), (x, 16), (f"{x}l", 8)] for x in ("si", "di", "bp", "sp")]
     families += [[(f"r{x}", 64), (f"r{x}d", 32), (f"r{x}w", 16), (f"r{x}b", 8)] for x in range(8, 16)]
-    return {
-        name: Register(name, family[0][0], 0, 8 if name[-1] == "h" else 0, tuple(range(width)))
-        for family in families
-        for name, width in family
-    }
+    registers = {}
+    for family in families:
+        holder = family[0][0]
+        for name, width in family:
+            shift = 0
+            if name[-1] == "h":
+                shift = 8
+            registers[name] = Register(name, holder, 0, shift, tuple(range(width)))
+    return registers
 
 
 _GENERAL = _general()
@@ -67,7 +72,7 @@ def _decoder() -> capstone.Cs:
 
 
 @dataclass(frozen=True, slots=True)
-class Instruction:
+class MachineInstruction:
     """A decoded instruction: mnemonic and operands, and the registers that it reads and writes.
 
     Stepping over an instruction that enters the kernel (a system call) may block.
@@ -87,27 +92,27 @@ _INT = b"\xcd"
 
 @lru_cache(maxsize=4096)
 def enters_kernel(code: bytes) -> bool:
-    """`Instruction.enters_kernel` of the instruction at the start of `code`, without decoding (Intel SDM, vol. 2)."""
+    """Whether the instruction at the start of `code` enters the kernel, without decoding it (Intel SDM, vol. 2)."""
     return code.lstrip(_PREFIXES).startswith((_SYSCALL, _SYSENTER, _INT))
 
 
 @lru_cache(maxsize=4096)
-def decode(code: bytes, address: int) -> Instruction | None:
+def decode(code: bytes, address: int) -> MachineInstruction | None:
     """The instruction at the start of up to 15 bytes at an address; None if unknown to the decoder."""
     decoded = next(_decoder().disasm(code, address, 1), None)
     if decoded is None:
         return None
-    read, written = decoded.regs_access()
     text = f"{decoded.mnemonic} {decoded.op_str}".rstrip()
+    read, written = decoded.regs_access()
+    reads = _registers(decoded, read, _FLAGS_READ)
     writes = _registers(decoded, written, _FLAGS_WRITTEN)
+    # What the decoder omits.
     if decoded.mnemonic.startswith(_COMPARES):
         writes += _ALL_FLAGS
     masked = _MASKED.match(decoded.op_str)
     if masked and all(register.name != masked[0] for register in writes):
         writes += _vector(masked[0], decoded.mnemonic)
-    return Instruction(
-        text, decoded.mnemonic in ("syscall", "sysenter", "int"), _registers(decoded, read, _FLAGS_READ), writes
-    )
+    return MachineInstruction(text, decoded.mnemonic in ("syscall", "sysenter", "int"), reads, writes)
 
 
 def _flag_masks(*verbs: str) -> dict[str, int]:
@@ -121,17 +126,19 @@ _ALL_FLAGS = (Register("rflags", "rflags", 0, 0, tuple(_FLAGS.values())),)
 
 
 def _registers(decoded: capstone.CsInsn, numbers: list[int], flags: dict[str, int]) -> tuple[Register, ...]:
-    chosen = []
+    """The injectable registers with these numbers; `flags` are Capstone's bits for each flag."""
+    registers: list[Register] = []
     for number in numbers:
         name = decoded.reg_name(number)
         if name in _GENERAL:
-            chosen.append(_GENERAL[name])
+            registers.append(_GENERAL[name])
         elif name == "rflags":  # only flags that the instruction tests or sets: the others would all be masked
             bits = tuple(bit for flag, bit in _FLAGS.items() if decoded.eflags & flags[flag])
-            chosen += [Register("rflags", "rflags", 0, 0, bits)] if bits else []
+            if bits:
+                registers.append(Register("rflags", "rflags", 0, 0, bits))
         else:
-            chosen += _vector(name, decoded.mnemonic)
-    return tuple(chosen)
+            registers += _vector(name, decoded.mnemonic)
+    return tuple(registers)
 
 
 def _vector(name: str, mnemonic: str) -> tuple[Register, ...]:
@@ -156,10 +163,10 @@ def _used_bits(mnemonic: str, kind: str) -> int:
 def value_of(tracee: Tracee, register: Register) -> int:
     """Value of a register of a stopped thread."""
     if register.is_vector:
-        whole = tracee.vector(register.index)
+        holder = tracee.vector(register.index)
     else:
-        whole = tracee.general()[register.holder]
-    return (whole >> register.shift) % (1 << register.width)
+        holder = tracee.general()[register.holder]
+    return (holder >> register.shift) % (1 << register.width)
 
 
 def flip(tracee: Tracee, register: Register, bit: int) -> None:
@@ -168,6 +175,6 @@ def flip(tracee: Tracee, register: Register, bit: int) -> None:
     if register.is_vector:
         tracee.set_vector(register.index, tracee.vector(register.index) ^ mask)
         return
-    held = tracee.general()
-    held[register.holder] ^= mask
-    tracee.set_general(held)
+    registers = tracee.general()
+    registers[register.holder] ^= mask
+    tracee.set_general(registers)

@@ -33,9 +33,9 @@ def serve(order: dict, answers: TextIO) -> None:
         for number in range(order["count"]):
             if _abandoned():
                 return
-            done = inject_once(order["pid"], fault, number, order["tool"], _abandoned)
-            done = replace(done, time_s=round(time.monotonic() - began, 6))
-            answers.write(json.dumps({"done": done.to_json()}) + "\n")
+            injection = inject_once(order["pid"], fault, number, order["tool"], _abandoned)
+            injection = replace(injection, time_s=round(time.monotonic() - began, 6))
+            answers.write(json.dumps({"done": injection.to_json()}) + "\n")
             answers.flush()
     except BadInputError as error:
         answers.write(json.dumps({"refused": str(error)}) + "\n")

@@ -5,19 +5,21 @@ A field may also be the length of a list in the serialized state: a message with
 
 from copy import copy
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.faults.injector import Injector
-from mavfi.faults.levels.transit import is_length, with_length
+from mavfi.faults.levels.transit import Change, changed_bits, is_length, with_length
 from mavfi.faults.sampling import stream
 from mavfi.faults.strata import WORD_BITS
 from mavfi.record import Injection
 from mavfi.states import STATES, State, StateSpec, find_state
 
 Number = float | int | bool
+"""Value of a field."""
 
 
 def flip(state: State, site: FaultSite, bit: int | None, width: int = 1) -> tuple[State, Number, Number]:
@@ -34,10 +36,13 @@ def flip(state: State, site: FaultSite, bit: int | None, width: int = 1) -> tupl
         BadInputError: The field has no such bit, or the state has no element.
     """
     bits = WORD_BITS[state.spec.find(site.field).dtype]
-    if bit is not None and not 0 <= bit <= bits - width:
-        raise BadInputError(f"{site}: no bit {bit + width - 1 if bit >= 0 else bit}; allowed: 0 to {bits - 1}")
-    changed, before, after, _ = _with_bits(state, site, mask_of(bit, width))
-    return changed, before, after
+    if bit is not None and bit < 0:
+        raise BadInputError(f"{site}: no bit {bit}; allowed: 0 to {bits - 1}")
+    if bit is not None and bit + width > bits:
+        raise BadInputError(f"{site}: no bit {bit + width - 1}; allowed: 0 to {bits - 1}")
+    change = _with_bits(state, site, mask_of(bit, width))
+    assert change.state is not None  # only a wrong length loses a message
+    return change.state, change.before, change.after
 
 
 def mask_of(bit: int | None, width: int) -> int:
@@ -47,26 +52,30 @@ def mask_of(bit: int | None, width: int) -> int:
     return ((1 << width) - 1) << bit
 
 
-def _with_bits(state: State, site: FaultSite, mask: int, stuck: int | None = None) -> tuple[State, Number, Number, int]:
-    """A copy with masked bits of a field flipped, or set as in `stuck`; also value before and after, and new word."""
+def _with_bits(state: State, site: FaultSite, mask: int, stuck: int | None = None) -> Change:
+    """A copy with masked bits of a field flipped, or set as in `stuck`."""
     if is_length(state.spec, site.field):
         raise BadInputError(f"{site}: is the length of a list; allowed: a field of the state")
     changed = state.copy()
-    in_elements = state.spec.in_elements(site.field)
-    container = changed.elements if in_elements else changed.header
+    # Where the field is: in the header, or in a row of the elements.
+    container = changed.header
+    row = 0
+    if state.spec.in_elements(site.field):
+        container = changed.elements
+        row = min(site.element or 0, len(container) - 1)
     if len(container) == 0:
         raise BadInputError(f"{site}: the state carries no {state.spec.element} to change")
-    row = min(site.element or 0, len(container) - 1) if in_elements else 0
     before = container[site.field][row].item()
+    # Change its bytes.
     names = container.dtype.fields
     assert names is not None  # states are structured arrays
     start = row * container.dtype.itemsize + names[site.field][1]
     size = names[site.field][0].itemsize
     raw = container.view(np.uint8)[start : start + size]
     word = int.from_bytes(raw.tobytes(), "little")
-    word = (word & ~mask) | ((~word if stuck is None else stuck) & mask)
+    word = changed_bits(word, mask, stuck)
     raw[:] = np.frombuffer(word.to_bytes(size, "little"), np.uint8)
-    return changed, before, container[site.field][row].item(), word
+    return Change(changed, before, container[site.field][row].item(), word)
 
 
 class ActedOn:
@@ -134,26 +143,23 @@ class StateInjector(Injector):
         self.injections: list[Injection] = []
         self._fault = fault
         self._spec = find_state(fault.where.state)
-        if watch is None:
-            known = None
-        else:
-            known = watch.acted_on.get(self._spec.name)
-        if known is None:
-            self._acted_on = ActedOn(self._spec)
-        else:
-            self._acted_on = copy(known)
-        self._spec.find(fault.where.field)
+        self._spec.find(fault.where.field)  # refuses an unknown field
+        self._acted_on = ActedOn(self._spec)
+        if watch is not None and self._spec.name in watch.acted_on:
+            self._acted_on = copy(watch.acted_on[self._spec.name])
         self._in_elements = self._spec.in_elements(fault.where.field)
         self._in_length = fault.of_length
         self._armed = fault.has_site
-        self._since_us = 0
-        self._stuck = 0
-        self._seen, self._changed = 0, 0  # publications since the fault began, and number of changed ones
+        self._since_us = 0  # instant of the first change
+        self._stuck = 0  # word to whose bits the field is stuck after it
+        self._seen = 0  # number of publications since the fault began
+        self._changed = 0  # number of changed ones
 
     def copy(self) -> "StateInjector":
         """An independent copy in the same state."""
         other = copy(self)
-        other.injections, other._acted_on = list(self.injections), copy(self._acted_on)
+        other.injections = list(self.injections)
+        other._acted_on = copy(self._acted_on)
         return other
 
     @property
@@ -166,10 +172,13 @@ class StateInjector(Injector):
         if state.spec is not self._spec or not self._armed:
             return state
         acted_on = self._acted_on(state)
-        empty = self._in_elements and len(state.elements) == 0
-        if empty or (not self._seen and (not acted_on or time_us < self._fault.time_us)):
+        if self._in_elements and len(state.elements) == 0:
             return state
-        if self._seen and not self._lasts(time_us):
+        # The fault begins with a publication that consumers act on, and then changes any.
+        has_begun = self._seen > 0
+        if not has_begun and (not acted_on or time_us < self._fault.time_us):
+            return state
+        if has_begun and not self._lasts(time_us):
             return state
         self._seen += 1
         self._armed = self._seen < self._fault.times or self._fault.lasts_s > 0.0
@@ -178,6 +187,7 @@ class StateInjector(Injector):
         return state
 
     def _lasts(self, time_us: int) -> bool:
+        """Whether a fault that has begun still lasts; disarms it if not."""
         fault = self._fault
         self._armed = self._seen < fault.times or time_us - self._since_us <= 1e6 * fault.lasts_s
         return self._armed
@@ -188,36 +198,48 @@ class StateInjector(Injector):
         return fault.share == 1.0 or stream(fault.seed, "share", self._seen).random() < fault.share
 
     def _inject(self, state: State, time_us: int) -> State | None:
+        """Change a publication; the first change is recorded."""
         fault = self._fault
-        site = self._fault.where
-        first = not self._changed
+        site = fault.where
         if self._in_elements:
             # the list may be shorter than in the golden run; the record names the injected element
             site = replace(site, element=min(site.element or 0, len(state.elements) - 1))
+        is_first = self._changed == 0
+        stuck = None
+        if not is_first:
+            stuck = self._stuck
         mask = mask_of(fault.bit, fault.width)
-        stuck = None if first else self._stuck
         if self._in_length:
-            change: tuple[State | None, Number, Number, int] = with_length(state, site.field, mask, stuck)
+            change = with_length(state, site.field, mask, stuck)
         else:
             change = _with_bits(state, site, mask, stuck)
-        injected, before, after, word = change
         self._changed += 1
-        if first:
+        if is_first:
             self._since_us = time_us
-            self._stuck = word
-            activated = (injected is not None and injected.same_bits(state)) == (fault.bit is None)
-            injection = Injection(
-                fault.level,
-                str(site),
-                time_us / 1e6,
-                fault.bit,
-                before,
-                after,
-                activated,
-                details={"lost": True} if injected is None else {},
-            )
-            self.injections.append(injection)
-        return injected
+            self._stuck = change.word
+            self.injections.append(self._record(state, time_us, site, change))
+        return change.state
+
+    def _record(self, state: State, time_us: int, site: FaultSite, change: Change) -> Injection:
+        """The record of the first change."""
+        fault = self._fault
+        details: dict[str, Any] = {}
+        is_same = False
+        if change.state is None:
+            details["lost"] = True
+        else:
+            is_same = change.state.same_bits(state)
+        is_null_fault = fault.bit is None
+        return Injection(
+            fault.level,
+            str(site),
+            time_us / 1e6,
+            fault.bit,
+            change.before,
+            change.after,
+            activated=is_same == is_null_fault,
+            details=details,
+        )
 
     def finish(self) -> list[Injection]:
         """The injection; a lasting one with its number of publications; not activated if none was changed."""
@@ -226,6 +248,8 @@ class StateInjector(Injector):
             return [replace(first, details={**first.details, "publications": self._changed})]
         if not self.injections:
             fault = self._fault
-            time_s = fault.time_us / 1e6 if fault.has_site else 0.0
+            time_s = 0.0
+            if fault.has_site:
+                time_s = fault.time_us / 1e6
             self.injections.append(Injection(fault.level, fault.site, time_s, fault.bit, None, None, activated=False))
         return self.injections

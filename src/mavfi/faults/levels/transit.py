@@ -6,6 +6,8 @@ table order, then one list per element field.  A bit of a number is thus a bit o
 length moves everything behind it.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from mavfi.states import State, StateSpec
@@ -34,6 +36,7 @@ def parse(spec: StateSpec, data: bytes | bytearray) -> State | None:
     """
     start = spec.header_dtype.itemsize
     header = np.frombuffer(bytearray(data[:start]), spec.header_dtype)
+    # The lists: a length, and as many values.
     lists = []
     for field in spec.elements:
         kind = np.dtype(field.dtype)
@@ -51,10 +54,31 @@ def parse(spec: StateSpec, data: bytes | bytearray) -> State | None:
     return State(spec, header, elements)
 
 
-def with_length(state: State, name: str, mask: int, stuck: int | None = None) -> tuple[State | None, int, int, int]:
-    """The state as read after masked bits of a list's length were flipped, or set as in `stuck`; None = dropped.
+class Change(NamedTuple):
+    """A publication with changed bits.
 
-    Also returns the length before and after, and the new word, as for other fields.
+    Attributes:
+        state: The publication as subscribers read it; None = they drop it.
+        before: Value of the field before.
+        after: Its value after.
+        word: The bits of the value after, as an integer.
+    """
+
+    state: State | None
+    before: float | int | bool
+    after: float | int | bool
+    word: int
+
+
+def changed_bits(word: int, mask: int, stuck: int | None) -> int:
+    """A word with masked bits flipped, or set as in `stuck` if this is not None."""
+    if stuck is None:
+        return word ^ mask
+    return (word & ~mask) | (stuck & mask)
+
+
+def with_length(state: State, name: str, mask: int, stuck: int | None = None) -> Change:
+    """The state as read after masked bits of a list's length were flipped, or set as in `stuck`.
 
     Args:
         state: A publication.
@@ -69,6 +93,6 @@ def with_length(state: State, name: str, mask: int, stuck: int | None = None) ->
             break
         start += _LENGTH.itemsize + len(state.elements) * np.dtype(field.dtype).itemsize
     before = len(state.elements)
-    after = (before & ~mask) | ((~before if stuck is None else stuck) & mask)
+    after = changed_bits(before, mask, stuck)
     data[start : start + _LENGTH.itemsize] = np.array([after], _LENGTH).tobytes()
-    return parse(state.spec, data), before, after, after
+    return Change(parse(state.spec, data), before, after, after)

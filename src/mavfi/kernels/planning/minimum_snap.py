@@ -78,7 +78,7 @@ def _power(base: float, exponent: int) -> float:
 
 @kernel_jit
 def _add_segment(
-    time: float, points: np.ndarray, k: int, rows: np.ndarray, own: int, other: int, other_at: int
+    time: float, points: np.ndarray, k: int, rows: np.ndarray, this_end: int, other_end: int, other_column: int
 ) -> None:
     """Add the terms of segment k to the equations for the unknowns at one of its ends.
 
@@ -86,17 +86,17 @@ def _add_segment(
         time: Duration of the segment (s).
         points: Shape (n, 3).
         k: Segment, from point k to k + 1.
-        rows: Changed: coefficients of the previous, own and next unknowns, right-hand side. Shape (3, 12).
-        own: First index of the own unknowns among the eight end values: 1 or 5.
-        other: First index of the neighbour's unknowns: 5 or 1.
-        other_at: Column of `rows` for the unknowns of the other end: 0 or 6.
+        rows: Changed: coefficients of the previous, this and the next unknowns, right-hand side. Shape (3, 12).
+        this_end: First index of the unknowns at this end among the eight end values: 1 or 5.
+        other_end: First index of the neighbour's unknowns: 5 or 1.
+        other_column: Column of `rows` for the unknowns of the other end: 0 or 6.
     """
     for i in range(3):
         for j in range(3):
             power = 1.0 / _power(time, 5 - i - j)
-            rows[i, 3 + j] += SNAP[own + i, own + j] * power
-            rows[i, other_at + j] += SNAP[own + i, other + j] * power
-        scale = SNAP[own + i, 4] / _power(time, 6 - i)
+            rows[i, 3 + j] += SNAP[this_end + i, this_end + j] * power
+            rows[i, other_column + j] += SNAP[this_end + i, other_end + j] * power
+        scale = SNAP[this_end + i, 4] / _power(time, 6 - i)
         for axis in range(3):
             rows[i, 9 + axis] -= scale * (points[k + 1, axis] - points[k, axis])
 

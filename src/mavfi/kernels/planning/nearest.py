@@ -201,7 +201,7 @@ def nearest(index: Index, nodes: np.ndarray, count: int, target: np.ndarray) -> 
 
 
 @kernel_jit
-def scan_ball(nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, found: np.ndarray) -> int:
+def scan_ball(nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, near: np.ndarray) -> int:
     """Nodes within a radius of a point.
 
     Args:
@@ -209,7 +209,7 @@ def scan_ball(nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, 
         count: Number of nodes.
         centre: World frame (m). Shape (3,).
         radius: Radius (m).
-        found: Output: their indices. Shape (>= count,), int32.
+        near: Output: their indices. Shape (>= count,), int32.
 
     Returns:
         Number of nodes found.
@@ -217,14 +217,14 @@ def scan_ball(nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, 
     size = 0
     for i in range(count):
         if math.sqrt(_square(nodes, i, centre)) <= radius:
-            found[size] = i
+            near[size] = i
             size += 1
     return size
 
 
 @kernel_jit
 def search_ball(
-    index: Index, nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, found: np.ndarray
+    index: Index, nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, near: np.ndarray
 ) -> int:
     """Same nodes as `scan_ball`, in another order; new nodes are inserted into `index`."""
     _take_in(index, nodes, count)
@@ -240,15 +240,15 @@ def search_ball(
             continue
         while node >= 0:
             if math.sqrt(_square(nodes, node, centre)) <= radius:
-                found[within] = node
+                near[within] = node
                 within += 1
             node, size = _step_down(index, node, centre, ox, oy, oz, size)
     return within
 
 
 @kernel_jit
-def ball(index: Index, nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, found: np.ndarray) -> int:
+def ball(index: Index, nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, near: np.ndarray) -> int:
     """Nodes within a radius, in no particular order, by the faster method. Arguments as for `search_ball`."""
     if count < PAYS_FROM:
-        return scan_ball(nodes, count, centre, radius, found)
-    return search_ball(index, nodes, count, centre, radius, found)
+        return scan_ball(nodes, count, centre, radius, near)
+    return search_ball(index, nodes, count, centre, radius, near)

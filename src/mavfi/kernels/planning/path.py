@@ -39,7 +39,7 @@ def shortcut_greedy(counter: np.ndarray, grid: Grid, path: np.ndarray, count: in
     Returns:
         New number of vertices.
     """
-    kept = 1
+    written = 1
     i = 0
     while i < count - 1:
         j = count - 1
@@ -47,10 +47,10 @@ def shortcut_greedy(counter: np.ndarray, grid: Grid, path: np.ndarray, count: in
             j -= 1
         # vertices written so far never lie behind the one being read
         for axis in range(3):
-            path[kept, axis] = path[j, axis]
-        kept += 1
+            path[written, axis] = path[j, axis]
+        written += 1
         i = j
-    return kept
+    return written
 
 
 @kernel_jit
@@ -107,19 +107,19 @@ def shortcut_random(
         j = _locate(path, count, max(first, second), b)
         if i == j or not segment_free(counter, grid, a, b):
             continue
-        kept = 0
+        new_count = 0
         for k in range(i + 1):
-            kept = _append(buffer, kept, path[k])
-        kept = _append(buffer, kept, a)
-        kept = _append(buffer, kept, b)
+            new_count = _append(buffer, new_count, path[k])
+        new_count = _append(buffer, new_count, a)
+        new_count = _append(buffer, new_count, b)
         for k in range(j + 1, count):
-            kept = _append(buffer, kept, path[k])
-        if kept > path.shape[0] - 2:
+            new_count = _append(buffer, new_count, path[k])
+        if new_count > path.shape[0] - 2:
             continue
-        for k in range(kept):
+        for k in range(new_count):
             for axis in range(3):
                 path[k, axis] = buffer[k, axis]
-        count = kept
+        count = new_count
     return count
 
 

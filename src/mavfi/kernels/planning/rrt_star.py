@@ -93,44 +93,44 @@ def plant(tree: CostTree, start: np.ndarray, lower: np.ndarray, upper: np.ndarra
 
 
 @kernel_jit
-def _before(found: np.ndarray, through: np.ndarray, a: int, b: int) -> bool:
+def _before(near: np.ndarray, through: np.ndarray, a: int, b: int) -> bool:
     """Order of the near set: by cost of the new node through it; for equal costs the older node first."""
     if through[a] != through[b]:
         return bool(through[a] < through[b])
-    return bool(found[a] < found[b])
+    return bool(near[a] < near[b])
 
 
 @kernel_jit
-def _swap(found: np.ndarray, through: np.ndarray, a: int, b: int) -> None:
-    node = found[a]
-    found[a] = found[b]
-    found[b] = node
+def _swap(near: np.ndarray, through: np.ndarray, a: int, b: int) -> None:
+    node = near[a]
+    near[a] = near[b]
+    near[b] = node
     cost = through[a]
     through[a] = through[b]
     through[b] = cost
 
 
 @kernel_jit
-def _sift(found: np.ndarray, through: np.ndarray, top: int, end: int) -> None:
+def _sift(near: np.ndarray, through: np.ndarray, top: int, end: int) -> None:
     """Sift an entry down the heap."""
     while 2 * top + 1 < end:
         later = 2 * top + 1
-        if later + 1 < end and _before(found, through, later, later + 1):
+        if later + 1 < end and _before(near, through, later, later + 1):
             later += 1
-        if not _before(found, through, top, later):
+        if not _before(near, through, top, later):
             return
-        _swap(found, through, top, later)
+        _swap(near, through, top, later)
         top = later
 
 
 @kernel_jit
-def _sort(found: np.ndarray, through: np.ndarray, size: int) -> None:
+def _sort(near: np.ndarray, through: np.ndarray, size: int) -> None:
     """Heap sort of the near set: in place, without a slow worst case."""
     for top in range(size // 2 - 1, -1, -1):
-        _sift(found, through, top, size)
+        _sift(near, through, top, size)
     for end in range(size - 1, 0, -1):
-        _swap(found, through, 0, end)
-        _sift(found, through, 0, end)
+        _swap(near, through, 0, end)
+        _sift(near, through, 0, end)
 
 
 @kernel_jit

@@ -104,7 +104,7 @@ def _trapezoid(entry: float, limits: CurveLimits, work: Work, n: int) -> None:
 @kernel_jit
 def _within_limits(entry: float, limits: CurveLimits, work: Work, n: int) -> bool:
     """Whether all segments are within limits; slows down those that are not, and to a lesser degree neighbours."""
-    kept = True
+    within_limits = True
     excess = work.excess
     for k in range(n - 1):
         speed, acceleration = minimum_snap.peaks(work.ends, k, work.times[k])
@@ -112,9 +112,9 @@ def _within_limits(entry: float, limits: CurveLimits, work: Work, n: int) -> boo
             limits.speed, 1.05 * max(entry if k == 0 else 0.0, work.speeds[k] if entry > limits.speed else 0.0)
         )
         over = max(speed / fastest, acceleration / limits.acceleration)
-        kept = kept and over <= 1.0
+        within_limits = within_limits and over <= 1.0
         excess[k] = min(1.0, over - 1.0 + 5e-3) if not over <= 1.0 else 0.0
-    if kept:
+    if within_limits:
         return True
     for k in range(1, n - 1):
         excess[k] = max(excess[k], _SHARED * excess[k - 1])

@@ -127,18 +127,18 @@ def travel_time(wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, velo
 @kernel_jit
 def _trial(path: np.ndarray, count: int, i: int, remove: bool, random: np.ndarray, new: np.ndarray) -> int:
     """Copy of a path with vertex i removed or randomly displaced; returns the number of vertices."""
-    kept = 0
+    written = 0
     for k in range(count):
         if k == i and remove:
             continue
         for axis in range(3):
-            new[kept, axis] = path[k, axis]
-        kept += 1
+            new[written, axis] = path[k, axis]
+        written += 1
     if not remove:
         size = _LARGEST_MOVE * uniform(random)
         for axis in range(3):
             new[i, axis] += size * (2.0 * uniform(random) - 1.0)
-    return kept
+    return written
 
 
 @kernel_jit
@@ -183,17 +183,17 @@ def quicken(
         sweeping = trial < sweep
         i = sweep - trial if sweeping else 1 + int(uniform(random) * (count - 2))
         remove = sweeping or uniform(random) < _REMOVED
-        kept = _trial(path, count, i, remove, random, buffer)
+        trial_count = _trial(path, count, i, remove, random, buffer)
         if not segment_free(counter, grid, buffer[i - 1], buffer[i]):
             continue
-        if kept == count and not (
+        if trial_count == count and not (
             inside(buffer[i], lower, upper) and segment_free(counter, grid, buffer[i], buffer[i + 1])
         ):
             continue
-        new_time = travel_time(wide, grid, buffer, kept, velocity, pace)
+        new_time = travel_time(wide, grid, buffer, trial_count, velocity, pace)
         if new_time < time:
             time = new_time
-            count = kept
+            count = trial_count
             for k in range(count):
                 for axis in range(3):
                     path[k, axis] = buffer[k, axis]

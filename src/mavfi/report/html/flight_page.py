@@ -15,11 +15,11 @@ from mavfi.campaign.replay import Explanation, flight_again, fly_recorded
 from mavfi.campaign.store import Store
 from mavfi.errors import write_text
 from mavfi.faults.fault import Fault
-from mavfi.flight.decide import Recovery
+from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.host import ArmSetup, Flight
 from mavfi.mission import MissionSpec, MissionStatus, Scenario
 from mavfi.record import FlightLog
-from mavfi.report.explain import Lines, around, detector_name, end_of, lines, published_field, steps, verdict
+from mavfi.report.explain import Story, around, detector_name, end_of, lines, published_field, steps, verdict
 from mavfi.report.flight_result import FlightResult
 from mavfi.report.html import page
 from mavfi.report.html.page import AFTER, BEFORE, encoded
@@ -158,14 +158,14 @@ class FlightPage:
     title: str
     context: str
     verdict: str
-    story: Lines
+    story: Story
     commands: Sequence[tuple[str, str]]
     data: dict[str, Any]
 
     @staticmethod
     def of(
         context: str,
-        story: Lines,
+        story: Story,
         commands: Sequence[tuple[str, str]],
         courses: Sequence[Course],
         world: World,
@@ -206,13 +206,13 @@ def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, comman
     context = f"{mission.environment.name} · seed {mission.seed} · autopilot {mission.autopilot.name}"
     commands = [("fly it again", command)]
     if result.golden is None or result.effect is None:
-        story: Lines = [("verdict", end_of(result.log)), ("flight", f"without a fault; {end_of(result.log)}")]
+        story: Story = [("verdict", end_of(result.log)), ("flight", f"without a fault; {end_of(result.log)}")]
         course = Course(GOLDEN, NO_FAULT, result.log)
         return FlightPage.of(context, story, commands, [course], result.flight.world)
     watched = _course(RECOVERED, f"{FAULT} and detector {result.detector}", setup, result.fault, result.flight)
     alone = Course(INJECTED, FAULT, result.log, watched.published)
     if result.unwatched is not None:
-        alone = _course(INJECTED, FAULT, ArmSetup(bare, None, Recovery()), result.fault, result.unwatched)
+        alone = _course(INJECTED, FAULT, ArmSetup(bare, None, RecoveryPolicy()), result.fault, result.unwatched)
     elif result.detector:
         alone = watched
     golden = _course(GOLDEN, NO_FAULT, setup, None, result.golden)
@@ -324,7 +324,7 @@ LINE_SAMPLES = 260
 _LARGEST = 1e300  # replaces infinite values
 
 
-class Site(NamedTuple):
+class FieldSite(NamedTuple):
     """A numeric field of a published state."""
 
     state: str
@@ -337,7 +337,7 @@ class Site(NamedTuple):
         return f"{self.state}.{self.field}" + ("" if self.element is None else f"[{self.element}]")
 
 
-Line = tuple[np.ndarray, np.ndarray]
+TimeSeries = tuple[np.ndarray, np.ndarray]
 """Instants (s) and values. Shapes (n,), (n,)."""
 
 
@@ -384,7 +384,7 @@ def _near(publications: Sequence[Publication], at: float) -> dict[str, list[Publ
     return found
 
 
-def _numeric_site(text: str) -> Site | None:
+def _numeric_site(text: str) -> FieldSite | None:
     """Parse the text of a numeric state field, e.g. "planning.trajectory.x[3]"; None for sites of other kinds."""
     found = re.fullmatch(r"(\w+\.\w+)\.(\w+)(?:\[(\d+)\])?", text)
     if found is None or found[1] not in STATES:
@@ -393,13 +393,13 @@ def _numeric_site(text: str) -> Site | None:
     in_elements = STATES[found[1]].in_elements(found[2])
     if not in_elements and found[2] not in (spec.header_dtype.names or ()):  # e.g. the number of elements
         return None
-    return Site(found[1], found[2], int(found[3] or 0) if in_elements else None)
+    return FieldSite(found[1], found[2], int(found[3] or 0) if in_elements else None)
 
 
-def _candidates() -> list[Site]:
+def _candidates() -> list[FieldSite]:
     """Scalar fields of all states except sensor states, in data-flow order."""
     return [
-        Site(spec.name, field.name)
+        FieldSite(spec.name, field.name)
         for spec in STATES.values()
         if spec.stage is not Stage.SENSOR
         for field in spec.header
@@ -407,7 +407,7 @@ def _candidates() -> list[Site]:
     ]
 
 
-def _samples(own: Mapping[str, Sequence[Publication]], site: Site) -> Line:
+def _samples(own: Mapping[str, Sequence[Publication]], site: FieldSite) -> TimeSeries:
     publications = own.get(site.state, ())
     times = []
     values = []
@@ -423,7 +423,7 @@ def _samples(own: Mapping[str, Sequence[Publication]], site: Site) -> Line:
     return np.array(times), np.array(values, np.float64)
 
 
-def _difference(golden: Mapping[str, Any], injected: Mapping[str, Any], site: Site) -> float:
+def _difference(golden: Mapping[str, Any], injected: Mapping[str, Any], site: FieldSite) -> float:
     """Largest difference at equal instants, relative to the range of the golden run; infinite if not finite."""
     (first_t, first), (second_t, second) = _samples(golden, site), _samples(injected, site)
     if len(first) == 0 or len(second) == 0:
@@ -441,7 +441,7 @@ def _difference(golden: Mapping[str, Any], injected: Mapping[str, Any], site: Si
 
 
 def _line(
-    site: Site,
+    site: FieldSite,
     near: Mapping[str, Mapping[str, Sequence[Publication]]],
     at: float,
     ends: Mapping[str, float],
@@ -463,7 +463,7 @@ def _line(
     }
 
 
-def _held(times: np.ndarray, values: np.ndarray, start: float, end: float) -> Line:
+def _held(times: np.ndarray, values: np.ndarray, start: float, end: float) -> TimeSeries:
     """The samples between two instants (s); a value holds until the next one, the last one until the end."""
     kept = np.append(times[1:], np.inf)[: len(times)] > start
     times = np.maximum(times[kept], start)
@@ -474,7 +474,7 @@ def _held(times: np.ndarray, values: np.ndarray, start: float, end: float) -> Li
     return times, values
 
 
-def _thinned(times: np.ndarray, values: np.ndarray) -> Line:
+def _thinned(times: np.ndarray, values: np.ndarray) -> TimeSeries:
     """Thin samples to about `LINE_SAMPLES`: every n-th, and those next to a jump above half the standard deviation."""
     step = -(-len(times) // LINE_SAMPLES)
     if step <= 1:

@@ -24,7 +24,7 @@ from mavfi.campaign.ledger import stored_campaign
 from mavfi.campaign.store import FILE, Store
 from mavfi.errors import BadInputError, write_text
 from mavfi.report import links, style
-from mavfi.report.campaign_report import REMARKS, Report
+from mavfi.report.campaign_report import REMARKS, CampaignReport
 from mavfi.report.figures import Drawn, drawn
 from mavfi.report.html import page
 from mavfi.report.style import setting_label
@@ -243,7 +243,7 @@ _LONG = 30
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class PageSection:
     """A section of the page: text, tables and figures."""
 
     title: str
@@ -252,24 +252,24 @@ class Section:
     text: str = ""
 
 
-def sections_of(report: Report) -> list[Section]:
+def sections_of(report: CampaignReport) -> list[PageSection]:
     """Sections of a campaign: leading table with leading figure, other figures, and one section per other table."""
     figures = drawn(report.runs)
     (leading, *others) = report.tables or (None,)
     if leading is None:
         sections = []
     else:
-        sections = [Section(leading.title, [leading], figures[:1])]
-    sections += [Section("Figures", (), figures[1:])] if figures[1:] else []
-    return sections + [Section(table.title, [table]) for table in others]
+        sections = [PageSection(leading.title, [leading], figures[:1])]
+    sections += [PageSection("Figures", (), figures[1:])] if figures[1:] else []
+    return sections + [PageSection(table.title, [table]) for table in others]
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class ReportedCampaign:
     """A campaign of the page, and the folder of its ledger as printed in commands."""
 
     directory: Path
-    report: Report
+    report: CampaignReport
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,7 +282,7 @@ class Headline:
     findings: Mapping[str, Sequence[str]]
 
 
-def headline_of(report: Report) -> Headline:
+def headline_of(report: CampaignReport) -> Headline:
     """Headline of a campaign."""
     named, *lines = header(report.runs.campaign)
     campaign, _, mission = named.partition(" · ")
@@ -291,8 +291,8 @@ def headline_of(report: Report) -> Headline:
 
 def write_report_page(
     path: Path,
-    parts: Sequence[Part],
-    sections: Sequence[Section],
+    parts: Sequence[ReportedCampaign],
+    sections: Sequence[PageSection],
     commands: Sequence[tuple[str, str]],
     flights: Iterable[tuple[str, "FlightPage"]] = (),
     *,
@@ -340,7 +340,7 @@ def write_report_page(
     return len(stored)
 
 
-def _section_data(sections: Sequence[Section], sets: RunSets) -> Iterator[dict[str, Any]]:
+def _section_data(sections: Sequence[PageSection], sets: RunSets) -> Iterator[dict[str, Any]]:
     for place, section in enumerate(sections):
         tables = [table_data(table, sets) for table in section.tables]
         yield {
@@ -382,8 +382,8 @@ _SMALLEST = 30_000
 
 def write_page(
     path: Path,
-    parts: Sequence[Part],
-    sections: Sequence[Section],
+    parts: Sequence[ReportedCampaign],
+    sections: Sequence[PageSection],
     commands: Sequence[tuple[str, str]],
     flights: int | None,
     workers: int,
@@ -413,17 +413,17 @@ def write_page(
 def write_html(
     path: Path,
     directory: Path,
-    report: Report,
+    report: CampaignReport,
     flights: int | None,
     workers: int,
     show: Progress = lambda done, total: None,
 ) -> int:
     """Write the page of the campaign whose ledger is in `directory`; other arguments: see `write_page`."""
-    parts = [Part(directory, report)]
+    parts = [ReportedCampaign(directory, report)]
     return write_page(path, parts, sections_of(report), _commands(directory, path), flights, workers, show)
 
 
-def _cases(parts: Sequence[Part], most: int) -> list[Case]:
+def _cases(parts: Sequence[ReportedCampaign], most: int) -> list[Case]:
     """Select runs for the page: campaigns in turn, most illustrative runs first; only those that can be explained."""
     from mavfi.campaign.mission import host_of
     from mavfi.campaign.replay import explained_levels

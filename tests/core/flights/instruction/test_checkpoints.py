@@ -9,8 +9,8 @@ import pytest
 
 from mavfi.faults.fault import NO_SITE, InstructionFault
 from mavfi.flight import forks, mission_flights
-from mavfi.flight.decide import INLINE, Recovery
-from mavfi.flight.fast_forward import Branch, FastForward, FlownArm
+from mavfi.flight.decide import INLINE, RecoveryPolicy
+from mavfi.flight.fast_forward import FastForward, FlightBranch, FlownArm
 from mavfi.flight.fly import fly
 from mavfi.flight.forks import fly_from_checkpoints, fly_instruction_faults
 from mavfi.flight.host import ArmSetup
@@ -18,7 +18,7 @@ from mavfi.flight.loop import Loop
 from mavfi.flight.mission_flights import LocalHost
 from mavfi.flight.restarts import Restarts
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
-from tests.core.flights.missions import Scripted, mission
+from tests.core.flights.missions import FAR_GOAL, Scripted, mission
 from tests.core.flights.test_checkpoints import Nervous, detector_of
 
 KERNELS = ("point_cloud", "octomap", "collision_check", "rrt_connect", "pid")
@@ -114,12 +114,12 @@ def test_instructions_are_counted_and_resolved_in_the_flight_that_takes_checkpoi
 
 def test_what_earlier_scans_left_in_work_arrays_is_there_after_a_jump(monkeypatch):
     request = InstructionRequest({"octomap": 24}, "all", restart_s=0.3)
-    drawn = draw_instruction_faults(scenario(), request, "test", seed=4).faults["octomap"]
+    drawn = draw_instruction_faults(scenario(goal=FAR_GOAL), request, "test", seed=4).faults["octomap"]
     reading = [drawn[8], drawn[17], drawn[20]]  # their wrong instructions read it
-    fast, slow = both_ways(reading)
+    fast, slow = both_ways(reading, goal=FAR_GOAL)
     assert fast == slow
     monkeypatch.setattr(forks, "fill", lambda *_: None)
-    assert both_ways(reading)[0] != slow
+    assert both_ways(reading, goal=FAR_GOAL)[0] != slow
 
 
 @pytest.mark.parametrize(
@@ -165,7 +165,7 @@ def test_restarts_that_do_not_know_the_flight_so_far_are_noticed(monkeypatch):
 
 def test_children_that_converge_end_there(monkeypatch):
     """Without the reuse of known flights they fly on to the end: the same records, more control periods."""
-    flown, memory = scenario(), np.frombuffer(mmap.mmap(-1, 8), np.int64)  # shared with the children
+    flown, memory = scenario(goal=FAR_GOAL), np.frombuffer(mmap.mmap(-1, 8), np.int64)  # shared with the children
     run = Loop.run
 
     def counting(self, *args):
@@ -175,11 +175,11 @@ def test_children_that_converge_end_there(monkeypatch):
 
     monkeypatch.setattr(Loop, "run", counting)
     golden, forward = fly(flown), FastForward(flown, scratch=True)
-    faults = [fault for fault in drawn("address", 4) if fault.kernel == "point_cloud"]
+    faults = [fault for fault in drawn("address", 4, goal=FAR_GOAL) if fault.kernel == "point_cloud"]
     found, periods = [], []
     for converges in (True, False):
         if not converges:
-            monkeypatch.setattr(Branch, "_converged", lambda self: None)
+            monkeypatch.setattr(FlightBranch, "_converged", lambda self: None)
         forward.golden()
         memory[0] = 0
         found.append(records(fly_from_checkpoints(forward, faults, golden).flights))
@@ -207,7 +207,7 @@ def test_a_campaigns_flights_use_it(monkeypatch):
 def test_what_cannot_be_forwarded_is_flown_from_take_off(case, monkeypatch):
     monkeypatch.setattr(mission_flights, "fly_from_checkpoints", None)
     options = {"octree": {"map": "octree"}, "rrt_star": {"planner": "rrt_star"}}.get(case, {})
-    watched = ArmSetup(scenario(**options), Scripted, Recovery(answer_s=0.6) if case == "restarts" else INLINE)
+    watched = ArmSetup(scenario(**options), Scripted, RecoveryPolicy(answer_s=0.6) if case == "restarts" else INLINE)
     flights = LocalHost().mission({"arm": watched}, fast_forward=case != "no fast-forward")
     flights.count_instructions("arm", {})
     ((_, flight),) = flights.injected([("arm", drawn("all", 4, 1)[-1])])

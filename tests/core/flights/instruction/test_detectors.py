@@ -7,7 +7,7 @@ import pytest
 
 from mavfi.faults.levels.instruction import Profiling
 from mavfi.flight.compose import resolve
-from mavfi.flight.decide import Recovery
+from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
 from mavfi.flight.forks import FromTakeOff, fly_instruction_faults
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
@@ -38,7 +38,7 @@ def effects(flights):
 def test_a_detector_that_never_alarms_changes_nothing(faults, coupling):
     both = [*faults["pid"], *faults["octomap"]]
     detector = Scripted("control.command", n=10**9)
-    watched = fly_instruction_faults(scenario(), both, detector, recovery=Recovery(coupling)).flights
+    watched = fly_instruction_faults(scenario(), both, detector, recovery=RecoveryPolicy(coupling)).flights
     assert effects(watched) == effects(fly_instruction_faults(scenario(), both).flights)
 
 
@@ -66,7 +66,7 @@ def test_an_observer_sees_the_fault_when_its_consumers_do(faults):
     """What it asks for comes one step later, so the command with the fault has been flown."""
     for fault in faults["pid"]:
         detector = Scripted("control.command", n=fault.call + 1)
-        observed = fly_instruction_faults(scenario(), [fault], detector, recovery=Recovery("observer"))
+        observed = fly_instruction_faults(scenario(), [fault], detector, recovery=RecoveryPolicy("observer"))
         (flight,) = observed.flights
         assert flight.log.injections[0].activated
         assert [alarm.action for alarm in flight.log.alarms] == ["recompute"]
@@ -80,7 +80,7 @@ def test_an_observed_flight_with_a_fault_in_an_address():
     request = InstructionRequest({"pid": 1}, which="address")
     faults = draw_instruction_faults(scenario(), request, seed=3).faults["pid"]
     observed = fly_instruction_faults(
-        scenario(), faults, Scripted("control.command", n=40), recovery=Recovery("observer")
+        scenario(), faults, Scripted("control.command", n=40), recovery=RecoveryPolicy("observer")
     )
     assert observed.golden.log.alarms and observed.flights[0].log.injections[0].activated
 

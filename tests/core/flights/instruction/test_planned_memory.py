@@ -43,7 +43,7 @@ def test_every_function_into_which_a_campaign_injects_has_planned_memory(
 
     monkeypatch.setattr(variant, "cached_build", noted)
     monkeypatch.setattr(variant, "_variants", {})
-    monkeypatch.setattr(variant, "_known", {})
+    monkeypatch.setattr(variant, "_variants_by_key", {})
     models = model_hashes(campaign, scenarios_of(campaign, arms_of(campaign)), None)
     warm_up(MissionPlan(campaign, campaign.environments[0], campaign.first_seed, models=models))
     assert isinstance(campaign.sampling, InstructionSampling)

@@ -5,7 +5,6 @@ from mavfi.analysis.findings import MOST, findings
 from mavfi.analysis.runs import Runs
 from mavfi.faults.fault import FaultSite
 from tests.core.unit.analysis.handmade import (
-    DUE,
     FAULT,
     GOLDEN,
     INSTRUCTION,
@@ -18,18 +17,9 @@ from tests.core.unit.analysis.handmade import (
 )
 
 
-def test_the_headline_is_the_success_table_and_five_sentences(fake):
-    sentences = findings(fake)
-    assert views_for(fake)[0].name == "success_as_in_the_paper"
-    assert len(sentences) == MOST
-    assert sentences[0].startswith(
-        "Without a fault 100.0 % [83.9, 100.0] (n = 20) of missions succeed, with one fault (sign + exp"
-    )
-    assert any("gaussian brings back" in line and "newly loses 0" in line for line in sentences)
-    assert any(line.startswith("Missions that fail or take more than 5 % longer, by stage") for line in sentences)
-
-
-def test_figures_are_those_of_the_frame():
+def test_figures_are_those_of_the_frame(fake):
+    assert len(findings(fake)) == MOST
+    assert any("gaussian brings back" in line and "newly loses 0" in line for line in findings(fake))
     own = runs(golden(1), golden(2), injected(1, flown(success=False)), injected(2, flown(digest="g")))
     sentences = findings(own)
     half = "50.0 % [9.5, 90.5]"
@@ -63,24 +53,6 @@ def test_alarms_without_a_fault_have_an_interval_and_the_hours_that_were_flown()
     own = runs(golden(1), golden(1, watched, arm="fake"), injected(1, flown()))
     (line,) = [line for line in findings(own) if line.startswith("Alarms")]
     assert line == "Alarms on flights without a fault: fake 4.0 per hour [0.5, 14.4] (2 in 0.5 h)."
-
-
-def test_flight_times_say_of_how_many_missions():
-    own = runs(golden(1), golden(2), injected(1, flown(success=False)), injected(2, flown()))
-    assert any(
-        line.startswith("Of the missions that succeed with a fault (n = 1), the median") for line in findings(own)
-    )
-
-
-def test_flights_that_end_in_a_crash_have_a_share_with_interval():
-    own = runs(golden(1), golden(2), injected(1, DUE), injected(2, flown()))
-    assert any(line.endswith(", 50.0 % [9.5, 90.5] end in a crash or a hang.") for line in findings(own))
-
-
-def test_a_detected_fault_is_no_crash():
-    own = runs(golden(1), injected(1, died("detected")), golden(2), injected(2, flown()))
-    [line] = [line for line in findings(own) if "silently" in line]
-    assert line.endswith("50.0 % [9.5, 90.5] change it silently, 50.0 % [9.5, 90.5] are detected by protected code.")
 
 
 def test_nothing_flown_says_nothing():

@@ -5,21 +5,13 @@ from dataclasses import replace
 import pytest
 
 from mavfi.analysis import published as paper
-from mavfi.analysis import table, views_for
+from mavfi.analysis import table
 from mavfi.analysis.table import RATE
 from tests.core.unit.analysis.handmade import DUE, FAULT, GOLDEN, UNKNOWN, flown, golden, injected, runs
 
 
 def entries(runs, name, **wanted):
     return [e for e in table(runs, name).entries() if all(e[key] == value for key, value in wanted.items())]
-
-
-def test_the_campaign_is_whole_and_the_success_table_leads(fake):
-    assert fake.campaign["done"] == fake.campaign["total"] == len(fake)
-    names = [found.name for found in views_for(fake)]
-    assert names[:3] == ["success_as_in_the_paper", "success", "recovery"]
-    assert {"by_stage", "by_state", "outcomes", "flight_times", "false_alarms", "detections"} <= set(names)
-    assert not {"by_target", "kernel_effects", "register_effects", "schemes"} & set(names)
 
 
 def test_success_table(fake):
@@ -61,13 +53,9 @@ def test_who_is_hurt_has_interval_n_and_the_runs_behind_it(fake):
     assert sum(rate.n for rate in found.column("hurt")) < len(fake.injected), "of the first column's bits alone"
 
 
-def test_groups_of_fields_are_a_table_where_faults_are_drawn_by_groups():
-    own = runs(golden(1), injected(1, flown(), target="way-points"))
-    names = [found.name for found in views_for(own)]
-    assert "by_target" in names and "by_stage" not in names and "success_as_in_the_paper" not in names
-
-
-def test_effects_add_up(fake):
+def test_effects_and_endings_add_up(fake):
+    [entry] = entries(fake, "endings", environment="dense", setting="fi")
+    assert entry["success"] + entry["collision"] == entry["n"] == 60
     for entry in table(fake, "outcomes").entries():
         assert sum(entry[name] for name in ("masked", "sdc", "due", "unknown")) == entry["n"] == 60
         assert entry["activated"] + entry["no_site"] + entry["not_activated"] == entry["n"]
@@ -112,18 +100,6 @@ def test_detections(fake):
     found = table(fake, "detections").entries()
     assert {entry["detected"].rate for entry in found} == {entry["downstream"].rate for entry in found} == {1.0}
     assert {entry["in_monitored_set"] for entry in found} == {"yes", "no"}
-
-
-def test_fields_outside_the_papers_set_are_not_called_unwatched(fake):
-    found = table(fake, "detections")
-    headings = [column.heading for column in found.columns]
-    assert not any("watch" in text for text in (found.title, *headings))
-    assert any(note.startswith("monitored set paper-13: the fields that the paper's") for note in found.notes)
-
-
-def test_endings_add_up(fake):
-    [entry] = entries(fake, "endings", environment="dense", setting="fi")
-    assert entry["success"] + entry["collision"] == entry["n"] == 60
 
 
 def test_tables_on_faults_say_that_rates_are_conditional(fake):

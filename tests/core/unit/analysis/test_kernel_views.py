@@ -57,11 +57,6 @@ def test_a_death_is_a_lost_mission_only_where_missions_end_with_it(own):
     assert "1 flights could not be judged (unknown) and are left out" in notes
 
 
-def test_only_the_papers_profile_is_compared_with_its_figures(own):
-    hardened = replace(own, campaign={**own.campaign, "profile": "hardened"})
-    assert "paper" not in table(hardened, "instructions_as_in_the_paper").column("measure")
-
-
 def test_what_kernels_did(own):
     pid, planner = table(own, "kernel_effects").entries()
     assert (pid["kernel"], pid["n"], pid["sdc"].successes, pid["due"].successes) == ("pid", 2, 1, 1)

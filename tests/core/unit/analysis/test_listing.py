@@ -20,12 +20,6 @@ def test_every_run_is_a_row_with_all_columns_in_files(own):
     assert [column.key for column in found.columns if not column.hidden][:3] == ["run_id", "status", "flight_time_s"]
 
 
-def test_the_outcome_stands_together_and_says_effect(own):
-    visible = [column.heading for column in listing(own).columns if not column.hidden]
-    assert visible[:7] == ["run", "status", "flight time", "against golden", "effect", "alarms", "bit"]
-    assert "injection" not in [column.heading for column in listing(own.golden).columns if not column.hidden]
-
-
 def test_the_reason_is_shown_where_a_run_could_not_be_judged(own):
     shown = [column.key for column in listing(own).columns if not column.hidden]
     assert shown[-1] == "reason" and listing(own).column("reason")[-1] == "my:Own: KeyError: 3 (my.py:2, check)"

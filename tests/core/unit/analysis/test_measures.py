@@ -30,18 +30,9 @@ def test_strata_that_part_the_word_make_up_whole_words():
     assert WHOLE_WORD in m.populations(own, "success")
     assert WHOLE_WORD not in m.populations(own.where(m.pl.col("seed") < 2), "success")
     assert m.population_names(own, ()) == ["sign", "exponent", "whole_word", "mantissa"]
-
-
-def test_strata_of_messages_make_up_whole_messages():
-    faults = [replace(FAULT, stratum=name) for name in ("sign_exponent", "mantissa", "length")]
-    own = runs(*(injected(seed, flown(), fault) for seed, fault in enumerate(faults)))
-    assert WHOLE_WORD in m.populations(own, "success")
-    assert "length" in m.population_names(own, ())
-
-
-def test_bits_of_instructions_are_one_population():
-    own = runs(*(injected(seed, flown(), replace(INSTRUCTION, stratum=name)) for seed, name in enumerate("ab")))
-    assert list(m.populations(own, "success")) == [m.ALL_BITS]
+    instructions = [replace(INSTRUCTION, stratum=name) for name in ("a", "b")]
+    own = runs(*(injected(seed, flown(), fault) for seed, fault in enumerate(instructions)))
+    assert list(m.populations(own, "success")) == [m.ALL_BITS], "bits of instructions are one population"
 
 
 def test_slower_counts_from_five_per_cent():
@@ -84,8 +75,3 @@ def test_recomputations_are_not_counted_as_compute_time():
     shares = [m.recomputed_share(own.recorded(), (stage,)) for stage in ("perception", "control")]
     assert (m.recomputed(own), shares) == (0.3, [0.3, 0.0])
     assert m.recomputed(runs(golden(1))) is None
-
-
-def test_quantiles_leave_out_what_is_not_known():
-    assert m.quantile_of([None, 1.0, 3.0], 0.5) == 2.0
-    assert m.quantile_of([None], 0.5) is None

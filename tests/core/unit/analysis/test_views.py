@@ -11,7 +11,7 @@ from mavfi.analysis import VIEWS, View, table, views_for
 from mavfi.analysis import published as paper
 from mavfi.analysis.measures import Measure, count, rate
 from mavfi.analysis.runs import Runs
-from mavfi.analysis.table import NUMBER, RATE, TEXT, UNKNOWN
+from mavfi.analysis.table import NUMBER, RATE, UNKNOWN
 from mavfi.config import config_root, read_yaml
 from mavfi.errors import BadInputError
 from mavfi.report.text import FORMS
@@ -50,11 +50,6 @@ def test_a_measure_that_raises_gives_unknown_and_the_rest_continues(own):
     assert any(note.startswith("a ratio: unknown (ZeroDivisionError") for note in found.notes)
 
 
-def test_order_and_limit(own):
-    by_size = View("x", "X", ("environment",), (count("n", "n"),), largest="n", limit=1).table(own)
-    assert by_size.rows == [("sparse", 2)]
-
-
 def test_each_cell_knows_the_runs_that_it_was_computed_from(own):
     measures = (rate("success", "success", "success", pl.col("seed") == 1), count("lost", "lost", ~pl.col("success")))
     found = View("x", "X", ("environment",), measures).table(own)
@@ -66,16 +61,6 @@ def test_each_cell_knows_the_runs_that_it_was_computed_from(own):
     assert across.behind[1] == (own.ids, (), (ids["sparse", 2],), (ids["dense", 1],)), (
         "the name of a measure opens none"
     )
-
-
-def test_no_run_is_behind_a_figure_of_the_paper(own):
-    words = Measure("paper_words", "in words", TEXT, lambda _: "far")
-    found = View("x", "X", ("environment",), (count("n", "n"), paper.column(paper.success), words)).table(own)
-    assert [len(ids) for ids in found.behind[0]] == [2, 2, 0, 0]
-
-
-def test_least_leaves_small_groups_out(own):
-    assert View("x", "X", ("environment",), (), least=2).table(own).rows == [("sparse",)]
 
 
 def test_views_are_found_by_name_and_an_unknown_one_is_refused(own):

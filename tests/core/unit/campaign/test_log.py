@@ -91,13 +91,6 @@ def test_lost_workers_are_named_with_their_reason(tmp_path, monkeypatch):
     assert alone == ["sparse-10001"]
 
 
-def test_missions_that_are_given_up_are_named(tmp_path, monkeypatch):
-    monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
-    flown_into(tmp_path / "out", small(environments=["sparse"]))
-    (gave_up,) = events(tmp_path / "out", "gave_up")
-    assert (gave_up["mission"], gave_up["reason"]) == ("sparse-10001", "its worker died (exit code 9)")
-
-
 def test_runs_with_status_unknown_are_named_up_to_a_number(tmp_path, monkeypatch):
     monkeypatch.setattr(TROUBLE, "raises", True)
     monkeypatch.setattr(log_module, "MOST_UNKNOWN", 3)

@@ -47,7 +47,3 @@ def test_code_that_is_not_allowed_remains_so(monkeypatch):
     monkeypatch.delenv("MAVFI_ALLOW_PLUGINS", raising=False)
     with pytest.raises(NotAllowedError, match=f"^mine.yaml: key 'host': '{GROUND}': named in a file, and so not run"):
         check_names(small(host=GROUND), "mine.yaml")
-
-
-def test_names_that_exist_pass():
-    check_names(small(mission={"planner": "rrt_star", "map": "octree"}), "mine.yaml")

@@ -134,25 +134,6 @@ def test_numbers_of_runs():
     assert settings == {(env, setting): n for env in KEYS for setting, n in expected.items()}
 
 
-def test_settings_of_a_pair_share_world_and_fault():
-    _, injected = planned(small())
-    faulty, recovered = (
-        {(r.environment, r.target, r.index): r for r in injected if r.setting == setting}
-        for setting in ("fi", "dr_gaussian")
-    )
-    assert faulty.keys() == recovered.keys()
-    for key, run in faulty.items():
-        assert (run.seed, run.fault) == (recovered[key].seed, recovered[key].fault)
-        assert (recovered[key].detector, recovered[key].model) == (DETECTOR, "abc")
-        assert recovered[key].scenario == f"{KEYS[run.environment]} gaussian"
-
-
-def test_arms_without_a_detector_have_settings_of_their_own():
-    _, injected = planned(small(arms={"slow": {"planner": "rrt"}}, null_runs=2))
-    assert {run.setting for run in injected} == {"fi", "fi_slow", "null", "null_slow"}
-    assert {(run.arm, run.detector, run.detector_profile) for run in injected} == {("", "", ""), ("slow", "", "")}
-
-
 def test_faults_are_spread_over_the_missions_and_differ_within_one():
     _, injected = planned(small())
     own = [run for run in injected if (run.setting, run.environment, run.target) == ("fi", "sparse", "planning")]
@@ -241,20 +222,6 @@ def test_adding_a_group_leaves_the_faults_of_the_others():
     _, many = planned(small(sampling={"scheme": "groups", "groups": groups}))
     assert {run.run_id for run in few} < {run.run_id for run in many}
     assert {run.fault.site for run in few if run.target == "y"} == {"planning.waypoint.y"}
-
-
-@pytest.mark.parametrize("sites", ["all", "monitored"])
-def test_monitored_sites_only(sites):
-    _, injected = planned(small(sampling={"sites": sites}, faults=20))
-    states = {run.fault.where.state for run in injected if run.setting == "fi"}
-    assert ("planning.trajectory" in states) == (sites == "all")
-
-
-def test_an_estimator_has_sites_of_its_own():
-    _, injected = planned(small(mission={"localization": "estimator"}, faults=40, arms={}))
-    assert "perception.odometry" in {run.fault.where.state for run in injected}
-    _, injected = planned(small(faults=40, arms={}))
-    assert "perception.odometry" not in {run.fault.where.state for run in injected}
 
 
 @few

@@ -4,7 +4,6 @@ import errno
 import os
 import re
 import signal
-import sqlite3
 import time
 from collections import Counter
 from dataclasses import asdict
@@ -15,12 +14,11 @@ import pytest
 from mavfi.campaign import fingerprint
 from mavfi.campaign import mission as mission_module
 from mavfi.campaign import run as run_module
-from mavfi.campaign import run as session_module
 from mavfi.campaign.executors.executor import Done
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.ledger import status, stored_campaign
 from mavfi.campaign.run import run_campaign
-from mavfi.campaign.store import FILE, Store
+from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError, MachineError, SpecMismatchError
 from mavfi.record import End
 from tests.core.unit.campaign.fakes import (
@@ -81,17 +79,11 @@ def test_everything_is_flown_and_reported(flown):
     )
     with Store.open(directory) as store:
         assert stored_campaign(store) == small()
-        assert all(run.record.end is End.FLOWN for run in store.runs())
-
-
-def test_counts_of_reports_are_those_of_the_ledger(flown):
-    directory, end, reports = flown
-    with Store.open(directory) as store:
         runs = list(store.runs())
+    assert all(run.record.end is End.FLOWN for run in runs)
     successes = Counter(run.spec.setting for run in runs if run.record.status == "success")
     assert {name: success for name, (_, _, success) in end.settings.items()} == successes
-    assert 0 < successes["fi"] < 36
-    assert reports[-1].settings == end.settings
+    assert 0 < successes["fi"] < 36 and reports[-1].settings == end.settings
 
 
 @pytest.mark.parametrize("fast_forward", [True, False])
@@ -100,15 +92,8 @@ def test_two_workers_give_the_same_content_either_way(flown, tmp_path, fast_forw
     assert digest(tmp_path) == digest(flown[0])
 
 
-def test_another_seed_gives_other_content(flown, tmp_path):
-    flown_into(tmp_path, small(first_seed=20_000))
-    assert digest(tmp_path) != digest(flown[0])
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("stop_after", "fast_forward"), [(0, True), (1, False), (9, True), (40, False), (40, True), (TOTAL - 1, True)]
-)
+@pytest.mark.parametrize(("stop_after", "fast_forward"), [(0, True), (40, False), (TOTAL - 1, True)])
 def test_ctrl_c_stops_cleanly_and_the_same_call_resumes(flown, tmp_path, stop_after, fast_forward):
     with pytest.raises(KeyboardInterrupt):
         flown_into(tmp_path, workers=2, progress=stop_at(stop_after), fast_forward=not fast_forward)
@@ -138,25 +123,6 @@ def test_a_campaign_stopped_while_it_is_planned_has_no_gap(flown, tmp_path, monk
     monkeypatch.undo()
     flown_into(tmp_path)
     assert digest(tmp_path) == digest(flown[0])
-
-
-def test_a_finished_campaign_flies_nothing_again(flown, monkeypatch):
-    directory, end, _ = flown
-    before = digest(directory)
-    monkeypatch.setattr(session_module, "fly_missions", None)
-    reports = []
-    assert flown_into(directory, progress=reports.append) == end
-    assert max(report.flown for report in reports) == 0
-    assert digest(directory) == before
-
-
-def test_a_mission_is_flown_by_one_worker(tmp_path, monkeypatch):
-    (tmp_path / "flown").mkdir()
-    monkeypatch.setattr(TROUBLE, "flown", tmp_path / "flown")
-    flown_into(tmp_path / "out", workers=2)
-    worlds, processes = zip(*(path.name.split(".") for path in (tmp_path / "flown").iterdir()), strict=True)
-    assert sorted(worlds) == sorted(f"{name}-{seed}" for name in ("sparse", "dense") for seed in range(10_000, 10_004))
-    assert str(os.getpid()) not in processes
 
 
 def test_what_is_compiled_in_a_worker_is_compiled_here_before(flown, tmp_path, monkeypatch):
@@ -193,30 +159,17 @@ def test_every_fault_of_a_mission_is_in_the_ledger_before_the_first_of_them_is_f
         assert kinds["injected"] in (6, 12), "one or two faults of each stage, in both arms"
 
 
-def environment_with(folder, generator):
-    path = folder / "own.yaml"
-    path.write_text(f"name: own\ngenerator: {generator}\n")
-    return str(path)
-
-
 def test_bad_input_is_found_before_anything_is_written(tmp_path, monkeypatch):
-    monkeypatch.setenv("MAVFI_ALLOW_PLUGINS", "all")
-    directory = tmp_path / "out"
+    directory, environment = tmp_path / "out", tmp_path / "own.yaml"
+    environment.write_text("name: own\ngenerator: absent\n")
+    state_host = "tests.core.unit.campaign.fakes:StateHost"
     for campaign, message in (
         (small(environments=["venus"]), "environment 'venus'"),
-        (small(mission={"autopilot": "soft"}), "autopilot 'soft'"),
-        (small(arms={"x": {"detector": "nonsense"}}), "detector 'nonsense'"),
         (small(arms={"x": {"detector": DETECTOR, "profile": "rough"}}), "profile 'rough'"),
-        (small(arms={"x": {"planner": "absent.yaml"}}), "absent.yaml"),
         (small(host="nowhere"), "host 'nowhere': not known"),
-        (small(host="ros1:"), r"host 'ros1:': not known \(did you mean 'ros1'\?\); allowed: .* or package:object"),
         (small(mission={"planner": "absent:Planner"}), "planner 'absent:Planner': cannot be imported"),
-        (small(mission={"planner": "own/planner.py:Own"}), "planner 'own/planner.py:Own': not known"),
-        (small(environments=[environment_with(tmp_path, "absent")]), "generator 'absent': not known"),
-        (
-            small(host="tests.core.unit.campaign.fakes:StateHost", sampling=INSTRUCTIONS),
-            "faults of level 'instruction'",
-        ),
+        (small(environments=[str(environment)]), "generator 'absent': not known"),
+        (small(host=state_host, sampling=INSTRUCTIONS), "faults of level 'instruction'"),
     ):
         with pytest.raises(BadInputError, match=message):
             flown_into(directory, campaign)
@@ -309,23 +262,9 @@ def test_another_python_resumes_faults_in_states_but_not_in_instructions(tmp_pat
         flown_into(tmp_path / "instruction", instructions)
 
 
-def test_a_ledger_of_schema_1_is_refused_and_left_as_it_is(tmp_path):
-    with sqlite3.connect(tmp_path / FILE) as connection:
-        connection.execute("PRAGMA user_version = 1")
-        connection.execute("CREATE TABLE runs (run_id TEXT, record TEXT)")
-        connection.execute("INSERT INTO runs VALUES ('sparse-1-golden', '{}')")
-    connection.close()
-    before = (tmp_path / FILE).read_bytes()
-    for attempt in (lambda: flown_into(tmp_path), lambda: status(tmp_path), lambda: Store.open(tmp_path)):
-        with pytest.raises(BadInputError, match="schema version 1; allowed: 3 .*older mavfi"):
-            attempt()
-    assert (tmp_path / FILE).read_bytes() == before
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [1, 4])
-def test_the_death_of_a_worker_is_survived_and_takes_nothing_with_it(flown, tmp_path, monkeypatch, count):
-    monkeypatch.setattr(TROUBLE, "dies", deaths(tmp_path / "deaths", count))
+def test_the_death_of_a_worker_is_survived_and_takes_nothing_with_it(flown, tmp_path, monkeypatch):
+    monkeypatch.setattr(TROUBLE, "dies", deaths(tmp_path / "deaths", 4))
     flown_into(tmp_path / "out", workers=2)
     assert not any((tmp_path / "deaths").iterdir())
     assert digest(tmp_path / "out") == digest(flown[0])
@@ -350,10 +289,9 @@ def test_a_mission_that_died_is_flown_again_with_each_run_in_a_process_of_its_ow
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("workers", [1, 2])
-def test_a_golden_run_that_dies_each_time_is_due_and_nothing_is_drawn_from_it(flown, tmp_path, monkeypatch, workers):
+def test_a_golden_run_that_dies_each_time_is_due_and_nothing_is_drawn_from_it(flown, tmp_path, monkeypatch):
     monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
-    end = flown_into(tmp_path / "out", workers=workers)
+    end = flown_into(tmp_path / "out", workers=2)
     assert end.complete and end.done < TOTAL
     with Store.open(tmp_path / "out") as store:
         lost = [run for run in store.runs() if run.spec.seed == DEADLY]
@@ -366,7 +304,7 @@ def test_a_golden_run_that_dies_each_time_is_due_and_nothing_is_drawn_from_it(fl
 
 
 def test_a_mission_is_not_given_up_where_the_machine_has_failed(tmp_path, monkeypatch):
-    monkeypatch.setattr(session_module, "PAUSE_S", 0.0)
+    monkeypatch.setattr(run_module, "PAUSE_S", 0.0)
     monkeypatch.setattr(TROUBLE, "machine", failures(tmp_path / "failures", errno.EIO, 1))
     monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
     with pytest.raises(MachineError, match="Input/output error"):
@@ -422,23 +360,19 @@ def test_an_exception_of_ours_is_recorded_as_unknown_and_the_rest_is_flown(tmp_p
     assert digest(tmp_path / "fast") == digest(tmp_path / "long")
 
 
-MACHINE = (errno.ENOSPC, errno.EMFILE, errno.ENOMEM, errno.EIO, 0)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("number", MACHINE)
+@pytest.mark.parametrize("number", [errno.ENOSPC, 0])
 def test_a_machine_that_fails_for_a_moment_leaves_no_trace(flown, tmp_path, monkeypatch, number):
-    monkeypatch.setattr(session_module, "PAUSE_S", 0.0)
+    monkeypatch.setattr(run_module, "PAUSE_S", 0.0)
     monkeypatch.setattr(TROUBLE, "machine", failures(tmp_path / "failures", number, 2))
     assert flown_into(tmp_path / "out", workers=2) == flown[1]
     assert digest(tmp_path / "out") == digest(flown[0])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", MACHINE)
-@pytest.mark.parametrize("done", [0, 7, 40])
+@pytest.mark.parametrize(("number", "done"), [(errno.EMFILE, 0), (errno.EIO, 7), (0, 40)])
 def test_a_machine_that_keeps_failing_stops_the_campaign_until_it_is_mended(flown, tmp_path, monkeypatch, number, done):
-    monkeypatch.setattr(session_module, "PAUSE_S", 0.0)
+    monkeypatch.setattr(run_module, "PAUSE_S", 0.0)
     folder = tmp_path / "failures"
 
     def fail(progress):
@@ -460,7 +394,7 @@ def test_a_machine_that_keeps_failing_stops_the_campaign_until_it_is_mended(flow
 
 @pytest.mark.slow
 def test_a_process_that_is_killed_from_outside_is_no_effect_of_a_fault(flown, tmp_path, monkeypatch):
-    monkeypatch.setattr(session_module, "PAUSE_S", 0.0)
+    monkeypatch.setattr(run_module, "PAUSE_S", 0.0)
     monkeypatch.setattr(TROUBLE, "killed", deaths(tmp_path / "few", 3))
     assert flown_into(tmp_path / "out", workers=2) == flown[1]
     monkeypatch.setattr(TROUBLE, "killed", deaths(tmp_path / "many", 1000))
@@ -523,20 +457,3 @@ def test_arms_differ_in_any_key_of_the_mission(tmp_path):
         if run.spec.kind == "null":
             assert run.record.digest == golden[run.spec.arm].digest or run.spec.seed != 10_000
             assert run.record.injections[0].activated
-
-
-@pytest.mark.parametrize(
-    ("mission", "found"),
-    [
-        ({"wind": 3.0}, lambda s: s["wind"]["gust"] == 3.0),
-        ({"localization": "estimator"}, lambda s: s["localization"]["kind"] == "estimator"),
-        ({"map": "octree"}, lambda s: s["map"]["kind"] == "octree"),
-        ({"vehicle": "small_quad"}, lambda s: s["vehicle"]["name"] == "small_quad"),
-        ({"autopilot": "hardened"}, lambda s: s["stack"]["name"] == "hardened"),
-        ({"depth_noise": 0.1, "v_max": 2.0}, lambda s: (s["camera"]["noise"], s["v_max"]) == (0.1, 2.0)),
-    ],
-)
-def test_a_campaign_takes_any_key_of_a_mission(mission, found):
-    campaign = small(mission=mission)
-    scenarios = mission_module.scenarios_of(campaign, run_module.arms_of(campaign))
-    assert len(scenarios) == 4 and all(found(scenario.to_json()) for scenario in scenarios.values())

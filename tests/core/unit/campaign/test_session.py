@@ -106,9 +106,8 @@ def test_campaigns_flown_together_resume_to_the_same_ledgers(tmp_path, alone):
     assert together(tmp_path) == alone
 
 
-@pytest.mark.parametrize("trouble", ["dies", "golden_dies"])
-def test_missions_of_a_worker_that_dies_are_flown_again(tmp_path, monkeypatch, alone, trouble):
-    monkeypatch.setattr(TROUBLE, trouble, deaths(tmp_path / "deaths", 2))
+def test_missions_of_a_worker_that_dies_are_flown_again(tmp_path, monkeypatch, alone):
+    monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 2))
     assert together(tmp_path / "out") == alone
     assert not list((tmp_path / "deaths").iterdir())
 

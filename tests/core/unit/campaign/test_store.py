@@ -3,7 +3,6 @@
 import errno
 import os
 import random
-import re
 import sqlite3
 import subprocess
 import sys
@@ -121,17 +120,6 @@ def test_digest_depends_on_campaign_plan_and_every_record(store, tmp_path):
     assert len(set(digests)) == 5
 
 
-def test_another_campaign_is_refused_and_nothing_is_written_over(tmp_path):
-    with Store.create(tmp_path, IDENTITY) as store:
-        plan(store, SPECS)
-        digest = store.digest()
-    other = {**IDENTITY, "models": {"gaussian": "abc"}}
-    with pytest.raises(BadInputError, match=r"holds another campaign \(differs in: models\)"):
-        Store.create(tmp_path, other)
-    with Store.create(tmp_path, IDENTITY) as store:
-        assert store.digest() == digest
-
-
 @pytest.mark.slow
 def test_a_second_writer_is_refused(tmp_path):
     with Store.create(tmp_path, IDENTITY):
@@ -142,7 +130,7 @@ def test_a_second_writer_is_refused(tmp_path):
     assert "another process is writing" in done.stderr
 
 
-@pytest.mark.parametrize("seed", range(200))
+@pytest.mark.parametrize("seed", range(25))
 def test_of_two_writers_only_the_younger_commits(tmp_path, seed):
     """The lock is gone (removed, or on a file system without locks), and the first writer continues after a pause."""
     draw = random.Random(seed)
@@ -175,36 +163,41 @@ def test_of_two_writers_only_the_younger_commits(tmp_path, seed):
         assert store.meta("missions") is None and not any(store.is_planned(spec.world) for spec in SPECS)
 
 
-def test_directories_that_cannot_be_written_are_bad_input(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(BadInputError, match="cannot be written"):
-        Store.create(tmp_path / "file" / "out", IDENTITY)
-    with pytest.raises(BadInputError, match="holds no campaign"):
+def empty(file):
+    file.touch()
+
+
+def foreign(file):
+    file.write_text("not a ledger, but long enough to be mistaken for one" * 10)
+
+
+def of_version(number):
+    def make(file):
+        with closing(sqlite3.connect(file)) as connection, connection:
+            connection.execute(f"PRAGMA user_version = {number}")
+            connection.execute("CREATE TABLE runs (run_id TEXT)")
+
+    return make
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (empty, r"is not a ledger of mavfi \(it is empty\)$"),
+        (foreign, "is not a ledger"),
+        (of_version(1), "schema version 1; allowed: 3 .*older mavfi"),
+        (of_version(99), "schema version 99; allowed: 3$"),
+    ],
+)
+def test_what_is_no_ledger_of_this_version_is_refused_and_left_as_it_is(tmp_path, make, message):
+    make(tmp_path / FILE)
+    before = (tmp_path / FILE).read_bytes()
+    with pytest.raises(BadInputError, match=message):
         Store.open(tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["file"]
-
-
-def test_an_empty_file_is_no_ledger_of_an_older_version(tmp_path):
-    (tmp_path / FILE).touch()
-    with pytest.raises(BadInputError, match=r"is not a ledger of mavfi \(it is empty\)$"):
-        Store.open(tmp_path)
-
-
-def test_foreign_files_and_versions_are_refused(tmp_path):
-    (tmp_path / FILE).write_text("not a ledger, but long enough to be mistaken for one" * 10)
-    with pytest.raises(BadInputError, match="is not a ledger"):
-        Store.open(tmp_path)
-    with pytest.raises(BadInputError, match="is not a ledger"):
-        Store.create(tmp_path, IDENTITY)
-    assert (tmp_path / FILE).read_text().startswith("not a ledger")
-    (tmp_path / "v").mkdir()
-    with sqlite3.connect(tmp_path / "v" / FILE) as connection:
-        connection.execute("PRAGMA user_version = 99")
-        connection.execute("CREATE TABLE t (x)")
-    connection.close()
-    for attempt in (lambda: Store.open(tmp_path / "v"), lambda: Store.create(tmp_path / "v", IDENTITY)):
-        with pytest.raises(BadInputError, match="schema version 99; allowed: 3$"):
-            attempt()
+    if before:  # an empty one is begun
+        with pytest.raises(BadInputError, match=message):
+            Store.create(tmp_path, IDENTITY)
+    assert (tmp_path / FILE).read_bytes() == before
 
 
 def test_a_ledger_whose_making_was_stopped_is_begun_again(tmp_path, monkeypatch):
@@ -289,20 +282,6 @@ def test_no_flipped_bit_changes_a_ledger_unseen(tmp_path):
     assert refused > 20
 
 
-def test_no_character_of_a_record_changes_unseen(tmp_path):
-    filled(tmp_path)
-    path = tmp_path / FILE
-    whole = path.read_bytes()
-    text = SPECS[0].run_id.encode()
-    places = [found.start() + offset for found in re.finditer(re.escape(text), whole) for offset in (0, 7, len(text))]
-    assert len(places) >= 9
-    for place in places:
-        damaged = bytearray(whole)
-        damaged[place] ^= 1
-        path.write_bytes(damaged)
-        assert read(tmp_path) is None
-
-
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
 def test_a_ledger_that_was_cut_off_is_refused(tmp_path, share):
     filled(tmp_path)
@@ -340,11 +319,6 @@ def test_a_disk_without_space_is_a_failure_of_the_machine(store):
             plan(store, [RunSpec("golden", "golden", "farm", seed, "key", position=100 + seed)])
     with Store.open(store.directory) as again:
         assert [run.spec.seed for run in again.runs()] == [*(spec.seed for spec in SPECS), *range(seed)]
-
-
-def test_a_run_that_is_not_planned_is_not_stored(store):
-    with pytest.raises(MavfiError, match="run 'sparse-9-golden-.*': is not in the plan"):
-        write(store, RunSpec("golden", "golden", "sparse", 9, "key", position=9))
 
 
 def test_a_closed_ledger_is_one_file_and_reading_adds_none(tmp_path):
@@ -443,8 +417,3 @@ def test_a_ledger_whose_first_writing_was_cut_short_is_named(tmp_path):
     (tmp_path / f"{FILE}-journal").write_bytes(journal)
     with pytest.raises(BadInputError, match="its first writing was cut short; resume the campaign"):
         Store.open(tmp_path)
-
-
-def test_a_run_whose_place_is_taken_is_an_error_that_names_the_ledger(store):
-    with pytest.raises(MavfiError, match="out: runs do not fit those that are planned .*position"):
-        plan(store, [RunSpec("golden", "golden", "sparse", 99, "key", position=SPECS[0].position)])

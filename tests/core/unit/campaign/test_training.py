@@ -139,12 +139,6 @@ def test_too_few_successes_are_an_error(monkeypatch):
         record_flights(SCENARIO, 0, 1)
 
 
-def test_a_folder_that_cannot_be_written_is_found_before_the_flights(tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(BadInputError, match="cannot be written"):
-        train(tmp_path / "file" / "models", 5)
-
-
 def test_only_what_is_needed_is_recorded(tmp_path):
     (wanted,) = trainings = trainings_of(only=[("gaussian", "paper")])
     assert wanted is MONITORED_FIELDS

@@ -5,7 +5,6 @@ import pytest
 from mavfi.campaign import warm_up
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.executor import Done
-from mavfi.campaign.mission import plan_of
 from mavfi.errors import BadInputError
 from mavfi.extras.paper.study import load_study
 from mavfi.flight.compiling import STAGES
@@ -54,8 +53,10 @@ def test_stages_come_first_then_each_kernel_then_each_mission(compiled):
 
 def test_nothing_is_compiled_twice(compiled):
     campaigns = list(load_study("paper").campaigns_at("quick").values())
-    warm_up.compile_ahead(campaigns, Inline())
-    assert len(compiled) == len({str(task) for task in compiled})
+    told = []
+    warm_up.compile_ahead(campaigns, Inline(), lambda *counts: told.append(counts))
+    assert told == [(done, len(compiled)) for done in range(1, 1 + len(compiled))]
+    assert len(compiled) == len({str(task) for task in compiled}) > 10
     stages = [task for task in compiled if isinstance(task, warm_up._Stage)]
     planners = ["rrt", "rrt_connect", "rrt_star"]
     assert sorted(one.scenario.planner.name for one in stages if one.name == "plan_path") == planners
@@ -63,26 +64,6 @@ def test_nothing_is_compiled_twice(compiled):
     known = len(compiled)
     warm_up.compile_ahead(campaigns, Inline())
     assert len(compiled) == known, "found in the cache"
-
-
-def test_tasks_are_counted_while_they_are_done(compiled):
-    campaigns, told = [load_campaign("table1"), load_campaign("table1_instructions")], []
-    warm_up.compile_ahead(campaigns, Inline(), lambda *counts: told.append(counts))
-    assert told == [(done, len(compiled)) for done in range(1, 1 + len(compiled))] and len(compiled) > 10
-
-
-def test_only_detectors_with_faults_need_models(compiled):
-    campaigns = load_study("paper").campaigns_at("quick").values()
-    warm_up.compile_ahead(campaigns, Inline())
-    watched = {}
-    for task in compiled:
-        if isinstance(task, warm_up._Mission):
-            campaign = task.campaign
-            if campaign.arms:
-                (watched[campaign.sampling.kernels],) = ([arm.detector for arm in campaign.arms.values()],)
-            assert plan_of(campaign, dict.fromkeys(campaign.arms, "model"), {}).count()
-    own = {(name,): [name] for name in ("gaussian", "autoencoder")} | {("acceptance",): ["recommended"]}
-    assert watched == own
 
 
 def test_a_detector_without_a_shipped_model_is_left_out():
@@ -101,11 +82,6 @@ def test_what_failed_is_compiled_again(compiled, monkeypatch):
         warm_up.compile_ahead([load_campaign("smoke")], Inline())
     warm_up.compile_ahead([load_campaign("smoke")], Inline())
     assert missions(compiled) == [("smoke", ())]
-
-
-def test_nodes_of_other_programs_have_no_code(compiled):
-    warm_up.compile_ahead([load_campaign("ros1_smoke")], Inline())
-    assert compiled == []
 
 
 def test_a_detector_with_faults_is_compiled_with_its_shipped_model(compiled, monkeypatch):

@@ -85,7 +85,7 @@ def test_runs_that_could_not_be_judged_are_no_success(capsys, tmp_path, monkeypa
     assert "Done" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("verb", [["campaign", "status"], ["campaign", "digest"], ["report"], ["runs"], ["explain"]])
+@pytest.mark.parametrize("verb", [["campaign", "status"], ["explain"]])
 def test_a_damaged_ledger_is_one_line(capsys, flown, tmp_path, verb):
     shutil.copytree(flown, tmp_path / "copy")
     with closing(sqlite3.connect(tmp_path / "copy" / "campaign.sqlite")) as connection, connection:
@@ -103,22 +103,6 @@ def test_digest_is_the_same_when_run_again(capsys, config, flown):
     assert golden.split()[:3] == ["golden", "1", "1"] and last == f"Done. Tables and figures: mavfi report {flown}"
     assert run(["campaign", "digest", str(flown)]) == 0
     assert capsys.readouterr().out.strip() == digest
-
-
-def test_an_ambiguous_id_lists_its_candidates(capsys, flown):
-    assert run(["explain", str(flown), "sparse-10000-fi"]) == 2
-    stderr = capsys.readouterr().err
-    assert stderr.count("\n") == 1 and "ambiguous, 3 runs match, e.g. sparse-10000-fi-" in stderr
-
-
-@pytest.mark.slow
-def test_the_long_way_gives_the_same_digest(capsys, really_flown, tmp_path):
-    (tmp_path / "tiny.yaml").write_text(CAMPAIGN.format(missions=1))
-    arguments = [str(tmp_path / "tiny.yaml"), "--out", str(tmp_path / "long"), "--workers", "1", "--no-fast-forward"]
-    assert run(["campaign", "run", *arguments]) == 0
-    capsys.readouterr()
-    digests = [_json(capsys, "campaign", "digest", str(folder)) for folder in (really_flown, tmp_path / "long")]
-    assert digests[0] == digests[1]
 
 
 def test_the_digest_of_a_part_says_that_it_is_one(capsys, tmp_path, flown, config):
@@ -144,15 +128,6 @@ def test_the_digest_of_a_part_says_that_it_is_one(capsys, tmp_path, flown, confi
 
 
 @pytest.mark.slow
-def test_report_prints_tables_and_writes_files(capsys, really_flown):
-    assert run(["report", str(really_flown)]) == 0
-    text = capsys.readouterr().out
-    assert "autopilot profile published" in text and "success" in text.lower()
-    assert {"report.md", "summary.json"} <= {path.name for path in really_flown.iterdir()}
-    assert _json(capsys, "report", str(really_flown))
-
-
-@pytest.mark.slow
 def test_replay_gives_the_same_bytes(capsys, really_flown):
     data = _json(capsys, "replay", str(really_flown), "sparse-10000-fi-planning")
     assert data["same"] and data["digest"] == data["stored_digest"]
@@ -170,38 +145,22 @@ def test_a_replay_that_is_another_run_fails(capsys, flown, monkeypatch):
     assert not json.loads(capsys.readouterr().out)["same"]
 
 
-@pytest.mark.slow
-def test_explain_tells_the_story(capsys, really_flown):
-    assert run(["explain", str(really_flown), "sparse-10000-fi-planning"]) == 0
-    text = capsys.readouterr().out
-    assert text.startswith("verdict") and "first difference" in text and "end" in text
-    assert _json(capsys, "explain", str(really_flown), "sparse-10000-fi-planning")["same_digest"]
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["campaign", "run", "smoke", "--out", "OUT", "--workers", "0"], "workers: 0"),
-        (["campaign", "run", "nothing", "--out", "OUT"], "allowed: bench_estimator"),
         (["campaign", "run", "absent.yaml", "--out", "OUT"], "absent.yaml"),
         (["campaign", "run", "CONFIG", "--out", "CONFIG"], "cannot be written"),
         (["campaign", "run", "CONFIG", "--out", "OUT", "--scale", "huge"], "scale 'huge'"),
-        (["campaign", "run", "nothing"], "campaign 'nothing': not known"),
         (["campaign", "run", "smok"], "campaign 'smok': not known (did you mean 'smoke'?); allowed: bench_estimator"),
         (["campaign", "run", "FLOWN"], ": is a folder; allowed: bench_estimator"),
         (["campaign", "run", "MARS", "--out", "OUT"], "mars.yaml: key 'host': 'mars': not known; allowed: "),
         (["campaign", "run", "OLD"], "key 'flights': is now 'missions'"),
         (["campaign", "status", "OUT"], "holds no campaign"),
-        (["campaign", "digest", "OUT"], "holds no campaign"),
-        (["report", "OUT"], "holds no campaign"),
-        (["replay", "OUT", "run"], "holds no campaign"),
         (["explain", "OUT", "run"], "holds no campaign"),
-        (["replay", "FLOWN", "nothing"], "no run of that name"),
         (["replay", "FLOWN", "sparse"], "ambiguous, 5 runs match, e.g. sparse-10000-golden-"),
         (["explain", "FLOWN", "sparse-10000-golden-"], "is a golden run; explain needs a run with a fault"),
         (["reproduce", "--scale", "huge", "--out", "OUT"], "scale 'huge'"),
-        (["reproduce", "--workers", "0", "--out", "OUT"], "workers: 0"),
-        (["reproduce", "--out", "CONFIG"], "cannot be written"),
         (["reproduce", "--out", "STUDY"], "holds another campaign (differs in: campaign."),
         (["reproduce", "nothing", "--out", "OUT"], "study 'nothing': not known; allowed: paper"),
         (["train", "--flights", "0", "--out", "OUT"], "--flights: 0"),
@@ -244,7 +203,6 @@ def _of_sqlite(code, text):
     ("error", "message"),
     [
         (OSError(errno.EMFILE, "", "/ledger"), "Too many open files (/ledger)"),
-        (MemoryError(), "out of memory"),
         (ValueError("Error: engine error: Could not allocate memory"), "out of memory"),
         (
             _of_sqlite(sqlite3.SQLITE_IOERR_READ, "disk I/O error"),
@@ -256,27 +214,14 @@ def test_a_machine_that_fails_is_one_line_and_exit_code_1(capsys, monkeypatch, c
     def fail(*arguments, **options):
         raise error
 
-    monkeypatch.setattr(run_module, "run_campaign", fail)
-    assert run(["campaign", "run", str(config), "--out", str(tmp_path)]) == 1
+    with monkeypatch.context() as patch:
+        patch.setattr(run_module, "run_campaign", fail)
+        assert run(["campaign", "run", str(config), "--out", str(tmp_path)]) == 1
     assert capsys.readouterr().err == f"mavfi: {message}\n"
-
-
-def test_a_folder_on_a_full_disk_is_no_bad_input(capsys, monkeypatch, config, tmp_path):
-    def fail(*arguments, **options):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
+    error = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     monkeypatch.setattr(Path, "mkdir", fail)
     assert run(["campaign", "run", str(config), "--out", str(tmp_path / "out")]) == 1
     assert capsys.readouterr().err == f"mavfi: {tmp_path / 'out'}: cannot be written (No space left on device)\n"
-
-
-def test_a_folder_with_another_campaign_is_left_alone(capsys, tmp_path, flown):
-    before = _json(capsys, "campaign", "digest", str(flown))
-    other = tmp_path / "other.yaml"
-    other.write_text(FAKE.format(missions=2))
-    assert run(["campaign", "run", str(other), "--out", str(flown)]) == 2
-    assert "holds another campaign" in capsys.readouterr().err
-    assert _json(capsys, "campaign", "digest", str(flown)) == before
 
 
 @pytest.mark.slow

@@ -38,14 +38,9 @@ def test_the_record_names_the_instruction_and_its_line(flown):
     assert record["before"] != record["after"]
     assert record["bit"] in range(details["width"]) and details["bits"] == [record["bit"]]
     assert details["replayable"] is True
-
-
-def test_the_record_is_of_the_fault_that_was_drawn(flown):
-    (record,), fault = flown["injections"], flown["fault"]
-    details = record["details"]
-    assert (fault["kernel"], fault["entry"], fault["function"]) == ("octomap", details["function"], "")
-    for key in ("ir_sha256", "index", "call", "bits", "value_class"):
-        assert fault[key] == details[key], key
+    fault = flown["fault"]
+    assert (fault["kernel"], fault["entry"]) == ("octomap", details["function"])
+    assert all(fault[key] == details[key] for key in ("ir_sha256", "index", "call", "bits", "value_class"))
 
 
 def test_the_text_of_the_drawn_fault_flies_it_again(capsys, flown):
@@ -65,9 +60,8 @@ def test_the_effects_on_kernel_and_mission_are_reported(flown):
         assert flown["digest"] == flown["golden"]["digest"]
 
 
-@pytest.mark.parametrize("kernel", ["pid", "octomap"])
-def test_the_same_seed_gives_the_same_record_and_another_one_another(capsys, kernel):
-    short = ["--start", "2", "0", "3", "--goal", "9", "0", "3", "--json", "--fault", f"instruction:{kernel}"]
+def test_the_same_seed_gives_the_same_record_and_another_one_another(capsys):
+    short = ["--start", "2", "0", "3", "--goal", "9", "0", "3", "--json", "--fault", "instruction:pid"]
     found = []
     for seed in ("3", "3", "4"):
         assert run([*MISSION, *short, "--fault-seed", seed]) == 0
@@ -82,9 +76,7 @@ def test_the_same_seed_gives_the_same_record_and_another_one_another(capsys, ker
     [
         ("instruction:lidar", "kernel 'lidar': not known; allowed: point_cloud, octomap"),
         ("instruction:rrt", "the planner of this mission is 'rrt_connect'; allowed: planner rrt"),
-        ("instruction:", "not understood; allowed: "),
         ("instruction:pid:which=sometimes", "instructions 'sometimes': not understood; allowed: all, floating_point"),
-        ("instruction:pid:which=line:pid.py", "instructions 'line:pid.py': not understood; allowed: all"),
         ("instruction:pid:model=gamma", "no model 'gamma'; allowed: one_bit, bits, random, zero"),
         ("instruction:pid:bit=7", "'bit': not known; allowed: which=, model="),
         ("instruction:pid:which=opcode:udiv", "executes no instruction 'opcode:udiv' there; allowed: a class"),

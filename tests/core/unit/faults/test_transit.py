@@ -14,7 +14,7 @@ from mavfi.extras.ros.ros1.messages import element_slots, header_slots, message_
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault, fault_from_json
 from mavfi.faults.levels.state_injector import StateInjector, flip
 from mavfi.faults.levels.transit import parse, serialize, with_length
-from mavfi.faults.sampling import draw_in_message, message_bits, place_in
+from mavfi.faults.sampling import draw_in_message, locate_bit, message_bits
 from mavfi.faults.strata import WORD_BITS
 from mavfi.record import Profile
 from mavfi.states import STATES, new_state
@@ -98,10 +98,10 @@ def test_every_bit_of_a_stratum_has_one_number(name, count, stratum):
     spec = STATES[name]
     parts, share = message_bits(name, stratum, count)
     total = sum(copies * len(bits) for _, copies, bits in parts)
-    places = {place_in(parts, place) for place in range(total)}
+    places = {locate_bit(parts, place) for place in range(total)}
     assert len(places) == total
     with pytest.raises(IndexError):
-        place_in(parts, total)
+        locate_bit(parts, total)
     for field, copy, bit in places:
         assert copy < (count if spec.in_elements(field) else 1) and bit < WORD_BITS[spec.find(field).dtype]
     shares = [message_bits(name, one, count)[1] for one in STRATA]

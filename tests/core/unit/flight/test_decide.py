@@ -19,7 +19,7 @@ from mavfi.flight.decide import (
     Origin,
     PathDeadline,
     PathWait,
-    Recovery,
+    RecoveryPolicy,
     Rejection,
     Response,
     decide,
@@ -72,7 +72,7 @@ def test_the_answer_to_an_alarm(alarm, state, expected):
 
 @pytest.mark.parametrize(("alarm", "state", "expected"), CASES)
 def test_an_observer_asks_for_the_same_and_holds_nothing_back(alarm, state, expected):
-    found = answer(alarm, state, Recovery("observer"))
+    found = answer(alarm, state, RecoveryPolicy("observer"))
     assert not found.withholds
     assert (found.kind, found.kernel, found.restores, found.awaited) == (
         expected.kind,
@@ -84,11 +84,11 @@ def test_an_observer_asks_for_the_same_and_holds_nothing_back(alarm, state, expe
 
 def test_only_the_kernel_that_wrote_the_value_is_stepped_again():
     alone = Action(RECOMPUTE, PERCEPTION, "collision_check", ("collision_check",), STATUS, True, alone=True)
-    assert answer(Alarm("d", "perception"), STATUS, Recovery(grain="kernel")) == alone
+    assert answer(Alarm("d", "perception"), STATUS, RecoveryPolicy(grain="kernel")) == alone
 
 
 def test_a_message_that_is_wrong_twice_is_computed_again():
-    policy, alarm = Recovery(grain="message", same_twice="escalate"), Alarm("d", "perception", hard=True)
+    policy, alarm = RecoveryPolicy(grain="message", same_twice="escalate"), Alarm("d", "perception", hard=True)
     assert answer(alarm, STATUS, policy) == Action(Response.RESEND, PERCEPTION, awaited=STATUS, withholds=True)
     assert answer(alarm, STATUS, policy, Origin.RESENT) == Action(
         RECOMPUTE, PERCEPTION, "collision_check", ("collision_check",), STATUS, True, alone=True
@@ -99,7 +99,7 @@ def test_an_alarm_has_the_first_response_that_applies():
     flags = itertools.product(*[BOTH] * 7)
     for hard, degrades, persists, stop, abandon, own, resends in flags:
         for origin, left in itertools.product(Origin, (0, 1, MAX_RESTARTS)):
-            policy = Recovery(
+            policy = RecoveryPolicy(
                 grain="message" if resends else "stage",
                 same_twice="escalate",
                 degraded="hold" if degrades else "none",
@@ -122,7 +122,7 @@ def test_an_alarm_has_the_first_response_that_applies():
 
 
 def test_a_sensor_has_no_node_to_restart():
-    policy = Recovery(same_twice="escalate")
+    policy = RecoveryPolicy(same_twice="escalate")
     assert answer(Alarm("d", "perception", hard=True), "sensor.odometry", policy, Origin.RECOMPUTED) is None
 
 
@@ -141,7 +141,7 @@ def test_a_gap_begins_a_new_series_of_alarms(gap):
     [(1, "none", "restart"), (1, "hold", "restart"), (0, "none", None), (0, "hold", "hold")],
 )
 def test_an_overdue_path_restarts_the_planner_while_a_restart_is_left(left, degraded, expected):
-    found = decide_overdue(History(restarts_left=left), Recovery(answer_s=0.6, degraded=degraded))
+    found = decide_overdue(History(restarts_left=left), RecoveryPolicy(answer_s=0.6, degraded=degraded))
     assert (None if found is None else found.kind) == expected
     if expected == "restart":
         assert found == Action(Response.RESTART, PLANNING, "planner", withholds=True)

@@ -9,7 +9,7 @@ from mavfi.detectors.detector import NoDetector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, MessageFault, StateFault
 from mavfi.flight import mission_flights
-from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.forks import InjectedRuns
 from mavfi.flight.host import ArmSetup, Flight
 from mavfi.flight.mission_flights import LocalHost
@@ -97,7 +97,7 @@ def arms(calls):
 
     return {
         "": ArmSetup(Scenario(name="own")),
-        "g": ArmSetup(Scenario(name="own"), make, Recovery("observer")),
+        "g": ArmSetup(Scenario(name="own"), make, RecoveryPolicy("observer")),
         "slow": ArmSetup(Scenario(name="other")),
     }
 
@@ -114,7 +114,7 @@ def test_flights_of_a_mission_share_what_is_known_of_their_scenario(calls, arms)
     flights.golden("g")
     assert [way for way, *_ in calls.flown] == ["fast"] * 5
     assert calls.made == ["own", "other"]
-    assert calls.flown[2] == ("fast", FAULT, WATCHER, "g", Recovery("observer")), (
+    assert calls.flown[2] == ("fast", FAULT, WATCHER, "g", RecoveryPolicy("observer")), (
         "known flights are distinguished by arm"
     )
     assert calls.flown[3][3] == "", "without a detector it is the scenario alone that counts"
@@ -189,9 +189,9 @@ def test_instruction_faults_are_flown_arm_by_arm_and_keep_their_places(calls, ar
     assert {place: flight.log for place, flight in found.items()} == {0: DATA, 1: DATA, 2: other, 3: FAULT}
     assert calls.flown == [
         ("fast", None, None, "", INLINE),
-        ("fast", FAULT, WATCHER, "g", Recovery("observer")),
+        ("fast", FAULT, WATCHER, "g", RecoveryPolicy("observer")),
         ("checkpoints", (DATA, other), None, "", INLINE),
-        ("instructions", (DATA,), WATCHER, None, Recovery("observer")),
+        ("instructions", (DATA,), WATCHER, None, RecoveryPolicy("observer")),
     ], "without a golden flight of its own an arm flies from take-off"
     assert calls.made == ["own with scratch", "counts "]
 
@@ -210,7 +210,7 @@ def test_runs_with_a_detector_that_follow_from_those_without_are_not_flown(calls
 @pytest.mark.parametrize("why", ["detector", "unknown", "no fast-forward", "restarts", "octree"])
 def test_instruction_faults_are_flown_from_take_off_where_checkpoints_cannot_be_used(calls, arms, why):
     if why == "restarts":
-        arms["g"] = ArmSetup(Scenario(name="own"), arms["g"].make_detector, Recovery(answer_s=0.6))
+        arms["g"] = ArmSetup(Scenario(name="own"), arms["g"].make_detector, RecoveryPolicy(answer_s=0.6))
     if why == "octree":
         arms["g"] = ArmSetup(Scenario(name="octree"), arms["g"].make_detector)
     flights = LocalHost().mission(arms, fast_forward=why != "no fast-forward")

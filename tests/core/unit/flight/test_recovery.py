@@ -19,7 +19,7 @@ from mavfi.flight.decide import (
     MAX_UNCHANGED,
     RESTART_US,
     Action,
-    Recovery,
+    RecoveryPolicy,
     Response,
 )
 from mavfi.flight.recovery import DetectorTap, record_of
@@ -79,7 +79,7 @@ def test_what_passes_is_recorded_as_accepted():
 
 # ---- a rule that is broken twice, and an alarm that nobody answers ------------------------------------------------
 STATUS, PATH = "perception.collision_status", "planning.path"
-ESCALATES = Recovery(grain="kernel", same_twice="escalate", answer_s=0.6)
+ESCALATES = RecoveryPolicy(grain="kernel", same_twice="escalate", answer_s=0.6)
 
 
 def test_a_detector_that_is_right_is_asked_on():
@@ -196,7 +196,7 @@ def test_the_limit_is_that_of_the_key():
 
 @pytest.mark.parametrize("hard", [True, False])
 def test_recomputations_that_change_nothing_are_limited(hard):
-    flight, second, limit = Flight(), 1_000_000, Recovery(same_twice="limit")
+    flight, second, limit = Flight(), 1_000_000, RecoveryPolicy(same_twice="limit")
     burst = [(place, status(5)) for place in range(4 * MAX_UNCHANGED)]
     later = [(ALARMS_WITHIN_US + now, state) for now, state in burst]
     before, after = [(2 * second, status(5)), (9 * second, status(5))], [(21 * second, status(5))]
@@ -214,7 +214,7 @@ def test_after_a_skipped_way_point_there_is_no_response_for_a_minute():
 
     flight, second = Flight(), 1_000_000
     instants = (1, 2, 30 * second, 50 * second, 59 * second, 61 * second, 62 * second, 122 * second)
-    shown(Skipping(hard=False), Recovery(same_twice="limit"), [(now, status(5)) for now in instants], flight)
+    shown(Skipping(hard=False), RecoveryPolicy(same_twice="limit"), [(now, status(5)) for now in instants], flight)
     assert [round(alarm.time_s) for alarm in flight.record.alarms] == [0, 61, 122]
     assert {alarm.action for alarm in flight.record.alarms} == {"abandon"}
     assert flight.events == [(1, LIMITED), (61 * second, LIMITED), (122 * second, LIMITED)]
@@ -228,13 +228,13 @@ def test_recomputations_that_repair_are_limited_only_where_the_next_value_differ
 
     flight = Flight()
     values = [(now, status(5 if now % 2 else 6)) for now in range(1, 4 * MAX_UNCHANGED)]
-    shown(EverySecond(hard=False), Recovery(coupling, same_twice="limit"), values, flight)
+    shown(EverySecond(hard=False), RecoveryPolicy(coupling, same_twice="limit"), values, flight)
     assert len(flight.outcomes) == count
 
 
 @pytest.mark.parametrize(
     ("hard", "recovery", "left"),
-    [(False, ESCALATES, 5), (True, Recovery(grain="kernel"), 5), (True, ESCALATES, 0)],
+    [(False, ESCALATES, 5), (True, RecoveryPolicy(grain="kernel"), 5), (True, ESCALATES, 0)],
 )
 def test_otherwise_the_same_value_twice_is_accepted(hard, recovery, left):
     flight, detector = Flight(), Always(hard)
@@ -314,19 +314,19 @@ def test_a_flight_has_a_few_restarts_at_most():
 
 def test_without_a_time_limit_nobody_waits():
     flight = Flight()
-    shown(Never(hard=True), Recovery(), [(0, status(3, flag=True)), (10**9, status(3))], flight)
+    shown(Never(hard=True), RecoveryPolicy(), [(0, status(3, flag=True)), (10**9, status(3))], flight)
     assert flight.restarted == []
 
 
 def test_a_mission_says_how_alarms_are_answered():
     spec = MissionSpec(coupling="observer", grain="kernel", same_twice="escalate", answer_s=0.6)
-    assert Recovery.of(spec) == Recovery("observer", "kernel", "escalate", 0.6)
-    assert Recovery.of(MissionSpec()) == INLINE and not INLINE.restarts
+    assert RecoveryPolicy.of(spec) == RecoveryPolicy("observer", "kernel", "escalate", 0.6)
+    assert RecoveryPolicy.of(MissionSpec()) == INLINE and not INLINE.restarts
 
 
 # ---- what restarts do not help ------------------------------------------------------------------------------------
 COMMAND = "control.command"
-HOLDS = Recovery(grain="kernel", same_twice="escalate", answer_s=0.6, degraded="hold")
+HOLDS = RecoveryPolicy(grain="kernel", same_twice="escalate", answer_s=0.6, degraded="hold")
 AFTERWARDS = [(10**9, new_state(COMMAND)), (10**9 + 1, status(9)), (10**9 + 2, new_state("planning.waypoint"))]
 """The first of them is withheld in the degraded mode, the others pass."""
 
@@ -360,7 +360,7 @@ def test_the_command_that_starts_it_is_withheld():
     ],
 )
 def test_hard_alarms_that_persist_end_in_degraded_mode(pitch_us, hard, degraded, expected):
-    flight, recovery = Flight(), Recovery(grain="kernel", degraded=degraded)
+    flight, recovery = Flight(), RecoveryPolicy(grain="kernel", degraded=degraded)
     # every second value is the result of a recomputation, which is not judged
     values = [(number * pitch_us, status(5)) for number in range(24)]
     shown(Always(hard), recovery, values, flight)
@@ -369,7 +369,7 @@ def test_hard_alarms_that_persist_end_in_degraded_mode(pitch_us, hard, degraded,
 
 
 def test_persisting_takes_two_seconds():
-    flight, recovery = Flight(), Recovery(grain="kernel", degraded="hold")
+    flight, recovery = Flight(), RecoveryPolicy(grain="kernel", degraded="hold")
     shown(Always(hard=True), recovery, [(number * 100_000, status(5)) for number in range(60)], flight)
     held = next(alarm for alarm in flight.record.alarms if alarm.action == "hold")
     assert 2.0 < held.time_s <= 2.2
@@ -402,8 +402,8 @@ def odometry(x):
 
 def test_an_observer_cannot_withhold_commands():
     with pytest.raises(BadInputError, match="degraded: hold: withholds commands; allowed: with coupling inline"):
-        Recovery("observer", degraded="hold")
-    assert Recovery(degraded="hold").remembers and not INLINE.remembers and ESCALATES.remembers
+        RecoveryPolicy("observer", degraded="hold")
+    assert RecoveryPolicy(degraded="hold").remembers and not INLINE.remembers and ESCALATES.remembers
 
 
 def test_each_restart_of_a_flight_takes_longer():

@@ -17,7 +17,7 @@ from mavfi.extras.ros.ros1.ports import is_alive
 from mavfi.ir import fresh
 from mavfi.ir.build import BuildError, build_apart
 from mavfi.ir.forked import run_in_child
-from mavfi.numerics.jit import Kernel, kernel_jit
+from mavfi.numerics.jit import KernelDispatcher, kernel_jit
 
 pytestmark = pytest.mark.slow
 
@@ -29,7 +29,7 @@ def half(x):
 
 def surroundings_of(kernel, signature):
     """Of the process that prepares: its template, where it is, how much it had compiled, and a variable."""
-    others = sum(isinstance(one, Kernel) and bool(one.overloads) for one in gc.get_objects())
+    others = sum(isinstance(one, KernelDispatcher) and bool(one.overloads) for one in gc.get_objects())
     cache = list(Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nb?"))
     return repr((os.getppid(), os.getcwd(), others, cache, os.environ.get("FOR_FORKS"))).encode()
 
@@ -91,7 +91,7 @@ def test_forks_of_the_program_have_their_own():
 
 def test_other_settings_need_another_one(monkeypatch):
     template()
-    first = fresh._own.template
+    first = fresh._of_thread.template
     monkeypatch.setenv("NUMBA_OPT", "2")
     assert not first.usable()
     monkeypatch.delenv("NUMBA_OPT")

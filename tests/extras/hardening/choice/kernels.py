@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from mavfi.extras.hardening.battery import copied
-from mavfi.extras.hardening.observed import Seen
+from mavfi.extras.hardening.observed import ObservedFunction
 from mavfi.faults.levels.instruction.variant import signature_of, variant_for
 from mavfi.numerics.jit import kernel_jit
 
@@ -31,7 +31,7 @@ def see(function, calls):
     """What calls, of equal types, show of a function, as golden flights do."""
     variant = variant_for(function, calls[0])
     executions = sum(variant.tally(*copied(args))[1] for args in calls)
-    return Seen(
+    return ObservedFunction(
         function,
         function.py_func.__name__,
         signature_of(calls[0]),

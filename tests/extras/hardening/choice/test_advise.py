@@ -11,12 +11,12 @@ from mavfi.extras.hardening import advise
 from mavfi.extras.hardening.advise import (
     Advice,
     Curve,
-    Prepared,
-    Step,
+    CurveStep,
+    PreparedFunction,
     allocate,
+    allocate_and_retime,
     coverage_of,
     coverage_of_steps,
-    settle,
 )
 from mavfi.extras.hardening.choose import NOTHING
 from mavfi.extras.hardening.target import Injected
@@ -35,8 +35,8 @@ def judged(hits, n, world=str):
 def curve(name, share, mass, *points):
     """A curve with (time, share of SDCs removed) at each step."""
     steps = [
-        Step(0.0, NOTHING, 1.0, judged(0, 100)),
-        *(Step(1.0, NOTHING, t, judged(round(100 * c), 100)) for t, c in points),
+        CurveStep(0.0, NOTHING, 1.0, judged(0, 100)),
+        *(CurveStep(1.0, NOTHING, t, judged(round(100 * c), 100)) for t, c in points),
     ]
     return Curve(Target(name, mass), 1.0, share, tuple(steps))
 
@@ -45,7 +45,7 @@ def test_a_step_is_chosen_by_a_time_that_did_not_lead_to_its_choice(monkeypatch)
     """Its first time is the shortest of many: the error of the measurement is part of why it was chosen."""
     octomap = curve("map", 0.7, 75.0, (1.04, 0.3), (1.02, 0.4), (1.3, 0.9))
     small = curve("small", 0.01, 20.0, (1.5, 1.0))
-    ready = [Prepared([], [], [own.target.name.encode(), *map(str.encode, "123")]) for own in (octomap, small)]
+    ready = [PreparedFunction([], [], [own.target.name.encode(), *map(str.encode, "123")]) for own in (octomap, small)]
     true, timed = {b"1": 1.05, b"2": 1.10, b"3": 1.25}, []
 
     def times_of(target, codes, seconds):
@@ -55,7 +55,7 @@ def test_a_step_is_chosen_by_a_time_that_did_not_lead_to_its_choice(monkeypatch)
 
     monkeypatch.setattr(advise, "times_of", times_of)
     assert allocate([octomap, small], 0.05) == (2, 1)
-    curves, chosen = settle([octomap, small], ready, 0.05, 0.5)
+    curves, chosen = allocate_and_retime([octomap, small], ready, 0.05, 0.5)
     assert timed == [("map", b"2"), ("map", b"1")], "the small function is not timed again"
     assert chosen == (1, 1) and [step.time for step in curves[0].steps] == [1.0, 1.05, 1.10, 1.3]
     assert curves[1] == small and Advice(0.05, curves, chosen).spent <= 0.05
@@ -99,7 +99,7 @@ def test_predicted_coverage_counts_calls_as_clusters():
 def test_functions_count_by_their_silent_corruptions():
     parts = [("a", 90.0, judged(100, 100)), ("b", 10.0, judged(0, 50)), ("c", 5.0, [])]
     found = coverage_of_steps(
-        [(Curve(Target(name, mass), 1.0, 0.1, ()), Step(1.0, NOTHING, 1.0, own)) for name, mass, own in parts]
+        [(Curve(Target(name, mass), 1.0, 0.1, ()), CurveStep(1.0, NOTHING, 1.0, own)) for name, mass, own in parts]
     )
     assert found.rate == pytest.approx(0.9)
     assert found.low < 0.9 < found.high

@@ -8,20 +8,20 @@ import pytest
 from mavfi.analysis.statistics import mcnemar
 from mavfi.campaign.config import load_campaign
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.advise import Study
+from mavfi.extras.hardening.advise import HardeningStudy
 from mavfi.extras.hardening.certify import (
     Certificate,
     Certification,
-    Pair,
+    FunctionPair,
     Unprotected,
     certify,
     check_fresh,
-    foreseen,
-    together,
+    combined_coverage,
+    predicted_coverage,
 )
 from mavfi.extras.hardening.duplicate import candidates
-from mavfi.extras.hardening.observed import GoldenCheck, Guarded
-from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan
+from mavfi.extras.hardening.observed import GoldenCheck, ProtectedFunction
+from mavfi.extras.hardening.plan import Coverage, FunctionPlan, ProtectionPlan
 from mavfi.extras.hardening.report import verdict_line
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source
@@ -67,16 +67,16 @@ def test_verdicts_of_plans_that_say_too_little():
 
 
 def test_totals_weight_functions_by_their_silent_corruptions():
-    whole = together([certificate(200, 0), certificate(20, 10, growth=1.0)])
+    whole = combined_coverage([certificate(200, 0), certificate(20, 10, growth=1.0)])
     assert whole.rate == pytest.approx(1 - 10 / 220) and whole.low < whole.rate <= whole.high
-    assert together([]).rate is None
+    assert combined_coverage([]).rate is None
 
 
 def test_the_total_is_judged_by_predictions_with_the_same_weights():
     large, small = certificate(200, 10, predicted=CLAIM), certificate(20, 10, predicted=CLAIM)
-    assert foreseen([large, small]).rate == pytest.approx(0.9)
-    assert foreseen([large], [plain(3000, 200)]).rate == pytest.approx(0.225)
-    assert foreseen([large, certificate(20, 10)]).rate is None and foreseen([]).rate is None
+    assert predicted_coverage([large, small]).rate == pytest.approx(0.9)
+    assert predicted_coverage([large], [plain(3000, 200)]).rate == pytest.approx(0.225)
+    assert predicted_coverage([large, certificate(20, 10)]).rate is None and predicted_coverage([]).rate is None
     assert certification(large).verdict == "confirmed" and not certification(large).refuted
     weak = certification(*[certificate(200, 15, predicted=CLAIM)] * 6)  # each within its prediction, all together not
     assert weak.certificates[0].verdict == "confirmed"
@@ -98,11 +98,11 @@ def plain(instructions, sdc):
 
 
 def test_unprotected_functions_count_in_the_total():
-    half = together([certificate(200, 0)], [plain(1000, 200)])
+    half = combined_coverage([certificate(200, 0)], [plain(1000, 200)])
     assert half.rate == pytest.approx(0.5) and 0.4 < half.low < 0.5 < half.high < 0.6
-    little = together([certificate(200, 0)], [plain(499_000, 200)])
+    little = combined_coverage([certificate(200, 0)], [plain(499_000, 200)])
     assert little.rate == pytest.approx(0.002) and 0.0015 < little.low < little.high < 0.0025
-    harmful = together([certificate(200, 150)], [plain(1000, 200)])
+    harmful = combined_coverage([certificate(200, 150)], [plain(1000, 200)])
     assert harmful.low < harmful.rate < harmful.high < 0 and harmful.rate == pytest.approx(-0.25)
 
 
@@ -121,7 +121,7 @@ def planned():
 
 
 def test_full_duplication_removes_the_corruptions_of_the_same_injections(planned):
-    found = certify(Pair.of(see(smooth, calls()), planned), 60)
+    found = certify(FunctionPair.of(see(smooth, calls()), planned), 60)
     assert found.sdc_before.rate > 0.2 and found.growth > 1.5
     assert found.coverage.rate > 0.8 and found.after.get("detected", 0) > 0
     assert found.paired.n == 60 and found.paired.second_only == 0 and found.paired.p_value < 0.01
@@ -129,7 +129,7 @@ def test_full_duplication_removes_the_corruptions_of_the_same_injections(planned
 
 
 def test_a_guarded_function_gives_the_same_bits_and_no_alarm(planned):
-    guarded, own, other = Guarded(smooth, Plan(functions=(planned,))), calls()[0], calls()[0]
+    guarded, own, other = ProtectedFunction(smooth, ProtectionPlan(functions=(planned,))), calls()[0], calls()[0]
     assert np.float64(guarded(*own)).tobytes() == np.float64(smooth(*other)).tobytes()
     assert own[1].tobytes() == other[1].tobytes() and (guarded.calls, guarded.alarms) == (1, 0)
 
@@ -145,9 +145,9 @@ def test_a_guarded_function_gives_the_same_bits_and_no_alarm(planned):
     ],
 )
 def test_a_plan_is_certified_with_missions_that_its_choice_has_not_seen(tmp_path, studied, refusal):
-    study = Study(tmp_path, load_campaign("hardening"), "other", ("pid",))
-    plan = Plan(ledger="made", studied=studied)
-    check_fresh(study, Plan(ledger="other"))
+    study = HardeningStudy(tmp_path, load_campaign("hardening"), "other", ("pid",))
+    plan = ProtectionPlan(ledger="made", studied=studied)
+    check_fresh(study, ProtectionPlan(ledger="other"))
     if not refusal:
         check_fresh(study, plan)
         return

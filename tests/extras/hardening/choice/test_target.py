@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from mavfi.analysis.statistics import wilson
-from mavfi.extras.hardening.advise import Advice, Curve, Step, choices_of, every_choice, planned_of
+from mavfi.extras.hardening.advise import Advice, Curve, CurveStep, choices_of, every_choice, planned_of
 from mavfi.extras.hardening.battery import Battery
-from mavfi.extras.hardening.certify import Certification, Pair, certified_plan, certify, with_certified
+from mavfi.extras.hardening.certify import Certification, FunctionPair, certified_plan, certify, with_certified
 from mavfi.extras.hardening.observed import GoldenCheck
-from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan
+from mavfi.extras.hardening.plan import Coverage, FunctionPlan, ProtectionPlan
 from mavfi.extras.hardening.summary import Harm, summary
 from mavfi.extras.hardening.target import Injected, injections_in, targets_of
 from mavfi.faults.levels.instruction.variant import signature_of
 from tests.extras.hardening.choice.kernels import calls, see, smooth
-from tools.full_plan import full_plan
+from tools.full_protection import full_plan
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def test_expected_corruptions_are_those_of_the_injected_instructions(target):
 def test_sites_are_those_of_the_parsed_module(target):
     sites = target.sites(target.chooser.full)
     assert all(target.site_of(one) in sites for one in target.injections if one.sdc)
-    planned = planned_of(target, Step(1.0, target.chooser.full, 1.234, choices_of(target)[-1][2]))
+    planned = planned_of(target, CurveStep(1.0, target.chooser.full, 1.234, choices_of(target)[-1][2]))
     assert set(planned.sites) == sites and planned.time == 1.234 and planned.predicted.estimate == 1.0
     assert all(line.split(":")[0].endswith("kernels.py") for line in planned.lines if not line.startswith("numba"))
 
@@ -64,7 +64,7 @@ class Study:
 
 def test_a_summary_adds_up(target):
     ladder = every_choice(target, (0.5, 1.0))
-    steps = tuple(Step(fraction, choice, 1 + fraction, judged) for fraction, choice, judged in ladder)
+    steps = tuple(CurveStep(fraction, choice, 1 + fraction, judged) for fraction, choice, judged in ladder)
     curve = Curve(target, 1.0, 0.2, steps)
     assert [step.fraction for step in steps] == [0.0, 0.5, 1.0]
     advice = Advice(0.5, (curve,), (1,))
@@ -88,19 +88,19 @@ def test_a_plan_keeps_the_certificate_of_the_same_code(target):
         sites=tuple(target.sites(target.chooser.full)),
         time=1.4,
     )
-    plan, found = Plan(functions=(whole,)), Coverage(estimate=0.9, low=0.8, high=0.95)
-    pair = Pair.of(target.seen, whole)
+    plan, found = ProtectionPlan(functions=(whole,)), Coverage(estimate=0.9, low=0.8, high=0.95)
+    pair = FunctionPair.of(target.seen, whole)
     certified = certified_plan(plan, Certification(plan.digest, 20, (), (certify(pair, 20),), GoldenCheck(1, 1, 1, 0)))
     assert certified.functions[0].certified.estimate > 0.5 and certified.digest == plan.digest
-    earlier = Plan(functions=(whole.model_copy(update={"certified": found, "time": 1.1}),))
+    earlier = ProtectionPlan(functions=(whole.model_copy(update={"certified": found, "time": 1.1}),))
     assert with_certified(plan, earlier).functions[0].certified == found
-    other = Plan(functions=(whole.model_copy(update={"certified": found, "sites": whole.sites[1:]}),))
+    other = ProtectionPlan(functions=(whole.model_copy(update={"certified": found, "sites": whole.sites[1:]}),))
     assert with_certified(plan, other).functions[0].certified is None
 
 
 def test_choice_and_certificate_count_the_same_corruptions():
     """A function's result that its caller would mask is a corruption for both."""
-    pair = Pair.of(see(smooth, calls()), full_plan("pid", smooth, signature_of(calls()[0])))
+    pair = FunctionPair.of(see(smooth, calls()), full_plan("pid", smooth, signature_of(calls()[0])))
     learned = injections_in(pair.seen)
     rate = wilson(sum(one.sdc for one in learned), len(learned))
     measured = certify(pair, 60).sdc_before

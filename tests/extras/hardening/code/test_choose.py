@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavfi.extras.hardening.choose import OUTSIDE, Chooser, Cuts, Use, Value, total_cost
-from mavfi.extras.hardening.plan import Site
+from mavfi.extras.hardening.plan import ModuleSite
 
 HOT, COLD = 100.0, 1.0
 
@@ -16,7 +16,7 @@ HOT, COLD = 100.0, 1.0
 def graph(operands, executions, outside=(), kinds=None):
     """Values with the given operands (indices); those in `outside` are used by something that cannot be duplicated."""
     values = [
-        Value(Site(0, i, 0), "add", (kinds or {}).get(i, "i64"), float(executions[i]), tuple(own))
+        Value(ModuleSite(0, i, 0), "add", (kinds or {}).get(i, "i64"), float(executions[i]), tuple(own))
         for i, own in enumerate(operands)
     ]
     for user, own in enumerate(operands):
@@ -94,7 +94,7 @@ def test_a_slice_is_cheaper_than_its_values_alone():
 
 
 def test_a_comparison_is_made_where_it_is_executed_less_often():
-    value = Value(Site(0, 0, 0), "load", "double", HOT)
+    value = Value(ModuleSite(0, 0, 0), "load", "double", HOT)
     value.uses.append(Use(OUTSIDE, "%b1", COLD))
     assert total_cost([value], {0}) == HOT + 3 * COLD
     value.uses.append(Use(OUTSIDE, "%b2", None))  # a block whose executions are not counted

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mavfi.extras.hardening.choose import OUTSIDE, Chooser, Entry, added, total_cost, values_of, weight_of
+from mavfi.extras.hardening.choose import OUTSIDE, Chooser, PhiInput, added, total_cost, values_of, weight_of
 from mavfi.ir.parser import parse_module
 
 LOOP = """
@@ -40,7 +40,9 @@ def test_operands_entries_and_uses(module):
     values = values_of(module, COUNTS)
     assert [value.opcode for value in values] == ["load", "phi", "phi", "icmp", "getelementptr", "load", "fadd", "add"]
     assert values[MORE].operands == (SUM, X) and values[X].operands == (PLACE,) and values[PLACE].operands == (COUNTER,)
-    assert values[SUM].entries == (Entry(START, 1.0, False), Entry(MORE, 10.0, True)) and values[SUM].in_loop_header
+    assert (
+        values[SUM].entries == (PhiInput(START, 1.0, False), PhiInput(MORE, 10.0, True)) and values[SUM].in_loop_header
+    )
     assert values[INSIDE].uses == []  # both edges of the branch check its shadow
     assert {use.user for use in values[SUM].uses} == {MORE, OUTSIDE}
 

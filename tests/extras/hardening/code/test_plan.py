@@ -5,7 +5,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan, Site, check_code, load_plan, save_plan
+from mavfi.extras.hardening.plan import (
+    Coverage,
+    FunctionPlan,
+    ModuleSite,
+    ProtectionPlan,
+    check_code,
+    load_plan,
+    save_plan,
+)
 
 DIGEST = "ab" * 32
 
@@ -17,15 +25,17 @@ def of(**more):
 @given(st.sets(st.tuples(st.integers(0, 3), st.integers(0, 20), st.integers(0, 30)), max_size=40))
 def test_a_plan_survives_its_file(tmp_path_factory, sites):
     path = tmp_path_factory.mktemp("plans") / "plan.yaml"
-    plan = Plan(functions=(of(sites=tuple(sites), time=1.16, predicted=Coverage(estimate=0.9, low=0.8, high=0.95)),))
+    plan = ProtectionPlan(
+        functions=(of(sites=tuple(sites), time=1.16, predicted=Coverage(estimate=0.9, low=0.8, high=0.95)),)
+    )
     save_plan(plan, path)
     assert load_plan(path) == plan
-    assert load_plan(path).functions[0].sites == tuple(sorted(Site(*site) for site in sites))
+    assert load_plan(path).functions[0].sites == tuple(sorted(ModuleSite(*site) for site in sites))
 
 
 def test_sites_are_written_as_ranges_by_block(tmp_path):
     save_plan(
-        Plan(functions=(of(sites=((0, 2, 1), (0, 0, 0), (0, 0, 1), (0, 0, 2), (0, 0, 5), (1, 7, 3))),)),
+        ProtectionPlan(functions=(of(sites=((0, 2, 1), (0, 0, 0), (0, 0, 1), (0, 0, 2), (0, 0, 5), (1, 7, 3))),)),
         tmp_path / "p.yaml",
     )
     assert "'0': 0:0-2,5 2:1" in (tmp_path / "p.yaml").read_text()
@@ -44,29 +54,34 @@ KNOWN = Coverage(estimate=0.9, low=0.8, high=0.95)
     ],
 )
 def test_neither_lines_nor_modules_nor_coverage_identify_a_plan(functions, tmp_path):
-    plan = Plan(functions=functions, studied={"dense": (10_000, 10_007)}, budget=0.1)
-    assert plan.digest == Plan(functions=(PROTECTED,)).digest
+    plan = ProtectionPlan(functions=functions, studied={"dense": (10_000, 10_007)}, budget=0.1)
+    assert plan.digest == ProtectionPlan(functions=(PROTECTED,)).digest
     save_plan(plan, tmp_path / "p.yaml")
     assert load_plan(tmp_path / "p.yaml") == plan
 
 
 @pytest.mark.parametrize("change", [{"sites": ((0, 0, 2),)}, {"time": 1.5}, {"function": "m.g"}])
 def test_what_a_flight_depends_on_identifies_a_plan(change):
-    assert Plan(functions=(of(**{"sites": ((0, 0, 1),), **change}),)).digest != Plan(functions=(PROTECTED,)).digest
+    assert (
+        ProtectionPlan(functions=(of(**{"sites": ((0, 0, 1),), **change}),)).digest
+        != ProtectionPlan(functions=(PROTECTED,)).digest
+    )
 
 
 def test_a_plan_keeps_its_digest_in_later_versions():
-    plan = Plan(mavfi="1", numba="1", llvmlite="1", functions=(of(sites=((0, 0, 1),), time=1.5),))
+    plan = ProtectionPlan(mavfi="1", numba="1", llvmlite="1", functions=(of(sites=((0, 0, 1),), time=1.5),))
     assert plan.digest.startswith("09d426171a426501aa6ac895f2cf0653")
 
 
 def test_the_time_of_a_kernel_weights_its_functions_by_their_shares():
     parts = of(time=1.2, share=0.75), of(function="m.g", time=1.8, share=0.05), of(kernel="octomap", function="m.h")
-    plan = Plan(functions=parts)
+    plan = ProtectionPlan(functions=parts)
     assert plan.time_of("pid") == pytest.approx(1 + 0.75 * 0.2 + 0.05 * 0.8) and plan.time_of("rrt") == 1.0
-    old = Plan(functions=(of(time=1.2, share=0.75), of(function="m.g", time=1.8)))
+    old = ProtectionPlan(functions=(of(time=1.2, share=0.75), of(function="m.g", time=1.8)))
     assert old.time_of("pid") == 1.8, "the largest, if a share is not known"
-    assert Plan(functions=(of(kind="none", time=1.5),)).bare.time_of("pid") == 1.5, "unprotected, its time is charged"
+    assert ProtectionPlan(functions=(of(kind="none", time=1.5),)).bare.time_of("pid") == 1.5, (
+        "unprotected, its time is charged"
+    )
 
 
 @pytest.mark.parametrize(
@@ -95,7 +110,7 @@ def test_a_bad_plan_is_refused_in_one_line(tmp_path, change, message):
 
 def test_a_function_is_planned_once_for_a_signature():
     with pytest.raises(ValueError, match="planned twice"):
-        Plan(functions=(of(), of(kind="none")))
+        ProtectionPlan(functions=(of(), of(kind="none")))
 
 
 def test_a_plan_for_other_code_is_refused_in_one_line():

@@ -5,7 +5,7 @@ from pathlib import Path
 import numba
 import numpy as np
 
-from mavfi.extras.hardening.battery import Recording, copied, same_bits
+from mavfi.extras.hardening.battery import CallRecording, copied, same_bits
 from mavfi.faults.levels.instruction.api import digest
 from mavfi.ir.forked import run_in_child
 
@@ -34,21 +34,21 @@ def test_arrays_that_share_memory_share_it_in_the_copy():
 
 
 def test_recorded_calls_are_spread_evenly_and_taken_before_the_call():
-    recording, value = Recording(4), np.zeros(1)
+    recording, value = CallRecording(4), np.zeros(1)
     for number in range(100):
         recording.note((value,))
         value += 1
         assert recording.total == number + 1
-    calls = sorted(recording.kept)
+    calls = sorted(recording.arguments)
     assert 4 <= len(calls) <= 8 and len(set(np.diff(calls))) == 1 and calls[0] == 0
-    assert all(recording.kept[call][0][0] == call for call in calls)
+    assert all(recording.arguments[call][0][0] == call for call in calls)
 
 
 def test_large_recorded_arrays_are_in_memory_that_forks_share_and_nothing_writes():
     """Faults are injected in forks: to copy the page tables of all recordings for each would take most of the time."""
-    recording, large = Recording(), np.arange(1e5)
+    recording, large = CallRecording(), np.arange(1e5)
     recording.note((large, large[7:]))
-    array, part = recording.kept[0]
+    array, part = recording.arguments[0]
     np.testing.assert_equal(array, large)
     assert np.shares_memory(array, part) and numba.typeof(array) == numba.typeof(large)
     assert _permissions(array) == "r--s" and _permissions(copied(array)) == "rw-p"

@@ -3,7 +3,7 @@
 import pytest
 
 from mavfi.flight.compose import new_loop, resolve, watch
-from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.fly import fly as fly_here
 from mavfi.flight.loop import Listener
 from mavfi.flight.restarts import Restarts
@@ -16,7 +16,7 @@ flying = [*ros, pytest.mark.slow]
 ANSWERING_US = 2_920_000
 """The planner of this mission has begun to answer an alarm, and its path is not there yet."""
 AWAY_US = 1_000_000
-ESCALATING = Recovery("inline", "kernel", "escalate", 0.6)
+ESCALATING = RecoveryPolicy("inline", "kernel", "escalate", 0.6)
 
 
 def alarming(policy):

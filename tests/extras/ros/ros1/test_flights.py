@@ -23,7 +23,7 @@ from mavfi.extras.ros.ros1.ports import is_alive
 from mavfi.extras.ros.ros1.register_injector import fault_in_node
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.compose import detector_for
-from mavfi.flight.decide import Recovery
+from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly as fly_here
 from mavfi.record import FlightLog
 from tests.core.flights.missions import Scripted, fault
@@ -82,7 +82,7 @@ def test_a_flight_with_a_fault_and_a_detector():
 
 
 def test_an_injected_estimate_violates_its_rule():
-    scenario, observer = short(localization="estimator"), Recovery("observer")
+    scenario, observer = short(localization="estimator"), RecoveryPolicy("observer")
     wrong = fault("perception.odometry", "x", 3.0, 62)
     log = there(scenario, wrong, detector("acceptance", scenario), recovery=observer)
     same(log, fly_here(scenario, wrong, detector("acceptance", scenario), recovery=observer).log)

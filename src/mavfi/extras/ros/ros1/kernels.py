@@ -13,7 +13,7 @@ from mavfi.extras.ros.ros1.plan import ALARM, DETECTOR, INJECTOR, Plan
 from mavfi.extras.ros.ros1.ports import Inbox, Ports
 from mavfi.faults.levels.state_injector import StateInjector
 from mavfi.flight.compose import new_loop, watch
-from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import Kernel, repeat
 from mavfi.pipeline.ppc import build_pipeline
@@ -135,7 +135,7 @@ class KernelNode:
         self._given.clear()
 
 
-def fly_begin(scenario: Scenario, detector: Detector | None = None, recovery: Recovery = INLINE) -> None:
+def fly_begin(scenario: Scenario, detector: Detector | None = None, recovery: RecoveryPolicy = INLINE) -> None:
     """Fly the first seconds in this process, so that all functions are compiled and loaded."""
     loop = new_loop(scenario)
     watch(loop, detector, recovery)

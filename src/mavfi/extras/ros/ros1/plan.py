@@ -10,7 +10,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros1.folder import flight_folder
 from mavfi.faults.fault import RegisterFault, StateFault
 from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 from mavfi.pipeline.ppc import build_pipeline
@@ -149,7 +149,7 @@ class Plan:
     config: PipelineConfig
     fault: StateFault | SensorFault | None = None
     detector: Detector | None = None
-    recovery: Recovery = INLINE
+    recovery: RecoveryPolicy = INLINE
     kills: tuple[tuple[str, int], ...] = ()
     restart_us: int = 1_000_000
     patience_s: float = 60.0

@@ -3,22 +3,22 @@
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.levels.instruction.api import InjectedCall, count, draw, histogram, inject, resolve, run_forked
 from mavfi.faults.levels.instruction.plan import budget_for, choose, injection_of
-from mavfi.faults.levels.instruction.table import Site
+from mavfi.faults.levels.instruction.table import InjectionSite
 from mavfi.faults.levels.instruction.variant import MismatchError, Profiling, Resolving
-from mavfi.ir.forked import Ended, ForkPoint, run_in_child
-from mavfi.ir.module import BuildError, RefusedError
+from mavfi.ir.forked import ChildEnd, ForkPoint, run_in_child
+from mavfi.ir.module import BuildError, NotInstrumentableError
 
 __all__ = [
     "BuildError",
-    "Ended",
+    "ChildEnd",
     "ForkPoint",
     "InjectedCall",
     "InstructionFault",
     "MismatchError",
     "Profiling",
-    "RefusedError",
+    "NotInstrumentableError",
     "Resolving",
-    "Site",
+    "InjectionSite",
     "budget_for",
     "choose",
     "count",

@@ -31,24 +31,25 @@ class Access:
 
 def accesses_of(instruction: Instruction) -> list[Access]:
     """Accesses of an instruction through computed pointers; callees are instrumented separately."""
+    accesses: list[Access] = []
     if instruction.opcode == "load":
-        found = [Access(instruction.tokens[4], str(size_of(instruction.kind)))]
+        accesses = [Access(instruction.tokens[4], str(size_of(instruction.kind)))]
     elif instruction.opcode == "store":
-        found = [Access(instruction.tokens[5], str(size_of(instruction.tokens[1])))]
+        accesses = [Access(instruction.tokens[5], str(size_of(instruction.tokens[1])))]
     elif instruction.callee is not None and _COPIES.match(instruction.callee):
         length = instruction.arguments[2][1]
-        found = [Access(value, length) for kind, value in instruction.arguments[:2] if kind == "ptr"]
+        accesses = [Access(value, length) for kind, value in instruction.arguments[:2] if kind == "ptr"]
     elif instruction.callee is not None and _MASKED.match(instruction.callee):
-        found = [_masked(instruction)]
-    else:
-        found = []
-    return [access for access in found if access.pointer.startswith("%")]
+        accesses = [_masked(instruction)]
+    return [access for access in accesses if access.pointer.startswith("%")]
 
 
 def _masked(call: Instruction) -> Access:
     """A masked access; a plain pointer counts as accessed in full, which is simple and harmless inside the arena."""
     mask = next(value for kind, value in call.arguments[::-1] if " x i1>" in kind)
-    data = call.kind if call.kind != "void" else call.arguments[0][0]
+    data = call.kind
+    if data == "void":  # a store: the data are its first argument
+        data = call.arguments[0][0]
     kind, pointer = next((kind, value) for kind, value in call.arguments if holds_pointer(kind))
     if kind == "ptr":
         return Access(pointer, str(size_of(data)))
@@ -65,25 +66,27 @@ def size_of(kind: str) -> int:
     end = 0
     widest = 1
     for part in fields:
-        aligned = min(8, size_of(part)) if not parts(part) else 8
-        end = -(-end // aligned) * aligned + size_of(part)
-        widest = max(widest, aligned)
+        alignment = 8
+        if not parts(part):
+            alignment = min(8, size_of(part))
+        end = -(-end // alignment) * alignment + size_of(part)
+        widest = max(widest, alignment)
     return -(-end // widest) * widest
 
 
 def is_owned(module: Module) -> bool:
     """Whether a kernel accesses memory in its own code only: no C function that it calls takes or returns pointers."""
-    own = {function.name for function in module.functions}
+    functions = {function.name for function in module.functions}
     for function in module.functions:
         for block in function.blocks:
             for instruction in block.all():
                 callee = instruction.callee
-                if callee is None or callee in own or callee[1:] in REPLACED:
+                if callee is None or callee in functions or callee[1:] in REPLACED:
                     continue
-                known = callee.startswith("@llvm.") and not callee.startswith("@llvm.x86.")
-                if not known and any(
-                    map(holds_pointer, [instruction.kind, *(kind for kind, _ in instruction.arguments)])
-                ):
+                if callee.startswith("@llvm.") and not callee.startswith("@llvm.x86."):
+                    continue  # a portable intrinsic, whose accesses are checked
+                kinds = [instruction.kind, *(kind for kind, _ in instruction.arguments)]
+                if any(map(holds_pointer, kinds)):
                     return False
     return True
 
@@ -104,14 +107,14 @@ def constants_of(module: Module) -> dict[str, Constant]:
     """
     arrays = (match for match in map(_ARRAY.match, module.preamble) if match is not None)
     kinds = {match[1]: match[3] for match in arrays if ".const.pickle" not in match[1]}
-    found: dict[str, Constant] = {}
+    constants: dict[str, Constant] = {}
     free = CONSTANTS
     for function in module.functions:
         for name in _NAME.findall(function.text()):
-            if name in kinds and name not in found:
-                found[name] = Constant(name, free, size_of(kinds[name]))
-                free += -(-found[name].size // LINE) * LINE
-    return found
+            if name in kinds and name not in constants:
+                constants[name] = Constant(name, free, size_of(kinds[name]))
+                free += -(-constants[name].size // LINE) * LINE
+    return constants
 
 
 def visible(line: str, constants: dict[str, Constant]) -> str:
@@ -129,25 +132,27 @@ def moved(token: str, constants: dict[str, Constant]) -> str:
     if token[1:] in REPLACED:
         return f"@mavfi_{token[1:]}"
 
-    def place(match: re.Match[str]) -> str:
+    def planned_address(match: re.Match[str]) -> str:
         constant = constants.get(match[0])
         if constant is None:
             return match[0]
         return f"inttoptr (i64 {constant.address} to ptr)"
 
-    return _NAME.sub(place, token)
+    return _NAME.sub(planned_address, token)
 
 
 def planned_wrapper(text: str, kernels: list[str]) -> str:
     """Numba's wrapper with planned addresses for the kernel's result and exception, and with our runtime."""
     for name in kernels:
+        # the first two arguments of the call point to the result and to the exception
         call = re.search(rf"{re.escape(name)} \( ptr (?:[^,]* )?(\S+) , ptr (?:[^,]* )?(\S+) [,)]", text)
-        if call is not None:
-            for local, address in ((call[1], RESULT), (call[2], EXCEPTION)):
-                text = re.sub(
-                    rf"^  {re.escape(local)} = alloca .*$",
-                    f"  {local} = inttoptr i64 {address} to ptr",
-                    text,
-                    flags=re.MULTILINE,
-                )
+        if call is None:
+            continue
+        for local, address in ((call[1], RESULT), (call[2], EXCEPTION)):
+            text = re.sub(
+                rf"^  {re.escape(local)} = alloca .*$",
+                f"  {local} = inttoptr i64 {address} to ptr",
+                text,
+                flags=re.MULTILINE,
+            )
     return re.sub(rf"(call [^@\n]*)@({'|'.join(REPLACED)}) \(", r"\1@mavfi_\2 (", text)

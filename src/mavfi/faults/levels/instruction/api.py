@@ -15,15 +15,16 @@ import numpy as np
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import InstructionFault, Model
 from mavfi.faults.levels.instruction.plan import budget_for, check_fault, injection_of, plan
-from mavfi.faults.levels.instruction.table import Site, parse_selection
+from mavfi.faults.levels.instruction.table import InjectionSite, parse_selection
 from mavfi.faults.levels.instruction.variant import variant_for
 from mavfi.ir.build import name_of
 from mavfi.ir.forked import run_in_child
 from mavfi.ir.module import BuildError
 from mavfi.record import Injection
 
-_ROUNDS = 40
-_BATCH = 256
+_MAX_ROUNDS = 40
+_MIN_BATCH = 256
+"""Rounds of drawing for a class of instructions, and least number of draws in each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +47,21 @@ class InjectedCall:
 def count(kernel: Any, *args: Any) -> int:
     """Number of values that a compiled function writes: its injectable dynamic instructions.
 
-    Modifies the arguments as a call does. Raises a RefusedError if the function cannot be instrumented exactly.
+    Modifies the arguments as a call does.
+
+    Raises:
+        NotInstrumentableError: The function cannot be instrumented exactly.
     """
     return variant_for(kernel, args).count(*args)[1]
 
 
-def histogram(kernel: Any, *args: Any) -> list[tuple[Site, int]]:
+def histogram(kernel: Any, *args: Any) -> list[tuple[InjectionSite, int]]:
     """All static instructions of a compiled function and their execution counts; modifies arguments as a call does."""
     variant = variant_for(kernel, args)
     return variant.table.executions(variant.tally(*args)[1])
 
 
-def resolve(kernel: Any, indices: Sequence[int], *args: Any) -> list[Site | None]:
+def resolve(kernel: Any, indices: Sequence[int], *args: Any) -> list[InjectionSite | None]:
     """Static instructions at the given dynamic indices (from 0, in any order) of a call, which modifies the arguments.
 
     None for an index beyond the last.
@@ -88,12 +92,13 @@ def draw(
     total = int(apart(partial(count, kernel, *args)))
     if total == 0:
         raise BadInputError(f"{name_of(kernel)}: it writes no value that could be injected")
-    found: list[InstructionFault] = []
-    for _ in range(_ROUNDS):
-        indices = random.integers(total, size=max(_BATCH, n)).tolist()
-        sites: list[Site] = apart(partial(resolve, kernel, indices, *args))
+    # Indices are drawn from all instructions; those outside the class are dropped.
+    faults: list[InstructionFault] = []
+    for _ in range(_MAX_ROUNDS):
+        indices = random.integers(total, size=max(_MIN_BATCH, n)).tolist()
+        sites: list[InjectionSite] = apart(partial(resolve, kernel, indices, *args))
         for index, site in zip(indices, sites, strict=True):
-            if site in selection and len(found) < n:
+            if site in selection and len(faults) < n:
                 fault = plan(
                     random,
                     name_of(kernel),
@@ -106,12 +111,13 @@ def draw(
                     budget=budget_for(total),
                     seed=seed,
                 )
-                found.append(fault)
-        if len(found) == n:
-            return found
+                faults.append(fault)
+        if len(faults) == n:
+            return faults
+    tries = _MAX_ROUNDS * max(_MIN_BATCH, n)
     raise BadInputError(
-        f"instructions {which!r}: {len(found)} found in {_ROUNDS * max(_BATCH, n)} tries; allowed: a class that "
-        f"{name_of(kernel)} executes"
+        f"instructions {which!r}: {len(faults)} found in {tries} tries; "
+        f"allowed: a class that {name_of(kernel)} executes"
     )
 
 
@@ -159,8 +165,10 @@ def run_forked(kernel: Any, fault: InstructionFault, *args: Any, timeout: float 
     injection = injection_of(armed, report)
     if report is None:
         return InjectedCall("not_activated", injection, ended.detail)
+    if ended.how == "done" and ended.payload == golden:
+        return InjectedCall("masked", injection)
     if ended.how == "done":
-        return InjectedCall("masked" if ended.payload == golden else "sdc", injection)
+        return InjectedCall("sdc", injection)
     return InjectedCall(ended.how, injection, ended.detail)
 
 
@@ -173,6 +181,7 @@ def digest(value: Any) -> bytes:
 
 
 def _bytes(value: Any) -> Iterator[bytes]:
+    """Type and bits of a value, part by part."""
     if isinstance(value, np.ndarray | np.generic):
         yield f"{value.dtype}{value.shape}".encode()
         yield value.tobytes()

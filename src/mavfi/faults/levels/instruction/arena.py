@@ -11,7 +11,7 @@ import mmap
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,29 +29,38 @@ CONSTANTS = BASE + 0x100000
 _ARGUMENTS = BASE + SIZE // 2
 """In the middle, so that accesses shortly before and after the arguments are equally possible."""
 LINE = 64
-_NORESERVE, _FIXED_NOREPLACE = 0x4000, 0x100000  # mmap(2)
+_NORESERVE = 0x4000  # mmap(2): pages are taken when they are written
+_FIXED_NOREPLACE = 0x100000  # mmap(2): fail if the addresses are occupied
 _FLAGS = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | _NORESERVE | _FIXED_NOREPLACE
 _SCALARS = (bool, int, float, complex, np.generic, type(None))
 
 
+class CopiedRange(NamedTuple):
+    """A range of memory that is copied into the arena."""
+
+    original: int  # address
+    copy: int  # address in the arena
+    size: int  # bytes
+
+
 @dataclass(frozen=True, slots=True)
-class Placed:
+class PlacedArguments:
     """Arguments in the arena.
 
     Attributes:
         args: The arguments, with arrays in the arena.
         heap: First free address after them.
-        ranges: Original address, address in the arena, and size (bytes) of each copied memory range.
+        ranges: The copied memory ranges.
     """
 
     args: tuple[Any, ...]
     heap: int
-    ranges: list[tuple[int, int, int]]
+    ranges: list[CopiedRange]
 
     def take_back(self) -> None:
         """Copy the arrays, as modified by the call, back to their original addresses."""
-        for here, there, size in self.ranges:
-            ctypes.memmove(here, there, size)
+        for original, copy, size in self.ranges:
+            ctypes.memmove(original, copy, size)
 
 
 class Arena:
@@ -66,8 +75,8 @@ class Arena:
         library.mmap.restype = ctypes.c_void_p
         library.mmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t, *[ctypes.c_int] * 3, ctypes.c_long]
         library.madvise.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
-        at = library.mmap(BASE, SIZE, mmap.PROT_READ | mmap.PROT_WRITE, _FLAGS, -1, 0)
-        if at != BASE:
+        address = library.mmap(BASE, SIZE, mmap.PROT_READ | mmap.PROT_WRITE, _FLAGS, -1, 0)
+        if address != BASE:
             raise MavfiError(f"no memory at address {BASE:#x}: faults in instructions are injected there")
         self._madvise = library.madvise
         self._memory = memoryview((ctypes.c_uint8 * SIZE).from_address(BASE))
@@ -76,7 +85,7 @@ class Arena:
         """Fill it with zeros."""
         self._madvise(BASE, SIZE, mmap.MADV_DONTNEED)
 
-    def place(self, args: tuple[Any, ...]) -> Placed | None:
+    def place(self, args: tuple[Any, ...]) -> PlacedArguments | None:
         """Clear the arena and copy arguments into it, preserving shared memory between arrays.
 
         Returns:
@@ -89,11 +98,12 @@ class Arena:
         if heap > BASE + SIZE * 3 // 4:
             return None
         self.clear()
-        for here, there, size in ranges:
-            ctypes.memmove(there, here, size)
-        return Placed(self._moved(args, ranges), heap, ranges)
+        for original, copy, size in ranges:
+            ctypes.memmove(copy, original, size)
+        return PlacedArguments(self._moved(args, ranges), heap, ranges)
 
-    def _moved(self, value: Any, ranges: list[tuple[int, int, int]]) -> Any:
+    def _moved(self, value: Any, ranges: list[CopiedRange]) -> Any:
+        """An argument with its arrays replaced by those in the arena."""
         if isinstance(value, tuple):
             parts = (self._moved(part, ranges) for part in value)
             if hasattr(value, "_fields"):
@@ -102,10 +112,12 @@ class Arena:
         if not isinstance(value, np.ndarray):
             return value
         low, high = _bounds(value)
-        here, there = next(
-            ((here, there) for here, there, size in ranges if here <= low and high <= here + size), (low, _ARGUMENTS)
-        )
-        offset = there - BASE + value.ctypes.data - here
+        target = CopiedRange(low, _ARGUMENTS, 0)  # of an array without elements
+        for candidate in ranges:
+            if candidate.original <= low and high <= candidate.original + candidate.size:
+                target = candidate
+                break
+        offset = target.copy - BASE + value.ctypes.data - target.original
         moved: np.ndarray = np.ndarray(value.shape, value.dtype, self._memory, offset, value.strides)
         moved.flags.writeable = value.flags.writeable
         return moved
@@ -117,10 +129,10 @@ def arena() -> Arena:
     return Arena()
 
 
-def own(value: Any) -> Any:
+def copy_result(value: Any) -> Any:
     """A result with its arrays copied, since the next call reuses the arena."""
     if isinstance(value, tuple):
-        parts = (own(part) for part in value)
+        parts = (copy_result(part) for part in value)
         if hasattr(value, "_fields"):
             return type(value)(*parts)
         return tuple(parts)
@@ -150,19 +162,24 @@ def _bounds(array: np.ndarray) -> tuple[int, int]:
     return int(low), int(high)
 
 
-def _plan(bounds: list[tuple[int, int]]) -> tuple[list[tuple[int, int, int]], int]:
-    """Arena addresses of memory ranges, in the order of their first array; overlapping ranges are merged."""
+def _plan(bounds: list[tuple[int, int]]) -> tuple[list[CopiedRange], int]:
+    """The memory ranges of arrays, given their bounds, and the first free address after them in the arena.
+
+    Ranges are in the order of their first array.
+    """
+    # Arrays that share memory are copied as one range.
     merged: list[list[int]] = []
     for low, high in sorted(pair for pair in bounds if pair[0] < pair[1]):
         if merged and low < merged[-1][1]:
             merged[-1][1] = max(high, merged[-1][1])
         else:
             merged.append([low, high])
-    ranges: list[tuple[int, int, int]] = []
+    # The order of addresses depends on the process, the order of arguments does not.
+    ranges: list[CopiedRange] = []
     free = _ARGUMENTS
     for low, _ in bounds:
         for start, end in merged:
-            if start <= low < end and all(start != here for here, _, _ in ranges):
-                ranges.append((start, free, end - start))
+            if start <= low < end and all(start != copied.original for copied in ranges):
+                ranges.append(CopiedRange(start, free, end - start))
                 free += -(-(end - start) // LINE) * LINE
     return ranges, free

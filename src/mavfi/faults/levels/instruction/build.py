@@ -10,8 +10,8 @@ from typing import Any
 
 from mavfi.faults.levels.instruction.accesses import Constant
 from mavfi.faults.levels.instruction.instrument import Instrumented, instrument, optimised
-from mavfi.faults.levels.instruction.table import Table
-from mavfi.ir.build import Rewrite, Source, build_apart, translate
+from mavfi.faults.levels.instruction.table import SiteTable
+from mavfi.ir.build import KernelSource, Rewrite, build_apart, translate
 from mavfi.ir.sources import ObjectCache, cached_source, folder_text
 
 
@@ -24,7 +24,7 @@ class Built:
 
     code: bytes
     tally: bytes
-    table: Table
+    table: SiteTable
     ir_sha256: str
     constants: tuple[Constant, ...]
     owned: bool
@@ -47,19 +47,26 @@ class Built:
             parts.append(data[8:size])
             data = data[size:]
         head, tally, code = parts
-        rows, digest, constants, *others = json.loads(zlib.decompress(head))
-        placed = tuple(Constant(*constant) for constant in constants)
-        return Built(code, tally, Table.from_json(rows), digest, placed, *others)
+        rows, digest, constants, owned, wrapper, environment = json.loads(zlib.decompress(head))
+        return Built(
+            code,
+            tally,
+            SiteTable.from_json(rows),
+            digest,
+            tuple(Constant(*constant) for constant in constants),
+            owned,
+            wrapper,
+            environment,
+        )
 
 
 def cached_build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Built:
     """The instrumented variant from the cache, or from `build` (whose errors it raises) if missing or invalid."""
     cache = ObjectCache("instruction", Path(__file__).parent)
-    if rewrite is None:
-        more = []
-    else:
-        more = [rewrite.key, folder_text(Path(inspect.getfile(type(rewrite))).parent)]
-    key = cache.key(kernel, signature, *more)
+    inputs: list[bytes] = []
+    if rewrite is not None:
+        inputs = [rewrite.key, folder_text(Path(inspect.getfile(type(rewrite))).parent)]
+    key = cache.key(kernel, signature, *inputs)
     data = cache.load(key)
     if data is not None:
         return Built.unpack(data)
@@ -71,21 +78,29 @@ def cached_build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | Non
 def build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Built:
     """Instrument a Numba dispatcher for one signature (Numba types of the arguments), rewritten before.
 
-    Raises a RefusedError for an unknown construct, a BuildError if the compiler crashes, and the errors of `rewrite`.
+    Raises:
+        NotInstrumentableError: An unknown construct.
+        BuildError: The compiler crashed.
+        BadInputError: `rewrite` was made for another module.
     """
     source = cached_source(kernel, signature)
     return Built.unpack(build_apart(kernel, signature, partial(make, source=source, rewrite=rewrite)))
 
 
-def make(kernel: Any, signature: tuple[Any, ...], source: Source, rewrite: Rewrite | None = None) -> bytes:
+def make(kernel: Any, signature: tuple[Any, ...], source: KernelSource, rewrite: Rewrite | None = None) -> bytes:
     """The part of `build` that runs in another process, since LLVM aborts on a malformed module."""
     return assemble(instrument(source.text, source.kernel, rewrite), source).pack()
 
 
-def assemble(made: Instrumented, source: Source) -> Built:
+def assemble(instrumented: Instrumented, source: KernelSource) -> Built:
     """Translate instrumented IR into machine code."""
-    code = translate(made.text)
-    tally = translate(made.tally, optimised)
     return Built(
-        code, tally, made.table, made.ir_sha256, made.constants, made.owned, source.wrapper, source.environment
+        translate(instrumented.text),
+        translate(instrumented.tally, optimised),
+        instrumented.table,
+        instrumented.ir_sha256,
+        instrumented.constants,
+        instrumented.owned,
+        source.wrapper,
+        source.environment,
     )

@@ -35,13 +35,23 @@ from mavfi.faults.levels.instruction.runtime import (
     MEMORY,
     REPORT_WORDS,
     RUNTIME,
-    Control,
-    address,
+    ControlWord,
     declarations,
+    word_address,
 )
-from mavfi.faults.levels.instruction.table import Table, make_table
+from mavfi.faults.levels.instruction.table import SiteTable, make_table
 from mavfi.ir.build import Rewrite
-from mavfi.ir.module import Block, Function, Instruction, Module, RefusedError, bodies_of, digest_of, parts, width
+from mavfi.ir.module import (
+    Block,
+    Function,
+    Instruction,
+    Module,
+    NotInstrumentableError,
+    bodies_of,
+    digest_of,
+    parts,
+    width,
+)
 from mavfi.ir.parser import parse_module
 
 _ENVIRONMENT = re.compile(r'@"?_ZN08NumbaEnv')
@@ -63,7 +73,7 @@ class Instrumented:
 
     text: str
     tally: str
-    table: Table
+    table: SiteTable
     ir_sha256: str
     constants: tuple[Constant, ...]
     owned: bool
@@ -73,31 +83,34 @@ def instrument(text: str, kernel: str, rewrite: Rewrite | None = None) -> Instru
     """Instrument a module from `Dispatcher.inspect_llvm`, rewritten before; `kernel` is the name for error messages.
 
     Raises:
-        RefusedError: A construct is unknown, or cannot be instrumented exactly.
+        NotInstrumentableError: A construct is unknown, or cannot be instrumented exactly.
     """
+    # Parse, and refuse what cannot be instrumented exactly.
     module = parse_module(text, kernel)
     if not module.functions:
-        raise RefusedError(kernel, "there is no IR: was it loaded from a cache?")
+        raise NotInstrumentableError(kernel, "there is no IR: was it loaded from a cache?")
     if rewrite is not None:
         module = rewrite(module)
     table = make_table(module)
     widest = max((site.width for block in table.blocks for site in block), default=0)
     if widest > 8 * MASK_BYTES:
-        raise RefusedError(kernel, f"a value of {widest} bits")
+        raise NotInstrumentableError(kernel, f"a value of {widest} bits")
     if _ENVIRONMENT.search(bodies_of(module)):
-        raise RefusedError(kernel, "Python objects are used within compiled code (Numba's environment)")
+        raise NotInstrumentableError(kernel, "Python objects are used within compiled code (Numba's environment)")
+    # What belongs to the code as it is: the functions are redirected to the arena below.
     digest = digest_of(module)
     owned = is_owned(module)
     constants = constants_of(module)
-    tally = tallied(module)  # before functions are redirected to the arena
+    tally = tallied(module)
+    # Write the module anew, with our runtime and the rewritten functions.
     names = [function.name for function in module.functions]
     others = [planned_wrapper(text, names) for text in module.others]
     lines = [*(visible(line, constants) for line in module.preamble), RUNTIME, MEMORY]
-    first = 0
+    first_block = 0
     for function in module.functions:
         _move(function, constants)
-        lines.append(_Rewriter(function, first).text())
-        first += sum(bool(block.sites) for block in function.blocks)
+        lines.append(_Rewriter(function, first_block).text())
+        first_block += len(_blocks_with_sites(function))
     lines += [*others, declarations("\n".join([*module.preamble, *others])), _UNLIKELY, ""]
     return Instrumented("\n".join(lines), tally, table, digest, tuple(constants.values()), owned)
 
@@ -115,15 +128,23 @@ class _Rewriter:
     """Rewrites one function."""
 
     def __init__(self, function: Function, first_block: int) -> None:
+        """Prepare.
+
+        Args:
+            function: The function.
+            first_block: Number of its first block with sites.
+        """
         self.function = function
         self.first_block = first_block
         self.lines: list[str] = [function.head()]
-        self.temporaries = 0
-        self.seen = self.frame = ""
-        self.joined = {block.label: f"{block.label}.join" for block in function.blocks if block.sites}
+        self.temporaries = 0  # number of temporary values so far
+        self.reported_values = ""  # pointer to the values in the report, in the slow path of a block
+        self.frame = ""  # address of the function's stack frame; "" = it has none
+        self.joined = {block.label: f"{block.label}.join" for block in _blocks_with_sites(function)}
         self.shared = _used_elsewhere(function)
 
     def text(self) -> str:
+        """IR of the rewritten function."""
         number = self.first_block
         for block in self.function.blocks:
             if block.sites:
@@ -140,20 +161,21 @@ class _Rewriter:
         """Allocate the function's stack frame in the arena."""
         if not block.allocations:
             return
-        self.frame = self._let(f"load i64, ptr {address(Control.FRAME)}")
+        self.frame = self._let(f"load i64, ptr {word_address(ControlWord.FRAME)}")
         size = 0
         for memory in block.allocations:
-            self.lines.append(f"  {memory.result} = inttoptr i64 {self._let(f'add i64 {self.frame}, {size}')} to ptr")
+            start = self._let(f"add i64 {self.frame}, {size}")
+            self.lines.append(f"  {memory.result} = inttoptr i64 {start} to ptr")
             size += -(-size_of(memory.tokens[1]) // LINE) * LINE
         end = self._let(f"add i64 {self.frame}, {size}")
-        self.lines.append(f"  store i64 {end}, ptr {address(Control.FRAME)}")
+        self.lines.append(f"  store i64 {end}, ptr {word_address(ControlWord.FRAME)}")
         self.lines.append(f"  call void @mavfi_overflow(i64 {end})")
 
     def _leave(self, block: Block) -> None:
         """The terminator; a return releases the stack frame."""
         if block.terminator is not None:
             if block.terminator.opcode == "ret" and self.frame:
-                self.lines.append(f"  store i64 {self.frame}, ptr {address(Control.FRAME)}")
+                self.lines.append(f"  store i64 {self.frame}, ptr {word_address(ControlWord.FRAME)}")
             self.lines.append(f"  {block.terminator.text()}")
 
     def _checked(self, body: list[Instruction], names: dict[str, str], write: Callable[[Instruction], None]) -> None:
@@ -164,16 +186,18 @@ class _Rewriter:
             write(instruction)
 
     def _check(self, access: Access, names: dict[str, str]) -> None:
-        pointer, size = (names.get(value, value) for value in (access.pointer, access.size))
+        """Write the check of an access; of a masked one, lane by lane."""
+        pointer = names.get(access.pointer, access.pointer)
+        size = names.get(access.size, access.size)
         if not access.lanes:
             self.lines.append(f"  call void @mavfi_check(ptr {pointer}, i64 {size})")
             return
         mask = names.get(access.mask, access.mask)
         for lane in range(access.lanes):
-            wanted = self._let(f"extractelement <{access.lanes} x i1> {mask}, i64 {lane}")
-            at = self._let(f"extractelement <{access.lanes} x ptr> {pointer}, i64 {lane}")
-            used = self._let(f"select i1 {wanted}, i64 {size}, i64 0")
-            self.lines.append(f"  call void @mavfi_check(ptr {at}, i64 {used})")
+            is_set = self._let(f"extractelement <{access.lanes} x i1> {mask}, i64 {lane}")
+            address = self._let(f"extractelement <{access.lanes} x ptr> {pointer}, i64 {lane}")
+            accessed = self._let(f"select i1 {is_set}, i64 {size}, i64 0")
+            self.lines.append(f"  call void @mavfi_check(ptr {address}, i64 {accessed})")
 
     def _let(self, text: str) -> str:
         """A new name for the result of an instruction."""
@@ -183,7 +207,9 @@ class _Rewriter:
         return name
 
     def _split(self, block: Block, number: int) -> None:
+        """Write a block with sites as shown at the top of this module."""
         label = block.label
+        # The head: count the sites, and choose the path.
         self.lines.append(f"{label[1:]}:")
         raw = {str(phi.result): f"{phi.result}.p" for phi in block.phis}
         self.lines += [phi.line(labels=self.joined, suffix=".p") for phi in block.phis]
@@ -191,10 +217,13 @@ class _Rewriter:
         before = self._let("load i64, ptr @mavfi_control")
         after = self._let(f"add i64 {before}, {len(block.sites)}")
         self.lines.append(f"  store i64 {after}, ptr @mavfi_control")
-        beyond = self._let(f"icmp ugt i64 {after}, {self._let(f'load i64, ptr {address(Control.THRESHOLD)}')}")
+        threshold = self._let(f"load i64, ptr {word_address(ControlWord.THRESHOLD)}")
+        beyond = self._let(f"icmp ugt i64 {after}, {threshold}")
         self.lines.append(f"  br i1 {beyond}, label {label}.slow, label {label}.fast, !prof !0")
+        # Both paths, each with its own names for the values of the block.
         fast = self._fast(block, dict(raw))
         slow = self._slow(block, dict(raw), after, number)
+        # The join: only values that are used elsewhere need one name.
         self.lines.append(f"{label[1:]}.join:")
         for site in block.sites:
             name = str(site.result)
@@ -204,6 +233,7 @@ class _Rewriter:
         self._leave(block)
 
     def _fast(self, block: Block, names: dict[str, str]) -> dict[str, str]:
+        """Write the original instructions; returns the names of all values on this path, given those of the phis."""
         self.lines.append(f"{block.label[1:]}.fast:")
         for instruction in block.body:
             self.lines.append(instruction.line(names, suffix=".f"))
@@ -213,11 +243,18 @@ class _Rewriter:
         return names
 
     def _slow(self, block: Block, names: dict[str, str], after: str, number: int) -> dict[str, str]:
+        """Write the instructions with injections and checks; returns names as `_fast`.
+
+        Args:
+            block: The block.
+            names: Names of the phis before an injection; changed.
+            after: The counter after the block.
+            number: Number of the block.
+        """
         self.lines.append(f"{block.label[1:]}.slow:")
         injected = self._let(f"call i64 @mavfi_slow(i64 {after}, i64 {len(block.sites)}, i64 {number})")
-        self.seen = self._let(
-            f"getelementptr i64, ptr {self._let(f'load ptr, ptr {address(Control.REPORT)}')}, i64 {REPORT_WORDS}"
-        )
+        report = self._let(f"load ptr, ptr {word_address(ControlWord.REPORT)}")
+        self.reported_values = self._let(f"getelementptr i64, ptr {report}, i64 {REPORT_WORDS}")
         offsets = count()
         for phi in block.phis:
             names[str(phi.result)] = self._injected(phi, f"{phi.result}.p", injected, next(offsets))
@@ -236,40 +273,49 @@ class _Rewriter:
         """Write code that changes a value if chosen, and reports it before and after; returns its new name."""
         bits = width(site.kind)
         word = f"i{bits}"
-        room = f"i{-(-bits // 8) * 8}"
-        here = self._let(f"icmp eq i64 {chosen}, {offset}")
+        whole_bytes = f"i{-(-bits // 8) * 8}"
+        # (value & keep) ^ flip, if this is the chosen site
+        is_chosen = self._let(f"icmp eq i64 {chosen}, {offset}")
         value = self._to_bits(raw, site.kind, bits)
-        keep, flip = (self._resized(self._let(f"load {room}, ptr @mavfi_{m}"), room, word) for m in ("keep", "flip"))
-        changed = self._let(f"xor {word} {self._let(f'and {word} {value}, {keep}')}, {flip}")
-        result = self._let(f"select i1 {here}, {word} {changed}, {word} {value}")
-        seen = self._let(f"select i1 {here}, ptr {self.seen}, ptr @mavfi_unseen")
-        self.lines.append(f"  store {room} {self._resized(value, word, room)}, ptr {seen}, align 1")
-        later = self._let(f"getelementptr i8, ptr {seen}, i64 {MASK_BYTES}")
-        self.lines.append(f"  store {room} {self._resized(result, word, room)}, ptr {later}, align 1")
+        keep = self._resized(self._let(f"load {whole_bytes}, ptr @mavfi_keep"), whole_bytes, word)
+        flip = self._resized(self._let(f"load {whole_bytes}, ptr @mavfi_flip"), whole_bytes, word)
+        masked = self._let(f"and {word} {value}, {keep}")
+        changed = self._let(f"xor {word} {masked}, {flip}")
+        result = self._let(f"select i1 {is_chosen}, {word} {changed}, {word} {value}")
+        # the values before and after; a select is cheaper here than a branch
+        report = self._let(f"select i1 {is_chosen}, ptr {self.reported_values}, ptr @mavfi_unseen")
+        self.lines.append(f"  store {whole_bytes} {self._resized(value, word, whole_bytes)}, ptr {report}, align 1")
+        second = self._let(f"getelementptr i8, ptr {report}, i64 {MASK_BYTES}")
+        self.lines.append(f"  store {whole_bytes} {self._resized(result, word, whole_bytes)}, ptr {second}, align 1")
         return self._from_bits(result, site.kind, bits)
 
     def _resized(self, value: str, source: str, target: str) -> str:
+        """An integer of type `source` as one of type `target`."""
         if source == target:
             return value
-        return self._let(f"{'zext' if int(source[1:]) < int(target[1:]) else 'trunc'} {source} {value} to {target}")
+        if int(source[1:]) < int(target[1:]):
+            return self._let(f"zext {source} {value} to {target}")
+        return self._let(f"trunc {source} {value} to {target}")
 
     def _to_bits(self, value: str, kind: str, bits: int) -> str:
         """The value as one integer."""
         word = f"i{bits}"
         if parts(kind):
             total = "0"
-            at = 0
+            shift = 0
             for i, part in enumerate(parts(kind)):
                 field = self._to_bits(self._let(f"extractvalue {kind} {value}, {i}"), part, width(part))
                 wide = self._resized(field, f"i{width(part)}", word)
-                total = self._let(f"or {word} {total}, {self._let(f'shl {word} {wide}, {at}')}")
-                at += width(part)
+                shifted = self._let(f"shl {word} {wide}, {shift}")
+                total = self._let(f"or {word} {total}, {shifted}")
+                shift += width(part)
             return total
         if kind == "ptr":
             return self._let(f"ptrtoint ptr {value} to i64")
         if "ptr" in kind:
             numbers = kind.replace("ptr", "i64")
-            return self._let(f"bitcast {numbers} {self._let(f'ptrtoint {kind} {value} to {numbers}')} to {word}")
+            addresses = self._let(f"ptrtoint {kind} {value} to {numbers}")
+            return self._let(f"bitcast {numbers} {addresses} to {word}")
         if kind == word:
             return value
         return self._let(f"bitcast {kind} {value} to {word}")
@@ -278,19 +324,20 @@ class _Rewriter:
         """Inverse of `_to_bits`."""
         word = f"i{bits}"
         if parts(kind):
-            whole = "poison"
-            at = 0
+            aggregate = "poison"
+            shift = 0
             for i, part in enumerate(parts(kind)):
-                field = self._resized(self._let(f"lshr {word} {value}, {at}"), word, f"i{width(part)}")
+                field = self._resized(self._let(f"lshr {word} {value}, {shift}"), word, f"i{width(part)}")
                 field = self._from_bits(field, part, width(part))
-                whole = self._let(f"insertvalue {kind} {whole}, {part} {field}, {i}")
-                at += width(part)
-            return whole
+                aggregate = self._let(f"insertvalue {kind} {aggregate}, {part} {field}, {i}")
+                shift += width(part)
+            return aggregate
         if kind == "ptr":
             return self._let(f"inttoptr i64 {value} to ptr")
         if "ptr" in kind:
             numbers = kind.replace("ptr", "i64")
-            return self._let(f"inttoptr {numbers} {self._let(f'bitcast {word} {value} to {numbers}')} to {kind}")
+            addresses = self._let(f"bitcast {word} {value} to {numbers}")
+            return self._let(f"inttoptr {numbers} {addresses} to {kind}")
         if kind == word:
             return value
         return self._let(f"bitcast {word} {value} to {kind}")
@@ -299,12 +346,14 @@ class _Rewriter:
 def _used_elsewhere(function: Function) -> set[str]:
     """Values that are used in another block, in a phi, or by a terminator."""
     home = {site.result: block.label for block in function.blocks for site in block.sites}
-    found: set[str] = set()
+    shared: set[str] = set()
     for block in function.blocks:
         for instruction in block.all():
-            anywhere = instruction.opcode == "phi" or instruction is block.terminator
-            found.update(name for name in instruction.uses() if anywhere or home.get(name) != block.label)
-    return found
+            if instruction.opcode == "phi" or instruction is block.terminator:
+                shared.update(instruction.uses())  # they are outside the paths of the block
+            else:
+                shared.update(name for name in instruction.uses() if home.get(name) != block.label)
+    return shared
 
 
 # ---- Counts the block executions of a kernel at almost the speed of the plain kernel, for golden flights.
@@ -321,41 +370,44 @@ HISTOGRAM = "mavfi_histogram"
 def tallied(module: Module) -> str:
     """IR of a module that counts the executions of its blocks with sites, which are numbered in text order."""
     lines = [*module.preamble, f"@{HISTOGRAM} = global ptr null"]
-    first = 0
+    first_block = 0
     for function in module.functions:
-        lines.append(_counting(function, first))
-        first += len(_counted(function))
+        lines.append(_counting(function, first_block))
+        first_block += len(_blocks_with_sites(function))
     return "\n".join([*lines, *module.others, ""])
 
 
 def optimised(module: llvm.ModuleRef, machine: llvm.TargetMachine) -> llvm.ModuleRef:
     """The module after LLVM's standard passes, which keep counters in registers."""
     options = llvm.create_pipeline_tuning_options(speed_level=2)
-    options.loop_vectorization = options.slp_vectorization = False  # the kernel is vectorised already
+    options.loop_vectorization = False  # the kernel is vectorised already
+    options.slp_vectorization = False
     passes = llvm.create_pass_builder(machine, options)
     passes.getModulePassManager().run(module, passes)
     return module
 
 
-def _counted(function: Function) -> list[Block]:
+def _blocks_with_sites(function: Function) -> list[Block]:
+    """The blocks that are numbered."""
     return [block for block in function.blocks if block.sites]
 
 
-def _counting(function: Function, first: int) -> str:
-    """Definition of a function whose blocks are numbered from `first`."""
-    counted = _counted(function)
-    needed = {label for block in counted for label in block.runs_as or (block.label,)}
-    counters = {block.label: place for place, block in enumerate(function.blocks) if block.label in needed}
-    sums = {
-        first + i: [counters[label] for label in block.runs_as or (block.label,)] for i, block in enumerate(counted)
-    }
+def _counting(function: Function, first_block: int) -> str:
+    """Definition of a function whose blocks are numbered from `first_block`."""
+    # The counters that are needed, by label, and those that make up the count of each block.
+    terms = [block.runs_as or (block.label,) for block in _blocks_with_sites(function)]
+    needed = {label for labels in terms for label in labels}
+    counters = {block.label: index for index, block in enumerate(function.blocks) if block.label in needed}
+    sums = {first_block + i: [counters[label] for label in labels] for i, labels in enumerate(terms)}
+    # The function: counters start at 0 in its first block, and are added to the histogram where it returns.
     lines = [function.head()]
-    for place, block in enumerate(function.blocks):
+    for index, block in enumerate(function.blocks):
         lines += [f"{block.label[1:]}:", *(instruction.line() for instruction in block.phis + block.allocations)]
-        if place == 0:
-            lines += [line for counter in counters.values() for line in _start(counter)]
+        if index == 0:
+            for counter in counters.values():
+                lines += _start(counter)
         if block.label in counters:
-            lines += _add(f"%n{place}", "1", f"%c{place}")
+            lines += _add(f"%n{index}", "1", f"%c{index}")
         lines += [instruction.line() for instruction in block.body]
         if block.terminator is not None:
             if block.terminator.opcode == "ret" and not block.unreached:
@@ -365,15 +417,16 @@ def _counting(function: Function, first: int) -> str:
 
 
 def _start(number: int) -> list[str]:
+    """Allocate a counter, and set it to 0."""
     return [f"  %n{number} = alloca i64", f"  store i64 0, ptr %n{number}"]
 
 
-def _add(place: str, increment: str, name: str) -> list[str]:
-    """Add to a counter; `name` starts the names of intermediate values."""
+def _add(pointer: str, increment: str, name: str) -> list[str]:
+    """Add to a number in memory; `name` starts the names of intermediate values."""
     return [
-        f"  {name}.before = load i64, ptr {place}",
+        f"  {name}.before = load i64, ptr {pointer}",
         f"  {name}.after = add i64 {name}.before, {increment}",
-        f"  store i64 {name}.after, ptr {place}",
+        f"  store i64 {name}.after, ptr {pointer}",
     ]
 
 

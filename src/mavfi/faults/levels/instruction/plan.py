@@ -9,8 +9,8 @@ import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import MODELS, InstructionFault, Model
-from mavfi.faults.levels.instruction.table import FLOATING, INTEGER, Site
-from mavfi.faults.levels.instruction.variant import MismatchError, Report, Variant
+from mavfi.faults.levels.instruction.table import FLOATING, INTEGER, InjectionSite
+from mavfi.faults.levels.instruction.variant import InjectionReport, MismatchError, Variant
 from mavfi.ir.build import name_of
 from mavfi.record import Injection
 
@@ -37,7 +37,7 @@ def plan(
     random: np.random.Generator,
     function: str,
     ir_sha256: str,
-    site: Site,
+    site: InjectionSite,
     index: int,
     model: Model = "one_bit",
     count: int = 2,
@@ -47,7 +47,7 @@ def plan(
 
     Args:
         random: Random stream of the fault.
-        function: Module and name of a user's own function; "" for one of a kernel, given by `more`.
+        function: Module and name of a custom function; "" for one of a kernel, which `more` names.
         ir_sha256: Digest of the IR.
         site: The static instruction.
         index: Dynamic index.
@@ -60,13 +60,18 @@ def plan(
     """
     if model not in MODELS:
         raise BadInputError(f"fault model {model!r}: not known; allowed: {', '.join(MODELS)}")
+    if model == "one_bit":
+        count = 1
     bits: tuple[int, ...] = ()
-    value = 0
+    value = 0  # of the model "zero"
     if model in ("one_bit", "bits"):
-        drawn = random.choice(site.width, size=min(1 if model == "one_bit" else count, site.width), replace=False)
+        drawn = random.choice(site.width, size=min(count, site.width), replace=False)
         bits = tuple(sorted(int(bit) for bit in drawn))
     elif model == "random":
         value = int.from_bytes(random.bytes(-(-site.width // 8)), "little") & ((1 << site.width) - 1)
+    single_bit = None
+    if len(bits) == 1:
+        single_bit = bits[0]
     return InstructionFault(
         function,
         ir_sha256,
@@ -75,7 +80,7 @@ def plan(
         value=value,
         model=model,
         value_class=site.value_class,
-        stratum=stratum_of(site.kind, bits[0] if len(bits) == 1 else None),
+        stratum=stratum_of(site.kind, single_bit),
         **more,
     )
 
@@ -89,10 +94,10 @@ def stratum_of(kind: str, bit: int | None) -> str:
     if bit is None or element not in _LAYOUTS:
         return "other"
     sign, exponent = _LAYOUTS[element]
-    place = bit % (sign + 1)
-    if place == sign:
+    bit_in_element = bit % (sign + 1)
+    if bit_in_element == sign:
         return "sign"
-    if place >= exponent:
+    if bit_in_element >= exponent:
         return "exponent"
     return "mantissa"
 
@@ -114,7 +119,7 @@ def check_fault(fault: InstructionFault, variant: Variant, function: Any) -> Non
 
 
 def injection_of(
-    fault: InstructionFault, report: Report | None, time_s: float = 0.0, call: int | None = None
+    fault: InstructionFault, report: InjectionReport | None, time_s: float = 0.0, call: int | None = None
 ) -> Injection:
     """The record of an injection at an instant (s), from the report of the machine code (None = not reached).
 
@@ -122,6 +127,8 @@ def injection_of(
     text. `call` is the injected call, if not the planned one.
     """
     function = fault.entry or fault.function
+    if call is None:
+        call = fault.call
     if report is None:
         details: dict[str, Any] = {"function": function, "replayable": True}
         return Injection(fault.level, fault.site, time_s, fault.bit, None, None, activated=False, details=details)
@@ -130,10 +137,12 @@ def injection_of(
     after = report.after
     keep, flip = fault.masks
     planned = (before & keep) ^ flip
+    # Only a call in planned memory has the same effect everywhere if its addresses or branches are changed.
+    replayable = report.planned or site.value_class in DATA
     details = {
         "function": function,
-        "replayable": report.planned or site.value_class in DATA,
-        "call": fault.call if call is None else call,
+        "replayable": replayable,
+        "call": call,
         "index": fault.index,
         "block": site.block,
         "offset": site.offset,
@@ -159,19 +168,19 @@ def injection_of(
         fault.bit,
         _number(site, before),
         _number(site, after),
-        planned == after and not after >> site.width,
-        site.file,
-        site.line,
-        details,
+        activated=planned == after and not after >> site.width,
+        file=site.file,
+        line=site.line,
+        details=details,
     )
 
 
-def changed_nothing(report: Report | None) -> bool:
+def changed_nothing(report: InjectionReport | None) -> bool:
     """Whether nothing changed: the index was not reached, or its value has no such bit."""
     return report is None or not (report.before ^ report.after) & ((1 << report.site.width) - 1)
 
 
-def _number(site: Site, bits: int) -> float | int:
+def _number(site: InjectionSite, bits: int) -> float | int:
     """Bits as a number of the instruction's type: floating point, or signed integer."""
     if site.kind in _FORMATS:
         layout = _FORMATS[site.kind]

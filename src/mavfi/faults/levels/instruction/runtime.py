@@ -11,12 +11,12 @@ from mavfi.faults.levels.instruction.arena import BASE, CONSTANTS, LINE, SIZE
 from mavfi.ir.forked import HANG_EXIT, WILD_EXIT
 
 
-class Control(IntEnum):
+class ControlWord(IntEnum):
     """Words of the control block `mavfi_control` (64 bits each), by index."""
 
     COUNTER = 0  # values written so far
     THRESHOLD = 1  # counter beyond which `mavfi_slow` is called
-    MODE = 2  # a `Mode`
+    MODE = 2  # a `RunMode`
     TARGET = 3  # dynamic index of the fault (INJECT)
     BUDGET = 4  # counter beyond which an injected call is a hang (INJECT)
     INJECTED = 5  # 1 after the injection
@@ -36,7 +36,7 @@ class Control(IntEnum):
     HEAP = 19  # first free address for arrays
 
 
-class Mode(IntEnum):
+class RunMode(IntEnum):
     """Behaviour beyond the threshold."""
 
     INJECT = 0  # change one value, then check budget and memory accesses
@@ -57,123 +57,130 @@ survives a crash."""
 REPORT_BYTES = 8 * REPORT_WORDS + 2 * MASK_BYTES
 
 
-def address(word: Control) -> str:
+def word_address(word: ControlWord) -> str:
     """Constant pointer to a word of the control block."""
     return f"getelementptr (i8, ptr @mavfi_control, i64 {8 * word})"
 
 
-def _load(name: str, word: Control, kind: str = "i64") -> str:
-    return f"  %{name} = load volatile {kind}, ptr {address(word)}"
+def _load(name: str, word: ControlWord, kind: str = "i64") -> str:
+    """IR that loads a word of the control block."""
+    return f"  %{name} = load volatile {kind}, ptr {word_address(word)}"
 
 
-def _store(value: str, word: Control) -> str:
-    return f"  store volatile i64 {value}, ptr {address(word)}"
+def _store(value: str, word: ControlWord) -> str:
+    """IR that stores a word of the control block."""
+    return f"  store volatile i64 {value}, ptr {word_address(word)}"
 
 
-RUNTIME = f"""
-@mavfi_control = global [{WORDS} x i64] zeroinitializer, align 64
-@mavfi_keep = global [{MASK_BYTES} x i8] zeroinitializer, align 64
-@mavfi_flip = global [{MASK_BYTES} x i8] zeroinitializer, align 64
-@mavfi_unseen = global [{2 * MASK_BYTES} x i8] zeroinitializer, align 64
-define i64 @mavfi_slow(i64 %after, i64 %n, i64 %block) noinline {{
-entry:
-  %base = sub i64 %after, %n
-{_load("mode", Control.MODE)}
-  switch i64 %mode, label %inject [ i64 {Mode.PROFILE:d}, label %profile
-                                    i64 {Mode.RESOLVE:d}, label %resolve
-                                    i64 {Mode.LOCATE:d}, label %locate ]
-inject:
-{_load("done", Control.INJECTED)}
+# ---- What happens beyond the threshold.
+# `mavfi_slow` is called with the counter after the block (`%after`), the number of sites of the block (`%n`) and the
+# number of the block.  It returns the offset of the site to be injected, or -1.  Each mode is a part of its body.
+
+_INJECT = f"""
+inject:                 ; before the injection, or already after it?
+{_load("done", ControlWord.INJECTED)}
   %before.it = icmp eq i64 %done, 0
   br i1 %before.it, label %change, label %injected
-change:
-{_load("target", Control.TARGET)}
+change:                 ; the target is in this block: report it first, since the fault may crash the process
+{_load("target", ControlWord.TARGET)}
   %offset = sub i64 %target, %base
-{_store("1", Control.INJECTED)}
-{_load("report", Control.REPORT, "ptr")}
+{_store("1", ControlWord.INJECTED)}
+{_load("report", ControlWord.REPORT, "ptr")}
   store volatile i64 1, ptr %report
   %report.block = getelementptr i64, ptr %report, i64 1
   store volatile i64 %block, ptr %report.block
   %report.offset = getelementptr i64, ptr %report, i64 2
   store volatile i64 %offset, ptr %report.offset
-{_store("0", Control.THRESHOLD)}
+                        ; from now on, every block comes here, and checks its memory accesses
+{_store("0", ControlWord.THRESHOLD)}
   ret i64 %offset
-injected:
-{_load("budget", Control.BUDGET)}
+injected:               ; a kernel that writes more values than its budget hangs
+{_load("budget", ControlWord.BUDGET)}
   %over = icmp ugt i64 %after, %budget
   br i1 %over, label %exhausted, label %located
 exhausted:
-{_load("stop", Control.STOP, "ptr")}
+{_load("stop", ControlWord.STOP, "ptr")}
   call void %stop(i32 {HANG_EXIT})
   ret i64 -1
-profile:
-{_load("histogram", Control.HISTOGRAM, "ptr")}
+"""
+
+_PROFILE = f"""
+profile:                ; histogram[block] += 1
+{_load("histogram", ControlWord.HISTOGRAM, "ptr")}
   %bin = getelementptr i64, ptr %histogram, i64 %block
   %before = load i64, ptr %bin
   %now = add i64 %before, 1
   store i64 %now, ptr %bin
-{_load("length", Control.TRACE_LENGTH)}
-{_load("room", Control.TRACE_ROOM)}
+                        ; append the block to the trace if there is room
+{_load("length", ControlWord.TRACE_LENGTH)}
+{_load("room", ControlWord.TRACE_ROOM)}
   %fits = icmp ult i64 %length, %room
   br i1 %fits, label %note, label %profiled
 note:
-{_load("trace", Control.TRACE, "ptr")}
+{_load("trace", ControlWord.TRACE, "ptr")}
   %entry.address = getelementptr i32, ptr %trace, i64 %length
   %short = trunc i64 %block to i32
   store i32 %short, ptr %entry.address
   %longer = add i64 %length, 1
-{_store("%longer", Control.TRACE_LENGTH)}
+{_store("%longer", ControlWord.TRACE_LENGTH)}
   br label %profiled
 profiled:
   ret i64 -1
-resolve:
-{_load("count", Control.EVENT_COUNT)}
-{_load("events", Control.EVENTS, "ptr")}
-{_load("blocks", Control.EVENT_BLOCKS, "ptr")}
-{_load("offsets", Control.EVENT_OFFSETS, "ptr")}
-{_load("first", Control.NEXT_EVENT)}
+"""
+
+_RESOLVE = f"""
+resolve:                ; the wanted indices are sorted: go on where the last call has stopped
+{_load("count", ControlWord.EVENT_COUNT)}
+{_load("events", ControlWord.EVENTS, "ptr")}
+{_load("blocks", ControlWord.EVENT_BLOCKS, "ptr")}
+{_load("offsets", ControlWord.EVENT_OFFSETS, "ptr")}
+{_load("first", ControlWord.NEXT_EVENT)}
   br label %loop
 loop:
   %i = phi i64 [ %first, %resolve ], [ %following, %record ]
   %more = icmp ult i64 %i, %count
   br i1 %more, label %look, label %finished
-look:
+look:                   ; is the next wanted index in this block?
   %event.address = getelementptr i64, ptr %events, i64 %i
   %event = load i64, ptr %event.address
   %here = icmp ult i64 %event, %after
   br i1 %here, label %record, label %later
-record:
+record:                 ; yes: note the block, and the offset in it
   %block.address = getelementptr i64, ptr %blocks, i64 %i
   store i64 %block, ptr %block.address
-  %place = sub i64 %event, %base
+  %event.offset = sub i64 %event, %base
   %offset.address = getelementptr i64, ptr %offsets, i64 %i
-  store i64 %place, ptr %offset.address
+  store i64 %event.offset, ptr %offset.address
   %following = add i64 %i, 1
   br label %loop
-later:
-{_store("%i", Control.NEXT_EVENT)}
-{_store("%event", Control.THRESHOLD)}
+later:                  ; no: run fast up to the block that contains it
+{_store("%i", ControlWord.NEXT_EVENT)}
+{_store("%event", ControlWord.THRESHOLD)}
   ret i64 -1
-finished:
-{_store("%i", Control.NEXT_EVENT)}
-{_store(str(NEVER), Control.THRESHOLD)}
+finished:               ; no wanted index is left: run fast to the end
+{_store("%i", ControlWord.NEXT_EVENT)}
+{_store(str(NEVER), ControlWord.THRESHOLD)}
   ret i64 -1
-locate:
-{_load("passed", Control.HISTOGRAM, "ptr")}
+"""
+
+_LOCATE = f"""
+locate:                 ; number of this execution of the block; see `variant.Passes`
+{_load("passed", ControlWord.HISTOGRAM, "ptr")}
   %pass.address = getelementptr i64, ptr %passed, i64 %block
   %pass = load i64, ptr %pass.address
   %next.pass = add i64 %pass, 1
   store i64 %next.pass, ptr %pass.address
-{_load("cursors", Control.EVENT_BLOCKS, "ptr")}
+                        ; is it the next wanted execution of this block?
+{_load("cursors", ControlWord.EVENT_BLOCKS, "ptr")}
   %cursor.address = getelementptr i64, ptr %cursors, i64 %block
   %cursor = load i64, ptr %cursor.address
-{_load("passes", Control.EVENTS, "ptr")}
+{_load("passes", ControlWord.EVENTS, "ptr")}
   %wanted.address = getelementptr i64, ptr %passes, i64 %cursor
   %wanted = load i64, ptr %wanted.address
   %now.wanted = icmp eq i64 %pass, %wanted
-  br i1 %now.wanted, label %found, label %located
-found:
-{_load("starts", Control.EVENT_OFFSETS, "ptr")}
+  br i1 %now.wanted, label %start, label %located
+start:                  ; yes: note the index at which it starts, and wait for the one after it
+{_load("starts", ControlWord.EVENT_OFFSETS, "ptr")}
   %start.address = getelementptr i64, ptr %starts, i64 %cursor
   store i64 %base, ptr %start.address
   %next.cursor = add i64 %cursor, 1
@@ -181,8 +188,29 @@ found:
   br label %located
 located:
   ret i64 -1
+"""
+
+RUNTIME = f"""
+@mavfi_control = global [{WORDS} x i64] zeroinitializer, align 64
+@mavfi_keep = global [{MASK_BYTES} x i8] zeroinitializer, align 64
+@mavfi_flip = global [{MASK_BYTES} x i8] zeroinitializer, align 64
+@mavfi_unseen = global [{2 * MASK_BYTES} x i8] zeroinitializer, align 64
+define i64 @mavfi_slow(i64 %after, i64 %n, i64 %block) noinline {{
+entry:                  ; counter before the block
+  %base = sub i64 %after, %n
+{_load("mode", ControlWord.MODE)}
+  switch i64 %mode, label %inject [ i64 {RunMode.PROFILE:d}, label %profile
+                                    i64 {RunMode.RESOLVE:d}, label %resolve
+                                    i64 {RunMode.LOCATE:d}, label %locate ]
+{_INJECT}
+{_PROFILE}
+{_RESOLVE}
+{_LOCATE}
 }}
 """
+"""The control block and masks, and `mavfi_slow`; values of sites that are not injected go to `mavfi_unseen`."""
+
+# ---- Memory of a planned call: its arrays are allocated in the arena, without Python's reference counts.
 
 _HELD = 1 << 32
 """Offset of reference counts: arrays that reach Python are never freed."""
@@ -192,23 +220,25 @@ allocator."""
 
 
 def _planned(yes: str, no: str) -> str:
-    return f"""{_load("planned", Control.PLANNED)}
+    """IR that branches on whether the call uses planned memory."""
+    return f"""{_load("planned", ControlWord.PLANNED)}
   %here = icmp ne i64 %planned, 0
   br i1 %here, label %{yes}, label %{no}"""
 
 
-def _new(name: str, parameters: str) -> str:
-    """Memory of an array; null if the arena is full, which Numba turns into a MemoryError."""
+def _allocation(name: str, parameters: str) -> str:
+    """IR of a function that allocates an array; null if the arena is full, which Numba turns into a MemoryError."""
+    # In the arena, the header is written as Numba writes it: see `_HEADER`.
     return f"""
 define ptr @mavfi_{name}({parameters}) noinline {{
 entry:
-{_planned("place", "elsewhere")}
-place:
+{_planned("in_arena", "elsewhere")}
+in_arena:
   %whole = add i64 %size, {_HEADER}
   %at = call ptr @mavfi_room(i64 %whole)
   %none = icmp eq ptr %at, null
   br i1 %none, label %done, label %write
-write:
+write:                  ; references, destructor and its argument, data, size, allocator
   store i64 {_HELD + 1}, ptr %at
   %destructor = getelementptr i8, ptr %at, i64 8
   store i64 0, ptr %destructor
@@ -263,15 +293,15 @@ def declarations(text: str) -> str:
 
 MEMORY = f"""
 define void @mavfi_check(ptr %pointer, i64 %size) noinline {{
-entry:
-{_load("planned", Control.PLANNED)}
-{_load("injected", Control.INJECTED)}
+entry:                  ; only accesses of a planned call, after the injection, and of more than no byte
+{_load("planned", ControlWord.PLANNED)}
+{_load("injected", ControlWord.INJECTED)}
   %both = and i64 %planned, %injected
   %checked = icmp ne i64 %both, 0
   %nothing = icmp eq i64 %size, 0
   %wanted = select i1 %nothing, i1 false, i1 %checked
   br i1 %wanted, label %test, label %fine
-test:
+test:                   ; BASE <= address and address + size <= BASE + SIZE, without overflow
   %address = ptrtoint ptr %pointer to i64
   %offset = sub i64 %address, {BASE}
   %last = sub i64 {SIZE}, %size
@@ -279,37 +309,38 @@ test:
   %beyond = icmp ugt i64 %offset, %last
   %wild = or i1 %large, %beyond
   br i1 %wild, label %stop, label %fine
-stop:
-{_load("end", Control.STOP, "ptr")}
+stop:                   ; the status tells the parent of a wild access
+{_load("end", ControlWord.STOP, "ptr")}
   call void %end(i32 {WILD_EXIT})
   br label %fine
 fine:
   ret void
 }}
 define void @mavfi_overflow(i64 %end) noinline {{
-entry:
+entry:                  ; stack frames end where the constants begin
   %fits = icmp ule i64 %end, {CONSTANTS}
   br i1 %fits, label %fine, label %stop
 stop:
-{_load("end.of.it", Control.STOP, "ptr")}
+{_load("end.of.it", ControlWord.STOP, "ptr")}
   call void %end.of.it(i32 {WILD_EXIT})
   br label %fine
 fine:
   ret void
 }}
 define ptr @mavfi_room(i64 %size) noinline {{
-entry:
-{_load("heap", Control.HEAP)}
+entry:                  ; a multiple of a cache line, if the rest of the arena is large enough
+{_load("heap", ControlWord.HEAP)}
   %more = add i64 %size, {LINE - 1}
   %rounded = and i64 %more, -{LINE}
   %left = sub i64 {BASE + SIZE}, %heap
   %fits.rounded = icmp ule i64 %rounded, %left
+                        ; a size near 2^64 would be rounded to a small one
   %sane = icmp ule i64 %size, {SIZE}
   %fits = and i1 %fits.rounded, %sane
   br i1 %fits, label %take, label %none
-take:
+take:                   ; advance the heap
   %next = add i64 %heap, %rounded
-{_store("%next", Control.HEAP)}
+{_store("%next", ControlWord.HEAP)}
   %at = inttoptr i64 %heap to ptr
   ret ptr %at
 none:
@@ -317,8 +348,8 @@ none:
 }}
 define ptr @mavfi_NRT_Allocate(i64 %size) noinline {{
 entry:
-{_planned("place", "elsewhere")}
-place:
+{_planned("in_arena", "elsewhere")}
+in_arena:
   %at = call ptr @mavfi_room(i64 %size)
   ret ptr %at
 elsewhere:
@@ -327,8 +358,8 @@ elsewhere:
 }}
 define void @mavfi_NRT_Free(ptr %at) noinline {{
 entry:
-{_planned("place", "elsewhere")}
-place:
+{_planned("in_arena", "elsewhere")}
+in_arena:
   call void @mavfi_reference(ptr %at)
   ret void
 elsewhere:
@@ -336,7 +367,7 @@ elsewhere:
   ret void
 }}
 define void @mavfi_reference(ptr %at) noinline {{
-entry:
+entry:                  ; null has no header
   %none = icmp eq ptr %at, null
   br i1 %none, label %fine, label %test
 test:
@@ -345,8 +376,8 @@ test:
 fine:
   ret void
 }}
-{_new("NRT_MemInfo_alloc", "i64 %size")}
-{_new("NRT_MemInfo_alloc_aligned", "i64 %size, i32 %alignment")}
+{_allocation("NRT_MemInfo_alloc", "i64 %size")}
+{_allocation("NRT_MemInfo_alloc_aligned", "i64 %size, i32 %alignment")}
 define void @mavfi_NRT_incref(ptr %at) noinline {{
 entry:
   call void @mavfi_reference(ptr %at)
@@ -359,30 +390,30 @@ done:
   ret void
 }}
 define void @mavfi_NRT_decref(ptr %at) noinline {{
-entry:
+entry:                  ; a corrupted pointer is a wild access
   call void @mavfi_reference(ptr %at)
   %none = icmp eq ptr %at, null
   br i1 %none, label %done, label %count
 count:
   %before = atomicrmw sub ptr %at, i64 1 acq_rel
-{_planned("place", "elsewhere")}
-place:
+{_planned("in_arena", "elsewhere")}
+in_arena:               ; nobody else holds this array
   %unused = icmp eq i64 %before, {_HELD + 1}
   br i1 %unused, label %look, label %done
-look:
+look:                   ; only the newest array can be given back: the heap is a stack
   %size.address = getelementptr i8, ptr %at, i64 32
   %size = load i64, ptr %size.address
   %more = add i64 %size, {_HEADER + LINE - 1}
   %rounded = and i64 %more, -{LINE}
   %address = ptrtoint ptr %at to i64
   %end = add i64 %address, %rounded
-{_load("heap", Control.HEAP)}
+{_load("heap", ControlWord.HEAP)}
   %newest = icmp eq i64 %end, %heap
   br i1 %newest, label %free, label %done
 free:
-{_store("%address", Control.HEAP)}
+{_store("%address", ControlWord.HEAP)}
   br label %done
-elsewhere:
+elsewhere:              ; as Numba does it
   %last = icmp eq i64 %before, 1
   br i1 %last, label %destroy, label %done
 destroy:
@@ -396,16 +427,16 @@ entry:
   %status = call i32 @NRT_adapt_ndarray_from_python(ptr %object, ptr %array)
   %good = icmp eq i32 %status, 0
   br i1 %good, label %look, label %done
-look:
+look:                   ; arguments of a planned call lie in the arena, and outlive it
 {_planned("detach", "done")}
-detach:
+detach:                 ; without owner, the kernel counts no references to it
   %held = load ptr, ptr %array
   store ptr null, ptr %array
   %parent = getelementptr i8, ptr %array, i64 8
   store ptr null, ptr %parent
   %none = icmp eq ptr %held, null
   br i1 %none, label %done, label %release
-release:
+release:                ; the reference that the conversion has taken
   %before = atomicrmw sub ptr %held, i64 1 acq_rel
   %last = icmp eq i64 %before, 1
   br i1 %last, label %destroy, label %done

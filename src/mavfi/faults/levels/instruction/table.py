@@ -16,7 +16,7 @@ from mavfi.ir.module import Block, Function, Instruction, Module, holds_pointer,
 
 
 @dataclass(frozen=True, slots=True)
-class Site:
+class InjectionSite:
     """A static instruction whose result can be injected.
 
     Attributes:
@@ -54,8 +54,9 @@ class Site:
 
         Numba's own helpers are omitted: whether they have lines depends on earlier compilations of the process.
         """
-        all_frames = [(short_path(frame.file), frame.line) for frame in self.chain]
-        return [frame for frame in all_frames if not frame[0].startswith("numba/")] or all_frames[:1]
+        frames = [(short_path(frame.file), frame.line) for frame in self.chain]
+        outside_numba = [(file, line) for file, line in frames if not file.startswith("numba/")]
+        return outside_numba or frames[:1]
 
     @property
     def file(self) -> str:
@@ -72,9 +73,8 @@ class Site:
         return 0
 
     def __str__(self) -> str:
-        variable = f" ({self.variable})" if self.variable else ""
-        role = f" ({self.role})" if self.role else ""
-        return f"{self.file}:{self.line} {self.opcode} {self.kind}{variable}{role}"
+        notes = "".join(f" ({note})" for note in (self.variable, self.role) if note)
+        return f"{self.file}:{self.line} {self.opcode} {self.kind}{notes}"
 
 
 def short_path(path: str) -> str:
@@ -84,7 +84,7 @@ def short_path(path: str) -> str:
 
 @lru_cache(maxsize=1024)
 def _relative_to_longest(path: str, folders: tuple[str, ...]) -> str:
-    roots = [entry for entry in folders if entry and path.startswith(f"{entry.rstrip('/')}/")]
+    roots = [folder for folder in folders if folder and path.startswith(f"{folder.rstrip('/')}/")]
     longest = max(roots, key=len, default="")
     if longest:
         return str(Path(path).relative_to(longest))
@@ -92,16 +92,16 @@ def _relative_to_longest(path: str, folders: tuple[str, ...]) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class SiteTable:
     """All sites of a kernel, by block in the order of dynamic indices."""
 
-    blocks: tuple[tuple[Site, ...], ...]
+    blocks: tuple[tuple[InjectionSite, ...], ...]
 
     def sizes(self) -> list[int]:
         """Number of sites of each block."""
         return [len(block) for block in self.blocks]
 
-    def executions(self, times: np.ndarray) -> list[tuple[Site, int]]:
+    def executions(self, times: np.ndarray) -> list[tuple[InjectionSite, int]]:
         """All sites with the execution counts of their blocks. Shape (blocks,)."""
         return [(site, int(number)) for block, number in zip(self.blocks, times, strict=True) for site in block]
 
@@ -114,9 +114,9 @@ class Table:
         return [[asdict(site) for site in block] for block in self.blocks]
 
     @staticmethod
-    def from_json(data: list[list[dict[str, Any]]]) -> "Table":
+    def from_json(data: list[list[dict[str, Any]]]) -> "SiteTable":
         """Inverse of `to_json`."""
-        frames: dict[str, tuple[Frame, ...]] = {}
+        frames: dict[str, tuple[Frame, ...]] = {}  # most sites share their chain with others
 
         def chain(rows: list[dict[str, Any]]) -> tuple[Frame, ...]:
             key = repr(rows)
@@ -124,56 +124,63 @@ class Table:
                 frames[key] = tuple(Frame(**row) for row in rows)
             return frames[key]
 
-        return Table(tuple(tuple(Site(**{**row, "chain": chain(row["chain"])}) for row in block) for block in data))
+        def site(row: dict[str, Any]) -> InjectionSite:
+            return InjectionSite(**{**row, "chain": chain(row["chain"])})
+
+        return SiteTable(tuple(tuple(map(site, block)) for block in data))
 
 
-def make_table(module: Module) -> Table:
+def make_table(module: Module) -> SiteTable:
     """The sites of all blocks that have any, in text order."""
-    used = roles(module)
+    roles_by_function = roles(module)
     locations = Locations(module.metadata)
-    blocks: list[tuple[Site, ...]] = []
+    blocks: list[tuple[InjectionSite, ...]] = []
     for function in module.functions:
         for block in function.blocks:
-            if block.sites:
-                chains = _chains(block, function, locations)
-                blocks.append(
-                    tuple(
-                        Site(
-                            len(blocks),
-                            offset,
-                            site.opcode,
-                            site.kind,
-                            width(site.kind),
-                            used[function.name].of(site),
-                            *chains[id(site)],
-                            site.variable,
-                            site.role,
-                        )
-                        for offset, site in enumerate(block.sites)
-                    )
+            if not block.sites:
+                continue
+            lines = _lines_of(block, function, locations)
+            sites = []
+            for offset, instruction in enumerate(block.sites):
+                chain, near = lines[id(instruction)]
+                site = InjectionSite(
+                    len(blocks),
+                    offset,
+                    instruction.opcode,
+                    instruction.kind,
+                    width(instruction.kind),
+                    roles_by_function[function.name].of(instruction),
+                    chain,
+                    near,
+                    instruction.variable,
+                    instruction.role,
                 )
-    return Table(tuple(blocks))
+                sites.append(site)
+            blocks.append(tuple(sites))
+    return SiteTable(tuple(blocks))
 
 
-def _chains(block: Block, function: Function, locations: Locations) -> dict[int, tuple[tuple[Frame, ...], bool]]:
+def _lines_of(block: Block, function: Function, locations: Locations) -> dict[int, tuple[tuple[Frame, ...], bool]]:
     """Source lines of each instruction, and whether they are borrowed from the next instruction that has some."""
-    own = []
+    # The lines that instructions have themselves, from the last instruction on; line 0 is none.
+    chains: list[tuple[Instruction, tuple[Frame, ...]]] = []
     for instruction in reversed(block.all()):
-        if instruction.location is None:
-            chain: tuple[Frame, ...] = ()
-        else:
+        chain: tuple[Frame, ...] = ()
+        if instruction.location is not None:
             chain = locations.chain(instruction.location)
-        own.append((instruction, chain if chain and chain[0].line else ()))
-    if function.location is None:
-        fallback: tuple[Frame, ...] = ()
-    else:
+        if chain and not chain[0].line:
+            chain = ()
+        chains.append((instruction, chain))
+    # The last instructions borrow from the one before them, or from the head of the function.
+    fallback: tuple[Frame, ...] = ()
+    if function.location is not None:
         fallback = locations.function(function.location)
-    following = next((chain for _, chain in own if chain), fallback)
-    found = {}
-    for instruction, chain in own:
+    following = next((chain for _, chain in chains if chain), fallback)
+    lines = {}
+    for instruction, chain in chains:
         following = chain or following
-        found[id(instruction)] = (following, not chain)
-    return found
+        lines[id(instruction)] = (following, not chain)
+    return lines
 
 
 # ---- Uses of values: as an address, to decide a branch, or as data.
@@ -214,8 +221,10 @@ class Roles:
 def roles(module: Module) -> dict[str, Roles]:
     """Roles of the values of each function in the fault space, by function name."""
     flows = {function.name: _Flow(function) for function in module.functions}
-    while any([flow.grow(flows) for flow in flows.values()]):  # all of them, in each round
-        pass
+    growing = True
+    while growing:
+        growths = [flow.grow(flows) for flow in flows.values()]  # all of them, in each round
+        growing = any(growths)
     return {name: flow.roles() for name, flow in flows.items()}
 
 
@@ -237,6 +246,7 @@ class _Flow:
     def grow(self, flows: "dict[str, _Flow]") -> bool:
         """One step towards the fixed point; returns whether anything was added."""
         before = len(self.addresses) + len(self.indices)
+        # Values that are used as an address, here, in a callee, or after they were stored and loaded again.
         seeds = set(self.addresses)
         for instruction in self.instructions:
             seeds.update(instruction.addresses)
@@ -245,6 +255,7 @@ class _Flow:
             callee = flows.get(str(instruction.callee))
             if callee is not None:
                 seeds.update(self._exchange(instruction, callee))
+        # They, and what they are computed from, feed addresses; so does the memory from which they were loaded.
         self.addresses |= _sources(seeds, self.made_by, _ADDRESS_STOPS)
         for instruction in self.instructions:
             if instruction.opcode == "load" and instruction.result in self.addresses:
@@ -253,16 +264,16 @@ class _Flow:
 
     def _exchange(self, call: Instruction, callee: "_Flow") -> set[str]:
         """Exchange the memory that holds indices with a callee; returns the arguments that it uses in addresses."""
-        found = set()
+        in_addresses = set()
         for (_, name), (_, argument) in zip(callee.function.parameters, call.arguments, strict=True):
             if name in callee.addresses:
-                found.add(argument)
+                in_addresses.add(argument)
             origins = self.origins(argument)
             if name in callee.indices:
                 self.indices |= origins
             elif origins & self.indices:
                 callee.indices.add(name)
-        return found
+        return in_addresses
 
     def origins(self, pointer: str) -> frozenset[str]:
         """Origins of a pointer: parameters, allocations, calls, loads."""
@@ -273,6 +284,7 @@ class _Flow:
         return self.known_origins[pointer]
 
     def roles(self) -> Roles:
+        """The roles of the values, at the fixed point."""
         conditions: list[str] = []
         for instruction in self.instructions:
             conditions += instruction.conditions
@@ -303,16 +315,16 @@ def _sources(names: Iterable[str], made_by: dict[str, Instruction], stops: tuple
     return {name for name in _closure(names, uses) if name[0] == "%"}
 
 
-def _closure(names: Iterable[str], following: Callable[[str], list[str]]) -> set[str]:
-    """Transitive closure of names under `following`."""
-    found: set[str] = set()
+def _closure(names: Iterable[str], successors: Callable[[str], list[str]]) -> set[str]:
+    """Transitive closure of names under `successors`."""
+    closure: set[str] = set()
     waiting = list(names)
     while waiting:
         name = waiting.pop()
-        if name not in found:
-            found.add(name)
-            waiting += following(name)
-    return found
+        if name not in closure:
+            closure.add(name)
+            waiting += successors(name)
+    return closure
 
 
 # ---- Selection of injectable instructions: all, floating point, data, one class or opcode, or some source lines.
@@ -339,7 +351,7 @@ class Selection:
     first: int = 0
     last: int = 0
 
-    def __contains__(self, site: Site) -> bool:
+    def __contains__(self, site: InjectionSite) -> bool:
         """Whether an instruction is in the class; any line of its chain of inlined calls counts."""
         if self.kind == "floating_point":
             return site.floating

@@ -15,16 +15,24 @@ import numba
 import numpy as np
 
 from mavfi.errors import MavfiError
-from mavfi.faults.levels.instruction.arena import FRAMES, arena, own
+from mavfi.faults.levels.instruction.arena import FRAMES, arena, copy_result
 from mavfi.faults.levels.instruction.build import Built, cached_build
 from mavfi.faults.levels.instruction.instrument import HISTOGRAM
-from mavfi.faults.levels.instruction.runtime import MASK_BYTES, NEVER, REPORT_BYTES, REPORT_WORDS, WORDS, Control, Mode
-from mavfi.faults.levels.instruction.table import Site, Table
+from mavfi.faults.levels.instruction.runtime import (
+    MASK_BYTES,
+    NEVER,
+    REPORT_BYTES,
+    REPORT_WORDS,
+    WORDS,
+    ControlWord,
+    RunMode,
+)
+from mavfi.faults.levels.instruction.table import InjectionSite, SiteTable
 from mavfi.ir.build import Rewrite, Rewriting, check, environment_of, load_code, name_of
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class InjectionReport:
     """Report of an injection.
 
     Attributes:
@@ -34,7 +42,7 @@ class Report:
         planned: Whether the call used memory at planned addresses only: then its effect is the same everywhere.
     """
 
-    site: Site
+    site: InjectionSite
     before: int
     after: int
     planned: bool
@@ -57,44 +65,68 @@ class Passes:
             ordered.setdefault(block, []).append(number)
         self.passed = np.zeros(blocks, np.int64)
         self.cursors = np.zeros(blocks, np.int64)
-        passes = [-1]
-        self._places = {}
+        passes = [-1]  # a block without wanted executions has its cursor here
+        self._index_of: dict[tuple[int, int], int] = {}
         for block, numbers in ordered.items():
             self.cursors[block] = len(passes)
-            self._places.update({(block, number): len(passes) + i for i, number in enumerate(numbers)})
-            passes += [*numbers, -1]
+            for number in numbers:
+                self._index_of[block, number] = len(passes)
+                passes.append(number)
+            passes.append(-1)
         self.wanted = np.array(passes, np.int64)
         self.starts = np.full(len(passes), -1, np.int64)
 
     def start(self, block: int, number: int) -> int:
         """Dynamic index at which a wanted execution starts; -1 = not reached."""
-        return int(self.starts[self._places[block, number]])
+        return int(self.starts[self._index_of[block, number]])
+
+
+@dataclass(frozen=True, slots=True)
+class _TallyCode:
+    """Machine code that counts block executions only: the engine that owns it, and where it finds its histogram."""
+
+    engine: Any
+    function: Any
+    histogram_address: ctypes.c_void_p
 
 
 class Variant:
-    """Instrumented machine code with the kernel's arguments, which are modified as by a call."""
+    """Instrumented machine code of a kernel, which modifies its arguments as the kernel does.
+
+    Attributes:
+        table: The static instructions.
+        sizes: Number of sites of each block. Shape (blocks,).
+        ir_sha256: Digest of the IR.
+    """
 
     def __init__(self, built: Built, environment: Any) -> None:
-        self.table: Table = built.table
-        self.sizes = np.array(built.table.sizes(), np.int64)  # of the blocks
+        """Load the machine code.
+
+        Args:
+            built: The machine code.
+            environment: Numba's environment of the kernel.
+        """
+        self.table: SiteTable = built.table
+        self.sizes = np.array(built.table.sizes(), np.int64)
         self.ir_sha256 = built.ir_sha256
-        self._built, self._environment = built, environment  # the code points to the environment
+        self._built = built
+        self._environment = environment  # kept alive: the code points to it
         self._engine, self._function = self._load(built.code)
-        self._tally: tuple[Any, Any, ctypes.c_void_p] | None = None
+        self._tally: _TallyCode | None = None
+        # Map the globals of the machine code.
         self._control = self._array("mavfi_control", ctypes.c_int64, WORDS)
-        self._keep, self._flip = (
-            self._array(name, ctypes.c_uint8, MASK_BYTES) for name in ("mavfi_keep", "mavfi_flip")
-        )
-        arena()  # the code uses its addresses
+        self._keep = self._array("mavfi_keep", ctypes.c_uint8, MASK_BYTES)
+        self._flip = self._array("mavfi_flip", ctypes.c_uint8, MASK_BYTES)
+        arena()  # mapped now: the code uses its addresses
         self._owned = built.owned
         self._constants = [
-            (constant.address, self._engine.get_global_value_address(_plain(constant.name)), constant.size)
+            (constant.address, self._engine.get_global_value_address(_linker_name(constant.name)), constant.size)
             for constant in built.constants
         ]
-        self._reader = -1
+        self._reader_pid = -1
         self.own_report()
-        self._control[Control.STOP] = ctypes.cast(ctypes.CDLL(None)._exit, ctypes.c_void_p).value or 0
-        self._set(Mode.INJECT, NEVER)
+        self._control[ControlWord.STOP] = ctypes.cast(ctypes.CDLL(None)._exit, ctypes.c_void_p).value or 0
+        self._set(RunMode.INJECT, NEVER)
 
     def _load(self, code: bytes) -> tuple[Any, Any]:
         """Engine of an object file, and its function."""
@@ -105,53 +137,55 @@ class Variant:
 
         Forks share the memory, so that it survives a crashed child: two workers must not use their parent's report.
         """
-        if self._reader == os.getpid():
+        if self._reader_pid == os.getpid():
             return
-        self._reader = os.getpid()
+        self._reader_pid = os.getpid()
         report = np.frombuffer(mmap.mmap(-1, REPORT_BYTES), np.uint8)
         self._injected = report[: 8 * REPORT_WORDS].view(np.int64)
         self._values = report[8 * REPORT_WORDS :]
-        self._control[Control.REPORT] = report.ctypes.data
+        self._control[ControlWord.REPORT] = report.ctypes.data
 
     def _array(self, name: str, kind: Any, count: int) -> np.ndarray:
         """A global of the machine code."""
         return np.ctypeslib.as_array((kind * count).from_address(self._engine.get_global_value_address(name)))
 
-    def _set(self, mode: Mode, threshold: int) -> None:
+    def _set(self, mode: RunMode, threshold: int) -> None:
+        """Prepare a run: counter, stack and constants as at the start of a call."""
         control = self._control
-        control[Control.COUNTER] = control[Control.INJECTED] = control[Control.PLANNED] = 0
-        control[Control.FRAME] = FRAMES
-        for there, here, size in self._constants:
-            ctypes.memmove(there, here, size)
-        control[Control.MODE] = mode
-        control[Control.THRESHOLD] = threshold
+        control[ControlWord.COUNTER] = 0
+        control[ControlWord.INJECTED] = 0
+        control[ControlWord.PLANNED] = 0
+        control[ControlWord.FRAME] = FRAMES
+        for target, source, size in self._constants:
+            ctypes.memmove(target, source, size)
+        control[ControlWord.MODE] = mode
+        control[ControlWord.THRESHOLD] = threshold
 
-    def _run(self, mode: Mode, threshold: int, args: tuple[Any, ...], **words: int) -> Any:
+    def _run(self, mode: RunMode, threshold: int, args: tuple[Any, ...], **words: int) -> Any:
         """Run with the given words of the control block."""
         self._set(mode, threshold)
         for name, word in words.items():
-            self._control[Control[name]] = word
+            self._control[ControlWord[name]] = word
         try:
             return self._function(None, args, None)
         finally:
-            self._set(Mode.INJECT, NEVER)
+            self._set(RunMode.INJECT, NEVER)
 
     def count(self, *args: Any) -> tuple[Any, int]:
         """Run without a fault; returns the result and the number of values written."""
-        self._set(Mode.INJECT, NEVER)
+        self._set(RunMode.INJECT, NEVER)
         result = self._function(None, args, None)
-        return result, int(self._control[Control.COUNTER])
+        return result, int(self._control[ControlWord.COUNTER])
 
     def tally(self, *args: Any) -> tuple[Any, np.ndarray]:
         """Run without a fault; returns the result and execution counts of blocks; faster than `profile`."""
         if self._tally is None:
             engine, function = self._load(self._built.tally)
-            place = ctypes.c_void_p.from_address(engine.get_global_value_address(HISTOGRAM))
-            self._tally = engine, function, place
-        _, function, place = self._tally
+            address = ctypes.c_void_p.from_address(engine.get_global_value_address(HISTOGRAM))
+            self._tally = _TallyCode(engine, function, address)
         histogram = np.zeros(len(self.table.blocks), np.int64)
-        place.value = histogram.ctypes.data
-        return function(None, args, None), histogram
+        self._tally.histogram_address.value = histogram.ctypes.data
+        return self._tally.function(None, args, None), histogram
 
     def written(self, times: np.ndarray) -> int:
         """Number of values written, from the execution count of each block. Shape (blocks,)."""
@@ -162,7 +196,7 @@ class Variant:
         histogram = np.zeros(len(self.table.blocks), np.int64)
         trace = np.zeros(max(room, 1), np.int32)
         result = self._run(
-            Mode.PROFILE,
+            RunMode.PROFILE,
             0,
             args,
             HISTOGRAM=histogram.ctypes.data,
@@ -170,16 +204,19 @@ class Variant:
             TRACE_ROOM=room,
             TRACE_LENGTH=0,
         )
-        return result, histogram, trace[: int(self._control[Control.TRACE_LENGTH])]
+        return result, histogram, trace[: int(self._control[ControlWord.TRACE_LENGTH])]
 
-    def resolve(self, indices: Sequence[int], *args: Any) -> tuple[Any, list[Site | None]]:
+    def resolve(self, indices: Sequence[int], *args: Any) -> tuple[Any, list[InjectionSite | None]]:
         """Run without a fault; returns the result and the site of each dynamic index, None beyond the last."""
         wanted = np.array(sorted(set(indices)), np.int64)
         blocks = np.full(len(wanted), -1)
         offsets = np.full(len(wanted), -1)
+        first = NEVER
+        if len(wanted):
+            first = int(wanted[0])
         result = self._run(
-            Mode.RESOLVE,
-            int(wanted[0]) if len(wanted) else NEVER,
+            RunMode.RESOLVE,
+            first,
             args,
             EVENTS=wanted.ctypes.data,
             EVENT_COUNT=len(wanted),
@@ -187,16 +224,16 @@ class Variant:
             EVENT_OFFSETS=offsets.ctypes.data,
             NEXT_EVENT=0,
         )
-        sites = {
-            int(index): self.table.blocks[block][offset] if block >= 0 else None
-            for index, block, offset in zip(wanted, blocks, offsets, strict=True)
-        }
-        return result, [sites[index] for index in indices]
+        sites: dict[int, InjectionSite] = {}
+        for index, block, offset in zip(wanted, blocks, offsets, strict=True):
+            if block >= 0:
+                sites[int(index)] = self.table.blocks[block][offset]
+        return result, [sites.get(index) for index in indices]
 
     def locate(self, passes: Passes, *args: Any) -> Any:
         """Run without a fault, and store in `passes` the dynamic indices at which wanted executions start."""
         return self._run(
-            Mode.LOCATE,
+            RunMode.LOCATE,
             0,
             args,
             HISTOGRAM=passes.passed.ctypes.data,
@@ -213,49 +250,59 @@ class Variant:
         """
         for memory, mask in ((self._keep, keep), (self._flip, flip)):
             memory[:] = np.frombuffer((mask % (1 << 8 * MASK_BYTES)).to_bytes(MASK_BYTES, "little"), np.uint8)
-        placed = arena().place(args) if self._owned else None
+        placed = None
+        if self._owned:
+            placed = arena().place(args)
         self._injected[:] = (0, 0, 0, placed is not None)
         if placed is None:
-            return self._run(Mode.INJECT, index, args, TARGET=index, BUDGET=budget)
+            return self._run(RunMode.INJECT, index, args, TARGET=index, BUDGET=budget)
+        # With all its memory in the arena, the effect of a corrupted address is the same in every process.
         words = {"TARGET": index, "BUDGET": budget, "PLANNED": 1, "HEAP": placed.heap}
         try:
-            return own(self._run(Mode.INJECT, index, placed.args, **words))
+            return copy_result(self._run(RunMode.INJECT, index, placed.args, **words))
         except MemoryError:
             pass  # the arena is full, not the machine
         finally:
             placed.take_back()
         raise AllocationError("an array is too large")
 
-    def report(self) -> Report | None:
+    def report(self) -> InjectionReport | None:
         """Report of the last injection, here or in a forked child; None if the index was not reached."""
         injected, block, offset, planned = self._injected.tolist()
         if not injected:
             return None
         site = self.table.blocks[block][offset]
         size = -(-site.width // 8)
-        before, after = (
-            int.from_bytes(self._values[first : first + size].tobytes(), "little") for first in (0, MASK_BYTES)
+        before = self._values[:size]
+        after = self._values[MASK_BYTES : MASK_BYTES + size]
+        return InjectionReport(
+            site,
+            int.from_bytes(before.tobytes(), "little"),
+            int.from_bytes(after.tobytes(), "little"),
+            planned=bool(planned),
         )
-        return Report(site, before, after, bool(planned))
 
 
-def _plain(name: str) -> str:
+def _linker_name(name: str) -> str:
     """The name of a global as used by the linker."""
     return name[1:].strip('"')
 
 
+# ---- The variants of this process.
+
 _variants: "weakref.WeakKeyDictionary[Any, dict[tuple[Any, ...], Variant]]" = weakref.WeakKeyDictionary()
-
-
-_LARGEST_INT = 1 << 63
+"""Variants of each kernel, by signature and rewriting."""
+_variants_by_key: "weakref.WeakKeyDictionary[Any, dict[Any, Variant]]" = weakref.WeakKeyDictionary()
+"""The same by what determines the types of the arguments: hashing Numba types takes longer than a short call."""
 _types: dict[Any, Any] = {}
-_known: "weakref.WeakKeyDictionary[Any, dict[Any, Variant]]" = weakref.WeakKeyDictionary()
-"""Variants by what determines the types of their arguments: hashing Numba types takes longer than a short call."""
+"""Numba types of arguments, by what determines them."""
+_INT_LIMIT = 1 << 63
+"""Numba types a Python integer as int64 below it, and as uint64 from it on."""
 
 
 def signature_of(args: tuple[Any, ...]) -> tuple[Any, ...]:
     """Numba types of arguments; cached by what determines them, since Numba derives them again for each call."""
-    key = _key(args)
+    key = _type_key(args)
     if key is None:
         return tuple(numba.typeof(argument) for argument in args)  # type: ignore[no-untyped-call]
     if key not in _types:
@@ -263,10 +310,10 @@ def signature_of(args: tuple[Any, ...]) -> tuple[Any, ...]:
     return cast(tuple[Any, ...], _types[key])
 
 
-def _key(value: Any) -> Any:
+def _type_key(value: Any) -> Any:
     """What determines the Numba type of a value; None = unknown."""
     kind = type(value)
-    if kind is int and -_LARGEST_INT <= value < _LARGEST_INT:
+    if kind is int and -_INT_LIMIT <= value < _INT_LIMIT:
         return kind
     if kind is np.ndarray:
         return value.dtype, value.ndim, value.flags.num
@@ -275,7 +322,7 @@ def _key(value: Any) -> Any:
     if isinstance(value, np.generic):
         return kind, value.dtype
     if isinstance(value, tuple):
-        parts = tuple(map(_key, value))
+        parts = tuple(map(_type_key, value))
         if None in parts:
             return None
         return (kind, parts)
@@ -287,13 +334,13 @@ def variant_for(kernel: Any, args: tuple[Any, ...], rewriting: Rewriting | None 
     if rewriting is not None:
         signature = signature_of(args)
         return variant_of(kernel, signature, rewriting(name_of(kernel), signature))
-    key = _key(args)
-    known = _known.setdefault(kernel, {})
+    key = _type_key(args)
     if key is None:
         return variant_of(kernel, signature_of(args))
-    if key not in known:
-        known[key] = variant_of(kernel, signature_of(args))
-    return known[key]
+    variants = _variants_by_key.setdefault(kernel, {})
+    if key not in variants:
+        variants[key] = variant_of(kernel, signature_of(args))
+    return variants[key]
 
 
 def variant_of(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Variant:
@@ -301,15 +348,20 @@ def variant_of(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None 
 
     With `rewrite` it is the variant of the rewritten kernel, e.g. a protected one.
 
-    Raises a RefusedError if the kernel cannot be instrumented exactly, a BuildError if the compiler crashes.
+    Raises:
+        NotInstrumentableError: The kernel cannot be instrumented exactly.
+        BuildError: The compiler crashed.
     """
     check(kernel)
-    known = _variants.setdefault(kernel, {})
-    key = signature, b"" if rewrite is None else rewrite.key
-    if key not in known:
+    rewrite_key = b""
+    if rewrite is not None:
+        rewrite_key = rewrite.key
+    variants = _variants.setdefault(kernel, {})
+    key = (signature, rewrite_key)
+    if key not in variants:
         built = cached_build(kernel, signature, rewrite)
-        known[key] = Variant(built, environment_of(kernel, signature))
-    return known[key]
+        variants[key] = Variant(built, environment_of(kernel, signature))
+    return variants[key]
 
 
 # ---- Reasons why a fault is not injected: always an error, never a silent omission.
@@ -342,7 +394,7 @@ class Profiling:
         self.rewriting = rewriting
         self.counts: list[int] = []
         self.digests: list[str] = []
-        self._times: dict[str, tuple[Table, np.ndarray]] = {}
+        self._times: dict[str, tuple[SiteTable, np.ndarray]] = {}
 
     def __call__(self, *args: Any) -> Any:
         """Call the function; bit-identical result."""
@@ -354,7 +406,7 @@ class Profiling:
         self.digests.append(variant.ir_sha256)
         return result
 
-    def executed(self) -> list[tuple[str, Site, int]]:
+    def executed(self) -> list[tuple[str, InjectionSite, int]]:
         """All executed static instructions: digest of the IR, instruction, execution count."""
         return [
             (digest, site, times)
@@ -365,14 +417,25 @@ class Profiling:
 
 
 class Resolving:
-    """Finds the static instructions (`sites`, by call and index) at the wanted indices, given by call."""
+    """Finds the static instructions at wanted dynamic indices of some calls of a compiled function.
+
+    Attributes:
+        sites: Static instructions by call and index, as far as the calls have been made; None = beyond the last value.
+    """
 
     def __init__(self, function: Any, wanted: Mapping[int, Sequence[int]], rewriting: Rewriting | None = None) -> None:
+        """Prepare to replace a function.
+
+        Args:
+            function: The compiled function.
+            wanted: Dynamic indices by number of the call, from 0.
+            rewriting: Rewriting of the function, see above.
+        """
         self._function = function
         self._rewriting = rewriting
         self._wanted = wanted
         self._calls = 0
-        self.sites: dict[tuple[int, int], Site | None] = {}
+        self.sites: dict[tuple[int, int], InjectionSite | None] = {}
 
     @property
     def done(self) -> bool:
@@ -390,7 +453,7 @@ class Resolving:
     def __call__(self, *args: Any) -> Any:
         """Call the function; bit-identical result."""
         call = self._calls
-        self._calls = self._calls + 1
+        self._calls += 1
         indices = self._wanted.get(call)
         if not indices:
             return self._function(*args)

@@ -29,6 +29,8 @@ FORMATS = {
 """Numeric types, with their `struct` codes."""
 _PAIRS = {"time": (("secs", "uint32"), ("nsecs", "uint32")), "duration": (("secs", "int32"), ("nsecs", "int32"))}
 _STRING = "string"
+VARIABLE = -1
+"""Length of a list that is in the message."""
 _MEMBER = re.compile(r"([\w/]+)(\[(\d*)\])?\s+(\w+)\s*$")
 _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d+\])?)(?:\.|$)")
 _COUNT = struct.Struct("<I")
@@ -45,7 +47,7 @@ class Member:
     name: str
     kind: str
     length: int | None = None
-    """None = not a list, -1 = a list of variable length."""
+    """None = not a list; `VARIABLE` = a list whose length is in the message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +64,8 @@ class Leaf:
 
     def value(self, data: bytes | bytearray) -> int | float:
         """The number in a serialized message."""
-        found: int | float = struct.unpack_from("<" + FORMATS[self.kind], data, self.offset)[0]
-        return found
+        number: int | float = struct.unpack_from("<" + FORMATS[self.kind], data, self.offset)[0]
+        return number
 
 
 class Definition:
@@ -73,6 +75,12 @@ class Definition:
     """
 
     def __init__(self, kind: str, text: str) -> None:
+        """Parse.
+
+        Args:
+            kind: Name of the type.
+            text: Its full definition: its own members, then those of each component type behind a line of "=".
+        """
         self.kind = kind
         self.types: dict[str, tuple[Member, ...]] = {
             name: tuple(Member(part, pair_kind) for part, pair_kind in parts) for name, parts in _PAIRS.items()
@@ -83,7 +91,8 @@ class Definition:
             head, _, body = other.strip().partition("\n")
             name = head.removeprefix("MSG:").strip()
             self.types[name] = self._members(name, body)
-        for members in list(self.types.values()):
+        # A definition that lacks a type, or contains itself, could not be traversed.
+        for members in self.types.values():
             for member in members:
                 if member.kind not in FORMATS and member.kind != _STRING and member.kind not in self.types:
                     raise BadInputError(f"type {kind}: its definition lacks {member.kind}")
@@ -91,13 +100,14 @@ class Definition:
         self._sizes: dict[str, int | None] = {name: struct.calcsize(form) for name, form in FORMATS.items()}
         self._sizes[_STRING] = None
 
-    def _check_finite(self, kind: str, within: list[str], done: set[str]) -> None:
-        if kind in within:
+    def _check_finite(self, kind: str, outer_kinds: list[str], checked: set[str]) -> None:
+        """Refuse a type that contains itself."""
+        if kind in outer_kinds:
             raise BadInputError(f"type {self.kind}: its definition has a {kind} within a {kind}")
         for member in self.types[kind]:
-            if member.kind in self.types and member.kind not in done:
-                self._check_finite(member.kind, [*within, kind], done)
-        done.add(kind)
+            if member.kind in self.types and member.kind not in checked:
+                self._check_finite(member.kind, [*outer_kinds, kind], checked)
+        checked.add(kind)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Definition) and self.types == other.types
@@ -107,19 +117,25 @@ class Definition:
 
     @staticmethod
     def _members(owner: str, text: str) -> tuple[Member, ...]:
+        """The members in the definition of a type, with full names of their types."""
         package = owner.partition("/")[0]
-        found = []
+        members = []
         for line in text.splitlines():
             match = _MEMBER.match(line.partition("#")[0].strip())
             if match is None:  # a comment, or a constant, which is not serialized
                 continue
-            kind, is_list, length, name = match.groups()
+            kind, brackets, number, name = match.groups()
+            length = None
+            if brackets and number:
+                length = int(number)
+            elif brackets:
+                length = VARIABLE
             if kind == "Header":
                 kind = "std_msgs/Header"
             elif "/" not in kind and kind not in FORMATS and kind != _STRING and kind not in _PAIRS:
                 kind = f"{package}/{kind}"
-            found.append(Member(name, kind, (int(length) if length else -1) if is_list else None))
-        return tuple(found)
+            members.append(Member(name, kind, length))
+        return tuple(members)
 
     # ---- paths ------------------------------------------------------------------------------------------------------
     def check(self, path: str) -> str:
@@ -127,12 +143,11 @@ class Definition:
         kind = self.kind
         for name, index in steps(path):
             member = self._member(kind, name, path)
-            if (index is None) != (member.length is None):
-                wanted = f"{name}[0]" if index is None else name
-                raise BadInputError(
-                    f"field {path}: {name} of {kind} is {'a list' if index is None else 'no list'}; allowed: {wanted}"
-                )
-            if index is not None and member.length is not None and not index < member.length and member.length >= 0:
+            if index is None and member.length is not None:
+                raise BadInputError(f"field {path}: {name} of {kind} is a list; allowed: {name}[0]")
+            if index is not None and member.length is None:
+                raise BadInputError(f"field {path}: {name} of {kind} is no list; allowed: {name}")
+            if index is not None and member.length is not None and 0 <= member.length <= index:
                 raise BadInputError(
                     f"field {path}: {name} has {member.length} elements; allowed: [0] to [{member.length - 1}]"
                 )
@@ -140,17 +155,23 @@ class Definition:
         if kind == _STRING:
             raise BadInputError(f"field {path}: is text; allowed: a number")
         if kind not in FORMATS:
-            inner = [f"{path}.{member.name}" for member in self.types[kind]]
-            raise BadInputError(f"field {path}: is a {kind}, no number; allowed: {allowed(inner)}")
+            paths = [f"{path}.{member.name}" for member in self.types[kind]]
+            raise BadInputError(f"field {path}: is a {kind}, no number; allowed: {allowed(paths)}")
         return kind
 
     def _member(self, kind: str, name: str, path: str) -> Member:
+        """A member of a type, or a BadInputError."""
         for member in self.types.get(kind, ()):
             if member.name == name:
                 return member
         if kind not in self.types:
             raise BadInputError(f"field {path}: a {kind} has no member {name!r}")
-        names = [member.name + ("[0]" if member.length is not None else "") for member in self.types[kind]]
+        names = []
+        for member in self.types[kind]:
+            if member.length is None:
+                names.append(member.name)
+            else:
+                names.append(f"{member.name}[0]")
         raise BadInputError(f"field {path}: {kind} has no member {name!r}; allowed: {allowed(names, name)}")
 
     def locate(self, data: bytes, path: str) -> Leaf:
@@ -165,6 +186,7 @@ class Definition:
         kind = self.kind
         try:
             for name, index in steps(path):
+                # Skip the members before this one.
                 for member in self.types.get(kind, ()):
                     if member.name == name:
                         break
@@ -184,6 +206,7 @@ class Definition:
         return MavfiError(f"a message of {len(data)} bytes is not a {self.kind}: it is too short")
 
     def _element(self, member: Member, data: bytes, offset: int, index: int, path: str) -> int:
+        """Offset of an element of a list."""
         count, offset = self._count(member, data, offset)
         if index >= count:
             raise AbsentError(f"field {path}: {member.name} has {count} elements in this message")
@@ -198,9 +221,11 @@ class Definition:
     @staticmethod
     def _count(member: Member, data: bytes, offset: int) -> tuple[int, int]:
         """Number of elements, 1 for a member that is not a list, and offset of the first."""
-        if member.length != -1:
-            return 1 if member.length is None else member.length, offset
-        return _COUNT.unpack_from(data, offset)[0], offset + 4
+        if member.length is None:
+            return 1, offset
+        if member.length == VARIABLE:
+            return _COUNT.unpack_from(data, offset)[0], offset + _COUNT.size
+        return member.length, offset
 
     def _skip(self, member: Member, data: bytes, offset: int) -> int:
         """One past the last byte of a member."""
@@ -210,7 +235,7 @@ class Definition:
             return offset + count * size
         for _ in range(count):
             if member.kind == _STRING:
-                offset += 4 + _COUNT.unpack_from(data, offset)[0]
+                offset += _COUNT.size + _COUNT.unpack_from(data, offset)[0]
             else:
                 for inner in self.types[member.kind]:
                     offset = self._skip(inner, data, offset)
@@ -219,13 +244,21 @@ class Definition:
     def _size(self, kind: str) -> int | None:
         """Size of a fixed-size type (bytes), else None."""
         if kind not in self._sizes:
-            parts = [(self._size(part.kind), 1 if part.length is None else part.length) for part in self.types[kind]]
-            is_fixed = all(size is not None and count >= 0 for size, count in parts)
-            if is_fixed:
-                self._sizes[kind] = sum((size or 0) * count for size, count in parts)
-            else:
-                self._sizes[kind] = None
+            self._sizes[kind] = self._sum_of_sizes(self.types[kind])
         return self._sizes[kind]
+
+    def _sum_of_sizes(self, members: tuple[Member, ...]) -> int | None:
+        """Size of members together (bytes); None if that of one of them is not fixed."""
+        total = 0
+        for member in members:
+            size = self._size(member.kind)
+            if size is None or member.length == VARIABLE:
+                return None
+            if member.length is None:
+                total += size
+            else:
+                total += size * member.length
+        return total
 
     # ---- whole messages ---------------------------------------------------------------------------------------------
     def numbers(self, data: bytes, longest_list: int) -> list[str]:
@@ -245,19 +278,20 @@ class Definition:
             return [], self._skip(member, data, offset)
         if member.length is None and member.kind in FORMATS:
             return [path], self._skip(member, data, offset)
+        # Its parts with their paths: the members of a type, or the elements of a list.
         if member.length is None:
-            inside = [(part, f"{path}.{part.name}".lstrip(".")) for part in self.types[member.kind]]
+            parts = [(part, f"{path}.{part.name}".lstrip(".")) for part in self.types[member.kind]]
         else:
             count, start = self._count(member, data, offset)
             if count > longest:
                 return [], self._skip(member, data, offset)
-            inside = [(Member("", member.kind), f"{path}[{index}]") for index in range(count)]
+            parts = [(Member("", member.kind), f"{path}[{index}]") for index in range(count)]
             offset = start
-        found = []
-        for part, place in inside:
-            inner, offset = self._walk(part, data, offset, place, longest)
-            found += inner
-        return found, offset
+        numbers = []
+        for part, part_path in parts:
+            inner_numbers, offset = self._walk(part, data, offset, part_path, longest)
+            numbers += inner_numbers
+        return numbers, offset
 
     def without(self, data: bytes, ignored: tuple[str, ...]) -> bytes:
         """The message with all members of these names zeroed, for comparisons.
@@ -269,6 +303,7 @@ class Definition:
         return bytes(blank)
 
     def _blank(self, member: Member, data: bytes, offset: int, ignored: tuple[str, ...], blank: bytearray) -> int:
+        """Zero the ignored parts of a member in `blank`; returns the end offset of the member."""
         if member.name in ignored:
             end = self._skip(member, data, offset)
             blank[offset:end] = bytes(end - offset)
@@ -285,19 +320,23 @@ class Definition:
 @cache
 def steps(path: str) -> tuple[tuple[str, int | None], ...]:
     """The names and indices of a path; an invalid path is a BadInputError."""
-    found = []
-    place = 0
-    while place < len(path):
-        match = _STEP.match(path, place)
+    pairs: list[tuple[str, int | None]] = []
+    position = 0
+    while position < len(path):
+        match = _STEP.match(path, position)
         if match is None:
             break
-        found.append((match[1], int(match[2][1:-1]) if match[2] else None))
-        place = match.end()
-    if not found or place < len(path) or path.endswith("."):
+        name, brackets = match.groups()
+        if brackets:
+            pairs.append((name, int(brackets[1:-1])))
+        else:
+            pairs.append((name, None))
+        position = match.end()
+    if not pairs or position < len(path) or path.endswith("."):
         raise BadInputError(
             f"field {path!r}: allowed: names with dots and indices, like pose.position.x or position[0]"
         )
-    return tuple(found)
+    return tuple(pairs)
 
 
 def flip_bit(data: bytes, leaf: Leaf, bit: int) -> bytes:

@@ -15,7 +15,7 @@ _STATE = {"gyro": slice(10, 13), "position": slice(0, 6)}
 _FORCE = {"accelerometer": slice(0, 3)}
 _IMU = _FORCE | {"gyro": slice(3, 6)}
 _FIX = {"position": slice(0, 3), "compass": slice(3, 4)}
-"""Places of a unit's values in the true state, the specific force, a sample of the IMU and a position fix."""
+"""Where the values of a device are in the true state, the specific force, a sample of the IMU and a position fix."""
 _HEADING = 3
 
 
@@ -36,37 +36,43 @@ class Failure:
         """A sample as readers receive it; sources of different noise have signals of their own."""
         if source not in self._signals:
             self._signals[source] = Signal(self.fault, spread)
-        found = self._signals[source](time_us, values)
-        if self.injection is None and found is not values:
-            self._note(time_us, values, found)
-        return found
+        sample = self._signals[source](time_us, values)
+        if self.injection is None and sample is not values:
+            self._note(time_us, values, sample)
+        return sample
 
-    def _note(self, time_us: int, values: np.ndarray, found: np.ndarray) -> None:
+    def _note(self, time_us: int, values: np.ndarray, sample: np.ndarray) -> None:
+        """Record the first change, given the true values and those that readers receive."""
         fault = self.fault
-        differs = (values != found) & ~(np.isnan(values) & np.isnan(found))
+        differs = (values != sample) & ~(np.isnan(values) & np.isnan(sample))
         if not differs.any() and fault.kind != NULL:
             return
-        place = int(differs.argmax())
-        if math.isinf(fault.lasts_s):
-            lasts = "to the end"
-        else:
-            lasts = f"for {fault.lasts_s:g} s"
+        first = int(differs.argmax())
+        details = {}
+        if fault.kind != NULL and math.isinf(fault.lasts_s):
+            details["model"] = "to the end"
+        elif fault.kind != NULL:
+            details["model"] = f"for {fault.lasts_s:g} s"
         self.injection = Injection(
             fault.level,
             fault.site,
             time_us / 1e6,
             None,
-            float(values[place]),
-            float(found[place]),
+            float(values[first]),
+            float(sample[first]),
             activated=True,
-            details={} if fault.kind == NULL else {"model": lasts},
+            details=details,
         )
 
     def record(self) -> Injection:
         """The injection, or that no reader received a changed value."""
+        if self.injection is not None:
+            return self.injection
         fault = self.fault
-        time_s = fault.time_us / 1e6 if fault.has_site else 0.0
-        return self.injection or Injection(fault.level, fault.site, time_s, None, None, None, activated=False)
+        time_s = 0.0
+        if fault.has_site:
+            time_s = fault.time_us / 1e6
+        return Injection(fault.level, fault.site, time_s, None, None, None, activated=False)
 
 
 class Failures:
@@ -86,9 +92,13 @@ class Failures:
 
     def end(self, unit: str, instance: int) -> bool:
         """Remove the failures of a unit (instance 0: of all instances); returns whether there were any."""
-        ended = [f for f in self.active if f.fault.unit == unit and instance in (0, f.fault.instance)]
-        self.active = [failure for failure in self.active if failure not in ended]
-        return bool(ended)
+        remaining = []
+        for failure in self.active:
+            if failure.fault.unit != unit or instance not in (0, failure.fault.instance):
+                remaining.append(failure)
+        had_any = len(remaining) < len(self.active)
+        self.active = remaining
+        return had_any
 
     def remove(self, failure: Failure) -> None:
         """Remove one failure."""
@@ -96,14 +106,14 @@ class Failures:
 
     def state(self, time_us: int, odometry: np.ndarray) -> np.ndarray:
         """The state that readers believe, as in `sim.simulator.Simulator.odometry`. Shape (13,)."""
-        found = self._changed("state", _STATE, time_us, odometry)
+        believed = self._changed("state", _STATE, time_us, odometry)
         for failure in self._of("compass"):
-            heading = yaw_of(found[6:10])
+            heading = yaw_of(believed[6:10])
             measured = float(failure("state", time_us, np.array([heading]))[0])
             if measured != heading:
-                found = found.copy()
-                found[6:10] = _turned(found[6:10], measured - heading)
-        return found
+                believed = believed.copy()
+                believed[6:10] = _turned(believed[6:10], measured - heading)
+        return believed
 
     def force(self, time_us: int, force: np.ndarray) -> np.ndarray:
         """Specific force, body frame (m/s^2). Shape (3,)."""
@@ -115,10 +125,10 @@ class Failures:
 
     def fix(self, time_us: int, measured: np.ndarray) -> np.ndarray:
         """A position fix, as in `flight.plant.Plant.position_fix`. Shape (4,)."""
-        found = self._changed("fix", _FIX, time_us, measured)
-        if found is not measured:
-            found[_HEADING] = math.remainder(found[_HEADING], 2.0 * math.pi)
-        return found
+        fix = self._changed("fix", _FIX, time_us, measured)
+        if fix is not measured:
+            fix[_HEADING] = math.remainder(fix[_HEADING], 2.0 * math.pi)
+        return fix
 
     def ranges(self, time_us: int, ranges: np.ndarray, source: str = "image") -> np.ndarray:
         """The ranges of a depth image (m). Shape (n,)."""
@@ -130,29 +140,32 @@ class Failures:
         """Commanded thrusts (N), of motors that can give `max_thrust`. Shape (4,)."""
         for failure in self._of("motor"):
             number = failure.fault.instance
-            own = slice(number - 1, number) if number else slice(None)
-            wanted = _with(wanted, own, failure("rotors", time_us, wanted[own], max_thrust))
+            motors = slice(None)
+            if number:
+                motors = slice(number - 1, number)
+            wanted = _with(wanted, motors, failure("rotors", time_us, wanted[motors], max_thrust))
         return wanted
 
     def _of(self, unit: str) -> list[Failure]:
+        """The failures of a device."""
         return [failure for failure in self.active if failure.fault.unit == unit]
 
-    def _changed(self, source: str, places: dict[str, slice], time_us: int, values: np.ndarray) -> np.ndarray:
-        """Values with the changes of all failures that have a place in them."""
+    def _changed(self, source: str, columns: dict[str, slice], time_us: int, values: np.ndarray) -> np.ndarray:
+        """Values with the changes of all failures of devices that have columns in them."""
         for failure in self.active:
-            place = places.get(failure.fault.unit)
-            if place is not None:
-                values = _with(values, place, failure(source, time_us, values[place]))
+            part = columns.get(failure.fault.unit)
+            if part is not None:
+                values = _with(values, part, failure(source, time_us, values[part]))
         return values
 
 
-def _with(values: np.ndarray, place: slice, part: np.ndarray) -> np.ndarray:
+def _with(values: np.ndarray, part: slice, replacement: np.ndarray) -> np.ndarray:
     """Values with a part replaced; unchanged values are returned as they are."""
-    if part.tobytes() == values[place].tobytes():
+    if replacement.tobytes() == values[part].tobytes():
         return values
-    found = values.copy()
-    found[place] = part
-    return found
+    changed = values.copy()
+    changed[part] = replacement
+    return changed
 
 
 def _turned(quaternion: np.ndarray, angle: float) -> np.ndarray:
@@ -179,12 +192,14 @@ class Signal:
 
     def __init__(self, fault: SensorFault, spread: float | None = None) -> None:
         self._fault = fault
-        self._unit = UNITS[fault.unit]
-        self._spread = self._unit.spread if spread is None else spread
-        self._held: np.ndarray | None = None
-        self._due_us = fault.time_us
-        self._block = -1
-        self._lost = False
+        self._device = UNITS[fault.unit]
+        self._spread = self._device.spread
+        if spread is not None:
+            self._spread = spread
+        self._held: np.ndarray | None = None  # the value that readers keep
+        self._due_us = fault.time_us  # of `slow`: next update
+        self._block = -1  # of `intermittent`: number of the block of time
+        self._lost = False  # and whether it is lost
         self._past: deque[tuple[int, np.ndarray]] = deque()
 
     def __call__(self, time_us: int, values: np.ndarray) -> np.ndarray:
@@ -201,8 +216,8 @@ class Signal:
             return values
         if self._held is None:
             self._held = values.copy()
-        found: np.ndarray = getattr(self, fault.kind)(time_us, values)
-        return found
+        sample: np.ndarray = getattr(self, fault.kind)(time_us, values)  # the method of this name
+        return sample
 
     def ok(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """No failure."""
@@ -211,9 +226,9 @@ class Signal:
 
     def off(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """No value."""
-        if self._unit.lost is None:
+        if self._device.lost is None:
             return self.stuck(time_us, values)
-        return np.full_like(values, self._unit.lost)
+        return np.full_like(values, self._device.lost)
 
     def stuck(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """The held value: that at the start of the failure."""
@@ -223,7 +238,9 @@ class Signal:
 
     def garbage(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """Noise, drawn from the seed and the instant."""
-        low = 0.0 if self._unit.relative else -self._spread
+        low = -self._spread
+        if self._device.relative:
+            low = 0.0  # amounts are never negative
         random = stream(self._fault.seed, "garbage", self._fault.device, time_us)
         return random.uniform(low, self._spread, len(values)).astype(values.dtype)
 
@@ -237,14 +254,14 @@ class Signal:
         return self._with_error(values, (time_us - self._fault.time_us) / DRIFT_US)
 
     def _with_error(self, values: np.ndarray, share: float) -> np.ndarray:
-        error = share * self._unit.error
-        if self._unit.relative:
-            found = values * values.dtype.type(max(0.0, 1.0 + error))
-        elif self._fault.unit == "position":
-            found = values + np.eye(1, len(values))[0] * error
-        else:
-            found = values + error
-        return np.asarray(found)
+        """Values with a share of the device's error."""
+        error = share * self._device.error
+        if self._device.relative:
+            return np.asarray(values * values.dtype.type(max(0.0, 1.0 + error)))
+        if self._fault.unit == "position":
+            along_x = np.eye(1, len(values))[0]
+            return np.asarray(values + along_x * error)
+        return np.asarray(values + error)
 
     def slow(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """Updates at a low rate."""
@@ -269,7 +286,8 @@ class Signal:
         block = (time_us - self._fault.time_us) // BLOCK_US
         if block != self._block:
             random = stream(self._fault.seed, "intermittent", self._fault.device, self._fault.time_us, block)
-            self._block, self._lost = block, bool(random.random() < 0.5)
+            self._block = block
+            self._lost = bool(random.random() < 0.5)
         if self._lost:
             return self.off(time_us, values)
         self._held = values.copy()

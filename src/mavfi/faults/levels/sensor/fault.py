@@ -13,7 +13,7 @@ from mavfi.faults.fault import Fault
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
+class Device:
     """A device that can fail.
 
     Attributes:
@@ -34,12 +34,12 @@ class Unit:
 
 
 UNITS = {
-    "gyro": Unit(0.5, 3.0, readers="body rates (rad/s)"),
-    "accelerometer": Unit(2.0, 20.0, readers="specific force (m/s²)"),
-    "compass": Unit(0.5 * pi, pi, readers="heading (rad)"),
-    "position": Unit(10.0, 50.0, readers="position (m) and velocity (m/s)"),
-    "depth_camera": Unit(0.5, 20.0, relative=True, lost=float("nan"), readers="ranges of the image (m)"),
-    "motor": Unit(-0.4, 1.0, relative=True, lost=0.0, instances=4, readers="commanded thrust (share of the largest)"),
+    "gyro": Device(0.5, 3.0, readers="body rates (rad/s)"),
+    "accelerometer": Device(2.0, 20.0, readers="specific force (m/s²)"),
+    "compass": Device(0.5 * pi, pi, readers="heading (rad)"),
+    "position": Device(10.0, 50.0, readers="position (m) and velocity (m/s)"),
+    "depth_camera": Device(0.5, 20.0, relative=True, lost=float("nan"), readers="ranges of the image (m)"),
+    "motor": Device(-0.4, 1.0, relative=True, lost=0.0, instances=4, readers="commanded thrust (share of the largest)"),
 }
 """Devices by name. The error of a position is along x."""
 TYPES = {
@@ -94,13 +94,14 @@ class SensorFault(Fault):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for value, known in ((self.unit, UNITS), (self.kind, TYPES)):
-            if value not in known:
-                raise BadInputError(f"sensor fault: {value!r}: not known; allowed: {', '.join(known)}")
-        most = UNITS[self.unit].instances
-        if not 0 <= self.instance <= (most if most > 1 else 0):
-            allowed = f"1 to {most}, 0 = all" if most > 1 else "none"
-            raise BadInputError(f"fault in {self.unit}: instance {self.instance}: allowed: {allowed}")
+        for value, names in ((self.unit, UNITS), (self.kind, TYPES)):
+            if value not in names:
+                raise BadInputError(f"sensor fault: {value!r}: not known; allowed: {', '.join(names)}")
+        instances = UNITS[self.unit].instances
+        if instances == 1 and self.instance != 0:
+            raise BadInputError(f"fault in {self.unit}: instance {self.instance}: allowed: none")
+        if not 0 <= self.instance <= instances:
+            raise BadInputError(f"fault in {self.unit}: instance {self.instance}: allowed: 1 to {instances}, 0 = all")
         if not self.lasts_s > 0.0:
             raise BadInputError(f"fault in {self.site}: lasts_s: {self.lasts_s}: allowed: above 0")
 
@@ -126,7 +127,10 @@ class SensorFault(Fault):
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; an endless duration as text, since JSON has no infinity."""
-        return Fault.to_json(self) | ({"lasts_s": "inf"} if self.lasts_s == inf else {})
+        data = Fault.to_json(self)
+        if self.lasts_s == inf:
+            data["lasts_s"] = "inf"
+        return data
 
 
 def check_read(unit: str, flight_controller: str, localization: str) -> None:

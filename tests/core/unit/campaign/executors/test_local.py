@@ -10,8 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from mavfi.campaign.alone import ATTEMPTS_ALONE, LONGEST_ALONE
-from mavfi.campaign.executors import local
 from mavfi.campaign.executors import process as process_module
 from mavfi.campaign.executors.executor import Done, Lost, map_each
 from mavfi.campaign.executors.local import MOST_WORKERS, LocalExecutor
@@ -26,11 +24,6 @@ def count_to(number):
 def process(number):
     yield os.getpid()
     yield os.getpid()
-
-
-def explode(number):
-    yield number
-    raise ZeroDivisionError(number)
 
 
 class PrivateError(Exception):
@@ -157,19 +150,11 @@ def is_alive(pid):
         return False
 
 
-def test_nothing_to_do():
-    assert flat(LocalExecutor(1).map(count_to, [])) == []
-
-
-def test_no_workers_are_bad_input():
-    with pytest.raises(BadInputError, match=r"workers: 0; allowed: 1 to \d+ \(4 per processor\)"):
-        LocalExecutor(0)
-
-
 def test_absurd_numbers_of_workers_are_refused_before_any_is_forked():
     LocalExecutor(MOST_WORKERS)
-    with pytest.raises(BadInputError, match="workers: 100000; allowed: 1 to"):
-        LocalExecutor(100_000)
+    for number in (0, 100_000):
+        with pytest.raises(BadInputError, match=rf"workers: {number}; allowed: 1 to \d+ \(4 per processor\)"):
+            LocalExecutor(number)
 
 
 def test_there_are_never_more_workers_than_missions(monkeypatch):
@@ -179,13 +164,6 @@ def test_there_are_never_more_workers_than_missions(monkeypatch):
     assert len(made) == 1
 
 
-def test_an_exception_comes_through_after_what_was_given_before():
-    results = LocalExecutor(1).map(explode, [1])
-    assert next(results) == (1, [1])
-    with pytest.raises(ZeroDivisionError):
-        next(results)
-
-
 def test_an_exception_that_cannot_be_sent_comes_through_as_text():
     with pytest.raises((MavfiError, PrivateError), match="1 and 2"):  # itself where Dask, once imported, can send it
         flat(LocalExecutor(1).map(explode_privately, [1]))
@@ -193,9 +171,7 @@ def test_an_exception_that_cannot_be_sent_comes_through_as_text():
         flat(LocalExecutor(1).map(yield_what_no_pipe_takes, [1]))
 
 
-@pytest.mark.parametrize(
-    ("how", "reason"), [(signal.SIGKILL, "SIGKILL"), (signal.SIGTERM, "SIGTERM"), (7, "exit code 7")]
-)
+@pytest.mark.parametrize(("how", "reason"), [(signal.SIGKILL, "SIGKILL"), (7, "exit code 7")])
 def test_a_worker_that_dies_loses_its_mission_only(how, reason):
     missions = [(number, how if number == 2 else None) for number in range(1, 7)]
     results = flat(LocalExecutor(2).map(die, missions))
@@ -225,10 +201,6 @@ def test_a_worker_that_gives_nothing_is_lost_but_not_dead():
     results = flat(LocalExecutor(1, time_limit=0.2).map(hang, [60.0, 0.0]))
     assert items_of(results, 60.0) == ["begun", Lost("its worker gave nothing for 0.2 s", died=False)]
     assert items_of(results, 0.0) == ["begun", "over", Done()]
-
-
-def test_attempts_in_a_child_end_before_their_worker_counts_as_lost():
-    assert ATTEMPTS_ALONE * LONGEST_ALONE < local.TIME_LIMIT
 
 
 @pytest.mark.parametrize("leave", ["close", "raise"])
@@ -308,7 +280,7 @@ class NoMemory:
         self.pipe.send_bytes(data)
 
 
-@pytest.mark.parametrize("items", [0, 1, 2, 3])
+@pytest.mark.parametrize("items", [0, 3])
 def test_a_worker_that_cannot_send_is_a_failure_of_the_machine(monkeypatch, capfd, items):
     fly_all = process_module._fly_all
     monkeypatch.setattr(process_module, "_fly_all", lambda pipe, function: fly_all(NoMemory(pipe, items), function))
@@ -317,15 +289,6 @@ def test_a_worker_that_cannot_send_is_a_failure_of_the_machine(monkeypatch, capf
     with pytest.raises(MachineError, match="a worker could not send what it had"):
         next(results)
     assert capfd.readouterr().err == ""
-
-
-def test_a_mission_that_cannot_be_given_is_a_failure_of_the_machine(monkeypatch):
-    def send(pipe, item):
-        raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
-
-    monkeypatch.setattr(process_module.Connection, "send", send)
-    with pytest.raises(OSError, match="Cannot allocate memory"):
-        next(LocalExecutor(1, time_limit=1.0).map(count_to, [3]))
 
 
 def short_of_memory(number):

@@ -8,11 +8,11 @@ import sys
 import numba
 import pytest
 
-from mavfi.faults.levels.instruction import RefusedError
+from mavfi.faults.levels.instruction import NotInstrumentableError
 from mavfi.faults.levels.instruction.build import build
 from mavfi.faults.levels.instruction.instrument import instrument
 from mavfi.ir import build as building
-from mavfi.ir.forked import Ended
+from mavfi.ir.forked import ChildEnd
 from mavfi.ir.module import BuildError, digest_of_text
 from mavfi.numerics.jit import kernel_jit, uncached_copy
 from tests.core.unit.faults.instruction.test_refusals import calling
@@ -84,7 +84,7 @@ def test_the_digest_does_not_depend_on_hashes_of_texts():
 def test_a_kernel_is_prepared_for_any_cpu_where_nothing_was_compiled_before(monkeypatch, tmp_path):
     """What LLVM inlines depends on what a process did before (compiled a callee, or loaded it), vectors on the CPU."""
 
-    in_fork = Ended("exception", detail="prepared in a fork of this process")
+    in_fork = ChildEnd("exception", detail="prepared in a fork of this process")
     monkeypatch.setattr(building, "run_in_child", lambda *_: in_fork)
     case = CASES["time_to_collision"]
     signature = tuple(numba.typeof(argument) for argument in case.arguments())
@@ -114,7 +114,7 @@ def doubled(x):
 
 @pytest.mark.slow
 def test_a_kernel_is_refused_from_a_fresh_process_as_from_a_fork():
-    with pytest.raises(RefusedError, match=r"calling: cannot be instrumented: fast math \('fast'"):
+    with pytest.raises(NotInstrumentableError, match=r"calling: cannot be instrumented: fast math \('fast'"):
         build(calling, (numba.float64,))
 
 

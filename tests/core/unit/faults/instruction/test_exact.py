@@ -11,7 +11,7 @@ import pytest
 
 from mavfi.faults.levels.instruction.build import assemble
 from mavfi.faults.levels.instruction.instrument import instrument
-from mavfi.faults.levels.instruction.runtime import Control
+from mavfi.faults.levels.instruction.runtime import ControlWord
 from mavfi.faults.levels.instruction.variant import Variant
 from mavfi.ir.build import source_of
 from mavfi.ir.forked import run_in_child
@@ -233,7 +233,7 @@ def sticky(text):
 
 def twice(text):
     first = "  %still = icmp eq i64 %done, 1\n"
-    return injected_again(text, f"{first}  store volatile i64 2, {word(Control.INJECTED)}")
+    return injected_again(text, f"{first}  store volatile i64 2, {word(ControlWord.INJECTED)}")
 
 
 MUTANTS = {"bit + 1": next_bit, "index + 1": next_index, "never": never, "sticky": sticky, "twice": twice}

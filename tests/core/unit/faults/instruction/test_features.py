@@ -5,7 +5,7 @@ import pytest
 from numba import int64
 from numba.typed import Dict, List
 
-from mavfi.faults.levels.instruction import RefusedError, count, draw, run_forked
+from mavfi.faults.levels.instruction import NotInstrumentableError, count, draw, run_forked
 from mavfi.faults.levels.instruction.api import digest
 from mavfi.faults.levels.instruction.variant import variant_for
 from mavfi.numerics.jit import kernel_jit
@@ -144,5 +144,5 @@ def printing(n):
 
 
 def test_what_needs_python_is_refused():
-    with pytest.raises(RefusedError, match="printing: cannot be instrumented: "):
+    with pytest.raises(NotInstrumentableError, match="printing: cannot be instrumented: "):
         count(printing, 3)

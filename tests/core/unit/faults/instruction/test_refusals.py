@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.levels.instruction import MismatchError, RefusedError, count, draw, inject, run_forked
+from mavfi.faults.levels.instruction import MismatchError, NotInstrumentableError, count, draw, inject, run_forked
 from mavfi.faults.levels.instruction.instrument import instrument
 from mavfi.ir.parser import parse_module
 from mavfi.numerics.jit import kernel_jit
@@ -20,12 +20,12 @@ def scaled(x):
 
 @pytest.mark.parametrize("flags", [{"fastmath": True}, {"fastmath": {"nnan"}}, {"parallel": True}])
 def test_flags_under_which_faults_cannot_be_replayed_are_refused(flags):
-    with pytest.raises(RefusedError, match=f"scaled: cannot be instrumented: {next(iter(flags))}"):
+    with pytest.raises(NotInstrumentableError, match=f"scaled: cannot be instrumented: {next(iter(flags))}"):
         count(numba.njit(**flags)(scaled), 1.0)
 
 
 def test_object_mode_is_refused():
-    with pytest.raises(RefusedError, match="forceobj"):
+    with pytest.raises(NotInstrumentableError, match="forceobj"):
         count(numba.jit(forceobj=True)(scaled), 1.0)
 
 
@@ -38,7 +38,7 @@ def leaving(x):
 
 @pytest.mark.filterwarnings("ignore:Code running in object mode")
 def test_leaving_compiled_code_is_refused():
-    with pytest.raises(RefusedError, match="leaving: cannot be instrumented: object mode"):
+    with pytest.raises(NotInstrumentableError, match="leaving: cannot be instrumented: object mode"):
         count(leaving, 1.0)
 
 
@@ -52,7 +52,7 @@ def calling(x):
 
 @pytest.mark.slow
 def test_fast_math_in_a_callee_is_refused():
-    with pytest.raises(RefusedError, match=r"calling: cannot be instrumented: fast math \('fast'"):
+    with pytest.raises(NotInstrumentableError, match=r"calling: cannot be instrumented: fast math \('fast'"):
         count(calling, 1.0)
 
 
@@ -63,12 +63,12 @@ def applied(function, x):
 
 def test_a_call_through_a_pointer_is_refused():
     plus = numba.cfunc("float64(float64)")(scaled)
-    with pytest.raises(RefusedError, match="indirect call"):
+    with pytest.raises(NotInstrumentableError, match="indirect call"):
         count(applied, plus, 1.0)
 
 
 def test_a_python_function_is_refused():
-    with pytest.raises(RefusedError, match="not a function compiled by kernel_jit"):
+    with pytest.raises(NotInstrumentableError, match="not a function compiled by kernel_jit"):
         count(scaled, 1.0)
 
 
@@ -106,7 +106,7 @@ UNKNOWN = {
 
 @pytest.mark.parametrize("line", UNKNOWN)
 def test_unknown_constructs_are_refused_by_name(line):
-    with pytest.raises(RefusedError, match="my kernel: cannot be instrumented: ") as caught:
+    with pytest.raises(NotInstrumentableError, match="my kernel: cannot be instrumented: ") as caught:
         instrument(MODULE.format(line=line), "my kernel")
     assert UNKNOWN[line] in caught.value.construct
 
@@ -120,12 +120,12 @@ def test_unknown_constructs_are_refused_by_name(line):
     ],
 )
 def test_unknown_lines_around_functions_are_refused(text):
-    with pytest.raises(RefusedError):
+    with pytest.raises(NotInstrumentableError):
         parse_module(text, "my kernel")
 
 
 def test_ir_that_is_not_there_is_refused():
-    with pytest.raises(RefusedError, match="loaded from a cache"):
+    with pytest.raises(NotInstrumentableError, match="loaded from a cache"):
         instrument("; nothing", "my kernel")
 
 

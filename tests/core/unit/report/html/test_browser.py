@@ -14,7 +14,7 @@ from mavfi.extras.paper.views import by_bits
 from mavfi.report.campaign_report import report_of
 from mavfi.report.figures import figure
 from mavfi.report.html.flight_page import Course, FlightPage, write_flight_page
-from mavfi.report.html.report_page import Drawn, Part, Section, write_report_page
+from mavfi.report.html.report_page import Drawn, PageSection, ReportedCampaign, write_report_page
 from tests.core.unit.report.html.made import scene, straight
 
 pytestmark = pytest.mark.slow  # starts a browser, and draws in software
@@ -158,7 +158,9 @@ def test_a_point_of_a_figure_opens_its_runs(browser, report_html):
 def test_a_box_and_a_curve_open_exactly_their_runs(browser, flown, runs, tmp_path):
     figures = [Drawn(name, figure(runs, name), name) for name in ("bit_fields", "flight_time")]
     page = tmp_path / "figures.html"
-    write_report_page(page, [Part(flown, report_of(runs))], [Section("first"), Section("second", (), figures)], [])
+    write_report_page(
+        page, [ReportedCampaign(flown, report_of(runs))], [PageSection("first"), PageSection("second", (), figures)], []
+    )
     browser.open(page)
     shown = by_bits(runs).where("success", bits="mantissa")
     box = f"figure a[aria-label='{len(shown)} runs: environment sparse, bits mantissa']"
@@ -194,7 +196,9 @@ return [box.x + box.width / 2, box.y + box.height / 2];
 def test_each_dot_of_a_box_opens_its_run(browser, flown, runs, tmp_path):
     page = tmp_path / "figures.html"
     figures = [Drawn("bit_fields", figure(runs, "bit_fields"), "bit_fields")]
-    write_report_page(page, [Part(flown, report_of(runs))], [Section("first"), Section("second", (), figures)], [])
+    write_report_page(
+        page, [ReportedCampaign(flown, report_of(runs))], [PageSection("first"), PageSection("second", (), figures)], []
+    )
     browser.open(page)
     shown = by_bits(runs).where("success", bits="mantissa")
     group = list(by_bits(runs).groups("bits")).index(("mantissa",))

@@ -15,9 +15,9 @@ from mavfi.report.campaign_report import report_of
 from mavfi.report.html import page, report_page
 from mavfi.report.html.flight_page import fly_command
 from mavfi.report.html.report_page import (
-    Part,
+    PageSection,
+    ReportedCampaign,
     RunSets,
-    Section,
     drawn,
     run_list,
     sections_of,
@@ -37,7 +37,7 @@ def report(runs):
 def written(tmp_path, report, flown, sections=None, flights=(), **more):
     path = tmp_path / "report.html"
     chosen = sections_of(report) if sections is None else sections
-    count = write_report_page(path, [Part(flown, report)], chosen, COMMANDS, flights, **more)
+    count = write_report_page(path, [ReportedCampaign(flown, report)], chosen, COMMANDS, flights, **more)
     return count, path.read_text(encoding="utf-8")
 
 
@@ -69,7 +69,9 @@ def test_settings_are_shown_in_words_and_stored_by_name(runs, view):
 def test_one_row_is_not_rows(tmp_path, report, flown):
     table = Table.of_text("A table", ("a",), [("b",)], ())
     page = tmp_path / "one.html"
-    write_report_page(page, [Part(flown, report)], [Section("first"), Section("A table", (table,))], [])
+    write_report_page(
+        page, [ReportedCampaign(flown, report)], [PageSection("first"), PageSection("A table", (table,))], []
+    )
     assert "1 row<" in page.read_text(encoding="utf-8")
 
 
@@ -95,8 +97,8 @@ def test_the_same_runs_are_stored_once():
 def test_any_section_is_shown_in_the_order_in_which_it_is_given(tmp_path, report, flown):
     tables = {table.name: table for table in report.tables}
     sections = [
-        Section("Last things first", [tables["endings"]], text="Shown first."),
-        Section("Then", [tables["success"]]),
+        PageSection("Last things first", [tables["endings"]], text="Shown first."),
+        PageSection("Then", [tables["success"]]),
     ]
     _, text = written(tmp_path, report, flown, sections)
     assert text.index(tables["endings"].title) < text.index('<h2 id="section-1-title">Then')
@@ -104,7 +106,7 @@ def test_any_section_is_shown_in_the_order_in_which_it_is_given(tmp_path, report
 
 def test_text_from_data_is_never_markup(tmp_path, report, flown):
     table = Table.of_text("<b>bold</b>", ["<i>"], [("</script><script>alert(1)",)], ["a & b"])
-    _, text = written(tmp_path, report, flown, [Section("<u>", [table])])
+    _, text = written(tmp_path, report, flown, [PageSection("<u>", [table])])
     assert "<b>bold" not in text and "alert(1)" in text and "<script>alert" not in text
     data = re.search(r'id="csv-data">(.*?)</script>', text, re.DOTALL)[1]
     assert "</script><script>alert(1)" in json.loads(data)["0-<b>bold</b>"]
@@ -112,7 +114,9 @@ def test_text_from_data_is_never_markup(tmp_path, report, flown):
 
 def test_what_stands_between_backticks_is_shown_as_code_and_stays_escaped(tmp_path, report, flown):
     table = Table.of_text("commands", ["command"], [("one",)], ["as `mavfi runs <DIR>` lists"])
-    _, text = written(tmp_path, report, flown, [Section("First", []), Section("Then", [table], text="Fly `a` & b.")])
+    _, text = written(
+        tmp_path, report, flown, [PageSection("First", []), PageSection("Then", [table], text="Fly `a` & b.")]
+    )
     assert "<p>Fly <code>a</code> &amp; b.</p>" in text
     assert "<li>as <code>mavfi runs &lt;DIR&gt;</code> lists</li>" in text
 
@@ -121,7 +125,7 @@ def test_only_columns_of_sentences_wrap(tmp_path, report, flown):
     sentence = "a sentence that would make the table wider than the page"
     rows = [("one", "confirmed", sentence), ("two", "no", "")]
     table = Table.of_text("claims", ["claim", "verdict", "here"], rows, [])
-    _, text = written(tmp_path, report, flown, [Section("First", [table])])
+    _, text = written(tmp_path, report, flown, [PageSection("First", [table])])
     assert f'<td class="text prose">{sentence}</td>' in text and '<td class="text prose"></td>' in text
     assert '<td class="text">confirmed</td>' in text and '<th scope="row">one</th>' in text
 
@@ -144,8 +148,11 @@ def test_flights_are_taken_while_they_fit(tmp_path, report, flown, flight):
 
 
 def test_a_run_of_two_campaigns_is_one_flight_of_the_page(flown, report):
-    once = report_page._cases([Part(flown, report)], 3)
-    assert len(once) == 3 and report_page._cases([Part(flown, report), Part(flown, report)], 3) == once
+    once = report_page._cases([ReportedCampaign(flown, report)], 3)
+    assert (
+        len(once) == 3
+        and report_page._cases([ReportedCampaign(flown, report), ReportedCampaign(flown, report)], 3) == once
+    )
 
 
 def test_the_libraries_are_there_with_their_licences(flight_html):

@@ -1,6 +1,6 @@
-"""Runs the long-running tests of ledgers, workers and readers, and writes docs/results/reliability.md.
+"""Tests that take minutes to hours: at full size here, small among the others.  Writes docs/results/reliability.md.
 
-make results NAME=reliability        (SHARE=0.1 = a tenth of the tries; ONLY="chaos damage")
+make nightly        (SHARE=0.1 = a tenth of the tries; ONLY="chaos damage")
 """
 
 import csv
@@ -36,12 +36,16 @@ class Long:
     tries: int
     unit: str
     asks: str
-    only: str = ""
+    part: str = ""
+    """Part of the module that is run; empty = all of it."""
+    marker: str = ""
+    """Tests of pytest with this marker; empty = a module of this package, named like the test."""
 
-    @property
-    def module(self) -> str:
-        """Module of the test; `only` names a part of it."""
-        return f"tests.nightly.{self.name.partition('-')[0]}"
+    def command(self) -> list[str]:
+        """Arguments of Python that run the test."""
+        if self.marker:
+            return ["-m", "pytest", "-rfEs", "-n", str(os.cpu_count()), "--dist=worksteal", "-m", self.marker]
+        return ["-m", f"tests.nightly.{self.name.partition('-')[0]}"]
 
 
 TESTS = (
@@ -59,6 +63,9 @@ TESTS = (
     ),
     Long("fuzz", 100_000, "inputs", "Does a file of a stranger do anything but be read, or be refused in one line?"),
     Long("storm", 100_000, "flipped bits", "Do kernels end, within their bounds, whatever is flipped in their memory?"),
+    Long("nojit", 1, "run", "Do kernels pass their tests as plain Python, without the compiler?"),
+    Long("machines", 1, "run", "Have flights and campaigns the same bits on every x86-64 machine?", marker="machines"),
+    Long("settings", 1, "run", "Do tests pass in the settings that the short ones leave out?", marker="long"),
 )
 
 
@@ -67,8 +74,8 @@ def run(test: Long, share: float) -> tuple[str, int, float]:
     tries = max(1, round(test.tries * share))
     started = time.monotonic()
     environment = {key: value for key, value in os.environ.items() if key != "ONLY"}
-    environment |= {"N": str(tries)} | ({"ONLY": test.only} if test.only else {})
-    command = [sys.executable, "-m", test.module]
+    environment |= {"N": str(tries)} | ({"ONLY": test.part} if test.part else {})
+    command = [sys.executable, *test.command()]
     output = ""
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
         for line in process.stdout or ():
@@ -113,12 +120,12 @@ def write_page(rows: Mapping[str, Row]) -> Path:
 
 
 def main() -> int:
-    """Run the tests sequentially, and write the page."""
+    """Run the tests one after another, and write the page."""
     share = float(os.environ.get("SHARE") or "1")
     wanted = os.environ.get("ONLY", "").split()
     rows = {}
     for test in TESTS:
-        if test.only == "ros" and finder.missing():
+        if test.part == "ros" and finder.missing():
             sys.stdout.write(f"{test.name}: ROS is not installed\n")
         elif not wanted or test.name in wanted:
             sys.stdout.write(f"{test.name} ...\n")

@@ -1,12 +1,13 @@
 """Draw docs/kernels/trees.png, rrt_star.png and shortcut.png: searches on the map of a golden flight.
 
-Run as `make pictures`.
+Run as `make results NAME=pictures`.
 """
 
 from functools import cache
 
 import matplotlib.pyplot as plt
 import numpy as np
+from examples.pictures import drawing
 from matplotlib.axes import Axes
 
 from mavfi.flight.compose import resolve
@@ -17,7 +18,6 @@ from mavfi.numerics.random import seed_generator
 from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.report import style
 from mavfi.sim.environments import World
-from tools import drawing
 
 ITERATIONS = 800
 RANGE, GOAL_BIAS = 4.0, 0.05

@@ -1,12 +1,13 @@
 """Draw docs/images/octomap.png: the map of a golden flight as voxels, and as the leaves of an equivalent octree.
 
-Run as `make pictures`.
+Run as `make results NAME=pictures`.
 """
 
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from examples.pictures import drawing
 from matplotlib.collections import PatchCollection
 from matplotlib.patches import Rectangle
 
@@ -15,8 +16,6 @@ from mavfi.flight.fly import fly
 from mavfi.kernels.perception.octree import DEPTH
 from mavfi.mission import MissionSpec
 from mavfi.report import style
-from tools import drawing
-from tools.markers import IMAGES
 
 HEIGHT = 3.0
 WINDOW = ((7.0, 52.0), (-28.0, 17.0))
@@ -70,7 +69,7 @@ def draw() -> None:
     track = flight.log.columns("x", "y")
     left.plot(track[:, 0], track[:, 1], color="black", linewidth=1.2)
     figure.colorbar(picture, ax=(left, right), label="log-odds", shrink=0.85)
-    drawing.save(figure, "octomap.png", IMAGES)
+    drawing.save(figure, "octomap.png", drawing.IMAGES)
 
 
 if __name__ == "__main__":

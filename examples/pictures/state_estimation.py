@@ -1,6 +1,6 @@
 """Draw docs/images/state_estimation.png: errors of the state estimator in a golden flight, and its 3-sigma bounds.
 
-Run as `python -m tools.draw_state_estimation`.
+Run as `python -m examples.pictures.state_estimation`.
 """
 
 from pathlib import Path
@@ -8,13 +8,13 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from examples.pictures import drawing
 
 from mavfi.flight.compose import pipeline_config, resolve
 from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.estimation import StateEstimator
 from mavfi.states import State, floats
-from tools.markers import IMAGES
 
 PARTS = (
     ("position error (m)", ("x", "y", "z"), 0, 0.22),
@@ -63,4 +63,4 @@ def draw(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    draw(IMAGES / "state_estimation.png")
+    draw(drawing.IMAGES / "state_estimation.png")

@@ -1,16 +1,16 @@
 """Draw docs/images/trajectory.png: a minimum-snap curve before and after splitting, its speed and acceleration.
 
-Run as `python -m tools.draw_trajectory`.
+Run as `python -m examples.pictures.trajectory`.
 """
 
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from examples.pictures import drawing
 
 from mavfi.kernels.planning import knots, minimum_snap, time_allocation, trajectory
 from mavfi.numerics.voxels import Grid, offsets_within
-from tools.markers import IMAGES
 
 CURVE_LIMITS = knots.CurveLimits(3.0, 4.5, 2.0, 3.5, 2.5, 4.0, 2.5, 1.5)
 LIMITS = trajectory.Limits(3.0, 3.0, 3.5, 2.5, 4.0, 2.5, 3.0)
@@ -87,4 +87,4 @@ def draw(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    draw(IMAGES / "trajectory.png")
+    draw(drawing.IMAGES / "trajectory.png")

@@ -1,12 +1,13 @@
 """Draw docs/kernels/pid.png, vehicle.png and waypoint.png: responses of tracker, vehicle and setpoint generator.
 
-Run as `make pictures`.
+Run as `make results NAME=pictures`.
 """
 
 from collections.abc import Callable
 
 import matplotlib.pyplot as plt
 import numpy as np
+from examples.pictures import drawing
 
 from mavfi.flight.compose import resolve
 from mavfi.kernels.control import pid
@@ -16,7 +17,6 @@ from mavfi.report import style
 from mavfi.sim.environments.generated import arena_world
 from mavfi.sim.simulator import Simulator
 from mavfi.states import floats
-from tools import drawing
 
 DT_US = 20_000
 START = np.array([10.0, 0.0, 5.0])

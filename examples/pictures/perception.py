@@ -1,10 +1,11 @@
 """Draw docs/kernels/point_cloud.png and collision_check.png: a depth image with its points, and the map at an alarm.
 
-Run as `make pictures`.
+Run as `make results NAME=pictures`.
 """
 
 import matplotlib.pyplot as plt
 import numpy as np
+from examples.pictures import drawing
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.typing import MarkerType
@@ -15,7 +16,6 @@ from mavfi.kernels.perception.clearance import OCCUPIED
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.report import style
 from mavfi.states import State, floats
-from tools import drawing
 
 SEED = 7
 ALARM = 6

@@ -25,9 +25,10 @@ from mavfi.report import style
 from mavfi.sim.camera import pixel_directions
 from mavfi.sim.environments import World
 from mavfi.states import State, new_state
-from tools.markers import DOCS
 
+DOCS = Path(__file__).parents[2] / "docs"
 FOLDER = DOCS / "kernels"
+IMAGES = DOCS / "images"
 _DOTS_PER_INCH = 110
 LARGEST_FILE = 120_000
 """Maximum size of a picture (bytes)."""
