@@ -45,10 +45,13 @@ def serving(api, *, single=False):
         assert not thread.is_alive()
 
 
-def flown(environment, **options):
-    """A mission in this process, and the same on a server."""
-    scenario = resolve(MissionSpec(environment=environment, seed=7))
-    with served(environment, **options) as port:
+COURSE = {"start": (2.0, 0.0, 3.0), "goal": (9.0, 0.0, 3.0)}
+
+
+def flown(environment):
+    """A short mission in this process, and the same on a server."""
+    scenario = resolve(MissionSpec(environment=environment, seed=7, **COURSE))
+    with served(environment, **COURSE) as port:
         there = fly(scenario, make_plant=lambda world, own: Remote(world, own, "127.0.0.1", port))
     return fly(scenario).log, there.log
 
