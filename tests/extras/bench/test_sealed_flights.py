@@ -88,4 +88,4 @@ def test_two_of_three_decide(runs, outcome):
     log = loop.fly().log
     (alarm,) = log.alarms
     assert (alarm.source, alarm.state, alarm.outcome) == ("duplicate", "control.command", outcome)
-    assert log.digest() == golden().log.digest() and wrong.count > 1000
+    assert log.digest() == golden().log.digest() and wrong.count > 100
