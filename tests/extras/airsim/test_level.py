@@ -4,7 +4,7 @@ from collections import Counter
 
 from mavfi.campaign.config import Campaign
 from mavfi.config import parse
-from mavfi.extras.airsim.boundary import Passed
+from mavfi.extras.airsim.boundary import PassedCall
 from mavfi.extras.airsim.level import MessageLevel
 from mavfi.faults.fault import MessageFault
 from mavfi.flight.host import RunResult

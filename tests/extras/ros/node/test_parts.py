@@ -8,7 +8,7 @@ import pytest
 from mavfi.cli import run
 from mavfi.errors import MavfiError
 from mavfi.extras.ros.node.message import Composer
-from mavfi.extras.ros.node.peer import Peer, Source, decode_header, encode_header
+from mavfi.extras.ros.node.peer import Peer, TopicSource, decode_header, encode_header
 
 COMPOSER = Composer("sensor_msgs/JointState")
 MESSAGE = COMPOSER.pack({"name": ["a"], "position": [0.5]})
