@@ -205,10 +205,10 @@ def repair(directory: options.Ledger) -> None:
 
     found = repair_ledger(directory)
     if found.was_intact:
-        console().print(f"{found.kept} runs, none damaged: nothing to repair, the ledger is as it was", soft_wrap=True)
+        console().print(f"{found.intact} runs, none damaged: nothing to repair, the ledger is as it was", soft_wrap=True)
         return
     console().print(
-        f"{found.kept} runs kept, {found.lost} damaged. Resume the campaign to fly the missing ones. "
+        f"{found.intact} runs kept, {found.lost} damaged. Resume the campaign to fly the missing ones. "
         f"Backup of the damaged file: {directory / DAMAGED}",
         soft_wrap=True,
     )

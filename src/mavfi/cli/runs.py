@@ -13,7 +13,7 @@ from mavfi.errors import MavfiError
 if TYPE_CHECKING:
     from mavfi.campaign.shrink import Shrunk
 
-from mavfi.campaign.shrink import Shrunk, Trial
+from mavfi.campaign.shrink import CandidateFlight, Shrunk
 from mavfi.levels.level import text_of
 from mavfi.report.numbers import change
 
@@ -181,17 +181,17 @@ def lines(found: Shrunk) -> Lines:
     rows = [("smallest", _trial(found.smallest)), ("original", _trial(found.original))]
     for place, step in enumerate(found.steps):
         heading = "steps" if place == 0 else ""
-        if step.found is None:
+        if step.smaller is None:
             end = "none loses the mission"
         else:
-            end = _trial(step.found)
+            end = _trial(step.smaller)
         rows.append((heading, f"{_WHAT.get(step.what, step.what)}, {step.tried} tried: {end}"))
     golden = found.golden.log
     rows.append(("golden run", f"{golden.status.words} after {float(golden.column('time')[-1]):.2f} s"))
     return rows
 
 
-def _trial(trial: Trial) -> str:
+def _trial(trial: CandidateFlight) -> str:
     text = text_of(trial.fault)
     end = f"{trial.status.replace('_', ' ')} after {trial.time_s:.2f} s"
     if trial.injection is None:

@@ -25,7 +25,7 @@ from mavfi.record import (
 from mavfi.report.numbers import change, lost, signed_percent
 
 if TYPE_CHECKING:
-    from mavfi.campaign.divergence import Departure, Difference, Spread
+    from mavfi.campaign.divergence import Departure, FirstDifference, StateSpread
     from mavfi.campaign.plan import RunSpec
     from mavfi.campaign.replay import Explanation
 
@@ -76,9 +76,9 @@ def steps(
     golden: FlightLog,
     fault: Fault | None,
     detector: str,
-    first: Difference | None,
+    first: FirstDifference | None,
     parted: Departure,
-    spread: Sequence[Spread] = (),
+    spread: Sequence[StateSpread] = (),
 ) -> Lines:
     """Explain a flight: the fault, first difference, propagation, path, alarms, and the ends of both flights."""
     story = [line for injection in log.injections for line in injection_lines(injection, fault, log)]
@@ -93,7 +93,7 @@ def steps(
     return story
 
 
-def spread_lines(found: Sequence[Spread]) -> Lines:
+def spread_lines(found: Sequence[StateSpread]) -> Lines:
     """Propagation of the error: interval and number of differing values, by state."""
     if not found:
         return []
@@ -236,7 +236,7 @@ def published_field(first: Mapping[str, Any]) -> str:
     return f"{first['state']}.{first['field']}{element}"
 
 
-def _difference(first: Difference | None) -> str:
+def _difference(first: FirstDifference | None) -> str:
     if first is None:
         return "none: every published value is bit for bit that of the golden run"
     golden = first.golden_us

@@ -8,7 +8,7 @@ import pytest
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.mission import MissionPlan, fly_mission
-from mavfi.campaign.plan import Flown
+from mavfi.campaign.plan import CompletedRun
 from mavfi.config import parse
 from mavfi.errors import BadInputError
 from mavfi.extras.airsim import host as module
@@ -119,8 +119,10 @@ def test_a_campaign_of_a_program_resumes_where_it_stopped():
     campaign = parse(
         Campaign, {**own, "environments": ["sparse"], "missions": 1, "faults": 1, "null_runs": 1}, "c.yaml"
     )
-    flown = [one for one in fly_mission(MissionPlan(campaign, "sparse", 10_000)) if isinstance(one, Flown)]
+    flown = [one for one in fly_mission(MissionPlan(campaign, "sparse", 10_000)) if isinstance(one, CompletedRun)]
     assert len(flown) == 4  # golden, one fault on each side, null
     done = frozenset(one.run_id for one in flown[:-1])
-    rest = [one for one in fly_mission(MissionPlan(campaign, "sparse", 10_000, done=done)) if isinstance(one, Flown)]
+    rest = [
+        one for one in fly_mission(MissionPlan(campaign, "sparse", 10_000, done=done)) if isinstance(one, CompletedRun)
+    ]
     assert [(one.run_id, one.record) for one in rest] == [(one.run_id, one.record) for one in flown[-1:]]

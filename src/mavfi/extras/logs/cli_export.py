@@ -16,12 +16,12 @@ from mavfi.mission import MissionSpec
 from mavfi.plugins import known, load_object
 
 if TYPE_CHECKING:
-    from mavfi.campaign.divergence import Publication
+    from mavfi.campaign.divergence import TimedState
     from mavfi.flight.host import ArmSetup
     from mavfi.mission import Scenario
     from mavfi.record import FlightLog
 
-    Recorded = tuple[FlightLog, list[Publication] | None, FlightLog | None]
+    Recorded = tuple[FlightLog, list[TimedState] | None, FlightLog | None]
     """A flight, its publications, and its golden run; None = unknown."""
 
 _GROUP = "mavfi.exporters"
@@ -140,7 +140,7 @@ def _setup(request: Request | None, scenario: Scenario) -> ArmSetup:
     return watched(request.mission, request.detector, request.profile, request.models).setup
 
 
-def _write(log: FlightLog, to: Path, source: str, published: list[Publication] | None, golden: FlightLog | None) -> int:
+def _write(log: FlightLog, to: Path, source: str, published: list[TimedState] | None, golden: FlightLog | None) -> int:
     """Write a file by its ending; returns the number of messages or rows."""
     from mavfi.extras.logs.files import write_bag, write_csv, write_mcap
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mavfi.campaign.divergence import Publication, departure, first_difference, spread
+from mavfi.campaign.divergence import TimedState, departure, first_difference, spread
 from mavfi.campaign.replay import Explanation, flight_again, fly_recorded
 from mavfi.campaign.store import Store
 from mavfi.errors import write_text
@@ -54,7 +54,7 @@ class Course:
     role: str
     label: str
     log: FlightLog
-    published: Sequence[Publication] = ()
+    published: Sequence[TimedState] = ()
 
 
 def flight_data(courses: Sequence[Course], world: World, site: str = "") -> dict[str, Any]:
@@ -342,7 +342,7 @@ Line = tuple[np.ndarray, np.ndarray]
 
 
 def time_lines(
-    published: Mapping[str, Sequence[Publication]], at: float, site: str, wrong: str = ""
+    published: Mapping[str, Sequence[TimedState]], at: float, site: str, wrong: str = ""
 ) -> list[dict[str, Any]]:
     """Time lines of the injected field, or of the first wrong one, and of those that differ most from the golden run.
 
@@ -370,9 +370,9 @@ def time_lines(
     return [_line(site, near, at, ends, is_site=site == own) for site in shown]
 
 
-def _near(publications: Sequence[Publication], at: float) -> dict[str, list[Publication]]:
+def _near(publications: Sequence[TimedState], at: float) -> dict[str, list[TimedState]]:
     """Publications in the time window around an instant, by state, with the last one before the window."""
-    found: dict[str, list[Publication]] = {}
+    found: dict[str, list[TimedState]] = {}
     for publication in publications:
         time_s = 1e-6 * publication.time_us
         if time_s > at + AFTER:
@@ -407,7 +407,7 @@ def _candidates() -> list[Site]:
     ]
 
 
-def _samples(own: Mapping[str, Sequence[Publication]], site: Site) -> Line:
+def _samples(own: Mapping[str, Sequence[TimedState]], site: Site) -> Line:
     publications = own.get(site.state, ())
     times = []
     values = []
@@ -442,7 +442,7 @@ def _difference(golden: Mapping[str, Any], injected: Mapping[str, Any], site: Si
 
 def _line(
     site: Site,
-    near: Mapping[str, Mapping[str, Sequence[Publication]]],
+    near: Mapping[str, Mapping[str, Sequence[TimedState]]],
     at: float,
     ends: Mapping[str, float],
     *,

@@ -53,7 +53,7 @@ def test_what_was_changed_is_flown_again(flown, tmp_path, change, lost, flown_ag
     (tmp_path / FILE).write_bytes(flown[0])
     changed(tmp_path, change)
     found = repair(tmp_path)
-    assert found.lost == lost and found.kept == flown[2] - flown_again
+    assert found.lost == lost and found.intact == flown[2] - flown_again
     assert again(tmp_path) == (flown[1], flown_again)
     assert (tmp_path / DAMAGED).is_file() != found.was_intact
 
@@ -91,7 +91,7 @@ def test_bits_flipped_anywhere_are_mended_or_refused(flown, tmp_path):
 def test_a_sound_ledger_stays_as_it_is(flown, tmp_path):
     (tmp_path / FILE).write_bytes(flown[0])
     found = repair(tmp_path)
-    assert (found.kept, found.lost) == (flown[2], 0)
+    assert (found.intact, found.lost) == (flown[2], 0)
     assert again(tmp_path) == (flown[1], 0)
 
 

@@ -7,7 +7,7 @@ import pytest
 from mavfi.analysis import Runs
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
-from mavfi.campaign.shrink import Shrunk, Trial, shrink
+from mavfi.campaign.shrink import CandidateFlight, Shrunk, shrink
 from mavfi.campaign.store import Store
 from mavfi.cli import run
 from mavfi.cli.runs import command
@@ -78,7 +78,7 @@ def test_it_ends_with_a_command_that_flies_the_smallest_fault(capsys, directory,
     ],
 )
 def test_the_command_has_a_text_for_faults_of_every_level(directory, lost, fault, words):
-    spec, trial = Store.open(directory).run(lost[0]).spec, Trial(fault, "collision", 9.0, None)
+    spec, trial = Store.open(directory).run(lost[0]).spec, CandidateFlight(fault, "collision", 9.0, None)
     printed = shlex.split(command(Shrunk(directory, spec, trial, trial, (), None)))
     assert printed[:2] == ["mavfi", "fly"] and printed[-len(words) - 2 :] == ["--fault", text_of(fault), *words]
     parse(text_of(fault))

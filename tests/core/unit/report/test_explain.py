@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mavfi.campaign.divergence import Departure, Difference
+from mavfi.campaign.divergence import Departure, FirstDifference
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.replay import Explanation, explain
 from mavfi.campaign.store import Store
@@ -131,15 +131,18 @@ def test_a_fault_in_an_instruction_has_the_same_story_with_source_line_and_kerne
     [
         (None, "none: every published value is bit for bit that of the golden run"),
         (
-            Difference("control.command", "vx", 5_000, 5_000, 2.749570000000001, 2.749570000000002),
+            FirstDifference("control.command", "vx", 5_000, 5_000, 2.749570000000001, 2.749570000000002),
             "control.command.vx at 0.005 s: golden 2.749570000000001, here 2.749570000000002",
         ),
         (
-            Difference("planning.waypoint", "", 5_000, 9_000),
+            FirstDifference("planning.waypoint", "", 5_000, 9_000),
             "planning.waypoint at 0.005 s in the golden run: here held back, the same value came 4 ms later",
         ),
-        (Difference("planning.path", "", None, 7_000), "planning.path at 0.007 s: published here alone"),
-        (Difference("planning.path", "", 7_000, None), "planning.path at 0.007 s: published by the golden run alone"),
+        (FirstDifference("planning.path", "", None, 7_000), "planning.path at 0.007 s: published here alone"),
+        (
+            FirstDifference("planning.path", "", 7_000, None),
+            "planning.path at 0.007 s: published by the golden run alone",
+        ),
     ],
 )
 def test_the_first_difference(first, sentence):

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from mavfi.campaign.divergence import Publication
+from mavfi.campaign.divergence import TimedState
 from mavfi.report.html.flight_page import LINE_SAMPLES, MOST_LINES, time_lines
 from mavfi.report.html.page import AFTER, BEFORE
 from mavfi.states import new_state
@@ -17,7 +17,7 @@ def waypoints(change=lambda time_s: 0.0, period_us=20_000):
     for time_us in range(0, 12_000_000, period_us):
         state = new_state("planning.waypoint")
         state.header["x"], state.header["y"] = 1e-6 * time_us + change(1e-6 * time_us), 2.0
-        found.append(Publication(time_us, state))
+        found.append(TimedState(time_us, state))
     return found
 
 
@@ -56,7 +56,7 @@ def test_an_element_of_a_list_is_followed():
     def trajectories(value):
         state = new_state("planning.trajectory", 3)
         state.elements["x"][2] = value
-        return [Publication(5_000_000, state)]
+        return [TimedState(5_000_000, state)]
 
     published = {"golden": trajectories(1.0), "injected": trajectories(9.0)}
     (line,) = time_lines(published, AT, "planning.trajectory.x[2]")
@@ -79,7 +79,7 @@ def test_a_field_that_is_rarely_published_is_shown_in_the_whole_window():
         ] + trailing()
 
     def trailing():
-        return [Publication(time_us, new_state("control.command")) for time_us in (8_000_000, 12_000_000)]
+        return [TimedState(time_us, new_state("control.command")) for time_us in (8_000_000, 12_000_000)]
 
     line = time_lines({"golden": rarely(0.0), "injected": rarely(3.0)[:3]}, AT, SITE)[0]
     assert line["window"] == [AT - BEFORE, AT + AFTER]
