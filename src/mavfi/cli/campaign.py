@@ -205,7 +205,8 @@ def repair(directory: options.Ledger) -> None:
 
     found = repair_ledger(directory)
     if found.was_intact:
-        console().print(f"{found.intact} runs, none damaged: nothing to repair, the ledger is as it was", soft_wrap=True)
+        text = f"{found.intact} runs, none damaged: nothing to repair, the ledger is as it was"
+        console().print(text, soft_wrap=True)
         return
     console().print(
         f"{found.intact} runs kept, {found.lost} damaged. Resume the campaign to fly the missing ones. "
