@@ -120,7 +120,7 @@ def flipped(value: Any, bit: int) -> Any:
     return struct.unpack("<d", struct.pack("<Q", raw ^ (1 << bit)))[0]
 
 
-class Flip(NamedTuple):
+class BoundaryFlip(NamedTuple):
     """What a flipped bit has done.
 
     Attributes:
@@ -136,8 +136,8 @@ class Flip(NamedTuple):
     bit: int
 
 
-def flip(holder: Any, path: Path, bit: int) -> Flip:
-    """Flip a bit of the number at a path.
+def flip(holder: Any, path: Path, bit: int) -> BoundaryFlip:
+    """BoundaryFlip a bit of the number at a path.
 
     Raises:
         BadInputError: There is no number at this path.
@@ -147,13 +147,13 @@ def flip(holder: Any, path: Path, bit: int) -> Flip:
             raise BadInputError("not a number")
         bit %= bits_of(holder)
         after = flipped(holder, bit)
-        return Flip(after, holder, after, bit)
+        return BoundaryFlip(after, holder, after, bit)
     key, *rest = path
     if isinstance(holder, bytes) and isinstance(key, int) and key < len(holder):
         bit %= 8
         changed = bytearray(holder)
         changed[key] ^= 1 << bit
-        return Flip(bytes(changed), holder[key], changed[key], bit)
+        return BoundaryFlip(bytes(changed), holder[key], changed[key], bit)
     try:
         inner = holder[key]
     except (KeyError, IndexError, TypeError):
@@ -318,7 +318,7 @@ class Boundary:
                 observer.check(source, value, now_us)
 
     def _inject(self, name: str, value: Any, now_us: int, *, in_return: bool) -> Any:
-        """Flip the planned bit (a null fault: twice) in its call; without such a number the fault is not activated."""
+        """BoundaryFlip the planned bit (a null fault: twice) in its call; without such a number the fault is not activated."""
         # whether this is the call of the fault, and has its number
         planned = self.planned
         if planned is None or self.injection is not None or in_return != planned.in_return:
