@@ -318,7 +318,7 @@ class Boundary:
                 observer.check(source, value, now_us)
 
     def _inject(self, name: str, value: Any, now_us: int, *, in_return: bool) -> Any:
-        """BoundaryFlip the planned bit (a null fault: twice) in its call; without such a number the fault is not activated."""
+        """Flip the planned bit (a null fault: twice) in its call; without such a number the fault is not activated."""
         # whether this is the call of the fault, and has its number
         planned = self.planned
         if planned is None or self.injection is not None or in_return != planned.in_return:
