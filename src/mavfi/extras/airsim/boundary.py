@@ -137,7 +137,7 @@ class BoundaryFlip(NamedTuple):
 
 
 def flip(holder: Any, path: Path, bit: int) -> BoundaryFlip:
-    """BoundaryFlip a bit of the number at a path.
+    """Flip a bit of the number at a path.
 
     Raises:
         BadInputError: There is no number at this path.
