@@ -42,12 +42,32 @@ def plug_ins_are_those_of_the_test(monkeypatch):
     monkeypatch.setattr(plugins, "_loaded", {})
 
 
-@pytest.fixture(scope="module", autouse=True)
-def memory_is_given_back():
+_MEMORY = {"limit": 500_000_000}
+"""Bytes beyond which a worker gives memory back, after a test."""
+
+
+def _resident() -> int:
+    pages = Path("/proc/self/statm").read_text(encoding="utf-8").split()[1]
+    return int(pages) * os.sysconf("SC_PAGE_SIZE")
+
+
+def _give_memory_back():
     """What flights and compilers have freed: else a worker grows to gigabytes, and each of its forks copies more."""
-    yield
     gc.collect()
     ctypes.CDLL(None).malloc_trim(0)
+    _MEMORY["limit"] = max(500_000_000, _resident() + 50_000_000)
+
+
+def pytest_runtest_logfinish():
+    if _resident() > _MEMORY["limit"]:
+        _give_memory_back()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def memory_is_given_back():
+    """After each file."""
+    yield
+    _give_memory_back()
 
 
 _ALONE = (
