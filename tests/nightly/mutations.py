@@ -77,14 +77,8 @@ def places(tree):
 
 def nasty(draw, raw):
     """A value that nobody asked for."""
-    kind = draw.randrange(10)
-    if kind < 4:
-        return draw.choice(NUMBERS)
-    if kind < 6:
-        return draw.choice(TEXTS)
-    if kind < 8:
-        return draw.choice(list(raw))
-    return copy.deepcopy(draw.choice((None, True, False, [], {}, [None], [[]], {"": ""}, {"x": 1}, [1] * 3, [0.0] * 4)))
+    plain = (None, True, False, [], {}, [None], [[]], {"": ""}, {"x": 1}, [0.0] * 4)
+    return copy.deepcopy(draw.choice(draw.choice((NUMBERS, TEXTS, list(raw), plain))))
 
 
 def changed(tree, draw, others, raw):
@@ -99,40 +93,32 @@ def changed(tree, draw, others, raw):
 
 
 def _change(owner, key, draw, others, raw):
-    value = owner[key]
-    kind = draw.randrange(10)
-    if kind < 3:
+    value, kind = owner[key], draw.randrange(6)
+    if kind == 0:
         owner[key] = nasty(draw, raw)
-    elif kind < 5:
+    elif kind == 1:
         owner[key] = _bent(value, draw)
-    elif kind == 5:
+    elif kind == 2:
         del owner[key]
-    elif kind == 6 and isinstance(owner, dict):
-        owner[draw.choice((*TEXTS, "nmae", "Mass", "mass ", "x" * 300, 3, None, True, 1.5))] = owner.pop(key)
-    elif kind == 7:
+    elif kind == 3:
         other, place = draw.choice(places(draw.choice(others)))
         owner[key] = copy.deepcopy(other[place])
-    elif kind == 8 and isinstance(owner, dict):
-        owner[draw.choice((*owner, "extra", ""))] = copy.deepcopy(value)
     elif isinstance(owner, list):
         owner.insert(draw.randrange(len(owner) + 1), copy.deepcopy(value))
     else:
-        owner[key] = draw.choice(([value], {"x": value}, str(value), [value] * 300))
+        owner[draw.choice((*owner, *TEXTS, "nmae", "Mass", "mass ", 3, None, True, 1.5))] = owner.pop(key)
 
 
 def _bent(value, draw):
     """The value, a little otherwise."""
-    if isinstance(value, bool) or value is None:
-        return draw.choice((1, 0, "yes", not value))
-    if isinstance(value, (int, float)):
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
         factor = draw.choice((-1, 0, 1e-9, 1e-3, 0.5, 2, 10, 1e3, 1e6, 1e12))
-        return draw.choice((value * factor, value + 1, value - 1, str(value), f"{value} m", [value], int(factor)))
+        return draw.choice((value * factor, value + 1, str(value), f"{value} m", [value], int(factor)))
     if isinstance(value, str):
-        cut = draw.randrange(len(value) + 1)
-        return draw.choice((value[:cut], value[cut:] + value[:cut], value.upper(), value + draw.choice(TEXTS), 3))
+        return draw.choice((value[:-1], value.upper(), value + draw.choice(TEXTS), 3))
     if isinstance(value, list):
-        return draw.choice((value[1:], value * 2, value * 100, value[::-1], dict(enumerate(value)), value[:1]))
-    return draw.choice(([value], list(value), str(value), {**value, "x": 1}, dict(list(value.items())[1:])))
+        return draw.choice((value[1:], value * 2, value * 100, value[::-1], dict(enumerate(value))))
+    return draw.choice(([value], str(value), {"x": value}, [value] * 300))
 
 
 def to_yaml(tree, flow=None):

@@ -238,8 +238,9 @@ def test_to_follow_a_flight_through_an_alarm_of_its_detector_is_noticed(monkeypa
 
     def silent(forward, injected, arm):
         track = stored(forward, injected, arm)
-        places = {rows: replace(place, alarms=()) for rows, place in track.checkpoints.items()}
-        forward._tracks(injected)[arm.name] = replace(track, checkpoints=places, end=replace(track.end, alarms=()))
+        checkpoints = {rows: replace(checkpoint, alarms=()) for rows, checkpoint in track.checkpoints.items()}
+        end = replace(track.end, alarms=())
+        forward._known_flights(injected)[arm.name] = replace(track, checkpoints=checkpoints, end=end)
         return track
 
     monkeypatch.setattr(FastForward, "_injected", silent)

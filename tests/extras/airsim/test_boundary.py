@@ -28,12 +28,9 @@ def test_an_argument_is_changed_once_from_its_instant_on():
     ("text", "name", "given", "after"),
     [
         ("moveByVelocity.vx:bit=62", "moveByVelocity", [2, 0, 0, 1, 0, {}, ""], 0.0),
-        ("moveByVelocity.arguments#0:bit=52", "moveByVelocity", [2, 0, 0, 1, 0, {}, ""], 4.0),
         ("moveByVelocity.drivetrain:bit=1", "moveByVelocity", [2, 0, 0, 1, 0, {}, ""], 2),
         ("moveByVelocity.yaw_mode.is_rate:bit=0", "moveByVelocity", [2, 0, 0, 1, 0, {"is_rate": True}, ""], False),
-        ("moveByVelocity.yaw_mode.yaw_or_rate:bit=63", "moveByVelocity", [2, 0, 0, 1, 0, {"yaw_or_rate": 9}, ""], -9.0),
         ("moveOnPath.path.0.x_val:bit=63", "moveOnPath", [[{"x_val": 3}]], -3.0),
-        ("moveByAngleZ.roll:bit=63", "moveByAngleZ", [0, 1, -3, 0, 1, ""], -1.0),
         ("simPlotPoints.arguments#0:bit=1", "simPlotPoints", [1], 3),
     ],
 )

@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pytest
 
 from mavfi.extras.airsim.frames import LEVEL, pose, vector
@@ -18,17 +17,6 @@ def client():
 
 def fov(client):
     return client("simGetCameraInfo", CAMERA)["fov"]
-
-
-# ---- lenses ----------------------------------------------------------------------------------------------------------
-def test_the_focal_length_sets_the_field_of_view(client):
-    assert client("simGetFocalLength", CAMERA) == pytest.approx(23.76 / 2) and fov(client) == 90.0
-    client("simSetFocalLength", 23.76, CAMERA)
-    assert fov(client) == pytest.approx(math.degrees(2 * math.atan(0.5))) == pytest.approx(53.13, abs=0.01)
-    assert client("simGetFocalLength", CAMERA) == pytest.approx(23.76)
-    other = Client(image="64x48")
-    other("simSetCameraFov", CAMERA, fov(client))
-    assert client("simGetImage", CAMERA, 1) == other("simGetImage", CAMERA, 1)
 
 
 @pytest.mark.parametrize(
@@ -73,36 +61,6 @@ def test_an_object_with_a_wanted_name_is_detected(seeing):
     at = cube["relative_pose"]["position"]
     assert [at["x_val"], at["y_val"], at["z_val"]] == pytest.approx([10.0, 0.0, 0.0], abs=1e-6)
     assert cube["geo_point"]["latitude"] > seeing("getHomeGeoPoint")["latitude"]
-
-
-def test_the_box_in_the_picture_is_that_of_its_pixels(seeing):
-    seeing("simAddDetectionFilterMeshName", CAMERA, SEGMENTATION, "cube_a")
-    request = {"camera_name": CAMERA, "image_type": SEGMENTATION, "pixels_as_float": False, "compress": False}
-    (image,) = seeing("simGetImages", [request])
-    pixels = np.frombuffer(image["image_data_uint8"], np.uint8).reshape(48, 64, 3)
-    rows, columns = np.nonzero((pixels == pixels[24, 32]).all(axis=2))
-    (cube,) = found(seeing)
-    box = [cube["box2D"][end][axis] for end in ("min", "max") for axis in ("x_val", "y_val")]
-    assert box == [columns.min(), rows.min(), columns.max(), rows.max()]
-    expected = 32 / 9  # half of the picture is 45 deg: pixels of 1 m at 9 m
-    assert [box[0], box[2]] == pytest.approx([32 - expected, 31 + expected], abs=1.0)
-
-
-def test_the_radius_the_name_and_the_direction_decide(seeing):
-    seeing("simAddDetectionFilterMeshName", CAMERA, SEGMENTATION, "cube_a")
-    seeing("simSetDetectionFilterRadius", CAMERA, SEGMENTATION, 999.0)
-    assert found(seeing) == [], "its centre is 10 m away"
-    seeing("simSetDetectionFilterRadius", CAMERA, SEGMENTATION, 1001.0)
-    assert len(found(seeing)) == 1
-    assert seeing("simGetDetections", CAMERA, 0) == [], "names are those of a camera and a kind of image"
-    seeing("simClearDetectionMeshNames", CAMERA, SEGMENTATION)
-    assert found(seeing) == []
-    seeing("simAddDetectionFilterMeshName", CAMERA, SEGMENTATION, "Cube_A")
-    assert found(seeing) == []
-    seeing("simAddDetectionFilterMeshName", "back_center", SEGMENTATION, "cube_a")
-    assert seeing("simGetDetections", "back_center", SEGMENTATION) == []
-    with pytest.raises(RuntimeError, match="0 or more"):
-        seeing("simSetDetectionFilterRadius", CAMERA, SEGMENTATION, -1.0)
 
 
 # ---- names before AirSim 1.3 -----------------------------------------------------------------------------------------

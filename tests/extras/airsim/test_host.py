@@ -1,15 +1,10 @@
 """Campaigns of a program: records of its runs, golden repeats, plans that resume."""
 
-import importlib.util
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from mavfi.campaign.config import Campaign
-from mavfi.campaign.mission import MissionPlan, fly_mission
-from mavfi.campaign.plan import Flown
-from mavfi.config import parse
 from mavfi.errors import BadInputError
 from mavfi.extras.airsim import host as module
 from mavfi.extras.airsim.boundary import Boundary, PassedCall
@@ -19,7 +14,7 @@ from mavfi.faults.fault import MessageFault
 from mavfi.flight.host import ArmSetup, find_host
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import Effect, effect_of
-from mavfi.record import End, Injection
+from mavfi.record import Injection
 
 BOX = Path(__file__).parents[3] / "examples" / "airsim" / "box.py"
 PROGRAM = ProgramConfig(script=str(BOX))
@@ -44,18 +39,6 @@ def test_the_record_of_a_run_has_its_effect(changes, effect, status):
     record = record_of_program(replace(ENDED, boundary=HIT, **changes), ENDED)
     assert effect_of(record_of_program(ENDED, ENDED), record) is effect
     assert record.status == status and record.injections == (HIT.injection,)
-
-
-def test_a_program_that_crashes_without_a_fault_is_compared_with_that_crash():
-    golden = replace(ENDED, how="program crash", code=1, reason="ValueError: no")
-    assert record_of_program(golden, golden).end is End.FLOWN
-    for changes, effect in (
-        ({}, Effect.MASKED),
-        ({"digest": "bb"}, Effect.SDC),
-        ({"code": -11, "digest": "cc"}, Effect.EXCEPTION),
-    ):
-        record = record_of_program(replace(golden, boundary=HIT, **changes), golden)
-        assert effect_of(record_of_program(golden, golden), record) is effect
 
 
 def test_a_program_that_hangs_without_a_fault_is_refused(monkeypatch):
@@ -89,18 +72,3 @@ def test_another_text_of_the_program_is_another_mission(tmp_path):
     assert host.resolve(MissionSpec()).key() != first
     with pytest.raises(BadInputError, match="allowed: with the key program"):
         find_host("airsim_program")
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(importlib.util.find_spec("cosysairsim") is None, reason="needs the package cosysairsim (extra dev)")
-def test_a_campaign_of_a_program_resumes_where_it_stopped():
-    program = {"script": str(BOX), "golden_runs": 1}
-    own = {"host": "airsim_program", "sampling": {"level": "message"}, "name": "c", "program": program}
-    campaign = parse(
-        Campaign, {**own, "environments": ["sparse"], "missions": 1, "faults": 1, "null_runs": 1}, "c.yaml"
-    )
-    flown = [one for one in fly_mission(MissionPlan(campaign, "sparse", 10_000)) if isinstance(one, Flown)]
-    assert len(flown) == 4  # golden, one fault on each side, null
-    done = frozenset(one.run_id for one in flown[:-1])
-    rest = [one for one in fly_mission(MissionPlan(campaign, "sparse", 10_000, done=done)) if isinstance(one, Flown)]
-    assert [(one.run_id, one.record) for one in rest] == [(one.run_id, one.record) for one in flown[-1:]]

@@ -2,11 +2,8 @@
 
 from collections import Counter
 
-import pytest
-
 from mavfi.campaign.config import Campaign
 from mavfi.config import parse
-from mavfi.errors import BadInputError
 from mavfi.extras.airsim.boundary import PassedCall
 from mavfi.extras.airsim.level import MessageLevel
 from mavfi.faults.fault import MessageFault
@@ -55,22 +52,6 @@ def test_without_a_call_there_is_no_fault_and_a_null_run_flips_nothing():
     null = faults(campaign())[1].null(0, 10_000, "sparse", faults(campaign())[2])
     assert null.bit is None and null.topic == "moveToZ"
     assert sampler.null(0, 10_000, "sparse", golden).bit is None
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"program": None}, "the key program goes with host airsim_program"),
-        ({"sampling": {"level": "message", "sides": ["return", "return"]}}, "'return': named 2 times"),
-    ],
-)
-def test_what_does_not_go_together_is_refused(changes, message):
-    given = {key: value for key, value in {**PROGRAM, **changes}.items() if value is not None}
-    own = {"name": "c", "program": {"script": "p.py"}, "environments": ["sparse"], **given}
-    if changes.get("program", 0) is None:
-        del own["program"]
-    with pytest.raises(BadInputError, match=message):
-        parse(Campaign, own, "campaign.yaml")
 
 
 class TestMessage(LevelContract):

@@ -1,16 +1,11 @@
 """Adapters of libraries: their common part with a model of our own, each library where it is installed."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 
 from mavfi.detectors import load_detector
 from mavfi.detectors.autoencoder import INPUT_LIMIT
-from mavfi.detectors.detector import Alarm
-from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import Model
-from mavfi.detectors.registry import figures_of
 from mavfi.detectors.training import join
 from mavfi.errors import BadInputError
 from mavfi.extras.bench import library, trees
@@ -42,16 +37,11 @@ from mavfi.extras.bench.trees import (
     forest_of,
     half_spaces,
     limit_of,
-    path_length,
     regressor,
     regressors,
     single_limit,
     tables_of,
 )
-from mavfi.faults import strata
-from mavfi.flight.memory_faults import DetectorMemory, flip_bit
-from mavfi.pipeline.words import change, words_of
-from mavfi.states import BASELINES, DETECTORS
 from tests.core.unit.detectors.streams import PROVENANCE, fly, later, strike
 from tests.core.unit.detectors.test_registry import FITS
 from tests.extras.bench.test_all_fields import flight, with_codes
@@ -77,14 +67,6 @@ class EllipsoidDetector(LibraryDetector):
         assert rows.shape == (len(slots), (field_codes.quanta > 0).sum()) and (rows.std(axis=0) > 0).all()
         covariance = np.cov(rows.T) + 1e-3 * np.eye(rows.shape[1])
         return Ellipsoid(inputs, rows.mean(axis=0), np.linalg.inv(covariance), np.zeros(rows.shape[1]))
-
-
-class BestStretchDetector(MatrixProfileDetector):
-    """A matrix profile without its library."""
-
-    @classmethod
-    def check_installed(cls):
-        pass
 
 
 @pytest.fixture(scope="module")
@@ -129,57 +111,8 @@ def check(kind, sample, figures):
     assert [(other.score(*event), other.accept(*event)) for event in events[200:]] == rest
 
 
-def stretches(sample):
-    """A model of a matrix profile: half of the series, and limits by a naive search."""
-    field_codes = FieldCodes("published")
-    scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))
-    histories, limit = [], []
-    for slot in range(len(field_codes.slots)):
-        own = slice(*field_codes.range_of(slot))
-        codes = sample.vectors[sample.slots == slot, own].astype(np.float64)
-        series = np.abs(scaled(codes, scale[own])).max(axis=1)[:1500]
-        histories.append(series[::2].tolist() if len(series) < LENGTH else series.tolist())
-        limit.append([0.5] * REGIMES)
-    parameters = {"history": histories, "scale": scale.tolist(), "limit": limit}
-    return Model("matrix_profile", "tuned", MONITORED, "", parameters, dict(PROVENANCE))
-
-
-def without_libraries(sample):
-    return [EllipsoidDetector(fitted(EllipsoidDetector, sample, FIGURES)), BestStretchDetector(stretches(sample))]
-
-
 def test_a_fitted_model_judges_publications_and_remembers_normal_ones(sample):
     check(EllipsoidDetector, sample, FIGURES)
-
-
-@pytest.mark.parametrize("which", [0, 1], ids=["ellipsoid", "matrix_profile"])
-def test_every_word_of_their_memory_can_be_corrupted(sample, which):
-    """And then no publication makes them raise."""
-    detector, flown = without_libraries(sample)[which], flight(8, ticks=60)
-    assert all(DETECTORS[name] == tuple(detector.compiled) for name in BASELINES)
-    holder, names = DetectorMemory(detector), set()
-    for words in words_of(holder):
-        for index in range(0, words.count, max(1, words.count // 6)):
-            fly(detector, flown)
-            before = detector.memory()
-            flip = partial(flip_bit, bit=strata.WORD_BITS[words.dtype] - 2)
-            assert change(holder, words.name, index, flip) is not None and detector.memory() != before
-            for event in flown:
-                assert detector.check(*event) is None or isinstance(detector.check(*event), Alarm)
-                detector.accept(*event)
-            names.add(words.name)
-    assert names >= ({"held"} if which == 0 else {"recent", "published"})
-
-
-@pytest.mark.slow
-@pytest.mark.long
-@pytest.mark.parametrize("kind", LIBRARIES, ids=lambda kind: kind.model_kind)
-def test_libraries_find_a_gross_fault_and_raise_no_alarm_in_a_training_flight(kind, sample):
-    package = "stumpy" if kind is MatrixProfileDetector else kind.package
-    pytest.importorskip(package, exc_type=ImportError)
-    figures = dict(figures_of(kind.model_kind, "tuned"))
-    figures["calibrated"] = 100_000 if "margin" in figures and kind is not MatrixProfileDetector else 400
-    check(kind, sample, figures)
 
 
 def test_a_library_that_is_not_installed_is_named_before_its_model_is_looked_for(monkeypatch):
@@ -340,13 +273,6 @@ def test_the_limit_of_an_input_is_that_of_its_single_precision(seed):
     assert np.float32(limit) <= threshold < np.float32(np.nextafter(limit, np.inf))
 
 
-def test_path_lengths_are_those_of_the_paper():
-    """c(n) = 2 H(n - 1) - 2 (n - 1) / n, with the harmonic number approximated by ln + Euler's constant."""
-    assert [path_length(rows) for rows in (0, 1, 2)] == [0.0, 0.0, 1.0]
-    harmonic = sum(1.0 / k for k in range(1, 256))
-    assert path_length(256) == pytest.approx(2.0 * harmonic - 2.0 * 255 / 256, abs=0.005)
-
-
 def test_the_score_of_components_is_that_of_a_naive_sum():
     random = np.random.default_rng(3)
     mean, deviation, weights = random.normal(size=5), random.uniform(0.5, 2.0, 5), random.uniform(0.1, 1.0, 3)
@@ -381,10 +307,3 @@ def test_the_nearest_stretch_is_that_of_a_naive_search(seed):
     for stretch in (random.normal(size=LENGTH), walk[-LENGTH:] + 0.3 * random.normal(size=LENGTH), walk[:LENGTH]):
         naive = min(np.sqrt(((walk[k : k + LENGTH] - stretch) ** 2).sum()) for k in range(count - LENGTH + 1))
         assert distance(stretch, walk) == pytest.approx(naive, rel=1e-12, abs=1e-15)
-
-
-def test_the_nearest_stretch_is_that_of_the_library():
-    core = pytest.importorskip("stumpy.core", exc_type=ImportError)
-    random = np.random.default_rng(2)
-    history, stretch = random.normal(size=500), random.normal(size=LENGTH)
-    assert distance(stretch, history) == pytest.approx(core.mass_absolute(stretch, history).min())

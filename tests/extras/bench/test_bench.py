@@ -46,17 +46,6 @@ def test_every_part_of_a_shipped_bench_can_be_flown():
             assert not entry.campaign.on_design_seeds
 
 
-def test_every_field_of_the_estimate_that_is_read_is_struck_once_and_for_a_while():
-    campaign = select_parts(BENCH, "quick", parts=["estimator-state"])["estimator-state"].campaign
-    estimate = STATES["perception.odometry"]
-    live = [f"{estimate.name}.{field.name}" for field in estimate.fields if field.read_in]
-    lasting = {group.name: group.lifetime is not None for group in campaign.sampling.groups}
-    for lasts in (False, True):
-        sites = [site for group in campaign.sampling.groups if lasting[group.name] is lasts for site in group.sites]
-        assert sites == live
-    assert campaign.mission["localization"] == "estimator" and {"acceptance", "recommended"} <= set(campaign.arms)
-
-
 def test_a_scheme_that_was_trained_for_other_flights_is_left_out_with_the_reason():
     found = select_parts(SLOW, "quick")["slow"]
     assert "no model is trained" in found.left_out["gaussian"]

@@ -3,7 +3,6 @@ import json
 import pytest
 
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.ledger import status
 from mavfi.campaign.run import run_campaign
 from mavfi.cli.commands import run
 from mavfi.extras.paper import overhead_views, overheads
@@ -77,15 +76,3 @@ def test_ones_own_detector_stands_beside_the_published_rows_if_its_faults_are_th
     assert "| gaussian |" in page and "| FakeDetector |" in page and "as published in b" in page
     (frozen / "p-quick.csv").write_text("others")
     assert "| gaussian |" not in fly_own(own_bench, capsys)
-
-
-def test_parts_fly_together_with_one_count_of_their_runs(own_bench, capsys):
-    file = own_bench / "b.yaml"
-    bench = json.loads(file.read_text())
-    bench["parts"]["q"] = {**bench["parts"]["p"], "title": "U"}
-    file.write_text(json.dumps(bench))
-    assert run(["bench", "detectors", str(file), "--out", str(own_bench / "out")]) == 0
-    both = sum(status(own_bench / "out" / name).total for name in "pq")
-    assert f"bench: 2 parts {both}/{both} runs" in capsys.readouterr().err
-    page = (own_bench / "out" / "leaderboard.md").read_text()
-    assert "## T\n" in page and "## U\n" in page

@@ -5,7 +5,6 @@ from mavfi.extras.bench.bench import load_bench, published_rows
 from mavfi.extras.bench.leaderboard import beside_published
 
 OWN = Table("sites", "Sites", (Column("arm", "scheme"), Column("lost", "lost", NUMBER)), [("mine", 4)], notes=("n",))
-PUBLISHED = [{"scheme": "gaussian", "lost": "36"}, {"scheme": "mine", "lost": "7"}, {"scheme": "old"}]
 
 
 def test_published_rows_of_a_group_stand_above_ones_own_of_the_same_group():

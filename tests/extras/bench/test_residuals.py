@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from mavfi.extras.bench import residuals
 from mavfi.extras.bench.field_codes import QUANTA, CodeRecorder, FieldCodes, sample_of
 from mavfi.flight.fly import fly
 from mavfi.states import AUTOPILOTS, floats, rows
@@ -137,20 +136,3 @@ def test_paths_and_trajectories(flown):
     for name in ("step", "change", "turn", "speed", "end"):
         check(flown, "planning.trajectory", name, wanted[name], 0.01)
     check(flown, "planning.trajectory", "start", wanted["from"], 0.01)
-
-
-def test_regimes_are_those_of_way_points_since_the_last_publication(flown):
-    _, field_codes, sample, published = flown
-    number, worst, expected = None, dict.fromkeys(field_codes.slots, 0), []
-    for state in published:
-        name = state.spec.name
-        if name not in field_codes.slots:
-            continue
-        if name == "planning.waypoint":
-            regime = residuals.SWITCH if state.header["trajectory_seq"][0] == number else residuals.NEW_TRAJECTORY
-            number = state.header["trajectory_seq"][0]
-            worst = {other: max(known, regime) for other, known in worst.items()}
-        expected.append(worst[name])
-        worst[name] = 0
-    assert sample.regimes.tolist() == expected
-    assert set(expected) == {0, 1, 2}

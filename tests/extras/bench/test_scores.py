@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import average_precision_score, roc_auc_score
 
-from mavfi.extras.bench.scores import Scores, table, unscored
-from tests.core.unit.campaign.fakes import small
+from mavfi.extras.bench.scores import Scores, table
 
 LEVELS = st.sampled_from([0.0, 0.5, 0.9, 1.0, 1.5, 2.0, 1e9])
 
@@ -64,16 +63,3 @@ def test_the_average_precision_is_that_of_scikit_learn(own):
     labels = [0] * len(golden) + [1] * len(harmful)
     expected = average_precision_score(labels, [*golden, *harmful])
     assert found.precision() == pytest.approx(expected, abs=1e-12)
-
-
-def test_schemes_without_scores_are_named_with_the_reason():
-    arms = {"rules": {"detector": "acceptance"}, "all": {"detector": "recommended"}, "crc": {"detector": "checksum"}}
-    reasons = unscored([small(arms={**arms, "bare": {"dead_node": "readback"}})], {"rules": None})
-    assert reasons == {
-        "all": "its mission differs (alarm, dead_node, epoch_liveness)",
-        "crc": "it compares with a seal, or has no scores",
-    }
-    found = Scores(np.array([3.0]), 100, 1.5, np.array([2.5]), np.array([True]))
-    notes = table({"one": found}, ["a", "b"], reasons).notes
-    assert f"all: not scored: {reasons['all']}" in notes
-    assert "one golden flight for each mission of these parts, their faults together: a, b" in notes

@@ -3,12 +3,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavfi.detectors import load_detector
 from mavfi.errors import BadInputError
 from mavfi.extras.bench.sealed import ALL, SMALL, Checksum, Duplicate, Oracle, RandomAlarms
 from mavfi.states import STATES, new_state
-from tests.core.unit.detectors.streams import command, flight
-from tests.core.unit.detectors.test_registry import FITS
+from tests.core.unit.detectors.streams import flight
 
 CLOUD = "perception.point_cloud"
 BOTH = [lambda: Checksum(large=True), Oracle]
@@ -45,20 +43,6 @@ def test_clouds_and_map_updates_are_sealed_by_choice():
         assert (detector.check(struck(cloud, 400), 0) is not None) == seen
 
 
-@pytest.mark.parametrize("make", BOTH)
-def test_what_was_not_sealed_is_not_judged_and_nothing_is_remembered(make):
-    detector, state = make(), command([1, 0, 0])
-    assert detector.check(state, 0) is None and detector.score(state, 0) is None
-    detector.seal(state, 0)
-    memory = detector.memory()
-    detector.accept(state, 0)
-    assert detector.memory() == memory
-    detector.restore(memory)
-    assert detector.check(struck(state, 3), 0) is None
-    detector.seal(new_state("sensor.odometry"), 1)
-    assert detector.check(new_state("sensor.odometry"), 1) is None
-
-
 def alarms(detector, events):
     found = []
     for state, time_us in events:
@@ -87,22 +71,3 @@ def test_figures_that_are_no_rate_and_kernels_that_are_none_are_refused():
         RandomAlarms(1, per_hour=0.0)
     with pytest.raises(BadInputError, match="kernels: tracker: not known; allowed: state_estimation"):
         Duplicate(["pid", "tracker"])
-
-
-def test_they_are_loaded_with_the_options_of_their_files():
-    large = new_state(CLOUD, 1)
-    for name, seen in (("checksum", None), ("oracle", 0.0)):
-        detector, model = load_detector(name, "paper", None, FITS)
-        detector.seal(large, 0)
-        assert detector.score(large, 0) == seen and model == ""
-    detector, _ = load_detector("checksum", "paper", None, FITS, options={"large": True})
-    detector.seal(large, 0)
-    assert detector.score(large, 0) == 0.0
-    assert load_detector("duplicate", "paper", None, FITS)[0].duplicates == (
-        "collision_check",
-        "trajectory",
-        "waypoint",
-    )
-    assert isinstance(load_detector("random", "paper", None, {**FITS, "seed": 4})[0], RandomAlarms)
-    with pytest.raises(BadInputError, match="'random': needs the seed of the mission"):
-        load_detector("random", "paper", None, FITS)

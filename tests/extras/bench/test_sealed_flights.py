@@ -7,7 +7,6 @@ from mavfi.faults.fault import StateFault
 from mavfi.flight.compose import new_loop, watch
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
-from mavfi.flight.forks import fly_instruction_faults
 from mavfi.states import KERNELS
 from tests.core.flights.instruction.test_detectors import faults, scenario  # noqa: F401 - a fixture
 from tests.core.flights.missions import fault, golden, mission
@@ -33,22 +32,6 @@ def test_a_message_that_is_sent_again_leaves_the_golden_flight(state, field, bit
     assert [(alarm.state, alarm.action, alarm.outcome) for alarm in struck.alarms] == [(state, "resend", "repaired")]
     assert struck.digest() == golden().log.digest()
     assert sum(struck.meta["recompute_us"].values()) == 0
-
-
-def test_an_observer_sends_it_again_after_consumers_have_seen_it():
-    seen = []
-    struck = fly(
-        mission(),
-        site(*STRUCK[3]),
-        Checksum(),
-        recovery=RecoveryPolicy("observer", "message"),
-        recorders=[lambda state, now: seen.append((now, state)) if state.spec.name == STRUCK[3][0] else None],
-    ).log
-    (alarm,) = struck.alarms
-    at = round(1e6 * alarm.time_s)
-    wrong, right = (state for now, state in seen if now == at)
-    assert not wrong.same_bits(right) and (alarm.action, alarm.outcome) == ("resend", "repaired")
-    assert len(seen) == struck.meta["publications"][STRUCK[3][0]]
 
 
 @pytest.mark.parametrize("make", [Checksum, lambda: Checksum(large=True), Oracle])
@@ -105,22 +88,4 @@ def test_two_of_three_decide(runs, outcome):
     log = loop.fly().log
     (alarm,) = log.alarms
     assert (alarm.source, alarm.state, alarm.outcome) == ("duplicate", "control.command", outcome)
-    assert log.digest() == golden().log.digest() and wrong.count > 1000
-
-
-def test_a_fault_in_an_instruction_hits_one_of_the_runs(faults):  # noqa: F811
-    """It is the same fault in the same step as without the detector."""
-    alone = fly_instruction_faults(scenario(), faults["pid"])
-    twice = fly_instruction_faults(scenario(), faults["pid"], Duplicate(["pid"]))
-    wrong = [
-        number
-        for number, flight in enumerate(alone.flights)
-        if flight.log.digest() != alone.golden.log.digest() and flight.log.kernel.effect == "sdc"
-    ]
-    assert wrong, "else there is no proof"
-    for number in wrong:
-        flight = twice.flights[number]
-        assert flight.log.injections[0].activated
-        assert [alarm.outcome for alarm in flight.log.alarms] == ["repaired"]
-        assert flight.log.digest() == twice.golden.log.digest()
-    assert twice.golden.log.alarms == []
+    assert log.digest() == golden().log.digest() and wrong.count > 100

@@ -80,13 +80,6 @@ def test_at_instruction_level_a_fault_that_meets_another_value_is_not_the_scheme
     assert row(runs(*own), "schemes")["newly_lost"] == 2
 
 
-def test_the_time_to_an_alarm_is_that_of_lost_missions():
-    own = [golden(seed, arm=arm) for seed in (1, 2, 3) for arm in ("", "one")]
-    for seed, (end, after) in enumerate([(LOST, 0.2), (LOST, 0.4), (flown(), 9.0)], 1):
-        own += pair(seed, end, flown(alarms=[alarm(0.3 + after)], alarms_total=1))
-    assert row(runs(*own))["alarm_after"] == pytest.approx(0.3)
-
-
 def lasting_scenario():
     """One fault that comes back once and is lost for ever, one that only the scheme loses for ever; a golden loss."""
     once, stuck = {"target": "x, once"}, {"target": "x, for ever"}

@@ -100,26 +100,6 @@ def test_a_flight_that_dies_loses_its_mission_only(executor):
         assert items_of(results, (number, how))[-1] == (lost if how else Done())
 
 
-def tell_and_hang(seconds):
-    """First the pid of the Dask worker."""
-    yield os.getppid()
-    time.sleep(seconds)
-
-
-@pytest.mark.long
-def test_a_dask_worker_that_is_killed_again_and_again_loses_its_mission_only(executor, cluster):
-    """The scheduler gives its mission to another worker three times."""
-    killed, ends = [], {}
-    for mission, items in executor.map(tell_and_hang, [20.0, 0.0]):
-        if mission == 20.0 and isinstance(items[0], int):
-            os.kill(items[0], signal.SIGKILL)
-            killed.append(items[0])
-        ends[mission] = items[-1]
-    assert len(killed) == len(set(killed)) == 4
-    assert ends == {20.0: Lost("its Dask workers died", died=True, signal="SIGKILL"), 0.0: Done()}
-    cluster[1].wait_for_workers(2, timeout=120)
-
-
 def _children(pid):
     return [int(child) for path in Path(f"/proc/{pid}/task").glob("*/children") for child in path.read_text().split()]
 

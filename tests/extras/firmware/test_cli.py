@@ -6,26 +6,12 @@ from mavfi.cli.commands import run
 from mavfi.errors import BadInputError
 from mavfi.extras.firmware import build
 from mavfi.extras.firmware.cli import RegisterFaultOptions
-from mavfi.extras.firmware.injector import WALK
 from mavfi.mission import MissionSpec
 
 
 def register_fault(text, registers, seed):
     values = {"register_fault": text, "registers": registers, "register_seed": seed}
     return RegisterFaultOptions.chosen(MissionSpec(), values)[0]
-
-
-def test_the_fault_is_that_of_the_options():
-    fault = register_fault("firmware@10.5", "fp", 3)
-    assert (fault.node, fault.time_us, fault.registers, fault.seed, fault.walk) == (
-        "firmware",
-        10_500_000,
-        "fp",
-        3,
-        WALK,
-    )
-    assert fault.access == "either", "as in campaigns and in the table of hover and square"
-    assert register_fault(None, None, None) is None
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from contextlib import closing
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
@@ -13,7 +12,7 @@ from mavfi.extras.firmware.host import fly, register_fault
 from mavfi.extras.firmware.injector import CALLS, WALK
 from mavfi.extras.firmware.process import Firmware
 from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.flight.compose import new_loop, resolve
+from mavfi.flight.compose import resolve
 from mavfi.flight.loop import Listener
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.outcomes import LOST_TILT, ControlEffect, ControlErrors, control_of
@@ -88,19 +87,3 @@ def test_a_failure_of_a_sensor_reaches_the_firmware(golden):
     assert (log.rows[:151] == golden.log.rows[:151]).all()
     null = fly(scenario(), SensorFault("accelerometer", "ok", 3_000_000)).log
     assert null.injections[0].activated and null.digest() == golden.log.digest()
-
-
-def test_the_velocity_command_is_followed():
-    loop = new_loop(scenario())
-    plant = loop.plant
-    try:
-        start = plant.odometry[:3].copy()
-        plant.command(np.array([1.0, -0.5, 0.3, 0.4]), 2.0)
-        plant.advance(1_500_000)
-        assert plant.odometry[3:6] == pytest.approx([1.0, -0.5, 0.3], abs=0.15)
-        assert plant.odometry[12] == pytest.approx(0.4, abs=0.05)
-        plant.advance(4_000_000)  # the command expires: hover
-        assert np.linalg.norm(plant.odometry[3:6]) < 0.1
-        assert np.linalg.norm(plant.odometry[:3] - start) < 4.0
-    finally:
-        loop.plant.close()

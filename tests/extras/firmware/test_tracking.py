@@ -51,13 +51,6 @@ def test_a_step_of_the_command_is_no_lasting_error():
     assert tracking.since(0.0).velocity == 3.0
 
 
-def test_the_tilt_is_the_largest_of_any_instant():
-    tracking = flown(1, up=leaning(2.0), tracking=flown(100), first=100)
-    flown(300, tracking=tracking, first=101)
-    assert tracking.since(0.0).tilt == tracking.since(1e-6 * 400_000).tilt == pytest.approx(2.0)
-    assert tracking.since(1e-6 * 401_000).tilt == 0.0
-
-
 def test_only_what_follows_the_fault_counts():
     tracking = flown(250, odometry=moving((2.0, 0.0, 0.0)))
     flown(250, odometry=moving((0.5, 0.0, 0.0)), tracking=tracking, first=250)

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from mavfi.analysis.views import table, views_for
+from mavfi.analysis.views import table
 from mavfi.faults.fault import RegisterFault
 from mavfi.record import End, Injection, KernelEffect
-from tests.core.unit.analysis.handmade import GOLDEN, REGISTER, flown, golden, injected, runs
+from tests.core.unit.analysis.handmade import GOLDEN, flown, golden, injected, runs
 
 FAULT = RegisterFault(node="firmware", walk=3000, seed=1)
 
@@ -107,15 +107,3 @@ def test_classes_come_from_harmless_to_worst_with_their_largest_errors():
     assert (found["loss of control"]["velocity"], found["loss of control"]["success"]) == (4.7, 0)
     assert found["loss of control"]["time"] is None
     assert found["slight"]["time"] == 0.0
-
-
-def test_only_faults_in_a_firmware_have_these_views_and_none_of_a_foreign_node():
-    def names(own):
-        return {one.name for one in views_for(own)}
-
-    node = runs(golden(1), injected(1, flown(), REGISTER, target="general"))
-    assert {"firmware_faults", "firmware_phases", "firmware_functions"} <= names(each_outcome())
-    assert {"firmware_control", "firmware_control_phases", "firmware_classes"} <= names(each_class())
-    assert "register_effects" not in names(each_outcome())
-    assert "register_effects" in names(node)
-    assert "firmware_faults" not in names(node)

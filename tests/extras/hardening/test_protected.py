@@ -23,10 +23,11 @@ from tools.full_protection import full_plan
 pytestmark = pytest.mark.slow
 
 SEED = 7
+COURSE = {"start": (2.0, 0.0, 3.0), "goal": (9.0, 0.0, 3.0)}
 
 
 def mission(plan="", **more):
-    return resolve(MissionSpec(environment="sparse", seed=SEED, protection=str(plan), **more))
+    return resolve(MissionSpec(environment="sparse", seed=SEED, protection=str(plan), **COURSE, **more))
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ TOPICS = TICKS | ONCE | PUBLISHED | {"/log"}
 
 @pytest.fixture(scope="module")
 def recorded():
-    return fly_recorded(resolve(MissionSpec(seed=3)))
+    return fly_recorded(resolve(MissionSpec(environment="sparse", seed=3, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0))))
 
 
 @pytest.fixture(scope="module")

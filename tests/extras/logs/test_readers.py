@@ -106,16 +106,6 @@ def test_lines_that_are_no_calls(tmp_path, line, message):
         read_calls(path)
 
 
-def test_calls_keep_numbers_that_json_has_not(tmp_path):
-    path = tmp_path / "x.jsonl"
-    path.write_text(RecordedCall.of(5, "a(return)", {"": np.inf, "x": -np.inf, "y": np.nan, "z": 0.1}).line())
-    assert "Infinity" not in path.read_text()
-    (message,) = open_flight_log(path).messages([])
-    assert (message.topic, message.time_us) == ("a(return)", 5)
-    values = {name: message.layout.locate(message.data, name).value(message.data) for name in ("value", "x", "y", "z")}
-    assert values["value"] == np.inf and values["x"] == -np.inf and np.isnan(values["y"]) and values["z"] == 0.1
-
-
 @pytest.mark.parametrize("ending", X)
 def test_damaged_files_are_read_or_refused_in_one_line_and_nothing_is_printed(files, tmp_path, ending, capfd):
     random, content = np.random.default_rng(7), files(ending, "a").read_bytes()[:40_000]

@@ -19,8 +19,8 @@ from tests.extras.logs.viewer import Viewer
 
 pytestmark = pytest.mark.slow
 
-FAULT = StateFault(FaultSite("planning.waypoint", "x"), 10_000_000, 62)
-SCENARIO = resolve(MissionSpec(seed=3))
+FAULT = StateFault(FaultSite("planning.waypoint", "x"), 2_000_000, 62)
+SCENARIO = resolve(MissionSpec(environment="sparse", seed=3, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0)))
 
 
 @pytest.fixture(scope="module")

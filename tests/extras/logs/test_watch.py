@@ -129,14 +129,3 @@ def test_a_log_is_not_judged_by_a_detector_trained_on_it(files, tmp_path, capsys
         printed = capsys.readouterr()
         assert printed.err.count("\n") == 1 and f"{log}: is also trained on" in printed.err and not printed.out
         assert (str(train) in printed.err.partition("trained on")[2]) == (train != log)
-
-
-def test_a_log_that_is_cut_is_judged_and_named(files, tmp_path, capsys):
-    cut = tmp_path / "cut.ulg"
-    cut.write_bytes(files("ulg", "a").read_bytes()[:-7])
-    assert run(["watch", str(cut), "--train", str(files("ulg", "b")), "--json"]) == 0
-    printed = capsys.readouterr()
-    assert json.loads(printed.out)["recordings"][0]["cut"]
-    assert printed.err == "cut.ulg: cut, the last message is not complete\n"
-    assert run(["watch", str(files("ulg", "a")), "--train", str(files("ulg", "b"))]) == 0
-    assert not capsys.readouterr().err

@@ -4,26 +4,21 @@ import numpy as np
 import pytest
 
 from mavfi.extras.logs.ulog import FAULT_TOPIC, write_ulog
-from mavfi.extras.mavlink.tlog import LONGEST_TEXT, write_tlog
-from mavfi.mission import MissionStatus
+from mavfi.extras.mavlink.tlog import write_tlog
 from mavfi.numerics.frames import local
-from mavfi.record import AlarmRecord, Event, FlightLog, Injection
+from mavfi.record import AlarmRecord, Event, Injection
+from tests.extras.logs.conftest import make_log
 
 SECONDS = 4.0
 
 
-def make_log(**more):
-    """A climbing turn of 4 s with one fault and one alarm."""
-    time = np.arange(0, SECONDS, 0.02)
-    rows = np.zeros((len(time), 21))
-    rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = time, np.sin(time), 1 - np.cos(time), 1 + time
-    rows[:, 4], rows[:, 5], rows[:, 6] = np.cos(time), np.sin(time), 1.0
-    rows[:, 7], rows[:, 10], rows[:, 13] = np.cos(time / 2), np.sin(time / 2), 1.0
-    rows[:, 14:17], rows[:, 17], rows[:, 18:21] = rows[:, 4:7], 0.5, rows[:, 1:4] + 1.0
-    events = [Event(0, "plan", {"vertices": 3})]
-    injections = [Injection("state", "planning.waypoint.x", 2.0, 62, 1.5, 1e300, True)]
-    alarms = [AlarmRecord(2.02, "gaussian", "planning.waypoint", "planning", 3.0, ("planning.waypoint.x",))]
-    return FlightLog(rows, MissionStatus.SUCCESS, events, injections, alarms, **more)
+def noted_log():
+    """A flight with a plan, one fault and one alarm."""
+    log = make_log(0.0, SECONDS)
+    log.events = [Event(0, "plan", {"vertices": 3})]
+    log.injections = [Injection("state", "planning.waypoint.x", 2.0, 62, 1.5, 1e300, True)]
+    log.alarms = [AlarmRecord(2.02, "gaussian", "planning.waypoint", "planning", 3.0, ("planning.waypoint.x",))]
+    return log
 
 
 def read_ulog(log, path):
@@ -36,7 +31,7 @@ def read_ulog(log, path):
 
 
 def test_pyulog_reads_the_trajectory_in_ned(tmp_path):
-    log = make_log()
+    log = noted_log()
     found, data = read_ulog(log, tmp_path / "flight.ulg")
     position = data["vehicle_local_position"]
     assert np.array_equal(position["timestamp"], np.rint(1e6 * log.column("time")).astype(np.uint64))
@@ -51,7 +46,7 @@ def test_pyulog_reads_the_trajectory_in_ned(tmp_path):
 
 
 def test_pyulog_reads_fault_alarm_and_end(tmp_path):
-    found, data = read_ulog(make_log(), tmp_path / "flight.ulg")
+    found, data = read_ulog(noted_log(), tmp_path / "flight.ulg")
     texts = [(message.log_level_str(), message.timestamp, message.message) for message in found.logged_messages]
     assert texts == [
         ("INFO", 0, "plan vertices=3"),
@@ -74,7 +69,7 @@ def read_tlog(log, path):
 
 
 def test_pymavlink_reads_every_message(tmp_path):
-    log = make_log()
+    log = noted_log()
     found = read_tlog(log, tmp_path / "flight.tlog")
     positions = [m for m in found if m.get_type() == "LOCAL_POSITION_NED"]
     read = np.array([(m.x, m.y, m.z, m.vx, m.vy, m.vz) for m in positions])
@@ -82,27 +77,15 @@ def test_pymavlink_reads_every_message(tmp_path):
     assert np.array_equal(read, wanted.astype(np.float32))
     assert [m._timestamp for m in positions] == pytest.approx(log.column("time"), abs=1e-9)
     yaw = [m.yaw for m in found if m.get_type() == "ATTITUDE"]
-    np.testing.assert_allclose(np.unwrap(yaw), -log.column("time"), atol=1e-6)
+    np.testing.assert_allclose(np.unwrap(yaw), -0.6 * log.column("time"), atol=1e-6)
     last = [m for m in found if m.get_type() == "GLOBAL_POSITION_INT"][-1]
     north, east, down = local(1e-7 * last.lat, 1e-7 * last.lon, 1e-3 * last.alt)
     np.testing.assert_allclose((north, east, down), wanted[-5, :3], atol=0.02)
     assert sum(m.get_type() == "HEARTBEAT" for m in found) == SECONDS
 
 
-def test_long_texts_are_sent_in_chunks(tmp_path):
-    texts = [m for m in read_tlog(make_log(), tmp_path / "flight.tlog") if m.get_type() == "STATUSTEXT"]
-    assert [(m.severity, m.text) for m in texts if not m.id] == [
-        (6, "plan vertices=3"),
-        (3, "fault: planning.waypoint.x bit 62: 1.5 -> 1e+300"),
-        (6, "success: Reached the goal."),
-    ]
-    chunks = [m for m in texts if m.id]
-    assert [m.chunk_seq for m in chunks] == [0, 1] and len(chunks[0].text) == LONGEST_TEXT
-    assert "".join(m.text for m in chunks) == "alarm: gaussian planning.waypoint, recompute, replaced"
-
-
 def test_numbers_that_are_not_finite_or_too_large_are_written(tmp_path):
-    log = make_log()
+    log = noted_log()
     log.rows[5, 1], log.rows[6, 4], log.rows[10, 2], log.rows[20, 7:11] = np.nan, 1e300, 1e30, np.nan
     _, data = read_ulog(log, tmp_path / "flight.ulg")
     assert np.isnan(data["vehicle_local_position"]["x"][5]) and np.isinf(data["vehicle_local_position"]["vx"][6])

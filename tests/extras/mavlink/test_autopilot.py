@@ -132,19 +132,6 @@ def test_offboard_velocity_and_timeout(flying):
     assert abs(flying.vehicle.velocity[0]) < 0.2, "set-points ended"
 
 
-def test_offboard_position(flying):
-    offboard(flying, 0b0000_1001_1111_1000, 8, x=4.0, y=3.0, z=-5.0)
-    assert flying.vehicle.position == pytest.approx((4.0, 3.0, -5.0), abs=0.5)
-
-
-def test_orbit(flying):
-    latitude, longitude, altitude = geodetic((0.0, 0.0, -4.0))
-    assert flying.command(34, 5.0, 2.0, 0, NAN, latitude, longitude, altitude) == MavResult.ACCEPTED
-    flying.wait(12)
-    north, east, down = flying.vehicle.position
-    assert math.hypot(north, east) == pytest.approx(5.0, abs=1.0) and down == pytest.approx(-4.0, abs=0.5)
-
-
 def upload(client, items):
     """Upload a mission of (command, north, east, height above home)."""
     client.send(mavlink.MAVLink_mission_count_message(1, 1, len(items)))
@@ -179,14 +166,6 @@ def test_a_mission(client):
     assert [m.seq for m in client.of("MISSION_ITEM_REACHED")] == [0, 1, 2]
     assert client.vehicle.landed and not client.vehicle.sim.armed
     assert client.vehicle.position[:2] == pytest.approx((6.0, 6.0), abs=0.8)
-
-
-def test_parameters(client):
-    client.send(mavlink.MAVLink_param_request_list_message(1, 1))
-    found = {m.param_id: m for m in client.of("PARAM_VALUE")}
-    assert found["MIS_TAKEOFF_ALT"].param_value == 2.5 and len(found) == found["SYS_HITL"].param_count
-    client.send(mavlink.MAVLink_param_set_message(1, 1, b"MIS_TAKEOFF_ALT", 4.0, 9))
-    assert client.of("PARAM_VALUE")[-1].param_value == 4.0
 
 
 # ---- failures ------------------------------------------------------------------------------------------------------

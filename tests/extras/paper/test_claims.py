@@ -1,6 +1,3 @@
-from dataclasses import replace
-
-import polars as pl
 import pytest
 
 from mavfi.analysis.statistics import holm
@@ -9,7 +6,7 @@ from mavfi.extras.paper import claims
 from mavfi.extras.paper.claims import Claim, Evidence, claims_table, verdict
 from mavfi.extras.paper.overhead_views import ALL
 from mavfi.record import EnergyTerms
-from tests.core.unit.analysis.handmade import FAULT, INSTRUCTION, alarm, flown, golden, injected, runs
+from tests.core.unit.analysis.handmade import alarm, flown, golden, injected, runs
 
 
 def test_holm_is_that_of_the_textbook():
@@ -92,16 +89,6 @@ def test_platforms_are_compared_in_the_same_worlds():
     assert found["verdict"] == "confirmed" and "10 worlds" in found["here"], found
 
 
-def test_verdict_and_p_open_the_tested_runs():
-    own = states(True)
-    found = claims_table(["fault_loses_missions_in_states", "gaussian_recovers_in_states"], [own])
-    linked = [column.key in ("verdict", "p", "holm_p") for column in found.columns]
-    for behind, settings in zip(found.behind, (["fi"], ["fi", "dr_gaussian"]), strict=True):
-        assert [bool(ids) for ids in behind] == linked
-        tested = own.injected.where(pl.col("setting").is_in(settings))
-        assert {ids for ids in behind if ids} == {tuple(sorted(tested["run_id"], key=behind[2].index))}
-
-
 @pytest.mark.parametrize(
     ("share", "expected"), [(1e-6, "confirmed"), (0.01, "confirmed"), (0.0125, "contradicted"), (None, "undecided")]
 )
@@ -154,20 +141,6 @@ def test_measured_overheads_of_two_detectors_are_compared_by_flight(name, aad, g
     assert (found["verdict"], found["p"]) == ("undecided", None), "measured by an earlier version"
 
 
-def test_modelled_recomputation_of_two_detectors_and_by_stage():
-    own = []
-    for seed in range(10):
-        spent = {"gaussian": {"perception": 900, "planning": 900, "control": 10}, "autoencoder": {"control": 20}}
-        for arm, parts in spent.items():
-            record = flown(recompute_us=parts, compute_us={"pid": 1_000_000 + sum(parts.values())})
-            own.append(injected(seed, record, arm=arm))
-    names = ["autoencoder_overhead_smaller", "gaussian_recovery_of_early_stages"]
-    first, second = claims_table(names, [runs(*own, name="table1_instructions")]).entries()
-    assert first["verdict"] == second["verdict"] == "confirmed"
-    assert "AAD 0.002 % of compute time" in first["here"] and "GAD 0.181 %" in first["here"]
-    assert "perception and planning 0.18 %" in second["here"] and "control 0.001 %" in second["here"]
-
-
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
@@ -194,36 +167,6 @@ def test_claims_on_detection_recovery_and_flight_time(name, expected):
                 own.append(injected(seed, record, arm=arm, environment=place))
     [found] = claims_table([name], [runs(*own, name="table1")]).entries()
     assert found["verdict"] == expected, found
-
-
-def test_claims_on_kinds_of_bits_and_on_waypoints():
-    own = []
-    for seed in range(10):
-        own += [golden(seed), injected(seed, flown(flight_time_s=60.0), FAULT, target="waypoint yaw", index=2 * seed)]
-        mild = replace(FAULT, bit=3, stratum="mantissa")
-        own.append(injected(seed, flown(), mild, target="waypoint yaw", index=2 * seed + 1))
-    strong = [
-        replace(run, spec=replace(run.spec, fault=replace(run.spec.fault, stratum="sign", bit=63)))
-        if run.spec.fault and run.spec.fault.stratum != "mantissa"
-        else run
-        for run in own
-    ]
-    [found] = claims_table(["sign_exponent_flight_time"], [runs(*strong, name="states")]).entries()
-    assert found["verdict"] == "confirmed" and "sign and exponent 20.0 %" in found["here"], found
-    [found] = claims_table(["sign_exponent_failures"], [runs(*strong, name="states")]).entries()
-    assert found["verdict"] == "undecided" and "fails: sign and exponent 0.0 %" in found["here"]
-    [found] = claims_table(["waypoints_harm"], [runs(*own, name="states")]).entries()
-    assert found["verdict"] == "confirmed" and "fault 100.0 %" in found["here"], found
-
-
-def test_kernels_of_no_impact_can_be_contradicted_only():
-    for succeeds, expected in ((True, "undecided"), (False, "contradicted")):
-        own = []
-        for seed in range(10):
-            fault = replace(INSTRUCTION, kernel="octomap")
-            own += [golden(seed), injected(seed, flown(succeeds), fault, target="octomap")]
-        [found] = claims_table(["clouds_and_maps_negligible"], [runs(*own, name="kernels")]).entries()
-        assert found["verdict"] == expected, found
 
 
 def test_a_bound_is_tested_on_recomputation_over_compute_time():

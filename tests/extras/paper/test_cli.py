@@ -18,7 +18,7 @@ from mavfi.extras.paper.report import study_report
 from mavfi.extras.paper.steps import FLIGHTS as FLIGHTS_STEP
 from mavfi.extras.paper.steps import StepTimes
 from mavfi.extras.paper.study import load_study
-from tests.core.unit.campaign.fakes import HOST, small
+from tests.core.unit.campaign.fakes import small
 
 
 @pytest.fixture(autouse=True)
@@ -220,21 +220,6 @@ def test_detectors_are_trained_once_for_each_mission_that_is_watched(tmp_path, t
     name = study(tmp_path, table1=first, table1_instructions=second)
     assert run(["reproduce", name, "--out", str(tmp_path / "out")]) == 0
     assert trained == wanted
-
-
-@pytest.mark.slow
-def test_another_campaign_in_one_of_the_folders_is_refused_before_anything_is_written(capsys, tmp_path):
-    made_up = {"host": HOST, "arms": {}, "sampling": {"level": "state"}}
-    changes = {name: dict(made_up) for name in ("table1", "table1_instructions")}
-    arguments = ["reproduce", study(tmp_path, **changes), "--out", str(tmp_path / "out"), "--workers", "1"]
-    file, folder = str(tmp_path / "table1_instructions.yaml"), str(tmp_path / "out" / "instructions")
-    assert run(["campaign", "run", file, "--out", folder, "--workers", "1"]) == 0
-    changes["table1_instructions"]["faults"] = 2
-    study(tmp_path, **changes)
-    capsys.readouterr()
-    assert run(arguments) == 2
-    assert "holds another campaign (differs in: campaign.faults: " in capsys.readouterr().err
-    assert not {"models", "report.md"} & {path.name for path in (tmp_path / "out").iterdir()}
 
 
 def test_detectors_are_trained_for_each_platform_of_a_campaign():

@@ -4,7 +4,6 @@ import pytest
 
 from mavfi.analysis import table
 from mavfi.extras.paper.failure_rate import (
-    exposed,
     find_upsets,
     payoff,
     payoffs,
@@ -81,38 +80,6 @@ def test_a_detector_adds_its_instructions_times_its_harm_in_the_missions_that_ex
     assert payoff(with_rules(HOUR["acceptance"], IN_RULES, (1,)), "sparse", "dr_gaussian", 1.0).value == 1.0
 
 
-def test_a_mission_counts_by_the_instructions_that_it_executes():
-    many, one = ({"pid": {"instructions": number, "calls": 1, "lines": []}} for number in (99, 1))
-    own = [golden(seed, replace(GOLDEN, flight_time_s=1800.0, counts=own)) for seed, own in enumerate((many, one))]
-    own += [injected(0, flown(), INSTRUCTION, target="pid", index=index) for index in range(3)]
-    own.append(injected(1, flown(False), INSTRUCTION, target="pid", index=3))  # the only instruction of this mission
-    [row, whole] = table(runs(*own), "failures_per_hour").entries()
-    assert row["harm"].rate == pytest.approx(0.01) and row["n"] == 4
-    assert whole["failures"].value == pytest.approx(upsets_per_instruction(find_upsets()).value), "1 of 100 in an hour"
-
-
-def test_missions_that_a_detector_loses_without_a_fault_are_no_failures_by_faults():
-    own = []
-    for seed in range(10):
-        false_alarm = replace(counted("pid", "gaussian"), status="success" if seed else "collision")
-        own += [golden(seed, counted("pid")), golden(seed, false_alarm, arm="gaussian")]
-        own.append(injected(seed, flown(), INSTRUCTION, target="pid"))
-        own.append(injected(seed, flown(seed > 0), INSTRUCTION, arm="gaussian", target="pid"))
-        own.append(injected(seed, flown(seed > 0), IN_DETECTOR, arm="gaussian", target="gaussian"))
-    assert payoff(runs(*own), "sparse", "dr_gaussian", 1.0).value == 0.0
-
-
-def test_instructions_that_only_a_setting_executes_count_with_their_harm():
-    own, twice = [], {"pid": {"instructions": 20, "calls": 1, "lines": []}}
-    for seed in range(10):  # half of the faults lose the mission with and without the detector
-        own += [golden(seed, counted("pid")), golden(seed, replace(counted("pid"), counts=twice), arm="gaussian")]
-        own += [injected(seed, flown(seed >= 5), INSTRUCTION, arm=arm, target="pid") for arm in ("", "gaussian")]
-    rows = rows_of(runs(*own))
-    difference = rows["dr_gaussian", "pid"]["failures"].value - rows["fi", "pid"]["failures"].value
-    upset = upsets_per_instruction(find_upsets()).value
-    assert payoff(runs(*own), "sparse", "dr_gaussian", upset).value == pytest.approx(difference) == 10 * upset
-
-
 def test_a_detector_pays_if_it_prevents_more_failures_than_its_own_instructions_cause():
     found = payoff(campaign(), "sparse", "dr_gaussian", upset=1.0)
     # three of ten missions fewer in `pid`, two of ten more by the detector itself
@@ -135,18 +102,6 @@ def test_with_enough_pairs_the_answer_is_decided(saved, word):
         own.append(injected(seed, flown(saved), INSTRUCTION, arm="gaussian", target="pid"))
         own.append(injected(seed, flown(), IN_DETECTOR, arm="gaussian", target="gaussian"))
     assert payoffs(runs(*own), 1.0)[0].startswith(f"does dr_gaussian pay in sparse? {word}, ")
-
-
-def test_settings_whose_golden_runs_were_not_counted_are_left_out():
-    own = runs(
-        golden(1, counted("pid")),
-        golden(1, arm="gaussian"),
-        injected(1, flown(), INSTRUCTION),
-        injected(1, flown(), INSTRUCTION, arm="gaussian"),
-    )
-    assert list(exposed(own)) == [("sparse", "fi")]
-    notes = table(own, "failures_per_hour").notes
-    assert [note for note in notes if "not counted" in note] == [notes[0]] and notes[0].startswith("dr_gaussian: ")
 
 
 def test_a_dead_kernel_counts_as_a_failure_if_it_ends_the_mission():

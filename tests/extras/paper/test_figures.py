@@ -19,34 +19,6 @@ def instruction(kernel, **row):
     return {"level": "instruction", "population": "all_bits", "kernel": kernel, "flight_time_s": 40.0, **row}
 
 
-def test_kernels_have_a_row_each_below_the_golden_run_with_n_times_and_success():
-    own = runs(
-        golden(flight_time_s=38.0),
-        golden(flight_time_s=39.0),
-        instruction("pid"),
-        instruction("pid", success=False),
-        instruction("octomap", flight_time_s=50.0),
-    )
-    left, right = figures.figure(own, "kernels").axes
-    assert texts(left) == ["golden run  (n = 2)", "pid  (n = 2)", "octomap  (n = 1)"]
-    dots = [line.get_xdata().tolist() for line in left.lines if line.get_marker() == "."]
-    assert dots == [[38.0, 39.0], [40.0], [50.0]], "failures have no flight time"
-    rates = [container.lines[0].get_xdata()[0] for container in right.containers]
-    assert rates == [1.0, 0.5, 1.0]
-
-
-def test_distributions_name_worst_case_limit_and_counts():
-    own = runs(
-        golden(flight_time_s=38.0, inflation=0.0, time_limit_s=150.0),
-        {"flight_time_s": 60.0, "inflation": 0.5, "time_limit_s": 150.0},
-        {"success": False, "time_limit_s": 150.0},
-    )
-    [axes] = figures.figure(own, "flight_time_distribution").axes
-    assert axes.get_title(loc="left") == "dense (limit 150 s)"
-    assert [label.get_text() for label in axes.get_xticklabels()] == ["golden\n1/1", "fault\n1/2"]
-    assert [text.get_text() for text in axes.texts] == ["38 s", "60 s"]
-
-
 @pytest.mark.parametrize("name", ["kernels", "states", "bit_fields", "flight_time_distribution", "trajectories"])
 def test_nothing_to_show_is_no_figure(name):
     with pytest.raises(BadInputError, match=f"figure '{name}': these runs have nothing to show in it"):

@@ -1,11 +1,9 @@
 import json
-import re
 
 import pytest
 
 from mavfi.analysis import table
 from mavfi.campaign.config import Campaign
-from mavfi.config import config_root
 from mavfi.errors import BadInputError
 from mavfi.extras.paper import overhead_views, overheads
 from mavfi.mission import MissionSpec
@@ -49,27 +47,6 @@ def test_modelled_shares_by_hand_next_to_the_papers():
     assert not any("repeats it" in note for note in notes)
 
 
-def test_measured_values_are_compared_with_modelled_ones():
-    own = table(watched_runs(overheads=MEASURED), "overheads_as_in_the_paper")
-    found = {row["stage"]: row for row in own.entries()}
-    assert found["all"]["measured_detection"] == 0.01 and found["all"]["measured_recovery"] == 0.02
-    assert found["all"]["measured_sum"] == pytest.approx(0.03)
-    assert found["control"]["measured_sum"] is None
-    assert found["all"]["modelled_detection"] == 0.0005
-    assert found["all"]["modelled_sum"] == pytest.approx(0.0005 + 200 / 1000), "with the modelled recovery"
-    assert found["control"]["modelled_detection"] is None
-    notes = "\n".join(own.notes)
-    assert "one process on a processor" in notes and "as fast on the platform as here" in notes
-
-
-def test_a_measurement_without_modelled_detection_says_how_to_get_it():
-    older = {key: value for key, value in ROW.items() if key != "detection_modelled"}
-    own = table(watched_runs(overheads={**MEASURED, "rows": [older]}), "overheads_as_in_the_paper")
-    found = {row["stage"]: row for row in own.entries()}
-    assert found["all"]["measured_detection"] == 0.01 and found["all"]["modelled_detection"] is None
-    assert any("mavfi bench overheads DIR repeats it" in note for note in own.notes)
-
-
 def test_medians_of_flights_are_divided_by_the_time_of_the_kernels_and_by_the_modelled_one(monkeypatch):
     flights = iter([2.0, 2.0, 4.0, 8.0])  # the first one compiles
 
@@ -102,28 +79,6 @@ def test_measured_shares_are_kept_with_the_ledger(tmp_path):
         (tmp_path / overheads.FILE).write_text(damaged)
         with pytest.raises(BadInputError, match="overheads.json: is not a file of measured overheads"):
             overhead_views.load(tmp_path)
-
-
-@pytest.mark.slow
-def test_a_flight_with_duplicated_steps_is_measured():
-    found = overheads.cost(MissionSpec(environment="sparse", seed=10_000), "duplicate", "paper")
-    assert found.shown > 1000 and found.recomputed > 0
-    assert 0 < found.detection["all"] < found.kernels
-    assert sum(found.detection[name] for name in overheads.STAGES[:-1]) == pytest.approx(
-        found.detection["all"], rel=0.1
-    )
-
-
-@pytest.mark.slow
-def test_a_platform_without_latencies_has_no_time_to_compare_with(tmp_path):
-    shipped = (config_root() / "platforms" / "i9-9940x.yaml").read_text(encoding="utf-8")
-    instant = re.sub(r"(\w+): \d+(?=[,}])", r"\1: 0", shipped).replace("i9-9940x", "instant")
-    (tmp_path / "instant.yaml").write_text(instant, encoding="utf-8")
-    mission = MissionSpec(
-        environment="sparse", platform=str(tmp_path / "instant.yaml"), trained_for="published/i9-9940x"
-    )
-    with pytest.raises(BadInputError, match="platform instant: latency_us: all are 0; allowed: one above 0"):
-        overheads.cost(mission, "gaussian", "paper")
 
 
 def test_a_flight_is_measured_by_stage():

@@ -2,10 +2,8 @@ from dataclasses import replace
 
 import pytest
 
-from mavfi.analysis import table, views_for
-from mavfi.extras.paper.views import platforms
+from mavfi.analysis import table
 from mavfi.record import EnergyTerms
-from mavfi.report import figures
 from tests.core.unit.analysis.handmade import GOLDEN, flown, golden, injected, runs
 
 PARTS = {
@@ -53,24 +51,3 @@ def test_times_energies_and_ratios_by_hand():
     assert found["fast", "dr_gaussian"]["recovered"].rate == pytest.approx(30 / 40)
     assert found["slow", "dr_gaussian"]["recovered"].rate == 1.0
     assert found["fast", "fi"]["recovered"] is None
-
-
-def test_the_papers_figures_are_in_the_rows_of_their_platform():
-    found = rows(campaign())
-    assert [found[name, "golden"]["paper_s"] for name in PARTS] == [115, 322]
-    assert [found[name, "golden"]["paper_kj"] for name in PARTS] == [61_700, 177_100]
-    assert [round(found[name, "golden"]["paper_w"]) for name in PARTS] == [537, 550]
-    assert found["slow", "fi"]["paper_ratio"] == 2.8 and found["fast", "fi"]["paper_ratio"] is None
-    assert found["slow", "dr_gaussian"]["paper_recovered"] == 0.793
-    assert found["fast", "dr_gaussian"]["paper_recovered"] is None
-    hardened = rows(campaign(profile="hardened"))
-    assert hardened["slow", "golden"]["paper_s"] is None and hardened["slow", "fi"]["paper_ratio"] is None
-
-
-def test_only_campaigns_whose_parts_are_platforms_have_the_table_and_the_figure():
-    own = campaign()
-    assert "platforms" in [found.name for found in views_for(own)]
-    assert len(figures.FIGURES["platforms"].draw(own).axes) == 2
-    for parts in ({}, {"fast": PARTS["fast"]}, {"fast": PARTS["fast"], "slow": PARTS["fast"]}):
-        assert platforms(runs(golden(1), parts=parts)) == {}
-        assert figures.FIGURES["platforms"].draw(runs(golden(1), parts=parts)) is None

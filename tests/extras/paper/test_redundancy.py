@@ -16,15 +16,11 @@ from mavfi.extras.paper.redundancy import (
     CANNOT_HOVER,
     GRAVITY,
     DesignConfig,
-    at_ends,
-    band,
     energy_ratio,
     find_design,
     max_acceleration,
     payload,
     performance,
-    ratio,
-    redundancy_tables,
     safe_speed,
     shipped_designs,
     summary,
@@ -112,14 +108,6 @@ def test_every_band_and_input_of_the_shipped_designs_has_a_source():
         assert all(band.low <= getattr(own, key) <= band.high for key, band in own.bands.items())
 
 
-# ---- bands and input ---------------------------------------------------------------------------------------------
-def test_the_ends_of_a_band_change_one_parameter():
-    own = design(bands={"max_thrust": {"low": 9.0, "high": 30.0}})
-    low, high = at_ends(own, "max_thrust")
-    assert low is None, "it cannot hover"
-    assert high == own.model_copy(update={"max_thrust": 30.0})
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -194,23 +182,6 @@ def test_the_comparison_has_every_scheme_and_the_papers_figures():
     assert tmr["dji_spark", "thermal design power"]["band"].startswith("≥ 1.0"), "at one end it cannot hover"
     assert all(row["time"] == 1 and row["band"] is None for row in rows if row["scheme"] == "autoencoder")
     assert tmr["airsim_uav", "logged power"]["limited"] == 1.0, "it may fly faster than the mission lets it"
-
-
-def test_the_band_is_the_hull_of_one_parameter_after_the_other():
-    own = design(bands={"processor_power": {"low": 1.0, "high": 9.0}, "sensing_range": {"low": 2.0, "high": 20.0}})
-    changes = [("processor_power", 1.0), ("processor_power", 9.0), ("sensing_range", 2.0), ("sensing_range", 20.0)]
-    ends = [own.model_copy(update={key: value}) for key, value in changes]
-    found = [ratio(one, "TMR") for one in (own, *ends)]
-    assert band(own, "TMR") == (min(found), max(found)) and min(found) < ratio(own, "TMR") < max(found)
-
-
-def test_a_users_own_vehicle_has_no_figure_of_the_paper_and_no_band():
-    tables = redundancy_tables([design()])
-    assert [table.name for table in tables] == ["redundancy", "redundancy_speeds"]
-    last = tables[0].entries()[-1]
-    assert (last["scheme"], last["paper"], last["band"]) == ("TMR", None, None)
-    assert last["time"] == pytest.approx(time_ratio(performance(design(), 3), performance(design(), 1, 0.000062)))
-    assert summary([design()]) == [f"toy (own): with TMR it takes {last['time']:.2f} times as long as with a detector."]
 
 
 def test_the_summary_says_the_papers_figure_and_what_cannot_fly():

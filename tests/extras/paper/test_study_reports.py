@@ -8,14 +8,11 @@ import pytest
 
 from mavfi.cli import run
 from mavfi.extras.paper import cli_report as study_report
-from mavfi.extras.paper.cli_report import StudyBar
 from mavfi.extras.paper.report import write_study
-from mavfi.extras.paper.steps import StepTimes
 from mavfi.extras.paper.study import Study
-from tests.core.unit.cli import test_progress, test_report
+from tests.core.unit.cli import test_report
 from tests.core.unit.cli.test_report import printed
 
-clock = test_progress.clock
 flown = test_report.flown
 
 
@@ -48,10 +45,3 @@ def test_several_processes_write_the_same_reports_of_a_study(flown, tmp_path):
     assert len(files) >= 6 and {path.name for path in written.files} <= {file.name for file in files}
     for file in files:
         assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes(), file
-
-
-def test_a_step_that_is_stopped_is_not_shown_as_done(capsys, clock, tmp_path):
-    bar = StudyBar("study paper", StepTimes(tmp_path))
-    with pytest.raises(KeyboardInterrupt), bar, bar.timed("flights"):
-        raise KeyboardInterrupt
-    assert capsys.readouterr().err == "" and list(bar.steps.seconds) == ["flights"]

@@ -1,8 +1,6 @@
 """The table of costs: its rows, what is left out and why, and which detectors fly again."""
 
-from benchmarks import detectors
-from benchmarks.detectors import BASELINES, DETECTORS, table, unmeasured
-from mavfi.errors import NotInstalledError, SpecMismatchError
+from benchmarks.detectors import BASELINES, DETECTORS, table
 from mavfi.extras.bench.bench import load_bench
 from mavfi.extras.paper.overheads import STAGES, Cost
 
@@ -24,22 +22,3 @@ def test_every_scheme_of_the_bench_that_is_no_bound_is_measured():
     names = {arm.detector for arm in load_bench("mavfi-bench-1").arms.values() if arm.detector}
     assert {name for name, _, _ in DETECTORS} == names - {"random", "oracle"}
     assert len(BASELINES) == 6
-
-
-def test_what_is_not_measured_is_named_with_the_reason(monkeypatch, tmp_path):
-    def loaded(scenario, name, profile, models):
-        if name == "pca":
-            raise NotInstalledError("package 'pyod': not installed")
-        if scenario.autopilot.name == "hardened" and name in BASELINES:
-            raise SpecMismatchError(f"{models}: no model is trained")
-
-    monkeypatch.setattr(detectors, "detector_for", loaded)
-    names = ("gaussian", "pca", "matrix_profile")
-    keys = [(autopilot, name, "paper") for autopilot in ("published", "hardened") for name in names]
-    assert set(unmeasured(keys, None)) == {key for key in keys if key[1] != "gaussian"}
-    found = unmeasured(keys, tmp_path)
-    assert set(found) == {key for key in keys if key[1] == "pca" or key == ("hardened", "matrix_profile", "paper")}
-    text = table({}, 4, 3, found)
-    assert "Not measured: `pca` (`published`), `pca` (`hardened`): package 'pyod': not installed." in text
-    assert "Not measured: `matrix_profile` (`hardened`): there is no model for this autopilot profile." in text
-    assert str(tmp_path) not in text

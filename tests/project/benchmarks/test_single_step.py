@@ -164,16 +164,10 @@ CMP, JA, JE, ADD, MOV, CALL = "4839d8", "7702", "7402", "4801d8", "4889d8", "e80
         ([CMP, ADD, JE], []),  # overwritten unread
         ([CMP, CALL, JE], []),
         ([CMP], []),
-        (["c5f92ec1", JA], [("rflags", (0, 6))]),  # vucomisd xmm0, xmm1
-        (["62f1ff8910c1"], [("xmm0", 64)]),  # vmovsd xmm0 {k1} {z}, xmm0, xmm1
         (["f20f58c1"], [("xmm0", 64)]),  # addsd xmm0, xmm1
-        (["c5f8770000"], []),  # vzeroupper
         (["c5fb1100"], []),  # vmovsd qword ptr [rax], xmm0
         (["488903"], []),  # mov qword ptr [rbx], rax
-        (["55"], []),  # push rbp
-        (["5b"], [("rbx", 64)]),  # pop rbx
         (["4883ec30"], [("rsp", 64)]),  # sub rsp, 0x30
-        (["c3"], []),
         (["48f7f9"], [("rax", 64), ("rdx", 64)]),  # idiv rcx
     ],
 )

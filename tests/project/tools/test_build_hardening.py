@@ -1,15 +1,13 @@
 """The README's sentences on hardening, what is certified, and how much is injected for it."""
 
 import json
-from types import SimpleNamespace
 
 import pytest
 
 from mavfi.errors import BadInputError
 from mavfi.extras.hardening.certify import certification_json
 from mavfi.extras.hardening.report import certificate_table
-from mavfi.extras.hardening.target import Injected
-from tools import build_hardening, results
+from tools import results
 from tools.build_hardening import CERTIFICATE, certificate, certificate_sentence
 from tools.markers import ROOT
 from tools.stored_certificate import certification_of
@@ -25,30 +23,6 @@ def test_the_readme_says_what_the_page_says():
         " ([curves, plans, certificates](docs/results/hardening.md)), but buys no missions: "
     )
     assert buys.startswith("Protect ") and f"{buys}. It does not buy missions: {lost}" in page
-
-
-@pytest.mark.parametrize(
-    ("entry", "silent", "asked"),
-    [
-        ("time_to_collision", 100, [3, 9]),
-        ("time_to_collision", 10, [3, 12]),  # four times as many at most
-        ("time_to_collision", 300, [3]),
-        ("time_to_collision", 0, [3]),
-        ("plan_rrt", 100, [3]),  # no bar
-    ],
-)
-def test_functions_with_a_bar_are_injected_until_enough_are_silent(monkeypatch, tmp_path, entry, silent, asked):
-    made = []
-
-    def injections(seen, times):
-        made.append(times)
-        return [Injected(0, place, place < silent * times / 3, "0") for place in range(1000 * times)]
-
-    monkeypatch.setattr(build_hardening, "injections_in", injections)
-    seen = SimpleNamespace(entry=entry, variant=SimpleNamespace(ir_sha256="f00"))
-    found = build_hardening.Records(tmp_path / "r.jsonl", 3).learn(seen)
-    assert made == asked and len(found) == 1000 * asked[-1]
-    assert build_hardening.Records(tmp_path / "r.jsonl", 3).learn(seen) == found and made == asked, "kept in the file"
 
 
 def test_the_readme_and_the_page_say_what_the_shipped_certificate_says():

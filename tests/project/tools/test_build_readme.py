@@ -1,8 +1,6 @@
-import json
-
 import pytest
 
-from tools import build_readme, published_digests
+from tools import build_readme
 from tools.markers import DOCS, ROOT
 
 TABLE = """**Instruction level, the paper's Table I: success rates, one fault per mission**
@@ -43,64 +41,3 @@ def test_the_headline_of_the_readme_is_that_of_the_results():
     block = results.partition("<!-- instruction_table:begin -->")[2].partition("<!-- instruction_table:end -->")[0]
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert build_readme.headline(block) in readme and build_readme.compact(block) in readme
-
-
-@pytest.fixture
-def documents(monkeypatch, tmp_path):
-    """Pages without content, in the place of README.md and docs/results.md; the digests of a study are made up."""
-    for name, markers in (("README.md", "headline digests"), ("results.md", "table instruction_table")):
-        blocks = "".join(f"<!-- {marker}:begin -->\n<!-- {marker}:end -->\n" for marker in markers.split())
-        (tmp_path / name).write_text(blocks, encoding="utf-8")
-    for name in ("DOCS", "ROOT"):
-        monkeypatch.setattr(build_readme, name, tmp_path)
-    monkeypatch.setattr(build_readme, "RESULTS", tmp_path / "results")
-    monkeypatch.setattr(build_readme, "TABLES", tmp_path / "results" / "tables")
-
-    def entry(_, study):
-        if study["scale"] == "other":
-            raise ValueError("scale other")
-        return {"program": "mavfi", "fingerprint": "", "ledgers": [["table1", "", f"digest of {study['scale']}"]]}
-
-    monkeypatch.setattr(published_digests, "of_study", entry)
-    return tmp_path
-
-
-def study(folder, scale):
-    """A folder with the files of a study."""
-    (folder / "instructions").mkdir(parents=True)
-    (folder / "readme_block.md").write_text("| state level |", encoding="utf-8")
-    (folder / "instructions" / "readme_block.md").write_text(TABLE, encoding="utf-8")
-    for name in ("figures", "tables"):
-        (folder / name).mkdir()
-    for name in ("figures/a.png", "tables/a.csv", "study.md"):
-        (folder / name).write_text(name, encoding="utf-8")
-    (folder / "study.json").write_text(json.dumps({"scale": scale}), encoding="utf-8")
-    return folder
-
-
-def test_both_pages_are_written(documents):
-    assert build_readme.main(documents / "out") == 2
-    for name in ("figures", "tables/study", "tables/other"):
-        (documents / "results" / name).mkdir(parents=True)
-        (documents / "results" / name / "old.csv").touch()
-    assert build_readme.main(study(documents / "out", "paper")) == 0
-    readme = (documents / "README.md").read_text(encoding="utf-8")
-    assert "27 of 156" in readme and "| table1 |  | `digest of paper` |" in readme
-    assert "| state level |" in (documents / "results.md").read_text(encoding="utf-8")
-    copied = {str(path.relative_to(documents / "results")) for path in (documents / "results").rglob("*.*")}
-    assert copied == {
-        "figures/a.png",
-        "tables/study/a.csv",
-        "study.md",
-        "digests.json",
-        "tables/other/old.csv",
-    }, "of the study alone"
-    assert (documents / "results" / "study.md").read_text(encoding="utf-8").endswith("do not edit. -->\n\nstudy.md")
-
-
-def test_a_study_whose_digests_are_not_those_of_the_program_changes_nothing(documents, capsys):
-    before = (documents / "README.md").read_text(encoding="utf-8")
-    assert build_readme.main(study(documents / "out", "other")) == 2
-    assert "scale other" in capsys.readouterr().err
-    assert (documents / "README.md").read_text(encoding="utf-8") == before
-    assert not (documents / "results").exists()

@@ -1,5 +1,5 @@
 from dataclasses import fields
-from typing import Any, Literal
+from typing import Literal
 
 import pytest
 from pydantic import Field
@@ -21,24 +21,6 @@ class Whole(Config):
     part: Part
     names: tuple[str, ...] = ("a", "b")
     mode: Literal["x", "y"] = "x"
-
-
-@pytest.mark.parametrize(
-    ("annotation", "words"),
-    [
-        (int, "integer"),
-        (str | None, "text"),
-        (tuple[str, ...], "list of text"),
-        (dict[str, Any], "keys and values"),
-        (dict[str, float], "number by name"),
-        (tuple[float, float, float], "3 × number"),
-        (Literal["a", "b"], "`a`, `b`"),
-        (Part, "[Part](#part)"),
-        (tuple[Part, ...], "list of [Part](#part)"),
-    ],
-)
-def test_types_in_words(annotation, words):
-    assert reference.kind(annotation) == words
 
 
 def test_a_model_becomes_a_table():

@@ -9,7 +9,6 @@ from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.extras.paper.study import load_study
 from mavfi.report.text import short
-from tests.core.unit.campaign.fakes import small
 from tools import published_digests
 from tools.markers import DOCS, ROOT
 
@@ -57,43 +56,3 @@ def test_changed_campaigns_have_another_fingerprint(monkeypatch):
     }
     monkeypatch.setattr(type(study), "campaigns_at", lambda *_: other)
     assert published_digests.fingerprint("quick") != before
-
-
-@pytest.fixture
-def flown(monkeypatch, tmp_path):
-    """The folder of a study of one campaign, and its study.json."""
-    campaign = small(missions=1, faults=1)
-    run_campaign(campaign, tmp_path, executor=LocalExecutor(1))
-    monkeypatch.setattr("mavfi.extras.paper.study.Study.campaigns_at", lambda *_: {".": campaign})
-    described = {
-        "name": "small",
-        "digest": "d" * 64,
-        "versions": {"python": "3.11"},
-        "done": 2,
-        "total": 2,
-    }
-    return tmp_path, {"study": "paper", "scale": "quick", "campaigns": {".": described}, "programs": ["mavfi 1"]}
-
-
-def test_the_entry_of_a_study_names_what_each_ledger_needs(flown):
-    found = published_digests.of_study(*flown)
-    assert found["ledgers"] == [["small", "Python 3.11", "d" * 16]] and found["program"] == "mavfi 1"
-    table = published_digests.block({"quick": found})
-    assert "| ledger | depends on | `make reproduce` |" in table and table.endswith("Flown at scale quick by mavfi 1.")
-    bare = {"name": "small", "versions": {"numba": "1"}}
-    assert published_digests.needs(bare) == ""
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"study": "mine"}, "holds study mine at scale quick"),
-        ({"scale": "large"}, "holds study paper at scale large"),
-        ({"campaigns": {".": {"name": "small", "done": 1, "total": 2}}}, "small: 1 of 2 runs are flown"),
-        ({"programs": []}, "does not say which program flew it"),
-    ],
-)
-def test_another_or_an_incomplete_study_is_refused(flown, change, message):
-    out, study = flown
-    with pytest.raises(ValueError, match=message):
-        published_digests.of_study(out, {**study, **change})

@@ -47,12 +47,6 @@ def test_all_rows_are_in_the_file_and_the_page_shows_some(folder):
     assert {path.stem for path in (folder / "tables" / "name").iterdir()} == {"all", "kept"}
 
 
-@pytest.mark.parametrize("shown", [Excerpt("all", lambda row: False), Excerpt("all", columns=("scheme", "other"))])
-def test_a_page_that_would_show_nothing_is_refused(folder, shown):
-    with pytest.raises(ValueError, match="all: no rows to show"):
-        write("name", "Title", "What.", {"all": TABLE}, [shown])
-
-
 @pytest.mark.parametrize("arguments", [[], ["other"]])
 def test_an_unknown_page_is_one_line(arguments, capsys):
     assert main(arguments) == 2

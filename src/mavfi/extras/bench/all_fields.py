@@ -245,21 +245,21 @@ def reconstruct_part(inputs: np.ndarray, network: Network, first: int, last: int
     """Outputs [first, last) of the network, into the first row of `work`; see `autoencoder.reconstruct`.
 
     A publication is judged by its own fields: the last layer computes no others.  `reconstruct` is not built of this
-    function, since faults are drawn in its instructions.
+    function, since faults are drawn in its instructions.  So they are here: other names of arrays change their order.
     """
     sizes, weights = network.sizes, network.weights
-    values, sums = network.work[0], network.work[1]
-    values[: sizes[0]] = inputs
-    start = 0  # of the layer's weights, which its intercepts follow
+    now, after = network.work[0], network.work[1]
+    now[: sizes[0]] = inputs
+    start = 0
     for layer in range(1, len(sizes)):
-        sources, neurons = sizes[layer - 1], sizes[layer]
-        hidden, intercepts = layer < len(sizes) - 1, start + sources * neurons
+        before, neurons = sizes[layer - 1], sizes[layer]
+        hidden, intercepts = layer < len(sizes) - 1, start + before * neurons
         low, high = (0, neurons) if hidden else (first, last)  # hidden layers are computed as a whole
         # weighted sums of the layer before, source by source: rows are contiguous
-        total = sums[low:high]
+        total = after[low:high]
         total[:] = 0.0
-        for source in range(sources):
-            value, row = values[source], weights[start + source * neurons + low : start + source * neurons + high]
+        for source in range(before):
+            value, row = now[source], weights[start + source * neurons + low : start + source * neurons + high]
             for neuron in range(high - low):
                 total[neuron] += value * row[neuron]
         for neuron in range(high - low):
@@ -268,7 +268,7 @@ def reconstruct_part(inputs: np.ndarray, network: Network, first: int, last: int
             for neuron in range(high - low):
                 total[neuron] = quick_tanh(total[neuron])
         start = intercepts + neurons
-        values[low:high] = total
+        now[low:high] = total
 
 
 @kernel_jit

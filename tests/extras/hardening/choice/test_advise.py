@@ -2,19 +2,16 @@
 
 from dataclasses import dataclass
 from itertools import product
-from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavfi.campaign.config import Campaign
 from mavfi.extras.hardening import advise
 from mavfi.extras.hardening.advise import (
     Advice,
     Curve,
     CurveStep,
-    HardeningStudy,
     PreparedFunction,
     allocate,
     allocate_and_retime,
@@ -44,10 +41,6 @@ def curve(name, share, mass, *points):
     return Curve(Target(name, mass), 1.0, share, tuple(steps))
 
 
-SMALL = curve("track", 0.1, 50.0, (1.2, 0.8), (1.4, 0.95))
-LARGE = curve("insert_scan", 0.9, 100.0, (1.1, 0.2), (2.4, 1.0))
-
-
 def test_a_step_is_chosen_by_a_time_that_did_not_lead_to_its_choice(monkeypatch):
     """Its first time is the shortest of many: the error of the measurement is part of why it was chosen."""
     octomap = curve("map", 0.7, 75.0, (1.04, 0.3), (1.02, 0.4), (1.3, 0.9))
@@ -66,23 +59,6 @@ def test_a_step_is_chosen_by_a_time_that_did_not_lead_to_its_choice(monkeypatch)
     assert timed == [("map", b"2"), ("map", b"1")], "the small function is not timed again"
     assert chosen == (1, 1) and [step.time for step in curves[0].steps] == [1.0, 1.05, 1.10, 1.3]
     assert curves[1] == small and Advice(0.05, curves, chosen).spent <= 0.05
-
-
-def test_a_study_knows_whether_its_kernels_are_all_of_its_missions():
-    kernels = ["point_cloud", "octomap", "collision_check", "rrt_connect", "pid"]
-    campaign = Campaign.model_validate(
-        {
-            "name": "tiny",
-            "environments": ["dense"],
-            "missions": 1,
-            "faults": 5,
-            "sampling": {"level": "instruction", "kernels": kernels},
-            "mission": {"planner": "rrt_connect"},
-        }
-    )
-    whole, part = (HardeningStudy(Path(), campaign, "0" * 64, own) for own in (tuple(kernels), ("pid",)))
-    assert whole.complete and whole.selected == ()
-    assert not part.complete and part.selected == ("pid",)
 
 
 @settings(max_examples=100, deadline=None)
@@ -127,10 +103,3 @@ def test_functions_count_by_their_silent_corruptions():
     )
     assert found.rate == pytest.approx(0.9)
     assert found.low < 0.9 < found.high
-
-
-def test_an_advice_sums_time_over_its_functions():
-    advice = Advice(0.2, (SMALL, LARGE), allocate([SMALL, LARGE], 0.14), shared=0.01)
-    assert advice.spent == pytest.approx(0.01 + 0.1 * 0.4 + 0.9 * 0.1)
-    assert advice.coverage.rate == pytest.approx((50 * 0.95 + 100 * 0.2) / 150)
-    assert Advice(0.2, (), ()).coverage.rate is None

@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from mavfi.extras.hardening.battery import MASKED, SDC, Battery, counts_of, outputs_of
+from mavfi.extras.hardening.battery import MASKED, SDC, Battery, counts_of
 from mavfi.faults.levels.instruction.variant import variant_for
 from tests.extras.hardening.choice.kernels import calls, smooth
 
@@ -33,18 +33,6 @@ def test_injections_have_effects_and_can_be_repeated(battery):
     counted = counts_of(effects)
     assert counted[SDC] > 0 and counted[MASKED] > 0 and sum(counted.values()) == 30
     np.testing.assert_equal([tuple(args) for args in battery.calls], before)
-
-
-def test_work_arrays_and_unused_rows_are_no_output():
-    class Function:
-        @staticmethod
-        def py_func(counter, grid, path, count):
-            """As `shortcut_greedy`."""
-
-    path = np.arange(12.0).reshape(4, 3)
-    result = outputs_of("shortcut_greedy", Function, 2, (np.zeros(3), None, path, 4))
-    assert len(result[3]) == 2 and len(outputs_of("f", Function, 2, (0, 0, path, 4))[3]) == 4
-    assert len(outputs_of("shortcut_greedy", Function, -(2**62), (0, 0, path, 4))[3]) == 0
 
 
 def test_a_shared_process_gives_the_effects_of_one_process_each(battery):

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from mavfi.analysis.statistics import mcnemar
-from mavfi.campaign.config import Campaign, load_campaign
+from mavfi.campaign.config import load_campaign
 from mavfi.errors import BadInputError
 from mavfi.extras.hardening.advise import HardeningStudy
-from mavfi.extras.hardening.battery import SDC
 from mavfi.extras.hardening.certify import (
     Certificate,
     Certification,
@@ -18,9 +17,7 @@ from mavfi.extras.hardening.certify import (
     certify,
     check_fresh,
     combined_coverage,
-    observe_plain,
     predicted_coverage,
-    unprotected,
 )
 from mavfi.extras.hardening.duplicate import candidates
 from mavfi.extras.hardening.observed import GoldenCheck, ProtectedFunction
@@ -131,15 +128,6 @@ def test_full_duplication_removes_the_corruptions_of_the_same_injections(planned
     assert sum(found.after.values()) == sum(found.before.values()) == 60
 
 
-def test_a_function_without_sites_is_observed_as_it_is(planned):
-    seen, bare = see(smooth, calls()), planned.model_copy(update={"sites": ()})
-    assert unprotected([seen], ProtectionPlan(functions=(planned,))) == []
-    assert unprotected([seen], ProtectionPlan()) == unprotected([seen], ProtectionPlan(functions=(bare,))) == [seen]
-    found = observe_plain("smooth", seen, 60)
-    assert found.sdc.n == 60 and found.sdc.rate > 0.2 and found.instructions == seen.instructions
-    assert found.to_json()["sdc"]["successes"] == found.effects[SDC]
-
-
 def test_a_guarded_function_gives_the_same_bits_and_no_alarm(planned):
     guarded, own, other = ProtectedFunction(smooth, ProtectionPlan(functions=(planned,))), calls()[0], calls()[0]
     assert np.float64(guarded(*own)).tobytes() == np.float64(smooth(*other)).tobytes()
@@ -165,12 +153,3 @@ def test_a_plan_is_certified_with_missions_that_its_choice_has_not_seen(tmp_path
         return
     with pytest.raises(BadInputError, match=re.escape(f"{tmp_path}: {refusal}")):
         check_fresh(study, plan)
-
-
-def test_studied_seeds_are_those_of_an_environments_own_name(tmp_path):
-    parts = {"fast": {"environment": "dense"}, "slow": {"environment": "dense", "platform": "cortex-a57"}}
-    own = load_campaign("hardening").model_dump() | {"parts": parts, "environments": ("fast", "slow")}
-    study = HardeningStudy(tmp_path, Campaign.model_validate(own), "other", ("pid",))
-    assert study.worlds == ["dense"]
-    with pytest.raises(BadInputError, match="mission dense 10008"):
-        check_fresh(study, ProtectionPlan(ledger="made", studied={"dense": (10_000, 10_008)}))

@@ -41,11 +41,3 @@ def test_differences_of_coverages():
 def test_p_is_below_5_per_cent_where_the_interval_of_the_difference_is_below_0(rate):
     measured, predicted = Rate(0, rate, rate - 0.1, rate + 0.04), Rate(0, 0.9, 0.86, 0.92)
     assert (p_value_below(measured, predicted) < 0.05) == (difference(measured, predicted)[1] < 0)
-
-
-def test_p_of_a_known_distance_and_at_its_limits():
-    one = Rate(0, 0.5, 0.4, 0.53)
-    assert p_value_below(one, Rate(0, 0.6, 0.56, 0.7)) == pytest.approx(8.9e-5, rel=0.01)  # 0.1 / (0.05 / 1.96) = 3.92
-    assert p_value_below(one, Rate(0, 0.5, 0.4, 0.6)) == p_value_below(one, Rate(0, 0.4, 0.3, 0.41)) == 1.0
-    assert p_value_below(Rate(0, 0.5, 0.5, 0.5), Rate(0, 0.6, 0.6, 0.6)) == 0.0
-    assert p_value_below(one, Rate(0, None, None, None)) is None

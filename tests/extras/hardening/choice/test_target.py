@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavfi.analysis.statistics import wilson
-from mavfi.extras.hardening.advise import Advice, Curve, CurveStep, choices_of, every_choice, plan_of, planned_of
+from mavfi.extras.hardening.advise import Advice, Curve, CurveStep, choices_of, every_choice, planned_of
 from mavfi.extras.hardening.battery import Battery
 from mavfi.extras.hardening.certify import Certification, FunctionPair, certified_plan, certify, with_certified
 from mavfi.extras.hardening.observed import GoldenCheck
@@ -38,15 +38,6 @@ def test_expected_corruptions_are_those_of_the_injected_instructions(target):
     assert max(by_opcode, key=by_opcode.get) == "fmul" and by_opcode["fmul"] > 0.7 * target.sdc_mass
     rate = sum(one.sdc for one in target.injections) / len(target.injections)
     assert target.sdc_mass == pytest.approx(rate * target.seen.instructions, rel=0.15)
-
-
-def test_a_choice_from_other_calls_covers_what_it_has_not_seen(target):
-    ladder = choices_of(target)
-    covered = {fraction: np.mean([hit for _, hit in judged]) for fraction, _, judged in ladder}
-    assert covered[0.0] == 0.0 and covered[1.0] == 1.0
-    assert max(own for fraction, own in covered.items() if fraction <= 0.5) > 0.6
-    assert [choice.cost for _, choice, _ in ladder] == sorted(choice.cost for _, choice, _ in ladder)
-    assert all(len(judged) == sum(one.sdc for one in target.injections) for _, _, judged in ladder)
 
 
 def test_sites_are_those_of_the_parsed_module(target):
@@ -88,18 +79,6 @@ def test_a_summary_adds_up(target):
     assert [step.chosen for step in function.steps] == [one.fraction == 0.5 for one in steps]
 
 
-def test_a_plan_states_the_share_of_its_kernels_time(target):
-    steps = tuple(CurveStep(fraction, choice, 1.4, judged) for fraction, choice, judged in choices_of(target))
-    (other,) = targets_of({"pid": [see(smooth, [(np.ones(9, np.float32), np.zeros(9))])]})
-    curves = Curve(target, 300.0, 0.2, steps), Curve(other, 100.0, 0.1, steps)  # two functions of a kernel
-    advice = Advice(0.5, curves, (len(steps) - 1, 0))
-    plan = plan_of(Study(Study.Named()), [advice])
-    assert plan.studied == {"dense": (1, 2)} and plan.budget == 0.5
-    planned, none = plan.functions
-    assert planned.kind == "duplicate" and planned.share == 0.75 and planned.time == 1.4
-    assert none.kind == "none" and not none.sites and none.predicted is None
-
-
 def test_a_plan_keeps_the_certificate_of_the_same_code(target):
     whole = FunctionPlan(
         kernel="pid",
@@ -117,11 +96,6 @@ def test_a_plan_keeps_the_certificate_of_the_same_code(target):
     assert with_certified(plan, earlier).functions[0].certified == found
     other = ProtectionPlan(functions=(whole.model_copy(update={"certified": found, "sites": whole.sites[1:]}),))
     assert with_certified(plan, other).functions[0].certified is None
-    steps = tuple(CurveStep(fraction, choice, 1.4, judged) for fraction, choice, judged in choices_of(target))
-    advice = Advice(0.5, (Curve(target, 300.0, 0.2, steps),), (len(steps) - 1,))
-    summed = summary(Study(Study.Named()), [advice], Harm(wilson(0, 9), wilson(1, 3), wilson(3, 20)), earlier)
-    (row,) = summed.functions
-    assert (row.certified.rate, row.certified.low, row.certified.high) == (0.9, 0.8, 0.95)
 
 
 def test_choice_and_certificate_count_the_same_corruptions():

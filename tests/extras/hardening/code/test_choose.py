@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavfi.extras.hardening.choose import OUTSIDE, Chooser, Cuts, Use, Value, total_cost, upper_hull
+from mavfi.extras.hardening.choose import OUTSIDE, Chooser, Cuts, Use, Value, total_cost
 from mavfi.extras.hardening.plan import ModuleSite
 
 HOT, COLD = 100.0, 1.0
@@ -93,32 +93,9 @@ def test_a_slice_is_cheaper_than_its_values_alone():
     assert sum(total_cost(values, {i}) for i in range(4)) == 4 * 50
 
 
-def test_a_phi_of_a_loop_pays_for_the_copy_of_its_start_only():
-    from mavfi.extras.hardening.choose import PhiInput
-
-    phi = Value(
-        ModuleSite(0, 1, 0), "phi", "i64", HOT, (1,), entries=(PhiInput(OUTSIDE, COLD, False), PhiInput(1, HOT, True))
-    )
-    step = Value(ModuleSite(0, 1, 1), "add", "i64", HOT, (0,))
-    phi.uses.append(Use(1, "%b1", HOT))
-    step.uses.append(Use(0, "%b1", HOT))
-    assert total_cost([phi, step], {0, 1}) == 2 * HOT + COLD
-    assert Cuts([phi, step], np.array([1000.0, 1000.0])).at(1.0) == {0, 1}
-
-
 def test_a_comparison_is_made_where_it_is_executed_less_often():
     value = Value(ModuleSite(0, 0, 0), "load", "double", HOT)
     value.uses.append(Use(OUTSIDE, "%b1", COLD))
     assert total_cost([value], {0}) == HOT + 3 * COLD
     value.uses.append(Use(OUTSIDE, "%b2", None))  # a block whose executions are not counted
     assert total_cost([value], {0}) == HOT + 3 * HOT
-
-
-def test_hull_drops_choices_below_the_line_between_others():
-    from mavfi.extras.hardening.choose import Choice
-
-    points = [
-        Choice(frozenset({i}), cost, benefit)
-        for i, (cost, benefit) in enumerate([(0, 0), (1, 5), (2, 6), (4, 10), (5, 9)])
-    ]
-    assert [(point.cost, point.benefit) for point in upper_hull(points)] == [(0, 0), (1, 5), (4, 10)]

@@ -14,7 +14,6 @@ from mavfi.extras.hardening.duplicate import candidates, protect
 from mavfi.faults.levels.instruction.api import digest
 from mavfi.ir.build import target_machine
 from mavfi.ir.module import bodies_of, is_floating
-from tests.core.unit.faults.instruction.kernels import STRAIGHT, straight
 from tests.core.unit.kernels.cases import CASES as REAL
 from tests.extras.hardening.code.kernels import CASES, blend
 from tests.extras.hardening.code.strikes import Full, module_of, strike_all, variant
@@ -88,19 +87,6 @@ def test_kernels_of_the_pipeline_keep_their_results(name):
     assert digest((result, protected_args)) == digest((case.function(*plain), plain))
 
 
-def test_partial_plans_keep_results():
-    kernel, args = CASES["blend"]
-    all_sites = candidates(module("blend"))
-    random = np.random.default_rng(3)
-    golden = copied(args)
-    wanted = digest((kernel(*golden), golden))
-    for share in (0.1, 0.5):
-        some = [site for site in all_sites if random.random() < share]
-        own = copied(args)
-        made = variant(kernel, args, lambda plain, some=some: protect(plain, some, addresses=True))
-        assert digest((made.count(*own)[0], own)) == wanted
-
-
 def test_a_protected_module_is_a_copy():
     plain = module("walk")
     bodies = bodies_of(plain)
@@ -130,25 +116,6 @@ def test_code_generation_keeps_all_shadows(name):
     protected = protect(plain, candidates(plain), addresses=False)
     before, after = arithmetic(whole(plain)), arithmetic(whole(protected))
     assert before and after == {word: 2 * count for word, count in before.items()}
-
-
-def test_without_copies_code_generation_would_merge_shadows():
-    """What the assembly is for."""
-    plain = module_of(straight, STRAIGHT)
-    protected = protect(plain, candidates(plain), addresses=False)
-    text = re.sub(r'call (\S+) asm "" , "=[rx],0" \( (\S+) (\S+) \)', r"freeze \1 \3", whole(protected))
-    twice = {word: 2 * count for word, count in arithmetic(whole(plain)).items()}
-    assert arithmetic(text).total() < arithmetic(whole(protected)).total() == sum(twice.values())
-
-
-def test_each_shadow_is_marked_and_originals_keep_their_names():
-    plain = module("walk")
-    protected = protect(plain, candidates(plain), addresses=False)
-    for before, after in zip(plain.functions, protected.functions, strict=True):
-        own = [one.result for block in after.blocks for one in block.sites if not one.role]
-        assert own == [one.result for block in before.blocks for one in block.sites]
-        roles = Counter(one.role for block in after.blocks for one in block.sites)
-        assert set(roles) == {"", "shadow", "copy", "check"}
 
 
 def test_only_functions_that_can_report_are_duplicated():

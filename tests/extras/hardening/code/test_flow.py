@@ -83,14 +83,3 @@ def test_weights(text, weight):
     )
     block = parse_module(body, "g").functions[0].blocks[0]
     assert weight_of(block.sites[0]) == weight
-
-
-def test_addresses_are_compared_before_loads_on_demand(module):
-    whole = set(range(8))
-    plain, compared = (total_cost(values_of(module, COUNTS, addresses=on), whole) for on in (False, True))
-    assert compared == plain + 10
-
-
-def test_without_counts_of_a_block_a_value_is_compared_where_it_is_made(module):
-    known = {place: count for place, count in COUNTS.items() if place != (0, 3)}
-    assert total_cost(values_of(module, known), {SUM}) == 11 + 11 * 3 + 1

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mavfi.extras.hardening.compiled import Timed, compare, quiet
+from mavfi.extras.hardening.compiled import Timed, compare
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source
 from mavfi.numerics.jit import kernel_jit
@@ -67,13 +67,6 @@ def test_rounds_in_which_the_core_is_shared_do_not_count():
     found = compare(clock(1.0, 1.1), {"a": clock(1.25, 1.6)}, [(1e7,)], lambda n: n >= 100)
     assert found.ratios == pytest.approx({"a": 1.25})
     assert found.ticks == pytest.approx(1e7)
-
-
-def test_of_few_rounds_three_count():
-    rounds = [{"": 1.0, "a": float(number)} for number in (5, 1, 4, 2, 3)]
-    assert [row["a"] for row in quiet(rounds)] == [1.0, 2.0, 3.0]
-    assert quiet(rounds[:2]) == [rounds[1], rounds[0]]
-    assert len(quiet(rounds * 4)) == 5
 
 
 def test_arguments_of_recorded_calls_are_not_modified():

@@ -12,12 +12,10 @@ from mavfi.extras.hardening.plan import Coverage
 from mavfi.extras.hardening.report import (
     HEIGHT,
     WIDTH,
-    advice_table,
     caveats,
     certificate_table,
     curve,
     headline,
-    interval,
     page,
     source,
     verdict_line,
@@ -36,18 +34,6 @@ def test_the_page_says_what_to_protect_and_what_it_does_not_buy():
     assert "mavfi harden &#39;out/my runs&#39; --plan plan.yaml --certify" in text
     assert "400 injections in recorded calls" in text and "in the ledger" not in text, "the advice has its own faults"
     assert "cannot repeat: call 5.0 %" in text and "beyond the budget 15.0 %" in text
-
-
-def test_certified_coverage_is_shown_where_it_is_known():
-    advice = summary()
-    assert "ertified" not in page(advice, DIRECTORY, PLAN)
-    assert advice_table(advice).columns[-1].heading == "sites"
-    first, *others = advice.functions
-    advice = replace(advice, functions=(replace(first, certified=rate(0.91)), *others))
-    assert f"certified {interval(rate(0.91))}" in page(advice, DIRECTORY, PLAN)
-    table = advice_table(advice)
-    assert table.columns[-1].heading == "certified" and table.rows[0][-1] == interval(rate(0.91))
-    assert table.rows[1][-1] == "—"
 
 
 def test_the_page_loads_nothing():

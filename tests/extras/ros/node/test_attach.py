@@ -101,21 +101,6 @@ def test_list_names_nodes_processes_topics_and_rates(arm, capsys):
     assert topics["/joint_states"]["readers"] == [arm.node]
 
 
-def test_a_node_that_died_is_shown_as_such_and_cannot_be_injected(arm, capsys):
-    arm.master.call("registerPublisher", "/ghost_topic", "std_msgs/String", "http://127.0.0.1:9/", caller="/ghost")
-    try:
-        found = run_json(capsys, "ros", "list", "--seconds", "0")
-        assert next(node for node in found["nodes"] if node["name"] == "/ghost")["pid"] is None
-        assert run(["ros", "list", "--seconds", "0"]) == 0
-        assert "dead" in capsys.readouterr().out
-        assert run(["inject", "--ros-node", "/ghost"]) == 2
-        assert "has died" in capsys.readouterr().err
-        assert run(["ros", "corrupt", "--topic", "/ghost_topic", "--field", "data"]) == 2
-        assert "nobody" in capsys.readouterr().err
-    finally:
-        arm.master.call("unregisterPublisher", "/ghost_topic", "http://127.0.0.1:9/", caller="/ghost")
-
-
 def test_one_changed_message_changes_exactly_the_expected_transform(arm, transforms, capsys):
     before = graph_of(arm)
     arguments = ["ros", "corrupt", *FIELD, "--bit", "51", "--at", "10"]
@@ -163,30 +148,6 @@ def test_bad_input_is_one_line_with_what_is_allowed(arm, capsys, arguments, mess
     assert run(["ros", "corrupt", *arguments]) == 2
     err = capsys.readouterr().err
     assert message in err and err.count("\n") == 1
-
-
-def test_a_register_of_a_node_is_injected_by_its_name_and_the_node_survives_the_null_fault(arm, transforms, capsys):
-    done = run_json(
-        capsys,
-        "inject",
-        "--ros-node",
-        "/robot_state_publisher",
-        "--symbol",
-        "4TimeERSB_",
-        "--registers",
-        "fp",
-        "--seed",
-        "3",
-        "--null",
-    )
-    (injection,) = done["injections"]
-    assert injection["details"]["pid"] == arm.process.pid and injection["activated"]
-    count = len(transforms.found)
-    until(lambda: len(transforms.found) > count + 20)
-    assert set(transforms.found) == {expected(0.5)} and arm.process.poll() is None
-    assert run(["inject", "--ros-node", "/nobody"]) == 2
-    assert "node /nobody: not in the graph; allowed: " in capsys.readouterr().err
-    assert run(["inject", "--ros-node", "/driver", "--pid", "1"]) == 2
 
 
 def record_bag(path, seconds):

@@ -1,19 +1,13 @@
 """A campaign on Debian's robot_state_publisher, and flights as bags that Debian's rosbag reads."""
 
-import subprocess
-
 import pytest
-import yaml
 
-from mavfi import cli
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
-from mavfi.errors import BadInputError
 from mavfi.extras.ros.node.bench import run_trial
 from mavfi.faults.fault import RegisterFault
 from mavfi.outcomes import effect_of
-from tests.extras.ros.node.conftest import until
 
 pytestmark = pytest.mark.ros
 
@@ -77,41 +71,3 @@ def test_masked_corrupted_crashed_and_never_injected_are_distinguished(ros, camp
     assert found.effect == effect and reason in found.reason
     assert (found.injection is None) == (effect == "unknown")
     assert bool(found.differing) == bool(found.differences) == (effect == "sdc")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"command": ("/nothing/there",)}, "cannot be started"),
-        ({"inputs": {"type": "sensor_msgs/Nothing"}}, "type sensor_msgs/Nothing: not known"),
-        ({"symbol": "no_such_symbol"}, "no_such_symbol"),
-    ],
-)
-def test_what_cannot_be_tried_is_refused(ros, campaign, changes, message):
-    changes = dict(changes)
-    wrong = fault(symbol=changes.pop("symbol")) if "symbol" in changes else None
-    if "inputs" in changes:
-        changes["inputs"] = campaign.under_test.inputs.model_copy(update=changes["inputs"])
-    with pytest.raises(BadInputError, match=None) as error:
-        run_trial(node(campaign, **changes), fault=wrong)
-    assert message in str(error.value)
-
-
-@pytest.mark.slow
-def test_debians_rosbag_reads_and_plays_an_exported_flight(bench, tmp_path):
-    flight, bag = tmp_path / "flight.npz", tmp_path / "flight.bag"
-    assert cli.run(["fly", "--environment", "sparse", "--seed", "10000", "--save", str(flight)]) == 0
-    assert cli.run(["export", str(flight), "--to", str(bag)]) == 0
-    done = subprocess.run(["/usr/bin/rosbag", "info", "--yaml", str(bag)], check=True, capture_output=True, text=True)
-    info = yaml.safe_load(done.stdout)
-    assert info["messages"] > 100 and info["duration"] > 1.0
-    topics = {topic["topic"]: topic["type"] for topic in info["topics"]}
-    assert "tf2_msgs/TFMessage" in topics.values()
-    nowhere = {name: subprocess.DEVNULL for name in ("stdin", "stdout", "stderr")}
-    player = subprocess.Popen(["/usr/bin/rosbag", "play", "--quiet", "--rate", "0.5", str(bag)], **nowhere)
-    try:
-        until(lambda: set(topics) <= set(bench.master.graph().publishers), 20)
-    finally:
-        player.terminate()
-        player.wait()

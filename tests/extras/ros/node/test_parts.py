@@ -6,15 +6,12 @@ import time
 import pytest
 
 from mavfi.cli import run
-from mavfi.errors import BadInputError, MavfiError
+from mavfi.errors import MavfiError
 from mavfi.extras.ros.node.message import Composer
 from mavfi.extras.ros.node.peer import Peer, TopicSource, decode_header, encode_header
-from mavfi.faults.levels.message.definition import Definition
-from mavfi.flight.log_readers import make_probes
 
 COMPOSER = Composer("sensor_msgs/JointState")
 MESSAGE = COMPOSER.pack({"name": ["a"], "position": [0.5]})
-DEFINITION = Definition("sensor_msgs/JointState", COMPOSER.header["message_definition"])
 
 
 class NoMaster:
@@ -77,19 +74,6 @@ def test_a_reader_follows_the_publishers_of_an_update(peer):
     inlet.connect([])
     assert inlet.sources == {}
     reader.close()
-
-
-def test_fields_are_given_to_the_topics_that_have_them():
-    first = {"/a": (DEFINITION, MESSAGE), "/b": (DEFINITION, MESSAGE)}
-    names = {t: [f.name for f in probe.spec.header] for t, probe in make_probes(first, ["/a:position[0]"]).items()}
-    assert names == {"/a": ["position[0]"]}
-    assert list(make_probes(first, ["position[0]"])) == ["/a", "/b"]
-    assert make_probes(first, [])["/b"].read(MESSAGE).header["position[0]"][0] == 0.5
-    assert make_probes(first, ["velocity[0]"])["/a"].read(MESSAGE) is None
-    for wanted, message in ((["/c:position[0]"], "not watched; allowed: /a, /b"), (["nothing"], "no member 'nothing'")):
-        with pytest.raises(BadInputError) as error:
-            make_probes(first, wanted)
-        assert message in str(error.value)
 
 
 @pytest.mark.parametrize("arguments", [["ros", "list"], ["inject", "--ros-node", "/a"]])

@@ -58,13 +58,6 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, monkeypatch, arguments, m
     assert text.count("\n") == 1 and message in text
 
 
-def test_without_apt_the_installation_says_so(monkeypatch, tmp_path, capsys):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr(finder, "missing", lambda: ["rospy"])
-    assert install.main() == 2
-    assert "apt-get: not found" in capsys.readouterr().err
-
-
 class TestTheFinder:
     pytestmark = ros
 

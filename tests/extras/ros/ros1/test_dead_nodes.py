@@ -2,14 +2,14 @@
 
 import pytest
 
-from mavfi.flight.compose import detector_for, new_loop, resolve, watch, with_keys_of
+from mavfi.flight.compose import new_loop, resolve, watch
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.fly import fly as fly_here
 from mavfi.flight.loop import Listener
 from mavfi.flight.restarts import Restarts
 from mavfi.mission import MissionSpec
 from tests.core.flights.missions import Scripted
-from tests.extras.ros.ros1.flights import NODES, same, short, there
+from tests.extras.ros.ros1.flights import same, short, there
 from tests.extras.ros.ros1.needs import ros
 
 flying = [*ros, pytest.mark.slow]
@@ -57,18 +57,6 @@ class TestFlights:
         assert lives == [("node_lost", ANSWERING_US), ("node_back", ANSWERING_US + AWAY_US)]
         same_but_for_notes(log, died_here(scenario, "planner"))
 
-    @pytest.mark.long
-    @pytest.mark.parametrize("node", [node for node in NODES if node != "planner"])
-    @pytest.mark.parametrize("policy", ["fresh", "readback"])
-    def test_any_other_node(self, node, policy):
-        scenario = resolve(alarming(policy))
-        same_but_for_notes(died_there(scenario, node), died_here(scenario, node))
-
-    @pytest.mark.long
-    def test_the_state_estimator(self):
-        scenario = resolve(alarming("readback").model_copy(update={"localization": "estimator"}))
-        same_but_for_notes(died_there(scenario, "state_estimation"), died_here(scenario, "state_estimation"))
-
     def test_a_mission_that_ends_with_its_node(self):
         scenario = resolve(alarming("end"))
         log = died_there(scenario, "octomap")
@@ -82,20 +70,3 @@ class TestFlights:
         log = there(short(), None, watching(), recovery=ESCALATING)
         same(log, fly_here(short(), None, watching(), recovery=ESCALATING).log)
         assert [alarm.outcome for alarm in log.alarms] == ["rejected", "restarted"]
-
-    @pytest.mark.long
-    def test_a_detector_that_waits_for_an_answer_leaves_a_dead_planner_to_its_restart(self):
-        spec = with_keys_of(alarming("fresh"), "recommended").model_copy(update={"grain": "kernel"})
-        scenario, recovery = resolve(spec), RecoveryPolicy.of(spec)
-
-        def watching():
-            return detector_for(scenario, "recommended", "paper", None)[0]
-
-        log = died_there(scenario, "planner", watching(), recovery)
-        assert log.status.label == "success"
-        assert all(alarm.time_s > 1e-6 * (ANSWERING_US + AWAY_US) for alarm in log.alarms), "no deadline of a dead node"
-        assert [(alarm.source, alarm.outcome) for alarm in log.alarms] == [
-            ("acceptance", "rejected"),
-            ("acceptance", "restarted"),
-        ], "its numbers begin again"
-        same_but_for_notes(log, died_here(scenario, "planner", watching(), recovery))

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +21,6 @@ from mavfi.extras.ros.ros1.host import fly as fly_there
 from mavfi.extras.ros.ros1.plan import FlightPlan
 from mavfi.extras.ros.ros1.ports import is_alive
 from mavfi.extras.ros.ros1.register_injector import fault_in_node
-from mavfi.extras.ros.ros1.supervisor import children
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.compose import detector_for
 from mavfi.flight.decide import RecoveryPolicy
@@ -48,40 +46,6 @@ def left_behind(folder):
                 found.append(path.parent.name)
         except OSError:
             pass
-    return found
-
-
-def test_a_node_is_a_process_of_its_own():
-    """With a name and a session, and a child of the supervisor."""
-    seen = {}
-
-    def look(folder):
-        thread = threading.Thread(target=lambda: seen.update(nodes_of(folder)))
-        thread.start()
-        threads.append(thread)
-
-    threads = []
-    scenario = short()
-    fly_there(FlightPlan(scenario, configure(scenario)), tell=look)
-    threads[0].join()
-    assert set(seen) == {*NODES, "world"}
-    assert len(set(seen.values())) == len(seen)
-
-
-def nodes_of(folder):
-    """Sessions of the nodes of a flight, by the names that /proc gives."""
-    found = {}
-    until = time.monotonic() + 60
-    while len(found) < len(NODES) + 1 and time.monotonic() < until:
-        for pid in children(int((folder / PID).read_text())):
-            try:
-                name = Path(f"/proc/{pid}/comm").read_text().strip()
-                stat = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-            except OSError:
-                continue
-            if name in (*NODES, "world"):
-                found[name] = int(stat[3])
-        time.sleep(0.02)
     return found
 
 
@@ -124,13 +88,6 @@ def test_an_injected_estimate_violates_its_rule():
     same(log, fly_here(scenario, wrong, detector("acceptance", scenario), recovery=observer).log)
     assert log.injections[0].activated
     assert (log.alarms[0].fields, log.alarms[0].action) == (("perception.odometry.x",), "recompute")
-
-
-def test_an_injector_that_was_killed_does_not_inject_again():
-    wrong = fault("control.command", "vy", 1.0, 3)
-    log = there(short(), wrong, kills=(("injector", 2_000_000),))
-    assert log.injections == fly_here(short(), wrong).log.injections
-    assert [event.kind for event in log.events if event.kind.startswith("node")] == ["node_lost", "node_back"]
 
 
 def test_a_killed_node_comes_back_and_the_flight_continues(capsys, tmp_path):
@@ -210,7 +167,7 @@ def test_a_fault_in_a_register_of_a_node():
 
 
 @pytest.mark.slow
-def test_a_flight_whose_supervisor_is_killed_is_a_failure_of_the_machine():
+def test_a_flight_whose_processes_are_killed_is_a_failure_of_the_machine():
     def kill(folder):
         os.kill(int((folder / PID).read_text()), signal.SIGKILL)
 
