@@ -25,7 +25,7 @@ from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import processor
 from mavfi.campaign.ledger import status
 from mavfi.campaign.mission import MissionPlan
-from mavfi.campaign.plan import Flown, Planned, Row
+from mavfi.campaign.plan import CompletedRun, Planned, Row
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import FILE
 from mavfi.extras.dask import executor as dask
@@ -40,7 +40,7 @@ WORKERS = 2
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
 
 
-def stand_in(mission: MissionPlan) -> Iterator[Planned | Flown]:
+def stand_in(mission: MissionPlan) -> Iterator[Planned | CompletedRun]:
     """A mission whose flights have zero duration."""
     campaign, (environment, seed) = mission.campaign, mission.world
     first = (campaign.environments.index(environment) * campaign.missions + seed - campaign.first_seed) * RUNS
@@ -57,10 +57,10 @@ def stand_in(mission: MissionPlan) -> Iterator[Planned | Flown]:
         for place in range(RUNS)
     ]
     yield Planned(tuple(rows[:1]), last=False)
-    yield Flown(rows[0].run_id, RECORD, success=True)
+    yield CompletedRun(rows[0].run_id, RECORD, success=True)
     yield Planned(tuple(rows[1:]), last=True)
     for row in rows[1:]:
-        yield Flown(row.run_id, RECORD, success=True)
+        yield CompletedRun(row.run_id, RECORD, success=True)
 
 
 class StandIns:

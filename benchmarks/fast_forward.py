@@ -20,7 +20,7 @@ from datetime import UTC, datetime
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.mission import MissionPlan, fly_mission, model_hashes, scenarios_of
-from mavfi.campaign.plan import Flown, Planned, arms_of
+from mavfi.campaign.plan import CompletedRun, Planned, arms_of
 from mavfi.extras.bench.bench import load_bench, select_parts, with_schemes
 from mavfi.record import FlightRecord
 
@@ -70,7 +70,7 @@ def fly(plan: MissionPlan, way: str, account: Account) -> dict[str, FlightRecord
     for item in fly_mission(plan):
         if isinstance(item, Planned):
             settings |= {spec.run_id: spec.setting for spec in item.specs}
-        elif isinstance(item, Flown):
+        elif isinstance(item, CompletedRun):
             records[item.run_id] = item.record
             now = cpu_s()
             account.seconds[way, settings[item.run_id]] += now - since

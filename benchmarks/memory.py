@@ -26,7 +26,7 @@ from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Lost
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.mission import MissionPlan, fly_mission
-from mavfi.campaign.plan import Flown
+from mavfi.campaign.plan import CompletedRun
 from mavfi.errors import MavfiError
 
 MOST_GROWTH_KIB = 1024.0
@@ -77,7 +77,7 @@ def fly(campaign: Campaign) -> list[Look]:
 def _fly(mission: MissionPlan) -> Iterator[tuple[float, float] | int]:
     """Memory before a mission, current and peak (KiB), then the number of its runs."""
     yield resident_kib(os.getpid()), float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
-    yield sum(isinstance(item, Flown) for item in fly_mission(mission))
+    yield sum(isinstance(item, CompletedRun) for item in fly_mission(mission))
 
 
 def resident_kib(pid: int) -> float:

@@ -4,7 +4,7 @@ import pickle
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
-from mavfi.campaign.plan import Flown, RunSpec
+from mavfi.campaign.plan import CompletedRun, RunSpec
 from mavfi.detectors.detector import CustomCallError, split_noting_calls
 from mavfi.errors import MachineError
 from mavfi.ir.forked import WALL_CLOCK, ChildEnd, ForkPoint
@@ -17,8 +17,8 @@ LONGEST_ALONE = 180.0
 
 
 def fly_alone(
-    specs: Sequence[RunSpec], fly: Callable[[RunSpec], Flown], fly_golden: Callable[[str], None]
-) -> Iterator[Flown]:
+    specs: Sequence[RunSpec], fly: Callable[[RunSpec], CompletedRun], fly_golden: Callable[[str], None]
+) -> Iterator[CompletedRun]:
     """Runs, each in a separate child process: `due` if every attempt dies, `unknown` if one exceeds the time limit.
 
     A process that dies without its fault, too, dies of the machine: before a `due`, `fly_golden` flies the golden run
@@ -32,10 +32,10 @@ def fly_alone(
         try:
             yield _fly_one(spec, fly, fly_golden)
         except CustomCallError as error:
-            yield Flown.of(spec.run_id, FlightRecord(End.UNKNOWN, error=type(error).__name__), str(error))
+            yield CompletedRun.of(spec.run_id, FlightRecord(End.UNKNOWN, error=type(error).__name__), str(error))
 
 
-def _fly_one(spec: RunSpec, fly: Callable[[RunSpec], Flown], fly_golden: Callable[[str], None]) -> Flown:
+def _fly_one(spec: RunSpec, fly: Callable[[RunSpec], CompletedRun], fly_golden: Callable[[str], None]) -> CompletedRun:
     """A run, after several attempts if necessary; raises a `CustomCallError` if one ends in a custom detector."""
     is_late = False
     for _ in range(ATTEMPTS_ALONE):
@@ -45,9 +45,9 @@ def _fly_one(spec: RunSpec, fly: Callable[[RunSpec], Flown], fly_golden: Callabl
         is_late = is_late or ended.detail == WALL_CLOCK
     note = f"{ended.how} {ended.detail}".strip()
     if is_late:
-        return Flown.of(spec.run_id, FlightRecord(End.UNKNOWN, error="took too long"), note)
+        return CompletedRun.of(spec.run_id, FlightRecord(End.UNKNOWN, error="took too long"), note)
     _check_machine(spec, fly_golden)
-    return Flown.of(spec.run_id, FlightRecord(End.DUE, error="the process died each time"), note)
+    return CompletedRun.of(spec.run_id, FlightRecord(End.DUE, error="the process died each time"), note)
 
 
 def _check_machine(spec: RunSpec, fly_golden: Callable[[str], None]) -> None:
@@ -70,15 +70,15 @@ def _run_in_child(work: Callable[[], bytes]) -> ChildEnd:
     return ended
 
 
-def _pickled(spec: RunSpec, fly: Callable[[RunSpec], Flown]) -> bytes:
+def _pickled(spec: RunSpec, fly: Callable[[RunSpec], CompletedRun]) -> bytes:
     try:
         return pickle.dumps(fly(spec))
     except MachineError as error:
         return pickle.dumps(error)
 
 
-def _unpickled(payload: bytes) -> Flown:
-    flown: Flown | MachineError = pickle.loads(payload)
+def _unpickled(payload: bytes) -> CompletedRun:
+    flown: CompletedRun | MachineError = pickle.loads(payload)
     if isinstance(flown, MachineError):
         raise flown
     return flown

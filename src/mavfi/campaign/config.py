@@ -58,8 +58,7 @@ def label_of(environment: str) -> str:
     A file named like a shipped environment keeps its path: the paper's figures are not those of its world.
     """
     path = Path(environment)
-    is_own_file = path.suffix.lower() in _ENVIRONMENT_FILES and path.stem not in names("environments")
-    if is_own_file:
+    if path.suffix.lower() in _ENVIRONMENT_FILES and path.stem not in names("environments"):
         return path.stem
     return environment
 
@@ -91,7 +90,7 @@ class ArmConfig(Config):
         return {**rest, "mission": _mission_keys({**mission, **inline}, "arms", info)}
 
 
-class Part(Config):
+class CampaignPart(Config):
     """A named variant of an environment in a campaign, e.g. with another platform."""
 
     environment: str
@@ -132,7 +131,9 @@ class Campaign(Config):
         None, ge=0, le=MOST_FAULTS, description="per environment; each arm in turn; default 3 for states"
     )
     arms: dict[str, ArmConfig] = Field(default_factory=dict, description="by name")
-    parts: dict[str, Part] = Field(default_factory=dict, description="by name in environments, e.g. one per platform")
+    parts: dict[str, CampaignPart] = Field(
+        default_factory=dict, description="by name in environments, e.g. one per platform"
+    )
     under_test: SerializeAsAny[Config] | None = Field(
         None, description="what is under test instead of our pipeline; given under the key of its host"
     )
@@ -253,9 +254,9 @@ class Campaign(Config):
 
     def spec(self, environment: str, seed: int, overrides: Mapping[str, Any] | None = None) -> MissionSpec:
         """The mission for an environment and seed, with the overrides of an arm."""
-        part = self.parts.get(environment, Part(environment=environment)).model_dump(exclude_none=True)
-        given = {**self.mission, **(overrides or {}), **part, "seed": seed}
-        return parse(MissionSpec, given, f"campaign {self.name}")
+        part = self.parts.get(environment, CampaignPart(environment=environment)).model_dump(exclude_none=True)
+        keys = {**self.mission, **(overrides or {}), **part, "seed": seed}
+        return parse(MissionSpec, keys, f"campaign {self.name}")
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; unset keys of later versions are omitted, so that older campaigns keep their identity."""
@@ -311,21 +312,23 @@ def _sampling(data: Any, info: ValidationInfo | None) -> Sampling:
         level = data.get("level", "state")
     else:
         level = getattr(data, "level", "state")
-    model = find_level(level).sampling if level in level_names() else None
+    levels = level_names()
+    model = find_level(level).sampling if level in levels else None
     if model is None:
-        known = level_names()
-        raise ValueError(f"key 'sampling.level': {level!r}: not known{hint(level, known)}; allowed: {', '.join(known)}")
-    sampling: Sampling = parse_part(model, data, "sampling", None if info is None else info.context)
+        text = f"not known{hint(level, levels)}; allowed: {', '.join(levels)}"
+        raise ValueError(f"key 'sampling.level': {level!r}: {text}")
+    context = None if info is None else info.context
+    sampling: Sampling = parse_part(model, data, "sampling", context)
     return sampling
 
 
-def _mission_keys(given: Mapping[str, Any], where: str, info: ValidationInfo) -> dict[str, Any]:
+def _mission_keys(data: Mapping[str, Any], where: str, info: ValidationInfo) -> dict[str, Any]:
     """Validate keys and values of a mission in a campaign of the user, or in one that a ledger stores."""
     for key in ("environment", "seed"):
-        if key in given:
+        if key in data:
             raise ValueError(f"{where}.{key}: belongs to the campaign (environments, first_seed)")
     try:
-        parsed = parse(MissionSpec, dict(given), where, stored=info.context == STORED)
+        parsed = parse(MissionSpec, dict(data), where, stored=info.context == STORED)
     except BadInputError as error:
         raise ValueError(str(error)) from None
     return parsed.model_dump(mode="json", include=parsed.model_fields_set)

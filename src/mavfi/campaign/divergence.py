@@ -13,7 +13,7 @@ LEFT = 0.1  # distance beyond which a flight has left the golden run's path (m)
 
 
 @dataclass(frozen=True, slots=True)
-class Publication:
+class TimedState:
     """A published state as received by consumers, with its instant (us)."""
 
     time_us: int
@@ -21,7 +21,7 @@ class Publication:
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class FirstDifference:
     """The first publication in which two flights differ; publications are paired by state and number."""
 
     state: str
@@ -37,24 +37,27 @@ class Difference:
         return min(time for time in (self.golden_us, self.injected_us) if time is not None)
 
 
-def first_difference(golden: Sequence[Publication], injected: Sequence[Publication]) -> Difference | None:
+def first_difference(golden: Sequence[TimedState], injected: Sequence[TimedState]) -> FirstDifference | None:
     """Find the first publication that differs in value or instant; None = the flights are bit-identical.
 
     Publications are paired by state and number, so that a delayed one is compared with its counterpart.
     """
-    numbered = _numbered(golden), _numbered(injected)
-    found: Difference | None = None
-    for key in dict.fromkeys((*numbered[0], *numbered[1])):  # in data-flow order, which breaks ties
-        first, second = (publications.get(key) for publications in numbered)
-        times = [publication.time_us for publication in (first, second) if publication is not None]
-        if found is not None and min(times) >= found.time_us:
+    golden_by_key = _numbered(golden)
+    injected_by_key = _numbered(injected)
+    earliest: FirstDifference | None = None
+    for key in dict.fromkeys((*golden_by_key, *injected_by_key)):  # in data-flow order, which breaks ties
+        pair = golden_by_key.get(key), injected_by_key.get(key)
+        times = [publication.time_us for publication in pair if publication is not None]
+        if earliest is not None and min(times) >= earliest.time_us:
             continue
-        found = _difference(key[0], first, second) or found
-    return found
+        difference = _difference(key[0], *pair)
+        if difference is not None:
+            earliest = difference
+    return earliest
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class StateSpread:
     """Interval in which a state differs from the golden run."""
 
     name: str  # of the state
@@ -66,48 +69,50 @@ class Spread:
     to_the_end: bool  # whether the last value present in both flights differs
 
 
-def spread(golden: Sequence[Publication], injected: Sequence[Publication]) -> list[Spread]:
+def spread(golden: Sequence[TimedState], injected: Sequence[TimedState]) -> list[StateSpread]:
     """Propagation of an error: the affected states, in the order in which they first differ in value.
 
     Publications are paired by state and number; differences in time only are ignored.
     """
-    numbered = _numbered(golden), _numbered(injected)
-    values: dict[str, list[tuple[int, bool]]] = {}
-    for (name, number), publication in numbered[1].items():
-        other = numbered[0].get((name, number))
-        if other is not None:
-            values.setdefault(name, []).append((publication.time_us, not other.state.same_bits(publication.state)))
-    found = [_spread(name, STATES[name].writer, pairs) for name, pairs in values.items()]
-    return sorted((one for one in found if one is not None), key=lambda one: one.first_us)
+    golden_by_key = _numbered(golden)
+    values: dict[str, list[tuple[int, bool]]] = {}  # by state, instants and whether the value differs
+    for (name, number), publication in _numbered(injected).items():
+        counterpart = golden_by_key.get((name, number))
+        if counterpart is not None:
+            differs = not counterpart.state.same_bits(publication.state)
+            values.setdefault(name, []).append((publication.time_us, differs))
+    spreads = [_spread(name, STATES[name].writer, pairs) for name, pairs in values.items()]
+    return sorted((spread for spread in spreads if spread is not None), key=lambda spread: spread.first_us)
 
 
-def _spread(name: str, kernel: str, values: Sequence[tuple[int, bool]]) -> Spread | None:
+def _spread(name: str, kernel: str, values: Sequence[tuple[int, bool]]) -> StateSpread | None:
     """Summarize pairs of instant (us) and whether the value differs; None = no value differs."""
     times = [time_us for time_us, differs in values if differs]
     if not times:
         return None
-    return Spread(name, kernel, times[0], times[-1], len(times), len(values), values[-1][1])
+    return StateSpread(name, kernel, times[0], times[-1], len(times), len(values), values[-1][1])
 
 
-def _numbered(publications: Sequence[Publication]) -> dict[tuple[str, int], Publication]:
+def _numbered(publications: Sequence[TimedState]) -> dict[tuple[str, int], TimedState]:
+    """Publications by state and number, counted from 1."""
     counts: dict[str, int] = {}
-    found = {}
+    by_key = {}
     for publication in publications:
         name = publication.state.spec.name
         counts[name] = counts.get(name, 0) + 1
-        found[name, counts[name]] = publication
-    return found
+        by_key[name, counts[name]] = publication
+    return by_key
 
 
-def _difference(name: str, first: Publication | None, second: Publication | None) -> Difference | None:
+def _difference(name: str, first: TimedState | None, second: TimedState | None) -> FirstDifference | None:
     if first is None or second is None:
         times = (None if publication is None else publication.time_us for publication in (first, second))
-        return Difference(name, "", *times)
+        return FirstDifference(name, "", *times)
     if not first.state.same_bits(second.state):
         field, before, after = _field(first.state, second.state)
-        return Difference(name, field, first.time_us, second.time_us, before, after)
+        return FirstDifference(name, field, first.time_us, second.time_us, before, after)
     if first.time_us != second.time_us:
-        return Difference(name, "", first.time_us, second.time_us)
+        return FirstDifference(name, "", first.time_us, second.time_us)
     return None
 
 
@@ -115,11 +120,14 @@ def _field(first: State, second: State) -> tuple[str, object, object]:
     """Name and both values of the first field that differs bitwise; or the numbers of elements, if these differ."""
     if len(first.elements) != len(second.elements):
         return "number of elements", len(first.elements), len(second.elements)
-    for before, after, is_list in ((first.header, second.header, False), (first.elements, second.elements, True)):
-        for name in after.dtype.names or ():
-            row = _first_row(before[name], after[name])
-            if row is not None:
-                return f"{name}[{row}]" if is_list else name, before[name][row].item(), after[name][row].item()
+    for name in second.header.dtype.names or ():
+        row = _first_row(first.header[name], second.header[name])
+        if row is not None:
+            return name, first.header[name][row].item(), second.header[name][row].item()
+    for name in second.elements.dtype.names or ():
+        row = _first_row(first.elements[name], second.elements[name])
+        if row is not None:
+            return f"{name}[{row}]", first.elements[name][row].item(), second.elements[name][row].item()
     raise AssertionError(f"{second.spec.name}: bits differ and no field does")
 
 
@@ -149,10 +157,9 @@ def departure(golden: FlightLog, injected: FlightLog) -> Departure:
     time = injected.column("time")
     distance, passed = _nearest(golden, injected.columns("x", "y", "z"))
     farthest = int(np.argmax(distance))
+    behind = None
     if np.isfinite(distance[-1]):
         behind = float(time[-1] - passed[-1])
-    else:
-        behind = None
     left = np.flatnonzero(distance > LEFT)
     largest = (float(distance[farthest]), float(time[farthest]), behind)
     if len(left) == 0:
@@ -172,16 +179,17 @@ def _nearest(golden: FlightLog, points: np.ndarray) -> tuple[np.ndarray, np.ndar
     distance = np.full(len(points), np.inf)
     passed = np.zeros(len(points))
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
-    place = points[finite]
-    distance[finite], row = scipy.spatial.cKDTree(path).query(place)
+    position = points[finite]
+    distance[finite], row = scipy.spatial.cKDTree(path).query(position)
     passed[finite] = time[row]
+    # the nearest point on the leg before the nearest recorded position, and on the leg after it
     for begin in (np.maximum(row - 1, 0), np.minimum(row, max(0, len(path) - 2))):
         end = np.minimum(begin + 1, len(path) - 1)
         leg = path[end] - path[begin]
         square = (leg**2).sum(axis=1)
-        along = ((place - path[begin]) * leg).sum(axis=1) / np.where(square > 0.0, square, 1.0)
+        along = ((position - path[begin]) * leg).sum(axis=1) / np.where(square > 0.0, square, 1.0)
         along = np.clip(along, 0.0, 1.0)
-        apart = np.linalg.norm(place - path[begin] - along[:, None] * leg, axis=1)
+        apart = np.linalg.norm(position - path[begin] - along[:, None] * leg, axis=1)
         nearer = apart < distance[finite]
         distance[finite[nearer]] = apart[nearer]
         passed[finite[nearer]] = (time[begin] + along * (time[end] - time[begin]))[nearer]

@@ -21,13 +21,13 @@ _PACKAGES = ("numpy", "numba", "llvmlite", "mujoco-core", "scikit-learn")
 
 def versions() -> dict[str, str]:
     """Versions on which the bits of a flight depend."""
-    found = {"mavfi": __version__}
+    by_package = {"mavfi": __version__}
     for package in _PACKAGES:
         try:
-            found[package] = version(package)
+            by_package[package] = version(package)
         except PackageNotFoundError:
-            found[package] = "absent"
-    return found
+            by_package[package] = "absent"
+    return by_package
 
 
 def python() -> str:
@@ -78,30 +78,36 @@ def differences(held: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
     Keys of scenarios are named, e.g. "scenarios.protection"; keys of campaigns have both values if these are short,
     e.g. "campaign.faults: 4, not 5".
     """
-    found = _differing(held, wanted)
-    if "campaign" in found:
-        one = held.get("campaign") or {}
-        other = wanted.get("campaign") or {}
-        found -= {"campaign"}
-        found |= {_compared(f"campaign.{key}", one.get(key), other.get(key)) for key in _differing(one, other)}
-    one = held.get("scenarios") or {}
-    other = wanted.get("scenarios") or {}
-    if "scenarios" in found and one.keys() == other.keys():
-        found -= {"scenarios"}
-        found |= {f"scenarios.{key}" for place in one for key in _differing(one[place], other[place])}
-    more = f" and {len(found) - _MOST} more" if len(found) > _MOST else ""
-    return ", ".join(sorted(found)[:_MOST]) + more
+    texts = _differing(held, wanted)
+    if "campaign" in texts:
+        texts.remove("campaign")
+        held_keys = held.get("campaign") or {}
+        wanted_keys = wanted.get("campaign") or {}
+        for key in _differing(held_keys, wanted_keys):
+            texts.add(_compared(f"campaign.{key}", held_keys.get(key), wanted_keys.get(key)))
+    held_scenarios = held.get("scenarios") or {}
+    wanted_scenarios = wanted.get("scenarios") or {}
+    if "scenarios" in texts and held_scenarios.keys() == wanted_scenarios.keys():
+        texts.remove("scenarios")
+        for name, scenario in held_scenarios.items():
+            texts |= {f"scenarios.{key}" for key in _differing(scenario, wanted_scenarios[name])}
+    text = ", ".join(sorted(texts)[:_MOST])
+    if len(texts) > _MOST:
+        text += f" and {len(texts) - _MOST} more"
+    return text
 
 
 def _compared(key: str, held: object, wanted: object) -> str:
+    """A key with both of its values, if they are short."""
     values = f"{held}, not {wanted}"
     if len(values) > _SHORT or isinstance(held, dict) or isinstance(wanted, dict):
         return key
     return f"{key}: {values}"
 
 
-def _differing(one: Mapping[str, Any], other: Mapping[str, Any]) -> set[str]:
-    return {key for key in {*one, *other} if one.get(key) != other.get(key)}
+def _differing(held: Mapping[str, Any], wanted: Mapping[str, Any]) -> set[str]:
+    """Keys whose values differ."""
+    return {key for key in {*held, *wanted} if held.get(key) != wanted.get(key)}
 
 
 def _hash(folder: Path, pattern: str) -> str:

@@ -92,11 +92,8 @@ def shard_of(store: Store) -> Shard:
 def stored_campaign(store: Store) -> Campaign:
     """The campaign of a ledger (older ones do not store the order of keys); raises a BadInputError if invalid."""
     text = store.meta(ORDERED)
-    if text is None:
-        given = store.meta("identity")["campaign"]
-    else:
-        given = json.loads(text)
-    return parse(Campaign, given, str(store.directory), stored=True)
+    data = store.meta("identity")["campaign"] if text is None else json.loads(text)
+    return parse(Campaign, data, str(store.directory), stored=True)
 
 
 def check_shard(store: Store, shard: Shard) -> None:
@@ -115,15 +112,15 @@ def check_versions(store: Store, versions_there: Mapping[str, str], there: str =
         versions_there: Versions of the runs to be added.
         there: Words before such a version in the message.
     """
-    held: dict[str, Any] | None = store.meta("versions")
-    if held is None:
+    stored: dict[str, Any] | None = store.meta("versions")
+    if stored is None:
         store.write_meta({"versions": dict(versions_there)})
         return
-    differing = [name for name in versions_there if held.get(name) != versions_there[name]]
+    differing = [name for name in versions_there if stored.get(name) != versions_there[name]]
     if differing and not store.complete:
         name = differing[0]
         raise BadInputError(
-            f"{store.directory}: was begun with {name} {held.get(name)}, {there} {versions_there[name]}; runs "
+            f"{store.directory}: was begun with {name} {stored.get(name)}, {there} {versions_there[name]}; runs "
             "cannot be mixed"
         )
 
@@ -172,17 +169,18 @@ def _check_alike(sources: Sequence[Path]) -> None:
 
 
 def _copy(source: Store, target: Store) -> None:
-    every = source.rows()
-    while rows := list(islice(every, _ROWS)):
-        flown = [item for _, item in rows if item is not None]
-        for item in flown:
-            known = target.record_text(item.run_id)
-            if known is not None and without_source(known) != without_source(item.text):
+    """Copy all runs, and which missions are completely planned; raises the error of `merge` about records."""
+    stored_rows = source.rows()
+    while batch := list(islice(stored_rows, _ROWS)):
+        runs = [run for _, run in batch if run is not None]
+        for run in runs:
+            text = target.record_text(run.run_id)
+            if text is not None and without_source(text) != without_source(run.text):
                 raise BadInputError(
-                    f"{source.directory}: run {item.run_id!r}: has another record than in {target.directory}"
+                    f"{source.directory}: run {run.run_id!r}: has another record than in {target.directory}"
                 )
-        target.plan(row for row, _ in rows)
-        target.write(flown)
+        target.plan(row for row, _ in batch)
+        target.write(runs)
     for world in source.planned():
         target.end_plan(world)
 
@@ -200,7 +198,7 @@ _UNREADABLE = (sqlite3.DatabaseError, UnicodeDecodeError)
 class Repair:
     """Outcome of a repair."""
 
-    kept: int  # runs
+    intact: int  # runs that the repaired ledger has
     lost: int  # runs with a checksum mismatch
     was_intact: bool = False  # nothing was damaged, and nothing is changed
 
@@ -215,49 +213,54 @@ def repair(directory: Path) -> Repair:
     """
     path = directory / FILE
     damaged = directory / DAMAGED
-    whole = directory / f"{FILE}.repaired"
+    repaired = directory / f"{FILE}.repaired"
     if not is_file(path):
         raise BadInputError(f"{directory}: holds no campaign (no {FILE})")
-    if (runs_of_intact := _intact(directory)) is not None:
-        return Repair(runs_of_intact, 0, was_intact=True)
+    number_of_runs = _intact_runs(directory)
+    if number_of_runs is not None:
+        return Repair(number_of_runs, 0, was_intact=True)
     if damaged.exists():
         raise BadInputError(f"{damaged}: exists already, from an earlier repair; move it away first")
+
+    # Read what can be read, unless the schema is foreign: reading a view would execute it.
     with closing(connect(path, "ro")) as source:
         with suppress(*_UNREADABLE):  # the schema may be damaged, too: readable rows are kept
-            if strange := strange_schema(source):
+            strange = strange_schema(source)
+            if strange:
                 raise BadInputError(f"{path}: {strange}")
         meta = list(_rows(source, "SELECT key, value, checksum FROM meta"))
         runs = list(_rows(source, f"SELECT {_RUNS} FROM runs"))
         missions = list(_rows(source, "SELECT environment, seed, checksum FROM missions"))
-    identity = next(
-        (value for key, value, checksum in meta if (key, checksum) == (IDENTITY, checksum_of(key, value))), ""
-    )
+    identity = _intact_identity(meta)
     if not identity:
         raise BadInputError(f"{path}: its metadata are damaged: the campaign cannot be identified")
-    salts: list[tuple[str, ...]] = [(checksum_of(identity),), ()]  # try both: row `BOUND` may be damaged
-    salt, described, sound = max(
-        ((salt, _described(meta, salt), _sound(runs, salt)) for salt in salts), key=lambda kept: len(kept[1] + kept[2])
-    )
-    with writing(whole):
-        whole.unlink(missing_ok=True)
-        with closing(sqlite3.connect(whole)) as target:
+
+    # Row `BOUND`, which says whether checksums are salted, may be damaged: the salt that fits more rows counts.
+    salted = _IntactRows.of(meta, runs, (checksum_of(identity),))
+    unsalted = _IntactRows.of(meta, runs, ())
+    intact = max(salted, unsalted, key=lambda rows: len(rows.meta) + len(rows.runs))
+
+    with writing(repaired):
+        repaired.unlink(missing_ok=True)
+        with closing(sqlite3.connect(repaired)) as target:
             target.executescript(f"BEGIN; {TABLES} PRAGMA user_version = {SCHEMA};")
             with target:
-                target.executemany("INSERT OR IGNORE INTO meta VALUES (?, ?, ?)", described)
+                target.executemany("INSERT OR IGNORE INTO meta VALUES (?, ?, ?)", intact.meta)
                 marks = ", ".join("?" * len(_RUNS.split(", ")))
-                target.executemany(f"INSERT OR IGNORE INTO runs ({_RUNS}) VALUES ({marks})", sound)
+                target.executemany(f"INSERT OR IGNORE INTO runs ({_RUNS}) VALUES ({marks})", intact.runs)
                 # incomplete missions are replanned on resume
-                complete = [m for m in missions if m[-1] == mission_checksum(target, m[:-1], salt)]
+                complete = [m for m in missions if m[-1] == mission_checksum(target, m[:-1], intact.salt)]
                 target.executemany("INSERT OR IGNORE INTO missions VALUES (?, ?, ?)", complete)
+        # The damaged file makes room only now that the repaired one is complete.
         path.rename(damaged)
         for ending in ("-wal", "-shm"):
             with suppress(FileNotFoundError):
                 path.with_name(path.name + ending).rename(damaged.with_name(damaged.name + ending))
-        whole.rename(path)
-    return Repair(len(sound), len(runs) - len(sound))
+        repaired.rename(path)
+    return Repair(len(intact.runs), len(runs) - len(intact.runs))
 
 
-def _intact(directory: Path) -> int | None:
+def _intact_runs(directory: Path) -> int | None:
     """Number of runs of an intact ledger; None if it is damaged."""
     try:
         with Store.open(directory) as store:
@@ -273,14 +276,34 @@ def _rows(connection: sqlite3.Connection, query: str) -> Iterator[tuple[Any, ...
         yield from connection.execute(query)
 
 
-def _described(meta: list[tuple[Any, ...]], salt: tuple[str, ...]) -> list[tuple[Any, ...]]:
+def _intact_identity(meta: list[tuple[Any, ...]]) -> str:
+    """The identity of the campaign as text; "" = absent, or damaged."""
+    for key, value, checksum in meta:
+        if key == IDENTITY and checksum == checksum_of(key, value):
+            identity: str = value
+            return identity
+    return ""
+
+
+@dataclass(frozen=True, slots=True)
+class _IntactRows:
+    """The intact rows of a damaged ledger, if its checksums have this salt."""
+
+    salt: tuple[str, ...]
+    meta: list[tuple[Any, ...]]
+    runs: list[tuple[Any, ...]]
+
+    @staticmethod
+    def of(meta: list[tuple[Any, ...]], runs: list[tuple[Any, ...]], salt: tuple[str, ...]) -> "_IntactRows":
+        """Select the rows whose checksums match."""
+        intact_runs = [row for row in runs if row[-1] == checksum_of(*row[:-1], *salt)]
+        return _IntactRows(salt, _intact_meta(meta, salt), intact_runs)
+
+
+def _intact_meta(meta: list[tuple[Any, ...]], salt: tuple[str, ...]) -> list[tuple[Any, ...]]:
     """The intact metadata rows, and a new `BOUND` row if checksums are salted."""
     intact = [row for row in meta if row[0] != BOUND and row[2] == meta_checksum(row[0], row[1], salt)]
     bound = BOUND, canonical(True)
     if salt:
         return [*intact, (*bound, checksum_of(*bound))]
     return intact
-
-
-def _sound(runs: list[tuple[Any, ...]], salt: tuple[str, ...]) -> list[tuple[Any, ...]]:
-    return [row for row in runs if row[-1] == checksum_of(*row[:-1], *salt)]

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from mavfi.campaign.alone import fly_alone
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.plan import Arm, Flown, Plan, Planned, RunSpec, arms_of, model_of
+from mavfi.campaign.plan import Arm, CompletedRun, Plan, Planned, RunSpec, arms_of, model_of
 from mavfi.detectors.detector import Detector, is_custom
 from mavfi.detectors.registry import check_detector
 from mavfi.errors import BadInputError, MachineError, MavfiError, SpecMismatchError, machine_failure
@@ -38,9 +38,7 @@ class MissionPlan:
     environment: str
     seed: int
     models_dir: Path | None = None  # of trained models; None = the shipped ones
-    models: Mapping[str, str] = field(
-        default_factory=dict
-    )  # sha256 of trained models, as in `Plan`; others are refused
+    models: Mapping[str, str] = field(default_factory=dict)  # sha256 as in `Plan.models`; others are refused
     scenarios: Mapping[str, str] = field(default_factory=dict)  # their keys by arm; others are refused
     fast_forward: bool = True  # start flights at checkpoints of known ones; the records are the same either way
     done: frozenset[str] = frozenset()  # ids of the runs in the ledger
@@ -54,7 +52,7 @@ class MissionPlan:
 
 Job = tuple[tuple[int, MissionPlan], ...]
 """Missions that share golden flights, each with a number that distinguishes them."""
-_Known = dict[tuple[str, Fault | None], Flown]
+_RunsByFault = dict[tuple[str, Fault | None], CompletedRun]
 """Injected runs by arm and fault, which determine their records."""
 
 
@@ -81,7 +79,7 @@ def scenarios_of(
 
 def plan_of(campaign: Campaign, models: Mapping[str, str], scenarios: Mapping[tuple[str, str], Scenario]) -> Plan:
     """The plan of a campaign."""
-    keys = {place: scenario.key() for place, scenario in scenarios.items()}
+    keys = {name: scenario.key() for name, scenario in scenarios.items()}
     return Plan(campaign, _sampler_of(campaign), arms_of(campaign), keys, models)
 
 
@@ -95,14 +93,19 @@ def model_hashes(
     Raises:
         BadInputError: A detector is unknown, or a model is absent or does not match.
     """
-    found = {}
-    for arm in (arm for arm in arms_of(campaign) if arm.detector):
+    hashes = {}
+    for arm in arms_of(campaign):
+        if not arm.detector:
+            continue
         spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.overrides)
         for environment in campaign.environments:
             scenario = scenarios[environment, arm.name]
             _, model = detector_for(scenario, arm.detector, arm.profile, models_dir, spec.trained_for, arm.options)
-            found[f"{environment}/{arm.name}" if campaign.parts else arm.name] = model
-    return found
+            key = arm.name
+            if campaign.parts:
+                key = f"{environment}/{arm.name}"
+            hashes[key] = model
+    return hashes
 
 
 def flights_of(plan: Plan, environment: str) -> dict[str, str]:
@@ -165,11 +168,14 @@ def setup_of(plan: MissionPlan, arm: Arm, host: Host, scenario: Scenario | None 
             )
         return detector
 
-    return ArmSetup(scenario, make if arm.detector else None, RecoveryPolicy.of(spec))
+    recovery = RecoveryPolicy.of(spec)
+    if not arm.detector:
+        return ArmSetup(scenario, None, recovery)
+    return ArmSetup(scenario, make, recovery)
 
 
 @dataclass(frozen=True, slots=True)
-class _Ready:
+class _ResolvedMission:
     """A mission whose scenarios are resolved."""
 
     mission: MissionPlan
@@ -178,13 +184,13 @@ class _Ready:
     setups: Mapping[str, ArmSetup]
 
     @staticmethod
-    def of(mission: MissionPlan) -> "_Ready":
+    def of(mission: MissionPlan) -> "_ResolvedMission":
         """Resolve the scenarios."""
         campaign = mission.campaign
         plan = plan_of(campaign, mission.models, scenarios_of(campaign, arms_of(campaign), [mission.environment]))
         _check_scenarios(mission, plan)
         host = host_of(campaign)
-        return _Ready(mission, plan, host, {arm.name: setup_of(mission, arm, host) for arm in plan.arms})
+        return _ResolvedMission(mission, plan, host, {arm.name: setup_of(mission, arm, host) for arm in plan.arms})
 
     def custom_arms(self) -> frozenset[str]:
         """The arms with a custom detector that is called in this process, which it may block or end."""
@@ -195,10 +201,10 @@ class _Ready:
 
 def has_custom_detectors(mission: MissionPlan) -> bool:
     """Whether an arm has a custom detector that is called in this process."""
-    return bool(_Ready.of(mission).custom_arms())
+    return bool(_ResolvedMission.of(mission).custom_arms())
 
 
-def fly_mission(mission: MissionPlan) -> Iterator[Planned | Flown]:
+def fly_mission(mission: MissionPlan) -> Iterator[Planned | CompletedRun]:
     """Fly all runs of a mission that are not in the ledger yet.
 
     Yields:
@@ -211,17 +217,27 @@ def fly_mission(mission: MissionPlan) -> Iterator[Planned | Flown]:
     return (item for _, item in fly_missions(((0, mission),)))
 
 
-def fly_missions(job: Job) -> Iterator[tuple[int, Planned | Flown]]:
+def fly_missions(job: Job) -> Iterator[tuple[int, Planned | CompletedRun]]:
     """As `fly_mission`, for missions that `share` golden flights; each item has the number of its mission."""
-    current = job[0][1]
+    current = job[0][1]  # named in messages
     try:
-        ready = [(number, _Ready.of(current := mission)) for number, mission in job]
-        arms = {name: setup for _, one in ready for name, setup in one.setups.items()}
-        flights = ready[0][1].host.mission(arms, fast_forward=current.fast_forward)
-        known: _Known = {}
-        for number, one in ready:
-            current = one.mission
-            yield from ((number, item) for item in _fly(one, flights, known))
+        resolved_missions = []
+        for number, mission in job:
+            current = mission
+            resolved_missions.append((number, _ResolvedMission.of(mission)))
+
+        # The arms of all missions share one set of flights, and with it the golden flights.
+        setups: dict[str, ArmSetup] = {}
+        for _, resolved in resolved_missions:
+            setups |= resolved.setups
+        host = resolved_missions[0][1].host
+        flights = host.mission(setups, fast_forward=current.fast_forward)
+
+        runs_by_fault: _RunsByFault = {}
+        for number, resolved in resolved_missions:
+            current = resolved.mission
+            for item in _fly(resolved, flights, runs_by_fault):
+                yield number, item
     except Exception as error:
         _check_recordable(error, f"mission {current.environment}-{current.seed}")
         raise
@@ -236,65 +252,79 @@ def _check_recordable(error: Exception, where: str) -> None:
         raise MachineError(f"{where}: {failed}") from error
 
 
-def _fly(ready: _Ready, flights: MissionFlights, known: _Known) -> Iterator[Planned | Flown]:
-    """The items of `fly_mission`; `known` gets the injected runs."""
-    mission = ready.mission
-    plan = ready.plan
+def _fly(
+    resolved: _ResolvedMission, flights: MissionFlights, runs_by_fault: _RunsByFault
+) -> Iterator[Planned | CompletedRun]:
+    """The items of `fly_mission`; the injected runs are added to `runs_by_fault`."""
+    mission = resolved.mission
+    plan = resolved.plan
     golden = plan.golden(*mission.world)
     yield Planned.of(golden, last=False)
+
+    # Golden runs, also those in the ledger: the faults are drawn from them.
     sampled: dict[str, Sampled] = {}
-    alone = _Alone(ready, flights) if mission.alone else None
+    alone = _SeparateFlights(resolved, flights) if mission.alone else None
     for spec in golden:
         if alone is not None and spec.arm in alone.custom_arms:  # no fault is drawn from it
-            flown = alone.golden(spec)
+            run = alone.golden(spec)
         else:
-            flown = _golden(plan, spec, flights, ready.setups[spec.arm], sampled)
+            run = _golden(plan, spec, flights, resolved.setups[spec.arm], sampled)
         if spec.run_id not in mission.done:
-            yield flown
-    runs = _draw(plan, mission, sampled)
-    yield Planned.of(runs, last=True)
+            yield run
+
+    specs = _draw(plan, mission, sampled)
+    yield Planned.of(specs, last=True)
+
+    # Another campaign of the job may have flown the same fault in the same arm.
     left = []
-    for spec in (spec for spec in runs if spec.run_id not in mission.done):
-        if (spec.arm, spec.fault) in known:  # another campaign of the job has the same fault
-            yield replace(known[spec.arm, spec.fault], run_id=spec.run_id, wall_s=0.0)
-        else:
+    for spec in specs:
+        if spec.run_id in mission.done:
+            continue
+        same = runs_by_fault.get((spec.arm, spec.fault))
+        if same is None:
             left.append(spec)
+        else:
+            yield replace(same, run_id=spec.run_id, wall_s=0.0)
 
-    places = {spec.run_id: (spec.arm, spec.fault) for spec in left}
-    for flown in _injected(left, flights) if alone is None else alone.injected(left):
-        if not flown.unknown:
-            known[places[flown.run_id]] = flown
-        yield flown
+    faults = {spec.run_id: (spec.arm, spec.fault) for spec in left}
+    if alone is None:
+        runs = _injected(left, flights)
+    else:
+        runs = alone.injected(left)
+    for run in runs:
+        if not run.unknown:
+            runs_by_fault[faults[run.run_id]] = run
+        yield run
 
 
-class _Alone:
+class _SeparateFlights:
     """Runs of a mission that has crashed a worker, or exceeded its time limit: each is flown in a child process.
 
     Args:
-        ready: The mission.
+        resolved: The mission.
         flights: Its flights in this process.
 
     Attributes:
         custom_arms: Arms with a custom detector, whose golden runs are flown in a child process, too.
     """
 
-    def __init__(self, ready: _Ready, flights: MissionFlights) -> None:
-        self._ready = ready
+    def __init__(self, resolved: _ResolvedMission, flights: MissionFlights) -> None:
+        self._resolved = resolved
         self._flights = flights
-        self.custom_arms = ready.custom_arms()
+        self.custom_arms = resolved.custom_arms()
 
-    def golden(self, spec: RunSpec) -> Flown:
+    def golden(self, spec: RunSpec) -> CompletedRun:
         """A golden run of an arm with a custom detector."""
 
-        def fly(spec: RunSpec) -> Flown:
+        def fly(spec: RunSpec) -> CompletedRun:
             return _guarded(spec.run_id, lambda: self._from_take_off(spec.arm).golden(spec.arm).record())
 
         return next(fly_alone([spec], fly, self._fly_golden))
 
-    def injected(self, specs: Sequence[RunSpec]) -> Iterator[Flown]:
+    def injected(self, specs: Sequence[RunSpec]) -> Iterator[CompletedRun]:
         """Injected and null runs in order."""
 
-        def fly(spec: RunSpec) -> Flown:
+        def fly(spec: RunSpec) -> CompletedRun:
             if spec.arm in self.custom_arms:
                 flights = self._from_take_off(spec.arm)
             else:
@@ -308,7 +338,7 @@ class _Alone:
 
     def _from_take_off(self, arm: str) -> MissionFlights:
         """Flights of an arm that share nothing with those of this process."""
-        return self._ready.host.mission({arm: self._ready.setups[arm]}, fast_forward=False)
+        return self._resolved.host.mission({arm: self._resolved.setups[arm]}, fast_forward=False)
 
 
 def _check_scenarios(mission: MissionPlan, plan: Plan) -> None:
@@ -320,22 +350,26 @@ def _check_scenarios(mission: MissionPlan, plan: Plan) -> None:
             )
 
 
-def _golden(plan: Plan, spec: RunSpec, flights: MissionFlights, setup: ArmSetup, sampled: dict[str, Sampled]) -> Flown:
+def _golden(
+    plan: Plan, spec: RunSpec, flights: MissionFlights, setup: ArmSetup, sampled: dict[str, Sampled]
+) -> CompletedRun:
     """Fly a golden run; where faults are drawn from it, its sample is stored in `sampled`."""
     arm = next(arm for arm in plan.arms if arm.name == spec.arm)
 
     def fly() -> FlightRecord:
-        draws = [draw for _, draw in plan.places(*spec.world) if draw.variant == arm.name and draw.target != NULL]
+        draws = []
+        for _, draw in plan.positioned_draws(*spec.world):
+            if draw.variant == arm.name and draw.target != NULL:
+                draws.append(draw)
         if arm.name and not arm.is_variant and not draws:
             return flights.golden(arm.name).record()
-        found = plan.sampler.golden(arm.name, draws, spec.environment, flights, setup)
-        sampled[arm.name] = found
-        profile = found.flight.profile
-        if profile is None:
-            acted_on = {}
-        else:
+        sample = plan.sampler.golden(arm.name, draws, spec.environment, flights, setup)
+        sampled[arm.name] = sample
+        profile = sample.flight.profile
+        acted_on = {}
+        if profile is not None:
             acted_on = {state: len(times) for state, times in profile.times_us.items()}
-        return replace(found.flight.record(), counts=found.counts, acted_on=acted_on)
+        return replace(sample.flight.record(), counts=sample.counts, acted_on=acted_on)
 
     return _guarded(spec.run_id, fly)
 
@@ -344,57 +378,60 @@ def _draw(plan: Plan, mission: MissionPlan, sampled: Mapping[str, Sampled]) -> l
     """All injected and null runs of a mission, in plan order."""
     sampler = plan.sampler
     environment = mission.environment
-    places = list(plan.places(*mission.world))
-    drawn = iter(sampler.draw([draw for _, draw in places if draw.target != NULL], environment, sampled))
-    found = []
-    for place, draw in places:
-        is_null = draw.target == NULL
-        if is_null:
+    positioned_draws = list(plan.positioned_draws(*mission.world))
+    draws = [draw for _, draw in positioned_draws if draw.target != NULL]
+    faults = iter(sampler.draw(draws, environment, sampled))  # in the same order
+    specs = []
+    for position, draw in positioned_draws:
+        if draw.target == NULL:
             fault: Fault | None = sampler.null(draw.index, draw.seed, environment, sampled)
         else:
-            fault = next(drawn)
-        if fault is not None:
-            found += plan.injected(environment, draw, place, fault)
-    return found
+            fault = next(faults)
+        if fault is not None:  # None = there is nothing to draw from
+            specs += plan.injected(environment, draw, position, fault)
+    return specs
 
 
-def _injected(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]:
+def _injected(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[CompletedRun]:
     """Injected and null runs in the order of the host; missing ones are `unknown`."""
     left = dict(enumerate(specs))
     note = "the host gave no such flight"
     started = time.perf_counter()
     try:
-        for place, flight in flights.injected([(spec.arm, spec.fault) for spec in specs if spec.fault is not None]):
+        for index, flight in flights.injected([(spec.arm, spec.fault) for spec in specs if spec.fault is not None]):
             wall_s = time.perf_counter() - started
             started = time.perf_counter()
-            yield replace(_guarded(left.pop(place).run_id, partial(_judged, flight)), wall_s=wall_s)
+            yield replace(_guarded(left.pop(index).run_id, partial(_record_of, flight)), wall_s=wall_s)
     except Exception as error:  # as in `_guarded`
         _check_recordable(error, specs[0].run_id)
         note = _note(error)
     for spec in left.values():
-        yield Flown.of(spec.run_id, FlightRecord(End.UNKNOWN, error="no flight"), note)
+        yield CompletedRun.of(spec.run_id, FlightRecord(End.UNKNOWN, error="no flight"), note)
 
 
-def _judged(flight: Recorded | Exception) -> FlightRecord:
+def _record_of(flight: Recorded | Exception) -> FlightRecord:
+    """The record of a flight; an exception that a host yields in its place is raised."""
     if isinstance(flight, Exception):
         raise flight
     return flight.record()
 
 
-def _guarded(run_id: str, work: Callable[[], FlightRecord]) -> Flown:
+def _guarded(run_id: str, work: Callable[[], FlightRecord]) -> CompletedRun:
     """Record a run; exceptions of mavfi are `unknown`, except those that stop a campaign, which are raised."""
     started = time.perf_counter()
     try:
-        return Flown.of(run_id, work(), wall_s=time.perf_counter() - started)
+        return CompletedRun.of(run_id, work(), wall_s=time.perf_counter() - started)
     except Exception as error:  # recorded as `unknown`, which reports count and show
         _check_recordable(error, run_id)
         record = FlightRecord(End.UNKNOWN, error=type(error).__name__)
-        return Flown.of(run_id, record, _note(error), time.perf_counter() - started)
+        return CompletedRun.of(run_id, record, _note(error), time.perf_counter() - started)
 
 
 def _note(error: Exception) -> str:
     """Traceback of the exception being handled, and then, as the note's last line, the exception on one line."""
-    line = plugin_failure(error) or (str(error) if isinstance(error, MavfiError) else reason(error))
+    line = plugin_failure(error)
+    if not line:
+        line = str(error) if isinstance(error, MavfiError) else reason(error)
     return f"{traceback.format_exc()}{' '.join(line.split())}"
 
 
@@ -428,14 +465,9 @@ def _check_detector(arm: Arm, source: str) -> None:
     try:
         check_detector(arm.detector, arm.profile)
     except BadInputError as error:
-        is_profile = str(error).startswith("detector profile")
-        if is_profile:
-            key = "profile"
-            word = "detector profile"
-        else:
-            key = "detector"
-            word = "detector"
-        raise _at(error, source, f"arms.{arm.name}.{key}", word) from None
+        if str(error).startswith("detector profile"):
+            raise _at(error, source, f"arms.{arm.name}.profile", "detector profile") from None
+        raise _at(error, source, f"arms.{arm.name}.detector", "detector") from None
 
 
 def _check_mission(campaign: Campaign, host: Host, environment: str, arm: Arm, source: str) -> None:
@@ -465,4 +497,6 @@ def _key(campaign: Campaign, environment: str, arm: Arm, name: str) -> str:
 def _at(error: BadInputError, source: str, key: str = "", word: str = "") -> BadInputError:
     """The same error with its source and key, in place of the word for what is named."""
     text = str(error).removeprefix(f"{word} ")
-    return type(error)(f"{source}: key {key!r}: {text}" if key else f"{source}: {text}")
+    if key:
+        text = f"key {key!r}: {text}"
+    return type(error)(f"{source}: {text}")

@@ -50,8 +50,8 @@ class Shard:
 
     def worlds(self, campaign: Campaign) -> Iterator[tuple[str, int]]:
         """Environment and seed of the missions in this shard."""
-        every = itertools.product(campaign.environments, campaign.seeds)
-        return itertools.islice(every, self.number - 1, None, self.of)
+        worlds = itertools.product(campaign.environments, campaign.seeds)
+        return itertools.islice(worlds, self.number - 1, None, self.of)
 
 
 WHOLE = Shard()
@@ -113,7 +113,9 @@ class RunSpec:
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
         data = {f.name: getattr(self, f.name) for f in fields(self)}
-        return data | {"fault": None if self.fault is None else self.fault.to_json()}
+        if self.fault is not None:
+            data["fault"] = self.fault.to_json()
+        return data
 
     def row(self) -> Row:
         """The run as a ledger row."""
@@ -123,8 +125,9 @@ class RunSpec:
     @staticmethod
     def from_json(data: dict[str, Any]) -> "RunSpec":
         """Inverse of `to_json`; raises a BadInputError for invalid data."""
-        fault = data.get("fault") if isinstance(data, dict) else None
-        return checked(RunSpec, data if fault is None else {**data, "fault": fault_from_json(fault)}, "run")
+        if isinstance(data, dict) and data.get("fault") is not None:
+            data = {**data, "fault": fault_from_json(data["fault"])}
+        return checked(RunSpec, data, "run")
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +161,7 @@ class Planned:
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
+class CompletedRun:
     """A completed run; `note`: why there is none, see `reason_of`; the wall time is not part of the record."""
 
     run_id: str
@@ -169,10 +172,10 @@ class Flown:
     wall_s: float = field(default=0.0, compare=False)
 
     @staticmethod
-    def of(run_id: str, record: FlightRecord, note: str = "", wall_s: float = 0.0) -> "Flown":
+    def of(run_id: str, record: FlightRecord, note: str = "", wall_s: float = 0.0) -> "CompletedRun":
         """Build from a record."""
         success = record.status == MissionStatus.SUCCESS.label
-        return Flown(run_id, canonical(record.to_json()), success, record.end is End.UNKNOWN, note, wall_s)
+        return CompletedRun(run_id, canonical(record.to_json()), success, record.end is End.UNKNOWN, note, wall_s)
 
     @property
     def record(self) -> FlightRecord:
@@ -212,41 +215,41 @@ class Plan:
         mission = campaign.environments.index(environment) * campaign.missions + seed - campaign.first_seed
         first = mission * len(self.arms)
         return [
-            self._run("golden", _with_arm(GOLDEN, arm.name), environment, seed, arm, position=first + place)
-            for place, arm in enumerate(self.arms)
+            self._run("golden", _with_arm(GOLDEN, arm.name), environment, seed, arm, position=first + number)
+            for number, arm in enumerate(self.arms)
         ]
 
-    def places(self, environment: str, seed: int) -> Iterator[tuple[int, Draw]]:
-        """The draws of a mission, each with the position of its first run among the injected and null runs."""
+    def positioned_draws(self, environment: str, seed: int) -> Iterator[tuple[int, Draw]]:
+        """The draws of a mission, each with the position of its first run among the injected and null runs.
+
+        Positions go through the environments; in each, through its faults, with one position for every arm that could
+        repeat the fault, and then through its null runs.
+        """
         campaign = self.campaign
-        each = 1 + len(self.watching)
+        runs_per_fault = 1 + len(self.watching)
         blocks = self.sampler.blocks(environment)
         mission = seed - campaign.first_seed
         draws = sum(block.count for block in blocks)
-        before = campaign.environments.index(environment) * (draws * each + campaign.nulls)
-        for place, draw in draws_of(blocks, range(mission, mission + 1), campaign.missions):
-            yield before + place * each, draw
+        per_environment = draws * runs_per_fault + campaign.nulls
+        first = campaign.environments.index(environment) * per_environment
+        for number, draw in draws_of(blocks, range(mission, mission + 1), campaign.missions):
+            yield first + number * runs_per_fault, draw
+        first_null = first + draws * runs_per_fault
         for index in range(mission, campaign.nulls, campaign.missions):
-            yield before + draws * each + index, Draw(NULL, index, seed)
+            yield first_null + index, Draw(NULL, index, seed)
 
-    def injected(self, environment: str, draw: Draw, place: int, fault: Fault) -> list[RunSpec]:
-        """The runs of one fault, in its variant and in every arm, or only in the arms of the injected detector.
+    def injected(self, environment: str, draw: Draw, position: int, fault: Fault) -> list[RunSpec]:
+        """The runs of one fault, in its variant and in every arm, or only in the arm of the injected detector.
 
-        A null run is in one arm only, cyclically.
+        A null run is in one arm only, cyclically.  `position` is that of the first run, see `positioned_draws`.
         """
+        first = self.golden_count() + position
         if draw.target == NULL:
             kind: Kind = "null"
-            arms = [arm for arm in self.arms if not arm.is_variant]
-            settings = [(arm, _with_arm(NULL, arm.name)) for arm in [arms[draw.index % len(arms)]]]
+            settings = [self._null_setting(draw.index)]
         else:
             kind = "injected"
-            variant = self._arm(draw.variant)
-            again = (variant,) if variant.detector else self.watching
-            settings = [(arm, _with_arm(RECOVERY if arm.detector else FI, arm.name)) for arm in again]
-            if variant.detector:
-                settings = settings
-            else:
-                settings = [(variant, FI), *settings]
+            settings = self._settings_of_fault(draw)
         return [
             self._run(
                 kind,
@@ -257,22 +260,39 @@ class Plan:
                 target=draw.target,
                 index=draw.index,
                 fault=fault,
-                position=self.golden_count() + place + number,
+                position=first + number,
             )
             for number, (arm, setting) in enumerate(settings)
         ]
 
+    def _null_setting(self, index: int) -> tuple[Arm, str]:
+        """Arm and setting of a null run."""
+        arms = [arm for arm in self.arms if not arm.is_variant]
+        arm = arms[index % len(arms)]
+        return arm, _with_arm(NULL, arm.name)
+
+    def _settings_of_fault(self, draw: Draw) -> list[tuple[Arm, str]]:
+        """Arms and settings in which a fault is flown."""
+        variant = self._arm(draw.variant)
+        if variant.detector:  # the fault is in this detector, which other arms lack
+            return [(variant, _with_arm(RECOVERY, variant.name))]
+        settings = [(variant, FI)]
+        for arm in self.watching:
+            setting = RECOVERY if arm.detector else FI
+            settings.append((arm, _with_arm(setting, arm.name)))
+        return settings
+
     def count(self, shard: Shard = WHOLE) -> int:
         """Maximum number of runs of the campaign or a shard; faults that cannot be drawn have no runs."""
         campaign = self.campaign
-        each = 1 + len(self.watching)
         total = self.golden_count(shard)
-        for place, name in enumerate(campaign.environments):
-            first = (shard.number - 1 - place * campaign.missions) % shard.of
+        for number, name in enumerate(campaign.environments):
+            # the shard's first mission in this environment, since the missions of all environments are numbered through
+            first = (shard.number - 1 - number * campaign.missions) % shard.of
             for block in self.sampler.blocks(name):
-                variant = block.draw(0).variant if block.count else ""
-                runs = 1 if self._arm(variant).detector else each
-                total += _of_shard(block.count, campaign.missions, first, shard.of) * runs
+                if block.count:
+                    runs_per_fault = len(self._settings_of_fault(block.draw(0)))
+                    total += _of_shard(block.count, campaign.missions, first, shard.of) * runs_per_fault
             total += _of_shard(campaign.nulls, campaign.missions, first, shard.of)
         return total
 
@@ -308,9 +328,12 @@ def model_of(models: Mapping[str, str], environment: str, arm: str) -> str:
 
 
 def _of_shard(count: int, missions: int, first: int, step: int) -> int:
-    """Count the fault numbers below `count` that belong to a shard; fault i belongs to mission i % missions."""
-    whole, rest = divmod(count, missions)
-    return whole * len(range(first, missions, step)) + len(range(first, rest, step))
+    """Count the fault numbers below `count` that belong to a shard; fault i belongs to mission i % missions.
+
+    The shard has the missions `first`, `first` + `step` and so on.
+    """
+    rounds, rest = divmod(count, missions)
+    return rounds * len(range(first, missions, step)) + len(range(first, rest, step))
 
 
 def arms_of(campaign: Campaign) -> tuple[Arm, ...]:

@@ -10,9 +10,9 @@ import scipy  # loads its modules at first use
 
 from mavfi.campaign.divergence import (
     Departure,
-    Difference,
-    Publication,
-    Spread,
+    FirstDifference,
+    StateSpread,
+    TimedState,
     departure,
     first_difference,
     spread,
@@ -130,11 +130,11 @@ class Explanation:
     flight: Flight  # replay of the run
     golden: Flight  # replay of the golden run with the same detector
     same: bool  # the digest equals the stored one
-    first: Difference | None  # None = no difference
+    first: FirstDifference | None  # None = no difference
     departure: Departure
-    spread: tuple[Spread, ...] = ()  # states that differed, in the order of their first difference
-    published: Sequence[Publication] = ()  # of the flight, in order
-    golden_published: Sequence[Publication] = ()
+    spread: tuple[StateSpread, ...] = ()  # states that differed, in the order of their first difference
+    published: Sequence[TimedState] = ()  # of the flight, in order
+    golden_published: Sequence[TimedState] = ()
 
     @property
     def effect(self) -> Effect:
@@ -166,22 +166,27 @@ def explain(directory: Path, run_id: str) -> Explanation:
             )
         stored = run.record
         if stored is None or not stored.flown:
-            if stored is None or not reason_of(run.note):
-                why = ""
-            else:
+            why = ""
+            if stored is not None and reason_of(run.note):
                 why = f" ({reason_of(run.note)})"
             raise BadInputError(f"{directory}: run {run.spec.run_id}: left no flight to explain{why}")
         setup = _setup_to_record(store, run.spec)
-    golden, seen_golden = fly_recorded(setup, None)
-    injected, seen = fly_recorded(setup, run.spec.fault)
-    first = first_difference(seen_golden, seen)
-    spreading = tuple(spread(seen_golden, seen))
-    same = injected.log.digest() == stored.digest
-    parted = departure(golden.log, injected.log)
-    return Explanation(run.spec, injected, golden, same, first, parted, spreading, seen, seen_golden)
+    golden, golden_published = fly_recorded(setup, None)
+    injected, published = fly_recorded(setup, run.spec.fault)
+    return Explanation(
+        spec=run.spec,
+        flight=injected,
+        golden=golden,
+        same=injected.log.digest() == stored.digest,
+        first=first_difference(golden_published, published),
+        departure=departure(golden.log, injected.log),
+        spread=tuple(spread(golden_published, published)),
+        published=published,
+        golden_published=golden_published,
+    )
 
 
-def recorded_again(directory: Path, run_id: str) -> tuple[Flight, list[Publication], Flight | None]:
+def recorded_again(directory: Path, run_id: str) -> tuple[Flight, list[TimedState], Flight | None]:
     """Replay a run, given by a prefix of its id, with its publications; also returns its golden run, if it has a fault.
 
     Raises:
@@ -193,7 +198,10 @@ def recorded_again(directory: Path, run_id: str) -> tuple[Flight, list[Publicati
             raise BadInputError(f"{directory}: run {run.spec.run_id} is not flown yet")
         setup = _setup_to_record(store, run.spec)
     flight, published = fly_recorded(setup, run.spec.fault)
-    return flight, published, None if run.spec.fault is None else fly_recorded(setup, None)[0]
+    if run.spec.fault is None:
+        return flight, published, None
+    golden, _ = fly_recorded(setup, None)
+    return flight, published, golden
 
 
 def _setup_to_record(store: Store, spec: RunSpec) -> ArmSetup:
@@ -208,10 +216,10 @@ def _setup_to_record(store: Store, spec: RunSpec) -> ArmSetup:
     return setup
 
 
-def fly_recorded(setup: ArmSetup, fault: Fault | None) -> tuple[Flight, list[Publication]]:
+def fly_recorded(setup: ArmSetup, fault: Fault | None) -> tuple[Flight, list[TimedState]]:
     """Fly one mission on the deterministic host and record its publications, in order."""
     flight, published = mission_flights.fly_recorded(setup.scenario, fault, setup.detector(), setup.recovery)
-    return flight, [Publication(time_us, state) for state, time_us in published]
+    return flight, [TimedState(time_us, state) for state, time_us in published]
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,20 +271,24 @@ def verify(
         number = max(1, round(share * len(runs)))
         chosen = np.sort(np.random.default_rng(seed).choice(len(runs), number, replace=False))
         differing = []
-        for done, place in enumerate(chosen):
+        for done, index in enumerate(chosen):
             if progress is not None:
                 progress(done, number)
-            if _again(store, runs[place]) != runs[place].record:
-                differing.append(runs[place].spec.run_id)
+            run = runs[index]
+            if _record_again(store, run) != run.record:
+                differing.append(run.spec.run_id)
     return Verification(len(runs), number, tuple(differing))
 
 
 def _is_replayable(run: Run) -> bool:
+    """Whether a run left a flight, and no fault marks it as not replayable."""
     record = run.record
-    return record is not None and record.flown and all(i.details.get("replayable", True) for i in record.injections)
+    if record is None or not record.flown:
+        return False
+    return all(injection.details.get("replayable", True) for injection in record.injections)
 
 
-def _again(store: Store, run: Run) -> FlightRecord:
+def _record_again(store: Store, run: Run) -> FlightRecord:
     """Record of the replayed run, with the counts of a golden run, used only for drawing faults, copied."""
     stored = run.record
     assert stored is not None

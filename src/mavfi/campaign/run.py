@@ -6,10 +6,9 @@ worker, one after the other, and share these flights.  If a worker dies, its mis
 run in a separate child process.
 """
 
-import itertools
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -33,7 +32,7 @@ from mavfi.campaign.mission import (
     scenarios_of,
     share,
 )
-from mavfi.campaign.plan import WHOLE, Flown, Plan, Planned, Shard, arms_of
+from mavfi.campaign.plan import WHOLE, CompletedRun, Plan, Planned, Shard, arms_of
 from mavfi.campaign.store import Store, held
 from mavfi.campaign.warm_up import fly_missions_anywhere, is_compiled, warm_up
 from mavfi.config import STORED
@@ -45,7 +44,7 @@ from mavfi.record import End, FlightRecord
 
 ATTEMPTS = 3  # further attempts after a machine failure, or for missions that crash their workers
 PAUSE_S = 1.0  # between retries after a machine failure
-_Place = tuple[int, tuple[str, int]]  # number of a session, and a mission in it
+_SessionMission = tuple[int, tuple[str, int]]  # number of a session; environment and seed of a mission in it
 
 
 @dataclass(slots=True)
@@ -66,8 +65,7 @@ class Session:
 
     def worlds(self) -> Iterable[tuple[str, int]]:
         """All missions, environment by environment."""
-        worlds: Iterable[tuple[str, int]] = self.shard.worlds(self.plan.campaign)
-        return worlds
+        return self.shard.worlds(self.plan.campaign)
 
     def left(self, world: tuple[str, int]) -> MissionPlan | None:
         """A mission, if runs of it are missing."""
@@ -94,29 +92,30 @@ class Session:
             self.store.done(world),
         )
 
-    def take(self, mission: MissionPlan, items: Sequence[Planned | Flown], last: Done | Lost | None) -> None:
+    def take(self, mission: MissionPlan, items: Sequence[Planned | CompletedRun], last: Done | Lost | None) -> None:
         """Store and log new items of a mission, and its end."""
         self.log.follow(mission, items, last)
         self.write(mission, items)
 
-    def write(self, mission: MissionPlan, items: Sequence[Planned | Flown]) -> None:
+    def write(self, mission: MissionPlan, items: Sequence[Planned | CompletedRun]) -> None:
         """Store plans and results of a mission, in one transaction."""
         planned = [item for item in items if isinstance(item, Planned)]
         with self.store.writing():
-            new = self.store.plan(row for item in planned for row in item.rows)
+            new_rows = self.store.plan(row for item in planned for row in item.rows)
             if any(item.last for item in planned):
                 self.store.end_plan(mission.world)
-            done = self.store.write(item for item in items if isinstance(item, Flown))
-        for row in new:
-            self._count(row.setting, 1, 0, 0)
-        for setting, item in done:
-            self._count(setting, 0, 1, item.success)
+            new_runs = self.store.write(item for item in items if isinstance(item, CompletedRun))
+        for row in new_rows:
+            self._count(row.setting, planned=1)
+        for setting, run in new_runs:
+            self._count(setting, done=1, success=int(run.success))
             self.flown += 1
             self.tell()
 
-    def _count(self, setting: str, *more: int) -> None:
-        planned, done, success = map(sum, zip(self.counts.get(setting, (0, 0, 0)), more, strict=True))
-        self.counts[setting] = planned, done, success
+    def _count(self, setting: str, planned: int = 0, done: int = 0, success: int = 0) -> None:
+        """Add to the numbers of runs of a setting."""
+        before = self.counts.get(setting, (0, 0, 0))
+        self.counts[setting] = before[0] + planned, before[1] + done, before[2] + success
 
     def give_up(self, mission: MissionPlan, lost: Lost) -> None:
         """Record a mission whose golden runs crash their process in every attempt; no faults are drawn from them.
@@ -130,14 +129,14 @@ class Session:
             raise MachineError(f"mission {mission.environment}-{mission.seed}: {lost.reason}")
         self.log.note("gave_up", mission=f"{mission.environment}-{mission.seed}", reason=lost.reason)
         self.write(mission, [Planned.of(self.plan.golden(*mission.world), last=True)])
-        for spec in [run.spec for run in self.store.runs(done=False, world=mission.world)]:
+        missing = [run.spec for run in self.store.runs(done=False, world=mission.world)]
+        for spec in missing:
+            end = End.UNKNOWN
             if lost.died and spec.kind == "golden":
                 end = End.DUE
-            else:
-                end = End.UNKNOWN
-            flown = Flown.of(spec.run_id, FlightRecord(end, error=lost.reason), lost.reason)
-            self.log.flown(flown)
-            self.write(mission, [flown])
+            run = CompletedRun.of(spec.run_id, FlightRecord(end, error=lost.reason), lost.reason)
+            self.log.flown(run)
+            self.write(mission, [run])
 
     @contextmanager
     def logged(self, executor: Executor) -> Iterator[None]:
@@ -177,67 +176,73 @@ class Flying:
         for session in self.sessions:
             session.tell()
         jobs: Iterable[Job] = self.jobs()
-        failed = ""
+        failure = ""
         for attempt in range(1 + ATTEMPTS):
             try:
-                lost = list(self._fly_once(executor, jobs))
+                lost_missions = list(self._fly_once(executor, jobs))
             except Exception as error:
-                failed = machine_failure(error)
-                if not failed:
+                # A failure of the machine may pass: fly everything that is missing again.
+                failure = machine_failure(error)
+                if not failure:
                     raise
                 for session in self.sessions:
-                    session.log.note("retry", attempt=attempt + 1, of=1 + ATTEMPTS, reason=failed)
+                    session.log.note("retry", attempt=attempt + 1, of=1 + ATTEMPTS, reason=failure)
                 if attempt == ATTEMPTS:
-                    raise MachineError(failed) from error
+                    raise MachineError(failure) from error
                 time.sleep(PAUSE_S)
                 jobs = self.jobs()
                 continue
-            jobs = [((number, self._again(number, mission)),) for number, mission, _ in lost]
+            # Missions that have lost their worker are repeated one by one, each run in a process of its own.
+            jobs = [((number, self._alone(number, mission)),) for number, mission, _ in lost_missions]
             if not jobs:
                 return
-        if failed:  # the machine failure may have killed the workers
-            raise MachineError(failed)
-        self._check_process(executor, lost)
-        for number, mission, end in lost:
-            self.sessions[number].give_up(self._again(number, mission), end)
+        if failure:  # the machine failure may have killed the workers
+            raise MachineError(failure)
+        self._check_process(executor, lost_missions)
+        for number, mission, end in lost_missions:
+            self.sessions[number].give_up(self._alone(number, mission), end)
 
     def jobs(self) -> Iterator[Job]:
         """Incomplete missions: those with the same golden flights together, the others one by one."""
         for group in self._groups():
-            left = ((number, self.sessions[number].left(world)) for number, world in group)
-            job = tuple((number, mission) for number, mission in left if mission is not None)
+            job = []
+            for number, world in group:
+                mission = self.sessions[number].left(world)
+                if mission is not None:
+                    job.append((number, mission))
             if job:
-                yield job
+                yield tuple(job)
 
-    def _groups(self) -> Iterable[Sequence[_Place]]:
+    def _groups(self) -> Iterable[Sequence[_SessionMission]]:
         """Missions that can be one job, in the order of their sessions; those with instrumented kernels are first.
 
         Their golden flight takes the checkpoints for the others, so at most one of them is in a group.
         """
-        groups: list[list[_Place]] = []
-        of_seed: dict[int, list[list[_Place]]] = {}
+        groups: list[list[_SessionMission]] = []
+        groups_by_seed: dict[int, list[list[_SessionMission]]] = {}
         for number in sorted(range(len(self.sessions)), key=lambda number: not self._instruments(number)):
-            for world in self.sessions[number].worlds():
-                if self._instruments(number):
-                    known = []  # instrumented kernels share no golden flight
-                else:
-                    known = of_seed.setdefault(world[1], [])
-                group = next((group for group in known if self._shares(number, world[0], group)), None)
+            for environment, seed in self.sessions[number].worlds():
+                groups_of_seed = groups_by_seed.setdefault(seed, [])
+                group = None
+                if not self._instruments(number):  # instrumented kernels join no group
+                    group = next((other for other in groups_of_seed if self._shares(number, environment, other)), None)
                 if group is None:
                     group = []
                     groups.append(group)
-                    of_seed.setdefault(world[1], []).append(group)
-                group.append((number, world))
+                    groups_of_seed.append(group)
+                group.append((number, (environment, seed)))
         return groups
 
-    def _shares(self, number: int, environment: str, group: Sequence[_Place]) -> bool:
-        own = self.sessions[number].flights(environment)
-        return all(share(own, self.sessions[other].flights(there)) for other, (there, _) in group)
+    def _shares(self, number: int, environment: str, group: Sequence[_SessionMission]) -> bool:
+        """Whether the missions of a session in an environment have the golden flights of all missions of a group."""
+        flights = self.sessions[number].flights(environment)
+        return all(share(flights, self.sessions[other].flights(there)) for other, (there, _) in group)
 
     def _instruments(self, number: int) -> bool:
         return self.sessions[number].plan.sampler.instruments
 
-    def _again(self, number: int, mission: MissionPlan) -> MissionPlan:
+    def _alone(self, number: int, mission: MissionPlan) -> MissionPlan:
+        """The missing runs of a mission, each of which is flown in a process of its own."""
         return replace(mission, done=self.sessions[number].store.done(mission.world), alone=True)
 
     def _fly_once(self, executor: Executor, jobs: Iterable[Job]) -> Iterator[tuple[int, MissionPlan, Lost]]:
@@ -247,19 +252,17 @@ class Flying:
         function = fly_missions if executor.forks else fly_missions_anywhere
         with closing(executor.map(function, jobs)) as batches:
             for job, items in batches:
-                if isinstance(items[-1], (Done, Lost)):
-                    end = items[-1]
-                else:
-                    end = None
-                new = [item for item in items if not isinstance(item, (Done, Lost))]
+                end = items[-1] if isinstance(items[-1], (Done, Lost)) else None
+                numbered = [item for item in items if not isinstance(item, (Done, Lost))]
                 for number, mission in job:
-                    own = [item for of, item in new if of == number]
-                    if own or end is not None:
-                        self.sessions[number].take(mission, own, end)
-                    if isinstance(end, Lost) and not self.sessions[number].store.is_complete(mission.world):
+                    session = self.sessions[number]
+                    new_items = [item for session_number, item in numbered if session_number == number]
+                    if new_items or end is not None:
+                        session.take(mission, new_items, end)
+                    if isinstance(end, Lost) and not session.store.is_complete(mission.world):
                         yield number, mission, end
 
-    def _check_process(self, executor: Executor, lost: Sequence[tuple[int, MissionPlan, Lost]]) -> None:
+    def _check_process(self, executor: Executor, lost_missions: Sequence[tuple[int, MissionPlan, Lost]]) -> None:
         """Check that the missions crashed their workers, not this process, e.g. by compilation without memory.
 
         Raises:
@@ -267,17 +270,19 @@ class Flying:
         """
         if any(session.flown for session in self.sessions):
             return
-        crashed = {(number, mission.world) for number, mission, _ in lost}
-        others = (
-            (number, session.mission(world))
-            for number, session in enumerate(self.sessions)
-            for world in session.worlds()
-            if (number, world) not in crashed
-        )
-        other = [(one,) for one in itertools.islice(others, 1)]
-        if other and not list(self._fly_once(executor, other)):
+        crashed = {(number, mission.world) for number, mission, _ in lost_missions}
+        other = self._first_mission_except(crashed)
+        if other is not None and not list(self._fly_once(executor, [(other,)])):
             return
-        raise MachineError(f"no mission can be flown here: {lost[0][2].reason}")
+        raise MachineError(f"no mission can be flown here: {lost_missions[0][2].reason}")
+
+    def _first_mission_except(self, crashed: Collection[_SessionMission]) -> tuple[int, MissionPlan] | None:
+        """The first mission that has not crashed its worker, with the number of its session."""
+        for number, session in enumerate(self.sessions):
+            for world in session.worlds():
+                if (number, world) not in crashed:
+                    return number, session.mission(world)
+        return None
 
 
 # ---- flies campaigns mission by mission, alone or together; a stopped campaign resumes -----------------------------
@@ -335,10 +340,9 @@ def run_campaigns(
     with ExitStack() as stack:
         sessions = []
         for directory, campaign in campaigns.items():
+            tell: Callable[[Progress], None] = _ignore
             if progress is not None:
-                tell: Callable[[Progress], None] = partial(progress, directory)
-            else:
-                tell = _ignore
+                tell = partial(progress, directory)
             session = _session(stack, campaign, directory, models_dir, fast_forward, shard, tell)
             stack.enter_context(session.logged(executor))
             sessions.append(session)
@@ -362,12 +366,15 @@ def _session(  # noqa: PLR0913 - what `run_campaigns` is given
     tell: Callable[[Progress], None],
 ) -> Session:
     """The session of a campaign; its ledger is closed with `stack`."""
+    # What determines the runs, refused before the ledger is created.
     campaign = _as_begun(campaign, directory)
     models_dir = models_dir or _models_dir(directory)
     require_level(host_of(campaign), campaign.sampling.level)
     scenarios = scenarios_of(campaign, arms_of(campaign))
     models = model_hashes(campaign, scenarios, models_dir)
     plan = plan_of(campaign, models, scenarios)
+
+    # The ledger; one that exists must hold the same campaign.
     store = stack.enter_context(Store.create(directory, identity_of(campaign, scenarios, models)))
     check_versions(store, {**versions(), **plan.sampler.versions})
     check_shard(store, shard)
@@ -395,13 +402,15 @@ def _prepare(session: Session, executor: Executor) -> None:
     """Check the host, and compile in this process what its forks will need, if missions are left."""
     campaign = session.plan.campaign
     host = host_of(campaign)
-    first = next(filter(None, map(session.left, session.worlds())), None)
+    missions = (session.left(world) for world in session.worlds())
+    first = next((mission for mission in missions if mission is not None), None)
     if first is None:
         return
     host.check()
-    if host.in_process:
-        session.tell(compiling=True)
-    if host.in_process and executor.forks and not is_compiled(campaign):
+    if not host.in_process:
+        return
+    session.tell(compiling=True)
+    if executor.forks and not is_compiled(campaign):
         warm_up(first)
 
 
@@ -411,33 +420,42 @@ def _as_begun(campaign: Campaign, directory: Path) -> Campaign:
         begun = Campaign.model_validate_json(held(directory, ORDERED) or "", context=STORED)
         if begun == campaign:
             return begun
-        return campaign
     return campaign
 
 
 def _models_dir(directory: Path) -> Path | None:
-    path = held(directory, "models_dir")
-    return None if path is None else directory / path
+    path: str | None = held(directory, "models_dir")
+    if path is None:
+        return None
+    return directory / path
 
 
 def _as_held(models_dir: Path, directory: Path) -> str:
     """The path as stored in a ledger: relative if inside the ledger's folder, so that both can be moved."""
     path = models_dir.absolute()
-    own = directory.absolute()
-    return str(path.relative_to(own) if path.is_relative_to(own) else path)
+    ledger_folder = directory.absolute()
+    if path.is_relative_to(ledger_folder):
+        path = path.relative_to(ledger_folder)
+    return str(path)
 
 
 def identity_of(
     campaign: Campaign, scenarios: Mapping[tuple[str, str], Scenario], models: Mapping[str, str]
 ) -> dict[str, Any]:
     """Identity of a ledger's campaign, as plain data."""
-    arms = campaign.arms.items()
-    keys = {name: dict(own) for name, arm in arms if (own := mission_keys(arm.detector))}
-    options = {name: {**detector_options(arm.detector), **arm.options} for name, arm in arms}
-    return {
+    identity: dict[str, Any] = {
         "campaign": campaign.identity(),
-        "scenarios": {"/".join(place): scenario.to_json() for place, scenario in scenarios.items()},
+        "scenarios": {f"{environment}/{arm}": scenario.to_json() for (environment, arm), scenario in scenarios.items()},
         "models": dict(models),
-        **({"mission_keys": keys} if keys else {}),
-        **({"detector_options": used} if (used := {name: own for name, own in options.items() if own}) else {}),
     }
+    # Keys that came later, absent if empty, so that ledgers without them keep their identity.
+    default_keys = {}
+    options = {}
+    for name, arm in campaign.arms.items():
+        default_keys[name] = dict(mission_keys(arm.detector))
+        options[name] = {**detector_options(arm.detector), **arm.options}
+    for key, by_arm in (("mission_keys", default_keys), ("detector_options", options)):
+        present = {name: values for name, values in by_arm.items() if values}
+        if present:
+            identity[key] = present
+    return identity

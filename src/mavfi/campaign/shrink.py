@@ -22,7 +22,7 @@ _BATCH = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class CandidateFlight:
     """A candidate fault and the result of its flight."""
 
     fault: Fault
@@ -37,12 +37,12 @@ class Trial:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class ReductionStep:
     """One reduction step."""
 
     what: str  # "publications", "width", "bit"
     tried: int  # candidates evaluated
-    found: Trial | None  # the smallest candidate that loses the mission; None = none does
+    smaller: CandidateFlight | None  # the smallest candidate that loses the mission; None = none does
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +51,9 @@ class Shrunk:
 
     directory: Path  # of its ledger
     spec: RunSpec
-    original: Trial
-    smallest: Trial
-    steps: tuple[Step, ...]
+    original: CandidateFlight
+    smallest: CandidateFlight
+    steps: tuple[ReductionStep, ...]
     golden: Flight
 
 
@@ -72,39 +72,42 @@ def shrink(directory: Path, run_id: str, report: Callable[[int], None] | None = 
     with Store.open(directory) as store:
         spec = store.run(run_id).spec
         host, setup = setup_of_run(store, spec)
+    # A fault that can be made smaller ...
     fault = spec.fault
-    reductions = {} if fault is None else find_level(fault.level).reductions
-    if fault is None or not reductions:
+    if fault is None or not find_level(fault.level).reductions:
         raise BadInputError(
             f"{directory}: run {spec.run_id}: no fault to make smaller; allowed: runs with a fault in a state, a "
             "memory or an instruction"
         )
-    trials = _Trials(host.mission({spec.arm: setup}), spec.arm, report or (lambda _: None))
-    golden = trials.flights.golden(spec.arm)
+    candidates = _CandidateFlights(host.mission({spec.arm: setup}), spec.arm, report or (lambda _: None))
+    golden = candidates.flights.golden(spec.arm)
     assert isinstance(golden, Flight)  # as hosts of faults that can be smaller do
-    original = next(trials.of([fault]))
+    original = next(candidates.fly([fault]))
+    # ... and without which the mission succeeds.
     if golden.log.status is not MissionStatus.SUCCESS or not original.lost:
+        how = f"ends in {original.status or 'an error'}"
         if original.lost:
             how = "fails without its fault, too"
-        else:
-            how = f"ends in {original.status or 'an error'}"
         raise BadInputError(
             f"{directory}: run {spec.run_id}: {how}; allowed: runs whose fault loses the mission (mavfi runs "
             f"{directory} --failed)"
         )
+    # Each step starts from the smallest fault of the steps before.
     smallest = original
     steps = []
-    for what, candidates in reductions.items():
-        smaller = list(candidates(smallest.fault, smallest.injection))
-        if smaller:
-            found = next((trial for trial in trials.of(smaller) if trial.lost), None)
-            steps.append(Step(what, trials.count, found))
-            smallest = found or smallest
+    for what, reduce in find_level(fault.level).reductions.items():
+        faults = list(reduce(smallest.fault, smallest.injection))
+        if not faults:
+            continue
+        smaller = next((candidate for candidate in candidates.fly(faults) if candidate.lost), None)
+        steps.append(ReductionStep(what, candidates.count, smaller))
+        if smaller is not None:
+            smallest = smaller
     return Shrunk(directory, spec, original, smallest, tuple(steps), golden)
 
 
 @dataclass(slots=True)
-class _Trials:
+class _CandidateFlights:
     """Flies candidates of one mission and arm."""
 
     flights: MissionFlights
@@ -113,7 +116,7 @@ class _Trials:
     flown: int = 0
     count: int = 0  # candidates of the last list yielded so far
 
-    def of(self, faults: Sequence[Fault]) -> Iterator[Trial]:
+    def fly(self, faults: Sequence[Fault]) -> Iterator[CandidateFlight]:
         """Fly candidates in order, batch by batch, until the caller stops iterating."""
         self.count = 0
         for first in range(0, len(faults), _BATCH):
@@ -121,13 +124,14 @@ class _Trials:
             ends = dict(self.flights.injected([(self.arm, fault) for fault in batch]))
             self.flown += len(batch)
             self.report(self.flown)
-            for place, fault in enumerate(batch):
+            for index, fault in enumerate(batch):
                 self.count += 1
-                yield _trial(fault, ends[place])
+                yield _judge(fault, ends[index])
 
 
-def _trial(fault: Fault, end: object) -> Trial:
+def _judge(fault: Fault, end: object) -> CandidateFlight:
+    """The result of a candidate; `end` is its flight, or the exception in its place."""
     if not isinstance(end, Flight):
-        return Trial(fault, "", 0.0, None)
+        return CandidateFlight(fault, "", 0.0, None)
     injection = next(iter(end.log.injections), None)
-    return Trial(fault, end.log.status.label, float(end.log.column("time")[-1]), injection)
+    return CandidateFlight(fault, end.log.status.label, float(end.log.column("time")[-1]), injection)

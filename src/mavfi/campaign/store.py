@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from mavfi.campaign.fingerprint import differences
-from mavfi.campaign.plan import Flown, Row, RunSpec, reason_of
+from mavfi.campaign.plan import CompletedRun, Row, RunSpec, reason_of
 from mavfi.config import checked
 from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
 from mavfi.files import is_file
@@ -144,22 +144,24 @@ def damage(connection: sqlite3.Connection) -> str:
 
 def strange_schema(connection: sqlite3.Connection) -> str:
     """The first foreign object of the schema; "" = none.  Reading a view in place of a table would execute it."""
-    held = connection.execute("SELECT type, name, sql FROM sqlite_master WHERE sql IS NOT NULL").fetchall()
-    wanted = {statement.strip() for statement in TABLES.split(";")}
-    for kind, name, sql in held:
-        if sql not in wanted:
+    objects = connection.execute("SELECT type, name, sql FROM sqlite_master WHERE sql IS NOT NULL").fetchall()
+    allowed = {statement.strip() for statement in TABLES.split(";")}
+    for kind, name, sql in objects:
+        if sql not in allowed:
             return f"{kind} {name!r} is not of a ledger"
     return ""
 
 
 def _structure(connection: sqlite3.Connection) -> str:
-    sound = connection.execute("PRAGMA integrity_check(1)").fetchone()[0]
-    if sound == "ok":
+    """The first violation that SQLite itself finds; "" = none."""
+    answer = connection.execute("PRAGMA integrity_check(1)").fetchone()[0]
+    if answer == "ok":
         return ""
-    return str(sound).splitlines()[-1]
+    return str(answer).splitlines()[-1]
 
 
 def _checksums(connection: sqlite3.Connection) -> str:
+    """The first row, or mission, whose checksum does not match; "" = none."""
     salt = salt_of(connection)
     for key, value, checksum in connection.execute("SELECT key, value, checksum FROM meta"):
         if checksum != meta_checksum(key, value, salt):
@@ -186,11 +188,10 @@ def _types(connection: sqlite3.Connection) -> str:
         return str(error)
     for column, kinds in _TYPES.items():
         allowed = ", ".join(f"'{kind}'" for kind in kinds.split())
+        wrong = f"typeof({column}) NOT IN ({allowed})"
         if column in ("spec", "record"):
-            json_too = f" OR {column} IS NOT NULL AND NOT json_valid({column})"
-        else:
-            json_too = ""
-        query = f"SELECT run_id FROM runs WHERE typeof({column}) NOT IN ({allowed}){json_too} LIMIT 1"
+            wrong += f" OR {column} IS NOT NULL AND NOT json_valid({column})"
+        query = f"SELECT run_id FROM runs WHERE {wrong} LIMIT 1"
         row = connection.execute(query).fetchone()
         if row is not None:
             return f"run {row[0]!r}: key {column!r}: allowed: {kinds.replace(' ', ' or ')}"
@@ -203,7 +204,9 @@ SCHEMA = 3
 FILE = "campaign.sqlite"
 LOCK = "campaign.lock"
 _CANDIDATES = 5
+"""Runs that a message about an ambiguous prefix names."""
 _CHUNK = 1 << 20
+"""Size of a read (bytes)."""
 _GENERATION = "generation"
 _RUN = "spec, record, note, wall_s"
 
@@ -325,29 +328,33 @@ class Store:
         path = self.directory / FILE
         version = self._ask("PRAGMA user_version")
         if version == 0:  # what SQLite gives for a file that no mavfi wrote
-            raise BadInputError(f"{path}: is not a ledger of mavfi{'' if path.stat().st_size else ' (it is empty)'}")
+            text = f"{path}: is not a ledger of mavfi"
+            if path.stat().st_size == 0:
+                text += " (it is empty)"
+            raise BadInputError(text)
         if version != SCHEMA:
+            text = f"{path}: schema version {version}; allowed: {SCHEMA}"
             if version < SCHEMA:
-                older = " (it was written by an older mavfi, which still reads it)"
-            else:
-                older = ""
-            raise BadInputError(f"{path}: schema version {version}; allowed: {SCHEMA}{older}")
+                text += " (it was written by an older mavfi, which still reads it)"
+            raise BadInputError(text)
 
     def _check(self, identity: Mapping[str, Any]) -> None:
         self._check_schema()
         self._check_content()
-        held = self.meta("identity")
+        stored = self.meta("identity")
         wanted = json.loads(canonical(identity))
-        if held != wanted:
+        if stored != wanted:
             where = f"{self.directory}: holds another campaign"
-            raise BadInputError(f"{where} (differs in: {differences(held, wanted)}); choose another directory")
+            raise BadInputError(f"{where} (differs in: {differences(stored, wanted)}); choose another directory")
 
     def _check_content(self) -> None:
         """Refuse a ledger that fails its integrity check twice, since a disk may fail temporarily."""
-        wrong = damage(self._connection) and damage(self._connection)
-        if wrong:
+        if not damage(self._connection):
+            return
+        violation = damage(self._connection)
+        if violation:
             self._check_disk()
-            raise BadInputError(f"{self.directory / FILE}: is damaged: {wrong}")
+            raise BadInputError(f"{self.directory / FILE}: is damaged: {violation}")
 
     def _begin_log(self) -> None:
         try:
@@ -444,27 +451,35 @@ class Store:
 
     def runs(self, *, done: bool | None = None, world: tuple[str, int] | None = None) -> Iterator[Run]:
         """Rows in plan order; `done` selects completed (True) or missing (False) ones, `world` those of a mission."""
-        chosen = {None: "1", True: "record IS NOT NULL", False: "record IS NULL"}[done]
-        chosen += " AND environment = ? AND seed = ?" * (world is not None)
-        for row in self._connection.execute(f"SELECT {_RUN} FROM runs WHERE {chosen} ORDER BY position", world or ()):
+        condition = {None: "1", True: "record IS NOT NULL", False: "record IS NULL"}[done]
+        if world is not None:
+            condition += " AND environment = ? AND seed = ?"
+        query = f"SELECT {_RUN} FROM runs WHERE {condition} ORDER BY position"
+        for row in self._connection.execute(query, world or ()):
             yield self._run(*row)
 
     def planned(self) -> list[tuple[str, int]]:
         """Completely planned missions, as environment and seed."""
         return self._connection.execute("SELECT environment, seed FROM missions ORDER BY 1, 2").fetchall()
 
-    def rows(self) -> Iterator[tuple[Row, Flown | None]]:
+    def rows(self) -> Iterator[tuple[Row, CompletedRun | None]]:
         """Stored runs as arguments of `plan` and `write`, in plan order."""
         query = f"SELECT {PLANNED}, record, note, wall_s, json_extract(record, '$.status') FROM runs ORDER BY position"
         for *planned, text, note, wall_s, status in self._connection.execute(query):
             row = Row(*planned)
+            if text is None:
+                yield row, None
+                continue
             success = status == MissionStatus.SUCCESS.label
-            yield row, None if text is None else Flown(row.run_id, text, success, note=note, wall_s=wall_s)
+            yield row, CompletedRun(row.run_id, text, success, note=note, wall_s=wall_s)
 
     def record_text(self, run_id: str) -> str | None:
         """Record of a run as text; None = not flown, or not stored."""
-        found = self._connection.execute("SELECT record FROM runs WHERE run_id = ?", (run_id,)).fetchone()
-        return None if found is None else found[0]
+        row = self._connection.execute("SELECT record FROM runs WHERE run_id = ?", (run_id,)).fetchone()
+        if row is None:
+            return None
+        text: str | None = row[0]
+        return text
 
     def run(self, run_id: str) -> Run:
         """One row by its id or a prefix of it.
@@ -484,15 +499,14 @@ class Store:
 
     def _run(self, spec: str, record: str | None, note: str, wall_s: float | None) -> Run:
         try:
-            if record is None:
-                parsed = None
-            else:
-                parsed = FlightRecord.from_json(json.loads(record))
-            return Run(RunSpec.from_json(json.loads(spec)), parsed, note, wall_s)
+            flight_record = None
+            if record is not None:
+                flight_record = FlightRecord.from_json(json.loads(record))
+            return Run(RunSpec.from_json(json.loads(spec)), flight_record, note, wall_s)
         except (BadInputError, RecursionError, ValueError) as error:  # ValueError: a number is too large
             raise BadInputError(f"{self.directory / FILE}: {error}") from None
 
-    def write(self, flown: Iterable[Flown]) -> list[tuple[str, Flown]]:
+    def write(self, runs: Iterable[CompletedRun]) -> list[tuple[str, CompletedRun]]:
         """Store the results of runs, which are then done and never changed.
 
         Returns:
@@ -501,29 +515,32 @@ class Store:
         Raises:
             MavfiError: A run is not planned: its mission drew other faults when repeated.
         """
-        found = []
+        new_runs = []
+        query = f"SELECT {PLANNED} FROM runs WHERE run_id = ? AND record IS NULL"
         with self.writing():
             salt = salt_of(self._connection)
-            for item in flown:
-                query = f"SELECT {PLANNED} FROM runs WHERE run_id = ? AND record IS NULL"
-                planned = self._connection.execute(query, (item.run_id,)).fetchone()
+            for run in runs:
+                planned = self._connection.execute(query, (run.run_id,)).fetchone()
                 if planned is None:
-                    if self.record_text(item.run_id) is None:
-                        raise MavfiError(f"{self.directory}: run {item.run_id!r}: is not in the plan")
-                    continue
-                result = item.text, item.note, item.wall_s
+                    if self.record_text(run.run_id) is None:
+                        raise MavfiError(f"{self.directory}: run {run.run_id!r}: is not in the plan")
+                    continue  # done already
+                result = run.text, run.note, run.wall_s
                 self._connection.execute(
                     "UPDATE runs SET record = ?, note = ?, wall_s = ?, checksum = ? WHERE run_id = ?",
-                    (*result, checksum_of(*planned, *result, *salt), item.run_id),
+                    (*result, checksum_of(*planned, *result, *salt), run.run_id),
                 )
-                found.append((planned[3], item))
-        return found
+                setting = Row(*planned).setting
+                new_runs.append((setting, run))
+        return new_runs
 
     @property
     def models_dir(self) -> Path | None:
         """Folder of the campaign's trained models; None = the shipped ones."""
-        held = self.meta("models_dir")
-        return None if held is None else self.directory / held
+        path: str | None = self.meta("models_dir")
+        if path is None:
+            return None
+        return self.directory / path
 
     @contextmanager
     def snapshot(self) -> Iterator[None]:
@@ -546,7 +563,8 @@ class Store:
             "SELECT setting, COUNT(*), COUNT(record), TOTAL(json_extract(record, '$.status') = 'success') FROM runs "
             "GROUP BY setting ORDER BY MIN(position)"
         )
-        return {name: (planned, done, int(well)) for name, planned, done, well in self._connection.execute(query)}
+        rows = self._connection.execute(query)
+        return {setting: (planned, done, int(success)) for setting, planned, done, success in rows}
 
     def unknown(self) -> Counter[str]:
         """Number of completed runs with status unknown, by reason."""
@@ -567,7 +585,8 @@ class Store:
         """
         content = hashlib.sha256(canonical(self.meta("identity")).encode())
         for run_id, spec, record in self._connection.execute("SELECT run_id, spec, record FROM runs ORDER BY position"):
-            content.update(f"{run_id}\n{spec}\n{None if record is None else without_source(record)}\n".encode())
+            text = None if record is None else without_source(record)
+            content.update(f"{run_id}\n{spec}\n{text}\n".encode())
         return content.hexdigest()
 
 

@@ -50,30 +50,33 @@ class KeptRecordings:
 
     def load(self, seeds: Iterable[int]) -> dict[int, Recorded]:
         """Load the recordings of these seeds; an unreadable file counts as absent."""
-        found = {}
+        recordings = {}
         for seed in seeds:
             try:
                 arrays = read_arrays(self._path(seed))
-                recorded = tuple(
-                    training.parts(*(arrays[name] for name in training.parts._fields)) for training in self._trainings
-                )
+                recorded = tuple(self._parts_of(training, arrays) for training in self._trainings)
             except (BadInputError, KeyError):
                 continue
             if all(training.is_whole(part) for training, part in zip(self._trainings, recorded, strict=True)):
-                found[seed] = recorded
-        return found
+                recordings[seed] = recorded
+        return recordings
+
+    @staticmethod
+    def _parts_of(training: Training, arrays: Mapping[str, np.ndarray]) -> Any:  # noqa: ANN401 - `Training.parts`
+        return training.parts(*(arrays[name] for name in training.parts._fields))
 
     def save(self, seed: int, recorded: Recorded) -> None:
         """Write a recording atomically; raises a BadInputError if the folder cannot be written."""
         path = self._path(seed)
-        part = path.with_suffix(".part")
+        unfinished = path.with_suffix(".part")
+        arrays: dict[str, Any] = {}
+        for part in recorded:
+            arrays |= part._asdict()
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            with part.open("wb") as file:
-                np.savez_compressed(
-                    file, **{name: array for part in recorded for name, array in part._asdict().items()}
-                )
-            os.replace(part, path)
+            with unfinished.open("wb") as file:
+                np.savez_compressed(file, **arrays)
+            os.replace(unfinished, path)
         except OSError as error:
             raise BadInputError(f"{path}: cannot be written ({error.strerror})") from None
 
@@ -96,7 +99,7 @@ def _key(scenario: Scenario, trainings: Sequence[Training]) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class _Task:
+class _FlightTask:
     """A flight; its text appears in the message about a lost worker."""
 
     scenario: Scenario
@@ -105,7 +108,8 @@ class _Task:
     trainings: Sequence[Training] = ()
 
     def __str__(self) -> str:
-        return f"{'training' if self.model is None else 'checking'} flight with seed {self.scenario.seed}"
+        purpose = "training" if self.model is None else "checking"
+        return f"{purpose} flight with seed {self.scenario.seed}"
 
 
 def training_mission(mission: MissionSpec, seed: int = TRAINING_SEED, environment: str = "training") -> Scenario:
@@ -121,8 +125,10 @@ def training_mission(mission: MissionSpec, seed: int = TRAINING_SEED, environmen
 def trainings_of(extras: Collection[str] = (), only: Collection[tuple[str, str]] | None = None) -> tuple[Training, ...]:
     """The trainings of the detectors that are to be fitted; arguments as for `record`."""
     classes = trainable(extras)
-    wanted = classes if only is None else {name for name, _ in only}
-    return tuple(dict.fromkeys(detector.training for name, detector in classes.items() if name in wanted))
+    names: Collection[str] = classes
+    if only is not None:
+        names = {name for name, _ in only}
+    return tuple(dict.fromkeys(detector.training for name, detector in classes.items() if name in names))
 
 
 def environments_of(trainings: Iterable[Training]) -> list[str]:
@@ -130,7 +136,7 @@ def environments_of(trainings: Iterable[Training]) -> list[str]:
     return list(dict.fromkeys(name for training in trainings for name in training.environments))
 
 
-def record_flight(task: _Task) -> Recorded | None:
+def record_flight(task: _FlightTask) -> Recorded | None:
     """Fly one error-free mission; returns None if it misses its goal."""
     recorders = [training.recorder(task.scenario.autopilot.name) for training in task.trainings]
     log = fly(task.scenario, recorders=[recorder.accept for recorder in recorders]).log
@@ -163,27 +169,31 @@ def record_flights(
         raise BadInputError(f"flights: {count}; allowed: 1 or more")
     executor = LocalExecutor(workers)
     report = progress or (lambda *_: None)
-    kept: dict[int, Recorded] = {}
+    by_seed: dict[int, Recorded] = {}
     tried = 0
-    while len(kept) < count:
+    while len(by_seed) < count:
         if tried >= _MOST_FLIGHTS_PER_WANTED * count:
-            raise BadInputError(f"training: only {len(kept)} of {tried} missions reached their goals; {count} wanted")
-        seeds = range(scenario.seed + tried, scenario.seed + tried + count - len(kept))
-        tasks = [_Task(scenario.model_copy(update={"seed": seed}), trainings=trainings) for seed in seeds]
-        kept |= {} if disk is None else disk.load(seeds)
-        report(len(kept), count)
-        tasks = [task for task in tasks if task.scenario.seed not in kept]
+            raise BadInputError(
+                f"training: only {len(by_seed)} of {tried} missions reached their goals; {count} wanted"
+            )
+        # As many seeds as successful flights are missing: which ones are flown does not depend on the workers.
+        seeds = range(scenario.seed + tried, scenario.seed + tried + count - len(by_seed))
+        if disk is not None:
+            by_seed |= disk.load(seeds)
+        report(len(by_seed), count)
+        left = [scenario.model_copy(update={"seed": seed}) for seed in seeds if seed not in by_seed]
+        tasks = [_FlightTask(mission, trainings=trainings) for mission in left]
         if tasks and tried == 0:
             record_flight(tasks[0])  # compiles in this process; workers inherit the code
         tried += len(seeds)
         for task, recorded in map_each(executor, record_flight, tasks):
             if recorded is None:
                 continue
-            kept[task.scenario.seed] = recorded
+            by_seed[task.scenario.seed] = recorded
             if disk is not None:
                 disk.save(task.scenario.seed, recorded)
-            report(len(kept), count)
-    return dict(sorted(kept.items()))
+            report(len(by_seed), count)
+    return dict(sorted(by_seed.items()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,17 +230,18 @@ class RecordedFlights:
         """
         models: dict[str, Model] = {}
         for number, training in enumerate(self.trainings):
-            if self.alike:
-                environments = tuple(self.flights)
-            else:
-                environments = training.environments
-            flown = [self.flights[name] for name in environments]
+            environments = tuple(self.flights) if self.alike else training.environments
+            seeds: list[int] = []
+            recordings = []
+            for name in environments:
+                for seed, recorded in self.flights[name].items():
+                    seeds.append(seed)
+                    recordings.append(recorded[number])
             origin = self.provenance | {
                 "environment": ", ".join(environments),
-                "flights": sum(map(len, flown)),
-                "seeds": [seed for by_seed in flown for seed in by_seed],
+                "flights": len(recordings),
+                "seeds": seeds,
             }
-            recordings = [recorded[number] for by_seed in flown for recorded in by_seed.values()]
             models |= fit(training, recordings, origin, self.extras, self.only)
         files = [model.save(self.folder) for model in models.values()]
         for disk in self.disks:
@@ -268,10 +279,10 @@ def fit(
     classes = {name: detector for name, detector in trainable(extras).items() if detector.training == training}
     models = {}
     for profile in training.profiles:
-        wanted = {name: detector for name, detector in classes.items() if only is None or (name, profile) in only}
-        if wanted:
-            figures = {name: figures_of(name, profile) for name in wanted}
-            for model in training.fit(wanted, profile, recordings, origin, figures):
+        chosen = {name: detector for name, detector in classes.items() if only is None or (name, profile) in only}
+        if chosen:
+            figures = {name: figures_of(name, profile) for name in chosen}
+            for model in training.fit(chosen, profile, recordings, origin, figures):
                 models[f"{model.kind}-{profile}"] = model
     return models
 
@@ -353,8 +364,8 @@ def count_false_alarms(
         MavfiError: A worker was lost.
     """
     seeds = range(CHECKING_SEED, CHECKING_SEED + flights)
-    places = [(name, training_mission(mission, seed, name)) for name in environments for seed in seeds]
-    tasks = [_Task(scenario, model, folder) for _, scenario in places for model in models]
+    scenarios = [training_mission(mission, seed, name) for name in environments for seed in seeds]
+    tasks = [_FlightTask(scenario, model, folder) for scenario in scenarios for model in models]
     counted: dict[tuple[str, str], list[tuple[int, float]]] = {}
     for done, (task, result) in enumerate(map_each(LocalExecutor(workers), _count_alarms, tasks), 1):
         assert task.model is not None  # only these are counted
@@ -364,7 +375,7 @@ def count_false_alarms(
     return [{name: sorted(counted.get((model.sha256, name), [])) for name in environments} for model in models]
 
 
-def _count_alarms(task: _Task) -> tuple[int, float]:
+def _count_alarms(task: _FlightTask) -> tuple[int, float]:
     """Fly one mission; returns the number of alarms and the flight hours."""
     assert task.model is not None  # only these are counted
     detector, _ = detector_for(task.scenario, task.model.kind, task.model.profile, task.folder)

@@ -20,7 +20,7 @@ from mavfi.campaign.mission import (
     model_hashes,
     scenarios_of,
 )
-from mavfi.campaign.plan import Arm, Flown, Planned, arms_of
+from mavfi.campaign.plan import Arm, CompletedRun, Planned, arms_of
 from mavfi.detectors.registry import is_named
 from mavfi.errors import BadInputError
 from mavfi.flight.compiling import STAGES, compile_stage
@@ -82,7 +82,7 @@ class _Mission:
             warm_up(MissionPlan(campaign, campaign.environments[0], campaign.first_seed, models=models))
 
 
-_Task = _Stage | _Detector | _Mission
+_CompileTask = _Stage | _Detector | _Mission
 
 
 def compile_ahead(
@@ -104,13 +104,19 @@ def compile_ahead(
     """
     left = _not_compiled(campaigns)
     rounds = _rounds(left)
+    total = sum(map(len, rounds))
     done = 0
     for tasks in rounds:
         for _ in map_each(executor, _compile, tasks):
             done += 1
-            progress(done, sum(map(len, rounds)))
-    missions = [task.campaign for tasks in rounds for task in tasks if isinstance(task, _Mission)]
-    incomplete = {campaign.name for campaign in missions if _shipped_models(campaign) is None}
+            progress(done, total)
+
+    # A campaign whose models are not shipped compiles the rest of its code itself.
+    incomplete = set()
+    for tasks in rounds:
+        for task in tasks:
+            if isinstance(task, _Mission) and _shipped_models(task.campaign) is None:
+                incomplete.add(task.campaign.name)
     for campaign in left:
         if campaign.name not in incomplete:
             _done(campaign).touch()
@@ -136,7 +142,7 @@ def _not_compiled(campaigns: Iterable[Campaign]) -> list[Campaign]:
     return [campaign for campaign in campaigns if host_of(campaign).in_process and not _done(campaign).exists()]
 
 
-def _rounds(campaigns: Sequence[Campaign]) -> list[list[_Task]]:
+def _rounds(campaigns: Sequence[Campaign]) -> list[list[_CompileTask]]:
     """Tasks of campaigns in rounds, each of which uses the code of the former ones."""
     return [
         list(_stages(campaigns)),
@@ -145,7 +151,7 @@ def _rounds(campaigns: Sequence[Campaign]) -> list[list[_Task]]:
     ]
 
 
-def _compile(task: _Task) -> None:
+def _compile(task: _CompileTask) -> None:
     task.compile()
 
 
@@ -165,40 +171,38 @@ def _scenarios(campaign: Campaign) -> Iterator[tuple[Arm, Scenario]]:
 
 def _stages(campaigns: Sequence[Campaign]) -> Iterator[_Stage]:
     """The stages of flights with different code."""
-    found: dict[tuple[str, ...], _Stage] = {}
+    tasks: dict[tuple[str, ...], _Stage] = {}
     for campaign in campaigns:
         for _, scenario in _scenarios(campaign):
             for stage in STAGES:
-                if stage == "plan_path":
-                    planner = scenario.planner.name
-                else:
-                    planner = ""
-                found.setdefault((stage, scenario.autopilot.name, scenario.map.kind, planner), _Stage(stage, scenario))
-    yield from sorted(found.values(), key=lambda task: list(STAGES).index(task.name))
+                planner = scenario.planner.name if stage == "plan_path" else ""
+                key = stage, scenario.autopilot.name, scenario.map.kind, planner
+                tasks.setdefault(key, _Stage(stage, scenario))
+    yield from sorted(tasks.values(), key=lambda task: list(STAGES).index(task.name))
 
 
 def _kernels(campaigns: Sequence[Campaign]) -> list[_Mission]:
     """Campaigns with faults in instructions of one kernel or detector each, the longest compilations first."""
-    found = [
-        (kernel, _with_kernels(campaign, (kernel,)))
-        for campaign in campaigns
-        for kernel in campaign.sampling.instrumented
-    ]
-    order = {name: place for place, name in enumerate([*DETECTORS, *PLANNERS])}
-    last = len(order)
-    return [_Mission(campaign) for _, campaign in sorted(found, key=lambda one: order.get(one[0], last))]
+    order = [*DETECTORS, *PLANNERS]
+    ranked = []
+    for campaign in campaigns:
+        for kernel in campaign.sampling.instrumented:
+            rank = order.index(kernel) if kernel in order else len(order)
+            ranked.append((rank, _Mission(_with_kernels(campaign, (kernel,)))))
+    return [mission for _, mission in sorted(ranked, key=lambda entry: entry[0])]
 
 
 def _detectors(campaigns: Sequence[Campaign]) -> list[_Detector]:
     """Detectors of all arms, without duplicates."""
-    found: dict[tuple[str, ...], _Detector] = {}
+    tasks: dict[tuple[str, ...], _Detector] = {}
     for campaign in campaigns:
         for arm, scenario in _scenarios(campaign):
-            if arm.detector:
-                spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.overrides)
-                task = _Detector(scenario, arm.detector, arm.profile, spec.trained_for, arm.options)
-                found[arm.detector, arm.profile, scenario.autopilot.name, spec.trained_for, str(arm.options)] = task
-    return list(found.values())
+            if not arm.detector:
+                continue
+            spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.overrides)
+            key = arm.detector, arm.profile, scenario.autopilot.name, spec.trained_for, str(arm.options)
+            tasks[key] = _Detector(scenario, arm.detector, arm.profile, spec.trained_for, arm.options)
+    return list(tasks.values())
 
 
 def _bare(campaign: Campaign) -> Campaign:
@@ -216,15 +220,14 @@ def _with_kernels(campaign: Campaign, kernels: tuple[str, ...]) -> Campaign:
 
 def _with_arms(campaign: Campaign, detectors: tuple[str, ...]) -> Campaign:
     """The campaign with only those arms that have no detector or one of these."""
-    arms = {
-        name: arm
-        for name, arm in campaign.arms.items()
-        if not arm.detector or any(is_named(arm.detector, one) for one in detectors)
-    }
+    arms = {}
+    for name, arm in campaign.arms.items():
+        if not arm.detector or any(is_named(arm.detector, detector) for detector in detectors):
+            arms[name] = arm
     return campaign.model_copy(update={"arms": arms})
 
 
-def fly_missions_anywhere(job: Job) -> Iterator[tuple[int, Planned | Flown]]:
+def fly_missions_anywhere(job: Job) -> Iterator[tuple[int, Planned | CompletedRun]]:
     """`fly_missions` in a process that is not a fork of the campaigns'."""
     for _, mission in job:
         if host_of(mission.campaign).in_process:

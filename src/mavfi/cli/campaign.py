@@ -213,11 +213,11 @@ def repair(directory: options.Ledger) -> None:
 
     repaired = repair_ledger(directory)
     if repaired.was_intact:
-        text = f"{repaired.kept} runs, none damaged: nothing to repair, the ledger is as it was"
+        text = f"{repaired.intact} runs, none damaged: nothing to repair, the ledger is as it was"
         console().print(text, soft_wrap=True)
         return
     console().print(
-        f"{repaired.kept} runs kept, {repaired.lost} damaged. Resume the campaign to fly the missing ones. "
+        f"{repaired.intact} runs kept, {repaired.lost} damaged. Resume the campaign to fly the missing ones. "
         f"Backup of the damaged file: {directory / DAMAGED}",
         soft_wrap=True,
     )

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.text import Text
 
-from mavfi.campaign.shrink import Shrunk, Trial
+from mavfi.campaign.shrink import CandidateFlight, Shrunk
 from mavfi.cli import options
 from mavfi.cli.console import PAGES, PICTURES, check_file, console, write_json
 from mavfi.errors import MavfiError
@@ -189,7 +189,7 @@ def shrink_lines(shrunk: Shrunk) -> list[tuple[str, str]]:
     rows = [("smallest", _trial(shrunk.smallest)), ("original", _trial(shrunk.original))]
     heading = "steps"
     for step in shrunk.steps:
-        result = "none loses the mission" if step.found is None else _trial(step.found)
+        result = "none loses the mission" if step.smaller is None else _trial(step.smaller)
         rows.append((heading, f"{_STEPS.get(step.what, step.what)}, {step.tried} tried: {result}"))
         heading = ""  # only above the first step
     golden = shrunk.golden.log
@@ -197,7 +197,7 @@ def shrink_lines(shrunk: Shrunk) -> list[tuple[str, str]]:
     return rows
 
 
-def _trial(trial: Trial) -> str:
+def _trial(trial: CandidateFlight) -> str:
     text = text_of(trial.fault)
     end = f"{trial.status.replace('_', ' ')} after {trial.time_s:.2f} s"
     if trial.injection is None:

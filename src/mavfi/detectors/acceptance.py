@@ -27,6 +27,7 @@ from mavfi.states import ODOMETRY, STATES, State, bytes_of, floats, new_state, r
 SOURCE = "acceptance"
 Compiled = Callable[..., Any]
 _VEHICLE_FLOATS = 6
+"""Leading numbers of the odometry that rules read: position (m) and velocity (m/s)."""
 _STATUS = "perception.collision_status"
 _PATH = "planning.path"
 _TRAJECTORY = "planning.trajectory"
@@ -68,12 +69,14 @@ def rule_of(field: str) -> int:
 KEPT = 3
 """Trajectories that a way-point may refer to: the one in force, the pending one, and one spare."""
 KEPT_COUNTERS = 4
+"""Latest values of the collision counter that are remembered: a path answers one of them."""
 CAPACITY = 2048
 """Initial capacity of a block, in trajectory points; grows if needed."""
 STATUS_TYPE, PATH_TYPE, TRAJECTORY_TYPE, WAYPOINT_TYPE, COMMAND_TYPE, TRACKING_TYPE = (
     STATES[name].header_dtype for name in (_STATUS, _PATH, _TRAJECTORY, *_CANDIDATES)
 )
 OF_WAYPOINT, OF_COMMAND, OF_TRACKING = range(1, 4)
+"""Number of the candidate's state, in the record."""
 _WAYPOINT_SIZE = WAYPOINT_TYPE.itemsize
 _COMMAND_SIZE = COMMAND_TYPE.itemsize
 _TRACKING_SIZE = TRACKING_TYPE.itemsize
@@ -82,6 +85,7 @@ _SHARE_OF_LATENCY = 0.7
 _JITTER_US = 300_000
 """Largest planning time in excess of that."""
 _LONG_AGO = -(1 << 62)
+"""Instant of the first collision counter, 0: before any flight (us)."""
 
 _HEADERS = {
     "last_status": STATUS_TYPE,
@@ -131,19 +135,20 @@ MEMORY = slice(NUMBERS.itemsize, RECORD.fields["planning_us"][1])  # type: ignor
 
 def new_record(limits: MissionLimits) -> np.ndarray:
     """The record at the start of a flight. Shape (1,)."""
-    known = np.zeros(1, RECORD)
+    record = np.zeros(1, RECORD)
+    numbers = limits.numbers()
     for name in NUMBERS.names or ():
-        known[name] = limits.numbers()[name]
-    known["planning_us"] = int(_SHARE_OF_LATENCY * 1e6 * limits.planner_latency)
-    forget(known)
-    return known
+        record[name] = numbers[name]
+    record["planning_us"] = int(_SHARE_OF_LATENCY * 1e6 * limits.planner_latency)
+    forget(record)
+    return record
 
 
-def named(known: np.ndarray) -> dict[str, np.ndarray]:
+def named(record: np.ndarray) -> dict[str, np.ndarray]:
     """The memory by name, headers by field: the arrays themselves, not copies."""
     arrays: dict[str, np.ndarray] = {}
     for name, *_ in _REMEMBERED:
-        array = known[name].reshape(-1)
+        array = record[name].reshape(-1)
         if name in _HEADERS:
             header = array.view(_HEADERS[name])
             arrays |= {f"{name}.{field}": header[field] for field in header.dtype.names or ()}
@@ -152,139 +157,150 @@ def named(known: np.ndarray) -> dict[str, np.ndarray]:
     return arrays
 
 
-def forget(known: np.ndarray) -> None:
+def forget(record: np.ndarray) -> None:
     """Reset the memory at the start of a flight."""
-    known.view(np.uint8)[MEMORY] = 0
-    known["switched"] = known["fresh"] = True
-    known["changes"] = 1
-    known["times"][0, 0] = _LONG_AGO
-    known["blocks"] = range(KEPT)
-    known["accepted"] = False
+    record.view(np.uint8)[MEMORY] = 0
+    record["switched"] = record["fresh"] = True
+    record["changes"] = 1
+    record["times"][0, 0] = _LONG_AGO
+    record["blocks"] = range(KEPT)
+    record["accepted"] = False
 
 
 @kernel_jit
-def settle(known: np.ndarray) -> None:
-    """Commit the candidate, if accepted, as the last publication of its state."""
-    own = known[0]
-    if not own["accepted"]:
+def settle(record: np.ndarray) -> None:
+    """Commit the candidate, if the host has accepted it, as the last publication of its state."""
+    memory = record[0]
+    if not memory["accepted"]:
         return
-    own["accepted"] = False
-    if own["candidate_of"] == OF_WAYPOINT:
-        own["last_waypoint"][:] = own["candidate"][:_WAYPOINT_SIZE]
-        own["switched"] = own["fresh"] = True
-    elif own["candidate_of"] == OF_COMMAND:
-        own["last_command"][:] = own["candidate"][:_COMMAND_SIZE]
-        own["switched"] = False
+    memory["accepted"] = False
+    if memory["candidate_of"] == OF_WAYPOINT:
+        memory["last_waypoint"][:] = memory["candidate"][:_WAYPOINT_SIZE]
+        memory["switched"] = memory["fresh"] = True
+    elif memory["candidate_of"] == OF_COMMAND:
+        memory["last_command"][:] = memory["candidate"][:_COMMAND_SIZE]
+        memory["switched"] = False
     else:
-        own["last_tracking"][:] = own["candidate"][:_TRACKING_SIZE]
-        own["fresh"] = False
+        memory["last_tracking"][:] = memory["candidate"][:_TRACKING_SIZE]
+        memory["fresh"] = False
 
 
 @kernel_jit
-def propose(header: np.ndarray, of: int, known: np.ndarray) -> None:
-    """Store a header as the candidate; `of` identifies its state."""
-    own = known[0]
+def propose(header: np.ndarray, of: int, record: np.ndarray) -> None:
+    """Store a header as the candidate; `of` is the number of its state, e.g. `OF_WAYPOINT`."""
+    memory = record[0]
     content = header.view(np.uint8)
-    own["candidate"][: len(content)] = content
-    own["candidate_of"] = of
+    memory["candidate"][: len(content)] = content
+    memory["candidate_of"] = of
 
 
 @kernel_jit
 def used(count: int, least: int, most: int) -> int:
-    """A number of entries within its bounds: a corrupted one must not become an index."""
+    """Clamp a number of entries: one corrupted by a memory fault must not become an index."""
     return min(max(count, least), most)
 
 
 @kernel_jit
-def note_status(header: np.ndarray, now: int, known: np.ndarray) -> None:
+def note_status(header: np.ndarray, now: int, record: np.ndarray) -> None:
     """Record a collision status published at `now` (us)."""
-    own = known[0]
-    counter, count = int(header[0]["future_collision_seq"]), used(own["changes"], 1, KEPT_COUNTERS)
-    times, counters = own["times"], own["counters"]
+    memory = record[0]
+    counter = int(header[0]["future_collision_seq"])
+    count = used(memory["changes"], 1, KEPT_COUNTERS)
+    times = memory["times"]
+    counters = memory["counters"]
     if counter != counters[count - 1]:
-        if count == KEPT_COUNTERS:
+        if count == KEPT_COUNTERS:  # drop the oldest
             times[:-1], counters[:-1] = times[1:].copy(), counters[1:].copy()
             count -= 1
         times[count], counters[count] = now, counter
-        own["changes"] = count + 1
-    own["last_status"][:] = header.view(np.uint8)
+        memory["changes"] = count + 1
+    memory["last_status"][:] = header.view(np.uint8)
 
 
 @kernel_jit
-def answerable(now: int, known: np.ndarray) -> np.ndarray:
+def answerable(now: int, record: np.ndarray) -> np.ndarray:
     """Collision counters that a path at `now` (us) can answer: the one known when the planner started, and later."""
-    own = known[0]
-    began = now - own["planning_us"]
-    found, count = np.zeros(KEPT_COUNTERS + 1, np.int64), 0
-    changes = used(own["changes"], 1, KEPT_COUNTERS)
+    memory = record[0]
+    began = now - memory["planning_us"]
+    answers = np.zeros(KEPT_COUNTERS + 1, np.int64)
+    count = 0
+    changes = used(memory["changes"], 1, KEPT_COUNTERS)
+    # the latest counter when the planner started, at the latest possible instant
     for index in range(changes):
-        if own["times"][index] <= began:
-            found[0], count = own["counters"][index], 1
+        if memory["times"][index] <= began:
+            answers[0] = memory["counters"][index]
+            count = 1
+    # all counters since the earliest instant at which it may have started
     for index in range(changes):
-        if own["times"][index] > began - _JITTER_US:
-            found[count] = own["counters"][index]
+        if memory["times"][index] > began - _JITTER_US:
+            answers[count] = memory["counters"][index]
             count += 1
-    return found[:count]
+    return answers[:count]
 
 
 @kernel_jit
-def note_path(header: np.ndarray, vertices: np.ndarray, known: np.ndarray) -> None:
+def note_path(header: np.ndarray, vertices: np.ndarray, record: np.ndarray) -> None:
     """Record a published path; vertices (m) have shape (n, 3)."""
-    own = known[0]
-    own["ended"], own["end"][:] = len(vertices) > 0, 0.0
+    memory = record[0]
+    memory["ended"] = len(vertices) > 0
+    memory["end"][:] = 0.0
     if len(vertices) > 0:
-        own["end"][:] = vertices[len(vertices) - 1]
-    own["last_path"][:] = header.view(np.uint8)
+        memory["end"][:] = vertices[len(vertices) - 1]
+    memory["last_path"][:] = header.view(np.uint8)
 
 
 @kernel_jit
-def note_trajectory(header: np.ndarray, points: np.ndarray, known: np.ndarray, blocks: np.ndarray) -> None:
+def note_trajectory(header: np.ndarray, points: np.ndarray, record: np.ndarray, blocks: np.ndarray) -> None:
     """Record a published trajectory; points have shape (n, 11) and fit into a block."""
-    own = known[0]
-    own["last_trajectory"][:] = header.view(np.uint8)
+    memory = record[0]
+    memory["last_trajectory"][:] = header.view(np.uint8)
     if len(points) == 0:
         return
-    number, stored, places = int(header[0]["trajectory_seq"]), used(own["stored"], 0, KEPT), own["blocks"]
+    number = int(header[0]["trajectory_seq"])
+    stored = used(memory["stored"], 0, KEPT)
+    block_indices = memory["blocks"]
+    # Entry to drop: that with the same number, or the oldest if all are in use; `stored` = none.
     drop = 0 if stored == KEPT else stored
     for index in range(stored):
-        if own["numbers"][index] == number:
+        if memory["numbers"][index] == number:
             drop = index
-    place, last = places[drop], stored - 1 if drop < stored else stored
+    # The new trajectory takes the block of the dropped one, and the last entry.
+    block = block_indices[drop]
+    last = stored - 1 if drop < stored else stored
     for index in range(drop, last):
-        own["numbers"][index], own["counts"][index] = own["numbers"][index + 1], own["counts"][index + 1]
-        places[index] = places[index + 1]
-    own["numbers"][last], own["counts"][last], places[last] = number, len(points), place
-    own["stored"] = last + 1
+        memory["numbers"][index], memory["counts"][index] = memory["numbers"][index + 1], memory["counts"][index + 1]
+        block_indices[index] = block_indices[index + 1]
+    memory["numbers"][last], memory["counts"][last], block_indices[last] = number, len(points), block
+    memory["stored"] = last + 1
     for row in range(len(points)):  # an assigned slice would call functions with memory of their own
         for column in range(points.shape[1]):
-            blocks[place, row, column] = points[row, column]
+            blocks[block, row, column] = points[row, column]
 
 
 @kernel_jit
-def points_of(number: int, known: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+def points_of(number: int, record: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     """Points of a stored trajectory. Shape (n, 11); (0, 11) if unknown."""
-    own = known[0]
-    for index in range(used(own["stored"], 0, KEPT)):
-        if own["numbers"][index] == number:
-            return blocks[own["blocks"][index], : own["counts"][index]]
+    memory = record[0]
+    for index in range(used(memory["stored"], 0, KEPT)):
+        if memory["numbers"][index] == number:
+            return blocks[memory["blocks"][index], : memory["counts"][index]]
     return blocks[0, :0]
 
 
 @kernel_jit
-def newest(known: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+def newest(record: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     """Points of the latest stored trajectory. Shape (n, 11); (0, 11) if there is none."""
-    last = used(known[0]["stored"], 0, KEPT) - 1
-    return blocks[0, :0] if last < 0 else blocks[known[0]["blocks"][last], : known[0]["counts"][last]]
+    memory = record[0]
+    last = used(memory["stored"], 0, KEPT) - 1
+    return blocks[0, :0] if last < 0 else blocks[memory["blocks"][last], : memory["counts"][last]]
 
 
 # ---- rules -----------------------------------------------------------------------------------------------------------
 @kernel_jit
 def judge_status(header: np.ndarray, record: np.ndarray) -> int:
     """See `rules.status`."""
-    before, trajectory = (
-        record[0]["last_status"].view(STATUS_TYPE),
-        record[0]["last_trajectory"].view(TRAJECTORY_TYPE),
-    )
+    before = record[0]["last_status"].view(STATUS_TYPE)
+    trajectory = record[0]["last_trajectory"].view(TRAJECTORY_TYPE)
     return rules.status(header, before, trajectory, record)
 
 
@@ -293,17 +309,16 @@ def judge_path(
     header: np.ndarray, vertices: np.ndarray, now: int, odometry: np.ndarray, record: np.ndarray, blocks: np.ndarray
 ) -> int:
     """See `rules.path`; `now` in us, `odometry` starts with position and velocity."""
-    epochs, vehicle = answerable(now, record), odometry.view(np.float64)
+    epochs = answerable(now, record)
+    vehicle = odometry.view(np.float64)
     return rules.path(header, vertices, epochs, vehicle, newest(record, blocks), record)
 
 
 @kernel_jit
 def judge_trajectory(header: np.ndarray, points: np.ndarray, odometry: np.ndarray, record: np.ndarray) -> int:
     """See `rules.trajectory`."""
-    before, path = (
-        record[0]["last_trajectory"].view(TRAJECTORY_TYPE),
-        record[0]["last_path"].view(PATH_TYPE),
-    )
+    before = record[0]["last_trajectory"].view(TRAJECTORY_TYPE)
+    path = record[0]["last_path"].view(PATH_TYPE)
     end = record[0]["end"][: 3 if record[0]["ended"] else 0]
     return rules.trajectory(header, points, before, path, end, odometry.view(np.float64), record)
 
@@ -313,13 +328,11 @@ def judge_waypoint(header: np.ndarray, odometry: np.ndarray, record: np.ndarray,
     """See `rules.waypoint`; makes the way-point the candidate."""
     settle(record)
     propose(header, OF_WAYPOINT, record)
-    before, newest = (
-        record[0]["last_waypoint"].view(WAYPOINT_TYPE),
-        record[0]["last_trajectory"].view(TRAJECTORY_TYPE),
-    )
+    before = record[0]["last_waypoint"].view(WAYPOINT_TYPE)
+    newest_header = record[0]["last_trajectory"].view(TRAJECTORY_TYPE)
     points = points_of(int(header[0]["trajectory_seq"]), record, blocks)
     values = record[0]["candidate"][: 8 * rules.POINT_WIDTH].view(np.float64)
-    return rules.waypoint(values, header, before, newest, points, odometry.view(np.float64), record)
+    return rules.waypoint(values, header, before, newest_header, points, odometry.view(np.float64), record)
 
 
 @kernel_jit
@@ -381,13 +394,16 @@ class AcceptanceTest(Detector):
     def __init__(self, limits: MissionLimits, rules: Sequence[int] = tuple(RULES)) -> None:
         if not isinstance(rules, (list, tuple)) or not all(rule in RULES for rule in rules):
             raise BadInputError(f"rules: {rules!r}: allowed: a list of numbers from {COUNTERS} to {NODES}")
-        self.limits, self.rules = limits, tuple(rules)
-        self.record, self.estimate = new_record(limits), estimates.new_record(limits)
-        self._accepted = self.record["accepted"]
+        self.limits = limits
+        self.rules = tuple(rules)
+        self.record = new_record(limits)
+        self.estimate = estimates.new_record(limits)
+        self._accepted = self.record["accepted"]  # a view: setting it costs no call
         self.start()
         self.instrument({})
-        unread = () if limits.held else (_TRACKING,)
-        self.states = CHECKED.union(self._notes).difference(unread)
+        self.states = CHECKED.union(self._notes)
+        if not limits.held:  # the tracking report is not checked
+            self.states -= {_TRACKING}
 
     @property
     def compiled(self) -> Mapping[str, Compiled]:
@@ -398,17 +414,20 @@ class AcceptanceTest(Detector):
         """See `Detector`."""
         functions = {**COMPILED, **made}
         record = self.record
-        estimate = self.estimate
 
-        def of_header(name: str, header: np.ndarray) -> Callable[[State, int], int]:
+        def judge_of_header(name: str, header: np.ndarray) -> Callable[[State, int], int]:
             function = entry(functions[name], header, record)
             return lambda state, now: function(state.header, record)
 
+        # Machine code of the most frequent calls, by examples of their arguments.  `blocks` and `odometry` are read at
+        # each call, since both are replaced during a flight.
         status, waypoint, command, tracking = (new_state(name).header for name in (_STATUS, *_CANDIDATES))
         judge_waypoint = entry(functions["judge_waypoint"], waypoint, bytes_of(self.odometry), record, self.blocks)
         note_status = entry(functions["note_status"], status, 0, record)
+
+        # What checks a publication, and what records a published value, by state.
         self._judges: dict[str, Callable[[State, int], int]] = {
-            _STATUS: of_header("judge_status", status),
+            _STATUS: judge_of_header("judge_status", status),
             _PATH: lambda state, now: functions["judge_path"](
                 state.header, rows(state.elements, 3), now, bytes_of(self.odometry), record, self.blocks
             ),
@@ -416,7 +435,7 @@ class AcceptanceTest(Detector):
                 state.header, rows(state.elements, rules.POINT_WIDTH), bytes_of(self.odometry), record
             ),
             _WAYPOINT: lambda state, now: judge_waypoint(state.header, bytes_of(self.odometry), record, self.blocks),
-            _COMMAND: of_header("judge_command", command),
+            _COMMAND: judge_of_header("judge_command", command),
         }
         self._notes: dict[str, Callable[[State, int], None]] = {
             _STATUS: lambda state, now: note_status(state.header, now, record),
@@ -426,9 +445,13 @@ class AcceptanceTest(Detector):
         }
         self._function_of_trajectory = functions["note_trajectory"]
         if self.limits.held:
-            self._judges[_TRACKING] = of_header("judge_tracking", tracking)
-        if self.limits.fix_noise is None:
-            return
+            self._judges[_TRACKING] = judge_of_header("judge_tracking", tracking)
+        if self.limits.fix_noise is not None:
+            self._instrument_estimate(functions)
+
+    def _instrument_estimate(self, functions: Mapping[str, Compiled]) -> None:
+        """Set the functions of the estimated odometry, which only flights with an estimator have."""
+        estimate = self.estimate
         odometry, fix = (bytes_of(new_state(name).header) for name in (_ESTIMATE, estimates.FIX))
         judge_estimate = entry(functions["judge_estimate"], odometry, 0, estimate)
         self._function_of_estimate = entry(functions["note_estimate"], odometry, 0, estimate)
@@ -524,13 +547,13 @@ class AcceptanceTest(Detector):
         """Memory between publications by name, see `Detector`."""
         settle(self.record)
         self.odometry = self.odometry.copy()  # it belongs to the publication
-        points = {f"trajectories[{index}]": points for index, points in enumerate(self._trajectories())}
-        vehicle = {"vehicle": floats(self.odometry, _VEHICLE_FLOATS)}
-        if self.limits.fix_noise is None:
-            estimated = {}
-        else:
-            estimated = estimates.named(self.estimate)
-        return {**named(self.record), **vehicle, **points, **estimated}
+        arrays = named(self.record)
+        arrays["vehicle"] = floats(self.odometry, _VEHICLE_FLOATS)
+        for index, points in enumerate(self._trajectories()):
+            arrays[f"trajectories[{index}]"] = points
+        if self.limits.fix_noise is not None:
+            arrays |= estimates.named(self.estimate)
+        return arrays
 
     def _trajectories(self) -> list[np.ndarray]:
         """Points of the stored trajectories, oldest first."""

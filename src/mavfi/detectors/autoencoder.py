@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from mavfi.detectors import features
-from mavfi.detectors.features import Scratch, Watch
+from mavfi.detectors.features import LastJudgement, WatchedFields
 from mavfi.detectors.model import SMALLEST_LIMIT, Model
 from mavfi.detectors.preprocess import DeltaScorer, Preprocessor, conclude
 from mavfi.detectors.scoring import ScoringDetector, Threshold, find_policy
@@ -27,7 +27,9 @@ INPUT_LIMIT = 10.0
 WEIGHT_DIGITS = 8
 """Significant digits of the stored weights; further digits may depend on the version of the linear algebra library."""
 _TRAINING_STREAM = 4
+"""Spawn key of the random stream that draws training rows."""
 _WIDEST = 10_000
+"""Most neurons in a layer."""
 
 
 class Network(NamedTuple):
@@ -90,7 +92,7 @@ def residuals(vector: np.ndarray, network: Network, errors: np.ndarray) -> None:
 
 @kernel_jit
 def read_residuals(
-    content: np.ndarray, slot: int, watch: Watch, network: Network, vector: np.ndarray, errors: np.ndarray
+    content: np.ndarray, slot: int, watch: WatchedFields, network: Network, vector: np.ndarray, errors: np.ndarray
 ) -> int:
     """Residuals of the latest deltas of all fields, after `features.measure` has updated those of this publication."""
     regime = features.measure(content, slot, watch, vector)
@@ -99,10 +101,12 @@ def read_residuals(
 
 
 @kernel_jit
-def settle_network(watch: Watch, scratch: Scratch, limit: np.ndarray, network: Network, held: np.ndarray) -> None:
+def settle_network(
+    watch: WatchedFields, scratch: LastJudgement, limit: np.ndarray, network: Network, held: np.ndarray
+) -> None:
     """Commit the publication judged last as published; hold its deltas if they are normal."""
-    place = watch.places[scratch.place[features.SLOT]]
-    for index in range(place[features.FIRST], place[features.LAST]):
+    table_row = watch.places[scratch.status[features.SLOT]]
+    for index in range(table_row[features.FIRST], table_row[features.LAST]):
         held[index] = scratch.deltas[index] if scratch.score[0] <= 1.0 else 0
     features.settle(scratch, watch)
 
@@ -111,14 +115,14 @@ def settle_network(watch: Watch, scratch: Scratch, limit: np.ndarray, network: N
 def judge_network(
     content: np.ndarray,
     slot: int,
-    watch: Watch,
-    scratch: Scratch,
+    watch: WatchedFields,
+    scratch: LastJudgement,
     limit: np.ndarray,
     network: Network,
     held: np.ndarray,
 ) -> float:
     """Score of a publication, see `preprocess.DeltaScorer`, from all latest deltas; `held` has shape (n,)."""
-    if scratch.place[features.ACCEPTED] != 0:
+    if scratch.status[features.ACCEPTED] != 0:
         settle_network(watch, scratch, limit, network, held)
     features.propose(content, slot, scratch)
     scratch.deltas[:] = held
@@ -144,8 +148,8 @@ class LastErrors(NamedTuple):
 def _judge_unless_known(
     content: np.ndarray,
     slot: int,
-    watch: Watch,
-    scratch: Scratch,
+    watch: WatchedFields,
+    scratch: LastJudgement,
     limit: np.ndarray,
     network: Network,
     held: np.ndarray,
@@ -155,7 +159,7 @@ def _judge_unless_known(
 
     `judge_network` is not built of this function, since faults are drawn in its instructions.
     """
-    if scratch.place[features.ACCEPTED] != 0:
+    if scratch.status[features.ACCEPTED] != 0:
         settle_network(watch, scratch, limit, network, held)
     features.propose(content, slot, scratch)
     scratch.deltas[:] = held
@@ -223,8 +227,10 @@ class AutoencoderDetector(ScoringDetector, TrainedDetector):
         deltas = preprocessor or Preprocessor(model.monitored, model.profile, model.prediction)
         count = len(deltas.fields)
         network = network_of(model, count)
-        one = model.profile == "paper"
-        limit = model.numbers("limit", *((1, 1) if one else (count, features.REGIMES)), least=SMALLEST_LIMIT)
+        shape = (count, features.REGIMES)
+        if model.profile == "paper":  # one limit for all fields
+            shape = (1, 1)
+        limit = model.numbers("limit", *shape, least=SMALLEST_LIMIT)
         threshold = Threshold(limit, count, model.numbers("key", count, least=SMALLEST_LIMIT))
         super().__init__(SOURCE, AutoencoderScorer(deltas, network), threshold, find_policy(policy))
 
@@ -243,10 +249,11 @@ def network_of(model: Model, fields: int) -> Network:
 
 def _layers(model: Model, fields: int) -> np.ndarray:
     """Neurons per layer of a model with this number of fields."""
-    given = model.parameters.get("sizes")
-    sizes = model.numbers("sizes", len(given) if isinstance(given, list) else 0, least=1.0)
+    parameter = model.parameters.get("sizes")
+    layers = len(parameter) if isinstance(parameter, list) else 0
+    sizes = model.numbers("sizes", layers, least=1.0)
     if len(sizes) < 2 or (sizes > _WIDEST).any() or (sizes % 1 != 0).any() or not sizes[0] == sizes[-1] == fields:
-        raise BadInputError(f"parameter 'sizes': {given}; allowed: neurons per layer, {fields}, ..., {fields}")
+        raise BadInputError(f"parameter 'sizes': {parameter}; allowed: neurons per layer, {fields}, ..., {fields}")
     return sizes.astype(np.int64)
 
 
@@ -305,8 +312,10 @@ def representative(sample: Sample, largest_class: int) -> np.ndarray:
     classes = sample.slots * features.REGIMES + sample.regimes
     rows = []
     for label in np.unique(classes):
-        own = np.flatnonzero(classes == label)
-        rows.append(generator.choice(own, largest_class, replace=False) if len(own) > largest_class else own)
+        members = np.flatnonzero(classes == label)
+        if len(members) > largest_class:
+            members = generator.choice(members, largest_class, replace=False)
+        rows.append(members)
     return np.sort(np.concatenate(rows))
 
 
@@ -332,9 +341,10 @@ def train_network(
         n_iter_no_change=epochs,
         random_state=0,
     )
+    targets = inputs if inputs.shape[1] > 1 else inputs.ravel()  # scikit-learn warns of a single column
     with threadpool_limits(1), warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # the number of epochs is the stopping rule
-        network.fit(inputs, inputs if inputs.shape[1] > 1 else inputs.ravel())
+        network.fit(inputs, targets)
     return network
 
 

@@ -183,8 +183,8 @@ class Chain(Detector):
 
     def restore(self, memory: tuple[Any, ...]) -> None:
         """Inverse of `memory`."""
-        for detector, kept in zip(self.parts, memory, strict=True):
-            detector.restore(kept)
+        for detector, part_memory in zip(self.parts, memory, strict=True):
+            detector.restore(part_memory)
 
 
 def part_of(detector: Detector | None, source: str) -> Any:  # noqa: ANN401 - callers know that there is one
@@ -192,9 +192,9 @@ def part_of(detector: Detector | None, source: str) -> Any:  # noqa: ANN401 - ca
     if detector is None:
         return None
     for part in detector.parts:
-        found: Any = part_of(part, source)
-        if found is not None:
-            return found
+        inner: Any = part_of(part, source)
+        if inner is not None:
+            return inner
     if detector.source == source and detector.compiled:
         return detector
     return None
@@ -228,12 +228,12 @@ def check_states(detector: Detector) -> None:
     states = detector.states
     if states is None:
         return
-    place = f"detector {class_of(detector)}: states"
+    source = f"detector {class_of(detector)}: states"
     if isinstance(states, str) or not isinstance(states, Collection):
-        raise BadInputError(f"{place}: {states!r:.60}: allowed: a set of names of states, or None")
+        raise BadInputError(f"{source}: {states!r:.60}: allowed: a set of names of states, or None")
     for name in sorted(map(str, states)):
         if name not in STATES:
-            raise BadInputError(f"{place}: {name!r}: no such state{hint(name, STATES)}; `mavfi states` lists all")
+            raise BadInputError(f"{source}: {name!r}: no such state{hint(name, STATES)}; `mavfi states` lists all")
 
 
 def checked_alarm(detector: Any, alarm: Any) -> Alarm:  # noqa: ANN401 - a user's own
@@ -295,7 +295,8 @@ class NotedCalls:
     """
 
     def __init__(self, detector: Any) -> None:  # noqa: ANN401 - a user's own
-        self._detector, self._class = detector, class_of(detector)
+        self._detector = detector
+        self._class = class_of(detector)
 
     def start(self) -> None:
         """See `Detector`."""
@@ -331,6 +332,7 @@ def split_noting_calls(point: ForkPoint, timeout: float) -> ChildEnd | None:
     Raises:
         CustomCallError: The child ended in a call of a custom detector, or did not return from it in time.
     """
+    # The child writes to memory that it shares with this process; nested children have a note of their own.
     outer = _CurrentCall.note
     note = _CurrentCall.note = mmap.mmap(-1, _SIZE)
     try:
@@ -338,8 +340,9 @@ def split_noting_calls(point: ForkPoint, timeout: float) -> ChildEnd | None:
     finally:
         if not point.in_child:
             _CurrentCall.note = outer
-    if ended is None:
+    if ended is None:  # this is the child
         return None
+    # What the child was calling when it ended; empty = no custom detector.
     call = bytes(note).rstrip(b"\0").decode(errors="replace")
     note.close()
     if ended.how == "done" or not call:

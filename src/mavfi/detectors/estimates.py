@@ -25,6 +25,7 @@ WIDTH = 10
 _ACCELERATION = math.sqrt(3.0) * LARGEST_FORCE + GRAVITY
 """Largest acceleration in a step of the filter: that of a sample in the corner of the sensor's range (m/s^2)."""
 _RATE = math.sqrt(3.0) * LARGEST_RATE
+"""Likewise the largest turn rate (rad/s)."""
 _VELOCITY_JUMP = 1.0
 _TILT_JUMP = 0.1
 """Largest corrections of velocity (m/s) and tilt (rad) by a fix.
@@ -36,6 +37,7 @@ _SETTLING_US = 3_000_000
 """Time after re-initialization at a fix in which further fixes may correct velocity and attitude by any amount: the
 filter has no information on them."""
 _NEVER = -(1 << 62)
+"""Instant of what has not happened yet (us)."""
 RECORD = np.dtype(
     [
         ("jump", "f8"),
@@ -65,46 +67,49 @@ def judge_estimate(content: np.ndarray, now: int, record: np.ndarray) -> int:
         now: Instant (us).
         record: See `RECORD`.  Shape (1,).
     """
-    new, own = content.view(np.float64), record[0]
-    found = first_not_finite(new[:WIDTH])
-    if found >= 0:
-        return found
-    norm, dot = 0.0, 0.0
+    new = content.view(np.float64)
+    memory = record[0]
+    field = first_not_finite(new[:WIDTH])
+    if field >= 0:
+        return field
+    norm = 0.0
+    dot = 0.0
     for axis in range(ATTITUDE, WIDTH):
         norm += new[axis] ** 2
-        dot += new[axis] * own["last"][axis]
+        dot += new[axis] * memory["last"][axis]
     if not abs(norm - 1.0) <= EXACT:
-        return _turned(new, own["last"])
-    if own["time_us"] == _NEVER or first_not_finite(own["last"]) >= 0:
+        return _turned(new, memory["last"])
+    # Without a predecessor only the flight box and the speed limit are known.
+    if memory["time_us"] == _NEVER or first_not_finite(memory["last"]) >= 0:
         return _first(new, record)
-    elapsed = 1e-6 * max(now - own["time_us"], 0)
-    found = _moved(new, elapsed, record)
-    if found >= 0 or _settling(new, now, record):
-        return found
-    angle = 0.5 * (own["turn"] + _RATE * elapsed)
+    elapsed = 1e-6 * max(now - memory["time_us"], 0)
+    field = _moved(new, elapsed, record)
+    if field >= 0 or _settling(new, now, record):
+        return field
+    angle = 0.5 * (memory["turn"] + _RATE * elapsed)
     if not 1.0 - dot * dot <= angle * angle:  # sin^2 of half the angle between them
-        return _turned(new, own["last"])
+        return _turned(new, memory["last"])
     return _accelerated(new, elapsed, record)
 
 
 @kernel_jit
 def _first(new: np.ndarray, record: np.ndarray) -> int:
     """Field in which an estimate without a predecessor lies outside the flight box or is too fast, or -1."""
-    found = outside(new[:3], record[0]["lower"], record[0]["upper"])
-    if found >= 0:
-        return found
-    found = too_fast(new[VELOCITY:ATTITUDE], record[0]["speed"])
-    return found if found < 0 else VELOCITY + found
+    axis = outside(new[:3], record[0]["lower"], record[0]["upper"])
+    if axis >= 0:
+        return axis
+    axis = too_fast(new[VELOCITY:ATTITUDE], record[0]["speed"])
+    return axis if axis < 0 else VELOCITY + axis
 
 
 @kernel_jit
 def _moved(new: np.ndarray, elapsed: float, record: np.ndarray) -> int:
     """Axis along which a position is near neither the one predicted from the last velocity nor the last fix, or -1."""
-    own = record[0]
-    reach = own["jump"] + 0.5 * _ACCELERATION * elapsed**2
+    memory = record[0]
+    reach = memory["jump"] + 0.5 * _ACCELERATION * elapsed**2
     for axis in range(3):
-        led = own["last"][axis] + own["last"][VELOCITY + axis] * elapsed
-        if not (abs(new[axis] - led) <= reach or abs(new[axis] - own["fix"][axis]) <= own["jump"]):
+        predicted = memory["last"][axis] + memory["last"][VELOCITY + axis] * elapsed
+        if not (abs(new[axis] - predicted) <= reach or abs(new[axis] - memory["fix"][axis]) <= memory["jump"]):
             return axis
     return FINE
 
@@ -136,23 +141,24 @@ def _aligned(new: np.ndarray, record: np.ndarray) -> bool:
 @kernel_jit
 def _turned(new: np.ndarray, last: np.ndarray) -> int:
     """The component of a quaternion that differs most from the last one; a filter never negates all of it."""
-    found, largest = ATTITUDE, -1.0
+    component, largest = ATTITUDE, -1.0
     for axis in range(ATTITUDE, WIDTH):
         change = abs(new[axis] - last[axis])
         if change > largest:
-            found, largest = axis, change
-    return found
+            component, largest = axis, change
+    return component
 
 
 @kernel_jit
 def note_estimate(content: np.ndarray, now: int, record: np.ndarray) -> None:
     """Record an estimate published at `now` (us)."""
-    own, new = record[0], content.view(np.float64)
-    if own["time_us"] != _NEVER and _aligned(new, record):
-        own["aligned_us"] = now
-    own["time_us"] = now
+    memory = record[0]
+    new = content.view(np.float64)
+    if memory["time_us"] != _NEVER and _aligned(new, record):
+        memory["aligned_us"] = now
+    memory["time_us"] = now
     for column in range(WIDTH):
-        own["last"][column] = new[column]
+        memory["last"][column] = new[column]
 
 
 @kernel_jit
@@ -168,7 +174,8 @@ def new_record(limits: MissionLimits) -> np.ndarray:
     position, heading = limits.fix_noise or (0.0, 0.0)
     record = np.zeros(1, RECORD)
     numbers = limits.numbers()
-    record["jump"], record["turn"] = math.sqrt(GATE) * position, math.sqrt(GATE) * heading + _TILT_JUMP
+    record["jump"] = math.sqrt(GATE) * position
+    record["turn"] = math.sqrt(GATE) * heading + _TILT_JUMP
     for name in ("lower", "upper", "speed"):
         record[name] = numbers[name]
     forget(record)

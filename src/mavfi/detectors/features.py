@@ -35,13 +35,13 @@ REGIMES = 3
 """Regimes since the last publication: no new way-point / a new way-point / the first way-point of a trajectory."""
 
 KNOWN = 6
-"""Index in `Watch.vehicle` of the flag for known position and velocity."""
+"""Index in `WatchedFields.vehicle` of the flag for known position and velocity."""
 ODOMETRY = -1
 """Kind of recorded events that carry the vehicle's odometry instead of a watched state."""
 _LARGEST_WRAPPED = 20.0
 
 
-class Watch(NamedTuple):
+class WatchedFields(NamedTuple):
     """Watched fields, and the memory between publications.
 
     Attributes:
@@ -59,12 +59,12 @@ class Watch(NamedTuple):
     vehicle: np.ndarray
 
 
-class Scratch(NamedTuple):
+class LastJudgement(NamedTuple):
     """The publication judged last.
 
     Attributes:
         content: Its bytes. Shape (largest size,), uint8.
-        place: Slot, number of bytes, regime, and whether it was accepted; an accepted publication is committed by the
+        status: Slot, number of bytes, regime, and whether it was accepted; an accepted publication is committed by the
             next call, so that each publication costs one call. Shape (4,), int64.
         score: Its score. Shape (1,).
         deltas: Shape (n,), int16.
@@ -74,7 +74,7 @@ class Scratch(NamedTuple):
     """
 
     content: np.ndarray
-    place: np.ndarray
+    status: np.ndarray
     score: np.ndarray
     deltas: np.ndarray
     distance: np.ndarray
@@ -83,14 +83,14 @@ class Scratch(NamedTuple):
 
 
 _EXAMPLES = (
-    Watch(
+    WatchedFields(
         np.zeros((1, 4), np.int64),
         np.zeros((1, 5), np.int64),
         np.zeros((1, 2)),
         np.zeros((1, 1), np.uint8),
         np.zeros(KNOWN + 1),
     ),
-    Scratch(
+    LastJudgement(
         np.zeros(1, np.uint8),
         np.zeros(4, np.int64),
         np.zeros(1),
@@ -108,7 +108,7 @@ def kind_with(*tables: Any) -> Any:  # noqa: ANN401 - arrays, tuples of them, nu
 
 
 SLOT, SIZE, JUDGED_REGIME, ACCEPTED = range(4)
-"""Indices in `Scratch.place`."""
+"""Indices in `LastJudgement.status`."""
 
 
 class Events(NamedTuple):
@@ -138,8 +138,8 @@ def integer_at(content: np.ndarray, offset: int) -> int:
 
 
 @kernel_jit
-def _regime(content: np.ndarray, place: np.ndarray, memory_row: np.ndarray, last: np.ndarray) -> int:
-    offset, largest = place[TRAJECTORY], memory_row[REGIME]
+def _regime(content: np.ndarray, table_row: np.ndarray, memory_row: np.ndarray, last: np.ndarray) -> int:
+    offset, largest = table_row[TRAJECTORY], memory_row[REGIME]
     if offset < 0:  # compared, not converted: a corrupted number must not become an index
         return NEW_TRAJECTORY if largest == NEW_TRAJECTORY else SWITCH if largest == SWITCH else PLAIN
     if memory_row[SEEN] == 0.0 or integer_at(content, offset) != integer_at(last, offset):
@@ -158,7 +158,7 @@ def _innovation(
         last: Bytes of the last publication.
         field: Row of the field table.
         duration: How long the new way-point is held (s).
-        vehicle: Start of the motion, as `Watch.vehicle`; shape (0,) = the last way-point.
+        vehicle: Start of the motion, as `WatchedFields.vehicle`; shape (0,) = the last way-point.
     """
     velocity = real_at(content, field[VELOCITY])
     if len(vehicle) > 0:
@@ -190,7 +190,7 @@ def _difference(content: np.ndarray, last: np.ndarray, field: np.ndarray) -> int
 
 
 @kernel_jit
-def measure(content: np.ndarray, slot: int, watch: Watch, deltas: np.ndarray) -> int:
+def measure(content: np.ndarray, slot: int, watch: WatchedFields, deltas: np.ndarray) -> int:
     """Deltas of a publication; changes nothing but `deltas`.
 
     Rules: DELTA_OF_CODES, the paper's: difference of the two codes.  INTEGER: difference, saturated to 16 bits.
@@ -208,11 +208,11 @@ def measure(content: np.ndarray, slot: int, watch: Watch, deltas: np.ndarray) ->
     Returns:
         The regime, or -1 - regime if a watched float64 is not finite.
     """
-    place, own, before, vehicle = watch.places[slot], watch.memory[slot], watch.last[slot], watch.vehicle
-    regime = _regime(content, place, own, before)
+    table_row, memory_row, before, vehicle = watch.places[slot], watch.memory[slot], watch.last[slot], watch.vehicle
+    regime = _regime(content, table_row, memory_row, before)
     fresh = regime == NEW_TRAJECTORY
     finite = True
-    for index in range(place[FIRST], place[LAST]):
+    for index in range(table_row[FIRST], table_row[LAST]):
         field = watch.table[index]
         rule = field[RULE]
         if rule != INTEGER and not math.isfinite(real_at(content, field[OFFSET])):
@@ -220,10 +220,10 @@ def measure(content: np.ndarray, slot: int, watch: Watch, deltas: np.ndarray) ->
         delta = 0
         if rule >= CODE_OF_INTERVAL:
             if not fresh or vehicle[KNOWN] != 0.0:
-                duration = real_at(content, place[DURATION])
+                duration = real_at(content, table_row[DURATION])
                 error = _innovation(content, before, field, duration, vehicle if fresh else vehicle[:0])
                 delta = sign_exponent_code(error, field[THRESHOLD])
-        elif own[SEEN] != 0.0:
+        elif memory_row[SEEN] != 0.0:
             delta = _difference(content, before, field)
         deltas[index] = delta
     return regime if finite else -1 - regime
@@ -235,29 +235,29 @@ def not_finite(content: np.ndarray, table: np.ndarray) -> np.ndarray:
 
 
 @kernel_jit
-def commit(content: np.ndarray, slot: int, watch: Watch) -> None:
+def commit(content: np.ndarray, slot: int, watch: WatchedFields) -> None:
     """Store a publication as the last one of its state; arguments as for `measure`."""
-    own = watch.memory[slot]
+    memory_row = watch.memory[slot]
     if watch.places[slot, TRAJECTORY] >= 0:
-        regime = _regime(content, watch.places[slot], own, watch.last[slot])
+        regime = _regime(content, watch.places[slot], memory_row, watch.last[slot])
         for other in range(len(watch.memory)):
             watch.memory[other, REGIME] = max(watch.memory[other, REGIME], float(regime))
-    own[SEEN], own[REGIME] = 1.0, float(PLAIN)
+    memory_row[SEEN], memory_row[REGIME] = 1.0, float(PLAIN)
     watch.last[slot, : len(content)] = content
 
 
 @kernel_jit
-def propose(content: np.ndarray, slot: int, scratch: Scratch) -> None:
-    """Store a publication that is being judged, and its `slot`; see `Scratch`."""
+def propose(content: np.ndarray, slot: int, scratch: LastJudgement) -> None:
+    """Store a publication that is being judged, and its `slot`; see `LastJudgement`."""
     scratch.content[: len(content)] = content
-    scratch.place[SLOT], scratch.place[SIZE] = slot, len(content)
+    scratch.status[SLOT], scratch.status[SIZE] = slot, len(content)
 
 
 @kernel_jit
-def settle(scratch: Scratch, watch: Watch) -> None:
+def settle(scratch: LastJudgement, watch: WatchedFields) -> None:
     """Commit the publication judged last as the last one of its state."""
-    commit(scratch.content[: scratch.place[SIZE]], scratch.place[SLOT], watch)
-    scratch.place[ACCEPTED] = 0
+    commit(scratch.content[: scratch.status[SIZE]], scratch.status[SLOT], watch)
+    scratch.status[ACCEPTED] = 0
 
 
 @kernel_jit
@@ -266,7 +266,7 @@ def note_vehicle(content: np.ndarray, vehicle: np.ndarray) -> bool:
 
     Args:
         content: Bytes of its odometry, starting with x, y, z, vx, vy, vz.
-        vehicle: Output, see `Watch`.
+        vehicle: Output, see `WatchedFields`.
     """
     for index in range(KNOWN):
         if not math.isfinite(real_at(content, 8 * index)):
@@ -278,7 +278,7 @@ def note_vehicle(content: np.ndarray, vehicle: np.ndarray) -> bool:
 
 
 @kernel_jit
-def replay(events: Events, watch: Watch, vectors: np.ndarray, regimes: np.ndarray) -> None:
+def replay(events: Events, watch: WatchedFields, vectors: np.ndarray, regimes: np.ndarray) -> None:
     """Vectors of deltas that a detector sees in a recorded flight.
 
     Args:

@@ -46,21 +46,19 @@ def learn(kind: str, profile: str, recordings: Sequence[Sequence[State]], specs:
     Raises:
         BadInputError: Unknown kind, too few publications of a source, or a number that is not finite.
     """
-    known: Mapping[str, Any] = of_monitored_fields()
-    if kind not in known:
-        raise BadInputError(f"detector {kind!r}: not known; allowed: {', '.join(known)}")
-    thresholds = [
-        threshold
-        for spec in specs.values()
-        for threshold in _thresholds(
-            spec, [[state for state in states if state.spec is spec] for states in recordings], profile
-        )
-    ]
+    classes: Mapping[str, Any] = of_monitored_fields()
+    if kind not in classes:
+        raise BadInputError(f"detector {kind!r}: not known; allowed: {', '.join(classes)}")
+    thresholds: list[int] = []
+    for spec in specs.values():
+        states_by_recording = [[state for state in states if state.spec is spec] for states in recordings]
+        thresholds += _thresholds(spec, states_by_recording, profile)
     preprocessor = Preprocessor.of(specs, profile, thresholds)
     order = {name: slot for slot, name in enumerate(specs)}
     sample = join([sample_of(_events(states, order), preprocessor) for states in recordings if states])
-    parameters = known[kind].fit(sample, preprocessor, figures_of(kind, profile))
-    detector: Detector = known[kind](Model(kind, profile, "", "", parameters, {}), preprocessor=preprocessor)
+    factory = classes[kind]
+    parameters = factory.fit(sample, preprocessor, figures_of(kind, profile))
+    detector: Detector = factory(Model(kind, profile, "", "", parameters, {}), preprocessor=preprocessor)
     return detector
 
 
@@ -71,6 +69,7 @@ def _events(states: Sequence[State], order: Mapping[str, int]) -> Events:
 
 
 def _thresholds(spec: StateSpec, recordings: Sequence[Sequence[State]], profile: str) -> list[int]:
+    """Exponent thresholds of the codes of a state's fields, from its publications by recording."""
     count = sum(map(len, recordings))
     if count < SMALLEST_SAMPLE:
         raise BadInputError(
@@ -83,7 +82,9 @@ def _thresholds(spec: StateSpec, recordings: Sequence[Sequence[State]], profile:
         raise BadInputError(f"training: {spec.name} {field}: holds numbers that are not finite; leave this field out")
     with np.errstate(over="ignore"):
         changes = np.concatenate([np.diff(table, axis=0) for table in tables])
-        largest = np.abs(values if profile == "paper" else changes).max(axis=0)
-    largest = np.minimum(largest, np.finfo(np.float64).max)
+        measured = values if profile == "paper" else changes
+        largest = np.abs(measured).max(axis=0)
+    largest = np.minimum(largest, np.finfo(np.float64).max)  # a difference may have overflowed
+    # Without any change, far below the value.
     exponents = np.where(largest > 0, np.frexp(largest)[1] - 1, np.frexp(np.abs(values).max(axis=0))[1] - 1 - 20)
     return [int(exponent) for exponent in np.clip(exponents - _BELOW[profile], _SMALLEST_EXPONENT, _LARGEST_EXPONENT)]

@@ -84,8 +84,8 @@ def implausible_command(values: np.ndarray, limits: np.ndarray) -> int:
         values: vx, vy, vz (m/s), then further fields. Shape (>= 3,).
         limits: Largest speed (m/s), lower and upper corner of the arena (m). Shape (7,).
     """
-    found = first_not_finite(values)
-    return found if found >= 0 else too_fast(values[:3], limits[_SPEED])
+    index = first_not_finite(values)
+    return index if index >= 0 else too_fast(values[:3], limits[_SPEED])
 
 
 @kernel_jit
@@ -97,9 +97,9 @@ def implausible_waypoint(values: np.ndarray, before: np.ndarray, limits: np.ndar
         before: Position of the previous way-point of the same trajectory (m). Shape (3,), or (0,) if there is none.
         limits: As for `implausible_command`.
     """
-    found = first_not_finite(values)
-    if found >= 0:
-        return found
+    index = first_not_finite(values)
+    if index >= 0:
+        return index
     step = limits[_SPEED] * abs(values[10]) + STEP_MARGIN
     for axis in range(3):
         if not (limits[_LOWER + axis] <= values[axis] <= limits[_UPPER + axis]):
@@ -108,45 +108,45 @@ def implausible_waypoint(values: np.ndarray, before: np.ndarray, limits: np.ndar
             return axis
     if not (abs(values[3]) <= LARGEST_YAW):
         return 3
-    found = too_fast(values[4:7], limits[_SPEED])
-    return _FINE if found < 0 else found + 4
+    index = too_fast(values[4:7], limits[_SPEED])
+    return _FINE if index < 0 else index + 4
 
 
 @kernel_jit
-def judge(content: np.ndarray, slot: int, limits: np.ndarray, kept: np.ndarray, then: np.ndarray) -> int:
+def judge(content: np.ndarray, slot: int, limits: np.ndarray, memory: np.ndarray, next_memory: np.ndarray) -> int:
     """Index of an implausible header field, or -1.
 
     Args:
         content: Bytes of the header. Shape (size,), uint8.
         slot: Index of its state in `STATES_JUDGED`.
         limits: As for `implausible_command`.
-        kept: Memory between publications: collision counter, whether it is known, trajectory number of the last
+        memory: Memory between publications: collision counter, whether it is known, trajectory number of the last
             way-point, whether that is known, position of that way-point (m). Shape (7,).
-        then: Memory if this publication is accepted, then the accepted flag. The next call commits it, so that each
-            publication costs one call. Shape (8,).
+        next_memory: Memory if this publication is accepted, then the accepted flag. The next call commits it, so that
+            each publication costs one call. Shape (8,).
     """
-    settle(kept, then)
+    settle(memory, next_memory)
     if slot == _STATUS:
         time, counter = real_at(content, _TIME_AT), integer_at(content, _COUNTER_AT)
-        then[_COUNTER], then[_COUNTED] = counter, 1.0
+        next_memory[_COUNTER], next_memory[_COUNTED] = counter, 1.0
         if not (0.0 <= time <= LONGEST_TIME_TO_COLLISION):
             return _TIME_FIELD
-        growth = counter - kept[_COUNTER]
-        return _FINE if kept[_COUNTED] == 0.0 or 0.0 <= growth <= 1.0 else _COUNTER_FIELD
+        growth = counter - memory[_COUNTER]
+        return _FINE if memory[_COUNTED] == 0.0 or 0.0 <= growth <= 1.0 else _COUNTER_FIELD
     if slot == _COMMAND:
         return implausible_command(content[: 8 * _COMMAND_FLOATS].view(np.float64), limits)
     values, number = content[: 8 * _WAYPOINT_FLOATS].view(np.float64), integer_at(content, _NUMBER_AT)
-    then[_NUMBER], then[_NUMBERED], then[_POSITION:_ACCEPTED] = number, 1.0, values[:3]
-    same = kept[_NUMBERED] != 0.0 and kept[_NUMBER] == number
-    return implausible_waypoint(values, kept[_POSITION : _ACCEPTED if same else _POSITION], limits)
+    next_memory[_NUMBER], next_memory[_NUMBERED], next_memory[_POSITION:_ACCEPTED] = number, 1.0, values[:3]
+    same = memory[_NUMBERED] != 0.0 and memory[_NUMBER] == number
+    return implausible_waypoint(values, memory[_POSITION : _ACCEPTED if same else _POSITION], limits)
 
 
 @kernel_jit
-def settle(kept: np.ndarray, then: np.ndarray) -> None:
+def settle(memory: np.ndarray, next_memory: np.ndarray) -> None:
     """Commit the publication judged last if it was accepted; arguments as for `judge`."""
-    if then[_ACCEPTED] != 0.0:
-        kept[:] = then[:_ACCEPTED]
-    then[:_ACCEPTED], then[_ACCEPTED] = kept, 0.0
+    if next_memory[_ACCEPTED] != 0.0:
+        memory[:] = next_memory[:_ACCEPTED]
+    next_memory[:_ACCEPTED], next_memory[_ACCEPTED] = memory, 0.0
 
 
 _KIND = kind_of(np.zeros(1), np.zeros(1), np.zeros(1))
@@ -155,8 +155,8 @@ _KIND = kind_of(np.zeros(1), np.zeros(1), np.zeros(1))
 @kernel_jit
 def _judge_at(content: np.ndarray, slot: int, address: int) -> int:
     """`judge` with the address of its other arguments, see `numerics.stored`."""
-    limits, kept, then = load(address, _KIND)
-    return judge(content, slot, limits, kept, then)
+    limits, memory, next_memory = load(address, _KIND)
+    return judge(content, slot, limits, memory, next_memory)
 
 
 class PhysicsGate(Detector):
@@ -173,9 +173,10 @@ class PhysicsGate(Detector):
     states = frozenset(STATES_JUDGED)
 
     def __init__(self, v_max: float, arena: tuple[tuple[float, ...], tuple[float, ...]] = UNKNOWN_ARENA) -> None:
-        self._given = v_max, arena
+        self._arguments = v_max, arena
         self._limits = np.array([SPEED_MARGIN * v_max, *arena[0], *arena[1]], np.float64)
-        self._kept, self._then = np.zeros(_ACCEPTED), np.zeros(_ACCEPTED + 1)
+        self._memory = np.zeros(_ACCEPTED)
+        self._next_memory = np.zeros(_ACCEPTED + 1)
         self._candidate: State | None = None
         self.instrument({})
 
@@ -187,7 +188,7 @@ class PhysicsGate(Detector):
     def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
         """See `Detector`."""
         function: Callable[..., int] = made.get("judge_gate", judge)
-        arrays = self._limits, self._kept, self._then
+        arrays = self._limits, self._memory, self._next_memory
         self._stored = Stored(_KIND, *arrays)
         self._address = self._stored.address
         if is_compiled(function):
@@ -198,8 +199,8 @@ class PhysicsGate(Detector):
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
         self._candidate = None
-        self._kept[:] = 0.0
-        self._then[:] = 0.0
+        self._memory[:] = 0.0
+        self._next_memory[:] = 0.0
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Check a publication."""
@@ -207,11 +208,12 @@ class PhysicsGate(Detector):
         if slot is None:
             return None
         self._candidate = state
-        place = self._judge(bytes_of(state.header), slot, self._address)
-        if place < 0:
+        field_index = self._judge(bytes_of(state.header), slot, self._address)
+        if field_index < 0:
             return None
         spec = state.spec
-        return Alarm(SOURCE, spec.stage.value, score=IMPLAUSIBLE, fields=(f"{spec.name}.{spec.header[place].name}",))
+        field = f"{spec.name}.{spec.header[field_index].name}"
+        return Alarm(SOURCE, spec.stage.value, score=IMPLAUSIBLE, fields=(field,))
 
     def score(self, state: State, time_us: int) -> float | None:
         """2 for an implausible publication, else 0; None for states that are not checked."""
@@ -227,26 +229,26 @@ class PhysicsGate(Detector):
             if state.spec.name not in _SLOTS:
                 return
             self.check(state, time_us)
-        self._then[_ACCEPTED] = 1.0
+        self._next_memory[_ACCEPTED] = 1.0
 
     def memory(self) -> bytes:
         """Memory between publications, see `Detector`."""
-        settle(self._kept, self._then)
+        settle(self._memory, self._next_memory)
         self._candidate = None
-        return self._kept.tobytes()
+        return self._memory.tobytes()
 
     def restore(self, memory: bytes) -> None:
         """Inverse of `memory`."""
         self.start()
-        self._kept[:] = np.frombuffer(memory)
+        self._memory[:] = np.frombuffer(memory)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Memory between publications by name, see `Detector`."""
         self.memory()
-        return dict(zip(_NAMES, np.split(self._kept, range(_COUNTED, _POSITION + 1)), strict=True))
+        return dict(zip(_NAMES, np.split(self._memory, range(_COUNTED, _POSITION + 1)), strict=True))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle without machine code, which is valid in one process only."""
-        return PhysicsGate, self._given, self.memory()
+        return PhysicsGate, self._arguments, self.memory()
 
     __setstate__ = restore

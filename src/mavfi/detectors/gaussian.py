@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.detectors import features
-from mavfi.detectors.features import Scratch, Watch
+from mavfi.detectors.features import LastJudgement, WatchedFields
 from mavfi.detectors.model import SMALLEST_LIMIT, Model
 from mavfi.detectors.preprocess import DeltaScorer, Preprocessor, conclude
 from mavfi.detectors.scoring import NOT_FINITE, ScoringDetector, Threshold, find_policy
@@ -24,7 +24,7 @@ SIGMA_FLOOR = 0.5
 def deviations(
     content: np.ndarray,
     slot: int,
-    watch: Watch,
+    watch: WatchedFields,
     statistics: np.ndarray,
     min_count: float,
     deltas: np.ndarray,
@@ -54,7 +54,7 @@ def update(statistics: np.ndarray, deltas: np.ndarray, ratios: np.ndarray, first
 
 @kernel_jit
 def distances(
-    content: np.ndarray, slot: int, watch: Watch, centre: np.ndarray, deltas: np.ndarray, distance: np.ndarray
+    content: np.ndarray, slot: int, watch: WatchedFields, centre: np.ndarray, deltas: np.ndarray, distance: np.ndarray
 ) -> int:
     """Distance of each delta from the centre of its regime, shape (n, regimes); otherwise as `deviations`."""
     regime = features.measure(content, slot, watch, deltas)
@@ -65,9 +65,11 @@ def distances(
 
 
 @kernel_jit
-def settle_online(watch: Watch, scratch: Scratch, limit: np.ndarray, statistics: np.ndarray, min_count: float) -> None:
+def settle_online(
+    watch: WatchedFields, scratch: LastJudgement, limit: np.ndarray, statistics: np.ndarray, min_count: float
+) -> None:
     """Commit the publication judged last; learn its deltas if normal and not those of a first publication."""
-    slot = scratch.place[features.SLOT]
+    slot = scratch.status[features.SLOT]
     if scratch.score[0] < NOT_FINITE and watch.memory[slot, features.SEEN] != 0.0:
         first, last = watch.places[slot, features.FIRST], watch.places[slot, features.LAST]
         update(statistics, scratch.deltas, scratch.ratios, first, last)
@@ -78,14 +80,14 @@ def settle_online(watch: Watch, scratch: Scratch, limit: np.ndarray, statistics:
 def judge_online(
     content: np.ndarray,
     slot: int,
-    watch: Watch,
-    scratch: Scratch,
+    watch: WatchedFields,
+    scratch: LastJudgement,
     limit: np.ndarray,
     statistics: np.ndarray,
     min_count: float,
 ) -> float:
     """Score of a publication, see `preprocess.DeltaScorer`; statistics and count as for `deviations`."""
-    if scratch.place[features.ACCEPTED] != 0:
+    if scratch.status[features.ACCEPTED] != 0:
         settle_online(watch, scratch, limit, statistics, min_count)
     features.propose(content, slot, scratch)
     regime = deviations(content, slot, watch, statistics, min_count, scratch.deltas, scratch.distance, scratch.unit)
@@ -102,17 +104,17 @@ def _online_at(content: np.ndarray, slot: int, address: int) -> float:
 
 
 @kernel_jit
-def settle_frozen(watch: Watch, scratch: Scratch, limit: np.ndarray, centre: np.ndarray) -> None:
+def settle_frozen(watch: WatchedFields, scratch: LastJudgement, limit: np.ndarray, centre: np.ndarray) -> None:
     """Commit the publication judged last."""
     features.settle(scratch, watch)
 
 
 @kernel_jit
 def judge_frozen(
-    content: np.ndarray, slot: int, watch: Watch, scratch: Scratch, limit: np.ndarray, centre: np.ndarray
+    content: np.ndarray, slot: int, watch: WatchedFields, scratch: LastJudgement, limit: np.ndarray, centre: np.ndarray
 ) -> float:
     """Score of a publication, see `preprocess.DeltaScorer`; centre as for `distances`."""
-    if scratch.place[features.ACCEPTED] != 0:
+    if scratch.status[features.ACCEPTED] != 0:
         features.settle(scratch, watch)
     features.propose(content, slot, scratch)
     regime = distances(content, slot, watch, centre, scratch.deltas, scratch.distance)
@@ -143,7 +145,8 @@ class OnlineScorer(DeltaScorer):
     kind = _ONLINE
 
     def __init__(self, preprocessor: Preprocessor, statistics: np.ndarray, min_count: float) -> None:
-        self._trained, self._statistics = statistics, statistics.copy()
+        self._trained = statistics
+        self._statistics = statistics.copy()
         super().__init__(preprocessor, self._statistics, min_count)
         self.kept = {**self.kept, "statistics": self._statistics}
 
@@ -188,8 +191,9 @@ class GaussianDetector(ScoringDetector, TrainedDetector):
     @classmethod
     def fit(cls, sample: Sample, features: Preprocessor, figures: Mapping[str, Any]) -> dict[str, Any]:
         """Parameters of a model, online if the figures contain `sigmas`; see `fit_online` and `fit_frozen`."""
-        fit = fit_online if "sigmas" in figures else fit_frozen
-        return fit(sample, features, **figures)
+        if "sigmas" in figures:
+            return fit_online(sample, features, **figures)
+        return fit_frozen(sample, features, **figures)
 
 
 def fit_online(sample: Sample, preprocessor: Preprocessor, sigmas: float, min_count: float) -> dict[str, Any]:
@@ -214,9 +218,9 @@ def fit_frozen(sample: Sample, preprocessor: Preprocessor, margin: float, smalle
     limit = np.ones(shape)
     counts = np.zeros(shape, np.int64)
     for index in range(shape[0]):
-        own = (sample.slots == preprocessor.slot_of(index)) & ~sample.first
+        has_delta = (sample.slots == preprocessor.slot_of(index)) & ~sample.first
         for regime in range(features.REGIMES):
-            values = sample.vectors[own & (sample.regimes == regime), index].astype(np.float64)
+            values = sample.vectors[has_delta & (sample.regimes == regime), index].astype(np.float64)
             counts[index, regime] = len(values)
             if len(values):
                 centre[index, regime] = values.mean()

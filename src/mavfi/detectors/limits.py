@@ -105,6 +105,7 @@ class MissionLimits:
     def numbers(self) -> np.ndarray:
         """Limits as the record read by compiled rules. Shape (1,)."""
         record = np.zeros(1, NUMBERS)
+        # What the vehicle flies while a plan is made (m), and how much a velocity changes between points (m/s).
         travel = 1.5 * self.v_max * (self.velocity_lag + 2.0 * self.plan_latency)
         change = _ACCELERATION_MARGIN * self.a_max * self.point_period
         if not self.held:
@@ -126,9 +127,6 @@ class MissionLimits:
             "slowest": self.control_period / (self.slowdown_cap * self.tracker_slowdown),
             "fastest": self.control_period / self.tracker_slowdown,
         }
-        for name in NUMBERS.names or ():
-            if name in values:
-                record[name] = values[name]
-            else:
-                record[name] = getattr(self, name)
+        for name in NUMBERS.names or ():  # the others are attributes
+            record[name] = values[name] if name in values else getattr(self, name)
         return record

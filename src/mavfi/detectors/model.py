@@ -91,13 +91,13 @@ class Model:
             BadInputError: The parameter is absent, has another shape, or contains anything but numbers >= `least`.
         """
         try:
-            found = np.array(self.parameters[key], np.float64)
+            array = np.array(self.parameters[key], np.float64)
         except (KeyError, OverflowError, TypeError, ValueError):
-            found = np.full(shape, np.nan)
-        if found.shape != shape or not ((found >= least) & (found <= _LARGEST)).all():
+            array = np.full(shape, np.nan)
+        if array.shape != shape or not ((array >= least) & (array <= _LARGEST)).all():
             size = " x ".join(map(str, shape)) or "one"
             raise BadInputError(f"parameter {key!r}: allowed: {size} numbers from {least:g} to {_LARGEST:g}")
-        return found
+        return array
 
     def _content(self) -> dict[str, Any]:
         return {"format": FORMAT, **{field.name: getattr(self, field.name) for field in fields(self)}}

@@ -25,6 +25,7 @@ PREDICTIONS = {"interval": features.CODE_OF_INTERVAL, "trapezoid": features.CODE
 """Prediction of a way-point's position, see `features.measure`: "interval" if way-points carry the mean velocity of the
 leg that leads to them, "trapezoid" if they carry the velocity at their position."""
 
+# Exponent thresholds of codes: smaller magnitudes have the code of zero.
 _HALF_METRE = -1
 _QUARTER = -2
 _ONE_SECOND = 0
@@ -74,18 +75,17 @@ class Preprocessor:
             profile: "paper" or "tuned".
             thresholds: Exponent threshold of each field's code, see `sign_exponent_code`.
         """
+        rule = features.CODE_OF_DELTA
         if checked_name(profile, PROFILES, "profile") == "paper":
             rule = features.DELTA_OF_CODES
-        else:
-            rule = features.CODE_OF_DELTA
         watched = tuple((name, field.name) for name, spec in specs.items() for field in spec.header)
         rows = [
             (specs[state].offset(field), rule, threshold, -1, 0)
             for (state, field), threshold in zip(watched, thresholds, strict=True)
         ]
-        made = cls.__new__(cls)
-        made._fill(specs, watched, rows)
-        return made
+        preprocessor = cls.__new__(cls)
+        preprocessor._fill(specs, watched, rows)
+        return preprocessor
 
     def _fill(
         self,
@@ -98,7 +98,7 @@ class Preprocessor:
         self.slots = {name: slot for slot, name in enumerate(specs)}
         self._specs = tuple(specs.values())
         size = max(spec.header_dtype.itemsize for spec in specs.values())
-        self.watch = features.Watch(
+        self.watch = features.WatchedFields(
             places=np.array([_place(spec, watched) for spec in specs.values()], np.int64),
             table=np.array(rows, np.int64),
             memory=np.zeros((len(specs), 2)),
@@ -108,7 +108,9 @@ class Preprocessor:
         rules = self.watch.table[:, features.RULE]
         spans = map(self.range_of, range(len(specs)))
         self.predicts = tuple(bool((rules[first:last] >= features.CODE_OF_INTERVAL).any()) for first, last in spans)
-        self.states = frozenset(self.slots).union(ODOMETRY.values() if any(self.predicts) else ())
+        self.states = frozenset(self.slots)
+        if any(self.predicts):
+            self.states |= frozenset(ODOMETRY.values())
 
     @property
     def kept(self) -> dict[str, np.ndarray]:
@@ -141,10 +143,10 @@ class Preprocessor:
 
 
 @kernel_jit
-def conclude(regime: int, place: np.ndarray, scratch: features.Scratch, limit: np.ndarray) -> float:
-    """Score of the distances in `scratch`, also stored there; `place` is a row of a place table."""
-    scratch.place[features.JUDGED_REGIME] = regime
-    reading = Reading(scratch.distance, scratch.unit, place[features.FIRST], place[features.LAST], regime)
+def conclude(regime: int, table_row: np.ndarray, scratch: features.LastJudgement, limit: np.ndarray) -> float:
+    """Score of the distances in `scratch`, also stored there; `table_row` is a row of a place table."""
+    scratch.status[features.JUDGED_REGIME] = regime
+    reading = Reading(scratch.distance, scratch.unit, table_row[features.FIRST], table_row[features.LAST], regime)
     score = score_of(reading, limit, scratch.ratios)
     scratch.score[0] = score
     return score
@@ -154,17 +156,17 @@ class VehicleQueue:
     """Headers of odometry, of which the latest that is finite will be stored: most of them are never needed.
 
     Args:
-        place: Where position and velocity are stored.
+        vehicle: Where position and velocity are stored.
 
     Attributes:
-        store: Compiled: bytes of a header, then `place`; stores position and velocity, and returns whether they are
+        store: Compiled: bytes of a header, then `vehicle`; stores position and velocity, and returns whether they are
             finite.
     """
 
     store: Callable[..., bool]
 
-    def __init__(self, place: Any) -> None:  # noqa: ANN401 - an array, or a tuple of them
-        self._place = place
+    def __init__(self, vehicle: Any) -> None:  # noqa: ANN401 - an array, or a tuple of them
+        self._vehicle = vehicle
         self._headers: deque[np.ndarray] = deque(maxlen=_MOST_WAITING)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -179,7 +181,7 @@ class VehicleQueue:
         """Store the latest that is finite."""
         headers = self._headers
         while headers:
-            if self.store(bytes_of(headers.pop()), self._place):
+            if self.store(bytes_of(headers.pop()), self._vehicle):
                 headers.clear()
 
     def forget(self) -> None:
@@ -197,8 +199,8 @@ class DeltaScorer(Scorer):
         tables: Further tables and memory of the compiled functions.
 
     Attributes:
-        judge: Compiled: bytes and slot of a publication, `features.Watch`, `features.Scratch`, limits of the threshold,
-            then the tables; returns the score.
+        judge: Compiled: bytes and slot of a publication, `features.WatchedFields`, `features.LastJudgement`,
+            limits of the threshold, then the tables; returns the score.
         settle: Compiled: commits the publication judged last; same arguments without bytes and slot.
         judge_at: Compiled: `judge` with the address of its tables and of `remembered`, see `numerics.stored`.
         kind: `kind_of` these.
@@ -229,7 +231,7 @@ class DeltaScorer(Scorer):
         """Set the threshold; called before the first flight."""
         super().use(threshold)
         size = len(self.fields)
-        self.scratch = features.Scratch(
+        self.scratch = features.LastJudgement(
             np.zeros(self.features.watch.last.shape[1], np.uint8),
             np.zeros(4, np.int64),
             np.zeros(1),
@@ -239,7 +241,7 @@ class DeltaScorer(Scorer):
             threshold.ratios,
         )
         self._tables = (self.features.watch, self.scratch, threshold.limit, *self._tables)
-        self._place = self.scratch.place
+        self._status = self.scratch.status
         self.instrument({})
 
     @property
@@ -275,7 +277,7 @@ class DeltaScorer(Scorer):
 
     def _forget(self) -> None:
         self.candidate = None
-        self.scratch.place[features.ACCEPTED] = 0
+        self.scratch.status[features.ACCEPTED] = 0
         self._vehicles.forget()
 
     def score(self, state: State) -> float | None:
@@ -290,10 +292,10 @@ class DeltaScorer(Scorer):
 
     def judged(self) -> Reading:
         """Reading of the publication scored last."""
-        own = self.scratch
-        place = self.scratch.place
-        first, last = self.features.range_of(int(place[features.SLOT]))
-        return Reading(own.distance, own.unit, first, last, int(place[features.JUDGED_REGIME]))
+        judged = self.scratch
+        first, last = self.features.range_of(int(judged.status[features.SLOT]))
+        regime = int(judged.status[features.JUDGED_REGIME])
+        return Reading(judged.distance, judged.unit, first, last, regime)
 
     def accept(self, state: State) -> None:
         """Record a published value."""
@@ -303,11 +305,11 @@ class DeltaScorer(Scorer):
                 return
             if self.score(state) is None:
                 return
-        self._place[features.ACCEPTED] = 1
+        self._status[features.ACCEPTED] = 1
 
     def memory(self) -> tuple[bytes, ...]:
         """Memory between publications."""
-        if self.scratch.place[features.ACCEPTED]:
+        if self.scratch.status[features.ACCEPTED]:
             self.settle(*self._tables)
         self._vehicles.settle()
         return super().memory()
@@ -316,8 +318,11 @@ class DeltaScorer(Scorer):
         """Memory between publications by name: the arrays themselves, not copies."""
         self.memory()  # commits the publication judged last
         self.candidate = None
-        own = {name: array for name, array in self.kept.items() if name not in self.features.kept}
-        return {**self.features.arrays(), **own}
+        arrays = self.features.arrays()
+        for name, array in self.kept.items():
+            if name not in self.features.kept:
+                arrays[name] = array
+        return arrays
 
     def restore(self, memory: tuple[bytes, ...]) -> None:
         """Inverse of `memory`."""
@@ -327,49 +332,44 @@ class DeltaScorer(Scorer):
     def not_finite(self, state: State) -> np.ndarray:
         """Indices of the watched fields of a publication that are not finite."""
         first, last = self.features.range_of(self.features.slots[state.spec.name])
-        found = features.not_finite(state.header.view(np.uint8), self.features.watch.table[first:last])
-        return first + np.flatnonzero(found)
+        not_finite = features.not_finite(state.header.view(np.uint8), self.features.watch.table[first:last])
+        return first + np.flatnonzero(not_finite)
 
 
 def _place(spec: StateSpec, watched: tuple[tuple[str, str], ...]) -> tuple[int, int, int, int]:
+    """Row of the place table, see `features.FIRST`."""
     fields = [index for index, (state, _) in enumerate(watched) if state == spec.name]
     if fields != list(range(fields[0], fields[-1] + 1)):
         raise BadInputError(f"monitored set: the fields of {spec.name} must be neighbours")
-    if spec.name == _PLANNED:
-        number_at, duration_at = map(spec.offset, ("trajectory_seq", "duration"))
-    else:
-        number_at = -1
-        duration_at = -1
-    return fields[0], fields[-1] + 1, number_at, duration_at
+    if spec.name != _PLANNED:
+        return fields[0], fields[-1] + 1, -1, -1
+    return fields[0], fields[-1] + 1, spec.offset("trajectory_seq"), spec.offset("duration")
 
 
 def _row(spec: StateSpec, field: str, profile: str, prediction: str) -> tuple[int, int, int, int, int]:
+    """Row of the field table, see `features.OFFSET`."""
     is_position = spec.name == _PLANNED and field in _POSITIONS
-    if is_position:
-        velocity = spec.offset(_POSITIONS[field])
-        axis = list(_POSITIONS).index(field)
-    else:
-        velocity = -1
-        axis = 0
-    kind = spec.find(field).dtype
-    if kind == "i4":
-        rule = features.INTEGER
-        threshold = 0
-    elif kind != "f8":
-        raise BadInputError(f"monitored set: {spec.name}.{field} is neither float64 nor int32")
-    elif field == "time_to_collision":
-        rule = features.DELTA_OF_CODES
-        threshold = _ONE_SECOND
-    elif profile == "paper":
-        rule = features.DELTA_OF_CODES
-        threshold = _HALF_METRE if is_position else _QUARTER
-    elif is_position:
-        rule = PREDICTIONS[prediction]
-        threshold = _EIGHTH
-    else:
-        if field == "yaw":
-            rule = features.CODE_OF_ANGLE
-        else:
-            rule = features.CODE_OF_DELTA
-        threshold = _EIGHTH
+    rule, threshold = _rule_of(spec, field, profile, prediction, is_position=is_position)
+    if not is_position:
+        return spec.offset(field), rule, threshold, -1, 0
+    velocity = spec.offset(_POSITIONS[field])
+    axis = list(_POSITIONS).index(field)
     return spec.offset(field), rule, threshold, velocity, axis
+
+
+def _rule_of(spec: StateSpec, field: str, profile: str, prediction: str, *, is_position: bool) -> tuple[int, int]:
+    """Delta rule of a field, and exponent threshold of its code."""
+    dtype = spec.find(field).dtype
+    if dtype == "i4":
+        return features.INTEGER, 0
+    if dtype != "f8":
+        raise BadInputError(f"monitored set: {spec.name}.{field} is neither float64 nor int32")
+    if field == "time_to_collision":
+        return features.DELTA_OF_CODES, _ONE_SECOND
+    if profile == "paper":
+        return features.DELTA_OF_CODES, _HALF_METRE if is_position else _QUARTER
+    if is_position:
+        return PREDICTIONS[prediction], _EIGHTH
+    if field == "yaw":
+        return features.CODE_OF_ANGLE, _EIGHTH
+    return features.CODE_OF_DELTA, _EIGHTH

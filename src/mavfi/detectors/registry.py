@@ -123,11 +123,10 @@ def check_kernel(kernel: str, planner: str, detector: Detector | None = None) ->
     if dropped_name("kernels", kernel):
         raise BadInputError(dropped_name("kernels", kernel))
     if kernel not in INJECTABLE:
+        why = "not known"
         configured = next((source for source in DETECTORS if is_named(kernel, source)), "")
         if configured:
             why = f"is a configuration of {configured!r}, whose instructions can be injected"
-        else:
-            why = "not known"
         raise BadInputError(f"kernel {kernel!r}: {why}; allowed: {', '.join((*INJECTABLE, *DETECTORS))}")
     if kernel in PLANNERS and kernel != planner:
         raise BadInputError(f"kernel {kernel!r}: the planner of this mission is {planner!r}; allowed: planner {kernel}")
@@ -143,7 +142,9 @@ def check_watched(target: str, detector: Detector | None) -> None:
     for name in detector_names():
         profiles = [profile for profile in PROFILES if contains(name, profile, target)]
         if profiles:
-            names.append(name if PROFILES[0] in profiles else f"{name} (profile {profiles[0]})")
+            names.append(name)
+            if PROFILES[0] not in profiles:
+                names[-1] += f" (profile {profiles[0]})"
     raise BadInputError(f"kernel {target!r}: is not part of this mission; allowed: with {', '.join(names)}")
 
 
@@ -159,18 +160,18 @@ def mission_keys(detector: str | Detector) -> Mapping[str, Any]:
         if not detector or detector in _SHIPPED or detector in names("detectors"):
             return _config_of(detector).mission
         try:
-            found: Any = load_object("detector", detector, GROUP, _SHIPPED)
+            factory = _class_of(detector)
         except BadInputError:  # reported where the detector is constructed
             return {}
-        keys = getattr(found, "recovery", {})
+        keys = getattr(factory, "recovery", {})
         name = detector
     else:
-        found = type(detector)
+        factory = type(detector)
         keys = detector.recovery
-        name = found.__name__
+        name = factory.__name__
     if not isinstance(keys, Mapping) or not set(keys) <= set(OF_RECOVERY):
         raise BadInputError(f"detector {name!r}: recovery: {keys!r}: allowed: values of {', '.join(OF_RECOVERY)}")
-    if found.__module__.startswith("mavfi."):
+    if factory.__module__.startswith("mavfi."):
         return keys
     return {**OF_OWN, **keys}
 
@@ -215,22 +216,22 @@ def load_detector(
     """
     _check_profile(profile)
     _refuse_dropped(name)
-    factory = load_object("detector", name, GROUP, _SHIPPED)
+    factory = _class_of(name)
     chosen = _options_of(name, profile, factory, options or {})
     if not _is_trained(factory):
-        return Loaded(_build(name, factory, {key: mission.get(key) for key in ("limits", "seed")}, chosen), "")
+        of_mission = {key: mission.get(key) for key in ("limits", "seed")}
+        return Loaded(_build(name, factory, of_mission, chosen), "")
+
+    # Options that choose the model and the gate; the rest are arguments of the class.
     factory.check_installed()
     has_gate = chosen.pop("gate", False)
-    if _has_presets(factory):
-        features = chosen.pop("features", None)
-    else:
-        features = None
-    if features is not None and features not in FEATURES:
-        raise BadInputError(f"detector {name!r}: features: {features!r}: allowed: {', '.join(FEATURES)}")
-    if features is None:
-        model_profile = factory.training.profiles[0]
-    else:
+    model_profile = factory.training.profiles[0]
+    features = chosen.pop("features", None) if _has_presets(factory) else None
+    if features is not None:
+        if features not in FEATURES:
+            raise BadInputError(f"detector {name!r}: features: {features!r}: allowed: {', '.join(FEATURES)}")
         model_profile = FEATURES[features]
+
     path, model = _model_of(factory, model_profile, models_dir, mission, trained_for)
     try:
         detector = _build(name, factory, {"model": model}, chosen)
@@ -300,8 +301,10 @@ def _has_presets(factory: Any) -> bool:  # noqa: ANN401
 def _options_of(name: str, profile: str, factory: Any, options: Mapping[str, Any]) -> dict[str, Any]:  # noqa: ANN401
     """Options of a detector: those of its file, over them its preset, over them the given ones."""
     config = _config_of(name)
-    preset = config.presets.get(profile, {}) if _has_presets(factory) else {}
-    return {**config.options, **preset, **options}
+    chosen = dict(config.options)
+    if _has_presets(factory):
+        chosen |= config.presets.get(profile, {})
+    return chosen | dict(options)
 
 
 @cache

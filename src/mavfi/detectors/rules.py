@@ -21,6 +21,7 @@ FINE = -1
 EXACT = 1e-9
 """Rounding tolerance."""
 _LARGEST_YAW = math.pi + 1e-6
+"""Largest yaw of a trajectory point (rad)."""
 _END = 0.5
 """Largest distance between the ends of a trajectory and its path (m)."""
 _WAY_BACK = 6.0
@@ -38,6 +39,7 @@ _SPLICE = 1e-3
 """Largest distance between the start of a path and the trajectory point that it continues (m)."""
 
 _LARGEST_YAW_RATE = 1.5708
+"""Largest commanded yaw rate, pi/2 rounded up (rad/s)."""
 _LARGEST_HELD_YAW = 4.0
 """Largest yaw of a stationary vehicle, including its turns to look around (rad)."""
 _WINDOW = 50
@@ -47,7 +49,7 @@ _WINDOW = 50
 def places(state: str, *fields: str) -> tuple[int, ...]:
     """Indices of fields among those of a state's header and then of its elements."""
     spec = STATES[state]
-    names = [own.name for own in (*spec.header, *spec.elements)]
+    names = [field.name for field in (*spec.header, *spec.elements)]
     return tuple(map(names.index, fields))
 
 
@@ -83,8 +85,11 @@ def status(header: np.ndarray, before: np.ndarray, trajectory: np.ndarray, limit
         trajectory: Header of the last published trajectory. Shape (1,).
         limits: See the module.
     """
-    new, limit = header[0], limits[0]
-    counter, time, flag = int(new["future_collision_seq"]), new["time_to_collision"], bool(new["collision"])
+    new = header[0]
+    limit = limits[0]
+    counter = int(new["future_collision_seq"])
+    time = new["time_to_collision"]
+    flag = bool(new["collision"])
     if not (0.0 <= time <= limit["longest_time"]):
         return _TIME
     growth = counter - int(before[0]["future_collision_seq"])
@@ -106,7 +111,9 @@ def known_space(header: np.ndarray, newest: int) -> int:
     The collision flag is set if and only if space is blocked.
     """
     new = header[0]
-    blocked, unknown, number = new["distance_to_blocked"], new["distance_to_unknown"], int(new["trajectory_seq"])
+    blocked = new["distance_to_blocked"]
+    unknown = new["distance_to_unknown"]
+    number = int(new["trajectory_seq"])
     if not blocked >= 0.0 or bool(new["collision"]) != (blocked < np.inf):
         return _BLOCKED
     if not unknown >= 0.0:
@@ -157,7 +164,8 @@ def path(
     """
     if not _contains(epochs, int(header[0]["future_collision_seq"])):
         return _PATH_EPOCH
-    entry, limit = header[0]["entry_speed"], limits[0]
+    entry = header[0]["entry_speed"]
+    limit = limits[0]
     speed = math.sqrt(vehicle[3] ** 2 + vehicle[4] ** 2 + vehicle[5] ** 2)
     if not (0.0 <= entry <= limit["speed"]) or (entry > 0.0 and not abs(entry - speed) <= limit["entry"]):
         return _ENTRY
@@ -167,10 +175,10 @@ def path(
         axis = outside(vertices[index], limit["lower"], limit["upper"])
         if axis >= 0:
             return _VERTEX + axis
-    broken = _start(vertices[0], header, vehicle, flown, limits)
-    if broken < 0:
-        broken = _end(vertices, header, limits)
-    return broken if broken >= 0 else spike(vertices)
+    field = _start(vertices[0], header, vehicle, flown, limits)
+    if field < 0:
+        field = _end(vertices, header, limits)
+    return field if field >= 0 else spike(vertices)
 
 
 @kernel_jit
@@ -199,12 +207,14 @@ def spike(vertices: np.ndarray) -> int:
 @kernel_jit
 def _farthest(before: np.ndarray, vertex: np.ndarray, after: np.ndarray) -> int:
     """Axis along which a vertex is farthest from the middle of its neighbours. Shapes (3,)."""
-    found, largest = 0, -1.0
+    farthest = 0
+    largest = -1.0
     for axis in range(3):
         distance = abs(vertex[axis] - 0.5 * (before[axis] + after[axis]))
         if distance > largest:
-            found, largest = axis, distance
-    return found
+            farthest = axis
+            largest = distance
+    return farthest
 
 
 @kernel_jit
@@ -227,19 +237,21 @@ def _start(first: np.ndarray, header: np.ndarray, vehicle: np.ndarray, flown: np
     if not _spliced(header, limits):
         axis = far_from(first, vehicle[:3], limits[0]["near"])
         return FINE if axis < 0 else _VERTEX + axis
-    said = int(header[0]["junction"])
-    found = _junction(first, flown, said)
-    if found == said:
+    junction = int(header[0]["junction"])
+    nearest = _junction(first, flown, junction)
+    if nearest == junction:
         return FINE
-    if found >= 0 or not 0 <= said < len(flown):
+    # The vertex fits another point, or there is no such point: the index is wrong.  Otherwise the vertex is.
+    if nearest >= 0 or not 0 <= junction < len(flown):
         return _JUNCTION
-    return _VERTEX + far_from(first, flown[said, :3], _SPLICE)
+    return _VERTEX + far_from(first, flown[junction, :3], _SPLICE)
 
 
 @kernel_jit
 def _end(vertices: np.ndarray, header: np.ndarray, limits: np.ndarray) -> int:
     """A path ends near the goal (m); a path back ends near its start. `vertices` have shape (n, 3)."""
-    last, limit = vertices[len(vertices) - 1], limits[0]
+    last = vertices[len(vertices) - 1]
+    limit = limits[0]
     axis = far_from(last, limit["goal"], limit["near"])
     if axis >= 0 and limit["every_map"] and not _spliced(header, limits) and header[0]["entry_speed"] == 0.0:
         axis = far_from(last, vertices[0], _WAY_BACK)
@@ -247,10 +259,10 @@ def _end(vertices: np.ndarray, header: np.ndarray, limits: np.ndarray) -> int:
 
 
 @kernel_jit
-def _junction(start: np.ndarray, flown: np.ndarray, said: int) -> int:
-    """Index of the point of a trajectory, shape (n, 11), at which a path starts (m), `said` if that fits; or -1."""
-    if 0 <= said < len(flown) and far_from(start, flown[said, :3], _SPLICE) < 0:
-        return said
+def _junction(start: np.ndarray, flown: np.ndarray, junction: int) -> int:
+    """Index of the point of a trajectory, shape (n, 11), at which a path starts (m), `junction` if that fits; or -1."""
+    if 0 <= junction < len(flown) and far_from(start, flown[junction, :3], _SPLICE) < 0:
+        return junction
     for index in range(len(flown)):
         if far_from(start, flown[index, :3], _SPLICE) < 0:
             return index
@@ -283,12 +295,14 @@ def trajectory(
         return _NUMBER
     if int(header[0]["future_collision_seq"]) != int(path_header[0]["future_collision_seq"]):
         return _EPOCH
+    # each point for itself, and as the continuation of the one before
     for index in range(count):
         column = point(points[index], index >= count - 2, limits)
         if column < 0 and index > 0:
             column = step(points[index], points[index - 1], index == count - 1, limits)
         if column >= 0:
             return _POINT + column
+    # from the vehicle to the end of the path
     if count > 0:
         axis = far_from(points[0, :3], vehicle[:3], limits[0]["near"])
         if axis < 0 and len(end) == 3:
@@ -310,24 +324,25 @@ def point(values: np.ndarray, last: bool, limits: np.ndarray) -> int:
         limits: See the module.
     """
     limit = limits[0]
-    found = first_not_finite(values)
-    if found >= 0:
-        return found
-    found = outside(values[:3], limit["lower"], limit["upper"])
-    if found >= 0:
-        return found
+    column = first_not_finite(values)
+    if column >= 0:
+        return column
+    column = outside(values[:3], limit["lower"], limit["upper"])
+    if column >= 0:
+        return column
     if not abs(values[YAW]) <= _LARGEST_YAW:
         return YAW
-    found = too_fast(values[VELOCITY : VELOCITY + 3], limit["speed"])
-    if found >= 0:
-        return VELOCITY + found
+    column = too_fast(values[VELOCITY : VELOCITY + 3], limit["speed"])
+    if column >= 0:
+        return VELOCITY + column
     for axis in range(3):
         # held points are tracked without acceleration: any finite value is accepted
         if not (limit["held"] or abs(values[ACCELERATION + axis]) <= limit["acceleration"]):
             return ACCELERATION + axis
-    duration, period = values[DURATION], limit["point_period"]
-    whole = abs(duration - period) <= EXACT
-    return FINE if whole or (last and 0.0 < duration <= period) else DURATION
+    duration = values[DURATION]
+    period = limit["point_period"]
+    is_whole = abs(duration - period) <= EXACT
+    return FINE if is_whole or (last and 0.0 < duration <= period) else DURATION
 
 
 @kernel_jit
@@ -344,7 +359,8 @@ def step(values: np.ndarray, before: np.ndarray, last: bool, limits: np.ndarray)
     """
     limit = limits[0]
     for axis in range(3):
-        moved, speed = values[axis] - before[axis], values[VELOCITY + axis]
+        moved = values[axis] - before[axis]
+        speed = values[VELOCITY + axis]
         if not last and not abs(speed - before[VELOCITY + axis]) <= limit["change"]:
             return VELOCITY + axis
         if not abs(moved - speed * values[DURATION]) <= limit["step"]:
@@ -373,15 +389,22 @@ def waypoint(
         vehicle: Position (m) and velocity (m/s). Shape (6,).
         limits: See `rules`.
     """
-    new, old, limit = header[0], before[0], limits[0]
-    number, index, epoch = int(new["trajectory_seq"]), int(new["index"]), int(new["future_collision_seq"])
+    new = header[0]
+    old = before[0]
+    limit = limits[0]
+    number = int(new["trajectory_seq"])
+    index = int(new["index"])
+    epoch = int(new["future_collision_seq"])
     earlier = int(old["future_collision_seq"])
+    # The counter does not fall, and does not exceed that of the newest trajectory.
     if not limit["every_map"] and not (earlier <= epoch <= max(earlier, int(newest[0]["future_collision_seq"]))):
         return _FOLLOWED_EPOCH
+    # No point of a trajectory: a hold, or the trajectory's number or the index is wrong.
     if index < 0 or len(points) == 0:
         if index == -1:
             return hold(values, vehicle, limits) if number == 0 else _FOLLOWED
         return _FOLLOWED if len(points) == 0 and number != 0 else _INDEX
+    # The next point of the trajectory in force, or one of the first of a new trajectory.
     same = number == int(old["trajectory_seq"]) and int(old["index"]) >= 0
     least = int(old["index"]) if same else 0
     most = least + 1 if same else _WINDOW - 1
@@ -426,11 +449,13 @@ def between(values: np.ndarray, start: np.ndarray, end: np.ndarray, limits: np.n
     acceleration (m/s^2). Shapes (11,).
     """
     for axis in range(3):
-        low, high = min(start[axis], end[axis]), max(start[axis], end[axis])
+        low = min(start[axis], end[axis])
+        high = max(start[axis], end[axis])
         if not (low - EXACT <= values[axis] <= high + EXACT):
             return axis
         column = VELOCITY + axis
-        low, high = min(start[column], end[column]), max(start[column], end[column])
+        low = min(start[column], end[column])
+        high = max(start[column], end[column])
         if not (min(low, 0.0) - EXACT <= values[column] <= max(high, 0.0) + EXACT):
             return column
         column = ACCELERATION + axis
@@ -453,7 +478,9 @@ def command(header: np.ndarray, before: np.ndarray, switched: bool, limits: np.n
         switched: Whether a way-point has been published since.
         limits: See `rules`.
     """
-    new, old, limit = header[0], before[0], limits[0]
+    new = header[0]
+    old = before[0]
+    limit = limits[0]
     x, y, z = new["vx"], new["vy"], new["vz"]
     if not x * x + y * y + z * z <= limit["command"] ** 2:
         return _largest(x, y, z)
@@ -491,7 +518,8 @@ def tracking(header: np.ndarray, before: np.ndarray, duration: float, limits: np
         limits: See `rules`.
     """
     limit = limits[0]
-    remaining, most = header[0]["remaining"], before[0]["remaining"]
+    remaining = header[0]["remaining"]
+    most = before[0]["remaining"]
     least = most - limit["fastest"]
     if remaining == most:
         return FINE  # recomputed for the command of the same step, or no way-point yet

@@ -253,13 +253,15 @@ class ScoringDetector(Detector):
     def score(self, state: State, time_us: int) -> float | None:
         """Score of a publication, in units of the threshold: > 1 is an alarm; None if it is not watched."""
         if self._scored is not state:
-            self._scored, self._score = state, self.scorer.score(state)
+            self._score = self.scorer.score(state)
+            self._scored = state
         return self._score
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Check a publication."""
         if self._scored is not state:  # as `score`, without another call
-            self._scored, self._score = state, self.scorer.score(state)
+            self._score = self.scorer.score(state)
+            self._scored = state
         score = self._score
         if score is None or score <= 1.0:
             return None
@@ -267,11 +269,10 @@ class ScoringDetector(Detector):
 
     def _alarm(self, state: State, score: float) -> Alarm:
         reading = self.scorer.judged()
+        not_finite = _NONE
         if reading.regime < 0:
-            lacking = self.scorer.not_finite(state)
-        else:
-            lacking = _NONE
-        indices = self.threshold.standing_out(reading, lacking)
+            not_finite = self.scorer.not_finite(state)
+        indices = self.threshold.standing_out(reading, not_finite)
         names = tuple(self.scorer.fields[index] for index in indices)
         alarm = Alarm(self.source, self.scorer.stages[indices[0]], score=float(score), fields=names)
         return self.policy(alarm, state, bool(self._persists[0]))
@@ -280,9 +281,7 @@ class ScoringDetector(Detector):
         """Record a published value."""
         if self._counts_waypoints and state.spec.name == _WAYPOINT:
             score = self.score(state, time_us)
-            if score is None:
-                self._persists[0] = self._persists[0]
-            else:
+            if score is not None:
                 self._persists[0] = not score <= 1.0
         self._scored = None
         self.scorer.accept(state)

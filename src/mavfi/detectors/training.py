@@ -158,9 +158,9 @@ def join(parts: Sequence[Sample]) -> Sample:
 
 def _without_odometry(recording: Recording, preprocessor: Preprocessor) -> Sample:
     lookup = np.array([*(preprocessor.slots.get(name, features.ODOMETRY) for name in WATCHED), features.ODOMETRY])
-    found = sample_of(features.Events(lookup[recording.kinds], recording.ends, recording.content), preprocessor)
-    published = found.slots != features.ODOMETRY
-    return Sample(*(getattr(found, name)[published] for name in Sample.__annotations__))
+    sample = sample_of(features.Events(lookup[recording.kinds], recording.ends, recording.content), preprocessor)
+    is_watched = sample.slots != features.ODOMETRY
+    return Sample(*(getattr(sample, name)[is_watched] for name in Sample.__annotations__))
 
 
 def regime_limits(peaks: np.ndarray, counts: np.ndarray, margin: float, smallest: int) -> list[list[float]]:
@@ -173,8 +173,8 @@ def regime_limits(peaks: np.ndarray, counts: np.ndarray, margin: float, smallest
         smallest: A regime with fewer samples takes the largest limit among the regimes of its field.
     """
     limit = margin * peaks
-    found: list[list[float]] = np.where(counts < smallest, limit.max(axis=1, keepdims=True), limit).tolist()
-    return found
+    limits: list[list[float]] = np.where(counts < smallest, limit.max(axis=1, keepdims=True), limit).tolist()
+    return limits
 
 
 # ---- the kinds of training ------------------------------------------------------------------------------------------
@@ -253,9 +253,8 @@ class MonitoredFields(Training):
             return False
         if len(kinds) != len(times_us) or ((kinds < features.ODOMETRY) | (kinds >= len(WATCHED))).any():
             return False
-        if len(kinds):
-            return int(recording.ends[-1]) == len(content)
-        return not len(content)
+        size = int(recording.ends[-1]) if len(kinds) else 0
+        return size == len(content)
 
     def fit(
         self,
@@ -321,10 +320,10 @@ def innovations(recording: Recording) -> dict[str, np.ndarray]:
 
 def best_prediction(recordings: Sequence[Recording]) -> tuple[str, dict[str, dict[str, float]]]:
     """Best-fitting key of `preprocess.PREDICTIONS`; by prediction, the 99 % quantile and the largest error (m)."""
-    found = [innovations(recording) for recording in recordings]
+    by_flight = [innovations(recording) for recording in recordings]
     fits = {}
     for name in PREDICTIONS:
-        errors = np.abs(np.concatenate([part[name].ravel() for part in found] or [np.zeros(0)]))
+        errors = np.abs(np.concatenate([np.zeros(0), *(flight[name].ravel() for flight in by_flight)]))
         if len(errors) == 0:
             raise BadInputError("training: the recordings hold no trajectory of two way-points")
         fits[name] = {"p99": float(np.quantile(errors, 0.99)), "max": float(errors.max())}

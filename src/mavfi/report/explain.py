@@ -25,7 +25,7 @@ from mavfi.record import (
 from mavfi.report.numbers import change, lost, signed_percent
 
 if TYPE_CHECKING:
-    from mavfi.campaign.divergence import Departure, Difference, Spread
+    from mavfi.campaign.divergence import Departure, FirstDifference, StateSpread
     from mavfi.campaign.plan import RunSpec
     from mavfi.campaign.replay import Explanation
 
@@ -80,9 +80,9 @@ def steps(
     golden: FlightLog,
     fault: Fault | None,
     detector: str,
-    first: Difference | None,
+    first: FirstDifference | None,
     departure: Departure,
-    spread: Sequence[Spread] = (),
+    spread: Sequence[StateSpread] = (),
 ) -> Story:
     """Explain a flight: the fault, first difference, propagation, path, alarms, and the ends of both flights.
 
@@ -112,7 +112,7 @@ def steps(
     return story
 
 
-def spread_lines(spread: Sequence[Spread]) -> Story:
+def spread_lines(spread: Sequence[StateSpread]) -> Story:
     """Propagation of the error: interval and number of differing values, by state."""
     if not spread:
         return []
@@ -258,7 +258,7 @@ def published_field(first: Mapping[str, Any]) -> str:
     return f"{field}[{first['element']}]"
 
 
-def _first_difference(first: Difference | None) -> str:
+def _first_difference(first: FirstDifference | None) -> str:
     if first is None:
         return "none: every published value is bit for bit that of the golden run"
     golden_us = first.golden_us
@@ -413,7 +413,7 @@ def to_json(explanation: Explanation) -> dict[str, Any]:
     }
 
 
-def _difference_json(first: Difference) -> dict[str, Any]:
+def _difference_json(first: FirstDifference) -> dict[str, Any]:
     """The first difference as plain data."""
     return {
         "time_s": 1e-6 * first.time_us,

@@ -8,7 +8,7 @@ import pytest
 
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.mission import MissionPlan, fly_mission, model_hashes, scenarios_of
-from mavfi.campaign.plan import Flown, arms_of
+from mavfi.campaign.plan import CompletedRun, arms_of
 from mavfi.detectors.detector import Alarm
 from mavfi.extras.bench.sealed import Checksum, Duplicate, Oracle
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
@@ -372,7 +372,11 @@ def test_a_mission_of_the_table_leaves_the_same_records(environment, autopilot):
     models = model_hashes(campaign, scenarios_of(campaign, arms_of(campaign)), None)
     plan = MissionPlan(campaign, environment, campaign.first_seed, models=models)
     flown = [
-        {item.run_id: item.record for item in fly_mission(replace(plan, fast_forward=fast)) if isinstance(item, Flown)}
+        {
+            item.run_id: item.record
+            for item in fly_mission(replace(plan, fast_forward=fast))
+            if isinstance(item, CompletedRun)
+        }
         for fast in (False, True)
     ]
     records = [{run: canonical(record.to_json()) for run, record in runs.items()} for runs in flown]

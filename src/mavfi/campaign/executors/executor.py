@@ -58,8 +58,8 @@ def map_each(executor: Executor, function: Callable[[T], R], items: Iterable[T])
         MavfiError: A worker was lost.
     """
     with closing(executor.map(functools.partial(_once, function), items)) as results:
-        for item, found in results:
-            for result in found:
+        for item, new_results in results:
+            for result in new_results:
                 if isinstance(result, Lost):
                     raise MavfiError(f"{item}: {result.reason}")
                 if not isinstance(result, Done):

@@ -58,7 +58,7 @@ class LocalExecutor:
     ) -> Iterator[tuple[T, Sequence[R | Done | Lost]]]:
         """Wait for workers, yield their items, and send the next mission to idle ones."""
         ready = wait([worker.pipe for worker in workers], timeout=1.0)
-        for place, worker in reversed(list(enumerate(workers))):
+        for index, worker in reversed(list(enumerate(workers))):  # from the end: idle workers are deleted
             mission = worker.mission
             if worker.pipe in ready:
                 items = worker.take()
@@ -67,18 +67,20 @@ class LocalExecutor:
             if not items:
                 continue
             last = items[-1]
-            if isinstance(last, Raised):
+            if isinstance(last, Raised):  # after what was flown before
                 if items[:-1]:
                     yield mission, items[:-1]
                 raise last.error
-            if isinstance(last, Lost):
+            if isinstance(last, Lost):  # another worker takes its place
                 worker.end()
                 others = [other for other in workers if other is not worker]
-                workers[place] = worker = Worker.forked(function, others)
+                worker = Worker.forked(function, others)
+                workers[index] = worker
+            # The next mission is sent before the caller handles the items, so that the worker does not wait.
             if isinstance(last, (Done, Lost)):
                 try:
                     worker.give(next(waiting))
                 except StopIteration:
                     worker.end()
-                    del workers[place]
+                    del workers[index]
             yield mission, items

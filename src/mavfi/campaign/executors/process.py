@@ -95,7 +95,8 @@ class Worker(Generic[T]):
 
     def give(self, mission: T) -> None:
         """Send a mission; `take` reports a dead process."""
-        self.mission, self._since = mission, time.monotonic()
+        self.mission = mission
+        self._since = time.monotonic()
         try:
             self.pipe.send(mission)
         except OSError as error:
@@ -120,10 +121,9 @@ class Worker(Generic[T]):
             code = self._process.exitcode or 0
             if code == _MUTE_EXIT:
                 return Raised(MachineError("a worker could not send what it had"))
+            name = ""
             if -code in {int(s) for s in signal.Signals}:
                 name = signal.Signals(-code).name
-            else:
-                name = ""
             return Lost(f"its worker died ({name or f'exit code {code}'})", died=True, signal=name)
 
     def overdue(self, limit: float) -> list[Any]:
@@ -194,18 +194,18 @@ def _fly_all(pipe: Connection, function: Callable[[Any], Iterator[Any]]) -> None
     """Fly missions until the pipe is closed; raises errors of the pipe, e.g. if an item cannot be sent."""
     while True:
         mission = pipe.recv()
-        answers = function(mission)
-        goes_on = True
-        while goes_on:
-            data, goes_on = _next_of(answers)
+        items = function(mission)
+        has_more = True
+        while has_more:
+            data, has_more = _next_of(items)
             pipe.send_bytes(data)
         _return_memory()
 
 
-def _next_of(answers: Iterator[Any]) -> tuple[bytes, bool]:
+def _next_of(items: Iterator[Any]) -> tuple[bytes, bool]:
     """The next item, pickled, and whether further ones may follow."""
     try:
-        for item in answers:
+        for item in items:
             return pickle.dumps(item), True
         return pickle.dumps(Done(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)), False
     except Exception as error:  # raised in the parent

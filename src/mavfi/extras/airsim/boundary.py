@@ -120,7 +120,7 @@ def flipped(value: Any, bit: int) -> Any:
     return struct.unpack("<d", struct.pack("<Q", raw ^ (1 << bit)))[0]
 
 
-class Flip(NamedTuple):
+class BoundaryFlip(NamedTuple):
     """What a flipped bit has done.
 
     Attributes:
@@ -136,7 +136,7 @@ class Flip(NamedTuple):
     bit: int
 
 
-def flip(holder: Any, path: Path, bit: int) -> Flip:
+def flip(holder: Any, path: Path, bit: int) -> BoundaryFlip:
     """Flip a bit of the number at a path.
 
     Raises:
@@ -147,13 +147,13 @@ def flip(holder: Any, path: Path, bit: int) -> Flip:
             raise BadInputError("not a number")
         bit %= bits_of(holder)
         after = flipped(holder, bit)
-        return Flip(after, holder, after, bit)
+        return BoundaryFlip(after, holder, after, bit)
     key, *rest = path
     if isinstance(holder, bytes) and isinstance(key, int) and key < len(holder):
         bit %= 8
         changed = bytearray(holder)
         changed[key] ^= 1 << bit
-        return Flip(bytes(changed), holder[key], changed[key], bit)
+        return BoundaryFlip(bytes(changed), holder[key], changed[key], bit)
     try:
         inner = holder[key]
     except (KeyError, IndexError, TypeError):

@@ -16,7 +16,7 @@ from mavfi.mission import MissionSpec
 from mavfi.plugins import known, load_object
 
 if TYPE_CHECKING:
-    from mavfi.campaign.divergence import Publication
+    from mavfi.campaign.divergence import TimedState
     from mavfi.flight.host import ArmSetup
     from mavfi.mission import Scenario
     from mavfi.record import FlightLog
@@ -32,7 +32,7 @@ class ExportedFlight(NamedTuple):
     """A flight to be exported, its publications, and the log of its golden run; None = unknown."""
 
     log: FlightLog
-    published: list[Publication] | None = None
+    published: list[TimedState] | None = None
     golden: FlightLog | None = None
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mavfi.campaign.divergence import Publication, departure, first_difference, spread
+from mavfi.campaign.divergence import TimedState, departure, first_difference, spread
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.replay import Explanation, flight_again, fly_recorded
 from mavfi.campaign.store import Store
@@ -55,7 +55,7 @@ class Course:
     role: str
     label: str
     log: FlightLog
-    published: Sequence[Publication] = ()
+    published: Sequence[TimedState] = ()
 
 
 def flight_data(courses: Sequence[Course], world: World, site: str = "") -> dict[str, Any]:
@@ -349,7 +349,7 @@ TimeSeries = tuple[np.ndarray, np.ndarray]
 
 
 def time_lines(
-    published: Mapping[str, Sequence[Publication]], at: float, site: str, wrong: str = ""
+    published: Mapping[str, Sequence[TimedState]], at: float, site: str, wrong: str = ""
 ) -> list[dict[str, Any]]:
     """Time lines of the injected field, or of the first wrong one, and of those that differ most from the golden run.
 
@@ -379,9 +379,9 @@ def time_lines(
     return [_line(field, near, at, ends, is_site=field == injected_field) for field in shown]
 
 
-def _near(publications: Sequence[Publication], at: float) -> dict[str, list[Publication]]:
+def _near(publications: Sequence[TimedState], at: float) -> dict[str, list[TimedState]]:
     """Publications in the time window around an instant, by state, with the last one before the window."""
-    by_state: dict[str, list[Publication]] = {}
+    by_state: dict[str, list[TimedState]] = {}
     for publication in publications:
         time_s = 1e-6 * publication.time_us
         if time_s > at + AFTER:
@@ -418,7 +418,7 @@ def _candidates() -> list[FieldSite]:
     ]
 
 
-def _samples(publications: Mapping[str, Sequence[Publication]], site: FieldSite) -> TimeSeries:
+def _samples(publications: Mapping[str, Sequence[TimedState]], site: FieldSite) -> TimeSeries:
     """Published values of a field; publications whose list is too short for the element are left out."""
     times = []
     values = []
@@ -454,7 +454,7 @@ def _difference(golden: Mapping[str, Any], injected: Mapping[str, Any], site: Fi
 
 def _line(
     site: FieldSite,
-    near: Mapping[str, Mapping[str, Sequence[Publication]]],
+    near: Mapping[str, Mapping[str, Sequence[TimedState]]],
     at: float,
     ends: Mapping[str, float],
     *,

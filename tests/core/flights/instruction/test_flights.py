@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mavfi.campaign import divergence
-from mavfi.campaign.divergence import Publication
+from mavfi.campaign.divergence import TimedState
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import MessageFault
 from mavfi.faults.levels import instruction
@@ -100,7 +100,7 @@ def test_masked_means_the_golden_flight_and_sdc_of_a_command_another_one(golden,
 
 
 def test_publications_of_an_injected_flight_are_recorded_without_a_change_of_it(drawn, flown):
-    golden = [Publication(time_us, state) for state, time_us in fly_recorded(scenario())[1]]
+    golden = [TimedState(time_us, state) for state, time_us in fly_recorded(scenario())[1]]
     effects = [flight.log.kernel for flight in flown.flights]
     faults = [*drawn.faults["pid"], *drawn.faults["point_cloud"]]
     masked = next(place for place, effect in enumerate(effects) if effect.effect == "masked")
@@ -108,7 +108,7 @@ def test_publications_of_an_injected_flight_are_recorded_without_a_change_of_it(
     for place in (masked, wrong):
         flight, published = fly_recorded(scenario(), faults[place])
         assert flight.log.digest() == flown.flights[place].log.digest()
-        seen = [Publication(time_us, state) for state, time_us in published]
+        seen = [TimedState(time_us, state) for state, time_us in published]
         found, reported = divergence.first_difference(golden, seen), effects[place].first_difference
         if reported is None:
             assert found is None and len(seen) == len(golden)

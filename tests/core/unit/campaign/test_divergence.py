@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mavfi.campaign.divergence import Publication, departure, first_difference, spread
+from mavfi.campaign.divergence import TimedState, departure, first_difference, spread
 from mavfi.mission import MissionStatus
 from mavfi.record import COLUMNS, FlightLog
 from mavfi.states import STATES, new_state
@@ -10,7 +10,7 @@ from mavfi.states import STATES, new_state
 def _publication(time_us, x=1.0, name="planning.waypoint"):
     state = new_state(name)
     state.header["x"] = x
-    return Publication(time_us, state)
+    return TimedState(time_us, state)
 
 
 def test_nan_and_negative_zero_differ_by_their_bits():
@@ -21,8 +21,8 @@ def test_nan_and_negative_zero_differ_by_their_bits():
 def test_elements_and_lengths_of_lists_are_named():
     before, after, longer = new_state("planning.path", 3), new_state("planning.path", 3), new_state("planning.path", 4)
     after.elements["y"][2] = 1.0
-    assert first_difference([Publication(0, before)], [Publication(0, after)]).field == "y[2]"
-    found = first_difference([Publication(0, before)], [Publication(0, longer)])
+    assert first_difference([TimedState(0, before)], [TimedState(0, after)]).field == "y[2]"
+    found = first_difference([TimedState(0, before)], [TimedState(0, longer)])
     assert (found.field, found.golden, found.injected) == ("number of elements", 3, 4)
 
 

@@ -9,7 +9,7 @@ import pytest
 from mavfi.campaign import alone
 from mavfi.campaign.alone import ATTEMPTS_ALONE
 from mavfi.campaign.mission import MissionPlan, fly_mission
-from mavfi.campaign.plan import Flown, Planned
+from mavfi.campaign.plan import CompletedRun, Planned
 from mavfi.errors import MachineError
 from mavfi.ir.forked import WALL_CLOCK, ChildEnd
 from mavfi.record import End
@@ -24,7 +24,7 @@ def flown(mission):
     """Records by run id, and all specs."""
     items = list(fly_mission(mission))
     specs = {spec.run_id: spec for item in items if isinstance(item, Planned) for spec in item.specs}
-    return specs, {item.run_id: item for item in items if isinstance(item, Flown)}
+    return specs, {item.run_id: item for item in items if isinstance(item, CompletedRun)}
 
 
 def test_a_mission_is_planned_before_it_is_flown_and_in_two_parts():

@@ -51,7 +51,7 @@ def planned(campaign, lost=()):
 
 
 def mission_runs(plan, environment, seed, golden):
-    places = list(plan.places(environment, seed))
+    places = list(plan.positioned_draws(environment, seed))
     draws = [draw for _, draw in places if draw.target != NULL]
     drawn = iter(plan.sampler.draw(draws, environment, golden))
     found = []

@@ -50,7 +50,7 @@ def test_what_was_changed_is_flown_again(flown, tmp_path, change, lost, flown_ag
     (tmp_path / FILE).write_bytes(flown[0])
     changed(tmp_path, change)
     found = repair(tmp_path)
-    assert found.lost == lost and found.kept == flown[2] - flown_again
+    assert found.lost == lost and found.intact == flown[2] - flown_again
     assert again(tmp_path) == (flown[1], flown_again)
     assert (tmp_path / DAMAGED).is_file() != found.was_intact
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mavfi.campaign import store as store_module
-from mavfi.campaign.plan import Flown, Planned, RunSpec
+from mavfi.campaign.plan import CompletedRun, Planned, RunSpec
 from mavfi.campaign.store import FILE, Store
 from mavfi.errors import BadInputError, MachineError, MavfiError
 from mavfi.record import End, FlightRecord
@@ -34,7 +34,7 @@ def plan(store, specs):
 
 
 def write(store, spec, status="success", **record):
-    store.write([Flown.of(spec.run_id, FlightRecord(End.FLOWN, status, **record), "", 0.1)])
+    store.write([CompletedRun.of(spec.run_id, FlightRecord(End.FLOWN, status, **record), "", 0.1)])
 
 
 def test_runs_come_in_the_order_of_the_plan_and_are_done_once_written(store):
@@ -83,7 +83,11 @@ def test_digest_does_not_depend_on_order_or_wall_time(tmp_path):
             plan(store, order)
             for place, spec in enumerate(order):
                 store.write(
-                    [Flown.of(spec.run_id, FlightRecord(End.FLOWN, digest=spec.run_id), f"note {place}", 0.1 * place)]
+                    [
+                        CompletedRun.of(
+                            spec.run_id, FlightRecord(End.FLOWN, digest=spec.run_id), f"note {place}", 0.1 * place
+                        )
+                    ]
                 )
             digests.append(store.digest())
     assert digests[0] == digests[1]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mavfi.campaign.divergence import Departure, Difference
+from mavfi.campaign.divergence import Departure, FirstDifference
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.replay import Explanation, explain
 from mavfi.campaign.store import Store
@@ -105,15 +105,15 @@ def test_a_fault_in_an_instruction_has_the_same_story_with_source_line_and_kerne
     [
         (None, ("none",)),
         (
-            Difference("control.command", "vx", 5_000, 5_000, 2.749570000000001, 2.749570000000002),
+            FirstDifference("control.command", "vx", 5_000, 5_000, 2.749570000000001, 2.749570000000002),
             ("control.command.vx at 0.005 s", "2.749570000000001", "2.749570000000002"),
         ),
         (
-            Difference("planning.waypoint", "", 5_000, 9_000),
+            FirstDifference("planning.waypoint", "", 5_000, 9_000),
             ("planning.waypoint at 0.005 s", "held back", "4 ms later"),
         ),
-        (Difference("planning.path", "", None, 7_000), ("0.007 s", "here alone")),
-        (Difference("planning.path", "", 7_000, None), ("0.007 s", "golden run alone")),
+        (FirstDifference("planning.path", "", None, 7_000), ("0.007 s", "here alone")),
+        (FirstDifference("planning.path", "", 7_000, None), ("0.007 s", "golden run alone")),
     ],
 )
 def test_the_first_difference_is_a_value_or_an_instant(first, parts):

@@ -6,7 +6,7 @@ import sys
 import numba
 import pytest
 
-from mavfi.campaign.plan import Flown, RunSpec
+from mavfi.campaign.plan import CompletedRun, RunSpec
 from mavfi.campaign.store import Store
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.levels.instruction import count, draw, run_forked
@@ -114,7 +114,7 @@ def digest_of(records, directory):
         ]
         store.plan([spec.row() for spec in specs])
         for spec, (_, record) in zip(specs, records, strict=True):
-            store.write([Flown.of(spec.run_id, record)])
+            store.write([CompletedRun.of(spec.run_id, record)])
         return store.digest()
 
 

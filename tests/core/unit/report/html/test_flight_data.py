@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from mavfi.campaign.divergence import Publication
+from mavfi.campaign.divergence import TimedState
 from mavfi.mission import MissionStatus
 from mavfi.record import AlarmRecord, Injection
 from mavfi.report.html.flight_page import (
@@ -73,7 +73,7 @@ def waypoints(change=lambda time_s: 0.0, period_us=20_000):
     for time_us in range(0, 12_000_000, period_us):
         state = new_state("planning.waypoint")
         state.header["x"], state.header["y"] = 1e-6 * time_us + change(1e-6 * time_us), 2.0
-        found.append(Publication(time_us, state))
+        found.append(TimedState(time_us, state))
     return found
 
 
@@ -105,7 +105,7 @@ def test_an_element_of_a_list_is_followed():
     def trajectories(value):
         state = new_state("planning.trajectory", 3)
         state.elements["x"][2] = value
-        return [Publication(5_000_000, state)]
+        return [TimedState(5_000_000, state)]
 
     published = {"golden": trajectories(1.0), "injected": trajectories(9.0)}
     (line,) = time_lines(published, AT, "planning.trajectory.x[2]")
