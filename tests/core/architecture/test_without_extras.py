@@ -53,7 +53,7 @@ def without_extras(target):
     ignored = shutil.ignore_patterns("extras", "__pycache__", "nightly")
     shutil.copytree(ROOT / "src", target / "src", ignore=ignored)
     shutil.copytree(ROOT / "tests" / "core", target / "tests" / "core", ignore=ignored)
-    for path in (ROOT / "tests").glob("*.py"):
+    for path in (ROOT / "tests").glob("*.*"):
         shutil.copy(path, target / "tests")
     (target / "configs").symlink_to(ROOT / "configs")
     shutil.copy(ROOT / "pyproject.toml", target)
