@@ -74,7 +74,7 @@ def test_the_core_passes_its_tests_without_extras(tmp_path):
     unit = tmp_path / "tests" / "core" / "unit"
     files = [str(file.relative_to(tmp_path)) for pattern in CHOSEN for file in sorted(unit.glob(pattern))]
     left_out = [f"--deselect=tests/core/unit/{file}::{name}" for file, names in WITH_EXTRAS.items() for name in names]
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not slow and not long"]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not long"]
     done = subprocess.run(
         [*command, *left_out, *files], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
     )

@@ -11,11 +11,3 @@ def test_mean_and_deviation_are_those_of_numpy_even_far_from_zero(offset):
     assert count == len(values)
     assert mean == pytest.approx(values.mean(), rel=1e-14, abs=1e-12)
     assert welford.deviation(count, squares) == pytest.approx((values - offset).std(ddof=1), rel=1e-7)
-
-
-def test_the_recurrences_are_those_of_the_paper():
-    previous, mean, squares = 4.0, 2.0, 3.0
-    value = 7.0
-    expected_mean = mean + (value - mean) / 5.0
-    expected = (5.0, expected_mean, squares + (value - mean) * (value - expected_mean))
-    assert welford.update(previous, mean, squares, value) == pytest.approx(expected, rel=1e-15)
