@@ -27,7 +27,7 @@ def test_a_single_step_is_no_growth_and_a_leak_under_noise_is():
     assert growth(leak) > MOST_GROWTH_KIB
 
 
-@pytest.mark.slow
+@pytest.mark.long  # 90 missions
 @pytest.mark.parametrize(("level", "runs"), [("state", 60), ("instruction", 30)])
 def test_a_worker_that_flies_mission_after_mission_keeps_its_size(level, runs):
     seen = fly(campaign_of(level, runs))
