@@ -111,8 +111,8 @@ class Detector:
         """See the class."""
         return {}
 
-    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
-        """Replace functions of `compiled` by those of the same name in `made`; restore all others."""
+    def instrument(self, instrumented: Mapping[str, Callable[..., Any]]) -> None:
+        """Replace functions of `compiled` by those of the same name in `instrumented`; restore all others."""
 
 
 class CopiedMemory:
