@@ -32,10 +32,13 @@ NULL = "null"
 DECIMAL = r"\d+(\.\d*)?"
 """Pattern of a number that is not negative, without exponent."""
 WHOLE = (r"\d+", "a whole number", int)
+"""An option whose value is a whole number, see `Level.options`: pattern, description, type."""
 SECONDS = (rf"inf|{DECIMAL}", "a number of seconds, or inf", float)
-"""Values of options in the text of a fault: pattern, description, type."""
+"""An option whose value is a duration (s), see `Level.options`."""
 _INSTANT = rf"{DECIMAL}([eE][+-]?\d+)?"
+"""Pattern of an instant (s)."""
 _LATEST_S = 1e9
+"""Latest instant of a fault (s): far beyond any flight, and still exact in microseconds."""
 
 
 # ---- one fault, as text ----------------------------------------------------------------------------------------------
@@ -53,8 +56,8 @@ class Request(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Text:
-    """The text of a fault, in its parts.
+class FaultText:
+    """The parts of a fault's text.
 
     Attributes:
         site: What stands before the options.
@@ -258,9 +261,16 @@ class Sampler:
         By default those that `golden` has drawn.
         """
         del environment
-        waiting = {(arm, *key): iter(faults) for arm, run in golden.items() for key, faults in run.faults.items()}
-        nothing: Iterator[Fault] = iter(())
-        return [next(waiting.get((draw.variant, draw.target, draw.stratum), nothing), None) for draw in draws]
+        # Each golden run has drawn its faults by target and stratum, in the order of the draws: take the next of each.
+        undealt: dict[tuple[str, str, str], Iterator[Fault]] = {}
+        for variant, sampled in golden.items():
+            for (target, stratum), faults in sampled.faults.items():
+                undealt[variant, target, stratum] = iter(faults)
+        dealt: list[Fault | None] = []
+        for draw in draws:
+            faults_of_draw = undealt.get((draw.variant, draw.target, draw.stratum), iter(()))
+            dealt.append(next(faults_of_draw, None))
+        return dealt
 
     def null(self, index: int, seed: int, environment: str, golden: Golden) -> Fault:
         """The fault of a null run."""
@@ -307,7 +317,7 @@ class Level:
         options: Options of the text in their order, by name: pattern, description and type of their values.
         reductions: How a fault is made smaller, in steps: by name of what is reduced, a function of a fault and its
             injection (None = not known) that yields candidates from the smallest on.
-        absent: For an injection that did not happen: what never happened to the site, and why nothing was changed.
+        absent: Words for an injection that did not happen: X in "the golden run never X it", and why nothing changed.
     """
 
     fault: ClassVar[type[Fault]]
@@ -350,7 +360,7 @@ class Level:
         """Raise a BadInputError for a text that is not in the level's form."""
         raise BadInputError(f"not understood; allowed: {self.form}")
 
-    def parts_of(self, text: str) -> Text:
+    def parts_of(self, text: str) -> FaultText:
         """The parts of a text, given without the level; a BadInputError names the one that is wrong."""
         # Split it: SITE:name=value:name=value@INSTANT.
         body, _, instant = text.partition("@")
@@ -377,7 +387,7 @@ class Level:
             options[name] = kind(value)
         if list(options) != [name for name in self.options if name in options]:
             self.not_understood()
-        return Text(site, options, instant_us(instant))
+        return FaultText(site, options, instant_us(instant))
 
 
 def instant_us(seconds: str) -> int | None:

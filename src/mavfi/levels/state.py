@@ -52,8 +52,10 @@ if TYPE_CHECKING:
     from mavfi.flight.host import ArmSetup, Flight
 
 _SITE = re.compile(r"(?P<path>[^\[\]]+)(\[(?P<element>\d+)\])?")
-_SHORTER = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
-"""Numbers of corrupted publications to try."""
+_SHORTER_PARTS = (0.125, 0.25, 0.5)
+"""Parts of a fault's duration that `shorter_faults` tries."""
+_SHORTER_COUNTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
+"""Numbers of corrupted publications that `shorter_faults` tries."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +104,7 @@ class StateRequest:
         site = FaultSite(self.state.name, field.name, self.element)
         time_us = self.time_us or 0
         if self.needs_profile:
-            drawn_us, element = draw_publication(random, self._later(profile or Profile()), site)
+            drawn_us, element = draw_publication(random, self._publications_for_element(profile or Profile()), site)
             site = FaultSite(self.state.name, field.name, element)
             if self.time_us is None:
                 time_us = drawn_us
@@ -125,13 +127,15 @@ class StateRequest:
         fields = [field for field in fields if bits <= WORD_BITS[field.dtype]]
         return fields[int(random.integers(len(fields)))]
 
-    def _later(self, profile: Profile) -> Profile:
-        """The publications from which the element is drawn: only the first one from the requested time on."""
+    def _publications_for_element(self, profile: Profile) -> Profile:
+        """The publications from which the element is drawn: with a requested time, the first one from then on only."""
         name = self.state.name
         if self.time_us is None or name not in profile.times_us:
             return profile
-        later = np.flatnonzero((profile.times_us[name] >= self.time_us) & (profile.counts[name] > 0))[:1]
-        return Profile({name: profile.times_us[name][later]}, {name: profile.counts[name][later]})
+        times_us = profile.times_us[name]
+        counts = profile.counts[name]
+        first = np.flatnonzero((times_us >= self.time_us) & (counts > 0))[:1]
+        return Profile({name: times_us[first]}, {name: counts[first]})
 
 
 class Lifetime(Config):
@@ -216,13 +220,16 @@ class StateSampler(Sampler):
     def __init__(self, campaign: Any) -> None:
         super().__init__(campaign)
         spec = campaign.spec(campaign.environments[0], campaign.first_seed)
+        # What exists and is acted on depends on the mission.
         self._autopilot = spec.autopilot
         self._localization = spec.localization
+        # Targets by name, and those whose draws each one uses.
         targets = self._find_targets()
         self._fields = {target.name: target for target, _ in targets}
         self._lifetimes = {group.name: group.lifetime for group in self.sampling.groups if group.lifetime}
         self.targets = {target.name: shares for target, shares in targets}
-        self.orders = {name: self._first_alike(name) for name in self.targets}
+        self.orders = {name: self._draws_like(name) for name in self.targets}
+        # A target without bits in one of its strata is an error now, not after the first flights.
         for target, shares in targets:
             for stratum in shares:
                 target.within(stratum)
@@ -264,15 +271,18 @@ class StateSampler(Sampler):
                 shares[stratum] = share
         return target, shares or self.sampling.strata
 
-    def _first_alike(self, name: str) -> str:
-        """Name of the target whose draws a target with its own lifetime shares: the first one with the same fields."""
+    def _draws_like(self, name: str) -> str:
+        """Name of the target whose random draws a target uses: its own, or those of the first one with the same fields.
+
+        So groups that differ in their lifetime only are compared on the same fields, bits and instants.
+        """
         if name not in self._lifetimes:
             return name
         fields = self._fields[name].fields
         return next(other for other, target in self._fields.items() if target.fields == fields)
 
     def blocks(self, environment: str) -> Sequence[Any]:
-        """See `Sampler.blocks`; the same for parts with the same environment, which so have the same draws."""
+        """See `Sampler.blocks`; parts of a campaign in the same environment have the same draws."""
         return super().blocks(self.campaign.environment_of(environment))
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Golden) -> list[Fault | None]:
@@ -282,15 +292,19 @@ class StateSampler(Sampler):
 
     def _fault(self, requested: Draw, profile: Profile, environment: str) -> StateFault:
         """The fault of a draw, with the lifetime of its target."""
-        address = self.campaign.environment_of(environment), requested.index // self.campaign.missions
+        # Faults of the same seed differ by environment, and by how often the target's missions have been used before.
+        seed_environment = self.campaign.environment_of(environment)
+        repetition = requested.index // self.campaign.missions
         if self.sampling.scheme == "messages":
-            fault = draw_in_message(requested.target, requested.stratum, profile, requested.seed, *address)
+            fault = draw_in_message(
+                requested.target, requested.stratum, profile, requested.seed, seed_environment, repetition
+            )
         else:
             target = self._fields[self.orders[requested.target]]
-            fault = draw(target, requested.stratum, profile, requested.seed, *address)
-        return self._lasting(requested.target, fault)
+            fault = draw(target, requested.stratum, profile, requested.seed, seed_environment, repetition)
+        return self._with_lifetime(requested.target, fault)
 
-    def _lasting(self, target: str, fault: StateFault) -> StateFault:
+    def _with_lifetime(self, target: str, fault: StateFault) -> StateFault:
         """A fault with the lifetime of its target; a burst that exceeds its word starts at a lower bit."""
         lifetime = (self._lifetimes.get(target) or self.sampling.lifetime).model_dump()
         bits = WORD_BITS[_dtype(fault)]
@@ -325,11 +339,11 @@ def shorter_faults(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
     if not fault.lasting:
         return
     once = replace(fault, lasts_s=0.0, share=1.0, times=1)
-    for times in _SHORTER:
+    for times in _SHORTER_COUNTS:
         if fault.lasts_s > 0 or times < fault.times:
             yield replace(once, times=times)
     if 0 < fault.lasts_s < float("inf"):
-        for part in (0.125, 0.25, 0.5):
+        for part in _SHORTER_PARTS:
             yield replace(fault, lasts_s=round(fault.lasts_s * part, 3))
 
 
@@ -401,7 +415,7 @@ class StateLevel(Level):
         match = _SITE.fullmatch(parts.site)
         if match is None:
             self.not_understood()
-        spec, field = _find(match["path"], localization)
+        spec, field = _find_state(match["path"], localization)
         element = None
         if match["element"] is not None:
             element = int(match["element"])
@@ -469,7 +483,7 @@ class StateLevel(Level):
         return {"each": unit, "how": f"drawn {strata}, fields: {sampling.sites}"}
 
 
-def _find(path: str, localization: str) -> tuple[StateSpec, str | None]:
+def _find_state(path: str, localization: str) -> tuple[StateSpec, str | None]:
     """State and field of a path "STATE.FIELD", or "STATE" alone; names contain dots."""
     state = path
     field = ""

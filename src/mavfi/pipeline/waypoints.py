@@ -18,11 +18,15 @@ from mavfi.pipeline.memory import Memory, Remembers, zeros
 from mavfi.pipeline.routes import PLANNING_ACCELERATION
 from mavfi.states import Stage, State, floats, new_state, rows
 
+_VELOCITY = slice(4, 7)
+"""Columns of a point that are its velocity (m/s)."""
+_DURATION = 10
+"""Column of a point that is its duration (s)."""
 _EMERGENCY_STOP_TIME = 0.6
 """v_max / a_max of the published code (s)."""
-_STANDING = 0.4
+_STANDING_SPEED = 0.4
 """Speed up to which a stopping vehicle counts as standing (m/s)."""
-_SPEED_STEP = 1.0
+_MAX_SPEED_STEP = 1.0
 """Excess of the vehicle's speed over the first point's up to which a trajectory is adopted (m/s)."""
 _HOLD_TURN = 0.6
 """Turn while no path exists, to look around (rad)."""
@@ -32,6 +36,16 @@ _CREEP_STEP = 0.3
 """Largest distance of the reference between two maps at unknown space (m)."""
 _ADOPTION_WINDOW = 50
 """Leading points of a spliced trajectory among which its start is searched for."""
+
+# Tolerances of the plausibility checks, all chosen here: wide enough that no error-free trajectory is rejected.
+_SPEED_TOLERANCE = 1.5
+"""Largest plausible speed of a point / v_max."""
+_BOUNDS_TOLERANCE = 2.0
+"""Distance by which points may lie outside of the flight volume (m)."""
+_STEP_TOLERANCE = 0.3
+"""Allowance added to the distance that the plausible speed covers between two points (m)."""
+_LONGEST_POINT = 1.0
+"""Longest plausible duration of a point (s)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,9 +117,11 @@ class SetpointGenerator(Remembers):
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
         self.reads = ("planning.trajectory", "perception.collision_status", config.odometry, "control.tracking")
-        self._governed = config.autopilot.sampling == "interpolated"
+        # Whether the reference moves continuously along the trajectory, instead of from point to point.
+        self._interpolates = config.autopilot.sampling == "interpolated"
         self.memory = _SetpointMemory()
-        self._creep = min(_CREEP_SHARE * config.v_max, _CREEP_STEP / max(config.map_latency, 1e-3))
+        # Largest speed of the reference at unknown space (m/s); without latency, of a map every millisecond.
+        self._creep_speed = min(_CREEP_SHARE * config.v_max, _CREEP_STEP / max(config.map_latency, 1e-3))
 
     def receive(self, state: State, time_us: int) -> bool:
         """Store an input; steps are due only at the control period."""
@@ -120,29 +136,32 @@ class SetpointGenerator(Remembers):
 
     def step(self, time_us: int) -> list[State]:
         """Select the point in force; no output if it is unchanged."""
+        # Inputs since the last step, in the order of their arrival.
         inbox = self.memory.inbox
         self.memory.inbox = []
         for state in inbox:
             if state.spec.name == "planning.trajectory":
-                self._offer(state, time_us)
+                self._receive_trajectory(state, time_us)
             else:
-                self._warn(state, time_us)
-        self._watch(time_us)
+                self._receive_collision_status(state, time_us)
+        self._check_deviation(time_us)
+        # Stop if one is due; else adopt a pending trajectory, braking first if the vehicle is too fast for it.
         now = self.memory.now
         if 0 <= now.stop_us <= time_us:
             return [self._brake()]
         if now.waiting is not None:
-            if self._slow_enough(now.waiting):
+            if self._is_slow_enough(now.waiting):
                 return [self._adopt(now.waiting)]
             if not now.stopping:
                 return [self._brake()]
+        # Otherwise follow the trajectory in force.
         if self.memory.published is None:
             return [self._hold()]
         if now.trajectory is None:
             return []  # no trajectory: the point in force remains
-        if self._governed:
-            return self._governed_point()
-        return self._held_point()
+        if self._interpolates:
+            return self._next_interpolated_point()
+        return self._next_held_point()
 
     def abandon(self, time_us: int) -> list[State]:
         """Skip from the way-point in force to the next one; before any trajectory there is the initial hold only."""
@@ -152,16 +171,16 @@ class SetpointGenerator(Remembers):
             if not published and now.last_seq < 0:  # nothing may have been received yet
                 published = [self._hold()]
             return published
-        if self._governed:
+        if self._interpolates:
             position, rate, change = now.clock
-            self._set(clock=(position + 1.0, rate, change))
-            return self._governed_point()
+            self._update(clock=(position + 1.0, rate, change))
+            return self._next_interpolated_point()
         self.memory.remaining = 0.0
-        return self._held_point()
+        return self._next_held_point()
 
     def stop(self) -> list[State]:
         """Abandon the trajectory and hold position; the planner then replans."""
-        self._set(waiting=None)
+        self._update(waiting=None)
         return [self._brake()]
 
     def mark(self) -> None:
@@ -176,7 +195,7 @@ class SetpointGenerator(Remembers):
         memory.now = memory.marked
         inbox, memory.remaining, memory.published = memory.marked_inputs
         memory.inbox = inbox + memory.inbox
-        self._load(memory.now.trajectory)
+        self._load_points(memory.now.trajectory)
 
     def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
         """Restore the way-point in force, its sequence numbers and, if it belongs to the last one, its trajectory.
@@ -211,7 +230,7 @@ class SetpointGenerator(Remembers):
             flown = trajectory
             flown_index = index
         self.memory.published = waypoint
-        self._set(
+        self._update(
             trajectory=flown,
             index=flown_index,
             last_seq=last_seq,
@@ -220,38 +239,42 @@ class SetpointGenerator(Remembers):
             stopping=is_holding,
             clock=(float(max(index, 0)), 1.0, 0.0),
         )
-        self._load(flown)
+        self._load_points(flown)
         if is_known:
             return ("planning.trajectory",)
         return ()
 
     # ---- sequence numbers -------------------------------------------------------------------------------------------
-    def _set(self, **changes: object) -> None:
+    def _update(self, **changes: object) -> None:
+        """Replace attributes of the trajectories and numbers in force."""
         self.memory.now = replace(self.memory.now, **changes)  # type: ignore[arg-type]
 
-    def _offer(self, state: State, time_us: int) -> None:
+    def _receive_trajectory(self, state: State, time_us: int) -> None:
         """Accept or reject a trajectory by its sequence numbers."""
         now = self.memory.now
         autopilot = self._config.autopilot
         seq = state.value("trajectory_seq")
         alarm_seq = state.value("future_collision_seq")
+        # An older number is rejected, unless all trajectories have been for too long: then the number that they are
+        # compared with is the wrong one.
         if seq < now.last_seq or alarm_seq < now.epoch:
             since = now.rejected_since
             if since < 0:
                 since = time_us
             patience = autopilot.epoch_liveness
             if not (patience > 0.0 and time_us - since > 1e6 * patience):
-                self._set(rejected_since=since)
+                self._update(rejected_since=since)
                 return
-        if autopilot.consumer_check and not self._sane(state):
-            self._set(stop_us=time_us)
+        # An implausible trajectory is as bad as none: stop, so that another one is planned.
+        if autopilot.consumer_check and not self._is_plausible(state):
+            self._update(stop_us=time_us)
             return
         seen_seq = max(now.seen_seq, alarm_seq)
-        self._set(waiting=state, last_seq=seq, epoch=alarm_seq, seen_seq=seen_seq, rejected_since=-1)
+        self._update(waiting=state, last_seq=seq, epoch=alarm_seq, seen_seq=seen_seq, rejected_since=-1)
 
-    def _warn(self, state: State, time_us: int) -> None:
+    def _receive_collision_status(self, state: State, time_us: int) -> None:
         """Respond to a collision status: stop at once, or after the grace period if time permits."""
-        if self._governed:
+        if self._interpolates:
             blocked = state.value("distance_to_blocked")
             unknown = state.value("distance_to_unknown")
             self.memory.limits = (blocked, unknown, state.value("trajectory_seq"))
@@ -266,37 +289,39 @@ class SetpointGenerator(Remembers):
             stop_us += int(1e6 * grace)
         if now.stop_us >= 0:  # an earlier stop is due
             stop_us = min(stop_us, now.stop_us)
-        self._set(seen_seq=seq, stop_us=stop_us)
+        self._update(seen_seq=seq, stop_us=stop_us)
 
-    def _watch(self, time_us: int) -> None:
+    def _check_deviation(self, time_us: int) -> None:
         """Deviation monitor: stop and replan if too far from the reference."""
         limit = self._config.autopilot.deviation_limit
         memory = self.memory
         if limit <= 0.0 or memory.now.trajectory is None or memory.published is None:
             return
         if not length(floats(memory.published.header, 3) - memory.odometry[:3]) < limit:
-            self._set(stop_us=time_us)
+            self._update(stop_us=time_us)
 
-    def _sane(self, state: State) -> bool:
+    def _is_plausible(self, state: State) -> bool:
         """Plausibility checks of a trajectory that require no map."""
         points = rows(state.elements, POINT_WIDTH)
         if len(points) == 0:
             return True
-        v_max = 1.5 * self._config.v_max
-        lower = self._config.flight_lower - 2.0
-        upper = self._config.flight_upper + 2.0
+        v_max = _SPEED_TOLERANCE * self._config.v_max
+        lower = self._config.flight_lower - _BOUNDS_TOLERANCE
+        upper = self._config.flight_upper + _BOUNDS_TOLERANCE
+        durations = points[:, _DURATION]
         with np.errstate(over="ignore", invalid="ignore"):
             steps = np.linalg.norm(np.diff(points[:, :3], axis=0), axis=1)
             return bool(
                 np.isfinite(points).all()
-                and ((points[:, 10] > 0.0) & (points[:, 10] <= 1.0)).all()
-                and (np.linalg.norm(points[:, 4:7], axis=1) <= v_max).all()
-                and (steps <= v_max * points[1:, 10] + 0.3).all()
+                and ((durations > 0.0) & (durations <= _LONGEST_POINT)).all()
+                and (np.linalg.norm(points[:, _VELOCITY], axis=1) <= v_max).all()
+                and (steps <= v_max * durations[1:] + _STEP_TOLERANCE).all()
                 and ((points[:, :3] >= lower) & (points[:, :3] <= upper)).all()
             )
 
     # ---- publications -----------------------------------------------------------------------------------------------
-    def _load(self, trajectory: State | None) -> None:
+    def _load_points(self, trajectory: State | None) -> None:
+        """Store the points of a trajectory and their arc lengths; without a trajectory, the old ones remain unused."""
         if trajectory is None:
             return
         points = rows(trajectory.elements, POINT_WIDTH)
@@ -305,34 +330,37 @@ class SetpointGenerator(Remembers):
         if len(points):
             setpoint.arc_lengths(points, self.memory.arc)
 
-    def _slow_enough(self, waiting: State) -> bool:
+    def _is_slow_enough(self, waiting: State) -> bool:
         """Whether a trajectory may be adopted at the current speed."""
-        if self._governed or len(waiting.elements) == 0:
+        if self._interpolates or len(waiting.elements) == 0:
             return True
         speed = length(self.memory.odometry[3:6])
         if self.memory.now.stopping:
-            return not speed > _STANDING
-        first = length(rows(waiting.elements, POINT_WIDTH)[0, 4:7])
-        return not speed > first + _SPEED_STEP
+            return not speed > _STANDING_SPEED
+        first_speed = length(rows(waiting.elements, POINT_WIDTH)[0, _VELOCITY])
+        return not speed > first_speed + _MAX_SPEED_STEP
 
     def _brake(self) -> State:
-        self._set(trajectory=None, index=-1, stop_us=-1, stopping=True)
+        """Abandon the trajectory and hold; another one is adopted only once the vehicle stands."""
+        self._update(trajectory=None, index=-1, stop_us=-1, stopping=True)
         return self._hold()
 
     def _adopt(self, trajectory: State) -> State:
+        """Put a trajectory in force and publish its first point; an empty one reports that planning has failed."""
         memory = self.memory
         if len(trajectory.elements) == 0:
-            if self._governed and memory.now.trajectory is not None and memory.now.clock[1] > 0.0:
-                self._set(waiting=None)  # the current trajectory still leads to a safe stopping point
-                return self._governed_point()[0]
-            self._set(trajectory=None, index=-1, waiting=None)
+            if self._interpolates and memory.now.trajectory is not None and memory.now.clock[1] > 0.0:
+                self._update(waiting=None)  # the current trajectory still leads to a safe stopping point
+                return self._next_interpolated_point()[0]
+            self._update(trajectory=None, index=-1, waiting=None)
             return self._hold(turn=_HOLD_TURN)
-        self._load(trajectory)
-        self._set(trajectory=trajectory, waiting=None, stopping=False, stop_us=-1, index=0, clock=(0.0, 1.0, 0.0))
-        if not self._governed:
+        self._load_points(trajectory)
+        self._update(trajectory=trajectory, waiting=None, stopping=False, stop_us=-1, index=0, clock=(0.0, 1.0, 0.0))
+        if not self._interpolates:
             return self._publish(0, memory.points[0])
+        # Interpolated references go on from where the vehicle is, not from the trajectory's first point.
         start = self._nearest_start()
-        self._set(clock=(float(start), 1.0, 0.0), index=start)
+        self._update(clock=(float(start), 1.0, 0.0), index=start)
         return self._reference(np.array(memory.now.clock))
 
     def _nearest_start(self) -> int:
@@ -343,23 +371,26 @@ class SetpointGenerator(Remembers):
         window = self.memory.points[:_ADOPTION_WINDOW, :3]
         return int(np.argmin(((window - floats(published.header, 3)) ** 2).sum(1)))
 
-    def _held_point(self) -> list[State]:
+    def _next_held_point(self) -> list[State]:
+        """The next point once the time of the current one is over; none before that, and a hold after the last."""
         memory = self.memory
         waypoint = np.zeros(POINT_WIDTH)
         index = setpoint.advance_index(memory.points, memory.now.index, memory.remaining, waypoint)
         if index == memory.now.index:
             return []
         if index >= len(memory.points):
-            self._set(trajectory=None, index=-1)
+            self._update(trajectory=None, index=-1)
             return [self._hold()]
-        self._set(index=index)
+        self._update(index=index)
         memory.remaining = np.inf  # until the tracker reports on the new point
         return [self._publish(index, waypoint)]
 
-    def _governed_point(self) -> list[State]:
+    def _next_interpolated_point(self) -> list[State]:
+        """The reference one control period later; it slows down ahead of blocked and unknown space."""
         memory = self.memory
         config = self._config
         clock = np.array(memory.now.clock)
+        # Limits of another trajectory do not apply to this one.
         blocked, unknown, seq = memory.limits
         trajectory = memory.now.trajectory
         is_outdated = trajectory is not None and seq != trajectory.value("trajectory_seq")
@@ -373,10 +404,10 @@ class SetpointGenerator(Remembers):
             blocked,
             unknown,
             PLANNING_ACCELERATION,
-            self._creep,
+            self._creep_speed,
             1.0 / config.tracker_slowdown,
         )
-        self._set(clock=tuple(clock), index=int(clock[0]))
+        self._update(clock=tuple(clock), index=int(clock[0]))
         return [self._reference(clock)]
 
     def _reference(self, clock: np.ndarray) -> State:
@@ -386,6 +417,7 @@ class SetpointGenerator(Remembers):
         return self._publish(int(clock[0]), waypoint)
 
     def _publish(self, index: int, waypoint: np.ndarray) -> State:
+        """Publish a way-point with the sequence numbers in force; `index`: its point of the trajectory, -1 = none."""
         state = new_state("planning.waypoint")
         now = self.memory.now
         floats(state.header, POINT_WIDTH)[:] = waypoint
@@ -401,9 +433,9 @@ class SetpointGenerator(Remembers):
         waypoint = np.zeros(POINT_WIDTH)
         odometry = self.memory.odometry
         lag = self._config.velocity_lag
-        if self._governed:
+        if self._interpolates:
             lag = 0.0
         waypoint[:3] = odometry[:3] + lag * odometry[3:6]
         waypoint[3] = yaw_of(odometry[6:10]) + turn
-        waypoint[10] = self._config.autopilot.point_period
+        waypoint[_DURATION] = self._config.autopilot.point_period
         return self._publish(-1, waypoint)

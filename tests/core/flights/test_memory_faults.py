@@ -137,7 +137,7 @@ def test_a_kernel_that_raises_dies_with_its_node(monkeypatch, policy, status):
         if kernel.memory.now.epoch >= 1 << 20:
             raise ZeroDivisionError("of such a number")
 
-    monkeypatch.setattr(SetpointGenerator, "_watch", watch)
+    monkeypatch.setattr(SetpointGenerator, "_check_deviation", watch)
     log = fly(mission(dead_node=policy), MemoryFault("waypoint", "now.epoch", None, "i4", AT, 20)).log
     assert (log.kernel.effect, log.kernel.detail) == ("exception", "ZeroDivisionError: of such a number")
     assert log.status is status
