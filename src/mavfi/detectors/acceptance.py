@@ -25,17 +25,27 @@ from mavfi.numerics.jit import entry, kernel_jit
 from mavfi.states import ODOMETRY, STATES, State, bytes_of, floats, new_state, rows
 
 SOURCE = "acceptance"
+"""Name in its alarms."""
 Compiled = Callable[..., Any]
+"""A compiled function."""
 _VEHICLE_FLOATS = 6
 """Leading numbers of the odometry that rules read: position (m) and velocity (m/s)."""
 _STATUS = "perception.collision_status"
+"""State with the rule `rules.status`."""
 _PATH = "planning.path"
+"""State with the rule `rules.path`."""
 _TRAJECTORY = "planning.trajectory"
+"""State with the rule `rules.trajectory`."""
 _WAYPOINT = "planning.waypoint"
+"""State with the rule `rules.waypoint`."""
 _COMMAND = "control.command"
+"""State with the rule `rules.command`."""
 _TRACKING = "control.tracking"
+"""State with the rule `rules.tracking`."""
 _TRUTH = ODOMETRY["truth"]
+"""Odometry in flights without an estimator, which has no rule."""
 _ESTIMATE = ODOMETRY["estimator"]
+"""Odometry in flights with an estimator, see `estimates.judge_estimate`."""
 _CANDIDATES = (_WAYPOINT, _COMMAND, _TRACKING)
 """States whose check stores the header, which the next call commits if it was accepted."""
 CHECKED = frozenset((_ESTIMATE, _STATUS, _PATH, _TRAJECTORY, *_CANDIDATES))
@@ -55,8 +65,9 @@ _RULE_OF_FIELD = {
     "planning.waypoint.future_collision_seq": EPOCHS,
     "planning.waypoint.index": EPOCHS,
 }
+"""Rule of a field, "<stage>.<state>.<field>"."""
 _RULE_OF_STATE = {_WAYPOINT: COPIES}
-"""Rule of the other fields of a state; of those of all further states, `DYNAMICS`."""
+"""Rule of a state's fields that are not in `_RULE_OF_FIELD`; of those of all further states, `DYNAMICS`."""
 
 
 def rule_of(field: str) -> int:
@@ -72,6 +83,7 @@ KEPT_COUNTERS = 4
 """Latest values of the collision counter that are remembered: a path answers one of them."""
 CAPACITY = 2048
 """Initial capacity of a block, in trajectory points; grows if needed."""
+# Types of headers as constants: compiled functions cannot look them up in `STATES`.
 STATUS_TYPE, PATH_TYPE, TRAJECTORY_TYPE, WAYPOINT_TYPE, COMMAND_TYPE, TRACKING_TYPE = (
     STATES[name].header_dtype for name in (_STATUS, _PATH, _TRAJECTORY, *_CANDIDATES)
 )
@@ -87,6 +99,7 @@ _JITTER_US = 300_000
 _LONG_AGO = -(1 << 62)
 """Instant of the first collision counter, 0: before any flight (us)."""
 
+# The record, see `RECORD`: headers published last, further memory, and work that is not part of the memory.
 _HEADERS = {
     "last_status": STATUS_TYPE,
     "last_path": PATH_TYPE,
@@ -108,6 +121,7 @@ _REMEMBERED: list[tuple[Any, ...]] = [
     ("switched", "?"),
     ("fresh", "?"),
 ]
+"""Fields of the record that form the memory, see `RECORD`."""
 _WORK = [
     ("planning_us", "i8"),
     ("blocks", "i8", (KEPT,)),
@@ -115,6 +129,7 @@ _WORK = [
     ("candidate_of", "i8"),
     ("accepted", "?"),
 ]
+"""Fields of the record that a memory need not restore, see `RECORD`."""
 RECORD = np.dtype([*NUMBERS.descr, *_REMEMBERED, *_WORK])
 """The record.
 
@@ -225,12 +240,12 @@ def answerable(now: int, record: np.ndarray) -> np.ndarray:
     answers = np.zeros(KEPT_COUNTERS + 1, np.int64)
     count = 0
     changes = used(memory["changes"], 1, KEPT_COUNTERS)
-    # the latest counter when the planner started, at the latest possible instant
+    # The latest counter when the planner started, at the latest possible instant.
     for index in range(changes):
         if memory["times"][index] <= began:
             answers[0] = memory["counters"][index]
             count = 1
-    # all counters since the earliest instant at which it may have started
+    # All counters since the earliest instant at which it may have started.
     for index in range(changes):
         if memory["times"][index] > began - _JITTER_US:
             answers[count] = memory["counters"][index]
@@ -401,7 +416,7 @@ class AcceptanceTest(Detector):
         self._accepted = self.record["accepted"]  # a view: setting it costs no call
         self.start()
         self.instrument({})
-        self.states = CHECKED.union(self._notes)
+        self.states = CHECKED.union(self._record_functions)
         if not limits.held:  # the tracking report is not checked
             self.states -= {_TRACKING}
 
@@ -426,7 +441,7 @@ class AcceptanceTest(Detector):
         note_status = entry(functions["note_status"], status, 0, record)
 
         # What checks a publication, and what records a published value, by state.
-        self._judges: dict[str, Callable[[State, int], int]] = {
+        self._check_functions: dict[str, Callable[[State, int], int]] = {
             _STATUS: judge_of_header("judge_status", status),
             _PATH: lambda state, now: functions["judge_path"](
                 state.header, rows(state.elements, 3), now, bytes_of(self.odometry), record, self.blocks
@@ -437,15 +452,15 @@ class AcceptanceTest(Detector):
             _WAYPOINT: lambda state, now: judge_waypoint(state.header, bytes_of(self.odometry), record, self.blocks),
             _COMMAND: judge_of_header("judge_command", command),
         }
-        self._notes: dict[str, Callable[[State, int], None]] = {
+        self._record_functions: dict[str, Callable[[State, int], None]] = {
             _STATUS: lambda state, now: note_status(state.header, now, record),
             _PATH: lambda state, now: functions["note_path"](state.header, rows(state.elements, 3), record),
-            _TRAJECTORY: self._note_trajectory,
-            **dict.fromkeys(ODOMETRY.values(), self._note_odometry),
+            _TRAJECTORY: self._record_trajectory,
+            **dict.fromkeys(ODOMETRY.values(), self._record_odometry),
         }
-        self._function_of_trajectory = functions["note_trajectory"]
+        self._record_trajectory_points = functions["note_trajectory"]
         if self.limits.held:
-            self._judges[_TRACKING] = judge_of_header("judge_tracking", tracking)
+            self._check_functions[_TRACKING] = judge_of_header("judge_tracking", tracking)
         if self.limits.fix_noise is not None:
             self._instrument_estimate(functions)
 
@@ -454,11 +469,11 @@ class AcceptanceTest(Detector):
         estimate = self.estimate
         odometry, fix = (bytes_of(new_state(name).header) for name in (_ESTIMATE, estimates.FIX))
         judge_estimate = entry(functions["judge_estimate"], odometry, 0, estimate)
-        self._function_of_estimate = entry(functions["note_estimate"], odometry, 0, estimate)
+        self._record_estimate_header = entry(functions["note_estimate"], odometry, 0, estimate)
         note_fix = entry(functions["note_fix"], fix, estimate)
-        self._judges[_ESTIMATE] = lambda state, now: judge_estimate(bytes_of(state.header), now, estimate)
-        self._notes[_ESTIMATE] = self._note_estimate
-        self._notes[estimates.FIX] = lambda state, now: note_fix(bytes_of(state.header), estimate)
+        self._check_functions[_ESTIMATE] = lambda state, now: judge_estimate(bytes_of(state.header), now, estimate)
+        self._record_functions[_ESTIMATE] = self._record_estimate
+        self._record_functions[estimates.FIX] = lambda state, now: note_fix(bytes_of(state.header), estimate)
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
@@ -471,7 +486,7 @@ class AcceptanceTest(Detector):
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Check a publication; the alarm names the field that violates its rule."""
         spec = state.spec
-        judge = self._judges.get(spec.name)
+        judge = self._check_functions.get(spec.name)
         if judge is None:
             return None
         if spec.name in _CANDIDATES:
@@ -495,7 +510,7 @@ class AcceptanceTest(Detector):
     def accept(self, state: State, time_us: int) -> None:
         """Record a published value."""
         if state is not self._candidate:
-            note = self._notes.get(state.spec.name)
+            note = self._record_functions.get(state.spec.name)
             if note is not None:
                 note(state, time_us)
                 return
@@ -504,17 +519,20 @@ class AcceptanceTest(Detector):
         if state is self._candidate:
             self._accepted[0] = True
 
-    def _note_odometry(self, state: State, now: int) -> None:
+    def _record_odometry(self, state: State, now: int) -> None:
+        """Keep the header of a published odometry, without a copy; `arrays` makes one before a fault can change it."""
         self.odometry = state.header
 
-    def _note_estimate(self, state: State, now: int) -> None:
+    def _record_estimate(self, state: State, now: int) -> None:
+        """Record a published estimate, which is the vehicle's odometry and has a rule of its own."""
         self.odometry = state.header
-        self._function_of_estimate(bytes_of(state.header), now, self.estimate)
+        self._record_estimate_header(bytes_of(state.header), now, self.estimate)
 
-    def _note_trajectory(self, state: State, now: int) -> None:
+    def _record_trajectory(self, state: State, now: int) -> None:
+        """Record a published trajectory of any length."""
         self._make_room(len(state.elements))
         points = rows(state.elements, rules.POINT_WIDTH)
-        self._function_of_trajectory(state.header, points, self.record, self.blocks)
+        self._record_trajectory_points(state.header, points, self.record, self.blocks)
 
     def _make_room(self, count: int) -> None:
         """Grow the blocks to hold trajectories of `count` points."""

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from sklearn.neural_network import MLPRegressor
 
 SOURCE = "autoencoder"
+"""Name in its alarms, and kind of its models."""
 INPUT_LIMIT = 10.0
 """Inputs are clamped to this many training peaks: otherwise one huge input would disturb all outputs."""
 WEIGHT_DIGITS = 8
@@ -179,6 +180,7 @@ _NO_ERRORS = LastErrors(np.zeros(1, np.int16), np.zeros(1), np.zeros(1, np.bool_
 _TABLES = features.kind_with(
     Network(np.zeros(1), np.zeros(1, np.int64), np.zeros(1), np.zeros((3, 1))), np.zeros(1, np.int16), _NO_ERRORS
 )
+"""Types of the compiled functions' arguments, by examples."""
 
 
 @kernel_jit

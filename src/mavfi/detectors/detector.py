@@ -263,6 +263,7 @@ def checked_alarm(detector: Any, alarm: Any) -> Alarm:  # noqa: ANN401 - a user'
 # from it, can name it.
 _SIZE = 256  # of a noted call (bytes); longer names are cut off
 _IDLE = bytes(_SIZE)
+"""The note between two calls."""
 
 
 def is_custom(detector: Any) -> bool:  # noqa: ANN401 - a user's own

@@ -17,11 +17,15 @@ from mavfi.numerics.jit import kernel_jit
 from mavfi.states import ODOMETRY
 
 ESTIMATE = ODOMETRY["estimator"]
+"""The state that is checked."""
 FIX = "sensor.position"
+"""The state that corrects it."""
 VELOCITY = 3
+"""First column of the velocity (m/s)."""
 ATTITUDE = 6
+"""First column of the quaternion."""
 WIDTH = 10
-"""Columns of velocity and quaternion, and number of columns that consumers read."""
+"""Number of leading columns that consumers read."""
 _ACCELERATION = math.sqrt(3.0) * LARGEST_FORCE + GRAVITY
 """Largest acceleration in a step of the filter: that of a sample in the corner of the sensor's range (m/s^2)."""
 _RATE = math.sqrt(3.0) * LARGEST_RATE

@@ -31,8 +31,9 @@ SEEN, REGIME = range(2)
 way-point since then."""
 
 PLAIN, SWITCH, NEW_TRAJECTORY = range(3)
+"""Regimes of a publication, see `REGIMES`."""
 REGIMES = 3
-"""Regimes since the last publication: no new way-point / a new way-point / the first way-point of a trajectory."""
+"""Number of regimes.  Since the last publication: no new way-point / a new one / the first one of a trajectory."""
 
 KNOWN = 6
 """Index in `WatchedFields.vehicle` of the flag for known position and velocity."""

@@ -22,7 +22,9 @@ from mavfi.states import Field, Stage, State, StateSpec
 SMALLEST_SAMPLE = 50
 """Messages required of each source."""
 _SMALLEST_EXPONENT = -1000
+"""Smallest exponent threshold of a code."""
 _LARGEST_EXPONENT = 1000
+"""Largest exponent threshold of a code."""
 _BELOW = {"paper": 3, "tuned": 1}
 """Octaves between the code threshold and the largest magnitude or difference."""
 
@@ -63,6 +65,7 @@ def learn(kind: str, profile: str, recordings: Sequence[Sequence[State]], specs:
 
 
 def _events(states: Sequence[State], order: Mapping[str, int]) -> Events:
+    """Publications as one recorded flight, given the slot of each state."""
     contents = [state.header.tobytes() for state in states]
     slots = np.array([order[state.spec.name] for state in states], np.int64)
     return Events(slots, np.cumsum([len(part) for part in contents]), np.frombuffer(b"".join(contents), np.uint8))

@@ -13,6 +13,7 @@ from mavfi.numerics.stored import Stored, kind_of, load
 from mavfi.states import STATES, State, bytes_of
 
 SOURCE = "physics_gate"
+"""Name in its alarms."""
 SPEED_MARGIN = 1.5
 """Largest plausible speed / v_max: planned trajectories exceed v_max by less."""
 STEP_MARGIN = 1.0
@@ -29,30 +30,51 @@ _FINE = -1
 """Index of no field: the publication is plausible."""
 
 # ---- what is judged, and where its fields are ------------------------------------------------------------------------
+# Constants are read by compiled functions: Numba takes their values when it compiles.
 STATES_JUDGED = ("perception.collision_status", "planning.waypoint", "control.command")
+"""States that the gate checks; all others pass."""
 _SLOTS = {name: slot for slot, name in enumerate(STATES_JUDGED)}
-_STATUS, _WAYPOINT, _COMMAND = range(3)
-"""Slots of these states."""
+"""Number of each, by which the compiled functions distinguish them."""
+_STATUS = 0
+"""Slot of a collision status."""
+_WAYPOINT = 1
+"""Slot of a way-point, the case that is left when `judge` has handled the others."""
+_COMMAND = 2
+"""Slot of a command."""
 _STATUS_SPEC = STATES["perception.collision_status"]
 _STATUS_FIELDS = [field.name for field in _STATUS_SPEC.header]
 _TIME_FIELD = _STATUS_FIELDS.index("time_to_collision")
+"""Index of the time to collision in the header of a collision status: what `judge` returns if it is implausible."""
 _COUNTER_FIELD = _STATUS_FIELDS.index("future_collision_seq")
-"""Indices of fields in the header of a collision status."""
+"""Index of the collision counter in that header."""
 _TIME_AT = _STATUS_SPEC.offset("time_to_collision")
+"""Byte offset of the time to collision in the header of a collision status."""
 _COUNTER_AT = _STATUS_SPEC.offset("future_collision_seq")
+"""Byte offset of the collision counter in that header."""
 _NUMBER_AT = STATES["planning.waypoint"].offset("trajectory_seq")
-"""Byte offsets in the headers of a collision status and of a way-point."""
+"""Byte offset of the trajectory's number in the header of a way-point."""
 _WAYPOINT_FLOATS = 11
+"""Number of leading float64 fields of a way-point, see `implausible_waypoint`."""
 _COMMAND_FLOATS = 5
-"""Numbers of leading float64 fields of a way-point and of a command."""
+"""Number of leading float64 fields of a command: velocity, yaw rate, duration."""
 
 # ---- arrays of the compiled functions --------------------------------------------------------------------------------
 _SPEED = 0
+"""Index in the limits: largest speed (m/s)."""
 _LOWER = 1
+"""Index in the limits: x of the lower corner of the arena (m), then y and z."""
 _UPPER = 4
-"""Indices in the limits: largest speed (m/s), first coordinates of the corners of the arena (m)."""
-_COUNTER, _COUNTED, _NUMBER, _NUMBERED, _POSITION = range(5)
-"""Indices in the memory, see `judge`; the position has three elements."""
+"""Index in the limits: x of the upper corner of the arena (m), then y and z."""
+_COUNTER = 0
+"""Index in the memory: collision counter of the last status."""
+_COUNTED = 1
+"""Index in the memory: 1 if that counter is known."""
+_NUMBER = 2
+"""Index in the memory: trajectory number of the last way-point."""
+_NUMBERED = 3
+"""Index in the memory: 1 if that number is known."""
+_POSITION = 4
+"""Index in the memory: x of the last way-point (m), then y and z."""
 _ACCEPTED = 7
 """Size of the memory, and index of the accepted flag behind the next memory."""
 _NAMES = ("future_collision_seq", "counted", "trajectory_seq", "numbered", "position")
@@ -163,6 +185,7 @@ def settle(memory: np.ndarray, next_memory: np.ndarray) -> None:
 
 
 _KIND = kind_of(np.zeros(1), np.zeros(1), np.zeros(1))
+"""Types of limits, memory and next memory, for `numerics.stored`."""
 
 
 @kernel_jit

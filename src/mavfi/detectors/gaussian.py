@@ -16,6 +16,7 @@ from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.stored import load
 
 SOURCE = "gaussian"
+"""Name in its alarms, and kind of its models."""
 SIGMA_FLOOR = 0.5
 """Smallest standard deviation, in codes: deltas are integers, and some are constant in training."""
 
@@ -95,6 +96,7 @@ def judge_online(
 
 
 _ONLINE = features.kind_with(np.zeros((1, 3)), 0.0)
+"""Types of the compiled functions' arguments with statistics that learn in flight."""
 
 
 @kernel_jit
@@ -122,6 +124,7 @@ def judge_frozen(
 
 
 _FROZEN = features.kind_with(np.zeros((1, 1)))
+"""The same with statistics of training."""
 
 
 @kernel_jit

@@ -7,6 +7,7 @@ import numpy as np
 from mavfi.detectors.gate import SPEED_MARGIN, UNKNOWN_ARENA
 
 Corner = tuple[float, ...]
+"""Corner of a box (m)."""
 
 BOX_MARGIN = 2.0
 """Distance beyond the flight box at which a plan may start: a mission's start, or a vehicle pushed out (m)."""
@@ -44,8 +45,11 @@ _SCALARS = (
     "slowest",
     "fastest",
 )
+"""Numbers of the record, see `MissionLimits.numbers`."""
 _PLACES = ("lower", "upper", "goal")
+"""Points of the record (m)."""
 _FLAGS = ("held", "every_map", "repeated")
+"""Flags of the record."""
 NUMBERS = np.dtype(
     [*((name, "f8") for name in _SCALARS), *((name, "f8", (3,)) for name in _PLACES), *((name, "?") for name in _FLAGS)]
 )

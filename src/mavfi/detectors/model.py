@@ -15,9 +15,11 @@ from mavfi.errors import BadInputError, SpecMismatchError, writing
 from mavfi.files import LARGEST_TEXT, read_file
 
 FORMAT = 1
+"""Version of the files of models."""
 SMALLEST_LIMIT = 1e-30
 """Smallest score limit allowed in a model."""
 _TEXTS = ("kind", "profile", "monitored", "prediction")
+"""Keys of a model's file whose values are text."""
 _LARGEST = 1e18
 """Largest magnitude of a parameter."""
 FITTED_TO = ("stack", "platform", "v_max", "planner")
@@ -126,6 +128,7 @@ class Model:
 
 @lru_cache(maxsize=32)  # each flight makes its detectors; a model of training rows takes 60 ms to parse and check
 def _parsed(text: bytes, source: str) -> Model:
+    """The model in the content of a file; `source` is for messages."""
     try:
         data = json.loads(text)
         if not isinstance(data, dict):
@@ -157,10 +160,12 @@ def check_fits(model: Model, **here: object) -> None:
 
 
 def _same(trained: object, wanted: object) -> bool:
+    """Whether a value of the training equals the wanted one; numbers up to rounding."""
     if isinstance(trained, (int, float)) and isinstance(wanted, (int, float)):
         return math.isclose(trained, wanted, rel_tol=1e-9)
     return trained == wanted
 
 
 def _hash(content: Mapping[str, Any]) -> str:
+    """Digest of a model's content."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -21,27 +21,32 @@ FEATURES = {"code": "paper", "predicted": "tuned"}
 """What a detector compares, with its spelling as the profile of a model: the codes of values, or the code of the
 difference from a prediction."""
 PROFILES = tuple(FEATURES.values())
+"""Profiles of models, see `FEATURES`."""
 PREDICTIONS = {"interval": features.CODE_OF_INTERVAL, "trapezoid": features.CODE_OF_TRAPEZOID}
 """Prediction of a way-point's position, see `features.measure`: "interval" if way-points carry the mean velocity of the
 leg that leads to them, "trapezoid" if they carry the velocity at their position."""
 
-# Exponent thresholds of codes: magnitudes below 2^threshold have the code of zero.
-_HALF_METRE = -1
-_QUARTER = -2
-_ONE_SECOND = 0
-_EIGHTH = -3
-_POSITIONS = {"x": "vx", "y": "vy", "z": "vz"}
+# Exponent thresholds of codes: magnitudes below 2^threshold, in the field's SI unit, have the code of zero.
+_BELOW_ONE = 0
+"""Of the time to collision: 1 s."""
+_BELOW_HALF = -1
+"""Of positions in the profile "paper": 0.5 m."""
+_BELOW_QUARTER = -2
+"""Of all other fields in the profile "paper"."""
+_BELOW_EIGHTH = -3
+"""Of all other fields in the profile "tuned"."""
+_VELOCITY_OF_POSITION = {"x": "vx", "y": "vy", "z": "vz"}
 """Velocity of each position in a way-point."""
-_PLANNED = "planning.waypoint"
+_PREDICTED_STATE = "planning.waypoint"
 """The state whose positions are predicted."""
-_MOST_WAITING = 100
+_MAX_QUEUED = 100
 """Largest number of publications of odometry queued; older ones are forgotten."""
 _UNPICKLED = ("_judge", "_stored", "_address")
 """Attributes with machine code or addresses, which are valid in one process only."""
 
 
-class _FieldRow(NamedTuple):
-    """A row of the field table, see `features.OFFSET`; velocity and axis belong to predicted positions only."""
+class FieldRow(NamedTuple):
+    """A watched field: row of the table `features.OFFSET`; velocity and axis belong to predicted positions only."""
 
     offset: int
     rule: int
@@ -50,8 +55,8 @@ class _FieldRow(NamedTuple):
     axis: int = 0
 
 
-class _PlaceRow(NamedTuple):
-    """A row of the place table, see `features.FIRST`; the offsets belong to the way-point only."""
+class StateRow(NamedTuple):
+    """A watched state: row of the table `features.FIRST`; the offsets belong to the way-point only."""
 
     first: int
     last: int
@@ -86,7 +91,9 @@ class Preprocessor:
         checked_name(profile, PROFILES, "profile")
         checked_name(prediction, PREDICTIONS, "prediction")
         specs = {state: STATES[state] for state, _ in watched}
-        self._fill(specs, watched, [_field_row(STATES[state], field, profile, prediction) for state, field in watched])
+        self._build_tables(
+            specs, watched, [_field_row(STATES[state], field, profile, prediction) for state, field in watched]
+        )
 
     @classmethod
     def of(cls, specs: Mapping[str, StateSpec], profile: str, thresholds: Sequence[int]) -> "Preprocessor":
@@ -102,18 +109,18 @@ class Preprocessor:
             rule = features.DELTA_OF_CODES
         watched = tuple((name, field.name) for name, spec in specs.items() for field in spec.header)
         rows = [
-            _FieldRow(specs[state].offset(field), rule, threshold)
+            FieldRow(specs[state].offset(field), rule, threshold)
             for (state, field), threshold in zip(watched, thresholds, strict=True)
         ]
         preprocessor = cls.__new__(cls)
-        preprocessor._fill(specs, watched, rows)
+        preprocessor._build_tables(specs, watched, rows)
         return preprocessor
 
-    def _fill(
+    def _build_tables(
         self,
         specs: Mapping[str, StateSpec],
         watched: tuple[tuple[str, str], ...],
-        rows: Sequence[_FieldRow],
+        rows: Sequence[FieldRow],
     ) -> None:
         """Set all attributes, given the watched fields as (state, field) and their rows of the field table."""
         self.fields = tuple(f"{state}.{field}" for state, field in watched)
@@ -124,7 +131,7 @@ class Preprocessor:
         # Tables and memory of the compiled functions.
         largest_header = max(spec.header_dtype.itemsize for spec in specs.values())
         self.watch = features.WatchedFields(
-            places=np.array([_place_row(spec, watched) for spec in specs.values()], np.int64),
+            places=np.array([_state_row(spec, watched) for spec in specs.values()], np.int64),
             table=np.array(rows, np.int64),
             memory=np.zeros((len(specs), 2)),
             last=np.zeros((len(specs), largest_header), np.uint8),
@@ -180,7 +187,9 @@ def conclude(regime: int, table_row: np.ndarray, scratch: features.LastJudgement
 
 
 class VehicleQueue:
-    """Headers of odometry, of which the latest that is finite will be stored: most of them are never needed.
+    """Queue of the vehicle's odometry, of which the latest finite header is stored when a prediction needs it.
+
+    Most headers are never needed, since another one arrives before the next prediction.
 
     Args:
         vehicle: Where position and velocity are stored.
@@ -194,7 +203,7 @@ class VehicleQueue:
 
     def __init__(self, vehicle: Any) -> None:  # noqa: ANN401 - an array, or a tuple of them
         self._vehicle = vehicle
-        self._headers: deque[np.ndarray] = deque(maxlen=_MOST_WAITING)
+        self._headers: deque[np.ndarray] = deque(maxlen=_MAX_QUEUED)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without machine code, which is valid in one process only."""
@@ -204,15 +213,15 @@ class VehicleQueue:
         """Queue a header."""
         self._headers.append(header)
 
-    def settle(self) -> None:
-        """Store the latest that is finite."""
+    def store_latest(self) -> None:
+        """Store the latest header that is finite, and drop all; if none is, what was stored before remains."""
         headers = self._headers
         while headers:
             if self.store(bytes_of(headers.pop()), self._vehicle):
                 headers.clear()
 
-    def forget(self) -> None:
-        """Forget what is queued."""
+    def clear(self) -> None:
+        """Drop all queued headers."""
         self._headers.clear()
 
 
@@ -250,13 +259,14 @@ class DeltaScorer(Scorer):
         self.states = preprocessor.states
         self._tables: tuple[Any, ...] = tables
         self._slots = preprocessor.slots
-        self._predicts = preprocessor.predicts
-        self._odometry = preprocessor.states.difference(preprocessor.slots)
-        self._vehicles = VehicleQueue(preprocessor.watch.vehicle)
+        self._uses_prediction = preprocessor.predicts
+        self._odometry_states = preprocessor.states.difference(preprocessor.slots)
+        self._odometry_queue = VehicleQueue(preprocessor.watch.vehicle)
 
     def use(self, threshold: Threshold) -> None:
         """Set the threshold; called before the first flight."""
         super().use(threshold)
+        # Memory of the compiled functions for one publication, and all of their arguments in the order of `judge`.
         size = len(self.fields)
         self.scratch = features.LastJudgement(
             content=np.zeros(self.features.watch.last.shape[1], np.uint8),
@@ -278,6 +288,7 @@ class DeltaScorer(Scorer):
 
     def instrument(self, instrumented: Mapping[str, Callable[..., float]]) -> None:
         """Replace `judge` by the function of that name in `instrumented`; restore it if there is none."""
+        # The compiled function reads its tables at one address; any other function receives them as arguments.
         judge = instrumented.get("judge", self.judge)
         self._stored = Stored(self.kind, *self._tables, *self.cached_results)
         self._address = self._stored.address
@@ -286,7 +297,7 @@ class DeltaScorer(Scorer):
         else:
             self._judge = lambda content, slot, _: judge(content, slot, *self._tables)
         vehicle = self.features.watch.vehicle
-        self._vehicles.store = entry(features.note_vehicle, vehicle.view(np.uint8), vehicle)
+        self._odometry_queue.store = entry(features.note_vehicle, vehicle.view(np.uint8), vehicle)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without machine code, which is valid in one process only."""
@@ -306,15 +317,15 @@ class DeltaScorer(Scorer):
         """Drop the publication that was judged last, and queued odometry."""
         self.candidate = None
         self.scratch.status[features.ACCEPTED] = 0
-        self._vehicles.forget()
+        self._odometry_queue.clear()
 
     def score(self, state: State) -> float | None:
         """Score of a publication."""
         slot = self._slots.get(state.spec.name)
         if slot is None:
             return None
-        if self._predicts[slot]:
-            self._vehicles.settle()
+        if self._uses_prediction[slot]:
+            self._odometry_queue.store_latest()
         self.candidate = state
         return self._judge(bytes_of(state.header), slot, self._address)
 
@@ -328,8 +339,8 @@ class DeltaScorer(Scorer):
     def accept(self, state: State) -> None:
         """Record a published value."""
         if state is not self.candidate:
-            if state.spec.name in self._odometry:
-                self._vehicles.add(state.header)
+            if state.spec.name in self._odometry_states:
+                self._odometry_queue.add(state.header)
                 return
             if self.score(state) is None:
                 return
@@ -339,7 +350,7 @@ class DeltaScorer(Scorer):
         """Memory between publications."""
         if self.scratch.status[features.ACCEPTED]:
             self.settle(*self._tables)
-        self._vehicles.settle()
+        self._odometry_queue.store_latest()
         return super().memory()
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -364,7 +375,7 @@ class DeltaScorer(Scorer):
         return first + np.flatnonzero(not_finite)
 
 
-def _place_row(spec: StateSpec, watched: tuple[tuple[str, str], ...]) -> _PlaceRow:
+def _state_row(spec: StateSpec, watched: tuple[tuple[str, str], ...]) -> StateRow:
     """Row of the place table for a watched state.
 
     Raises:
@@ -373,20 +384,20 @@ def _place_row(spec: StateSpec, watched: tuple[tuple[str, str], ...]) -> _PlaceR
     fields = [index for index, (state, _) in enumerate(watched) if state == spec.name]
     if fields != list(range(fields[0], fields[-1] + 1)):
         raise BadInputError(f"monitored set: the fields of {spec.name} must be neighbours")
-    if spec.name != _PLANNED:
-        return _PlaceRow(fields[0], fields[-1] + 1)
-    return _PlaceRow(fields[0], fields[-1] + 1, spec.offset("trajectory_seq"), spec.offset("duration"))
+    if spec.name != _PREDICTED_STATE:
+        return StateRow(fields[0], fields[-1] + 1)
+    return StateRow(fields[0], fields[-1] + 1, spec.offset("trajectory_seq"), spec.offset("duration"))
 
 
-def _field_row(spec: StateSpec, field: str, profile: str, prediction: str) -> _FieldRow:
+def _field_row(spec: StateSpec, field: str, profile: str, prediction: str) -> FieldRow:
     """Row of the field table for a watched field."""
-    is_position = spec.name == _PLANNED and field in _POSITIONS
+    is_position = spec.name == _PREDICTED_STATE and field in _VELOCITY_OF_POSITION
     rule, threshold = _rule_of(spec, field, profile, prediction, is_position=is_position)
     if not is_position:
-        return _FieldRow(spec.offset(field), rule, threshold)
-    velocity_offset = spec.offset(_POSITIONS[field])
-    axis = list(_POSITIONS).index(field)
-    return _FieldRow(spec.offset(field), rule, threshold, velocity_offset, axis)
+        return FieldRow(spec.offset(field), rule, threshold)
+    velocity_offset = spec.offset(_VELOCITY_OF_POSITION[field])
+    axis = list(_VELOCITY_OF_POSITION).index(field)
+    return FieldRow(spec.offset(field), rule, threshold, velocity_offset, axis)
 
 
 def _rule_of(spec: StateSpec, field: str, profile: str, prediction: str, *, is_position: bool) -> tuple[int, int]:
@@ -397,12 +408,12 @@ def _rule_of(spec: StateSpec, field: str, profile: str, prediction: str, *, is_p
     if dtype != "f8":
         raise BadInputError(f"monitored set: {spec.name}.{field} is neither float64 nor int32")
     if field == "time_to_collision":
-        return features.DELTA_OF_CODES, _ONE_SECOND
+        return features.DELTA_OF_CODES, _BELOW_ONE
     if profile == "paper":
-        threshold = _HALF_METRE if is_position else _QUARTER
+        threshold = _BELOW_HALF if is_position else _BELOW_QUARTER
         return features.DELTA_OF_CODES, threshold
     if is_position:
-        return PREDICTIONS[prediction], _EIGHTH
+        return PREDICTIONS[prediction], _BELOW_EIGHTH
     if field == "yaw":
-        return features.CODE_OF_ANGLE, _EIGHTH
-    return features.CODE_OF_DELTA, _EIGHTH
+        return features.CODE_OF_ANGLE, _BELOW_EIGHTH
+    return features.CODE_OF_DELTA, _BELOW_EIGHTH

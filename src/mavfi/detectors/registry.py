@@ -28,6 +28,7 @@ OF_RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded", "dead_
 OF_OWN: Mapping[str, Any] = {"grain": "kernel", "same_twice": "limit"}
 """Mission keys of a detector that is not part of mavfi, unless it sets them: it may raise alarms without end."""
 SHIPPED_MODELS = Path(__file__).parents[1] / "data" / "models"
+"""Folder of the models that are part of mavfi."""
 _SHIPPED = {
     "gaussian": "mavfi.detectors.gaussian:GaussianDetector",
     "autoencoder": "mavfi.detectors.autoencoder:AutoencoderDetector",
@@ -35,6 +36,7 @@ _SHIPPED = {
     "recommended": "mavfi.detectors.acceptance:AcceptanceTest",
     "none": "mavfi.detectors.detector:NoDetector",
 }
+"""Detectors of the core, by name."""
 _METHODS = {"start": "", "check": "state, time_us", "accept": "state, time_us"}
 """Parameters of a detector's methods."""
 
@@ -275,11 +277,13 @@ def _model_of(
 
 
 def _check_profile(profile: str) -> None:
+    """Refuse an unknown profile."""
     if profile not in PROFILES:
         raise BadInputError(f"detector profile {profile!r}: not known; allowed: {', '.join(PROFILES)}")
 
 
 def _refuse_dropped(name: str) -> None:
+    """Refuse a detector of an earlier version; the message names its successor."""
     refusal = dropped_name("detectors", name)
     if refusal:
         raise BadInputError(refusal)
@@ -309,6 +313,7 @@ def _options_of(name: str, profile: str, factory: Any, options: Mapping[str, Any
 
 @cache
 def _config_of(name: str) -> DetectorConfig:
+    """The file of a detector in configs/detectors, or the defaults."""
     if name in names("detectors"):
         return shipped("detectors", DetectorConfig, name)
     return DetectorConfig(name=name)

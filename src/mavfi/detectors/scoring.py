@@ -19,7 +19,9 @@ from mavfi.states import State
 NOT_FINITE = 1e9
 """Score of a publication with a value that is not finite: always an alarm."""
 _WAYPOINT = "planning.waypoint"
+"""The state whose anomalies the paper's policy counts."""
 _NONE = np.zeros(0, np.int64)
+"""No field."""
 
 
 class Reading(NamedTuple):
@@ -208,6 +210,7 @@ def abandon_waypoint(alarm: Alarm, state: State, persists: bool) -> Alarm:
 
 
 POLICIES: dict[str, Policy] = {"paper": abandon_waypoint, "keyed": keyed}
+"""Recovery policies by name."""
 
 
 def find_policy(name: str) -> Policy:

@@ -21,8 +21,11 @@ from mavfi.states import MONITORED_SETS, ODOMETRY, STATES, State
 WATCHED = tuple(dict.fromkeys(state for fields in MONITORED_SETS.values() for state, _ in fields))
 """States with a field in a monitored set."""
 _WAYPOINT = "planning.waypoint"
+"""The state that names the trajectory in force."""
 _ODOMETRY_SIZE = STATES[ODOMETRY["truth"]].header_dtype.itemsize
+"""Bytes of a recorded odometry: an estimate begins with the same fields."""
 _VELOCITY = ("vx", "vy", "vz")
+"""Fields of a way-point's velocity."""
 
 
 # ---- recordings -----------------------------------------------------------------------------------------------------
@@ -84,17 +87,20 @@ class Recorder(Detector):
         return Recording(np.array(self._kinds, np.int8), np.array(self._times, np.int64), content)
 
     def _note_trajectory(self, trajectory: int, time_us: int) -> None:
+        """Record the odometry at the first way-point of a trajectory."""
         if trajectory != self._trajectory and self._odometry:
             self._append(features.ODOMETRY, time_us, self._odometry)
         self._trajectory = trajectory
 
     def _append(self, kind: int, time_us: int, content: bytes) -> None:
+        """Append a header to the recording."""
         self._kinds.append(kind)
         self._times.append(time_us)
         self._content.append(content)
 
 
 _KINDS = {name: kind for kind, name in enumerate(WATCHED)}
+"""Kind of the publications of each watched state, see `Recording`."""
 
 
 # ---- samples --------------------------------------------------------------------------------------------------------
@@ -157,6 +163,7 @@ def join(parts: Sequence[Sample]) -> Sample:
 
 
 def _without_odometry(recording: Recording, preprocessor: Preprocessor) -> Sample:
+    """Sample of one flight, without the rows of the vehicle's odometry."""
     lookup = np.array([*(preprocessor.slots.get(name, features.ODOMETRY) for name in WATCHED), features.ODOMETRY])
     sample = sample_of(features.Events(lookup[recording.kinds], recording.ends, recording.content), preprocessor)
     is_watched = sample.slots != features.ODOMETRY
@@ -276,6 +283,7 @@ class MonitoredFields(Training):
 
 
 MONITORED_FIELDS = MonitoredFields()
+"""The training that detectors of monitored fields share."""
 
 
 class TrainedDetector(Detector):

@@ -238,7 +238,7 @@ def test_a_fault_in_a_detector_is_recorded_and_gone_in_the_next_flight():
 def test_a_detector_that_raises_dies_and_comes_back_without_the_fault():
     watching = detector("acceptance")
     part, spoilt, calls = part_of(watching, "acceptance"), [], []
-    judge = part._judges["control.command"]
+    judge = part._check_functions["control.command"]
 
     def raising(state, now):
         calls.append(state)
@@ -247,7 +247,7 @@ def test_a_detector_that_raises_dies_and_comes_back_without_the_fault():
             raise IndexError("of such a number")
         return judge(state, now)
 
-    part._judges["control.command"] = raising
+    part._check_functions["control.command"] = raising
     log = fly(mission(), MemoryFault("acceptance", "changes", None, "i8", AT, 40), watching).log
     assert (log.kernel.effect, log.kernel.detail) == ("exception", "IndexError: of such a number")
     assert len(spoilt) == 1 and log.status is MissionStatus.SUCCESS

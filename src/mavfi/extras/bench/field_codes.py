@@ -195,7 +195,7 @@ class FieldCodes:
 
     def forget(self) -> None:
         """Forget the publication measured last; the memory stays."""
-        self.vehicles.forget()
+        self.vehicles.clear()
         self.measured.status[residual_state.ACCEPTED] = 0
         self.measured.status[residual_state.LEARNED] = residual_state.NEVER
 
@@ -211,7 +211,7 @@ class FieldCodes:
         """Compute the codes of a publication of the state with this slot, in `measured`."""
         watched = self._watched[slot]
         if watched.from_vehicle:
-            self.vehicles.settle()
+            self.vehicles.store_latest()
         if watched.in_list:
             elements = self._empty[slot]
             if len(state.elements):
@@ -251,7 +251,7 @@ class FieldCodes:
     def settle(self) -> None:
         """Bring the memory up to date."""
         residual_state.settle(self.measured)
-        self.vehicles.settle()
+        self.vehicles.store_latest()
 
     def not_finite(self, state: State) -> np.ndarray:
         """Indices of the residuals of a publication, measured last, that divided by their quanta are not finite."""
