@@ -28,7 +28,9 @@ SHIPPED = {
 NO_SITE = -1
 """`StateFault.time_us` or `InstructionFault.call` of a draw for which the golden run has no site."""
 Model = Literal["one_bit", "bits", "random", "zero"]
+"""How an instruction fault changes a value, see `plan.plan`."""
 MODELS: tuple[Model, ...] = get_args(Model)
+"""All of these, the default first."""
 RESTART_S = 0.57
 """Restart time of a node after a crash: measured for a ROS 1 node killed and respawned by roslaunch (s)."""
 REGISTERS = ("all", "general", "fp")

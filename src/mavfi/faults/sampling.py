@@ -240,4 +240,5 @@ def draw_publication(random: np.random.Generator, profile: Profile, site: FaultS
 
 
 def _pick(random: np.random.Generator, names: tuple[str, ...]) -> str:
+    """One of some names, uniformly."""
     return names[int(random.integers(len(names)))]

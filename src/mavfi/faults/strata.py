@@ -31,6 +31,7 @@ _CLASSES: dict[str, dict[str, range]] = {
     "u1": {"other": range(8)},
     "?": {"flag": range(1)},
 }
+"""Classes of the bits of a word, by its type; the classes of floating-point numbers are those of IEEE 754."""
 
 STRATA: dict[str, tuple[str, ...]] = {
     "sign_exponent": ("sign", "exponent", "flag"),
@@ -44,6 +45,7 @@ and other bits, unsigned ones other bits only; a flag's single bit counts with t
 message is none of these."""
 
 HEADLINE = "sign_exponent"
+"""Stratum of the headline figures."""
 WORDS = {HEADLINE: "sign + exponent", "length": "lengths of lists"}
 """Strata that tables name otherwise."""
 SIGN_EXPONENT = (HEADLINE, "sign", "exponent")

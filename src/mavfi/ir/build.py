@@ -19,11 +19,15 @@ from mavfi.numerics.jit import uncached_copy
 
 _PATIENCE_S = 600.0
 """Time limit of a compilation."""
+# First byte of an answer of the other process.
 _BUILT = b"B"
+"""The machine code follows."""
 _NOT_INSTRUMENTABLE = b"R"
+"""The text of a NotInstrumentableError follows."""
 _BAD_INPUT = b"I"
-"""First byte of an answer of the other process: the code, or the text of an error."""
+"""The text of a BadInputError follows."""
 _CALL = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)
+"""Type of Numba's wrapper of a function: environment or self, arguments, keywords."""
 _OPTIMISATION = 3
 """Optimisation level of code generation, as Numba's."""
 

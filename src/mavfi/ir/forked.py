@@ -20,19 +20,25 @@ from typing import Literal, NoReturn
 from mavfi.errors import FROM_OUTSIDE, MachineError, machine_failure
 
 How = Literal["done", "crash", "hang", "exception"]
+"""How a forked child ended."""
 _EXCEPTION_EXIT = 70
+"""Exit status of a child whose work raised an exception."""
 _MACHINE_EXIT = 71
+"""Exit status of a child that failed for reasons of the machine, e.g. without memory."""
 HANG_EXIT = 77
 """Exit status of a process whose kernel exhausted its instruction budget."""
 WILD_EXIT = 78
 """Exit status of a process whose kernel accessed memory that it does not own."""
 LENGTH_BYTES = 8
+"""Bytes of the length in front of a message between processes."""
 WALL_CLOCK = "wall clock"
 """Detail of a child killed at its time limit."""
 WILD = "access outside its memory"
 """Detail of a child whose kernel accessed memory that it does not own."""
 _CHUNK = 1 << 16
+"""Bytes that are read from a pipe at a time."""
 _SIGNALS = {int(number): number.name for number in signal.Signals}
+"""Names of signals by number."""
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, prctl(2)
 
 

@@ -26,6 +26,7 @@ from mavfi.errors import MachineError
 from mavfi.ir.forked import LENGTH_BYTES, ChildEnd, framed, run_in_child
 
 _CPU = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+"""Numba's settings for machine code that runs on any x86-64 processor."""
 _IDLE_S = 60.0
 """A template exits after this time without a request."""
 _NOT_HERE = b"N"

@@ -8,6 +8,7 @@ _VALUE = re.compile(
     r'#dbg_value\([^%,!]+ (%(?:"[^"]*"|[-\w$.]+)), !(\d+), !DIExpression\((?:DW_OP_LLVM_fragment, \d+, \d+)?\),'
 )
 _FIELD = r'\b{}: (?:!(\d+)|"((?:[^"\\]|\\.)*)"|(\d+))'
+"""A field of a metadata node, by its name: a reference, a text or a number."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,9 +7,13 @@ from dataclasses import dataclass, field
 from mavfi.errors import MavfiError
 
 _SCALARS = {"half": 16, "bfloat": 16, "float": 32, "double": 64, "ptr": 64}
+"""Bits of LLVM's types but integers."""
 _FLOATS = ("half", "bfloat", "float", "double")
+"""Floating-point types."""
 _VECTOR = re.compile(r"<(\d+) x (.+)>")
+"""Type of a vector: number and type of its elements."""
 _ARRAY = re.compile(r"\[(\d+) x (.+)\]")
+"""Type of an array: number and type of its elements."""
 
 
 def width(kind: str) -> int:
@@ -215,6 +219,7 @@ class BuildError(MavfiError):
 DIGEST_VERSION = "2"
 """Version of the digest; a campaign that was begun with another one cannot be resumed."""
 _GLOBAL = re.compile(r'@(?:"[^"]*"|[-\w$.]+)')
+"""Name of a global."""
 _NAMED_BY_SOURCE = re.compile(r'@"?(_ZN|\.const\.|\.bytes\.)')
 """Beginnings of the names of compiled functions, and of constants that are named by hashes of texts or of exceptions
 with the path and line of their source."""

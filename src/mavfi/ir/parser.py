@@ -13,13 +13,18 @@ from mavfi.ir.module import Block, Function, Instruction, Module, NotInstrumenta
 _OUTSIDE = re.compile(r'@"?(?:_ZN7cpython|cfunc\.|NRT_|nrt_|numba_|\.dtor|__excinfo)')
 """Numba's wrappers and runtime: linked into every module, but not part of a kernel."""
 _LINKAGE = ("internal", "private", "linkonce_odr", "linkonce", "weak_odr", "weak", "external", "hidden", "dso_local")
+"""Words in front of a function's type that are kept."""
 _HARMLESS = {
     "alwaysinline", "cold", "inlinehint", "minsize", "mustprogress", "nocallback", "nocreateundeforpoison", "nofree",
     "noinline", "norecurse", "nosync", "nounwind", "optsize", "speculatable", "ssp", "uwtable", "willreturn",
 }  # fmt: skip
+"""Attributes of functions that stay true if a value is corrupted; all others are refused."""
 _METADATA = re.compile(r"^!(\d+) = (?:distinct )?(.*)", re.MULTILINE)
+"""A line that defines a metadata node: number and content."""
 _ATTACHED = re.compile(r"(, ![\w.]+ !\d+)+$")
+"""Metadata at the end of a line."""
 _DEBUG = re.compile(r" !dbg !(\d+)")
+"""The source location of a line, as number of a metadata node."""
 
 
 def parse_module(text: str, kernel: str) -> Module:
@@ -28,9 +33,11 @@ def parse_module(text: str, kernel: str) -> Module:
     Raises:
         NotInstrumentableError: Unknown construct.
     """
+    # Metadata and attribute groups follow the functions that refer to them: read them first.
     metadata = {int(number): rest for number, rest in _METADATA.findall(text)}
     module = Module(metadata=metadata)
     groups = {match[1]: match[2] for match in re.finditer(r"^attributes (#\d+) = \{(.*)\}", text, re.MULTILINE)}
+    # Then the functions, of which only those of the kernel are parsed instruction by instruction, and the globals.
     lines = iter(text.split("\n"))
     for line in lines:
         if line.startswith("define "):
@@ -222,11 +229,17 @@ _TOKEN = re.compile(
     re.VERBOSE,
 )
 _NAME = re.compile(r'[%@](?:"[^"]*"|[-\w$.]+)')
+"""A local or global name."""
 LABEL = re.compile(r'("[^"]*"|[-\w$.]+):')
+"""A label at the start of a block."""
 OPEN = {"(": ")", "{": "}", "[": "]", "<": ">"}
+"""Brackets, each with the one that closes it."""
 PLAIN_VALUES = ("true", "false", "null", "undef", "poison", "zeroinitializer", "none")
+"""Constants of one word."""
 CONSTANT_EXPRESSIONS = ("getelementptr", "inttoptr", "ptrtoint", "bitcast", "add", "sub")
+"""Beginnings of constants that are computed from others."""
 _SCALAR = re.compile(r"i\d+|half|bfloat|float|double|ptr|void")
+"""Types of one word."""
 
 
 def tokens_of(line: str, kernel: str) -> list[str]:
@@ -363,6 +376,7 @@ class Cursor:
 VOLATILE_LOAD = "load volatile"
 """The first token of such a load."""
 ABI_ATTRIBUTES = ("signext", "zeroext")
+"""Attributes that the calling convention needs, and that are kept."""
 PROMISES = {
     "captures", "dead_on_return", "dead_on_unwind", "dereferenceable", "dereferenceable_or_null", "immarg",
     "initializes", "noalias", "nocapture", "nofpclass", "nofree", "nonnull", "noundef", "range", "readnone", "readonly",
@@ -370,20 +384,25 @@ PROMISES = {
 }  # fmt: skip
 """Attributes that do not change the machine code, but make a corrupted value undefined behaviour."""
 POISON_FLAGS = ("nuw", "nsw", "exact", "inbounds", "nusw", "disjoint", "nneg", "samesign")
+"""Flags that make some results undefined behaviour; removed."""
 FAST_MATH = ("fast", "reassoc", "nnan", "ninf", "nsz", "arcp", "contract", "afn")
+"""Flags that allow other results than IEEE 754; refused."""
 _BINARY = {
     "add", "sub", "mul", "udiv", "sdiv", "urem", "srem", "shl", "lshr", "ashr", "and", "or", "xor",
     "fadd", "fsub", "fmul", "fdiv", "frem",
 }  # fmt: skip
+"""Operations on two values of one type."""
 _CASTS = {
     "trunc", "zext", "sext", "fptrunc", "fpext", "fptoui", "fptosi", "uitofp", "sitofp", "ptrtoint", "inttoptr",
     "bitcast",
 }  # fmt: skip
+"""Conversions from one type to another."""
 _PREDICATES = {
     "icmp": ("eq", "ne", "ugt", "uge", "ult", "ule", "sgt", "sge", "slt", "sle"),
     "fcmp": ("false", "oeq", "ogt", "oge", "olt", "ole", "one", "ord", "ueq", "ugt", "uge", "ult", "ule", "une", "uno",
              "true"),
 }  # fmt: skip
+"""Predicates of comparisons."""
 _INTRINSICS = re.compile(
     r"@llvm\.(?:mem(?:set|cpy|move)(?:\.inline)?|[us](?:min|max)|[us](?:add|sub|mul)\.(?:with\.overflow|sat)|abs|floor|"
     r"ceil|trunc|rint|nearbyint|round|roundeven|fabs|sqrt|pow|powi|exp|exp2|log|log2|log10|sin|cos|tan|copysign|fma|"
@@ -391,6 +410,7 @@ _INTRINSICS = re.compile(
     r"masked\.(?:load|store|gather|scatter|compressstore|expandload)|vector\.reduce\.\w+|x86\.[\w.]+|"
     r"lro?und|llro?und|ldexp)(?:\.|$)"
 )
+"""Intrinsics that compute a result from their arguments, or access memory through them."""
 COPIES = ('"=r,0"', '"=x,0"')
 """Constraints of an empty assembly: its result is its operand, in a general or a vector register."""
 _DROPPED = re.compile(
@@ -400,7 +420,9 @@ _DROPPED = re.compile(
 _POISON_ARGUMENT = re.compile(r"@llvm\.(?:abs|ctlz|cttz)\.")
 """Their last argument declares some inputs undefined behaviour."""
 _PARALLEL = re.compile(r"@\"?(?:numba_parallel_for|do_scheduling|set_num_threads|get_num_threads|launch_threads)")
+"""Functions of Numba that start threads, which are not deterministic."""
 _PYTHON = re.compile(r"@\"?numba_gil_ensure")
+"""Function that Numba calls in object mode."""
 
 
 def parse_instruction(cursor: Cursor) -> Instruction | None:

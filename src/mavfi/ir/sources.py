@@ -30,6 +30,7 @@ from mavfi.numerics.jit import code_folder
 Shape = tuple[str, list[list[int]]]
 """What a plan must fit: see `shape_of`."""
 _FILE = re.compile(r'!DIFile\(filename: "([^"]*)", directory: "([^"]*)"')
+"""A source file in the metadata of a module."""
 
 
 def cached_source(kernel: Any, signature: tuple[Any, ...]) -> KernelSource:

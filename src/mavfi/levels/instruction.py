@@ -381,7 +381,7 @@ class InstructionSampler(Sampler):
             return Sampled(flights.golden(arm))
         from mavfi.flight.mission_flights import LocalFlights
 
-        # Draw the faults, each kernel its number; other hosts' flights are flown here.
+        # Draw as many faults in each kernel as were requested; if another host has the flights, they are flown here.
         sampling = self.sampling
         scenario = setup.scenario
         local_flights = None
@@ -399,6 +399,7 @@ class InstructionSampler(Sampler):
             flights=local_flights,
             arm=arm,
         )
+        # The first flight of the draw is the golden run of this arm: it need not be flown again.
         flights.register_golden(arm, drawn.golden)
         return Sampled(drawn.golden, drawn.counts, {(name, ""): faults for name, faults in drawn.faults.items()})
 

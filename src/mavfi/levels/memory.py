@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from mavfi.flight.memory_faults import MemoryInjector
 
 _ACTION = "exposure"
+"""Name of the action that looks at the memory, in the loop of a flight."""
 MemorySite = tuple[str, str]
 """A kernel, a detector or recovery, and a name of its words (see `Words.named`)."""
 

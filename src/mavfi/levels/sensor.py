@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from mavfi.flight.sensor_faults import SensorInjector
 
 _DEVICE = re.compile(r"(?P<unit>[a-z_]+)(?P<instance>\d+)?")
+"""A device in the text of a fault: its name, and the number of one of several."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from mavfi.flight.host import ArmSetup, Flight
 
 _SITE = re.compile(r"(?P<path>[^\[\]]+)(\[(?P<element>\d+)\])?")
+"""A site in the text of a fault: path of the state or field, and index of a list element."""
 _SHORTER_PARTS = (0.125, 0.25, 0.5)
 """Parts of a fault's duration that `shorter_faults` tries."""
 _SHORTER_COUNTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)

@@ -13,6 +13,7 @@ import numpy as np
 from mavfi.states import State, StateSpec
 
 _LENGTH = np.dtype("<u4")
+"""Type of a list's length in a serialized message, as of ROS."""
 
 
 def is_length(spec: StateSpec, name: str) -> bool:

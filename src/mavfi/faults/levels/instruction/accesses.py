@@ -7,13 +7,26 @@ from mavfi.faults.levels.instruction.arena import CONSTANTS, EXCEPTION, LINE, RE
 from mavfi.faults.levels.instruction.runtime import REPLACED
 from mavfi.ir.module import Instruction, Module, holds_pointer, parts, width
 
-_MASKED = re.compile(r"@llvm\.masked\.(?:load|store|expandload|compressstore|gather|scatter)\.")
-_COPIES = re.compile(r"@llvm\.mem(?:cpy|move|set)\.")
-_ARRAY = re.compile(
+_LOAD_POINTER = 4
+"""Token of a load that is its pointer: opcode, type, comma, "ptr", pointer."""
+_STORE_KIND = 1
+"""Token of a store that is the type of its value."""
+_STORE_POINTER = 5
+"""Token of a store that is its pointer: opcode, type, value, comma, "ptr", pointer."""
+_LONGEST_ALIGNMENT = 8
+"""Largest alignment of a field in a structure (bytes), on the 64-bit machines that are supported."""
+_MASKED_CALL = re.compile(r"@llvm\.masked\.(?:load|store|expandload|compressstore|gather|scatter)\.")
+"""Intrinsics that access those elements of a vector whose bit is set in a mask."""
+_MEMORY_COPY = re.compile(r"@llvm\.mem(?:cpy|move|set)\.")
+"""Intrinsics that copy or fill memory; the third argument is the length (bytes)."""
+_CONSTANT_ARRAY = re.compile(
     r"^(@\S+) = (?:private |internal )((?:unnamed_addr |local_unnamed_addr )?)constant (\[\d+ x \w+\]) "
 )
-_VECTOR = re.compile(r"<(\d+) x (.+)>")
-_NAME = re.compile(r'@(?:"[^"]*"|[-\w$.]+)')
+"""Definition of a constant array: its name and type."""
+_VECTOR_TYPE = re.compile(r"<(\d+) x (.+)>")
+"""Type of a vector: number and type of its elements."""
+_GLOBAL_NAME = re.compile(r'@(?:"[^"]*"|[-\w$.]+)')
+"""Name of a global, as LLVM writes it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,13 +46,13 @@ def accesses_of(instruction: Instruction) -> list[Access]:
     """Accesses of an instruction through computed pointers; callees are instrumented separately."""
     accesses: list[Access] = []
     if instruction.opcode == "load":
-        accesses = [Access(instruction.tokens[4], str(size_of(instruction.kind)))]
+        accesses = [Access(instruction.tokens[_LOAD_POINTER], str(size_of(instruction.kind)))]
     elif instruction.opcode == "store":
-        accesses = [Access(instruction.tokens[5], str(size_of(instruction.tokens[1])))]
-    elif instruction.callee is not None and _COPIES.match(instruction.callee):
+        accesses = [Access(instruction.tokens[_STORE_POINTER], str(size_of(instruction.tokens[_STORE_KIND])))]
+    elif instruction.callee is not None and _MEMORY_COPY.match(instruction.callee):
         length = instruction.arguments[2][1]
         accesses = [Access(value, length) for kind, value in instruction.arguments[:2] if kind == "ptr"]
-    elif instruction.callee is not None and _MASKED.match(instruction.callee):
+    elif instruction.callee is not None and _MASKED_CALL.match(instruction.callee):
         accesses = [_masked(instruction)]
     return [access for access in accesses if access.pointer.startswith("%")]
 
@@ -53,29 +66,36 @@ def _masked(call: Instruction) -> Access:
     kind, pointer = next((kind, value) for kind, value in call.arguments if holds_pointer(kind))
     if kind == "ptr":
         return Access(pointer, str(size_of(data)))
-    vector = _VECTOR.fullmatch(data)
+    vector = _VECTOR_TYPE.fullmatch(data)
     assert vector is not None  # the elements of a vector of pointers
     return Access(pointer, str(size_of(vector[2])), mask, int(vector[1]))
+
+
+def _round_up(size: int, multiple: int) -> int:
+    """The smallest multiple that is not below a size."""
+    return -(-size // multiple) * multiple
 
 
 def size_of(kind: str) -> int:
     """Bytes that a value of a type occupies in memory, including padding."""
     fields = parts(kind)
     if not fields:
-        return -(-width(kind) // 8)
+        return _round_up(width(kind), 8) // 8  # bits
+    # A structure: each field begins at a multiple of its alignment, and so does the next structure in an array.
     end = 0
     widest = 1
     for part in fields:
-        alignment = 8
+        alignment = _LONGEST_ALIGNMENT
         if not parts(part):
-            alignment = min(8, size_of(part))
-        end = -(-end // alignment) * alignment + size_of(part)
+            alignment = min(_LONGEST_ALIGNMENT, size_of(part))
+        end = _round_up(end, alignment) + size_of(part)
         widest = max(widest, alignment)
-    return -(-end // widest) * widest
+    return _round_up(end, widest)
 
 
 def is_owned(module: Module) -> bool:
     """Whether a kernel accesses memory in its own code only: no C function that it calls takes or returns pointers."""
+    # Every call that leaves the module is looked at: those replaced by our runtime stay in the arena.
     functions = {function.name for function in module.functions}
     for function in module.functions:
         for block in function.blocks:
@@ -103,29 +123,30 @@ class Constant:
 def constants_of(module: Module) -> dict[str, Constant]:
     """Arrays used in the fault space, with their addresses in the arena, in order of first use.
 
-    Pickled exceptions are not relocated: only Python reads them, and their length depends on a file path.
+    Pickled exceptions are not relocate: only Python reads them, and their length depends on a file path.
     """
-    arrays = (match for match in map(_ARRAY.match, module.preamble) if match is not None)
+    # Types of all constant arrays by name; those that a function uses get the next free address.
+    arrays = (match for match in map(_CONSTANT_ARRAY.match, module.preamble) if match is not None)
     kinds = {match[1]: match[3] for match in arrays if ".const.pickle" not in match[1]}
     constants: dict[str, Constant] = {}
     free = CONSTANTS
     for function in module.functions:
-        for name in _NAME.findall(function.text()):
+        for name in _GLOBAL_NAME.findall(function.text()):
             if name in kinds and name not in constants:
                 constants[name] = Constant(name, free, size_of(kinds[name]))
-                free += -(-constants[name].size // LINE) * LINE
+                free += _round_up(constants[name].size, LINE)
     return constants
 
 
-def exported(line: str, constants: dict[str, Constant]) -> str:
-    """A global of the module; constants to be copied to the arena become externally visible."""
-    match = _ARRAY.match(line)
+def export_constants(line: str, constants: dict[str, Constant]) -> str:
+    """The definition of a global; a constant to be copied to the arena becomes visible outside of the module."""
+    match = _CONSTANT_ARRAY.match(line)
     if match is None or match[1] not in constants:
         return line
     return line.replace(" = private ", " = ", 1).replace(" = internal ", " = ", 1)
 
 
-def relocated(token: str, constants: dict[str, Constant]) -> str:
+def relocate(token: str, constants: dict[str, Constant]) -> str:
     """A token of an instruction, with arrays replaced by planned addresses, and Numba's runtime by ours."""
     if "@" not in token:
         return token
@@ -138,7 +159,7 @@ def relocated(token: str, constants: dict[str, Constant]) -> str:
             return match[0]
         return f"inttoptr (i64 {constant.address} to ptr)"
 
-    return _NAME.sub(planned_address, token)
+    return _GLOBAL_NAME.sub(planned_address, token)
 
 
 def planned_wrapper(text: str, kernels: list[str]) -> str:

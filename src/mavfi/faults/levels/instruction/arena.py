@@ -22,17 +22,22 @@ BASE = 1 << 44
 SIZE = 1 << 26
 """`BASE` is a multiple of it: an address with one of its lowest 26 bits flipped stays inside."""
 RESULT = BASE
+"""Address of the kernel's result, in Numba's wrapper."""
 EXCEPTION = BASE + 0x4000
+"""Address of the pointer to the kernel's exception, in the wrapper."""
 FRAMES = BASE + 0x5000
-"""Addresses in the wrapper: of the kernel's result, of the pointer to its exception, and of its stack frames."""
+"""First address of stack frames, which grow upwards to `CONSTANTS`."""
 CONSTANTS = BASE + 0x100000
+"""First address of the constant arrays that the kernel reads."""
 _ARGUMENTS = BASE + SIZE // 2
 """In the middle, so that accesses shortly before and after the arguments are equally possible."""
 LINE = 64
+"""Size of a cache line (bytes), to which everything in the arena is aligned."""
 _NORESERVE = 0x4000  # mmap(2): pages are taken when they are written
 _FIXED_NOREPLACE = 0x100000  # mmap(2): fail if the addresses are occupied
 _FLAGS = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | _NORESERVE | _FIXED_NOREPLACE
 _SCALARS = (bool, int, float, complex, np.generic, type(None))
+"""Types of arguments that are passed by value, and so need no place."""
 
 
 class CopiedRange(NamedTuple):

@@ -23,10 +23,10 @@ from mavfi.faults.levels.instruction.accesses import (
     Constant,
     accesses_of,
     constants_of,
-    exported,
+    export_constants,
     is_owned,
     planned_wrapper,
-    relocated,
+    relocate,
     size_of,
 )
 from mavfi.faults.levels.instruction.arena import LINE
@@ -55,7 +55,9 @@ from mavfi.ir.module import (
 from mavfi.ir.parser import parse_module
 
 _ENVIRONMENT = re.compile(r'@"?_ZN08NumbaEnv')
+"""Beginning of the name of Numba's environment of a kernel."""
 _UNLIKELY = '!0 = !{!"branch_weights", i32 1, i32 100000}'
+"""Metadata of a branch that is hardly ever taken: the slow path."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +107,7 @@ def instrument(text: str, kernel: str, rewrite: Rewrite | None = None) -> Instru
     # Write the module anew, with our runtime and the rewritten functions.
     names = [function.name for function in module.functions]
     others = [planned_wrapper(text, names) for text in module.others]
-    lines = [*(exported(line, constants) for line in module.preamble), RUNTIME, MEMORY]
+    lines = [*(export_constants(line, constants) for line in module.preamble), RUNTIME, MEMORY]
     first_block = 0
     for function in module.functions:
         _move(function, constants)
@@ -119,9 +121,9 @@ def _move(function: Function, constants: dict[str, Constant]) -> None:
     """Redirect a function to the arena's constants and runtime."""
     for block in function.blocks:
         for instruction in block.all():
-            instruction.tokens = [relocated(token, constants) for token in instruction.tokens]
-            instruction.incoming = [(relocated(value, constants), label) for value, label in instruction.incoming]
-            instruction.arguments = [(kind, relocated(value, constants)) for kind, value in instruction.arguments]
+            instruction.tokens = [relocate(token, constants) for token in instruction.tokens]
+            instruction.incoming = [(relocate(value, constants), label) for value, label in instruction.incoming]
+            instruction.arguments = [(kind, relocate(value, constants)) for kind, value in instruction.arguments]
 
 
 class _Rewriter:

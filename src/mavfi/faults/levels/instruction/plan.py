@@ -17,8 +17,9 @@ from mavfi.record import Injection
 DATA = (FLOATING, INTEGER)
 """Value classes that feed neither addresses nor branches."""
 _FORMATS = {"double": "<d", "float": "<f", "half": "<e"}
+"""Codes of `struct` for the floating-point types of LLVM."""
 _LAYOUTS = {"double": (63, 52), "float": (31, 23), "half": (15, 10)}
-"""Sign bit and lowest exponent bit."""
+"""Sign bit and lowest exponent bit of these types (IEEE 754)."""
 
 
 def choose(random: np.random.Generator, counts: Sequence[int], n: int) -> list[tuple[int, int]]:
@@ -102,9 +103,15 @@ def stratum_of(kind: str, bit: int | None) -> str:
     return "mantissa"
 
 
+_HANG_FACTOR = 3
+"""Budget of an injected call / number of values that it writes without a fault: a slower one is a hang."""
+_HANG_MARGIN = 10_000
+"""Further values in the budget, for short calls."""
+
+
 def budget_for(total: int) -> int:
     """Number of values after which a call counts as a hang, if it writes `total` without a fault."""
-    return 3 * total + 10_000
+    return _HANG_FACTOR * total + _HANG_MARGIN
 
 
 def check_fault(fault: InstructionFault, variant: Variant, function: Any) -> None:
@@ -126,6 +133,7 @@ def injection_of(
     Its values are numbers of the instruction's type (signed integers); the details contain their bits as hexadecimal
     text. `call` is the injected call, if not the planned one.
     """
+    # Without a report the instruction was not reached: there are no values.
     function = fault.entry or fault.function
     if call is None:
         call = fault.call
@@ -140,6 +148,7 @@ def injection_of(
     planned = (before & keep) ^ flip
     # Only a call in planned memory has the same effect everywhere if its addresses or branches are changed.
     replayable = report.planned or site.value_class in DATA
+    # Where the instruction is, what it computes, and the bits as they were.
     details = {
         "function": function,
         "replayable": replayable,
@@ -162,6 +171,7 @@ def injection_of(
     }
     if site.role:
         details["role"] = site.role
+    # Activated: the value became what was planned, and the flipped bits belong to it.
     return Injection(
         fault.level,
         fault.site,

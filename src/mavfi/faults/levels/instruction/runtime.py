@@ -55,6 +55,7 @@ REPORT_WORDS = 4
 """The report begins with: injected?, block, offset, in planned memory?  Parents share it with forked children: it
 survives a crash."""
 REPORT_BYTES = 8 * REPORT_WORDS + 2 * MASK_BYTES
+"""Size of the report: its words, then the value before and the value after."""
 
 
 def word_address(word: ControlWord) -> str:
@@ -212,9 +213,9 @@ entry:                  ; counter before the block
 
 # ---- Memory of a planned call: its arrays are allocated in the arena, without Python's reference counts.
 
-_HELD = 1 << 32
-"""Offset of reference counts: arrays that reach Python are never freed."""
-_HEADER = 64
+_ARENA_REFERENCES = 1 << 32
+"""Offset of the reference counts of arrays in the arena: they never become 0, so Python never frees such an array."""
+_ARRAY_HEADER = 64
 """Bytes before an array, starting with Numba's `MemInfo`: references, destructor and its argument, data, size,
 allocator."""
 
@@ -228,23 +229,24 @@ def _planned(yes: str, no: str) -> str:
 
 def _allocation(name: str, parameters: str) -> str:
     """IR of a function that allocates an array; null if the arena is full, which Numba turns into a MemoryError."""
-    # In the arena, the header is written as Numba writes it: see `_HEADER`.
+    # The IR has two paths.  In a planned call it takes memory from the arena, writes the header as Numba writes it, see
+    # `_ARRAY_HEADER`, and returns the header's address; in any other call it calls Numba's function.
     return f"""
 define ptr @mavfi_{name}({parameters}) noinline {{
 entry:
 {_planned("in_arena", "elsewhere")}
 in_arena:
-  %total = add i64 %size, {_HEADER}
+  %total = add i64 %size, {_ARRAY_HEADER}
   %at = call ptr @mavfi_room(i64 %total)
   %is.null = icmp eq ptr %at, null
   br i1 %is.null, label %done, label %write
 write:                  ; references, destructor and its argument, data, size, allocator
-  store i64 {_HELD + 1}, ptr %at
+  store i64 {_ARENA_REFERENCES + 1}, ptr %at
   %destructor = getelementptr i8, ptr %at, i64 8
   store i64 0, ptr %destructor
   %argument = getelementptr i8, ptr %at, i64 16
   store i64 0, ptr %argument
-  %data = getelementptr i8, ptr %at, i64 {_HEADER}
+  %data = getelementptr i8, ptr %at, i64 {_ARRAY_HEADER}
   %data.address = getelementptr i8, ptr %at, i64 24
   store ptr %data, ptr %data.address
   %size.address = getelementptr i8, ptr %at, i64 32
@@ -376,7 +378,7 @@ entry:                  ; null has no header
   %is.null = icmp eq ptr %at, null
   br i1 %is.null, label %fine, label %test
 test:
-  call void @mavfi_check(ptr %at, i64 {_HEADER})
+  call void @mavfi_check(ptr %at, i64 {_ARRAY_HEADER})
   br label %fine
 fine:
   ret void
@@ -407,12 +409,12 @@ count:
   %before = atomicrmw sub ptr %at, i64 1 acq_rel
 {_planned("in_arena", "elsewhere")}
 in_arena:               ; nobody else holds this array
-  %unused = icmp eq i64 %before, {_HELD + 1}
+  %unused = icmp eq i64 %before, {_ARENA_REFERENCES + 1}
   br i1 %unused, label %look, label %done
 look:                   ; only the newest array can be given back: the heap is a stack
   %size.address = getelementptr i8, ptr %at, i64 32
   %size = load i64, ptr %size.address
-  %more = add i64 %size, {_HEADER + LINE - 1}
+  %more = add i64 %size, {_ARRAY_HEADER + LINE - 1}
   %rounded = and i64 %more, -{LINE}
   %address = ptrtoint ptr %at to i64
   %end = add i64 %address, %rounded

@@ -195,11 +195,17 @@ def _lines_of(block: Block, function: Function, locations: Locations) -> dict[in
 # floating-point comparison: loop counters and bounds do.
 
 ADDRESS = "address"
+"""Value class: an address is computed from the value."""
 CONTROL = "control"
+"""Value class: a branch, switch or select depends on it."""
 FLOATING = "floating_point"
+"""Value class: a floating-point number that decides neither."""
 INTEGER = "integer"
+"""Value class: an integer that decides neither."""
 _ADDRESS_STOPS = ("load", "call", "icmp", "fcmp")
+"""Operations at which the search for values that feed an address ends."""
 _CONTROL_STOPS = ("load", "call", "fcmp")
+"""Operations at which the search for values that decide control ends."""
 
 
 @dataclass(slots=True)
@@ -332,8 +338,11 @@ def _closure(names: Iterable[str], successors: Callable[[str], list[str]]) -> se
 # ---- Selection of injectable instructions: all, floating point, data, one class or opcode, or some source lines.
 
 FORM = "all, floating_point, data, address, control, integer, opcode:NAME, or line:FILE:FIRST[-LAST]"
+"""Forms of a selection, for messages."""
 _CLASSES = (ADDRESS, CONTROL, INTEGER)
+"""Value classes that a selection names as they are; `floating_point` and `data` are handled apart."""
 _LINES = re.compile(r"line:(?P<file>[^:]+):(?P<first>\d+)(-(?P<last>\d+))?")
+"""A selection of source lines."""
 
 
 @dataclass(frozen=True, slots=True)

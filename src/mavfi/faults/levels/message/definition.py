@@ -28,12 +28,17 @@ FORMATS = {
 }
 """Numeric types, with their `struct` codes."""
 _PAIRS = {"time": (("secs", "uint32"), ("nsecs", "uint32")), "duration": (("secs", "int32"), ("nsecs", "int32"))}
+"""ROS 1's types of instants and durations: their two numbers."""
 _STRING = "string"
+"""The type of text, whose length is in the message."""
 VARIABLE = -1
 """Length of a list that is in the message."""
 _MEMBER = re.compile(r"([\w/]+)(\[(\d*)\])?\s+(\w+)\s*$")
+"""A line of a definition: type, length of a list, name."""
 _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d+\])?)(?:\.|$)")
+"""A part of a field's path: name and index."""
 _COUNT = struct.Struct("<I")
+"""Length of a list or text in a message."""
 
 
 class AbsentError(MavfiError):

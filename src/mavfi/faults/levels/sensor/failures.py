@@ -11,12 +11,17 @@ from mavfi.numerics.elementary import cos, sin
 from mavfi.numerics.rotations import yaw_of
 from mavfi.record import Injection
 
+# Where the values of a device are.
 _STATE = {"gyro": slice(10, 13), "position": slice(0, 6)}
+"""In the true state of the vehicle."""
 _FORCE = {"accelerometer": slice(0, 3)}
+"""In the specific force."""
 _IMU = _FORCE | {"gyro": slice(3, 6)}
+"""In a sample of the IMU."""
 _FIX = {"position": slice(0, 3), "compass": slice(3, 4)}
-"""Where the values of a device are in the true state, the specific force, a sample of the IMU and a position fix."""
+"""In a position fix."""
 _HEADING = 3
+"""Index of the heading in a position fix (rad)."""
 
 
 class Failure:

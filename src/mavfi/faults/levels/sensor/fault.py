@@ -55,14 +55,19 @@ TYPES = {
 }
 """Types of failures: MAVLink's FAILURE_TYPE (https://mavlink.io/en/messages/common.html#FAILURE_TYPE), and drift."""
 NULL = "ok"
+"""Type of a null fault: the device works."""
 RANDOM = ("garbage", "intermittent")
 """Types that draw values by the seed."""
 FAILING = tuple(kind for kind in TYPES if kind != NULL)
+"""Types that change values."""
 SLOW_US = 500_000
+"""Period of `slow` (us)."""
 DELAY_US = 200_000
+"""Delay of `delayed` (us)."""
 BLOCK_US = 100_000
+"""Length of a block of `intermittent` (us)."""
 DRIFT_US = 10_000_000
-"""Period of `slow`, delay of `delayed`, block of `intermittent`, and time in which `drift` reaches `wrong`."""
+"""Time in which `drift` reaches the error of `wrong` (us)."""
 
 
 @dataclass(frozen=True, slots=True)
