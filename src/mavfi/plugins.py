@@ -24,7 +24,9 @@ from mavfi.errors import BadInputError, MavfiError, hint, machine_failure
 _VARIABLE = "MAVFI_ALLOW_PLUGINS"
 """Allowed names, separated by spaces; an environment variable, inherited by child processes."""
 _ALL = "all"
+"""Word that allows every plug-in."""
 _ADDRESS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+"""The form "package.module:object"."""
 _OWN = __name__.partition(".")[0]
 """The package of mavfi itself."""
 _loaded: dict[str, dict[str, Any]] = {}
@@ -56,6 +58,7 @@ def allow_typed(words: Iterable[object]) -> None:
 
 
 def _allow(names: Iterable[str]) -> None:
+    """Add names to those that are allowed, here and in child processes."""
     os.environ[_VARIABLE] = " ".join(dict.fromkeys([*allowed_names(), *names]))
 
 
@@ -297,6 +300,7 @@ def portable(error: BaseException) -> BaseException:
 
 
 def _package(module: str) -> str:
+    """Top-level package of a module."""
     return module.partition(".")[0]
 
 

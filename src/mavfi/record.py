@@ -46,8 +46,9 @@ COLUMNS = (
 LATEST_S = 1e9
 """Latest instant of a flight (s)."""
 _LARGEST_FILE = 1 << 27
+"""Largest file that is read as a flight log (bytes)."""
 _LARGEST_CONTENT = 1 << 28
-"""Largest file that is read as a flight log, compressed and decompressed (bytes)."""
+"""Largest content of such a file when decompressed (bytes)."""
 _DIGESTED = len(COLUMNS) - 3
 """Leading columns that the digest covers: all but the reference."""
 
@@ -153,6 +154,7 @@ class KernelEffect:
 
 
 def _plain(value: float | int | bool | str | None) -> float | int | bool | str | None:
+    """A number as JSON can represent it: infinities and NaN as text."""
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     return value
@@ -239,13 +241,16 @@ class FlightLog:
         Raises:
             BadInputError: The file cannot be written.
         """
+        kernel = None
+        if self.kernel is not None:
+            kernel = asdict(self.kernel)
         data = {
             "status": self.status.name,
             "events": [[e.time_us, e.kind, e.data] for e in self.events],
             "injections": [injection.to_json() for injection in self.injections],
             "alarms": [alarm.to_json() for alarm in self.alarms],
             "meta": self.meta,
-            "kernel": None if self.kernel is None else asdict(self.kernel),
+            "kernel": kernel,
         }
         buffer = io.BytesIO()
         columns: dict[str, Any] = dict(zip(COLUMNS, self.rows.T, strict=True))
@@ -334,8 +339,9 @@ AFTERMATH = 1.0
 
 
 LIMITED = "detector_limited"
+"""Kind of the event when alarms get no response for a while, since too many of them changed nothing."""
 SILENCED = "detector_silenced"
-"""Kinds of events: alarms get no response for a while, or no longer, since too many of them changed nothing."""
+"""Kind of the event when alarms get no response any longer, for the same reason."""
 CRASHED = "detector_crashed"
 """Kind of the event when a custom detector is disabled after an exception."""
 CONTROLLER_LOST = "controller_lost"
@@ -460,11 +466,13 @@ class FlightRecord:
 
 
 _DEFAULTS: dict[str, Any] = {f.name: getattr(FlightRecord(End.FLOWN), f.name) for f in fields(FlightRecord)}
+"""Default values of a record's fields, which `to_json` omits."""
 
 
 _SOURCE_KEYS = ("file", "line")
+"""Keys of an injection that say where in the source the instruction is."""
 _SOURCE_DETAILS = ("inlined", "line_is_near", "variable")
-"""Where in the source an injected instruction is: keys of its injection, and of the injection's details."""
+"""Keys of an injection's details that say the same."""
 
 
 def without_source(text: str) -> str:
@@ -520,9 +528,11 @@ def record_of(log: FlightLog) -> FlightRecord:
 def kept_alarms(injections: Sequence[Injection], alarms: Sequence[AlarmRecord]) -> list[AlarmRecord]:
     """The first alarms of a flight, and all within `AFTERMATH` of an activated injection, in order of time."""
     instants = [injection.time_s for injection in injections if injection.activated]
-    most = MOST_ALARMS if injections else MOST_GOLDEN_ALARMS
-    selected = list(alarms[:most])
-    for alarm in alarms[most:]:
+    first_count = MOST_GOLDEN_ALARMS
+    if injections:
+        first_count = MOST_ALARMS
+    selected = list(alarms[:first_count])
+    for alarm in alarms[first_count:]:
         if any(-INSTANT < alarm.time_s - time_s <= AFTERMATH for time_s in instants):
             selected.append(alarm)
     return selected

@@ -14,7 +14,9 @@ import numpy as np
 from mavfi.errors import BadInputError, hint
 
 _BYTE = np.dtype(np.uint8)
+"""Type of a byte."""
 AUTOPILOTS = ("published", "hardened")
+"""Shipped autopilot profiles: the paper's, and one with protections."""
 ODOMETRY = {"truth": "sensor.odometry", "estimator": "perception.odometry"}
 """By localization, the state that carries the vehicle's odometry; both begin with the same 13 fields."""
 
@@ -29,6 +31,7 @@ class Stage(StrEnum):
 
 
 PPC_STAGES = (Stage.PERCEPTION, Stage.PLANNING, Stage.CONTROL)
+"""The stages of the pipeline, which can be recomputed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,12 +102,15 @@ def _injectable() -> dict[str, tuple[str, ...]]:
 
 INJECTABLE = _injectable()
 """Functions by the kernel names of instruction faults, as in the paper's Fig. 3; for the planner, planner names."""
-INJECTED_KERNEL: dict[str, str] = {name: "planner" if name in PLANNERS else name for name in INJECTABLE}
+INJECTED_KERNEL: dict[str, str] = {name: name for name in INJECTABLE} | dict.fromkeys(PLANNERS, "planner")
 """Row of `KERNELS` by the same name."""
 
 _MESSAGES = ("status", "path", "trajectory", "waypoint", "command", "tracking")
+"""Last parts of the names of states that the acceptance test checks."""
 _ESTIMATE = ("judge_estimate", "note_estimate", "note_fix")
+"""Functions of the acceptance test in flights with an estimator."""
 _CODES = (*(f"measure_{name}" for name in _MESSAGES), "note_vehicle", "judge")
+"""Functions of detectors of all fields."""
 BASELINES = ("isolation_forest", "pca", "mahalanobis", "half_space_trees", "gradient_boosting", "matrix_profile")
 """Detectors whose models other libraries fit (extra `bench`)."""
 DETECTORS: dict[str, tuple[str, ...]] = {
@@ -283,7 +289,9 @@ def new_state(name: str, count: int = 0) -> State:
 
 
 _HARDENED = ("hardened",)
+"""Read by consumers in the hardened profile only."""
 _PUBLISHED = ("published",)
+"""Read by consumers in the published profile only."""
 
 
 def _vector(prefix: str, unit: str, read_in: tuple[str, ...] = AUTOPILOTS, dtype: str = "f8") -> tuple[Field, ...]:
@@ -292,9 +300,13 @@ def _vector(prefix: str, unit: str, read_in: tuple[str, ...] = AUTOPILOTS, dtype
 
 
 _XYZ = _vector("", "m")
+"""A position."""
 _VELOCITY = _vector("v", "m/s")
+"""A velocity."""
 _QUATERNION = tuple(Field(f"q{axis}", "f8", "-") for axis in "wxyz")
+"""An attitude."""
 _DEAD_RATES = _vector("w", "rad/s", ())
+"""A turn rate, which no consumer reads."""
 _POINT = (
     *_XYZ, Field("yaw", "f8", "rad"), *_VELOCITY, *_vector("a", "m/s^2", _HARDENED), Field("duration", "f8", "s"),
 )  # fmt: skip
@@ -386,6 +398,7 @@ _MONITORED_POINT = {
     "paper-13": "x y z yaw vx vy vz",
     "published-19": "x y z vx vy vz ax ay az yaw duration trajectory_seq future_collision_seq",
 }
+"""Monitored fields of a way-point, by the name of the set."""
 MONITORED_SETS: dict[str, tuple[tuple[str, str], ...]] = {
     name: (
         ("perception.collision_status", "time_to_collision"),

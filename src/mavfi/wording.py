@@ -129,7 +129,9 @@ def refuse_other_kind(annotation: Any, value: object) -> None:  # noqa: ANN401
     kinds = _members(annotation)
     if isinstance(value, bool):
         if {int, float} & set(kinds) and bool not in kinds:
-            number = "a number" if float in kinds else "a whole number"
+            number = "a whole number"
+            if float in kinds:
+                number = "a number"
             raise ValueError(f"{shown(value)}: allowed: {number}")
     elif bool in kinds and set(kinds) <= {bool, type(None)} and value is not None:
         raise ValueError(f"{shown(value)}: allowed: true, false")
@@ -174,7 +176,9 @@ def _locate(
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         owner = kind
         field = kind.model_fields.get(str(first))
-        annotation = None if field is None else field.annotation
+        annotation = None
+        if field is not None:
+            annotation = field.annotation
     elif get_origin(kind) in (dict, list, tuple):
         annotation = _element_kind(get_args(kind), first)
     else:

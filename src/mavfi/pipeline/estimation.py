@@ -96,12 +96,15 @@ class StateEstimator(Remembers):
                 memory.refused += 1
             if memory.refused < PATIENCE:
                 return
-        spread = IN_FLIGHT if memory.aligned else AT_REST
+        spread = AT_REST
+        if memory.aligned:
+            spread = IN_FLIGHT
         filtering.align(memory.nominal, memory.covariance, fix, self._noise, spread)
         memory.aligned = True
         memory.refused = 0
 
     def _estimate(self, memory: _Filter) -> State:
+        """The filter's estimate as a publication: motion, turn rate without bias, and the biases."""
         estimate = new_state(self.writes[0])
         values = floats(estimate.header, _ODOMETRY_WIDTH)
         values[:10] = memory.nominal[:10]

@@ -13,6 +13,7 @@ from mavfi.kernels.perception import clearance, collision_check, key_sets, octom
 from mavfi.kernels.planning import path, rrt, rrt_connect, rrt_star
 
 Compiled = Callable[..., Any]
+"""A compiled function."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -135,8 +135,9 @@ class PipelineConfig:
 
 
 HORIZONTAL_MARGIN = 5.0
+"""Margin of the map beside the arena (m)."""
 VERTICAL_MARGIN = 0.5
-"""Margins of the map around the arena (m)."""
+"""Margin of the map above and below the arena (m)."""
 LARGEST_GRID = 1 << 27
 """Limit of voxels; the pipeline uses about 25 bytes per voxel."""
 

@@ -74,6 +74,7 @@ class ScanArrays:
         self._replica: ScanArrays | None = None  # in which the scans are integrated again
 
     def _all(self) -> tuple[np.ndarray, ...]:
+        """All work arrays, in an order that `fill` relies on."""
         return self.log_odds, self.stamp, self.touched, self.before
 
     def integrate(self, points: np.ndarray, origin: np.ndarray, insert: Callable[..., int]) -> int:
@@ -174,6 +175,7 @@ class DenseMap:
         return voxels, after
 
     def _put(self, voxels: np.ndarray, log_odds: np.ndarray) -> None:
+        """Write log-odds to the map, as `Changes.take_back` requires."""
         self.log_odds[voxels] = log_odds
 
     def mark(self) -> None:
@@ -293,6 +295,7 @@ class OctreeMap:
 
 
 def _same_nodes(nodes: Octree, others: Octree) -> bool:
+    """Whether two trees have the same bits."""
     return nodes is others or all(a.tobytes() == b.tobytes() for a, b in zip(nodes, others, strict=True))
 
 
@@ -360,17 +363,21 @@ class GuardedMap(OpaqueKeeper[OccupancyMap]):
         self.content.rollback()
 
     def _require(self, *, condition: bool, violation: str, allowed: str) -> None:
+        """Refuse a value of the user's map unless a condition holds."""
         if not condition:
             raise self._wrong(f"{violation}; allowed: {allowed}")
 
     def _wrong(self, text: str) -> BadInputError:
+        """The error about a value of the user's map."""
         return BadInputError(f"map {self._name!r}: {text}")
 
 
 GROUP = "mavfi.maps"
+"""Entry-point group of map classes."""
 MAPS: dict[str, Callable[..., OccupancyMap]] = {"dense": DenseMap, "octree": OctreeMap}
 """Shipped map classes, by `MapConfig.kind`."""
 _SHIPPED = {kind: f"{__name__}:{factory.__name__}" for kind, factory in MAPS.items()}
+"""Addresses of the shipped classes, by kind."""
 
 
 def find_map(kind: str) -> Callable[..., OccupancyMap]:

@@ -119,6 +119,7 @@ class Remembers:
 
 
 _IMMUTABLE = frozenset((int, float, bool, str, bytes, type(None), State))
+"""Types whose values need no copy; published states are never modified."""
 
 
 def copied(value: Any) -> Any:  # noqa: ANN401
@@ -265,6 +266,7 @@ class Changes:
         return np.array_equal(self._array.view(bits), copy.view(bits))
 
     def _same_newest(self, saved: tuple[Change, ...], count: int) -> bool:
+        """Whether the latest `count` changes would be undone to the same values."""
         if min(len(saved), len(self._list)) < count:
             return False
         newest = zip(self._list[len(self._list) - count :], saved[len(saved) - count :], strict=True)

@@ -23,6 +23,8 @@ _UNKNOWN_HORIZON = 15.0
 
 @dataclass(slots=True)
 class _CloudMemory(Memory):
+    """The last depth image."""
+
     depth: State
 
 
@@ -70,6 +72,8 @@ class PointCloud(Remembers):
 
 @dataclass(slots=True)
 class _MapMemory(Memory):
+    """The last point cloud, the number of scans, and that at the mark."""
+
     cloud: State
     scan: int = 0
     marked_scan: int = 0
@@ -226,6 +230,7 @@ class CollisionCheck(Remembers):
         return False
 
     def _take_trajectory(self, state: State) -> bool:
+        """Store a new trajectory; whether a step is due."""
         if self._every_map and len(state.elements) == 0:
             return False  # planning failed: the current trajectory remains in force
         # a new trajectory takes effect some periods after its publication: its predecessor is still needed

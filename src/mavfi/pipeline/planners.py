@@ -17,6 +17,7 @@ from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.plugins import build, load_object
 
 GROUP = "mavfi.planners"
+"""Entry-point group of path searches."""
 _PURPOSE = 1
 """Number of the planner's random stream among those of a mission's seed."""
 _SHORTCUT_ROOM = 2
@@ -229,6 +230,7 @@ _SHIPPED = {
     "rrt_connect": "mavfi.pipeline.planners:RrtConnect",
     "rrt_star": "mavfi.pipeline.planners:RrtStar",
 }
+"""Addresses of the shipped planners, by name."""
 _METHODS = {"search": "counter, grid, start, goal, lower, upper"}
 """Parameters of a planner's methods."""
 

@@ -12,7 +12,7 @@ from mavfi.kernels.planning import travel
 from mavfi.numerics.voxels import voxel_of
 from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.kernel import PipelineConfig
-from mavfi.pipeline.memory import Keeper, OpaqueKeeper
+from mavfi.pipeline.memory import Keeper, OpaqueKeeper, Scratch
 from mavfi.pipeline.planners import PathSearch, SamplingSearch, checked_path, make_search
 
 TIGHT_SPEED = 2.0
@@ -65,7 +65,9 @@ class Routes:
         for planner in (search, local):
             if isinstance(planner, SamplingSearch) and planner.scratch is not None:
                 scratch.append(planner.scratch)
-        self.scratch = tuple(scratch) if len(scratch) == 2 else None
+        self.scratch: tuple[Scratch, ...] | None = None
+        if len(scratch) == 2:  # of both searches
+            self.scratch = tuple(scratch)
         v_max = config.v_max
         self._pace = travel.Pace(
             v_max,
@@ -149,6 +151,7 @@ class Routes:
         return best
 
     def _time(self, path: np.ndarray, velocity: np.ndarray) -> float:
+        """Travel time of a path (s), begun at a velocity (m/s)."""
         return travel.travel_time(
             self.clearance_map.wide, self.clearance_map.grid, path, len(path), velocity, self._pace
         )

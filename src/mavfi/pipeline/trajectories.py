@@ -55,6 +55,8 @@ class _Motion:
 
 @dataclass(slots=True)
 class _GeneratorMemory(Memory):
+    """The last path, way-point and trajectory, the trajectory's number, and that at the mark."""
+
     path: State
     waypoint: State | None = None
     flown: State | None = None
@@ -122,6 +124,7 @@ class TrajectoryGenerator(Remembers):
         return [trajectory]
 
     def _points(self) -> np.ndarray:
+        """Points of the trajectory along the stored path; none if there is no path, or it is too long."""
         config = self._config
         path = self.memory.path
         vertices = rows(path.elements, 3)
@@ -144,6 +147,7 @@ class TrajectoryGenerator(Remembers):
         return self._held[:n]
 
     def _limits(self) -> timing.Limits:
+        """Limits of speed and acceleration for timing, by the autopilot profile."""
         config = self._config
         # held points are tracked with a small delay: a speed margin prevents the vehicle from falling behind
         top_speed = 0.97 * config.v_max

@@ -37,7 +37,7 @@ _CREEP_STEP = 0.3
 _ADOPTION_WINDOW = 50
 """Leading points of a spliced trajectory among which its start is searched for."""
 
-# Tolerances of the plausibility checks, all chosen here: wide enough that no error-free trajectory is rejected.
+# Tolerances of the plausibility checks of profiles with `consumer_check`, chosen here.
 _SPEED_TOLERANCE = 1.5
 """Largest plausible speed of a point / v_max."""
 _BOUNDS_TOLERANCE = 2.0
@@ -265,7 +265,7 @@ class SetpointGenerator(Remembers):
             if not (patience > 0.0 and time_us - since > 1e6 * patience):
                 self._update(rejected_since=since)
                 return
-        # An implausible trajectory is as bad as none: stop, so that another one is planned.
+        # Never follow an implausible trajectory: stop instead.
         if autopilot.consumer_check and not self._is_plausible(state):
             self._update(stop_us=time_us)
             return

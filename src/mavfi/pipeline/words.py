@@ -21,9 +21,13 @@ from mavfi.states import State
 INTEGER = "i4"
 """Type code of stored integers: counters and instants (us) of a node, as in messages."""
 _MARK = "marked"
+"""Beginning of the names of memory that only a rollback reads: no site of faults."""
 _FLAG = {"b1": "?"}
+"""Type codes that differ from NumPy's."""
 _INDEX = re.compile(r"\[\d+\]")
+"""An index in a name."""
 _PARTS = re.compile(r"[^.\[\]]+")
+"""The parts of a name: attributes and indices."""
 Change = Callable[[np.ndarray], None]
 """Modifies one word in place, passed as an array of shape (1,) of its type."""
 
@@ -50,9 +54,11 @@ class Words:
         return range(self.count)[int(index) : int(index) + 1]
 
     def _ends_with(self, text: str) -> bool:
+        """Whether the name is a text, or ends with it after a dot."""
         return f".{self.name}".endswith(f".{text}")
 
     def _has(self, text: str) -> bool:
+        """Whether a text is part of the name, without regard to indices."""
         return f".{text}." in f".{_INDEX.sub('', self.name)}."
 
 
@@ -61,7 +67,13 @@ def collapsed(names: Iterable[str]) -> list[str]:
     groups: dict[str, list[str]] = {}
     for name in names:
         groups.setdefault(_INDEX.sub("[...]", name), []).append(name)
-    return [general if len(members) > 1 else members[0] for general, members in groups.items()]
+    shown = []
+    for general, members in groups.items():
+        if len(members) > 1:
+            shown.append(general)
+        else:
+            shown.append(members[0])
+    return shown
 
 
 def words_of(kernel: Remembers) -> Iterator[Words]:
@@ -88,12 +100,14 @@ def change(kernel: Remembers, name: str, index: int, apply: Change) -> tuple[Any
 
 # ---- enumeration -----------------------------------------------------------------------------------------------------
 def _in_memory(start: str, memory: Memory) -> Iterator[Words]:
+    """Words of a memory, whose names begin with `start`."""
     for name in memory.__slots__:
         if not name.startswith(_MARK):
             yield from _in_value(f"{start}{name}", getattr(memory, name))
 
 
 def _in_value(name: str, value: Any) -> Iterator[Words]:
+    """Words of a value of this name."""
     if isinstance(value, State):
         for field in dict.fromkeys(value.spec.fields):  # a name in both elements and header denotes the element field
             if field in value.spec.elements:
@@ -105,7 +119,9 @@ def _in_value(name: str, value: Any) -> Iterator[Words]:
     elif isinstance(value, Memory):
         yield from _in_memory(f"{name}.", value)
     elif isinstance(value, (list, tuple, dict)):
-        items = value.values() if isinstance(value, dict) else value
+        items: Iterable[Any] = value
+        if isinstance(value, dict):
+            items = value.values()
         for position, item in enumerate(items):
             yield from _in_value(f"{name}[{position}]", item)
     elif isinstance(value, (bool, int, float)):
@@ -113,11 +129,13 @@ def _in_value(name: str, value: Any) -> Iterator[Words]:
 
 
 def _code(array: np.ndarray) -> str:
+    """Type code of an array."""
     code = array.dtype.str[1:]
     return _FLAG.get(code, code)
 
 
 def _scalar_type(value: float) -> str:
+    """Type code with which a number of Python is stored."""
     if isinstance(value, bool):
         return "?"
     if isinstance(value, int):
@@ -127,6 +145,7 @@ def _scalar_type(value: float) -> str:
 
 # ---- modification ----------------------------------------------------------------------------------------------------
 def _apply(word: np.ndarray, apply: Change) -> tuple[Any, Any]:
+    """Change a word in place; returns its value before and after."""
     before = word[0].item()
     apply(word)
     return before, word[0].item()
@@ -137,7 +156,7 @@ def _changed(value: Any, path: list[str], index: int, apply: Change) -> tuple[An
 
     `path` leads from the value to the word.
     """
-    # the word is in this value
+    # The word is in this value: change it in a copy.
     if isinstance(value, State):
         state = value.copy()
         rows = state.header
@@ -152,7 +171,7 @@ def _changed(value: Any, path: list[str], index: int, apply: Change) -> tuple[An
         before, after = _apply(word, apply)
         return type(value)(after), before, after
 
-    # it is in an attribute, or in an item of a container
+    # It is in an attribute, or in an item of a container: change that, and put it into a copy of this value.
     first, *rest = path
     if isinstance(value, Memory):
         inner, before, after = _changed(getattr(value, first), rest, index, apply)
@@ -163,6 +182,7 @@ def _changed(value: Any, path: list[str], index: int, apply: Change) -> tuple[An
     if isinstance(value, dict):
         key = list(value)[key]  # names have the position of an item
     inner, before, after = _changed(value[key], rest, index, apply)
+    # A tuple cannot be changed: build another one, with the same names.
     if isinstance(value, tuple):
         items = (*value[:key], inner, *value[key + 1 :])
         if hasattr(value, "_fields"):

@@ -25,20 +25,27 @@ from mavfi.sim.engine import GRAVITY
 EEPROM = "eeprom.bin"
 """File of the configuration, in the working directory."""
 PERIOD_NS = 1_000_000
+"""Period of the exchange with the simulator in flight (ns)."""
 BOOT_PERIOD_NS = 10_000_000
-"""Period of the exchange with the simulator, in flight and before."""
+"""Period of the exchange before the flight (ns)."""
 CHANNELS = 16
+"""Number of RC channels in a packet."""
 CENTRE = 1500
+"""Value of an RC channel in the middle (us)."""
 LOW = 1000
+"""Smallest value of an RC channel (us)."""
 HIGH = 2000
-"""Values of an RC channel (us)."""
+"""Largest value of an RC channel (us)."""
 DISARMED = (CENTRE, CENTRE, LOW, CENTRE, *(LOW,) * (CHANNELS - 4))
 """Sticks in the middle, throttle and switches down: roll, pitch, throttle, yaw, auxiliary 1 to 12."""
 ARMED = (CENTRE, CENTRE, LOW, CENTRE, HIGH, *(LOW,) * (CHANNELS - 5))
+"""As `DISARMED`, with the arm switch, auxiliary 1, up."""
 RC_FROM_NS = 3_000_000_000
+"""Time from the start until RC is sent (ns); earlier packets are ignored."""
 ARM_FROM_NS = 6_000_000_000
+"""Time from the start until the arm switch is up (ns)."""
 ARMED_BY_NS = 10_000_000_000
-"""Time from the start until RC is sent (earlier packets are ignored), the arm switch is up, the rotors must turn."""
+"""Time from the start by which the rotors must turn (ns)."""
 ANGLE_LIMIT = math.radians(60.0)
 """Roll and pitch angle at full stick, Betaflight's default (rad)."""
 YAW_RATE = math.radians(120.0)
@@ -50,7 +57,11 @@ YAW_GAINS = bytes((200, 40))
 airframe, whose rotors give little torque."""
 
 _PACKETS = struct.Struct("<Q18dd16H")
+"""What is sent in a period: whether there is an RC packet, the simulator's packet, and the RC packet."""
 _SEA_LEVEL_PA = 101_325.0
+"""Air pressure at sea level (Pa)."""
+
+# Codes of MSP messages, from `msp_protocol.h`.
 _SET_MODE_RANGE = 35
 _RC_TUNING = 111
 _SET_RC_TUNING = 204
@@ -60,9 +71,13 @@ _EEPROM_WRITE = 250
 _API_VERSION = 1
 _FC_VARIANT = 2
 _FC_VERSION = 3
+
 _ARM = 0
+"""Number of the mode in which rotors turn."""
 _ANGLE = 1
+"""Number of the mode in which sticks command angles."""
 _HEAD = 5
+"""Bytes of an MSP answer in front of its content."""
 _MSP_WALL_S = 4.0
 """Time limit of an answer on the serial port."""
 _ATTEMPTS = 5

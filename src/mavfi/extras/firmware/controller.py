@@ -26,6 +26,7 @@ from mavfi.sim.vehicle import airframe_of
 GYRO_NOISE = 0.01
 """White noise of each gyro sample at 1 kHz (rad/s), as of a vibrating airframe; without it, a hover is too still."""
 _PURPOSE_GYRO_NOISE = 40
+"""Number of this random stream among those of a mission's seed."""
 _NOISE_BLOCK = 4_096
 """Samples that are drawn at a time."""
 

@@ -28,6 +28,7 @@ WALK = 3_000
 CALLS = 512
 """Upper bound of the calls in a period of 1 ms."""
 _STOP_LIMIT_S = 10.0
+"""Longest wait for the main thread to stop (s)."""
 
 
 class FirmwareInjector:
@@ -76,11 +77,13 @@ class FirmwareInjector:
         try:
             tracee = _stopped(firmware)
 
-            def walk(count: int) -> bool:  # within the firmware's code
+            def walk(count: int) -> bool:
+                """Execute some instructions; False = the thread has left the firmware's code for the shim."""
                 for _ in range(count):
                     tracee.step(_STOP_LIMIT_S)
                 return space.location_of(tracee.instruction_pointer()).library != str(firmware.shim)
 
+            # Flip a bit at the first eligible instruction; without one, a later period is tried.
             flipped = flip_here(self.fault, self._choices, tracee, memory, walk)
             if flipped is not None:
                 details = {
@@ -93,7 +96,8 @@ class FirmwareInjector:
                 }
                 injection = injection_of(flipped, space, self.fault, details)
                 self.injections = [replace(injection, time_s=1e-6 * time_us)]
-            tracee.detach()  # it runs on to the end of the period
+            # Release it: it runs on to the end of the period.
+            tracee.detach()
         except TargetGoneError as error:
             raise firmware.loss(error.code) from None
         finally:

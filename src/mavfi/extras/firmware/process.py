@@ -24,14 +24,17 @@ FIRST_NS = 1_000_000_000
 _REPORT = struct.Struct("<QQQQII4f")  # struct from_firmware of `lockstep.c`
 _HEAD = struct.Struct("<QQQ")  # of struct to_firmware
 _ARRIVED = 1
+"""Event of a report: stopped in front of the wanted instruction."""
 _FOLLOW_EVERY = 64
 """Periods between two looks at the CPU of this process."""
 _POLL_S = 1
 """Time between two looks at a firmware that is silent."""
 _HANG_CPU_S = 2.0
+"""Processor time after which a period never ends (s); it takes 0.1 ms."""
 _HANG_WALL_S = 20.0
-"""A period takes 0.1 ms of processor time; one that took this long, or waited this long, never ends."""
+"""Time after which a period that only waits never ends (s)."""
 _EXIT_WAIT_S = 2.0
+"""Longest wait for a firmware that is to exit (s)."""
 _LIBC = ctypes.CDLL(None)
 _CPU_FIELDS = slice(11, 13)  # utime and stime, counted from the state, in /proc/PID/stat
 
@@ -170,6 +173,7 @@ class Firmware:
         self._send(b"\0")
 
     def _send(self, content: bytes) -> None:
+        """Send to the firmware; the error names how it ended."""
         try:
             self._socket.send(content)
         except OSError:

@@ -10,7 +10,9 @@ from mavfi.outcomes import LASTING_S, ControlErrors
 from mavfi.sim.scene import STEP_US
 
 _LASTING = round(1e6 * LASTING_S) // STEP_US
+"""Number of set-points in `LASTING_S`."""
 _NAMES = "time_s", "tilt", "attitude", "velocity", "yaw_rate"
+"""Columns of the errors."""
 
 
 class Tracking:

@@ -17,6 +17,7 @@ from mavfi.plugins import Chapter
 FIRMWARE = "firmware"
 """Value of the column `kernel` for faults in a firmware."""
 _MAX_FUNCTIONS = 12
+"""Largest number of rows of the table of functions."""
 _OUTCOMES = {
     "identical": ("bit-identical", pl.col("effect") == "masked"),
     "arrives": ("other flight, arrives", (pl.col("effect") == "sdc") & pl.col("success")),
@@ -24,12 +25,16 @@ _OUTCOMES = {
     "ends": ("process ends", pl.col("effect") == "crash"),
     "hangs": ("hang", pl.col("effect") == "hang"),
 }
+"""Outcomes of a fault in the firmware: heading and condition."""
 _MEASURES = (m.count("n", "runs"), *(m.rate(key, heading, test) for key, (heading, test) in _OUTCOMES.items()))
+"""Columns of tables of outcomes."""
 _CLASSES = (
     m.count("n", "runs"),
     *(m.rate(control.name.lower(), control.value, pl.col("control") == control.value) for control in ControlEffect),
 )
+"""Columns of tables of control errors."""
 _INTERVALS = "per cent, [95 % interval, Wilson, adjusted for runs that share a mission], count"
+"""What the cells of the tables are."""
 
 
 def _in_firmware(runs: Runs) -> bool:

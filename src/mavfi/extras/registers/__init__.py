@@ -48,6 +48,7 @@ def inject(
             mavfi itself, or belongs to another user or to the kernel; no such thread or symbol; no permission.
         MavfiError: The target ended, or did not reach the injection point in time.
     """
+    # Refuse what cannot be injected before a tracer is started.
     if count < 1:
         raise BadInputError(f"count: {count}: allowed: 1 or more")
     if pid < 1:
@@ -65,6 +66,7 @@ def inject(
         start_new_session=True,
     ) as tracer:
         assert tracer.stdin is not None and tracer.stdout is not None
+        # Whatever happens here, the end of its input tells the tracer to release the target.
         try:
             tracer.stdin.write(json.dumps(order).encode() + b"\n")
             tracer.stdin.flush()
@@ -74,7 +76,7 @@ def inject(
                 if tell is not None:
                     tell(injection)
         finally:
-            tracer.stdin.close()  # makes the tracer release the target and exit
+            tracer.stdin.close()
             tracer.wait(_RELEASE_S)
     if len(injections) < count:
         raise MavfiError(f"pid {pid}: the tracer ended with exit code {tracer.returncode}")

@@ -35,7 +35,9 @@ _NAP_S = 1e-3
 """Time between two looks whether the search is over."""
 _MAX_INSTRUCTION_BYTES = 15  # Intel SDM, vol. 2, 2.3.11
 _VERBS = {"read": "reads", "write": "writes", "either": "reads or writes"}
+"""What an instruction does with a register, for messages, by `RegisterFault.access`."""
 _NOUNS = {"general": "a general register", "fp": "an fp register", "all": "a register"}
+"""Kind of register, for messages, by `RegisterFault.registers`."""
 
 
 @dataclass(frozen=True, slots=True)

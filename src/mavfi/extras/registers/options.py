@@ -8,6 +8,7 @@ from mavfi.cli.console import check_name, check_seed
 from mavfi.errors import BadInputError
 
 _LONGEST_S = 1e6
+"""Instants from this one on are refused (s)."""
 
 RegistersOption = Annotated[
     str | None, typer.Option(help="Of register faults: general (with the flags), fp (XMM, YMM), or all (the default).")

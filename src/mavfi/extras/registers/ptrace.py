@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from mavfi.errors import MavfiError
 
+# Requests of ptrace(2), from <sys/ptrace.h>.
 _CONT = 7
 _SINGLESTEP = 9
 _GETREGS = 12
@@ -27,17 +28,27 @@ _SETREGSET = 0x4205
 _SEIZE = 0x4206
 _INTERRUPT = 0x4207
 _TRACE_CLONE = 1 << 3
+"""Option that traces the threads that a thread creates."""
 _EVENT_STOP = 128
+"""Event of a stop by `_INTERRUPT`, or with the whole process."""
 WAIT_ALL = 0x40000000
 """__WALL: without it, waitpid does not report threads created by clone."""
 _XSTATE_NOTE = 0x202
+"""NT_X86_XSTATE: the note of the XSAVE area, from <elf.h>."""
 _XSTATE_SIZE = 16384
+"""Room for an XSAVE area of any processor (bytes)."""
+
+# The standard XSAVE area (Intel SDM, vol. 1, 13.4).
 _XSTATE_HEADER = 512
+"""Offset of the bits that say which components are stored."""
 _YMM_HIGH = 576
-"""Offset of the upper halves of the YMM registers in the standard XSAVE area (Intel SDM, vol. 1, 13.4)."""
+"""Offset of the upper halves of the YMM registers."""
 _XMM_COMPONENT = 1 << 1
+"""Bit of the XMM registers in the header."""
 _YMM_COMPONENT = 1 << 2
+"""Bit of the upper halves of the YMM registers in the header."""
 _XMM = 160
+"""Offset of the XMM registers."""
 _DEBUG_REGISTERS = 848
 """offsetof(struct user, u_debugreg)."""
 _SPINS = 200
@@ -45,7 +56,9 @@ _SPINS = 200
 _HALT_LIMIT_S = 2.0
 """Longest wait for a thread that is to be released."""
 _NAP_S = 1e-3
+"""Longest wait for a signal between two looks at a thread."""
 _NEWS = (signal.SIGCHLD,)
+"""Signals that announce that a thread has stopped or ended."""
 
 GENERAL = (
     "r15",
@@ -108,10 +121,12 @@ class _Vector(ctypes.Structure):
 
 
 # not the library's ptrace, which distinguishes values and errors by errno only
+# (system call number, request, thread, address, data)
 _syscall = ctypes.CDLL(None, use_errno=True).syscall
 _syscall.restype = ctypes.c_long
 _syscall.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p]
 _SYS_PTRACE = 101
+"""Number of the system call on x86-64."""
 
 
 def await_news(seconds: float) -> None:
@@ -263,6 +278,7 @@ class Tracee:
         return self._peek(_ORIG_RAX) < 1 << 63  # outside calls it is -1, unsigned
 
     def _peek(self, offset: int) -> int:
+        """A word of the thread's `struct user`."""
         _ptrace(_PEEKUSER, self.thread, offset, self._word_at)
         return self._word.value
 
@@ -300,6 +316,7 @@ class Tracee:
         _ptrace(_SETREGSET, self.thread, _XSTATE_NOTE, ctypes.addressof(note))
 
     def _extended(self) -> tuple["ctypes.Array[ctypes.c_uint8]", int]:
+        """The XSAVE area of the thread, and its length (bytes)."""
         area = (ctypes.c_uint8 * _XSTATE_SIZE)()
         note = _Vector(ctypes.addressof(area), _XSTATE_SIZE)
         _ptrace(_GETREGSET, self.thread, _XSTATE_NOTE, ctypes.addressof(note))

@@ -10,8 +10,11 @@ from capstone import x86_const as x86
 from mavfi.extras.registers.ptrace import Tracee
 
 _FLAGS = {"CF": 0, "PF": 2, "AF": 4, "ZF": 6, "SF": 7, "OF": 11}
+"""Injectable flags, with their bits in RFLAGS."""
 _VECTOR = re.compile(r"([xy])mm(\d+)$")
+"""Name of a vector register, with its number."""
 _LAST_VECTOR = 15
+"""Largest number of a vector register that ptrace can write in the standard area."""
 _COMPARES = ("vucomis", "vcomis")
 """Comparisons for which the decoder omits that they set flags: all six (Intel SDM, vol. 2, UCOMISD)."""
 _MASKED = re.compile(r"[xy]mm\d+(?= \{k[1-7]\})")
@@ -62,10 +65,12 @@ def _general() -> dict[str, Register]:
 
 
 _GENERAL = _general()
+"""General registers and their parts, by name."""
 
 
 @lru_cache(maxsize=1)
 def _decoder() -> capstone.Cs:
+    """Capstone's decoder, built once."""
     decoder = capstone.Cs(capstone.CS_ARCH_X86, capstone.CS_MODE_64)
     decoder.detail = True
     return decoder
@@ -85,9 +90,13 @@ class MachineInstruction:
 
 
 _PREFIXES = b"\x66\x67\xf0\xf2\xf3\x2e\x36\x3e\x26\x64\x65" + bytes(range(0x40, 0x50))
+"""Prefixes of instructions (Intel SDM, vol. 2, 2.1.1 and 2.2.1)."""
 _SYSCALL = b"\x0f\x05"
+"""Opcode of a system call."""
 _SYSENTER = b"\x0f\x34"
+"""Opcode of a system call of 32-bit programs."""
 _INT = b"\xcd"
+"""Opcode of a software interrupt."""
 
 
 @lru_cache(maxsize=4096)
@@ -121,8 +130,11 @@ def _flag_masks(*verbs: str) -> dict[str, int]:
 
 
 _FLAGS_READ = _flag_masks("TEST")
+"""Capstone's bits of flags that an instruction reads."""
 _FLAGS_WRITTEN = _flag_masks("MODIFY", "SET", "RESET")
+"""Capstone's bits of flags that an instruction writes."""
 _ALL_FLAGS = (Register("rflags", "rflags", 0, 0, tuple(_FLAGS.values())),)
+"""The register of flags, of which every flag is injectable."""
 
 
 def _registers(decoded: capstone.CsInsn, numbers: list[int], flags: dict[str, int]) -> tuple[Register, ...]:

@@ -9,7 +9,9 @@ from mavfi.errors import BadInputError
 
 _CLOCK_FIELDS = slice(11, 13)  # utime and stime, counted from the state, in /proc/PID/stat
 _INIT = 1
+"""Number of the first process, which must not be traced."""
 _ELF_64 = b"\x7fELF\x02"
+"""Beginning of a 64-bit program."""
 
 
 def check_machine() -> None:
@@ -40,6 +42,7 @@ def check_target(pid: int, tool: int) -> None:
 
 
 def _status(pid: int) -> dict[str, str]:
+    """The lines of /proc/PID/status by key; refuses a thread, and a process that does not exist."""
     try:
         lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     except OSError:
@@ -51,6 +54,7 @@ def _status(pid: int) -> dict[str, str]:
 
 
 def _check_program(pid: int) -> None:
+    """Refuse what is not a 64-bit program of the user."""
     try:
         with open(f"/proc/{pid}/exe", "rb") as program:
             head = program.read(5)
@@ -84,6 +88,7 @@ def busiest_thread(pid: int) -> int:
 
 
 def _busyness(pid: int, thread: int) -> tuple[bool, int]:
+    """Whether a thread is running, and its CPU time (clock ticks)."""
     try:
         text = Path(f"/proc/{pid}/task/{thread}/stat").read_text()
     except OSError:  # it has just ended
