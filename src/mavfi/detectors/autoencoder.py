@@ -252,7 +252,9 @@ def network_of(model: Model, fields: int) -> Network:
 def _layers(model: Model, fields: int) -> np.ndarray:
     """Neurons per layer of a model with this number of fields."""
     parameter = model.parameters.get("sizes")
-    layers = len(parameter) if isinstance(parameter, list) else 0
+    layers = 0
+    if isinstance(parameter, list):
+        layers = len(parameter)
     sizes = model.numbers("sizes", layers, least=1.0)
     if len(sizes) < 2 or (sizes > _WIDEST).any() or (sizes % 1 != 0).any() or not sizes[0] == sizes[-1] == fields:
         raise BadInputError(f"parameter 'sizes': {parameter}; allowed: neurons per layer, {fields}, ..., {fields}")
@@ -343,7 +345,9 @@ def train_network(
         n_iter_no_change=epochs,
         random_state=0,
     )
-    targets = inputs if inputs.shape[1] > 1 else inputs.ravel()  # scikit-learn warns of a single column
+    targets = inputs
+    if inputs.shape[1] == 1:  # scikit-learn warns of a single column
+        targets = inputs.ravel()
     with threadpool_limits(1), warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # the number of epochs is the stopping rule
         network.fit(inputs, targets)

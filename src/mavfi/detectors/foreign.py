@@ -85,7 +85,9 @@ def _thresholds(spec: StateSpec, recordings: Sequence[Sequence[State]], profile:
         raise BadInputError(f"training: {spec.name} {field}: holds numbers that are not finite; leave this field out")
     with np.errstate(over="ignore"):
         changes = np.concatenate([np.diff(table, axis=0) for table in tables])
-        measured = values if profile == "paper" else changes
+        measured = changes
+        if profile == "paper":
+            measured = values
         largest = np.abs(measured).max(axis=0)
     largest = np.minimum(largest, np.finfo(np.float64).max)  # a difference may have overflowed
     # Without any change, far below the value.

@@ -132,5 +132,8 @@ class MissionLimits:
             "fastest": self.control_period / self.tracker_slowdown,
         }
         for name in NUMBERS.names or ():  # the others are attributes
-            record[name] = values[name] if name in values else getattr(self, name)
+            if name in values:
+                record[name] = values[name]
+            else:
+                record[name] = getattr(self, name)
         return record

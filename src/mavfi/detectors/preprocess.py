@@ -410,7 +410,9 @@ def _rule_of(spec: StateSpec, field: str, profile: str, prediction: str, *, is_p
     if field == "time_to_collision":
         return features.DELTA_OF_CODES, _BELOW_ONE
     if profile == "paper":
-        threshold = _BELOW_HALF if is_position else _BELOW_QUARTER
+        threshold = _BELOW_QUARTER
+        if is_position:
+            threshold = _BELOW_HALF
         return features.DELTA_OF_CODES, threshold
     if is_position:
         return PREDICTIONS[prediction], _BELOW_EIGHTH

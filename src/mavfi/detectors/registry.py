@@ -228,7 +228,9 @@ def load_detector(
     factory.check_installed()
     has_gate = chosen.pop("gate", False)
     model_profile = factory.training.profiles[0]
-    features = chosen.pop("features", None) if _has_presets(factory) else None
+    features = None
+    if _has_presets(factory):
+        features = chosen.pop("features", None)
     if features is not None:
         if features not in FEATURES:
             raise BadInputError(f"detector {name!r}: features: {features!r}: allowed: {', '.join(FEATURES)}")
@@ -241,7 +243,9 @@ def load_detector(
         raise BadInputError(f"{path}: {error}") from None
     if has_gate:
         limits = mission.get("limits")
-        arena = UNKNOWN_ARENA if limits is None else limits.arena
+        arena = UNKNOWN_ARENA
+        if limits is not None:
+            arena = limits.arena
         detector = Chain(PhysicsGate(float(mission["v_max"]), arena), detector)
     return Loaded(detector, model.sha256)
 
@@ -256,13 +260,17 @@ def _model_of(
         wanted = {key: mission[key] for key in FITTED_TO}
     name = model_name(wanted["stack"], wanted["platform"], factory.model_kind, profile)
     path = (models_dir or SHIPPED_MODELS) / f"{name}.json"
-    shown = path.name if models_dir is None else str(path)
+    shown = str(path)
+    if models_dir is None:
+        shown = path.name
     if not path.parent.is_dir():
         raise BadInputError(f"{path.parent}: there is no such folder of models")
     if not is_file(path):
         if trained_for:
             raise BadInputError(f"trained_for: {trained_for!r}: there is no model {shown}; allowed: those of a model")
-        baselines = "--baselines " if factory.extra else ""
+        baselines = ""
+        if factory.extra:
+            baselines = "--baselines "
         raise SpecMismatchError(
             f"{shown}: no model is trained for this autopilot and platform; train one (mavfi train {baselines}"
             "--autopilot ... --platform ... --out FOLDER), then name the folder with --models; "
@@ -290,10 +298,12 @@ def _refuse_dropped(name: str) -> None:
 
 
 def _class_of(name: str) -> Any:  # noqa: ANN401 - a class, or a function of a user's own
+    """The class of a detector by name, imported."""
     return load_object("detector", name, GROUP, _SHIPPED)
 
 
 def _is_trained(factory: Any) -> bool:  # noqa: ANN401
+    """Whether it is a class that `mavfi train` fits."""
     return isinstance(factory, type) and issubclass(factory, TrainedDetector)
 
 

@@ -260,7 +260,9 @@ class MonitoredFields(Training):
             return False
         if len(kinds) != len(times_us) or ((kinds < features.ODOMETRY) | (kinds >= len(WATCHED))).any():
             return False
-        size = int(recording.ends[-1]) if len(kinds) else 0
+        size = 0
+        if len(kinds):
+            size = int(recording.ends[-1])
         return size == len(content)
 
     def fit(

@@ -431,11 +431,13 @@ class StateLevel(Level):
             raise BadInputError(f"element [{element}]: {site_name} is no list; allowed: no element")
         # Bits and duration.
         bits = max(WORD_BITS[candidate.dtype] for candidate in fields)
-        lifetime = {"lasts_s" if name == "lasts" else name: value for name, value in parts.options.items()}
+        lifetime = dict(parts.options)
         bit = lifetime.pop("bit", None)
         last = (bit or 0) + lifetime.get("width", 1) - 1
         if last >= bits:
             raise BadInputError(f"no bit {last} in {site_name}; allowed: 0 to {bits - 1}")
+        if "lasts" in lifetime:
+            lifetime["lasts_s"] = lifetime.pop("lasts")
         StateFault(FaultSite(spec.name, field or spec.fields[0].name), **lifetime)  # refuses numbers out of range
         return StateRequest(spec, field, element, bit, parts.time_us, lifetime=lifetime)
 

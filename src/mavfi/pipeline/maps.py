@@ -154,7 +154,7 @@ class DenseMap:
         self._arrays = ScanArrays(frame, rule, max_range)
         self.log_odds = self._arrays.log_odds
         self._changes = Changes(self.log_odds)
-        self._takes_back = False
+        self._can_undo = False
         self.scratch = (self._arrays,)
 
     def insert(self, points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -171,7 +171,7 @@ class DenseMap:
         else:
             self._changes.forget()
             self._changes.note(voxels, before, after)
-        self._takes_back = True
+        self._can_undo = True
         return voxels, after
 
     def _put(self, voxels: np.ndarray, log_odds: np.ndarray) -> None:
@@ -180,29 +180,29 @@ class DenseMap:
 
     def mark(self) -> None:
         """Commit the scans so far: rollback does not reach beyond this point."""
-        self._takes_back = False
+        self._can_undo = False
 
     def rollback(self) -> None:
         """Undo the last scan; its stamp is not reused, as the stamp counter is not restored."""
-        if self._takes_back:
+        if self._can_undo:
             self._changes.take_back(len(self._changes) - 1, self._put)
             if self._rewindable:
                 self._arrays.note(None)
-        self._takes_back = False
+        self._can_undo = False
 
     def save(self) -> tuple[tuple[Change, ...], bool]:
         """All scans so far, and whether the last one can be undone; stamps only need to be unused ones."""
-        return self._changes.save(), self._takes_back
+        return self._changes.save(), self._can_undo
 
     def restore(self, saved: tuple[tuple[Change, ...], bool]) -> None:
         """Restore the result of `save`."""
-        changes, self._takes_back = saved
+        changes, self._can_undo = saved
         self.log_odds[:] = self._changes.restore(changes)
 
     def same(self, saved: tuple[tuple[Change, ...], bool]) -> bool:
         """Whether the map, and the map after a rollback, equal those of `save`."""
         changes, takes_back = saved
-        return self._takes_back == takes_back and self._changes.same(changes, int(takes_back))
+        return self._can_undo == takes_back and self._changes.same(changes, int(takes_back))
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Log-odds of the voxels; stamps are no memory, as they only need to be unused ones."""

@@ -203,30 +203,31 @@ class Changes:
 
     def __init__(self, array: np.ndarray) -> None:
         self._array = array
-        self._list: list[Change] = []
-        self._copy: np.ndarray | None = None
-        self._copied: list[Change] = []
+        self._log: list[Change] = []
+        # A second copy of the array, created by the first `restore`, and the changes that it contains.
+        self._replica: np.ndarray | None = None
+        self._replica_log: list[Change] = []
 
     def __len__(self) -> int:
-        return len(self._list)
+        return len(self._log)
 
     def note(self, places: np.ndarray, before: np.ndarray, after: np.ndarray) -> None:
         """Append a change that was just made; the arrays are not copied."""
-        self._list.append(Change(places, before, after))
+        self._log.append(Change(places, before, after))
 
     def forget(self) -> None:
         """Clear the log: the current contents become the base."""
-        self._list.clear()
+        self._log.clear()
 
     def take_back(self, down_to: int, put: Put) -> None:
         """Undo the latest changes until `down_to` are left; `put` writes to the array and to those derived from it."""
-        while len(self._list) > down_to:
-            change = self._list.pop()
+        while len(self._log) > down_to:
+            change = self._log.pop()
             put(change.places[::-1], change.before[::-1])
 
     def save(self) -> tuple[Change, ...]:
         """All changes so far, oldest first; unaffected by later changes."""
-        return tuple(self._list)
+        return tuple(self._log)
 
     def restore(self, saved: tuple[Change, ...]) -> np.ndarray:
         """Restore the log to a saved one.
@@ -234,21 +235,22 @@ class Changes:
         Returns:
             Contents of the array at that time, read-only; the caller writes them to the array.
         """
-        copy = self._copy_at(saved)
-        self._list = list(saved)
+        copy = self._replica_at(saved)
+        self._log = list(saved)
         return copy
 
-    def _copy_at(self, saved: tuple[Change, ...]) -> np.ndarray:
+    def _replica_at(self, saved: tuple[Change, ...]) -> np.ndarray:
         """A second copy of the array, moved from the snapshot used last to `saved`."""
-        if self._copy is None:
-            self._copy = np.zeros_like(self._array)
-        common = common_length(self._copied, saved)
-        for change in reversed(self._copied[common:]):
-            self._copy[change.places[::-1]] = change.before[::-1]
+        if self._replica is None:
+            self._replica = np.zeros_like(self._array)
+        # Go back to the last change that both have in common, then forward.
+        common = common_length(self._replica_log, saved)
+        for change in reversed(self._replica_log[common:]):
+            self._replica[change.places[::-1]] = change.before[::-1]
         for change in saved[common:]:
-            self._copy[change.places] = change.after
-        self._copied = list(saved)
-        return self._copy
+            self._replica[change.places] = change.after
+        self._replica_log = list(saved)
+        return self._replica
 
     def same(self, saved: tuple[Change, ...], revocable: int) -> bool:
         """Whether the array is bit-identical to its contents at the time of `saved`.
@@ -257,19 +259,20 @@ class Changes:
             saved: Result of `save`.
             revocable: Number of latest changes that may be undone, which must also be identical.
         """
-        if len(saved) == len(self._list) == common_length(self._list, saved):
+        if len(saved) == len(self._log) == common_length(self._log, saved):
             return True
+        # Other changes may have led to the same contents.
         if not self._same_newest(saved, revocable):
             return False
-        copy = self._copy_at(saved)
+        copy = self._replica_at(saved)
         bits = f"u{copy.itemsize}"
         return np.array_equal(self._array.view(bits), copy.view(bits))
 
     def _same_newest(self, saved: tuple[Change, ...], count: int) -> bool:
         """Whether the latest `count` changes would be undone to the same values."""
-        if min(len(saved), len(self._list)) < count:
+        if min(len(saved), len(self._log)) < count:
             return False
-        newest = zip(self._list[len(self._list) - count :], saved[len(saved) - count :], strict=True)
+        newest = zip(self._log[len(self._log) - count :], saved[len(saved) - count :], strict=True)
         return all(
             mine is theirs
             or (mine.places.tobytes() == theirs.places.tobytes() and mine.before.tobytes() == theirs.before.tobytes())
