@@ -94,6 +94,7 @@ def _in_memory(start: str, memory: Memory) -> Iterator[Words]:
 
 
 def _in_value(name: str, value: Any) -> Iterator[Words]:
+    """Words of a value of a memory, whose name they begin with."""
     if isinstance(value, State):
         for field in dict.fromkeys(value.spec.fields):  # a name in both elements and header denotes the element field
             if field in value.spec.elements:
@@ -113,11 +114,13 @@ def _in_value(name: str, value: Any) -> Iterator[Words]:
 
 
 def _code(array: np.ndarray) -> str:
+    """Type of the elements of an array, as in `Words`."""
     code = array.dtype.str[1:]
     return _FLAG.get(code, code)
 
 
 def _scalar_type(value: float) -> str:
+    """Type of a Python number, as in `Words`."""
     if isinstance(value, bool):
         return "?"
     if isinstance(value, int):
