@@ -80,6 +80,7 @@ class ArmConfig(Config):
     @model_validator(mode="before")
     @classmethod
     def _gather(cls, data: Any, info: ValidationInfo) -> Any:
+        """Move keys of missions, which may stand beside those of the campaign, to `mission`."""
         if not isinstance(data, dict):
             return data
         inline = {key: data[key] for key in data if key in MissionSpec.model_fields}
@@ -168,6 +169,7 @@ class Campaign(Config):
 
     @model_validator(mode="after")
     def _consistent(self) -> "Campaign":
+        """Check what depends on several keys: seeds, names, and how the level and the host draw faults."""
         missions = max([self.missions, *(scale.missions or 0 for scale in self.scales.values())])
         if self.first_seed + missions > TRAINING_SEED:
             raise ValueError(

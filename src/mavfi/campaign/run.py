@@ -424,6 +424,7 @@ def _as_begun(campaign: Campaign, directory: Path) -> Campaign:
 
 
 def _models_dir(directory: Path) -> Path | None:
+    """Folder of models with which a ledger was begun; None = the shipped ones, or there is no ledger."""
     path: str | None = held(directory, "models_dir")
     if path is None:
         return None
