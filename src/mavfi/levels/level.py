@@ -55,7 +55,7 @@ class Request(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Text:
+class FaultText:
     """The text of a fault, in its parts.
 
     Attributes:
@@ -360,7 +360,7 @@ class Level:
         """Raise a BadInputError for a text that is not in the level's form."""
         raise BadInputError(f"not understood; allowed: {self.form}")
 
-    def parts_of(self, text: str) -> Text:
+    def parts_of(self, text: str) -> FaultText:
         """The parts of a text, given without the level; a BadInputError names the one that is wrong."""
         # Split it: SITE:name=value:name=value@INSTANT.
         body, _, instant = text.partition("@")
@@ -387,7 +387,7 @@ class Level:
             options[name] = kind(value)
         if list(options) != [name for name in self.options if name in options]:
             self.not_understood()
-        return Text(site, options, instant_us(instant))
+        return FaultText(site, options, instant_us(instant))
 
 
 def instant_us(seconds: str) -> int | None:
