@@ -256,8 +256,9 @@ class Campaign(Config):
 
     def spec(self, environment: str, seed: int, overrides: Mapping[str, Any] | None = None) -> MissionSpec:
         """The mission for an environment and seed, with the overrides of an arm."""
-        part = self.parts.get(environment, CampaignPart(environment=environment)).model_dump(exclude_none=True)
-        keys = {**self.mission, **(overrides or {}), **part, "seed": seed}
+        part = self.parts.get(environment, CampaignPart(environment=environment))
+        part_keys = part.model_dump(exclude_none=True)
+        keys = {**self.mission, **(overrides or {}), **part_keys, "seed": seed}  # later entries replace earlier ones
         return parse(MissionSpec, keys, f"campaign {self.name}")
 
     def to_json(self) -> dict[str, Any]:
@@ -299,13 +300,18 @@ def _with_under_test(data: dict[str, Any], info: ValidationInfo) -> dict[str, An
             raise ValueError(f"host: {host.name!r}: the key {key} goes with host {host.name}, and only with it")
         under_test = parse_part(host.config, values, key, info.context)
         data = {**host.campaign_defaults(under_test), **data, "under_test": under_test}
+    _refuse_keys_of_other_hosts(data)
+    return data
+
+
+def _refuse_keys_of_other_hosts(data: Mapping[str, Any]) -> None:
+    """Raise a ValueError for a key of what is under test at another host; other unknown keys are refused later."""
     for key in data.keys() - Campaign.model_fields.keys():
         for other in extensions("mavfi.hosts").values():
             if other.config_key == key:
                 raise ValueError(
                     f"host: {data.get('host', _LOCAL)!r}: the key {key} goes with host {other.name}, and only with it"
                 )
-    return data
 
 
 def _sampling(data: Any, info: ValidationInfo | None) -> Sampling:
