@@ -58,10 +58,10 @@ class MessageSampler(Sampler):
     def _fault(self, side: str, index: int, seed: int, golden: Golden, *, null: bool = False) -> MessageFault | None:
         """Draw a fault on one side of the calls; None if the golden run has no number there."""
         # all calls of the golden run with a number on this side
-        passed: Sequence[Any] = getattr(golden[""].flight, "passed", ()) if "" in golden else ()
+        recorded_calls: Sequence[Any] = getattr(golden[""].flight, "calls", ()) if "" in golden else ()
         seen: Counter[str] = Counter()
         calls: list[tuple[str, int, int]] = []  # name, number among those of this name, numbers on this side
-        for call in passed:
+        for call in recorded_calls:
             seen[call.name] += 1
             numbers = call.arguments if side == "arguments" else call.returned
             if numbers and (not self.sampling.calls or call.name in self.sampling.calls):
