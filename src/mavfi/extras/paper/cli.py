@@ -97,12 +97,14 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
         for folder in timed:  # in one process, with no other work at the same time
             with bar.timed("timed flights"):
                 save(measure(campaigns[folder], TIMED_FLIGHTS, out / MODELS, bar.show), out / folder)
-        written, _ = write_study_report(chosen, scale, out, out / PAGE, FLIGHTS, workers, bar=bar)
+        report, _ = write_study_report(chosen, scale, out, out / PAGE, FLIGHTS, workers, bar=bar)
+
+    # the headline, and where everything is
     if as_json:
-        write_json(written.to_json())
+        write_json(report.to_json())
         return
-    show_study_report(written, show_all)
-    _say_where(out, written.campaigns, bar.steps)
+    show_study_report(report, show_all)
+    _say_where(out, report.campaigns, bar.steps)
 
 
 def _train(
@@ -137,9 +139,12 @@ def _say_where(out: Path, campaigns: Mapping[str, "Runs"], steps: "StepTimes") -
         name = runs.campaign["name"]
         digest = short(runs.campaign["digest"])
         terminal.print(Text(f"  {name:{width}}  {digest}  {out / folder}"), soft_wrap=True)
-    took = duration(sum(steps.seconds.values()))
-    took += ", set-up included" if SET_UP in steps.seconds else " in all"
-    terminal.print(f"The models are in {out / MODELS}. It took {took}.", soft_wrap=True)
+    wall_time = duration(sum(steps.seconds.values()))
+    if SET_UP in steps.seconds:
+        wall_time += ", set-up included"
+    else:
+        wall_time += " in all"
+    terminal.print(f"The models are in {out / MODELS}. It took {wall_time}.", soft_wrap=True)
 
 
 def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> list["MissionSpec"]:
