@@ -137,7 +137,7 @@ class NodeDriver:
         self._patience = node.patience_s
         self._composer = Composer(node.inputs.type)
         self._outlet = bench.peer().advertise(absolute(node.inputs.topic), self._composer.header)
-        self._sent = 0
+        self._sequence_number = 0
         self._answers: queue.Queue[bytes] = queue.Queue()
         self._is_over = threading.Event()
         self._source = self._connect(bench.master, absolute(node.name), absolute(node.outputs.topic))
@@ -182,12 +182,12 @@ class NodeDriver:
 
     def _stamped(self, fields: dict[str, Any]) -> dict[str, Any]:
         """The message, stamped with the current time if it has a header."""
-        self._sent += 1
+        self._sequence_number += 1
         if "std_msgs/Header header" not in self._composer.header["message_definition"].partition("=====")[0]:
             return fields
         now = time.time_ns()
         stamp = {"sec": now // 1_000_000_000, "nanosec": now % 1_000_000_000}
-        return {**fields, "header": {**fields.get("header", {}), "seq": self._sent, "stamp": stamp}}
+        return {**fields, "header": {**fields.get("header", {}), "seq": self._sequence_number, "stamp": stamp}}
 
 
 # ---- a trial ---------------------------------------------------------------------------------------------------------
