@@ -79,7 +79,7 @@ def fly(pattern: str, fault: RegisterFault | None = None) -> PatternFlight:
     try:
         for state in _states(plant, pattern):
             states.append(state)
-            if controller.lost is not None:
+            if controller.loss is not None:
                 break
     finally:
         plant.close()
@@ -87,8 +87,8 @@ def fly(pattern: str, fault: RegisterFault | None = None) -> PatternFlight:
     # what the flight was like
     rows = np.array(states)
     firmware_end = ("", "")
-    if controller.lost is not None:
-        firmware_end = (controller.lost.effect, controller.lost.detail)
+    if controller.loss is not None:
+        firmware_end = (controller.loss.effect, controller.loss.detail)
     injection = None
     if injector is not None:
         injection = injector.finish()[0]

@@ -81,6 +81,7 @@ class FirmwareInjector:
                     tracee.step(_STOP_LIMIT_S)
                 return space.location_of(tracee.instruction_pointer()).library != str(firmware.shim)
 
+            # Flip a bit in front of an instruction with a register of the kind, within reach.
             flipped = flip_here(self.fault, self._choices, tracee, memory, walk)
             if flipped is not None:
                 details = {
@@ -93,6 +94,8 @@ class FirmwareInjector:
                 }
                 injection = injection_of(flipped, space, self.fault, details)
                 self.injections = [replace(injection, time_s=1e-6 * time_us)]
+
+            # It is released, flipped or not.
             tracee.detach()  # it runs on to the end of the period
         except TargetGoneError as error:
             raise firmware.loss(error.code) from None
