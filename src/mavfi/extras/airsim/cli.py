@@ -141,7 +141,7 @@ def serve(  # noqa: PLR0913 - one parameter per option
     from mavfi.extras.airsim.server import msgpack
 
     msgpack()
-    planned = _planned(fault, fault_seed)
+    planned = _fault_of(fault, fault_seed)
     with compiling():
         from mavfi.extras.airsim.host import make_api
         from mavfi.extras.airsim.server import AirsimServer, RealClock, StepClock
@@ -214,7 +214,7 @@ def _summarize(server: AirsimServer) -> None:
         out.print(f"refused {count} x: {text}", markup=False)
 
 
-def _planned(fault: str | None, seed: int | None) -> BoundaryFault | SensorFault | None:
+def _fault_of(fault: str | None, seed: int | None) -> BoundaryFault | SensorFault | None:
     """Read the fault; None without one."""
     if seed is not None:
         check_seed("--fault-seed", seed)
@@ -255,7 +255,7 @@ def run(  # noqa: PLR0913 - one parameter per option
     _hint_at_order(context, arguments or ())
     _check_detector(detector, profile)
     pixels(image)
-    planned = _planned(fault, fault_seed)
+    planned = _fault_of(fault, fault_seed)
     program = ProgramConfig(
         script=str(script),
         arguments=tuple(arguments or ()),

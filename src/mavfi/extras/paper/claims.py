@@ -504,7 +504,7 @@ def _measured_overhead(arm: str, bound: float) -> Callable[[Runs], Evidence]:
     """Test of measured detection and recovery of golden flights, as shares of their kernels' time."""
 
     def test(runs: Runs) -> Evidence:
-        flights = _timed(runs, arm)
+        flights = _measured_times(runs, arm)
         if not flights:
             return Evidence(_NOT_MEASURED, None, supports=False)
         spent = [detection + recovery for detection, recovery in flights.values()]
@@ -516,7 +516,7 @@ def _measured_overhead(arm: str, bound: float) -> Callable[[Runs], Evidence]:
     return test
 
 
-def _timed(runs: Runs, arm: str) -> dict[tuple[str, int], tuple[float, float]]:
+def _measured_times(runs: Runs, arm: str) -> dict[tuple[str, int], tuple[float, float]]:
     """Measured detection and recovery of an arm's golden flights, by environment and number of the flight."""
     rows = runs.campaign.get("overheads", {}).get("rows", ())
     return {
@@ -557,8 +557,8 @@ def _measured_against(*parts: int, more: bool) -> Callable[[Runs], Evidence]:
     """Sign test of the sum of some parts of the measured times of both detectors, on the same golden flights."""
 
     def test(runs: Runs) -> Evidence:
-        aad = _summed(_timed(runs, "autoencoder"), parts)
-        gad = _summed(_timed(runs, "gaussian"), parts)
+        aad = _sums_of(_measured_times(runs, "autoencoder"), parts)
+        gad = _sums_of(_measured_times(runs, "gaussian"), parts)
         shared = [flight for flight in aad if flight in gad]
         if not shared:
             return Evidence(_NOT_MEASURED, None, supports=False)
@@ -585,7 +585,7 @@ def _measured_against(*parts: int, more: bool) -> Callable[[Runs], Evidence]:
     return test
 
 
-def _summed(
+def _sums_of(
     flights: Mapping[tuple[str, int], tuple[float, float]], parts: Sequence[int]
 ) -> dict[tuple[str, int], float]:
     """Sum of some parts of the measured times of each flight."""

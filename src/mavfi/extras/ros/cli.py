@@ -100,7 +100,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     plan = FlightPlan(
         setup.scenario,
         configure(setup.scenario),
-        drawn(setup.scenario, request, fault_seed),
+        draw_fault(setup.scenario, request, fault_seed),
         setup.detector(),
         setup.recovery,
         kills,
@@ -205,7 +205,7 @@ def request_of(text: str | None, mission: MissionSpec) -> Request | None:
     return parse(text, mission.localization, Ros1Host.levels)
 
 
-def drawn(scenario: Scenario, request: Request | None, seed: int | None) -> Any:  # noqa: ANN401 - a fault of these levels
+def draw_fault(scenario: Scenario, request: Request | None, seed: int | None) -> Any:  # noqa: ANN401 - a fault of these levels
     """The fault that a request of `request_of` draws in a mission; None without a request."""
     from mavfi.flight.host import ArmSetup
 

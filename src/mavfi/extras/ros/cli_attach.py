@@ -214,7 +214,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     out = console()
     with stoppable("Stopped. The graph is as it was."), listener:
         # learn what is normal
-        training = _trained(listener, (detector, profile), options.listed(fields), train, learn_s)
+        training = _train_detector(listener, (detector, profile), options.listed(fields), train, learn_s)
         watching = TopicWatch(listener, training.probes, training.detector)
         if not as_json:
             topic_names = ", ".join(sorted(training.probes))
@@ -256,7 +256,7 @@ class MonitorTraining(NamedTuple):
     messages: int
 
 
-def _trained(
+def _train_detector(
     listener: TopicListener, detector_and_profile: tuple[str, str], fields: list[str], source: str, seconds: float
 ) -> MonitorTraining:
     """Train a detector on what the topics publish now, or on a file."""
