@@ -51,6 +51,7 @@ airframe, whose rotors give little torque."""
 
 _PACKETS = struct.Struct("<Q18dd16H")
 _SEA_LEVEL_PA = 101_325.0
+# codes of MSP requests, and ids of modes, as in `msp_protocol.h` and `msp_box.c`
 _SET_MODE_RANGE = 35
 _RC_TUNING = 111
 _SET_RC_TUNING = 204
@@ -63,6 +64,7 @@ _FC_VERSION = 3
 _ARM = 0
 _ANGLE = 1
 _HEAD = 5
+"""Bytes of a reply before its content: `$M>`, length and code."""
 _MSP_WALL_S = 4.0
 """Time limit of an answer on the serial port."""
 _ATTEMPTS = 5
@@ -207,11 +209,11 @@ def _configure(program: Path, shim: Path) -> tuple[str, bytes]:
             console = _Console(firmware, connection)
             version = ".".join(str(number) for number in console.ask(_FC_VERSION)[:3])
             name = console.ask(_FC_VARIANT).decode("ascii", "replace")
-            _write(console)
+            _write_configuration(console)
             return f"{name} {version}", (firmware.folder / EEPROM).read_bytes()
 
 
-def _write(console: _Console) -> None:
+def _write_configuration(console: _Console) -> None:
     """Write the configuration; indices as in `MSP_RC_TUNING` and `MSP_PID`."""
     console.ask(_SET_MODE_RANGE, bytes([0, _ARM, 0, 32, 48]))  # auxiliary 1 from 1700 us on; steps of 25 us from 900
     console.ask(_SET_MODE_RANGE, bytes([1, _ANGLE, 1, 0, 48]))  # auxiliary 2: always

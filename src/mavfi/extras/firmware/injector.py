@@ -74,13 +74,14 @@ class FirmwareInjector:
         space = AddressSpace(firmware.pid)
         memory = os.open(f"/proc/{firmware.pid}/mem", os.O_RDONLY)
         try:
-            tracee = _stopped(firmware)
+            tracee = _stop_main_thread(firmware)
 
             def walk(count: int) -> bool:  # within the firmware's code
                 for _ in range(count):
                     tracee.step(_STOP_LIMIT_S)
                 return space.location_of(tracee.instruction_pointer()).library != str(firmware.shim)
 
+            # Flip a bit in front of an instruction with a register of the kind, within reach.
             flipped = flip_here(self.fault, self._choices, tracee, memory, walk)
             if flipped is not None:
                 details = {
@@ -93,6 +94,8 @@ class FirmwareInjector:
                 }
                 injection = injection_of(flipped, space, self.fault, details)
                 self.injections = [replace(injection, time_s=1e-6 * time_us)]
+
+            # It is released, flipped or not.
             tracee.detach()  # it runs on to the end of the period
         except TargetGoneError as error:
             raise firmware.loss(error.code) from None
@@ -108,7 +111,7 @@ class FirmwareInjector:
         return self.injections or [missed]
 
 
-def _stopped(firmware: Firmware) -> Tracee:
+def _stop_main_thread(firmware: Firmware) -> Tracee:
     """The main thread of a firmware that waits in front of an instruction, stopped at this instruction."""
     try:
         tracee = Tracee(firmware.pid)

@@ -298,8 +298,12 @@ def step_table(seconds: Mapping[str, float], campaigns: Mapping[str, Runs]) -> T
     runs = sum(map(len, campaigns.values()))
     rows = []
     for step, spent in [*seconds.items(), ("all", total)]:
-        share = spent / total if total else None
-        pace = runs / spent if step == FLIGHTS and spent else None
+        share = None
+        if total:
+            share = spent / total
+        pace = None
+        if step == FLIGHTS and spent:
+            pace = runs / spent
         rows.append((step, spent / 60, share, pace))
     columns = (
         Column("step", "step"),
