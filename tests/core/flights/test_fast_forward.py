@@ -102,8 +102,9 @@ def marked(autopilot, arm):
 )
 def test_fast_forwarded_flights_are_the_flights(autopilot, arm):
     forward = FastForward(mission(autopilot))
-    assert every_fault(autopilot, arm, forward, ARMS[autopilot][arm]()) == []
-    assert forward.share.flights == 1 + len(FAULTS)
+    faults = FAULTS if autopilot == "published" else FAULTS[::2]
+    assert every_fault(autopilot, arm, forward, ARMS[autopilot][arm](), faults) == []
+    assert forward.share.flights == 1 + len(faults)
     if arm != "nervous":  # which alarms all the time
         assert forward.share.flown < 0.85 * forward.share.ticks
         assert forward.share.converged > 0
@@ -264,7 +265,7 @@ def under_an_estimator(arm, faults=(None, *ESTIMATED)):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arm", ["", "nervous"])
+@pytest.mark.parametrize("arm", [pytest.param("", marks=pytest.mark.long), "nervous"])
 def test_the_estimated_state_is_fast_forwarded_too(arm):
     forward, other = under_an_estimator(arm)
     assert other == []
