@@ -47,6 +47,7 @@ reproduce: setup  ## train, fly, print the tables and tested findings of the pap
 	@$(BIN)/mavfi reproduce --scale $(SCALE) --out $(OUT)
 
 test: setup  ## run the tests
+	@$(BIN)/python -m tests.warm_up
 	@$(PYTEST) -n $(TESTERS) -m "not long and not machines and not alone"
 	@$(PYTEST) -n 2 -m "alone and not long and not machines"
 

@@ -144,7 +144,7 @@ def new_record(limits: MissionLimits) -> np.ndarray:
     return record
 
 
-def named(record: np.ndarray) -> dict[str, np.ndarray]:
+def named_memory(record: np.ndarray) -> dict[str, np.ndarray]:
     """The memory by name, headers by field: the arrays themselves, not copies."""
     arrays: dict[str, np.ndarray] = {}
     for name, *_ in _REMEMBERED:
@@ -410,9 +410,9 @@ class AcceptanceTest(Detector):
         """See `Detector`."""
         return COMPILED
 
-    def instrument(self, made: Mapping[str, Compiled]) -> None:
+    def instrument(self, instrumented: Mapping[str, Compiled]) -> None:
         """See `Detector`."""
-        functions = {**COMPILED, **made}
+        functions = {**COMPILED, **instrumented}
         record = self.record
 
         def judge_of_header(name: str, header: np.ndarray) -> Callable[[State, int], int]:
@@ -547,12 +547,12 @@ class AcceptanceTest(Detector):
         """Memory between publications by name, see `Detector`."""
         settle(self.record)
         self.odometry = self.odometry.copy()  # it belongs to the publication
-        arrays = named(self.record)
+        arrays = named_memory(self.record)
         arrays["vehicle"] = floats(self.odometry, _VEHICLE_FLOATS)
         for index, points in enumerate(self._trajectories()):
             arrays[f"trajectories[{index}]"] = points
         if self.limits.fix_noise is not None:
-            arrays |= estimates.named(self.estimate)
+            arrays |= estimates.named_memory(self.estimate)
         return arrays
 
     def _trajectories(self) -> list[np.ndarray]:

@@ -201,9 +201,9 @@ class AutoencoderScorer(DeltaScorer):
     def __init__(self, preprocessor: Preprocessor, network: Network) -> None:
         size = len(preprocessor.fields)
         held = np.zeros(size, np.int16)
-        self.remembered = (LastErrors(np.zeros(size, np.int16), np.zeros(size), np.zeros(1, np.bool_)),)
+        self.cached_results = (LastErrors(np.zeros(size, np.int16), np.zeros(size), np.zeros(1, np.bool_)),)
         super().__init__(preprocessor, network, held)
-        self.kept = {**self.kept, "held": held}
+        self.memory_arrays = {**self.memory_arrays, "held": held}
 
 
 class AutoencoderDetector(ScoringDetector, TrainedDetector):

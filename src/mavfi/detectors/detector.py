@@ -111,8 +111,8 @@ class Detector:
         """See the class."""
         return {}
 
-    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
-        """Replace functions of `compiled` by those of the same name in `made`; restore all others."""
+    def instrument(self, instrumented: Mapping[str, Callable[..., Any]]) -> None:
+        """Replace functions of `compiled` by those of the same name in `instrumented`; restore all others."""
 
 
 class CopiedMemory:
@@ -315,6 +315,7 @@ class NotedCalls:
         self._call("seal", state, time_us)
 
     def _call(self, method: str, *arguments: Any) -> Any:  # noqa: ANN401
+        """Call a method of the detector, noting its name for the message about a process that dies in it."""
         call = getattr(self._detector, method)
         note = _CurrentCall.note
         if note is None:

@@ -189,6 +189,6 @@ def forget(record: np.ndarray) -> None:
     record["time_us"] = record["aligned_us"] = _NEVER
 
 
-def named(record: np.ndarray) -> dict[str, np.ndarray]:
+def named_memory(record: np.ndarray) -> dict[str, np.ndarray]:
     """The memory by name: the arrays themselves, not copies."""
     return {f"estimate.{name}": record[name].reshape(-1) for name in ("last", "time_us", "aligned_us", "fix")}

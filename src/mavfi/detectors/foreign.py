@@ -25,6 +25,8 @@ _SMALLEST_EXPONENT = -1000
 _LARGEST_EXPONENT = 1000
 _BELOW = {"paper": 3, "tuned": 1}
 """Octaves between the code threshold and the largest magnitude or difference."""
+_BELOW_CONSTANT = 20
+"""Octaves between the assumed difference of a field that never changes and its magnitude."""
 
 
 def foreign_spec(name: str, fields: Sequence[str]) -> StateSpec:
@@ -63,6 +65,7 @@ def learn(kind: str, profile: str, recordings: Sequence[Sequence[State]], specs:
 
 
 def _events(states: Sequence[State], order: Mapping[str, int]) -> Events:
+    """Publications of one recording, with the slots of their states."""
     contents = [state.header.tobytes() for state in states]
     slots = np.array([order[state.spec.name] for state in states], np.int64)
     return Events(slots, np.cumsum([len(part) for part in contents]), np.frombuffer(b"".join(contents), np.uint8))
@@ -75,6 +78,8 @@ def _thresholds(spec: StateSpec, recordings: Sequence[Sequence[State]], profile:
         raise BadInputError(
             f"training: {count} messages of {spec.name}; allowed: {SMALLEST_SAMPLE} or more that are normal"
         )
+
+    # All values, and their changes within each recording.
     tables = [np.array([state.header[0].item() for state in states]) for states in recordings if states]
     values = np.concatenate(tables)
     if not np.isfinite(values).all():
@@ -82,9 +87,13 @@ def _thresholds(spec: StateSpec, recordings: Sequence[Sequence[State]], profile:
         raise BadInputError(f"training: {spec.name} {field}: holds numbers that are not finite; leave this field out")
     with np.errstate(over="ignore"):
         changes = np.concatenate([np.diff(table, axis=0) for table in tables])
-        measured = values if profile == "paper" else changes
-        largest = np.abs(measured).max(axis=0)
+        coded = changes
+        if profile == "paper":
+            coded = values
+        largest = np.abs(coded).max(axis=0)
     largest = np.minimum(largest, np.finfo(np.float64).max)  # a difference may have overflowed
-    # Without any change, far below the value.
-    exponents = np.where(largest > 0, np.frexp(largest)[1] - 1, np.frexp(np.abs(values).max(axis=0))[1] - 1 - 20)
+
+    # Below the largest number that is coded; for a field that never changes, far below its value.
+    largest_values = np.abs(values).max(axis=0)
+    exponents = np.where(largest > 0, np.frexp(largest)[1] - 1, np.frexp(largest_values)[1] - 1 - _BELOW_CONSTANT)
     return [int(exponent) for exponent in np.clip(exponents - _BELOW[profile], _SMALLEST_EXPONENT, _LARGEST_EXPONENT)]

@@ -26,24 +26,37 @@ UNKNOWN_ARENA = ((-1e4, -1e4, -1e4), (1e4, 1e4, 1e4))
 IMPLAUSIBLE = 2.0
 """Score of an implausible publication."""
 _FINE = -1
-_WAYPOINT_FLOATS = 11
-_COMMAND_FLOATS = 5
-_SPEED = 0
-_LOWER = 1
-_UPPER = 4
+"""Index of no field: the publication is plausible."""
+
+# ---- what is judged, and where its fields are ------------------------------------------------------------------------
 STATES_JUDGED = ("perception.collision_status", "planning.waypoint", "control.command")
 _SLOTS = {name: slot for slot, name in enumerate(STATES_JUDGED)}
 _STATUS, _WAYPOINT, _COMMAND = range(3)
+"""Slots of these states."""
+_STATUS_SPEC = STATES["perception.collision_status"]
+_STATUS_FIELDS = [field.name for field in _STATUS_SPEC.header]
+_TIME_FIELD = _STATUS_FIELDS.index("time_to_collision")
+_COUNTER_FIELD = _STATUS_FIELDS.index("future_collision_seq")
+"""Indices of fields in the header of a collision status."""
+_TIME_AT = _STATUS_SPEC.offset("time_to_collision")
+_COUNTER_AT = _STATUS_SPEC.offset("future_collision_seq")
+_NUMBER_AT = STATES["planning.waypoint"].offset("trajectory_seq")
+"""Byte offsets in the headers of a collision status and of a way-point."""
+_WAYPOINT_FLOATS = 11
+_COMMAND_FLOATS = 5
+"""Numbers of leading float64 fields of a way-point and of a command."""
+
+# ---- arrays of the compiled functions --------------------------------------------------------------------------------
+_SPEED = 0
+_LOWER = 1
+_UPPER = 4
+"""Indices in the limits: largest speed (m/s), first coordinates of the corners of the arena (m)."""
 _COUNTER, _COUNTED, _NUMBER, _NUMBERED, _POSITION = range(5)
+"""Indices in the memory, see `judge`; the position has three elements."""
 _ACCEPTED = 7
+"""Size of the memory, and index of the accepted flag behind the next memory."""
 _NAMES = ("future_collision_seq", "counted", "trajectory_seq", "numbered", "position")
-"""Names of the memory."""
-_SPECS = tuple(STATES[name] for name in STATES_JUDGED)
-_TIME = _SPECS[_STATUS].find("time_to_collision")
-_COLLISION_COUNTER = _SPECS[_STATUS].find("future_collision_seq")
-_TIME_FIELD, _COUNTER_FIELD = map(_SPECS[_STATUS].header.index, (_TIME, _COLLISION_COUNTER))
-_TIME_AT, _COUNTER_AT = (_SPECS[_STATUS].offset(field.name) for field in (_TIME, _COLLISION_COUNTER))
-_NUMBER_AT = _SPECS[_WAYPOINT].offset("trajectory_seq")
+"""Names of the parts of the memory, as sites of faults."""
 
 
 @kernel_jit
@@ -185,9 +198,9 @@ class PhysicsGate(Detector):
         """See `Detector`."""
         return {"judge_gate": judge}
 
-    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
+    def instrument(self, instrumented: Mapping[str, Callable[..., Any]]) -> None:
         """See `Detector`."""
-        function: Callable[..., int] = made.get("judge_gate", judge)
+        function: Callable[..., int] = instrumented.get("judge_gate", judge)
         arrays = self._limits, self._memory, self._next_memory
         self._stored = Stored(_KIND, *arrays)
         self._address = self._stored.address

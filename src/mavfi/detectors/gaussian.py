@@ -145,15 +145,15 @@ class OnlineScorer(DeltaScorer):
     kind = _ONLINE
 
     def __init__(self, preprocessor: Preprocessor, statistics: np.ndarray, min_count: float) -> None:
-        self._trained = statistics
+        self._initial_statistics = statistics
         self._statistics = statistics.copy()
         super().__init__(preprocessor, self._statistics, min_count)
-        self.kept = {**self.kept, "statistics": self._statistics}
+        self.memory_arrays = {**self.memory_arrays, "statistics": self._statistics}
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
         super().start()
-        self._statistics[:] = self._trained
+        self._statistics[:] = self._initial_statistics
 
 
 class FrozenScorer(DeltaScorer):

@@ -100,6 +100,7 @@ class Model:
         return array
 
     def _content(self) -> dict[str, Any]:
+        """What is stored of a model, without its digest."""
         return {"format": FORMAT, **{field.name: getattr(self, field.name) for field in fields(self)}}
 
     def save(self, folder: Path) -> Path:
@@ -126,6 +127,7 @@ class Model:
 
 @lru_cache(maxsize=32)  # each flight makes its detectors; a model of training rows takes 60 ms to parse and check
 def _parsed(text: bytes, source: str) -> Model:
+    """The model in a text; `source` is named in messages."""
     try:
         data = json.loads(text)
         if not isinstance(data, dict):

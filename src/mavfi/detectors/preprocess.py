@@ -6,7 +6,7 @@ float64 difference from the prediction.  Integers: difference, saturated to 16 b
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -25,16 +25,38 @@ PREDICTIONS = {"interval": features.CODE_OF_INTERVAL, "trapezoid": features.CODE
 """Prediction of a way-point's position, see `features.measure`: "interval" if way-points carry the mean velocity of the
 leg that leads to them, "trapezoid" if they carry the velocity at their position."""
 
-# Exponent thresholds of codes: smaller magnitudes have the code of zero.
+# Exponent thresholds of codes: magnitudes below 2^threshold have the code of zero.
 _HALF_METRE = -1
 _QUARTER = -2
 _ONE_SECOND = 0
 _EIGHTH = -3
 _POSITIONS = {"x": "vx", "y": "vy", "z": "vz"}
+"""Velocity of each position in a way-point."""
 _PLANNED = "planning.waypoint"
+"""The state whose positions are predicted."""
 _MOST_WAITING = 100
 """Largest number of publications of odometry queued; older ones are forgotten."""
 _UNPICKLED = ("_judge", "_stored", "_address")
+"""Attributes with machine code or addresses, which are valid in one process only."""
+
+
+class _FieldRow(NamedTuple):
+    """A row of the field table, see `features.OFFSET`; velocity and axis belong to predicted positions only."""
+
+    offset: int
+    rule: int
+    threshold: int
+    velocity_offset: int = -1
+    axis: int = 0
+
+
+class _PlaceRow(NamedTuple):
+    """A row of the place table, see `features.FIRST`; the offsets belong to the way-point only."""
+
+    first: int
+    last: int
+    trajectory_offset: int = -1
+    duration_offset: int = -1
 
 
 class Preprocessor:
@@ -64,7 +86,7 @@ class Preprocessor:
         checked_name(profile, PROFILES, "profile")
         checked_name(prediction, PREDICTIONS, "prediction")
         specs = {state: STATES[state] for state, _ in watched}
-        self._fill(specs, watched, [_row(STATES[state], field, profile, prediction) for state, field in watched])
+        self._fill(specs, watched, [_field_row(STATES[state], field, profile, prediction) for state, field in watched])
 
     @classmethod
     def of(cls, specs: Mapping[str, StateSpec], profile: str, thresholds: Sequence[int]) -> "Preprocessor":
@@ -80,7 +102,7 @@ class Preprocessor:
             rule = features.DELTA_OF_CODES
         watched = tuple((name, field.name) for name, spec in specs.items() for field in spec.header)
         rows = [
-            (specs[state].offset(field), rule, threshold, -1, 0)
+            _FieldRow(specs[state].offset(field), rule, threshold)
             for (state, field), threshold in zip(watched, thresholds, strict=True)
         ]
         preprocessor = cls.__new__(cls)
@@ -91,29 +113,34 @@ class Preprocessor:
         self,
         specs: Mapping[str, StateSpec],
         watched: tuple[tuple[str, str], ...],
-        rows: Sequence[tuple[int, int, int, int, int]],
+        rows: Sequence[_FieldRow],
     ) -> None:
+        """Set all attributes, given the watched fields as (state, field) and their rows of the field table."""
         self.fields = tuple(f"{state}.{field}" for state, field in watched)
         self.stages = tuple(specs[state].stage.value for state, _ in watched)
         self.slots = {name: slot for slot, name in enumerate(specs)}
         self._specs = tuple(specs.values())
-        size = max(spec.header_dtype.itemsize for spec in specs.values())
+
+        # Tables and memory of the compiled functions.
+        largest_header = max(spec.header_dtype.itemsize for spec in specs.values())
         self.watch = features.WatchedFields(
-            places=np.array([_place(spec, watched) for spec in specs.values()], np.int64),
+            places=np.array([_place_row(spec, watched) for spec in specs.values()], np.int64),
             table=np.array(rows, np.int64),
             memory=np.zeros((len(specs), 2)),
-            last=np.zeros((len(specs), size), np.uint8),
+            last=np.zeros((len(specs), largest_header), np.uint8),
             vehicle=np.zeros(features.KNOWN + 1),
         )
+
+        # The rules from `CODE_OF_INTERVAL` on predict a position, the first of a trajectory from the odometry.
         rules = self.watch.table[:, features.RULE]
-        spans = map(self.range_of, range(len(specs)))
-        self.predicts = tuple(bool((rules[first:last] >= features.CODE_OF_INTERVAL).any()) for first, last in spans)
+        ranges = map(self.range_of, range(len(specs)))
+        self.predicts = tuple(bool((rules[first:last] >= features.CODE_OF_INTERVAL).any()) for first, last in ranges)
         self.states = frozenset(self.slots)
         if any(self.predicts):
             self.states |= frozenset(ODOMETRY.values())
 
     @property
-    def kept(self) -> dict[str, np.ndarray]:
+    def memory_arrays(self) -> dict[str, np.ndarray]:
         """All arrays of the memory, by name."""
         return {"memory": self.watch.memory, "last": self.watch.last, "vehicle": self.watch.vehicle}
 
@@ -129,8 +156,8 @@ class Preprocessor:
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
-        for part in self.kept.values():
-            part[...] = 0
+        for array in self.memory_arrays.values():
+            array[...] = 0
 
     def range_of(self, slot: int) -> tuple[int, int]:
         """First and one past the last index of a watched state's fields in the vector."""
@@ -202,9 +229,9 @@ class DeltaScorer(Scorer):
         judge: Compiled: bytes and slot of a publication, `features.WatchedFields`, `features.LastJudgement`,
             limits of the threshold, then the tables; returns the score.
         settle: Compiled: commits the publication judged last; same arguments without bytes and slot.
-        judge_at: Compiled: `judge` with the address of its tables and of `remembered`, see `numerics.stored`.
+        judge_at: Compiled: `judge` with the address of its tables and of `cached_results`, see `numerics.stored`.
         kind: `kind_of` these.
-        remembered: Results that need not be computed again.
+        cached_results: Results that need not be computed again.
         features: The preprocessor.
         scratch: The publication judged last.
     """
@@ -213,11 +240,11 @@ class DeltaScorer(Scorer):
     settle: ClassVar[Callable[..., None]]
     judge_at: ClassVar[Callable[..., float]]
     kind: ClassVar[Any]
-    remembered: tuple[Any, ...] = ()
+    cached_results: tuple[Any, ...] = ()
 
     def __init__(self, preprocessor: Preprocessor, *tables: Any) -> None:  # noqa: ANN401 - arrays, tuples of them, numbers
         self.features = preprocessor
-        self.kept = preprocessor.kept
+        self.memory_arrays = preprocessor.memory_arrays
         self.fields = preprocessor.fields
         self.stages = preprocessor.stages
         self.states = preprocessor.states
@@ -232,13 +259,13 @@ class DeltaScorer(Scorer):
         super().use(threshold)
         size = len(self.fields)
         self.scratch = features.LastJudgement(
-            np.zeros(self.features.watch.last.shape[1], np.uint8),
-            np.zeros(4, np.int64),
-            np.zeros(1),
-            np.zeros(size, np.int16),
-            np.zeros(size),
-            np.ones(size),
-            threshold.ratios,
+            content=np.zeros(self.features.watch.last.shape[1], np.uint8),
+            status=np.zeros(4, np.int64),
+            score=np.zeros(1),
+            deltas=np.zeros(size, np.int16),
+            distance=np.zeros(size),
+            unit=np.ones(size),
+            ratios=threshold.ratios,
         )
         self._tables = (self.features.watch, self.scratch, threshold.limit, *self._tables)
         self._status = self.scratch.status
@@ -249,10 +276,10 @@ class DeltaScorer(Scorer):
         """See `Scorer.compiled`."""
         return {"judge": self.judge}
 
-    def instrument(self, made: Mapping[str, Callable[..., float]]) -> None:
-        """Replace `judge` by the function of that name in `made`; restore it if there is none."""
-        judge = made.get("judge", self.judge)
-        self._stored = Stored(self.kind, *self._tables, *self.remembered)
+    def instrument(self, instrumented: Mapping[str, Callable[..., float]]) -> None:
+        """Replace `judge` by the function of that name in `instrumented`; restore it if there is none."""
+        judge = instrumented.get("judge", self.judge)
+        self._stored = Stored(self.kind, *self._tables, *self.cached_results)
         self._address = self._stored.address
         if is_compiled(judge):
             self._judge: Callable[..., float] = entry(self.judge_at, self.scratch.content, 0, 0)
@@ -276,6 +303,7 @@ class DeltaScorer(Scorer):
         self._forget()
 
     def _forget(self) -> None:
+        """Drop the publication that was judged last, and queued odometry."""
         self.candidate = None
         self.scratch.status[features.ACCEPTED] = 0
         self._vehicles.forget()
@@ -290,12 +318,12 @@ class DeltaScorer(Scorer):
         self.candidate = state
         return self._judge(bytes_of(state.header), slot, self._address)
 
-    def judged(self) -> Reading:
+    def last_reading(self) -> Reading:
         """Reading of the publication scored last."""
-        judged = self.scratch
-        first, last = self.features.range_of(int(judged.status[features.SLOT]))
-        regime = int(judged.status[features.JUDGED_REGIME])
-        return Reading(judged.distance, judged.unit, first, last, regime)
+        scratch = self.scratch
+        first, last = self.features.range_of(int(scratch.status[features.SLOT]))
+        regime = int(scratch.status[features.JUDGED_REGIME])
+        return Reading(scratch.distance, scratch.unit, first, last, regime)
 
     def accept(self, state: State) -> None:
         """Record a published value."""
@@ -319,8 +347,8 @@ class DeltaScorer(Scorer):
         self.memory()  # commits the publication judged last
         self.candidate = None
         arrays = self.features.arrays()
-        for name, array in self.kept.items():
-            if name not in self.features.kept:
+        for name, array in self.memory_arrays.items():
+            if name not in self.features.memory_arrays:
                 arrays[name] = array
         return arrays
 
@@ -336,25 +364,29 @@ class DeltaScorer(Scorer):
         return first + np.flatnonzero(not_finite)
 
 
-def _place(spec: StateSpec, watched: tuple[tuple[str, str], ...]) -> tuple[int, int, int, int]:
-    """Row of the place table, see `features.FIRST`."""
+def _place_row(spec: StateSpec, watched: tuple[tuple[str, str], ...]) -> _PlaceRow:
+    """Row of the place table for a watched state.
+
+    Raises:
+        BadInputError: Fields of another state lie between those of this one.
+    """
     fields = [index for index, (state, _) in enumerate(watched) if state == spec.name]
     if fields != list(range(fields[0], fields[-1] + 1)):
         raise BadInputError(f"monitored set: the fields of {spec.name} must be neighbours")
     if spec.name != _PLANNED:
-        return fields[0], fields[-1] + 1, -1, -1
-    return fields[0], fields[-1] + 1, spec.offset("trajectory_seq"), spec.offset("duration")
+        return _PlaceRow(fields[0], fields[-1] + 1)
+    return _PlaceRow(fields[0], fields[-1] + 1, spec.offset("trajectory_seq"), spec.offset("duration"))
 
 
-def _row(spec: StateSpec, field: str, profile: str, prediction: str) -> tuple[int, int, int, int, int]:
-    """Row of the field table, see `features.OFFSET`."""
+def _field_row(spec: StateSpec, field: str, profile: str, prediction: str) -> _FieldRow:
+    """Row of the field table for a watched field."""
     is_position = spec.name == _PLANNED and field in _POSITIONS
     rule, threshold = _rule_of(spec, field, profile, prediction, is_position=is_position)
     if not is_position:
-        return spec.offset(field), rule, threshold, -1, 0
-    velocity = spec.offset(_POSITIONS[field])
+        return _FieldRow(spec.offset(field), rule, threshold)
+    velocity_offset = spec.offset(_POSITIONS[field])
     axis = list(_POSITIONS).index(field)
-    return spec.offset(field), rule, threshold, velocity, axis
+    return _FieldRow(spec.offset(field), rule, threshold, velocity_offset, axis)
 
 
 def _rule_of(spec: StateSpec, field: str, profile: str, prediction: str, *, is_position: bool) -> tuple[int, int]:
@@ -367,7 +399,8 @@ def _rule_of(spec: StateSpec, field: str, profile: str, prediction: str, *, is_p
     if field == "time_to_collision":
         return features.DELTA_OF_CODES, _ONE_SECOND
     if profile == "paper":
-        return features.DELTA_OF_CODES, _HALF_METRE if is_position else _QUARTER
+        threshold = _HALF_METRE if is_position else _QUARTER
+        return features.DELTA_OF_CODES, threshold
     if is_position:
         return PREDICTIONS[prediction], _EIGHTH
     if field == "yaw":

@@ -52,7 +52,7 @@ class Scorer(ABC):
         fields: Watched fields, "state.field".
         stages: Stage of each.
         states: Names of the states that it reads; None = all.
-        kept: Memory of a flight, as arrays by name; 0 at its start.
+        memory_arrays: Memory of a flight, as arrays by name; 0 at its start.
         candidate: The publication scored last; None = none yet, or the memory was read.
         threshold: Converts readings to scores.
     """
@@ -60,7 +60,7 @@ class Scorer(ABC):
     fields: tuple[str, ...]
     stages: tuple[str, ...]
     states: frozenset[str] | None = None
-    kept: Mapping[str, np.ndarray] = {}
+    memory_arrays: Mapping[str, np.ndarray] = {}
     candidate: State | None = None
     threshold: "Threshold"
 
@@ -73,7 +73,7 @@ class Scorer(ABC):
         """See `Detector`."""
         return {}
 
-    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:  # noqa: B027 - one in Python has none
+    def instrument(self, instrumented: Mapping[str, Callable[..., Any]]) -> None:  # noqa: B027 - one in Python has none
         """See `Detector`."""
 
     @abstractmethod
@@ -81,7 +81,7 @@ class Scorer(ABC):
         """Score of a publication, None if it is not watched; does not change the memory."""
 
     @abstractmethod
-    def judged(self) -> Reading:
+    def last_reading(self) -> Reading:
         """Reading of the publication scored last; its arrays are valid until the next call."""
 
     @abstractmethod
@@ -94,21 +94,21 @@ class Scorer(ABC):
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
-        for part in self.kept.values():
+        for part in self.memory_arrays.values():
             part[...] = 0
 
     def memory(self) -> tuple[bytes, ...]:
         """Memory between publications."""
-        return tuple(part.tobytes() for part in self.kept.values())
+        return tuple(part.tobytes() for part in self.memory_arrays.values())
 
     def restore(self, memory: tuple[bytes, ...]) -> None:
         """Inverse of `memory`."""
-        for part, content in zip(self.kept.values(), memory, strict=True):
+        for part, content in zip(self.memory_arrays.values(), memory, strict=True):
             part[...] = np.frombuffer(content, part.dtype).reshape(part.shape)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Memory between publications by name: the arrays themselves, not copies."""
-        return dict(self.kept)
+        return dict(self.memory_arrays)
 
 
 @kernel_jit
@@ -172,7 +172,7 @@ class Threshold:
         self._usual = usual
         self.ratios = np.zeros(size)
 
-    def standing_out(self, reading: Reading, not_finite: np.ndarray) -> np.ndarray:
+    def fields_of_alarm(self, reading: Reading, not_finite: np.ndarray) -> np.ndarray:
         """Indices of the fields that an alarm names.
 
         Args:
@@ -241,38 +241,39 @@ class ScoringDetector(Detector):
         self.states = scorer.states
         self._counts_waypoints = policy is not keyed
         self._persists = np.zeros(1, np.bool_)
-        self._scored: State | None = None
-        self._score: float | None = None
+        self._last_state: State | None = None
+        self._last_score: float | None = None
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
-        self._scored = None
+        self._last_state = None
         self._persists[0] = False
         self.scorer.start()
 
     def score(self, state: State, time_us: int) -> float | None:
         """Score of a publication, in units of the threshold: > 1 is an alarm; None if it is not watched."""
-        if self._scored is not state:
-            self._score = self.scorer.score(state)
-            self._scored = state
-        return self._score
+        if self._last_state is not state:
+            self._last_score = self.scorer.score(state)
+            self._last_state = state
+        return self._last_score
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Check a publication."""
-        if self._scored is not state:  # as `score`, without another call
-            self._score = self.scorer.score(state)
-            self._scored = state
-        score = self._score
+        if self._last_state is not state:  # as `score`, without another call
+            self._last_score = self.scorer.score(state)
+            self._last_state = state
+        score = self._last_score
         if score is None or score <= 1.0:
             return None
         return self._alarm(state, score)
 
     def _alarm(self, state: State, score: float) -> Alarm:
-        reading = self.scorer.judged()
+        """The alarm on the publication scored last, with the recovery that the policy requests."""
+        reading = self.scorer.last_reading()
         not_finite = _NONE
         if reading.regime < 0:
             not_finite = self.scorer.not_finite(state)
-        indices = self.threshold.standing_out(reading, not_finite)
+        indices = self.threshold.fields_of_alarm(reading, not_finite)
         names = tuple(self.scorer.fields[index] for index in indices)
         alarm = Alarm(self.source, self.scorer.stages[indices[0]], score=float(score), fields=names)
         return self.policy(alarm, state, bool(self._persists[0]))
@@ -283,7 +284,7 @@ class ScoringDetector(Detector):
             score = self.score(state, time_us)
             if score is not None:
                 self._persists[0] = not score <= 1.0
-        self._scored = None
+        self._last_state = None
         self.scorer.accept(state)
 
     @property
@@ -291,9 +292,9 @@ class ScoringDetector(Detector):
         """See `Detector`."""
         return self.scorer.compiled
 
-    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
+    def instrument(self, instrumented: Mapping[str, Callable[..., Any]]) -> None:
         """See `Detector`."""
-        self.scorer.instrument(made)
+        self.scorer.instrument(instrumented)
 
     def memory(self) -> tuple[tuple[bytes, ...], bool]:
         """Memory between publications, see `Detector`."""
@@ -301,11 +302,11 @@ class ScoringDetector(Detector):
 
     def restore(self, memory: tuple[tuple[bytes, ...], bool]) -> None:
         """Inverse of `memory`."""
-        self._scored = None
+        self._last_state = None
         content, self._persists[0] = memory
         self.scorer.restore(content)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Memory between publications by name, see `Detector`."""
-        self._scored = None
+        self._last_state = None
         return {**self.scorer.arrays(), "persists": self._persists}

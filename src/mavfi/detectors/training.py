@@ -157,6 +157,7 @@ def join(parts: Sequence[Sample]) -> Sample:
 
 
 def _without_odometry(recording: Recording, preprocessor: Preprocessor) -> Sample:
+    """Sample of a recorded flight, without the rows of odometry, which no detector scores."""
     lookup = np.array([*(preprocessor.slots.get(name, features.ODOMETRY) for name in WATCHED), features.ODOMETRY])
     sample = sample_of(features.Events(lookup[recording.kinds], recording.ends, recording.content), preprocessor)
     is_watched = sample.slots != features.ODOMETRY

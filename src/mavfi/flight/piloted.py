@@ -30,11 +30,12 @@ from mavfi.sim.scene import STEP_US
 from mavfi.sim.vehicle import airframe_of
 
 TICK_US = 20_000
-"""Period of a task: AirSim's getCommandPeriod."""
+"""Period of a task (us): AirSim's getCommandPeriod."""
 EPOCH_NS = 1_600_000_000_000_000_000
-"""Time stamp of the start of a simulation (ns)."""
+"""Time stamp of the start of a simulation (ns since 1970): a constant, so that flights are reproducible."""
 LANDED = 0
 FLYING = 1
+"""AirSim's LandedState."""
 _AIRBORNE = 0.3
 """Height above which an armed vehicle counts as flying (m)."""
 _LANDED_HEIGHT = 0.1
@@ -69,7 +70,7 @@ class PilotedVehicle:
         landed: Whether it stands on the ground.
         api: Whether a program controls it.
         failures: Failures of its sensors and motors; they persist across resets.
-        ended: Tasks that ended; the owner removes them.
+        ended_tasks: Tasks that ended; the owner removes them.
 
     Raises:
         BadInputError: The mission cannot be flown from the ground.
@@ -83,7 +84,7 @@ class PilotedVehicle:
         self.on_ground = on_ground
         self._base_us = 0
         self._collided_before = False
-        self.ended: list[EndedTask] = []
+        self.ended_tasks: list[EndedTask] = []
         self._task: Task | None = None
         self.failures = Failures()
         self._number = 0
@@ -139,7 +140,7 @@ class PilotedVehicle:
         return EPOCH_NS + 1000 * self.now_us
 
     @property
-    def believed(self) -> np.ndarray:
+    def measured_state(self) -> np.ndarray:
         """The state that its sensors measure, as in `Simulator.odometry`. Shape (13,)."""
         return self.failures.state(self.now_us, self.sim.odometry)
 
@@ -153,22 +154,22 @@ class PilotedVehicle:
     @property
     def position(self) -> Triple:
         """NED (m)."""
-        return flipped(self.believed[:3] - self.origin)
+        return flipped(self.measured_state[:3] - self.origin)
 
     @property
     def velocity(self) -> Triple:
         """NED (m/s)."""
-        return flipped(self.believed[3:6])
+        return flipped(self.measured_state[3:6])
 
     @property
     def orientation(self) -> Quaternion:
         """Body FRD to NED. w x y z."""
-        return turned(self.believed[6:10])
+        return turned(self.measured_state[6:10])
 
     @property
     def rates(self) -> Triple:
         """FRD (rad/s)."""
-        return flipped(self.believed[10:13])
+        return flipped(self.measured_state[10:13])
 
     def imu(self) -> np.ndarray:
         """Specific force (m/s^2) and rates (rad/s), body frame (z up), with noise. Shape (6,)."""
@@ -215,12 +216,15 @@ class PilotedVehicle:
     def step(self, until_us: int) -> None:
         """Let time pass up to an instant, a multiple of 4 ms; a task acts every 20 ms from its start."""
         while self.now_us < until_us:
-            upto = min(until_us, self.now_us + TICK_US)
+            # up to the next period of the task, at most 20 ms
+            next_us = min(until_us, self.now_us + TICK_US)
             if self._task is not None:
-                upto = min(upto, self._task_us)
+                next_us = min(next_us, self._task_us)
             self._let_controller_fail()
-            self.sim.advance(upto - self._base_us)
+            self.sim.advance(next_us - self._base_us)
             self._digest.update(self.sim.odometry.tobytes())
+
+            # what the new state means: in the air or on the ground, and the task's turn
             if self.sim.armed and self.sim.height > _AIRBORNE:
                 self.landed = False
             elif self.sim.resting:
@@ -267,8 +271,9 @@ class PilotedVehicle:
             self._end(False)
 
     def _end(self, result: Any) -> None:
+        """End the task with its result, and leave the vehicle without a command."""
         self._task = None
-        self.ended.append(EndedTask(self._number, result))
+        self.ended_tasks.append(EndedTask(self._number, result))
         self.sim.rotors = None
         self.sim.command(np.zeros(4), 0.0)
 
@@ -300,10 +305,14 @@ TAKEOFF_HEIGHT = 2.0
 """Climb at take-off (m)."""
 TAKEOFF_SPEED = 0.5
 """Speed of that climb (m/s)."""
-LANDING_SPEED = 0.2
-HIGH_LANDING_SPEED = 2.0
 LOW = 2.0
-"""Sink rates (m/s), the slower one below the height `LOW` (m)."""
+"""Height below which a landing sinks slowly (m)."""
+LANDING_SPEED = 0.2
+"""Sink rate below `LOW` (m/s)."""
+HIGH_LANDING_SPEED = 2.0
+"""Largest sink rate above it (m/s)."""
+_SINK_GAIN = 0.5
+"""Sink rate above it (m/s) per height (m)."""
 APPROX_ZERO_SPEED = 0.05
 """Speed (m/s), and rate (rad/s), up to which a vehicle counts as being at rest."""
 STILL_PERIODS = 10
@@ -313,13 +322,23 @@ _FOREVER_S = 1e6
 HOLD_S = 0.06
 """Validity of a command that is renewed every period (s)."""
 YAW_GAIN = 2.5
+"""Yaw rate (rad/s) per error (rad)."""
 YAW_RATE = 1.5
-"""Yaw rate (rad/s) per error (rad), and its limit (rad/s)."""
+"""Its limit (rad/s)."""
 _HEIGHT_GAIN = 1.0
+"""Vertical speed (m/s) per error of height (m)."""
 _CLIMB = 3.0
-"""Vertical speed (m/s) per error of height (m), and its limit (m/s)."""
+"""Its limit (m/s)."""
+_RETURN_GAIN = 0.5
+"""Velocity (m/s) per deviation from the place of a turn (m)."""
 _LEAST_SPEED = 0.4
 """Speed at the end of a path (m/s)."""
+_LEAST_HEADING_SPEED = 0.1
+"""Horizontal speed below which the nose does not follow the velocity (m/s)."""
+_LOOKAHEAD_S = 0.6
+"""Distance of the pursued point / speed, unless it is given (s)."""
+_CANDIDATES = 21
+"""Points of the path among which the nearest one is searched for, per period."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,12 +359,12 @@ class Yaw:
         """Yaw rate (rad/s) now, at a velocity (NED, m/s)."""
         if self.is_rate:
             return self.value
-        wanted = self.value
+        setpoint = self.value
         if self.forward:
-            if math.hypot(velocity[0], velocity[1]) < 0.1:
+            if math.hypot(velocity[0], velocity[1]) < _LEAST_HEADING_SPEED:
                 return 0.0
-            wanted += float(atan2(velocity[1], velocity[0]))
-        return clip(YAW_GAIN * math.remainder(wanted - vehicle.yaw, 2.0 * math.pi), YAW_RATE)
+            setpoint += float(atan2(velocity[1], velocity[0]))
+        return clip(YAW_GAIN * math.remainder(setpoint - vehicle.yaw, 2.0 * math.pi), YAW_RATE)
 
 
 def clip(value: float, limit: float) -> float:
@@ -354,9 +373,10 @@ def clip(value: float, limit: float) -> float:
 
 
 def _end_of(vehicle: PilotedVehicle, seconds: float) -> int:
-    """The instant (us) at which a task of this duration ends; a duration that is not finite never ends."""
-    bounded = 0.0 if math.isnan(seconds) else min(seconds, _FOREVER_S)
-    return vehicle.now_us + round(1e6 * max(0.0, bounded))
+    """The instant (us) at which a task of this duration ends; NaN ends at once, infinity practically never."""
+    if math.isnan(seconds):
+        return vehicle.now_us
+    return vehicle.now_us + round(1e6 * max(0.0, min(seconds, _FOREVER_S)))
 
 
 def fly_velocity(vehicle: PilotedVehicle, velocity: Triple, seconds: float, yaw: Yaw) -> Task:
@@ -389,7 +409,13 @@ def from_body(vehicle: PilotedVehicle, forward: float, right: float) -> tuple[fl
 
 
 class _Path:
-    """A polyline by arc length."""
+    """A polyline by arc length.
+
+    Attributes:
+        points: Its vertices, without repetitions (m). Shape (n, 3).
+        arc: Arc length of each (m). Shape (n,).
+        length: Arc length of the last (m).
+    """
 
     def __init__(self, points: Sequence[Sequence[float]]) -> None:
         distinct = [np.array(points[0], float)]
@@ -424,27 +450,25 @@ def fly_path(
     if not (speed > 0.0 and math.isfinite(speed)) or not np.isfinite(points).all():
         raise BadInputError(f"path at {speed} m/s: allowed: finite points, and a speed above 0")
     path = _Path([vehicle.position, *points])
-    if lookahead > 0.0:
-        ahead = lookahead
-    else:
-        ahead = max(0.6 * speed, 1.5 * DISTANCE_ACCURACY)
+    if not lookahead > 0.0:  # also if it is NaN
+        lookahead = max(_LOOKAHEAD_S * speed, 1.5 * DISTANCE_ACCURACY)
     end = _end_of(vehicle, timeout)
-    arc = 0.0
+    arc = 0.0  # arc length of the nearest point of the path
     while vehicle.now_us < end:
         # the nearest point of the path, not before the last one: a path may cross itself
-        here = np.array(vehicle.position)
-        window = np.linspace(arc, min(arc + 2.0 * ahead, path.length), 21)
-        squared_distances = [float(np.square(path.at(float(candidate)) - here).sum()) for candidate in window]
-        arc = float(window[int(np.argmin(squared_distances))])
-        distance_to_end = math.dist(path.points[-1], here)
+        position = np.array(vehicle.position)
+        candidates = np.linspace(arc, min(arc + 2.0 * lookahead, path.length), _CANDIDATES)
+        squared_distances = [float(np.square(path.at(float(candidate)) - position).sum()) for candidate in candidates]
+        arc = float(candidates[int(np.argmin(squared_distances))])
+        distance_to_end = math.dist(path.points[-1], position)
         if path.length - arc < DISTANCE_ACCURACY and distance_to_end < DISTANCE_ACCURACY:
             return True
 
         # fly to the point ahead of it, slower near the end
-        way = path.at(min(arc + ahead, path.length)) - here
+        to_pursued = path.at(min(arc + lookahead, path.length)) - position
         reduced_speed = min(speed, max(_LEAST_SPEED, path.length - arc))
-        scale = reduced_speed / max(math.hypot(*way), 1e-9)
-        velocity = (float(way[0]) * scale, float(way[1]) * scale, float(way[2]) * scale)
+        scale = reduced_speed / max(math.hypot(*to_pursued), 1e-9)
+        velocity = (float(to_pursued[0]) * scale, float(to_pursued[1]) * scale, float(to_pursued[2]) * scale)
         vehicle.send(velocity, yaw.rate(vehicle, velocity), HOLD_S)
         yield
     return False
@@ -470,7 +494,7 @@ def land(vehicle: PilotedVehicle, timeout: float) -> Task:
         if vehicle.sim.height < LOW:
             sink = LANDING_SPEED
         else:
-            sink = min(HIGH_LANDING_SPEED, 0.5 * vehicle.sim.height)
+            sink = min(HIGH_LANDING_SPEED, _SINK_GAIN * vehicle.sim.height)
         vehicle.send((0.0, 0.0, sink), 0.0, HOLD_S)
         yield
         if abs(vehicle.velocity[2]) <= APPROX_ZERO_SPEED:
@@ -485,7 +509,7 @@ def land(vehicle: PilotedVehicle, timeout: float) -> Task:
 
 
 def hover(vehicle: PilotedVehicle) -> Task:
-    """Stop."""
+    """Stop, and stay."""
     vehicle.send((0.0, 0.0, 0.0), 0.0, 0.0)
     yield
     return True
@@ -494,13 +518,14 @@ def hover(vehicle: PilotedVehicle) -> Task:
 def turn_to(vehicle: PilotedVehicle, yaw: float, timeout: float, margin: float) -> Task:
     """Turn on the spot to a yaw (rad), within a margin (rad)."""
     end = _end_of(vehicle, timeout)
-    here = vehicle.position
+    spot = vehicle.position
     while vehicle.now_us < end:
-        off = math.remainder(yaw - vehicle.yaw, 2.0 * math.pi)
-        if abs(off) < max(margin, math.radians(1.0)) and abs(vehicle.rates[2]) < APPROX_ZERO_SPEED:
+        yaw_error = math.remainder(yaw - vehicle.yaw, 2.0 * math.pi)
+        if abs(yaw_error) < max(margin, math.radians(1.0)) and abs(vehicle.rates[2]) < APPROX_ZERO_SPEED:
             return True
-        back = [0.5 * (wanted - now) for wanted, now in zip(here, vehicle.position, strict=True)]
-        vehicle.send((back[0], back[1], back[2]), clip(YAW_GAIN * off, YAW_RATE), HOLD_S)
+        # back to the spot from which the turn began
+        north, east, down = (_RETURN_GAIN * (a - b) for a, b in zip(spot, vehicle.position, strict=True))
+        vehicle.send((north, east, down), clip(YAW_GAIN * yaw_error, YAW_RATE), HOLD_S)
         yield
     return False
 
@@ -516,9 +541,13 @@ def fly_rotors(vehicle: PilotedVehicle, rotors: Rotors, seconds: float) -> Task:
 
 # ---- rotor commands for attitudes, body rates and motors, from the inner loops of our cascade ------------------------
 _THRUST_HEIGHT_GAIN = 1.5
-_THRUST_CLIMB_GAIN = 2.5
+"""Height hold: vertical speed (m/s) per error of height (m)."""
 _THRUST_CLIMB = 2.0
-"""Height hold: gains of height and of vertical speed (1/s), largest vertical speed (m/s)."""
+"""Its limit (m/s)."""
+_THRUST_CLIMB_GAIN = 2.5
+"""Vertical acceleration (m/s^2) per error of vertical speed (m/s)."""
+_LEAST_UP = 0.5
+"""Least vertical component of the body's z axis for which the thrust makes up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -536,27 +565,27 @@ def _collective(vehicle: PilotedVehicle, vertical: Vertical, odometry: np.ndarra
         return 4.0 * frame.max_thrust * min(1.0, max(0.0, vertical.throttle))
     height = float(vehicle.to_world((0.0, 0.0, vertical.z))[2])
     climb = clip(_THRUST_HEIGHT_GAIN * (height - float(odometry[2])), _THRUST_CLIMB)
-    return frame.mass * (GRAVITY + _THRUST_CLIMB_GAIN * (climb - float(odometry[5]))) / max(up, 0.5)
+    return frame.mass * (GRAVITY + _THRUST_CLIMB_GAIN * (climb - float(odometry[5]))) / max(up, _LEAST_UP)
 
 
-def _mixed(vehicle: PilotedVehicle, rates: Triple, vertical: Vertical, odometry: np.ndarray) -> np.ndarray:
+def _mix(vehicle: PilotedVehicle, rates: Triple, vertical: Vertical, odometry: np.ndarray) -> np.ndarray:
     """Rotor commands (N) for body rates (FLU, rad/s) and a collective thrust. Shape (4,)."""
     frame = airframe_of(vehicle.scenario.vehicle)
     matrix = np.empty((3, 3))
-    wanted = np.empty(4)
     rotation_matrix(odometry[6:10], matrix)
     torque = (
         frame.inertia_x * frame.rate_gain_x * (rates[0] - float(odometry[10])),
         frame.inertia_y * frame.rate_gain_y * (rates[1] - float(odometry[11])),
         frame.inertia_z * frame.rate_gain_z * (rates[2] - float(odometry[12])),
     )
-    mix_rotors(frame, _collective(vehicle, vertical, odometry, float(matrix[2, 2])), torque, wanted)
-    return wanted
+    thrusts = np.empty(4)
+    mix_rotors(frame, _collective(vehicle, vertical, odometry, float(matrix[2, 2])), torque, thrusts)
+    return thrusts
 
 
 def at_rates(vehicle: PilotedVehicle, roll: float, pitch: float, yaw: float, vertical: Vertical) -> Rotors:
     """Rotor commands for body rates (FRD, rad/s)."""
-    return lambda time_us, odometry: _mixed(vehicle, (roll, -pitch, -yaw), vertical, odometry)
+    return lambda time_us, odometry: _mix(vehicle, (roll, -pitch, -yaw), vertical, odometry)
 
 
 def at_attitude(
@@ -571,24 +600,28 @@ def at_attitude(
         matrix = np.empty((3, 3))
         heading = float(yaw_of(odometry[6:10]))
         rotation_matrix(odometry[6:10], matrix)
-        c = cos(heading)
-        s = sin(heading)
+
+        # the direction of the thrust: tilted against the present heading, then turned into the world's frame
         forward = sin(-pitch) * cos(roll)
         left = -sin(roll)
         up = cos(pitch) * cos(roll)
+        c = cos(heading)
+        s = sin(heading)
         force = np.array([c * forward - s * left, s * forward + c * left, up])
+
+        # yaw: the set-point of the angle, or its rate
         rate = 0.0
         if yaw_rate is None:
             memory[YAW_REFERENCE] = -yaw
         else:
             rate = -yaw_rate
         rates = wanted_rates(frame, memory, rate, force, matrix, heading)
-        return _mixed(vehicle, rates, vertical, odometry)
+        return _mix(vehicle, rates, vertical, odometry)
 
     return rotors
 
 
 def motors(vehicle: PilotedVehicle, shares: tuple[float, float, float, float]) -> Rotors:
     """Rotor commands from shares of the largest thrust, 0 to 1: front right, rear left, front left, rear right."""
-    wanted = vehicle.sim.max_thrust * np.clip(np.array(shares, float), 0.0, 1.0)
-    return lambda time_us, odometry: wanted
+    thrusts = vehicle.sim.max_thrust * np.clip(np.array(shares, float), 0.0, 1.0)
+    return lambda time_us, odometry: thrusts

@@ -31,11 +31,13 @@ NULL = "null"
 """Target of null runs: the complete path through the injector, with an empty mask; and the text of such a fault."""
 DECIMAL = r"\d+(\.\d*)?"
 """Pattern of a number that is not negative, without exponent."""
+# Values of options in the text of a fault: pattern, description, type.
 WHOLE = (r"\d+", "a whole number", int)
 SECONDS = (rf"inf|{DECIMAL}", "a number of seconds, or inf", float)
-"""Values of options in the text of a fault: pattern, description, type."""
 _INSTANT = rf"{DECIMAL}([eE][+-]?\d+)?"
+"""Pattern of an instant (s)."""
 _LATEST_S = 1e9
+"""Latest instant that a fault can have (s)."""
 
 
 # ---- one fault, as text ----------------------------------------------------------------------------------------------
@@ -53,7 +55,7 @@ class Request(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Text:
+class FaultText:
     """The text of a fault, in its parts.
 
     Attributes:
@@ -258,9 +260,16 @@ class Sampler:
         By default those that `golden` has drawn.
         """
         del environment
-        waiting = {(arm, *key): iter(faults) for arm, run in golden.items() for key, faults in run.faults.items()}
-        nothing: Iterator[Fault] = iter(())
-        return [next(waiting.get((draw.variant, draw.target, draw.stratum), nothing), None) for draw in draws]
+        # What each golden run has drawn, by variant, target and stratum: equal draws take one after the other.
+        drawn: dict[tuple[str, str, str], Iterator[Fault]] = {}
+        for variant, run in golden.items():
+            for (target, stratum), target_faults in run.faults.items():
+                drawn[variant, target, stratum] = iter(target_faults)
+        faults = []
+        for draw in draws:
+            remaining = drawn.get((draw.variant, draw.target, draw.stratum), iter(()))
+            faults.append(next(remaining, None))
+        return faults
 
     def null(self, index: int, seed: int, environment: str, golden: Golden) -> Fault:
         """The fault of a null run."""
@@ -307,7 +316,8 @@ class Level:
         options: Options of the text in their order, by name: pattern, description and type of their values.
         reductions: How a fault is made smaller, in steps: by name of what is reduced, a function of a fault and its
             injection (None = not known) that yields candidates from the smallest on.
-        absent: For an injection that did not happen: what never happened to the site, and why nothing was changed.
+        absent: For an injection that did not happen: the participle of what never happened to the site, and a clause
+            that says why nothing was changed.
     """
 
     fault: ClassVar[type[Fault]]
@@ -350,7 +360,7 @@ class Level:
         """Raise a BadInputError for a text that is not in the level's form."""
         raise BadInputError(f"not understood; allowed: {self.form}")
 
-    def parts_of(self, text: str) -> Text:
+    def parts_of(self, text: str) -> FaultText:
         """The parts of a text, given without the level; a BadInputError names the one that is wrong."""
         # Split it: SITE:name=value:name=value@INSTANT.
         body, _, instant = text.partition("@")
@@ -377,7 +387,7 @@ class Level:
             options[name] = kind(value)
         if list(options) != [name for name in self.options if name in options]:
             self.not_understood()
-        return Text(site, options, instant_us(instant))
+        return FaultText(site, options, instant_us(instant))
 
 
 def instant_us(seconds: str) -> int | None:

@@ -102,7 +102,7 @@ class StateRequest:
         site = FaultSite(self.state.name, field.name, self.element)
         time_us = self.time_us or 0
         if self.needs_profile:
-            drawn_us, element = draw_publication(random, self._later(profile or Profile()), site)
+            drawn_us, element = draw_publication(random, self._publications_to_draw_from(profile or Profile()), site)
             site = FaultSite(self.state.name, field.name, element)
             if self.time_us is None:
                 time_us = drawn_us
@@ -125,7 +125,7 @@ class StateRequest:
         fields = [field for field in fields if bits <= WORD_BITS[field.dtype]]
         return fields[int(random.integers(len(fields)))]
 
-    def _later(self, profile: Profile) -> Profile:
+    def _publications_to_draw_from(self, profile: Profile) -> Profile:
         """The publications from which the element is drawn: only the first one from the requested time on."""
         name = self.state.name
         if self.time_us is None or name not in profile.times_us:
@@ -182,6 +182,7 @@ class StateSampling(Sampling):
 
     @model_validator(mode="after")
     def _consistent(self) -> "StateSampling":
+        """Check that the keys belong to the scheme, and that names are known and distinct."""
         for key, value in (("groups", self.groups), ("messages", self.messages)):
             if value and self.scheme != key:
                 raise ValueError(f"sampling.scheme: {self.scheme!r}: allowed with the key {key}: {key}")
@@ -222,7 +223,7 @@ class StateSampler(Sampler):
         self._fields = {target.name: target for target, _ in targets}
         self._lifetimes = {group.name: group.lifetime for group in self.sampling.groups if group.lifetime}
         self.targets = {target.name: shares for target, shares in targets}
-        self.orders = {name: self._first_alike(name) for name in self.targets}
+        self.orders = {name: self._target_with_same_fields(name) for name in self.targets}
         for target, shares in targets:
             for stratum in shares:
                 target.within(stratum)
@@ -264,7 +265,7 @@ class StateSampler(Sampler):
                 shares[stratum] = share
         return target, shares or self.sampling.strata
 
-    def _first_alike(self, name: str) -> str:
+    def _target_with_same_fields(self, name: str) -> str:
         """Name of the target whose draws a target with its own lifetime shares: the first one with the same fields."""
         if name not in self._lifetimes:
             return name
@@ -282,15 +283,16 @@ class StateSampler(Sampler):
 
     def _fault(self, requested: Draw, profile: Profile, environment: str) -> StateFault:
         """The fault of a draw, with the lifetime of its target."""
-        address = self.campaign.environment_of(environment), requested.index // self.campaign.missions
+        # Parts with the same environment have the same draws; the number counts the faults of a mission.
+        stream_key = self.campaign.environment_of(environment), requested.index // self.campaign.missions
         if self.sampling.scheme == "messages":
-            fault = draw_in_message(requested.target, requested.stratum, profile, requested.seed, *address)
+            fault = draw_in_message(requested.target, requested.stratum, profile, requested.seed, *stream_key)
         else:
             target = self._fields[self.orders[requested.target]]
-            fault = draw(target, requested.stratum, profile, requested.seed, *address)
-        return self._lasting(requested.target, fault)
+            fault = draw(target, requested.stratum, profile, requested.seed, *stream_key)
+        return self._with_lifetime(requested.target, fault)
 
-    def _lasting(self, target: str, fault: StateFault) -> StateFault:
+    def _with_lifetime(self, target: str, fault: StateFault) -> StateFault:
         """A fault with the lifetime of its target; a burst that exceeds its word starts at a lower bit."""
         lifetime = (self._lifetimes.get(target) or self.sampling.lifetime).model_dump()
         bits = WORD_BITS[_dtype(fault)]

@@ -226,6 +226,7 @@ class CollisionCheck(Remembers):
         return False
 
     def _take_trajectory(self, state: State) -> bool:
+        """Store a trajectory to be checked; returns whether it is checked at once."""
         if self._every_map and len(state.elements) == 0:
             return False  # planning failed: the current trajectory remains in force
         # a new trajectory takes effect some periods after its publication: its predecessor is still needed

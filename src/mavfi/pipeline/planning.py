@@ -127,6 +127,7 @@ class MotionPlanner(Remembers):
         return False
 
     def _take_status(self, state: State) -> None:
+        """Store a collision status; a new alarm requires a plan."""
         self.memory.status = state
         decisions = self.memory.decisions
         seq = state.value("future_collision_seq")
@@ -135,6 +136,7 @@ class MotionPlanner(Remembers):
             decisions.alarm = state.value("time_to_collision")
 
     def _take_trajectory(self, state: State, time_us: int) -> None:
+        """Store the trajectory in force, from which the next path may continue."""
         if self._every_map and len(state.elements) == 0:
             return  # planning failed: the current trajectory remains in force
         memory = self.memory
@@ -146,6 +148,7 @@ class MotionPlanner(Remembers):
         memory.decisions.progress_us = time_us
 
     def _take_odometry(self, state: State, time_us: int) -> bool:
+        """Store the odometry; returns whether a plan is due, without a plan for every map."""
         memory = self.memory
         memory.odometry = floats(state.header, 13)
         position = memory.odometry[:3]
@@ -245,6 +248,7 @@ class MotionPlanner(Remembers):
         return [path]
 
     def _path(self, vertices: np.ndarray, entry_speed: float, junction: int = -1) -> State:
+        """A path with its entry speed (m/s) and junction; the caller adds the sequence number."""
         path = new_state("planning.path", len(vertices))
         rows(path.elements, 3)[:] = vertices
         path.header["entry_speed"] = entry_speed

@@ -33,6 +33,16 @@ _CREEP_STEP = 0.3
 _ADOPTION_WINDOW = 50
 """Leading points of a spliced trajectory among which its start is searched for."""
 
+# Tolerances of the plausibility checks: correct trajectories keep well within them.
+_SPEED_FACTOR = 1.5
+"""Largest speed / v_max."""
+_BOX_MARGIN = 2.0
+"""Largest distance from the flight box (m)."""
+_STEP_MARGIN = 0.3
+"""Largest excess of the distance of two points over that flown at the largest speed (m)."""
+_MAX_POINT_DURATION = 1.0
+"""Largest duration of a point (s)."""
+
 
 @dataclass(frozen=True, slots=True)
 class _InForce(Memory):
@@ -103,7 +113,7 @@ class SetpointGenerator(Remembers):
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
         self.reads = ("planning.trajectory", "perception.collision_status", config.odometry, "control.tracking")
-        self._governed = config.autopilot.sampling == "interpolated"
+        self._is_interpolated = config.autopilot.sampling == "interpolated"
         self.memory = _SetpointMemory()
         self._creep = min(_CREEP_SHARE * config.v_max, _CREEP_STEP / max(config.map_latency, 1e-3))
 
@@ -124,10 +134,12 @@ class SetpointGenerator(Remembers):
         self.memory.inbox = []
         for state in inbox:
             if state.spec.name == "planning.trajectory":
-                self._offer(state, time_us)
+                self._take_trajectory(state, time_us)
             else:
-                self._warn(state, time_us)
-        self._watch(time_us)
+                self._take_status(state, time_us)
+        self._monitor_deviation(time_us)
+
+        # The first that applies: stop, adopt or await a trajectory, hold, or follow the one in force.
         now = self.memory.now
         if 0 <= now.stop_us <= time_us:
             return [self._brake()]
@@ -140,8 +152,8 @@ class SetpointGenerator(Remembers):
             return [self._hold()]
         if now.trajectory is None:
             return []  # no trajectory: the point in force remains
-        if self._governed:
-            return self._governed_point()
+        if self._is_interpolated:
+            return self._interpolated_point()
         return self._held_point()
 
     def abandon(self, time_us: int) -> list[State]:
@@ -152,10 +164,10 @@ class SetpointGenerator(Remembers):
             if not published and now.last_seq < 0:  # nothing may have been received yet
                 published = [self._hold()]
             return published
-        if self._governed:
+        if self._is_interpolated:
             position, rate, change = now.clock
             self._set(clock=(position + 1.0, rate, change))
-            return self._governed_point()
+            return self._interpolated_point()
         self.memory.remaining = 0.0
         return self._held_point()
 
@@ -227,14 +239,16 @@ class SetpointGenerator(Remembers):
 
     # ---- sequence numbers -------------------------------------------------------------------------------------------
     def _set(self, **changes: object) -> None:
+        """Replace attributes of the trajectories and sequence numbers."""
         self.memory.now = replace(self.memory.now, **changes)  # type: ignore[arg-type]
 
-    def _offer(self, state: State, time_us: int) -> None:
+    def _take_trajectory(self, state: State, time_us: int) -> None:
         """Accept or reject a trajectory by its sequence numbers."""
         now = self.memory.now
         autopilot = self._config.autopilot
         seq = state.value("trajectory_seq")
         alarm_seq = state.value("future_collision_seq")
+        # An outdated one is rejected, unless all have been rejected for so long that the numbers must be corrupted.
         if seq < now.last_seq or alarm_seq < now.epoch:
             since = now.rejected_since
             if since < 0:
@@ -243,15 +257,15 @@ class SetpointGenerator(Remembers):
             if not (patience > 0.0 and time_us - since > 1e6 * patience):
                 self._set(rejected_since=since)
                 return
-        if autopilot.consumer_check and not self._sane(state):
+        if autopilot.consumer_check and not self._is_plausible(state):
             self._set(stop_us=time_us)
             return
         seen_seq = max(now.seen_seq, alarm_seq)
         self._set(waiting=state, last_seq=seq, epoch=alarm_seq, seen_seq=seen_seq, rejected_since=-1)
 
-    def _warn(self, state: State, time_us: int) -> None:
+    def _take_status(self, state: State, time_us: int) -> None:
         """Respond to a collision status: stop at once, or after the grace period if time permits."""
-        if self._governed:
+        if self._is_interpolated:
             blocked = state.value("distance_to_blocked")
             unknown = state.value("distance_to_unknown")
             self.memory.limits = (blocked, unknown, state.value("trajectory_seq"))
@@ -268,7 +282,7 @@ class SetpointGenerator(Remembers):
             stop_us = min(stop_us, now.stop_us)
         self._set(seen_seq=seq, stop_us=stop_us)
 
-    def _watch(self, time_us: int) -> None:
+    def _monitor_deviation(self, time_us: int) -> None:
         """Deviation monitor: stop and replan if too far from the reference."""
         limit = self._config.autopilot.deviation_limit
         memory = self.memory
@@ -277,26 +291,28 @@ class SetpointGenerator(Remembers):
         if not length(floats(memory.published.header, 3) - memory.odometry[:3]) < limit:
             self._set(stop_us=time_us)
 
-    def _sane(self, state: State) -> bool:
-        """Plausibility checks of a trajectory that require no map."""
+    def _is_plausible(self, state: State) -> bool:
+        """Whether a trajectory passes the plausibility checks, which require no map."""
         points = rows(state.elements, POINT_WIDTH)
         if len(points) == 0:
             return True
-        v_max = 1.5 * self._config.v_max
-        lower = self._config.flight_lower - 2.0
-        upper = self._config.flight_upper + 2.0
+        max_speed = _SPEED_FACTOR * self._config.v_max
+        lower = self._config.flight_lower - _BOX_MARGIN
+        upper = self._config.flight_upper + _BOX_MARGIN
+        duration = points[:, 10]
         with np.errstate(over="ignore", invalid="ignore"):
             steps = np.linalg.norm(np.diff(points[:, :3], axis=0), axis=1)
             return bool(
                 np.isfinite(points).all()
-                and ((points[:, 10] > 0.0) & (points[:, 10] <= 1.0)).all()
-                and (np.linalg.norm(points[:, 4:7], axis=1) <= v_max).all()
-                and (steps <= v_max * points[1:, 10] + 0.3).all()
+                and ((duration > 0.0) & (duration <= _MAX_POINT_DURATION)).all()
+                and (np.linalg.norm(points[:, 4:7], axis=1) <= max_speed).all()
+                and (steps <= max_speed * duration[1:] + _STEP_MARGIN).all()
                 and ((points[:, :3] >= lower) & (points[:, :3] <= upper)).all()
             )
 
     # ---- publications -----------------------------------------------------------------------------------------------
     def _load(self, trajectory: State | None) -> None:
+        """Set the points of the trajectory in force and their arc lengths; None changes nothing."""
         if trajectory is None:
             return
         points = rows(trajectory.elements, POINT_WIDTH)
@@ -307,7 +323,7 @@ class SetpointGenerator(Remembers):
 
     def _slow_enough(self, waiting: State) -> bool:
         """Whether a trajectory may be adopted at the current speed."""
-        if self._governed or len(waiting.elements) == 0:
+        if self._is_interpolated or len(waiting.elements) == 0:
             return True
         speed = length(self.memory.odometry[3:6])
         if self.memory.now.stopping:
@@ -316,20 +332,22 @@ class SetpointGenerator(Remembers):
         return not speed > first + _SPEED_STEP
 
     def _brake(self) -> State:
+        """Give the trajectory up, and hold."""
         self._set(trajectory=None, index=-1, stop_us=-1, stopping=True)
         return self._hold()
 
     def _adopt(self, trajectory: State) -> State:
+        """Put the pending trajectory in force, and publish its first point; an empty one usually means to hold."""
         memory = self.memory
         if len(trajectory.elements) == 0:
-            if self._governed and memory.now.trajectory is not None and memory.now.clock[1] > 0.0:
+            if self._is_interpolated and memory.now.trajectory is not None and memory.now.clock[1] > 0.0:
                 self._set(waiting=None)  # the current trajectory still leads to a safe stopping point
-                return self._governed_point()[0]
+                return self._interpolated_point()[0]
             self._set(trajectory=None, index=-1, waiting=None)
             return self._hold(turn=_HOLD_TURN)
         self._load(trajectory)
         self._set(trajectory=trajectory, waiting=None, stopping=False, stop_us=-1, index=0, clock=(0.0, 1.0, 0.0))
-        if not self._governed:
+        if not self._is_interpolated:
             return self._publish(0, memory.points[0])
         start = self._nearest_start()
         self._set(clock=(float(start), 1.0, 0.0), index=start)
@@ -344,6 +362,7 @@ class SetpointGenerator(Remembers):
         return int(np.argmin(((window - floats(published.header, 3)) ** 2).sum(1)))
 
     def _held_point(self) -> list[State]:
+        """Publish the next point of the trajectory, once the time of the one in force is over."""
         memory = self.memory
         waypoint = np.zeros(POINT_WIDTH)
         index = setpoint.advance_index(memory.points, memory.now.index, memory.remaining, waypoint)
@@ -356,7 +375,8 @@ class SetpointGenerator(Remembers):
         memory.remaining = np.inf  # until the tracker reports on the new point
         return [self._publish(index, waypoint)]
 
-    def _governed_point(self) -> list[State]:
+    def _interpolated_point(self) -> list[State]:
+        """Advance the reference clock, slower near blocked and unknown space, and publish the point at its reading."""
         memory = self.memory
         config = self._config
         clock = np.array(memory.now.clock)
@@ -386,6 +406,7 @@ class SetpointGenerator(Remembers):
         return self._publish(int(clock[0]), waypoint)
 
     def _publish(self, index: int, waypoint: np.ndarray) -> State:
+        """The way-point with its sequence numbers, which is in force from now on."""
         state = new_state("planning.waypoint")
         now = self.memory.now
         floats(state.header, POINT_WIDTH)[:] = waypoint
@@ -401,7 +422,7 @@ class SetpointGenerator(Remembers):
         waypoint = np.zeros(POINT_WIDTH)
         odometry = self.memory.odometry
         lag = self._config.velocity_lag
-        if self._governed:
+        if self._is_interpolated:
             lag = 0.0
         waypoint[:3] = odometry[:3] + lag * odometry[3:6]
         waypoint[3] = yaw_of(odometry[6:10]) + turn

@@ -81,7 +81,7 @@ def change(kernel: Remembers, name: str, index: int, apply: Change) -> tuple[Any
         if array is not None:
             return _apply(array.reshape(-1)[index : index + 1], apply)
     first, *rest = _PARTS.findall(name)
-    changed_copy, before, after = _changed(getattr(kernel.memory, first), rest, index, apply)
+    changed_copy, before, after = _with_changed_word(getattr(kernel.memory, first), rest, index, apply)
     setattr(kernel.memory, first, changed_copy)
     return before, after
 
@@ -94,6 +94,7 @@ def _in_memory(start: str, memory: Memory) -> Iterator[Words]:
 
 
 def _in_value(name: str, value: Any) -> Iterator[Words]:
+    """Words of a value of a memory, whose name they begin with."""
     if isinstance(value, State):
         for field in dict.fromkeys(value.spec.fields):  # a name in both elements and header denotes the element field
             if field in value.spec.elements:
@@ -113,11 +114,13 @@ def _in_value(name: str, value: Any) -> Iterator[Words]:
 
 
 def _code(array: np.ndarray) -> str:
+    """Type of the elements of an array, as in `Words`."""
     code = array.dtype.str[1:]
     return _FLAG.get(code, code)
 
 
 def _scalar_type(value: float) -> str:
+    """Type of a Python number, as in `Words`."""
     if isinstance(value, bool):
         return "?"
     if isinstance(value, int):
@@ -127,12 +130,13 @@ def _scalar_type(value: float) -> str:
 
 # ---- modification ----------------------------------------------------------------------------------------------------
 def _apply(word: np.ndarray, apply: Change) -> tuple[Any, Any]:
+    """Modify a word in place, shape (1,); returns its value before and after."""
     before = word[0].item()
     apply(word)
     return before, word[0].item()
 
 
-def _changed(value: Any, path: list[str], index: int, apply: Change) -> tuple[Any, Any, Any]:
+def _with_changed_word(value: Any, path: list[str], index: int, apply: Change) -> tuple[Any, Any, Any]:
     """Copy of a value with one word modified, and that word before and after; the original may be shared.
 
     `path` leads from the value to the word.
@@ -155,14 +159,14 @@ def _changed(value: Any, path: list[str], index: int, apply: Change) -> tuple[An
     # it is in an attribute, or in an item of a container
     first, *rest = path
     if isinstance(value, Memory):
-        inner, before, after = _changed(getattr(value, first), rest, index, apply)
+        inner, before, after = _with_changed_word(getattr(value, first), rest, index, apply)
         memory = value.copy()
         object.__setattr__(memory, first, inner)  # the class may be frozen
         return memory, before, after
     key: Any = int(first)
     if isinstance(value, dict):
         key = list(value)[key]  # names have the position of an item
-    inner, before, after = _changed(value[key], rest, index, apply)
+    inner, before, after = _with_changed_word(value[key], rest, index, apply)
     if isinstance(value, tuple):
         items = (*value[:key], inner, *value[key + 1 :])
         if hasattr(value, "_fields"):

@@ -234,7 +234,7 @@ def test_detectors_share_flights_between_their_alarms():
 
 
 def test_to_follow_a_flight_through_an_alarm_of_its_detector_is_noticed(monkeypatch):
-    stored = FastForward._injected
+    stored = FastForward._fly_injected
 
     def silent(forward, injected, arm):
         track = stored(forward, injected, arm)
@@ -243,7 +243,7 @@ def test_to_follow_a_flight_through_an_alarm_of_its_detector_is_noticed(monkeypa
         forward._known_flights(injected)[arm.name] = replace(track, checkpoints=checkpoints, end=end)
         return track
 
-    monkeypatch.setattr(FastForward, "_injected", silent)
+    monkeypatch.setattr(FastForward, "_fly_injected", silent)
     assert alike(FastForward(mission()))[1] != []
 
 

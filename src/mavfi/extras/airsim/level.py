@@ -58,12 +58,12 @@ class MessageSampler(Sampler):
     def _fault(self, side: str, index: int, seed: int, golden: Golden, *, null: bool = False) -> MessageFault | None:
         """Draw a fault on one side of the calls; None if the golden run has no number there."""
         # all calls of the golden run with a number on this side
-        passed: Sequence[Any] = ()
+        recorded_calls: Sequence[Any] = ()
         if "" in golden:
-            passed = getattr(golden[""].flight, "passed", ())
+            recorded_calls = getattr(golden[""].flight, "calls", ())
         counts: Counter[str] = Counter()
         calls: list[tuple[str, int, int]] = []  # name, number among those of this name, numbers on this side
-        for call in passed:
+        for call in recorded_calls:
             counts[call.name] += 1
             numbers = call.returned
             if side == "arguments":

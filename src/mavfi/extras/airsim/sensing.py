@@ -95,7 +95,7 @@ def getMultirotorState(api: Api) -> Data:
     sticks = {key: api.sticks.get(key, 0.0) for key in ("pitch", "roll", "throttle", "yaw")}
     return {
         "collision": collision(api),
-        "kinematics_estimated": kinematics(api, api.vehicle.believed),
+        "kinematics_estimated": kinematics(api, api.vehicle.measured_state),
         "gps_location": geo_point(api.vehicle.position),
         "timestamp": api.vehicle.stamp,
         "landed_state": landed_state,

@@ -220,7 +220,7 @@ class AirsimServer:
     def flush(self) -> None:
         """Answer the tasks that have ended."""
         vehicle = self.api.vehicle
-        for ended in vehicle.ended:
+        for ended in vehicle.ended_tasks:
             reply, name, arguments = self._waiting.pop(ended.number, (None, "", []))
             if reply is None:
                 continue
@@ -228,7 +228,7 @@ class AirsimServer:
                 self._refuse(name, ended.result, reply)
             else:
                 reply(None, self.boundary.returned(name, arguments, ended.result, vehicle.now_us))
-        vehicle.ended.clear()
+        vehicle.ended_tasks.clear()
 
     # ---- connections ------------------------------------------------------------------------------------------------
     def connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -65,7 +65,7 @@ class CodeScorer(Scorer):
 
     def __init__(self, field_codes: FieldCodes, *tables: Any) -> None:  # noqa: ANN401 - arrays, tuples of them, numbers
         self.field_codes = field_codes
-        self.kept = {"known": field_codes.measured.known}
+        self.memory_arrays = {"known": field_codes.measured.known}
         self.fields = field_codes.fields
         self.stages = field_codes.stages
         self.states = field_codes.states
@@ -120,7 +120,7 @@ class CodeScorer(Scorer):
         self.field_codes.read(state, slot)
         return float(self._judge(*self._tables))
 
-    def judged(self) -> Reading:
+    def last_reading(self) -> Reading:
         """Reading of the publication scored last."""
         judged = self._judged_last
         status = self.field_codes.measured.status
@@ -318,7 +318,7 @@ class ReconstructionScorer(CodeScorer):
     def __init__(self, field_codes: FieldCodes, network: Network) -> None:
         holding = Holding(*np.zeros((2, len(field_codes.fields)), np.int16))
         super().__init__(field_codes, network, holding)
-        self.kept = {**self.kept, "held": holding.held}
+        self.memory_arrays = {**self.memory_arrays, "held": holding.held}
 
 
 class AllFieldsDetector(ScoringDetector, TrainedDetector):

@@ -142,7 +142,7 @@ class ModelScorer(StateScorer):
     def __init__(self, field_codes: FieldCodes, model: Any, floor: float) -> None:  # noqa: ANN401
         holding = Holding(*np.zeros((2, len(field_codes.fields)), np.int16))
         super().__init__(field_codes, model, holding, floor)
-        self.kept = {**self.kept, "held": holding.held}
+        self.memory_arrays = {**self.memory_arrays, "held": holding.held}
 
 
 def scaled(vectors: np.ndarray, scale: np.ndarray) -> np.ndarray:

@@ -201,7 +201,7 @@ class StretchScorer(StateScorer):
             series.history[slot, :, : counts[slot]] = columns
             series.sums[slot, : counts[slot]] = columns.sum(axis=0)
         super().__init__(field_codes, series)
-        self.kept = {**self.kept, "recent": series.recent, "published": series.published}
+        self.memory_arrays = {**self.memory_arrays, "recent": series.recent, "published": series.published}
 
 
 class MatrixProfileDetector(AllFieldsDetector):

@@ -336,8 +336,8 @@ class Autopilot:
 
     def _end_tasks(self) -> None:
         """Change the mode when its task has ended by itself."""
-        ended = list(self.vehicle.ended)
-        self.vehicle.ended = []
+        ended = list(self.vehicle.ended_tasks)
+        self.vehicle.ended_tasks = []
         for task in ended:
             if task.number != self._task:
                 continue
@@ -350,7 +350,7 @@ class Autopilot:
 
     def _start(self, task: Task) -> None:
         self._task = self.vehicle.start(task)
-        self.vehicle.ended = [task for task in self.vehicle.ended if task.number == self._task]
+        self.vehicle.ended_tasks = [task for task in self.vehicle.ended_tasks if task.number == self._task]
 
     def set_mode(self, mode: FlightMode) -> None:
         """Change the mode and start its task."""

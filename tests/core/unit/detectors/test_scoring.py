@@ -23,7 +23,7 @@ def test_only_renewed_fields_are_held_against_their_limits():
     threshold = Threshold(np.array([[1.0, 9.0], [2.0, 9.0], [4.0, 9.0]]), 3)
     score = judge(threshold, reading([50.0, 1.0, 6.0]))
     assert score == 1.5
-    assert threshold.standing_out(reading([50.0, 1.0, 6.0]), np.zeros(0, int)).tolist() == [2]
+    assert threshold.fields_of_alarm(reading([50.0, 1.0, 6.0]), np.zeros(0, int)).tolist() == [2]
     assert judge(threshold, reading([0.0, 1.0, 6.0], regime=1)) == pytest.approx(6 / 9)
     assert judge(threshold, reading([0.0, 1.0, 6.0], unit=3.0)) == 0.5
     assert judge(threshold, reading([0.0, 1.0, 6.0], unit=0.0)) == 0.0
@@ -34,8 +34,8 @@ def test_a_mean_square_is_of_all_fields_and_the_field_farthest_beyond_its_usual_
     found = reading([3.0, 1.0, 2.0])
     score = judge(threshold, found)
     assert score == pytest.approx(14.0 / 3.0 / 2.0)
-    assert threshold.standing_out(found, np.zeros(0, int)).tolist() == [1]
-    assert threshold.standing_out(found, np.array([2, 0])).tolist() == [2]
+    assert threshold.fields_of_alarm(found, np.zeros(0, int)).tolist() == [1]
+    assert threshold.fields_of_alarm(found, np.array([2, 0])).tolist() == [2]
 
 
 @pytest.mark.parametrize(("name", "profile"), [*DETECTORS, ("acceptance", "paper")])

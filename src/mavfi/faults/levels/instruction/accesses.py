@@ -12,7 +12,9 @@ _COPIES = re.compile(r"@llvm\.mem(?:cpy|move|set)\.")
 _ARRAY = re.compile(
     r"^(@\S+) = (?:private |internal )((?:unnamed_addr |local_unnamed_addr )?)constant (\[\d+ x \w+\]) "
 )
+"""A constant array of the preamble: name, attribute, type."""
 _VECTOR = re.compile(r"<(\d+) x (.+)>")
+"""Type of a vector: number and type of its elements."""
 _NAME = re.compile(r'@(?:"[^"]*"|[-\w$.]+)')
 
 
@@ -32,12 +34,12 @@ class Access:
 def accesses_of(instruction: Instruction) -> list[Access]:
     """Accesses of an instruction through computed pointers; callees are instrumented separately."""
     accesses: list[Access] = []
-    if instruction.opcode == "load":
+    if instruction.opcode == "load":  # load TYPE , ptr POINTER
         accesses = [Access(instruction.tokens[4], str(size_of(instruction.kind)))]
-    elif instruction.opcode == "store":
+    elif instruction.opcode == "store":  # store TYPE VALUE , ptr POINTER
         accesses = [Access(instruction.tokens[5], str(size_of(instruction.tokens[1])))]
     elif instruction.callee is not None and _COPIES.match(instruction.callee):
-        length = instruction.arguments[2][1]
+        _, length = instruction.arguments[2]  # after the destination, and the source or the value of the bytes
         accesses = [Access(value, length) for kind, value in instruction.arguments[:2] if kind == "ptr"]
     elif instruction.callee is not None and _MASKED.match(instruction.callee):
         accesses = [_masked(instruction)]
@@ -62,16 +64,22 @@ def size_of(kind: str) -> int:
     """Bytes that a value of a type occupies in memory, including padding."""
     fields = parts(kind)
     if not fields:
-        return -(-width(kind) // 8)
+        return _round_up(width(kind), 8) // 8
+    # Each field starts at a multiple of its alignment, and the whole ends at one of the largest.
     end = 0
-    widest = 1
+    largest_alignment = 1
     for part in fields:
         alignment = 8
         if not parts(part):
             alignment = min(8, size_of(part))
-        end = -(-end // alignment) * alignment + size_of(part)
-        widest = max(widest, alignment)
-    return -(-end // widest) * widest
+        end = _round_up(end, alignment) + size_of(part)
+        largest_alignment = max(largest_alignment, alignment)
+    return _round_up(end, largest_alignment)
+
+
+def _round_up(number: int, unit: int) -> int:
+    """The next multiple of a unit."""
+    return -(-number // unit) * unit
 
 
 def is_owned(module: Module) -> bool:
@@ -105,15 +113,19 @@ def constants_of(module: Module) -> dict[str, Constant]:
 
     Pickled exceptions are not relocated: only Python reads them, and their length depends on a file path.
     """
+    # The arrays of the module: their types by name.
     arrays = (match for match in map(_ARRAY.match, module.preamble) if match is not None)
     kinds = {match[1]: match[3] for match in arrays if ".const.pickle" not in match[1]}
+
+    # Place those that are used, each at the start of a cache line.
     constants: dict[str, Constant] = {}
-    free = CONSTANTS
+    address = CONSTANTS
     for function in module.functions:
         for name in _NAME.findall(function.text()):
             if name in kinds and name not in constants:
-                constants[name] = Constant(name, free, size_of(kinds[name]))
-                free += -(-constants[name].size // LINE) * LINE
+                size = size_of(kinds[name])
+                constants[name] = Constant(name, address, size)
+                address += _round_up(size, LINE)
     return constants
 
 
