@@ -170,6 +170,8 @@ def sensor_table() -> str:
     for unit in UNITS:
         answers = ["yes" if is_executed(unit) else "no" for is_executed in columns.values()]
         rows.append(f"| `{unit}` | {' | '.join(answers)} |")
+
+    # what MAVLink lacks
     absent = [kind for kind in TYPES if kind not in MAVLINK_TYPES.values()]
     rows += ["", f"MAVLink has no command for {', '.join(f'`{kind}`' for kind in absent)}; `ok` ends failures there."]
     return "\n".join(rows)

@@ -148,6 +148,7 @@ def measure(mission: MissionSpec) -> GoldenFlight:
 
 def row(mission: MissionSpec, flights: Sequence[GoldenFlight]) -> tuple[Any, ...]:
     """The cells of a setting, in the order of `COLUMNS`."""
+    # times are of flights that arrived; without any they are absent
     times = [flight.time_s for flight in flights if flight.arrived]
     lost = [flight.seed for flight in flights if not flight.arrived]
     replans = [max(flight.plans - 1, 0) for flight in flights]
@@ -158,6 +159,8 @@ def row(mission: MissionSpec, flights: Sequence[GoldenFlight]) -> tuple[Any, ...
         median_time = float(np.median(times))
         percentile_time = float(np.percentile(times, 95))
         longest_time = max(times)
+
+    # the setting, then what was measured, over all flights
     return (
         name_of(mission),
         mission.autopilot,

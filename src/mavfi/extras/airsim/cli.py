@@ -313,6 +313,8 @@ def _report(program: ProgramConfig, golden: ProgramResult, injected: ProgramResu
             injected_data = shown(injected)
         write_json({"script": program.script, "golden": shown(golden), "injected": injected_data, "effect": effect})
         return
+
+    # the effect of a fault, then each run; the program's last words at the end
     out = console()
     if injected is None:
         _print_run(out, "golden", golden)

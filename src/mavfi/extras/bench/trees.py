@@ -187,6 +187,8 @@ def forest_of(
                 level = next_level
                 depth += 1
             depths.append(depth)
+
+    # Trees of a state follow each other, too.
     return Forest(
         spans_of([len(state.trees) for state in states]),
         np.array([state.unit for state in states], np.float64),

@@ -294,6 +294,7 @@ _MINUTES = "number .1f min"
 
 def step_table(seconds: Mapping[str, float], campaigns: Mapping[str, Runs]) -> Table:
     """Wall time (s) by step, with the runs per second of the campaigns, and the sum."""
+    # only the step of the flights has a pace; a study without times has no rows
     total = sum(seconds.values())
     runs = sum(map(len, campaigns.values()))
     rows = []

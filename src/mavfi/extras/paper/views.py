@@ -367,6 +367,7 @@ def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
         recovered: float | None = paper.figure("platforms_recovered", setting=group.first("setting"))
         return recovered
 
+    # the columns, ours beside the paper's
     yield ratio("median_ratio", "median ratio", "flight_time_s", 0.5)
     yield ratio("energy_ratio", "of energy", "energy_j", 0.5)
     yield ratio("worst_ratio", "worst ratio", "flight_time_s", 1.0)

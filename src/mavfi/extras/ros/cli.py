@@ -142,6 +142,8 @@ def _show(plan: FlightPlan, result: FlightResult, flight: RosFlight, as_json: bo
     if written is not None:
         log.save(written)
     nodes = [event for event in log.events if event.kind in _NODE_EVENTS]
+
+    # as JSON: the flight as of `mavfi fly`, with what ROS adds to it
     if as_json:
         coupling = None
         if plan.detector is not None:
