@@ -19,7 +19,7 @@ from dataclasses import replace
 
 from mavfi.extras.hardening.plan import ModuleSite
 from mavfi.ir.flow import back_edges, loop_depths, successors
-from mavfi.ir.module import Block, Function, Instruction, Module, width
+from mavfi.ir.module import BasicBlock, Function, Instruction, Module, width
 from mavfi.ir.parser import VOLATILE_LOAD
 
 _PURE = re.compile(
@@ -220,7 +220,7 @@ class _Duplicator:
         self.tails: dict[str, list[Instruction]] = defaultdict(list)
         self.starts: dict[tuple[str, str, str], str] = {}
         self.ends: dict[tuple[str, str], str] = {}
-        self.blocks: list[Block] = []
+        self.blocks: list[BasicBlock] = []
 
     # ---- what is duplicated and compared ----------------------------------------------------------------------------
     def _separable(self, chosen: set[str]) -> set[str]:
@@ -304,7 +304,7 @@ class _Duplicator:
             block.phis = [self._from_parts(phi, block.label) for phi in block.phis]
         if any(_STOP in successors(block.terminator) for block in self.blocks):
             end = Instruction("ret", ["ret", "i32", str(DETECTED)])
-            self.blocks.append(Block(_STOP, terminator=end, unreached=True))
+            self.blocks.append(BasicBlock(_STOP, terminator=end, unreached=True))
         return replace(self.function, blocks=self.blocks)
 
     def _from_parts(self, phi: Instruction, label: str) -> Instruction:
@@ -326,9 +326,9 @@ class _Duplicator:
         for value, before in copied:
             self.starts[str(phi.result), before, value] = self._copy(value, phi, self.tails[before])
 
-    def _write(self, block: Block) -> None:
+    def _write(self, block: BasicBlock) -> None:
         """Write a block: originals, each followed by its shadow and checks; a check begins a new part."""
-        self.block = Block(block.label, list(block.phis), block.allocations)
+        self.block = BasicBlock(block.label, list(block.phis), block.allocations)
         self.blocks.append(self.block)
         self.copies: dict[str, str] = {}
         self.checked: set[str] = set()
@@ -351,7 +351,7 @@ class _Duplicator:
         self.block.body += self.tails[block.label]
         self._finish(block)
 
-    def _finish(self, block: Block) -> None:
+    def _finish(self, block: BasicBlock) -> None:
         """Write the terminator of a block."""
         end = block.terminator
         assert end is not None  # of parsed blocks
@@ -462,7 +462,7 @@ class _Duplicator:
         first = self.block.label.split("c")[0]
         following = f"{first}c{self.numbers}"
         self.block.terminator = _branch(is_true, _STOP, following, _FIRST_IS_RARE, like)
-        self.block = Block(following, runs_as=(first,))
+        self.block = BasicBlock(following, runs_as=(first,))
         self.blocks.append(self.block)
 
     def _check_edges(self, label: str, end: Instruction) -> None:
@@ -483,7 +483,7 @@ class _Duplicator:
 
     def _begin_edge(self, edge: str, condition: str, runs_as: tuple[str, ...]) -> str:
         """Begin the block of an edge; returns the shadow of the condition there."""
-        self.block = Block(edge, runs_as=runs_as)
+        self.block = BasicBlock(edge, runs_as=runs_as)
         self.blocks.append(self.block)
         if not self._only_decides(condition):
             return shadow(condition)
@@ -501,7 +501,7 @@ def _without_undefined(function: Function) -> Function:
         phis = [_with_zeros(phi) for phi in block.phis]
         body = [_with_zeros(instruction) for instruction in block.body]
         terminator = block.terminator and _with_zeros(block.terminator)
-        blocks.append(Block(block.label, phis, block.allocations, body, terminator))
+        blocks.append(BasicBlock(block.label, phis, block.allocations, body, terminator))
     return replace(function, blocks=blocks)
 
 
