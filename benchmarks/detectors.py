@@ -46,7 +46,7 @@ Key = tuple[str, str, str]
 
 def row(autopilot: str, name: str, profile: str, bar: float | None, costs: list[Cost]) -> str:
     """A row of the table: medians of flights."""
-    each = statistics.median(1e6 * one.detection[ALL] / one.shown for one in costs)
+    each = statistics.median(1e6 * one.detection[ALL] / one.judged_count for one in costs)
     shares = sorted(100 * one.detection[ALL] / one.kernels for one in costs)
     middle = statistics.median(shares)
     redone = 100 * statistics.mean(one.recomputed for one in costs)

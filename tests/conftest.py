@@ -108,18 +108,18 @@ def pytest_collection_modifyitems(config, items):
     items.sort(key=lambda item: _order(item.path.as_posix()))
 
 
-_ORDER = {  # that of the first prefix counts
-    "tests/core/flights/instruction/test_campaign": 0,  # compiles the kernels and their instrumented twins
-    "tests/extras/registers/test_inject": 0,  # the longest of those that run after the others
-    "tests/core/unit/campaign/test_session": 3,  # finds compiled what the first file compiles
-    "tests/core/unit/campaign": 1,  # meanwhile: most of it flies made-up flights, and needs none of them
-    "tests/core/flights/instruction": 3,
-    "tests/extras/ros/ros1": 4,  # finds compiled what eight nodes would compile at once
-    "tests/core/flights": 2,
-    "tests/extras/airsim": 2,
+_ORDER = {  # that of the first prefix counts; files that take longest start first
+    "tests/extras/registers/test_inject": 0,
+    "tests/extras/ros/ros1": 0,
+    "tests/core/flights": 1,
+    "tests/extras/firmware": 1,
+    "tests/extras/hardening": 2,
+    "tests/extras/paper": 2,
+    "tests/extras": 3,
+    "tests/core/unit/campaign": 3,
 }
 
 
 def _order(path):
-    """Flights first, as they take longest."""
+    """The longest files first: none is left when the others have ended."""
     return next((place for prefix, place in _ORDER.items() if prefix in path), 5)

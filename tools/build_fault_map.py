@@ -39,10 +39,10 @@ NAMED = ("cloud point", "voxel", "command velocity")
 def fault_table(runs: Runs) -> Table:
     """One row per site: failures and delays with their intervals, worst flight time."""
     rows = []
-    for (target,), own in runs.injected.where("judged").groups("target").items():
-        fails = rate_of(own.adding(failed=~pl.col("success")), "failed")
-        worst = max((value for value in own["inflation"] if value is not None), default=0.0)
-        rows.append((str(target), fails, rate_of(own, FAILS_OR_SLOWER), worst))
+    for (target,), flights in runs.injected.where("judged").groups("target").items():
+        fails = rate_of(flights.adding(failed=~pl.col("success")), "failed")
+        worst = max((inflation for inflation in flights["inflation"] if inflation is not None), default=0.0)
+        rows.append((str(target), fails, rate_of(flights, FAILS_OR_SLOWER), worst))
     notes = ("95 % intervals: Wilson; a fault in a state that a golden flight never publishes has no effect",)
     return Table(PAGE, "Effect of one flipped bit, by site", COLUMNS, rows, notes=notes)
 
@@ -50,8 +50,8 @@ def fault_table(runs: Runs) -> Table:
 def write_page(sites: Table, about: list[str]) -> None:
     """Write the page."""
     harmful = {target for target, fails, *_ in sites.rows if (fails.rate or 0.0) >= MOST_HARMFUL}
-    shown = results.Excerpt("sites", lambda row: row["injected"] in harmful or row["injected"].startswith(NAMED))
-    page = results.write(PAGE, "Fault map: what one flipped bit does", TEXT, {"sites": sites}, [shown], about)
+    excerpt = results.Excerpt("sites", lambda row: row["injected"] in harmful or row["injected"].startswith(NAMED))
+    page = results.write(PAGE, "Fault map: what one flipped bit does", TEXT, {"sites": sites}, [excerpt], about)
     print(f"wrote {page.relative_to(ROOT)}")
 
 

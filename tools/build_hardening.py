@@ -17,6 +17,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -55,7 +56,7 @@ LEDGER = Path("out/hardening")
 PLAN = ROOT / "configs" / "protections" / "ten_percent.yaml"
 CERTIFICATE = PLAN.with_suffix(".certificate.json")
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
-MOST_TIME = {
+TIME_LIMITS = {
     "plan_rrt_connect": 1.2,
     "time_to_collision": 1.2,
     "track": 1.3,
@@ -64,16 +65,16 @@ MOST_TIME = {
     "insert_scan": 1.5,
 }
 """Functions of which the largest step within a time ratio is certified as well."""
-ENOUGH = 300
+SILENT_NEEDED = 300
 """Silent corruptions from which a choice for such a function is made: fewer leave open which of its last instructions
 matter."""
-LEARNED = 4
+MAX_LEARNING_FACTOR = 4
 """Times more injections for that, at most."""
-MORE = {"plan_rrt_connect": 24, "time_to_collision": 40, "insert_scan": 16, "track": 4}
+FAULT_FACTORS = {"plan_rrt_connect": 24, "time_to_collision": 40, "insert_scan": 16, "track": 4}
 """Times more faults in the largest step within the time, where few faults are silent."""
-FINE = tuple(place / 40 for place in range(1, 41))
+FINE_FRACTIONS = tuple(step / 40 for step in range(1, 41))
 """Steps of such functions: twice those of others."""
-LONG = 2_000_000
+LONG_CALL = 2_000_000
 """Instructions per call above which a quarter of the faults must do."""
 INTERVAL = "percent with interval"
 Row = dict[str, Any]
@@ -83,45 +84,52 @@ class Records:
     """Results by key, one JSON object per line; `times` as many injections are learned from as by `mavfi harden`."""
 
     def __init__(self, path: Path, times: int) -> None:
-        self._path, self._times = path, times
-        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-        self.known: dict[str, Row] = {row.pop("key"): row for row in map(json.loads, lines)}
+        self._path = path
+        self._times = times
+        self.rows: dict[str, Row] = {}
+        if path.exists():
+            for line in path.read_text(encoding="utf-8").splitlines():
+                row = json.loads(line)
+                self.rows[row.pop("key")] = row
 
     def get(self, key: str) -> Row | None:
         """A result, if it is known."""
-        return self.known.get(key)
+        return self.rows.get(key)
 
     def put(self, key: str, row: Row) -> Row:
         """Store a result."""
-        self.known[key] = row
+        self.rows[key] = row
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps({"key": key, **row}) + "\n")
         return row
 
     def learn(self, seen: ObservedFunction) -> list[Injected]:
         """The injections from which the protection of a function is chosen."""
-        found = self._injections(seen, self._times)
-        silent = sum(one.sdc for one in found)
-        if seen.entry in MOST_TIME and 0 < silent < ENOUGH:
-            found = self._injections(seen, math.ceil(self._times * min(ENOUGH / silent, LEARNED)))
-        return found
+        injections = self._injections(seen, self._times)
+        silent = sum(injected.sdc for injected in injections)
+        if seen.entry in TIME_LIMITS and 0 < silent < SILENT_NEEDED:
+            factor = min(SILENT_NEEDED / silent, MAX_LEARNING_FACTOR)
+            injections = self._injections(seen, math.ceil(self._times * factor))
+        return injections
 
     def _injections(self, seen: ObservedFunction, times: int) -> list[Injected]:
         key = f"learned {times} {seen.variant.ir_sha256}"
         row = self.get(key)
         if row is None:
             row = self.put(key, {"injections": injections_in(seen, times)})
-        return [Injected(*one) for one in row["injections"]]
+        return [Injected(*fields) for fields in row["injections"]]
 
 
 def choices(target: FunctionTarget) -> Ladder:
     """All steps of a function: where few faults are silent, a larger one may remove more although none is seen."""
-    return every_choice(target, FINE if target.seen.entry in MOST_TIME else FRACTIONS)
+    if target.seen.entry in TIME_LIMITS:
+        return every_choice(target, FINE_FRACTIONS)
+    return every_choice(target, FRACTIONS)
 
 
 def code_of(plan: ProtectionPlan) -> str:
     """Digest of what determines the protected code: not of times, which differ from one measurement to the next."""
-    return hashlib.sha256(b"".join(Protection(one).key for one in plan.functions)).hexdigest()
+    return hashlib.sha256(b"".join(Protection(planned).key for planned in plan.functions)).hexdigest()
 
 
 def certificates(
@@ -132,31 +140,61 @@ def certificates(
     A certificate holds for any prediction of the same code: its verdict is that on the present one.
     """
     for (planner, kernels), advice in zip(study.by_planner().items(), advices, strict=True):
-        fresh: list[Any] | None = None
+        missions = FreshMissions(study, planner, kernels)
         for curve in advice.curves:
-            most = MOST_TIME.get(curve.target.seen.entry, 0.0)
-            within = max((step.fraction for step in curve.steps if step.time <= most), default=0.0)
+            largest = largest_within_limit(curve)
             for step in curve.steps[1:]:
-                n = faults if curve.target.seen.instructions < LONG * curve.target.seen.total else faults // 4
                 planned = planned_of(curve.target, step)
-                key = code_of(ProtectionPlan(functions=(planned,)))
+                plan = ProtectionPlan(functions=(planned,))
+                key = code_of(plan)
                 row = records.get(key)
-                wanted = step.fraction in (*fractions, within)
-                if row is None and not wanted:
-                    continue
-                if step.fraction == within:
-                    n *= MORE.get(curve.target.seen.entry, 1)
-                if row is None or (wanted and row["sdc_after"]["n"] < n):
-                    if fresh is None:
-                        seen = [observe(scenario, kernels) for scenario in study.fresh(planner)]
-                        fresh = merged([one for flown in seen for own in flown.values() for one in own])
-                    pairs = pairs_of(fresh, ProtectionPlan(functions=(planned,)))
-                    if not pairs:
-                        continue
-                    print(planned.function, step.fraction, flush=True)
-                    row = records.put(key, {**certify(pairs[0], n, key).to_json()})
-                row["verdict"] = verdict_of(Rate(**row["coverage"]), rate_of(planned.predicted))
-                yield curve, step, row
+
+                # certify what is asked for and not known, or known from fewer faults; what is known is shown anyway
+                n = faults_in(curve, faults, is_largest=step.fraction == largest)
+                if step.fraction in (*fractions, largest) and (row is None or row["sdc_after"]["n"] < n):
+                    pairs = pairs_of(missions.functions, plan)
+                    if pairs:
+                        print(planned.function, step.fraction, flush=True)
+                        row = records.put(key, {**certify(pairs[0], n, key).to_json()})
+                    else:  # the fresh missions do not call the function
+                        row = None
+                if row is not None:
+                    row["verdict"] = verdict_of(Rate(**row["coverage"]), rate_of(planned.predicted))
+                    yield curve, step, row
+
+
+class FreshMissions:
+    """Missions of a planner that no choice has seen; they are flown when their functions are first asked for."""
+
+    def __init__(self, study: HardeningStudy, planner: str, kernels: Sequence[str]) -> None:
+        self._study = study
+        self._planner = planner
+        self._kernels = kernels
+
+    @cached_property
+    def functions(self) -> list[ObservedFunction]:
+        """The functions of all missions, with their recorded calls."""
+        functions = []
+        for scenario in self._study.fresh(self._planner):
+            for observed in observe(scenario, self._kernels).values():
+                functions += observed
+        return merged(functions)
+
+
+def largest_within_limit(curve: Curve) -> float:
+    """Fraction of the largest step of a function within its limit of time; 0 without a limit."""
+    limit = TIME_LIMITS.get(curve.target.seen.entry, 0.0)
+    return max((step.fraction for step in curve.steps if step.time <= limit), default=0.0)
+
+
+def faults_in(curve: Curve, faults: int, *, is_largest: bool) -> int:
+    """Number of faults for a step: fewer in long calls, more in the largest step within a limit of time."""
+    seen = curve.target.seen
+    if seen.instructions >= LONG_CALL * seen.total:
+        faults //= 4
+    if is_largest:
+        faults *= FAULT_FACTORS.get(seen.entry, 1)
+    return faults
 
 
 def golden(study: HardeningStudy, plan: ProtectionPlan, flights: int, records: Records) -> GoldenCheck:
@@ -164,14 +202,17 @@ def golden(study: HardeningStudy, plan: ProtectionPlan, flights: int, records: R
 
     Each planner of the study is flown in all of them.
     """
-    for place, (planner, kernels) in enumerate(study.by_planner().items()):
+    for index, (planner, kernels) in enumerate(study.by_planner().items()):
+        suffix = ""
+        if index > 0:  # keys of the first planner are as old as the ledger, which had one
+            suffix = f" {planner}"
         for environment, seed in product(ENVIRONMENTS, range(200, 200 + flights)):
-            key = f"golden {code_of(plan)} {environment} {seed}{f' {planner}' if place else ''}"
+            key = f"golden {code_of(plan)} {environment} {seed}{suffix}"
             if records.get(key) is None:
                 spec = MissionSpec(environment=environment, seed=seed, planner=planner)
                 records.put(key, check_golden(resolve(spec), plan, kernels)._asdict())
     total = GoldenCheck()
-    for key, row in records.known.items():
+    for key, row in records.rows.items():
         if key.startswith("golden "):
             total = total.plus(GoldenCheck(**row))
     return total
@@ -198,6 +239,8 @@ def curve_table(curves: Sequence[Curve], certified: Mapping[tuple[str, str, floa
         Column("removed", "SDCs removed", INTERVAL),
         Column("verdict", "prediction"),
     )
+
+    # what was predicted for each step, then what was measured if it is certified
     rows: list[tuple[Any, ...]] = []
     for curve in curves:
         for step in curve.steps[1:]:
@@ -208,8 +251,8 @@ def curve_table(curves: Sequence[Curve], certified: Mapping[tuple[str, str, floa
             if row is not None:
                 rates = (Rate(**row[key]) for key in ("sdc_before", "sdc_after", "coverage"))
                 measured = (row["sdc_after"]["n"], *rates, row["verdict"])
-            chosen = (curve.target.seen.entry, ", ".join(curve.target.kernels), step.fraction)
-            rows.append((*chosen, growth_of(curve, step), step.time, step.coverage, *measured))
+            name = (curve.target.seen.entry, ", ".join(curve.target.kernels), step.fraction)
+            rows.append((*name, growth_of(curve, step), step.time, step.coverage, *measured))
     return Table("curves", "Curves and certificates of all functions", columns, rows, keys=3)
 
 
@@ -220,23 +263,26 @@ def certificate(path: Path = CERTIFICATE) -> Certification:
     Raises:
         BadInputError: It is of another plan.
     """
-    found, plan = certification_of(json.loads(path.read_text(encoding="utf-8"))), load_plan(PLAN)
-    if found.plan != plan.digest:
-        raise BadInputError(f"{path.name}: of plan {found.plan[:12]}, this is {plan.digest[:12]}; certify it")
-    return found
+    certification = certification_of(json.loads(path.read_text(encoding="utf-8")))
+    plan = load_plan(PLAN)
+    if certification.plan != plan.digest:
+        raise BadInputError(f"{path.name}: of plan {certification.plan[:12]}, this is {plan.digest[:12]}; certify it")
+    return certification
 
 
-def certificate_sentence(found: Certification, page: str) -> str:
+def certificate_sentence(certification: Certification, page: str) -> str:
     """What the certificate says, and on which processor its times were measured if not on that of the page."""
     cpu = load_plan(PLAN).cpu
-    same = cpu in page
-    chosen = "" if same else f" Chosen with times on {cpu}; the study was timed on another processor."
-    return f"The shipped plan{verdict_line(found).removeprefix('The plan')}{chosen}"
+    remark = ""
+    if cpu not in page:
+        remark = f" Chosen with times on {cpu}; the study was timed on another processor."
+    return f"The shipped plan{verdict_line(certification).removeprefix('The plan')}{remark}"
 
 
 def sentence(advice: AdviceSummary) -> str:
     """What the budget buys and what it does not, in one sentence for the README."""
-    buys, lost = headline(advice).rstrip("."), caveats(advice)[0].partition(": ")[2]
+    buys = headline(advice).rstrip(".")
+    _, _, lost = caveats(advice)[0].partition(": ")
     return f"{buys} ([curves, plans, certificates](docs/results/{PAGE}.md)), but buys no missions: {lost}"
 
 
@@ -270,6 +316,7 @@ def main() -> None:
     parser.add_argument("--budget", type=float, default=0.10)
     options = parser.parse_args()
 
+    # fly the campaign, and choose what to protect
     mavfi = [sys.executable, "-m", "mavfi"]
     subprocess.run([*mavfi, "campaign", "run", "hardening", "--out", str(LEDGER)], cwd=ROOT, check=True)
     study = HardeningStudy.open(LEDGER)
@@ -286,6 +333,8 @@ def main() -> None:
     advice = summary(study, advices, harm_of(study.runs))
     plan = plan_of(study, advices)
     save_plan(plan, PLAN)
+
+    # check golden flights under the plan, and certify steps of the curves
     curves = [curve for advice_of_planner in advices for curve in advice_of_planner.curves if len(curve.steps) > 1]
     check = golden(study, plan, options.flights, records)
     fractions = [float(text) for text in options.fractions.split(",") if text]
@@ -293,7 +342,8 @@ def main() -> None:
         (*curve.target.key, step.fraction): row
         for curve, step, row in certificates(study, advices, fractions, options.faults, records)
     }
-    # The exit code is 3 if a prediction is refuted: the page says so.
+
+    # certify the plan itself; the exit code is 3 if a prediction is refuted, which the page says
     certifying = [*mavfi, "harden", str(LEDGER), "--plan", str(PLAN), "--certify", "--faults", "1000"]
     code = subprocess.run(certifying, cwd=ROOT, check=False).returncode
     if code not in (0, 3):

@@ -28,7 +28,8 @@ from mavfi.report.text import rate, shown
 from tools import results
 from tools.markers import DOCS, IMAGES, ROOT, fill
 
-NAME, PAGE = "mavfi-bench-1", "leaderboard"
+NAME = "mavfi-bench-1"
+PAGE = "leaderboard"
 PUBLISHED = "paper"
 """The scale that has a page."""
 RULES = {
@@ -48,8 +49,10 @@ LEVELS = {
     "memory": "what a node remembers: the words that lose most",
 }
 """Parts in README.md, and the place of their faults in words."""
-PAPERS, OURS = "gaussian", "recommended"
+PAPERS = "gaussian"
 PAPERS_OTHER = "autoencoder"
+OURS = "recommended"
+"""Schemes that are compared in README.md: the paper's two detectors and this project's."""
 SHOWN = (
     OURS,
     "acceptance",
@@ -96,16 +99,17 @@ def freeze(bench: Path, scale: str) -> None:
     frozen = ROOT / "configs" / FOLDER / NAME
     frozen.mkdir(exist_ok=True)
     for faults in sorted(bench.glob("*/faults.csv")):
-        kept = frozen / f"{faults.parent.name}-{scale}.csv"
-        if kept.is_file() and kept.read_bytes() != faults.read_bytes():
-            raise BadInputError(f"{faults}: other faults than those of {kept.name}, which is frozen; remove it first")
-        shutil.copy(faults, kept)
+        copy = frozen / f"{faults.parent.name}-{scale}.csv"
+        if copy.is_file() and copy.read_bytes() != faults.read_bytes():
+            raise BadInputError(f"{faults}: other faults than those of {copy.name}, which is frozen; remove it first")
+        shutil.copy(faults, copy)
 
 
 def text_rows(full: Table) -> list[Row]:
     """Rows of a table as text by heading."""
-    columns, cells = shown(full)
-    return [dict(zip([column.heading for column in columns], line, strict=True)) for line in cells]
+    columns, lines = shown(full)
+    headings = [column.heading for column in columns]
+    return [dict(zip(headings, cells, strict=True)) for cells in lines]
 
 
 def merged(flown: Sequence[Row], published: Sequence[Row], schemes: Sequence[str]) -> list[Row]:
@@ -116,15 +120,22 @@ def merged(flown: Sequence[Row], published: Sequence[Row], schemes: Sequence[str
         published: The rows so far; those of schemes that the bench no longer has are dropped.
         schemes: Schemes of the bench.
     """
-    new = {_group_and_scheme(row) for row in flown}
-    rows = [row for row in published if _group_and_scheme(row) not in new and _group_and_scheme(row)[1] in schemes]
+    # published rows that are still valid, then those that were flown
+    replaced = {_group_and_scheme(row) for row in flown}
+    rows = []
+    for row in published:
+        group_and_scheme = _group_and_scheme(row)
+        if group_and_scheme not in replaced and group_and_scheme[1] in schemes:
+            rows.append(row)
     rows += flown
+
+    # groups in the order of their first rows, in each the schemes in the order of the bench
     groups = list(dict.fromkeys(_group_and_scheme(row)[0] for row in rows))
-    places = {scheme: place for place, scheme in enumerate(schemes)}
+    positions = {scheme: position for position, scheme in enumerate(schemes)}
 
     def order(row: Row) -> tuple[int, int]:
         group, scheme = _group_and_scheme(row)
-        return groups.index(group), places.get(scheme, len(places))
+        return groups.index(group), positions.get(scheme, len(positions))
 
     return sorted(rows, key=order)
 
@@ -142,9 +153,8 @@ def publish(bench: Bench, folder: Path, scale: str) -> None:
     for name, part in bench.parts.items():
         if not (folder / name).is_dir():
             continue
-        rows = merged(
-            text_rows(table(load(folder / name), part.view)), published_rows(bench, name, scale), [*bench.arms]
-        )
+        flown = text_rows(table(load(folder / name), part.view))
+        rows = merged(flown, published_rows(bench, name, scale), [*bench.arms])
         path = ROOT / "configs" / FOLDER / NAME / f"{name}-{scale}{ROWS}"
         _write_rows(path, rows)
 
@@ -154,7 +164,9 @@ def publish_scores(bench: Bench, folder: Path) -> None:
     for name in (SCORES,):
         path = results.TABLES / PAGE / f"{name}.csv"
         if (folder / path.name).is_file():
-            earlier = _read_rows(path) if path.is_file() else []
+            earlier: list[Row] = []
+            if path.is_file():
+                earlier = _read_rows(path)
             _write_rows(path, merged(_read_rows(folder / path.name), earlier, [*bench.arms]))
 
 
@@ -177,7 +189,9 @@ def group_of(part: BenchPart) -> str:
     level = level_of(load_campaign(part.campaign))
     if level not in GROUPS:
         return ""
-    return OBSERVER if part.mission.get("coupling") == "observer" else level
+    if part.mission.get("coupling") == "observer":
+        return OBSERVER
+    return level
 
 
 def brought_back(bench: Bench, rows: Mapping[str, Sequence[Row]]) -> Counts:
@@ -185,58 +199,71 @@ def brought_back(bench: Bench, rows: Mapping[str, Sequence[Row]]) -> Counts:
     by_scheme = {name: {row["scheme"]: row for row in part if "scheme" in row} for name, part in rows.items()}
     flown = {scheme for part in by_scheme.values() for scheme in part}
     detectors = {name for name, arm in bench.arms.items() if arm.detector} & flown
-    found: Counts = {}
+    counts: Counts = {}
     for name, part in by_scheme.items():
-        if detectors <= part.keys():
-            for scheme, row in part.items():
-                if count := _COUNT.search(row.get(BACK, "")):
-                    _add(found, scheme, group_of(bench.parts[name]), (int(count[1]), int(count[2])))
-    return found
+        if not detectors <= part.keys():
+            continue
+        group = group_of(bench.parts[name])
+        for scheme, row in part.items():
+            count = _COUNT.search(row.get(BACK, ""))
+            if count is not None:
+                _add(counts, scheme, group, (int(count[1]), int(count[2])))
+    return counts
 
 
 def lost_alone(bench: Bench, rows: Mapping[str, Sequence[Row]]) -> Counts:
     """Missions lost by a scheme alone, and flown, by scheme and group, over all parts."""
-    found: Counts = {}
+    counts: Counts = {}
     for name, part in rows.items():
         for row in part:
             for lost, flown in LOST_ALONE.items():
                 if "scheme" in row and row.get(lost, "").isdecimal() and row.get(flown, "").isdecimal():
-                    _add(found, row["scheme"], group_of(bench.parts[name]), (int(row[lost]), int(row[flown])))
-    return found
+                    _add(counts, row["scheme"], group_of(bench.parts[name]), (int(row[lost]), int(row[flown])))
+    return counts
 
 
-def _add(found: Counts, scheme: str, group: str, more: tuple[int, int]) -> None:
-    before = found.setdefault(scheme, {}).get(group, (0, 0))
-    found[scheme][group] = before[0] + more[0], before[1] + more[1]
+def _add(counts: Counts, scheme: str, group: str, count: tuple[int, int]) -> None:
+    """Add a count of missions, and of all of which they are a part, to those of a scheme and group."""
+    missions, total = counts.setdefault(scheme, {}).get(group, (0, 0))
+    counts[scheme][group] = (missions + count[0], total + count[1])
 
 
 def false_alarms(bench: Bench, rows: Mapping[str, Sequence[Row]]) -> dict[str, dict[str, str]]:
     """False alarms per hour in all environments, by autopilot profile and scheme."""
-    return {
-        bench.parts[name].mission.get("autopilot", "published"): {
-            row["setting"].removeprefix(GOLDEN): row["per hour"] for row in part if row["environment"] == TOTAL[1]
-        }
-        for name, part in rows.items()
-        if bench.parts[name].view == "false_alarms"
-    }
+    rates = {}
+    for name, part in rows.items():
+        if bench.parts[name].view == "false_alarms":
+            profile = bench.parts[name].mission.get("autopilot", "published")
+            rates[profile] = {
+                row["setting"].removeprefix(GOLDEN): row["per hour"] for row in part if row["environment"] == TOTAL[1]
+            }
+    return rates
 
 
-def _sums(name: str, title: str, found: Counts, more: Mapping[str, Mapping[str, str]], notes: Sequence[str]) -> Table:
+def _sums(name: str, title: str, counts: Counts, more: Mapping[str, Mapping[str, str]], notes: Sequence[str]) -> Table:
     """A row for each scheme, a rate for each group, then further columns as text; the highest sums first."""
-    groups = [group for group in (*GROUPS, OBSERVER) if any(group in own for own in found.values())]
+    groups = [group for group in (*GROUPS, OBSERVER) if any(group in by_group for by_group in counts.values())]
     columns = [Column("scheme", "scheme"), *(Column(group.replace(" ", "_"), group, RATE) for group in groups)]
     columns += [Column(re.sub(r"\W+", "_", heading), heading) for heading in more]
-    order = sorted(found, key=lambda scheme: -sum(found[scheme].get(group, (0, 0))[0] for group in GROUPS))
+
+    def missions(scheme: str) -> int:
+        return sum(counts[scheme].get(group, (0, 0))[0] for group in GROUPS)
+
     rows = []
-    for scheme in order:
-        rates = [wilson(*found[scheme][group]) if group in found[scheme] else None for group in groups]
-        rows.append((scheme, *rates, *(cells.get(scheme) for cells in more.values())))
+    for scheme in sorted(counts, key=missions, reverse=True):
+        cells: list[Rate | str | None] = []
+        for group in groups:
+            count = counts[scheme].get(group)
+            cells.append(None if count is None else wilson(*count))
+        cells += [texts.get(scheme) for texts in more.values()]
+        rows.append((scheme, *cells))
     return Table(name, title, tuple(columns), rows, notes=tuple(notes))
 
 
 def summary(bench: Bench, rows: Mapping[str, Sequence[Row]]) -> dict[str, Table]:
     """Tables of what each scheme brings back, and of what it loses alone, summed over the parts."""
-    alarms = {f"false alarms/h, {profile}": own for profile, own in false_alarms(bench, rows).items()}
+    # the table of what comes back has the false alarms beside it
+    alarms = {f"false alarms/h, {profile}": rates for profile, rates in false_alarms(bench, rows).items()}
     back = _sums(
         "summary",
         "Missions brought back, of those lost to the fault",
@@ -244,10 +271,8 @@ def summary(bench: Bench, rows: Mapping[str, Sequence[Row]]) -> dict[str, Table]
         alarms,
         [
             "brought back / lost, over the parts that were flown with every detector; per cent, [95 % interval: "
-            "Wilson, "
-            "flights in one world taken as independent]; false alarms: per hour of flight without a fault, by "
-            "autopilot "
-            "profile, all environments"
+            "Wilson, flights in one world taken as independent]; false alarms: per hour of flight without a fault, by "
+            "autopilot profile, all environments"
         ],
     )
     alone = _sums(
@@ -256,9 +281,8 @@ def summary(bench: Bench, rows: Mapping[str, Sequence[Row]]) -> dict[str, Table]
         lost_alone(bench, rows),
         {},
         [
-            "lost alone: success without the scheme, failure with it, over all parts; golden flights lost by "
-            "the scheme "
-            "alone count as lost; at level instruction only faults in the same value are compared"
+            "lost alone: success without the scheme, failure with it, over all parts; golden flights lost by the "
+            "scheme alone count as lost; at level instruction only faults in the same value are compared"
         ],
     )
     return {"summary": back, "lost_alone": alone}
@@ -272,13 +296,17 @@ def rules(sites: Path, instructions: Path) -> str:
         BadInputError: A folder holds no ledger.
     """
     lines = ["| rule | fault in | lost | back, GAD of the paper | back, recommended |", "|---|---|---:|---:|---:|"]
-    injected = table(load(sites), "schemes_by_target").entries()
+    entries_of_sites = table(load(sites), "schemes_by_target").entries()
     for target, number in RULES.items():
-        own = {entry["arm"]: entry for entry in injected if entry["target"] == target}
-        lines.append(_rule_row(number, target, own[PAPERS]["lost"], own[PAPERS]["back"], own[OURS]["back"]))
-    nodes = {entry["arm"]: entry for entry in table(load(instructions), "schemes_instructions").entries()}
-    died, papers = nodes[OURS]["died_back"], nodes[PAPERS]["died_back"]
-    lines.append(_rule_row(5, "the planner's instructions: it dies", died.n, papers, died))
+        entries = {entry["arm"]: entry for entry in entries_of_sites if entry["target"] == target}
+        papers = entries[PAPERS]
+        lines.append(_rule_row(number, target, papers["lost"], papers["back"], entries[OURS]["back"]))
+
+    # the fifth rule restarts a node that has died
+    entries = {entry["arm"]: entry for entry in table(load(instructions), "schemes_instructions").entries()}
+    papers_back = entries[PAPERS]["died_back"]
+    ours_back = entries[OURS]["died_back"]
+    lines.append(_rule_row(5, "the planner's instructions: it dies", ours_back.n, papers_back, ours_back))
     return "\n".join(lines)
 
 
@@ -294,22 +322,28 @@ def headline(bench: Path) -> str:
     Raises:
         BadInputError: No level is left.
     """
+    # a row for each level that was flown with all three schemes
     lines = [
         "| flipped bit in | lost | GAD of the paper | its AAD | `--detector recommended` |",
         "|---|---:|---:|---:|---:|",
     ]
     for part, where in LEVELS.items():
         try:
-            found = table(load(bench / part), load_bench(NAME).parts[part].view)
+            rows = table(load(bench / part), load_bench(NAME).parts[part].view)
         except BadInputError:
             continue
-        own = {entry["arm"]: entry for entry in found.entries()}
-        if all(arm in own for arm in (PAPERS, PAPERS_OTHER, OURS)):
-            lost, back = own[OURS]["lost"], (own[arm]["back"] for arm in (PAPERS, PAPERS_OTHER, OURS))
-            lines.append(f"| {where} | {lost} | {' | '.join(_share(one, lost) for one in back)} |")
-    if len(lines) == 2:
+        entries = {entry["arm"]: entry for entry in rows.entries()}
+        if all(arm in entries for arm in (PAPERS, PAPERS_OTHER, OURS)):
+            lost = entries[OURS]["lost"]
+            shares = [_share(entries[arm]["back"], lost) for arm in (PAPERS, PAPERS_OTHER, OURS)]
+            lines.append(f"| {where} | {lost} | {' | '.join(shares)} |")
+    if len(lines) == 2:  # the heading alone
         raise BadInputError(f"{bench}: no part was flown with {PAPERS}, {PAPERS_OTHER} and {OURS}; needed: one")
-    moved = _MOVED if any(map(_OF.search, lines)) else ""
+
+    # the paragraph around them
+    remark = ""
+    if any(map(_OF.search, lines)):
+        remark = _MOVED
     return "\n".join(
         [
             "**And what brings them back?** Missions in `dense` and `factory` lost to one flipped bit, and how many of "
@@ -317,10 +351,9 @@ def headline(bench: Path) -> str:
             "",
             *lines,
             "",
-            f"{_alarms(bench)}{moved}`recommended` consists of rules of physics and protocol; nothing is trained. "
+            f"{_alarms(bench)}{remark}`recommended` consists of rules of physics and protocol; nothing is trained. "
             f"[Leaderboard](docs/results/{PAGE}.md), with intervals; [five rules](docs/engineers.md) for a "
-            f"stack of your "
-            "own.",
+            "stack of your own.",
         ]
     )
 
@@ -328,19 +361,26 @@ def headline(bench: Path) -> str:
 def _alarms(bench: Path) -> str:
     """A sentence with the false alarms of the same schemes on golden flights; "" if these were not flown."""
     try:
-        every = table(load(bench / "golden"), "false_alarms").entries()
+        entries = table(load(bench / "golden"), "false_alarms").entries()
     except BadInputError:
         return ""
-    rates = {entry["setting"]: entry["per_hour"] for entry in every if entry["environment"] == TOTAL[1]}
-    known = [(arm, rates[f"{GOLDEN}{arm}"]) for arm in (PAPERS, PAPERS_OTHER, OURS) if f"{GOLDEN}{arm}" in rates]
-    told = ", ".join(f"{one.per_hour:.1f} [{one.low:.1f}, {one.high:.1f}] (`{arm}`)" for arm, one in known)
-    return f"False alarms per hour of flight without a fault: {told}. "
+    rates = {entry["setting"]: entry["per_hour"] for entry in entries if entry["environment"] == TOTAL[1]}
+    texts = []
+    for arm in (PAPERS, PAPERS_OTHER, OURS):
+        alarms = rates.get(f"{GOLDEN}{arm}")
+        if alarms is not None:
+            texts.append(f"{alarms.per_hour:.1f} [{alarms.low:.1f}, {alarms.high:.1f}] (`{arm}`)")
+    return f"False alarms per hour of flight without a fault: {', '.join(texts)}. "
 
 
 def _share(back: Rate, lost: int) -> str:
     """E.g. "3 (50 %)"; with the number of which, if not all lost missions can be compared."""
-    share = "—" if back.rate is None else f"{100 * back.rate:.0f} %"
-    return f"{back.successes}{'' if back.n == lost else f' of {back.n}'} ({share})"
+    share = "—"
+    if back.rate is not None:
+        share = f"{100 * back.rate:.0f} %"
+    if back.n != lost:
+        return f"{back.successes} of {back.n} ({share})"
+    return f"{back.successes} ({share})"
 
 
 def about(bench: Bench) -> list[str]:
@@ -371,7 +411,9 @@ def write_page(bench: Bench) -> Path:
 
 def fly(scale: str, bench: str = NAME) -> Path:
     """Fly a bench, or resume it; returns its folder."""
-    folder = Path("out") / (f"bench-{scale}" if bench == NAME else f"{bench}-{scale}")
+    folder = Path("out", f"{bench}-{scale}")
+    if bench == NAME:
+        folder = Path("out", f"bench-{scale}")
     command = [sys.executable, "-m", "mavfi", "bench", "detectors", bench, "--scale", scale, "--out", str(folder)]
     subprocess.run([*command, "--workers", str(os.cpu_count() or 1)], cwd=ROOT, check=True)
     return folder
@@ -386,21 +428,34 @@ def main(arguments: Sequence[str]) -> int:
     if len(arguments) not in (0, 2):
         print("bad input: usage: python -m tools.build_leaderboard [page | DIR SCALE]", file=sys.stderr)
         return 2
-    folder, scale = (Path(arguments[0]), arguments[1]) if arguments else (fly(PUBLISHED), PUBLISHED)
+    if arguments:
+        folder = Path(arguments[0])
+        scale = arguments[1]
+    else:
+        folder = fly(PUBLISHED)
+        scale = PUBLISHED
     try:
-        compared = set(load(folder / "sites").values("arm")) if (folder / "sites").is_dir() else set()
+        arms: set[str] = set()
+        if (folder / "sites").is_dir():
+            arms = set(load(folder / "sites").values("arm"))
         if not any((folder / part).is_dir() for part in bench.parts):
             raise BadInputError(f"{folder}: no part of {NAME}; run `mavfi bench detectors`")
+
+        # the rows, at any scale
         freeze(folder, scale)
         publish(bench, folder, scale)
         if scale != PUBLISHED:
             return 0
+
+        # the page, its curves, and the sentences of other pages if what they compare was flown
         publish_scores(bench, folder)
         if (folder / "curves.png").is_file():
-            picture = "curves-paper.png" if PAPERS in compared else "curves-paper-others.png"
+            picture = "curves-paper-others.png"
+            if PAPERS in arms:
+                picture = "curves-paper.png"
             shutil.copy(folder / "curves.png", IMAGES / picture)
         print(f"wrote {write_page(bench).relative_to(ROOT)}")
-        if {PAPERS, PAPERS_OTHER, OURS} <= compared and (folder / "instruction").is_dir():
+        if {PAPERS, PAPERS_OTHER, OURS} <= arms and (folder / "instruction").is_dir():
             fill(DOCS / "engineers.md", {"rules": rules(folder / "sites", folder / "instruction")})
             fill(ROOT / "README.md", {"recovery": headline(folder)})
     except (BadInputError, OSError) as error:

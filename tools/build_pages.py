@@ -1,7 +1,7 @@
 """Write the documentation derived from code: the state table, ROS graph and topics, and the reference pages."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import cast
 
@@ -31,7 +31,9 @@ _INSTANT_US = 10_000_000
 
 def field_text(field: Field) -> str:
     """Name and unit, and the profiles that read the field unless all do."""
-    readers = "" if set(field.read_in) == set(AUTOPILOTS) else f" [{', '.join(field.read_in) or 'dead'}]"
+    readers = ""
+    if set(field.read_in) != set(AUTOPILOTS):
+        readers = f" [{', '.join(field.read_in) or 'dead'}]"
     return f"`{field.name}` ({field.unit}){readers}"
 
 
@@ -39,8 +41,12 @@ def state_row(state: StateSpec) -> str:
     """One row of the table of states."""
     header = ", ".join(map(field_text, state.header))
     elements = ", ".join(map(field_text, state.elements))
-    fields = f"per {state.element}: {elements}; once: {header}" if state.elements else header
-    when = f"{state.rate}; only with localization `{state.only_with}`" if state.only_with else state.rate
+    fields = header
+    if state.elements:
+        fields = f"per {state.element}: {elements}; once: {header}"
+    when = state.rate
+    if state.only_with:
+        when = f"{state.rate}; only with localization `{state.only_with}`"
     return f"| `{state.name}` | {state.writer} | {when} | {fields} |"
 
 
@@ -62,16 +68,27 @@ def memory_table() -> str:
     loop.run(_INSTANT_US // CONTROL_PERIOD_US)
     lines = ["| kernel | words, by name | kbit |", "|---|---|---:|"]
     for name, kernel in loop.kernels.items():
-        found = list(words_of(cast(Remembers, kernel)))
-        fields: dict[str, list[str]] = {}
-        for words in found:
-            start, _, last = re.sub(r"\[\d+\]", "[ ]", words.name).rpartition(".")
-            if last not in fields.setdefault(start, []):
-                fields[start].append(last)
-        shown = ", ".join(f"`{start}.`({', '.join(own)})" if start else ", ".join(own) for start, own in fields.items())
-        kbits = sum(words.count * WORD_BITS[words.dtype] for words in found) / 1000
-        lines.append(f"| `{name}` | {shown} | {kbits:,.1f} |")
+        memory = list(words_of(cast(Remembers, kernel)))
+        kbits = sum(words.count * WORD_BITS[words.dtype] for words in memory) / 1000
+        lines.append(f"| `{name}` | {_word_names(words.name for words in memory)} | {kbits:,.1f} |")
     return "\n".join(lines)
+
+
+def _word_names(names: Iterable[str]) -> str:
+    """Names of words in one line: those with the same start together, elements of lists once."""
+    ends_by_start: dict[str, list[str]] = {}
+    for name in names:
+        start, _, end = re.sub(r"\[\d+\]", "[ ]", name).rpartition(".")
+        ends = ends_by_start.setdefault(start, [])
+        if end not in ends:
+            ends.append(end)
+    parts = []
+    for start, ends in ends_by_start.items():
+        listed = ", ".join(ends)
+        if start:
+            listed = f"`{start}.`({listed})"
+        parts.append(listed)
+    return ", ".join(parts)
 
 
 def ros_topics() -> str:
@@ -96,15 +113,24 @@ def ros_graph() -> str:
 
 def unit_text(name: str, unit: Device) -> str:
     """One row of the table of units."""
-    error = f"{unit.error:+.0%}" if unit.relative else f"{unit.error:.3g}"
-    low = "0" if unit.relative else f"−{unit.spread:.3g}"
-    label = f"`{name}`, `{name}1` to `{name}{unit.instances}`" if unit.instances > 1 else f"`{name}`"
+    if unit.relative:
+        error = f"{unit.error:+.0%}"
+        low = "0"
+    else:
+        error = f"{unit.error:.3g}"
+        low = f"−{unit.spread:.3g}"
+    label = f"`{name}`"
+    if unit.instances > 1:
+        label = f"`{name}`, `{name}1` to `{name}{unit.instances}`"
     return f"| {label} | {unit.readers} | {error} | {low} to {unit.spread:.3g} |"
 
 
 def _executed(unit: str, host: str, controller: str = "cascade", localization: str = "truth") -> bool:
     """Whether a host executes failures of a unit in missions with a flight controller and localization."""
-    levels = cast(frozenset[str], find_host(host).levels if host == "local" else host_class(host).levels)
+    if host == "local":
+        levels = find_host(host).levels
+    else:
+        levels = cast(frozenset[str], host_class(host).levels)
     if SensorFault.level not in levels:
         return False
     try:
@@ -116,6 +142,7 @@ def _executed(unit: str, host: str, controller: str = "cascade", localization: s
 
 def sensor_table() -> str:
     """Units, types of failures, and which of them each host executes."""
+    # whether a unit can fail there, by heading
     columns: dict[str, Callable[[str], bool]] = {
         "`local`": lambda unit: _executed(unit, "local"),
         "`local`, estimator": lambda unit: _executed(unit, "local", localization="estimator"),
@@ -126,7 +153,8 @@ def sensor_table() -> str:
         "`ros1`, estimator": lambda unit: _executed(unit, "ros1", localization="estimator"),
         "`node`": lambda unit: _executed(unit, "node"),
     }
-    absent = [kind for kind in TYPES if kind not in MAVLINK_TYPES.values()]
+
+    # three tables below each other: what a unit is, what a type does, who executes it
     rows = [
         "| unit | what changes | `wrong` | `garbage` |",
         "|---|---|---|---|",
@@ -140,7 +168,11 @@ def sensor_table() -> str:
         "|---|" + "---|" * len(columns),
     ]
     for unit in UNITS:
-        rows.append(f"| `{unit}` | " + " | ".join("yes" if of(unit) else "no" for of in columns.values()) + " |")
+        answers = ["yes" if is_executed(unit) else "no" for is_executed in columns.values()]
+        rows.append(f"| `{unit}` | {' | '.join(answers)} |")
+
+    # what MAVLink lacks
+    absent = [kind for kind in TYPES if kind not in MAVLINK_TYPES.values()]
     rows += ["", f"MAVLink has no command for {', '.join(f'`{kind}`' for kind in absent)}; `ok` ends failures there."]
     return "\n".join(rows)
 
@@ -167,5 +199,5 @@ def pages() -> dict[Path, str]:
 
 
 if __name__ == "__main__":
-    for written, content in pages().items():
-        written.write_text(content, encoding="utf-8")
+    for page, content in pages().items():
+        page.write_text(content, encoding="utf-8")

@@ -36,21 +36,22 @@ def totals(block: str) -> dict[tuple[str, str], Count]:
     Args:
         block: Markdown table whose cells end in `successes/n`.
     """
-    found: dict[tuple[str, str], Count] = {}
+    counts: dict[tuple[str, str], Count] = {}
     setting = ""
     for line in block.splitlines():
-        counts = [(int(a), int(b)) for a, b in re.findall(r" (\d+)/(\d+) ", line)]
-        if line.startswith("|") and counts:
+        cells = [(int(successes), int(n)) for successes, n in re.findall(r" (\d+)/(\d+) ", line)]
+        if line.startswith("|") and cells:
             _, name, policy, *_ = (cell.strip() for cell in line.split("|"))
-            setting = name or setting
-            found[setting, policy] = sum(a for a, _ in counts), sum(b for _, b in counts)
-    return found
+            setting = name or setting  # it stands in the first of its rows only
+            counts[setting, policy] = (sum(successes for successes, _ in cells), sum(n for _, n in cells))
+    return counts
 
 
 def lost(count: Count) -> str:
     """Failed missions of a row as text: `9 of 312 missions (2.9 %)`."""
-    failed = count[1] - count[0]
-    return f"{failed} of {count[1]} missions ({100 * failed / count[1]:.1f} %)"
+    successes, n = count
+    failures = n - successes
+    return f"{failures} of {n} missions ({100 * failures / n:.1f} %)"
 
 
 def headline(block: str) -> str:
@@ -66,17 +67,18 @@ def headline(block: str) -> str:
     origin = re.search(DATE, block)
     try:
         golden = rows["Golden run", "here"]
-        died, restarted = rows["Injection run", "here, mission ends"], rows["Injection run", "here, node restarts"]
-        watched = rows["Gaussian-based", "here, node restarts"]
+        mission_ends = rows["Injection run", "here, mission ends"]
+        node_restarts = rows["Injection run", "here, node restarts"]
+        with_detector = rows["Gaussian-based", "here, node restarts"]
     except KeyError as error:
         raise ValueError(f"not a success table at instruction level: no row {error}") from error
     if origin is None:
         raise ValueError("not a success table: its date is missing")
     return (
-        f"**One flipped bit in one instruction fails {lost(died)}** if a dead node ends the mission, {lost(restarted)} "
-        f"if the node restarts, and {lost(watched)} if a Gaussian detector watches as well. Without a fault "
-        f"{golden[0]} of {golden[1]} missions succeed. (Four environments, one fault per mission; {origin[2]}, "
-        f"{origin[1]}; [all rows, with intervals](docs/results.md).)"
+        f"**One flipped bit in one instruction fails {lost(mission_ends)}** if a dead node ends the mission, "
+        f"{lost(node_restarts)} if the node restarts, and {lost(with_detector)} if a Gaussian detector watches as "
+        f"well. Without a fault {golden[0]} of {golden[1]} missions succeed. (Four environments, one fault per "
+        f"mission; {origin[2]}, {origin[1]}; [all rows, with intervals](docs/results.md).)"
     )
 
 
@@ -92,19 +94,23 @@ def compact(block: str) -> str:
     rows = [
         [cell.strip() for cell in line.strip("|").split("|")] for line in block.splitlines() if line.startswith("|")
     ]
-    shown: dict[str, dict[str, list[str]]] = {}
+
+    # rates by setting, then by whose they are; a row without a setting belongs to the one above
+    rates: dict[str, dict[str, list[str]]] = {}
     setting = ""
     for name, policy, *cells in rows[2:]:
         setting = name or setting
         kind = {"here": "here", "here, node restarts": "here", "paper": "paper"}.get(policy)
         if kind:
-            shown.setdefault(setting, {})[kind] = [cell.split()[0] for cell in cells]
-    if not shown or any(set(kinds) != {"here", "paper"} for kinds in shown.values()):
+            rates.setdefault(setting, {})[kind] = [cell.split()[0] for cell in cells]
+    if not rates or any(set(kinds) != {"here", "paper"} for kinds in rates.values()):
         raise ValueError("not a success table with the paper's rates")
+
+    # ours, with the paper's in brackets
     sizes = sorted({int(n) for line in rows for cell in line for n in re.findall(r" \d+/(\d+)$", cell)})
     lines = [
         [setting, *(f"{here} ({paper})" for here, paper in zip(kinds["here"], kinds["paper"], strict=True))]
-        for setting, kinds in shown.items()
+        for setting, kinds in rates.items()
     ]
     grid = markdown_grid(["missions that succeed, % (the paper's)", *rows[0][2:]], lines, left=1)
     about = "One bit in one instruction per mission; a node that dies restarts"
@@ -128,7 +134,7 @@ def main(out: Path) -> int:
             return 2
     study = json.loads((out / JSON).read_text(encoding="utf-8"))
     try:
-        digests = published_digests.known(DOCS) | {study["scale"]: published_digests.of_study(out, study)}
+        digests = published_digests.stored_digests(DOCS) | {study["scale"]: published_digests.of_study(out, study)}
     except ValueError as error:
         print(f"{out}: {error}", file=sys.stderr)
         return 2
@@ -145,4 +151,8 @@ def main(out: Path) -> int:
 
 if __name__ == "__main__":
     scale = os.environ.get("SCALE") or "quick"
-    sys.exit(main(Path("out/reproduce" if scale == "quick" else f"out/reproduce-{scale}")))
+    if scale == "quick":
+        study_folder = Path("out/reproduce")
+    else:
+        study_folder = Path(f"out/reproduce-{scale}")
+    sys.exit(main(study_folder))

@@ -111,8 +111,11 @@ SECTIONS: dict[str, tuple[str, tuple[type[BaseModel], ...]]] = {
 
 def with_parts(model: type[BaseModel]) -> list[type[BaseModel]]:
     """A model and its nested models, without duplicates, in order."""
-    inner = (part for field in model.model_fields.values() for part in _models(field.annotation))
-    return list(dict.fromkeys([model, *(part for one in inner for part in with_parts(one))]))
+    models = [model]
+    for field in model.model_fields.values():
+        for nested in _models(field.annotation):
+            models += with_parts(nested)
+    return list(dict.fromkeys(models))
 
 
 def _models(annotation: Any) -> Iterable[type[BaseModel]]:
@@ -124,33 +127,50 @@ def _models(annotation: Any) -> Iterable[type[BaseModel]]:
 
 def kind(annotation: Any) -> str:
     """A type in words: "list of text", "number or integer", or a link to a model's section."""
-    inner = get_args(annotation)
-    words = {
-        Literal: lambda: ", ".join(f"`{value}`" for value in inner),
-        Union: lambda: " or ".join(dict.fromkeys(kind(part) for part in inner if part is not NoneType)),
-        Annotated: lambda: kind(inner[0]),
-        tuple: lambda: f"list of {kind(inner[0])}" if Ellipsis in inner else f"{len(inner)} × {kind(inner[0])}",
-        dict: lambda: "keys and values" if inner[1] is Any else f"{kind(inner[1])} by name",
-    }
-    origin = Union if isinstance(annotation, UnionType) else get_origin(annotation)
-    if origin in words:
-        return words[origin]()
+    arguments = get_args(annotation)
+    origin = get_origin(annotation)
+    if isinstance(annotation, UnionType):
+        origin = Union
+    if origin is Literal:
+        return ", ".join(f"`{value}`" for value in arguments)
+    if origin is Union:
+        return " or ".join(dict.fromkeys(kind(part) for part in arguments if part is not NoneType))
+    if origin is Annotated:
+        return kind(arguments[0])
+    if origin is tuple:
+        return _kind_of_tuple(arguments)
+    if origin is dict:
+        return _kind_of_dict(arguments)
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return (
-            f"[{annotation.__name__}](#{annotation.__name__.lower()})" if annotation.model_fields else "keys and values"
-        )
+        if annotation.model_fields:
+            return f"[{annotation.__name__}](#{annotation.__name__.lower()})"
+        return "keys and values"
     name = getattr(annotation, "__name__", str(annotation))
     return NAMES.get(name, name)
 
 
+def _kind_of_tuple(elements: tuple[Any, ...]) -> str:
+    if Ellipsis in elements:
+        return f"list of {kind(elements[0])}"
+    return f"{len(elements)} × {kind(elements[0])}"
+
+
+def _kind_of_dict(key_and_value: tuple[Any, ...]) -> str:
+    value = key_and_value[1]
+    if value is Any:
+        return "keys and values"
+    return f"{kind(value)} by name"
+
+
 def limits(field: FieldInfo) -> str:
     """Range of a number as text, e.g. "≥ 1, ≤ 100"; "" if unbounded."""
-    found = (
-        (SIGNS[type(rule)], getattr(rule, type(rule).__name__.lower()))
-        for rule in field.metadata
-        if type(rule) in SIGNS
-    )
-    return ", ".join(f"{sign} {bound:g}" for sign, bound in found)
+    bounds = []
+    for rule in field.metadata:
+        sign = SIGNS.get(type(rule))
+        if sign is not None:
+            bound = getattr(rule, type(rule).__name__.lower())  # `Ge` has the attribute `ge`
+            bounds.append(f"{sign} {bound:g}")
+    return ", ".join(bounds)
 
 
 def shown(value: Any) -> str:
@@ -163,19 +183,25 @@ def shown(value: Any) -> str:
         return ", ".join(f"`{name}: {_item(item)}`" for name, item in value.items())
     if isinstance(value, tuple):
         return f"`[{', '.join(map(str, value))}]`"
-    return f"`{str(value).lower() if isinstance(value, bool) else value}`"
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
+    return f"`{value}`"
 
 
 def _item(value: Any) -> str:
     """A value of a default that is a mapping."""
-    return f"{value:g}" if isinstance(value, (int, float)) else str(value)
+    if isinstance(value, (int, float)):
+        return f"{value:g}"
+    return str(value)
 
 
 def model_section(model: type[BaseModel]) -> list[str]:
     """Heading, docstring and table of keys of one model."""
     lines = [f"## {model.__name__}", "", *inspect.cleandoc(model.__doc__ or "").splitlines(), "", *HEAD]
     for name, field in model.model_fields.items():
-        default = "required" if field.is_required() else shown(field.get_default(call_default_factory=True))
+        default = "required"
+        if not field.is_required():
+            default = shown(field.get_default(call_default_factory=True))
         words = "; ".join(filter(None, ((field.description or "").rstrip("."), limits(field))))
         lines.append(row(name, kind(field.annotation), default, words))
     return [*lines, ""]
@@ -183,33 +209,40 @@ def model_section(model: type[BaseModel]) -> list[str]:
 
 def attributes(docstring: str) -> dict[str, str]:
     """Entries of a docstring's section `Attributes:`, by name."""
-    found: dict[str, str] = {}
+    meanings: dict[str, str] = {}
     name = ""
     _, _, section = inspect.cleandoc(docstring).partition("Attributes:\n")
     for line in section.partition("\n\n")[0].splitlines():
         head, colon, rest = line.strip().partition(": ")
-        if line.startswith("    ") and not line.startswith("     ") and colon:
+        begins_entry = line.startswith("    ") and not line.startswith("     ")  # further lines are indented more
+        if begins_entry and colon:
             name = head
-            found[name] = rest
+            meanings[name] = rest
         else:
-            found[name] += " " + line.strip()
-    return found
+            meanings[name] += " " + line.strip()
+    return meanings
 
 
 def fault_section(level: str, fault: Any) -> list[str]:
     """Heading, first sentence and attribute table of one fault type."""
-    hints, words = get_type_hints(fault), attributes(fault.__doc__)
+    hints = get_type_hints(fault)
+    meanings = attributes(fault.__doc__)
     lines = [f"## Level `{level}`: {fault.__name__}", "", inspect.cleandoc(fault.__doc__).splitlines()[0], "", *HEAD]
     for field in fields(fault):
-        default = "required" if field.default is MISSING else shown(field.default)
-        named = NAMES.get(hints[field.name].__name__) if isinstance(hints[field.name], type) else None
-        of_type = named or (kind(hints[field.name]) if not _is_site(hints[field.name]) else "state, field, element")
-        lines.append(row(field.name, of_type, default, words[field.name]))
+        default = "required"
+        if field.default is not MISSING:
+            default = shown(field.default)
+        lines.append(row(field.name, _kind_of_attribute(hints[field.name]), default, meanings[field.name]))
     return [*lines, ""]
 
 
-def _is_site(annotation: Any) -> bool:
-    return getattr(annotation, "__name__", "") == "FaultSite"
+def _kind_of_attribute(annotation: Any) -> str:
+    """A type in words; a site is that of a state."""
+    if isinstance(annotation, type) and annotation.__name__ in NAMES:
+        return NAMES[annotation.__name__]
+    if getattr(annotation, "__name__", "") == "FaultSite":
+        return "state, field, element"
+    return kind(annotation)
 
 
 def row(*cells: str) -> str:
@@ -220,14 +253,13 @@ def row(*cells: str) -> str:
 
 def pages() -> dict[Path, str]:
     """Content of every reference page, by path."""
-    written = {
-        GENERATED / name: _page(
-            head, map(model_section, dict.fromkeys(part for model in models for part in with_parts(model)))
-        )
-        for name, (head, models) in SECTIONS.items()
-    }
+    contents = {}
+    for name, (head, models) in SECTIONS.items():
+        all_models = dict.fromkeys(part for model in models for part in with_parts(model))
+        contents[GENERATED / name] = _page(head, map(model_section, all_models))
     sections = (fault_section(level, find_level(level).fault) for level in level_names())
-    return {**written, GENERATED / "fault-specs.md": _page(FAULTS, sections)}
+    contents[GENERATED / "fault-specs.md"] = _page(FAULTS, sections)
+    return contents
 
 
 def _page(head: str, sections: Iterable[list[str]]) -> str:

@@ -27,35 +27,44 @@ def single_rules(sites: Path, instructions: Path) -> str:
         "| fault in | its rule | lost | rule 1 | rule 2 | rule 3 | rule 4 | rule 5 | all |",
         "|---|---|---:|---:|---:|---:|---:|---:|---:|",
     ]
-    every = table(load(sites), "schemes_by_target").entries()
+    entries_of_sites = table(load(sites), "schemes_by_target").entries()
     for target, number in RULES.items():
-        own = {entry["arm"]: entry["back"] for entry in every if entry["target"] == target}
-        lines.append(_row(target, number, own))
-    died = {entry["arm"]: entry["died_back"] for entry in table(load(instructions), "schemes_instructions").entries()}
-    return "\n".join([*lines, _row(DEAD, 5, died)])
+        back = {entry["arm"]: entry["back"] for entry in entries_of_sites if entry["target"] == target}
+        lines.append(_row(target, number, back))
+    entries_of_nodes = table(load(instructions), "schemes_instructions").entries()
+    died_back = {entry["arm"]: entry["died_back"] for entry in entries_of_nodes}
+    lines.append(_row(DEAD, 5, died_back))
+    return "\n".join(lines)
 
 
-def _row(place: str, number: int, back: dict[str, Rate]) -> str:
+def _row(target: str, number: int, back: dict[str, Rate]) -> str:
+    """A row of the table: a target, the rule that protects it, and the share brought back under each arm."""
     cells = [_cell(back[arm], bold=arm == f"rule {number}") for arm in (*SINGLE, ALL)]
-    return f"| {place} | {number} | {back[ALL].n} | {' | '.join(cells)} |"
+    return f"| {target} | {number} | {back[ALL].n} | {' | '.join(cells)} |"
 
 
-def _cell(found: Rate, *, bold: bool) -> str:
-    if found.rate is None or found.low is None or found.high is None:
+def _cell(share: Rate, *, bold: bool) -> str:
+    """A share with its interval, in per cent."""
+    if share.rate is None or share.low is None or share.high is None:
         return "—"
-    text = f"{100 * found.rate:.0f} [{100 * found.low:.0f}, {100 * found.high:.0f}]"
-    return f"**{text}**" if bold else text
+    text = f"{100 * share.rate:.0f} [{100 * share.low:.0f}, {100 * share.high:.0f}]"
+    if bold:
+        return f"**{text}**"
+    return text
 
 
 def main(arguments: list[str]) -> int:
     """Write the table; returns the exit code."""
-    bench = Path(arguments[0]) if arguments else fly("paper", "five-rules")
+    if arguments:
+        bench = Path(arguments[0])
+    else:
+        bench = fly("paper", "five-rules")
     try:
-        written = single_rules(bench / "sites", bench / "instruction")
+        rows = single_rules(bench / "sites", bench / "instruction")
     except BadInputError as error:
         print(f"bad input: {error}", file=sys.stderr)
         return 2
-    fill(DOCS / "engineers.md", {"single-rules": written})
+    fill(DOCS / "engineers.md", {"single-rules": rows})
     return 0
 
 

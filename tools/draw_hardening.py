@@ -1,6 +1,7 @@
 """Draw docs/images/hardening.png: coverage of each kernel against its time (docs/results/hardening.md)."""
 
 import csv
+import math
 from dataclasses import dataclass
 
 import matplotlib.pyplot as plt
@@ -29,13 +30,13 @@ class Step:
 
 def curves() -> dict[str, list[Step]]:
     """Steps of each function; those without a silent corruption in the ledger are left out."""
-    found: dict[str, list[Step]] = {}
+    steps_of: dict[str, list[Step]] = {}
     with (TABLES / "hardening" / "curves.csv").open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
             name = f"{row['function']} ({row['kernel']})"
             step = Step(float(row["time"]), _percents(row, "predicted"), _percents(row, "removed"))
-            found.setdefault(name, []).append(step)
-    return {name: steps for name, steps in found.items() if not np.isnan([step.predicted for step in steps]).all()}
+            steps_of.setdefault(name, []).append(step)
+    return {name: steps for name, steps in steps_of.items() if not np.isnan([step.predicted for step in steps]).all()}
 
 
 def _percents(row: dict[str, str], key: str) -> tuple[float, ...]:
@@ -47,14 +48,18 @@ def _percents(row: dict[str, str], key: str) -> tuple[float, ...]:
 
 def draw(axes: Axes, name: str, steps: list[Step]) -> None:
     """Draw one function."""
+    # what was predicted: the front with its band, every step as a dot; unprotected code is at (1, 0)
     times = np.array([1.0, *(step.time for step in steps)])
     rate, low, high = np.array([(0.0, 0.0, 0.0), *(step.predicted for step in steps)]).T
     front = pareto_front(times.tolist(), rate.tolist())
     axes.fill_between(times[front], low[front], high[front], color=style.SKY, alpha=0.3, linewidth=0)
     axes.plot(times[front], rate[front], color=style.BLUE, linewidth=1.6)
     axes.plot(times, rate, "o", color=style.BLUE, markersize=3.5)
+
+    # what was certified, with the lengths of its bars; bars are cut at 0
     certified = np.array([step.certified for step in steps])
-    lower, upper = certified[:, 0] - np.maximum(certified[:, 1], 0.0), certified[:, 2] - certified[:, 0]
+    lower = certified[:, 0] - np.maximum(certified[:, 1], 0.0)
+    upper = certified[:, 2] - certified[:, 0]
     axes.errorbar(
         times[1:],
         certified[:, 0],
@@ -74,16 +79,19 @@ def draw(axes: Axes, name: str, steps: list[Step]) -> None:
 
 def main() -> None:
     """Draw all functions."""
-    found = curves()
+    steps_of = curves()
     with style.house_style():
-        rows = -(-len(found) // COLUMNS)
+        # a panel for each function; the last row may have empty ones
+        rows = math.ceil(len(steps_of) / COLUMNS)
         figure, grid = plt.subplots(
             rows, COLUMNS, figsize=(11, 2.4 * rows + 0.8), sharex=True, sharey=True, layout="constrained", squeeze=False
         )
-        for axes in grid.flat[len(found) :]:
+        for axes in grid.flat[len(steps_of) :]:
             axes.set_axis_off()
-        for axes, (name, steps) in zip(grid.flat, found.items(), strict=False):
+        for axes, (name, steps) in zip(grid.flat, steps_of.items(), strict=False):
             draw(axes, name, steps)
+
+        # limits, and texts of the whole figure
         grid[0, 0].set(xlim=(0.95, None), ylim=(-4.0, 104.0))
         figure.suptitle("What duplicated instructions buy, kernel by kernel", x=0.01, ha="left", fontweight="bold")
         figure.supxlabel("time of the protected kernel / time without protection", fontsize=9.5)

@@ -36,7 +36,8 @@ from tools import results
 from tools.fault_levels import level_table
 from tools.markers import DOCS, ROOT, fill
 
-OUT, PAGE = Path("out/firmware"), "firmware"
+OUT = Path("out/firmware")
+PAGE = "firmware"
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
 _FIRST_MISSION = 10_000
 _OTHER_NOISE = 100_000
@@ -88,9 +89,12 @@ def check(pattern: str, count: int) -> None:
     rows = rows_of(pattern)[-count:]
     for row in rows:
         flight = patterns.fly(pattern, fault_of(pattern, row["seed"]))
-        is_same = flight.digest == row["digest"] and list(flight.lost) == row["lost"]
-        same += is_same
-        print(row["seed"], "same" if is_same else "different", flush=True)
+        is_same = flight.digest == row["digest"] and list(flight.firmware_end) == row["lost"]
+        verdict = "different"
+        if is_same:
+            same += 1
+            verdict = "same"
+        print(row["seed"], verdict, flush=True)
     _append(f"check-{pattern}", {"seed": pattern, "same": same, "n": len(rows)})
 
 
@@ -123,13 +127,18 @@ def healthy_missions(environment: str, first: int, count: int, noises: int) -> N
         golden = fly(scenario)
         for noise in range(1, noises + 1):
             other = fly(scenario, observers=(_OtherNoise(seed + noise * _OTHER_NOISE),))
-            ends = golden.record(), other.record()
-            found = control_of(*ends)
-            row: Row = {"seed": f"{environment}-{seed}-{noise}", "mission": seed, "control": found and found.value}
-            row |= {"errors": [flight.extra[ControlErrors.KEY] for flight in (golden, other)]}
-            row |= {"time": ends[1].flight_time_s / ends[0].flight_time_s - 1}
-            row |= {"energy": energy(ends[1].energy) / energy(ends[0].energy) - 1}
-            row |= {"distance_m": _apart(golden.log, other.log)}
+            golden_record = golden.record()
+            other_record = other.record()
+            effect = control_of(golden_record, other_record)
+            row: Row = {
+                "seed": f"{environment}-{seed}-{noise}",
+                "mission": seed,
+                "control": effect and effect.value,
+                "errors": [flight.extra[ControlErrors.KEY] for flight in (golden, other)],
+                "time": other_record.flight_time_s / golden_record.flight_time_s - 1,
+                "energy": energy(other_record.energy) / energy(golden_record.energy) - 1,
+                "distance_m": _largest_distance(golden.log, other.log),
+            }
             _append(f"healthy-{environment}", row)
             print(row, flush=True)
 
@@ -147,7 +156,7 @@ class _OtherNoise(Listener):
         controller.draw_noise(self._seed)
 
 
-def _apart(golden: FlightLog, other: FlightLog) -> float:
+def _largest_distance(golden: FlightLog, other: FlightLog) -> float:
     """Largest distance at the same instant (m)."""
     count = min(len(golden.rows), len(other.rows))
     first, second = (log.columns("x", "y", "z")[:count] for log in (golden, other))
@@ -178,10 +187,10 @@ NOTES = (
 def grouped(rows: Iterable[Row], key: Callable[[Row], str]) -> dict[str, list[str]]:
     """Outcomes by group, the largest groups first."""
     rows = list(rows)
-    found: dict[str, list[str]] = {name: [] for name, _ in Counter(map(key, rows)).most_common()}
+    outcomes: dict[str, list[str]] = {name: [] for name, _ in Counter(map(key, rows)).most_common()}
     for row in rows:
-        found[key(row)].append(row["outcome"])
-    return found
+        outcomes[key(row)].append(row["outcome"])
+    return outcomes
 
 
 def pattern_table() -> Table:
@@ -215,10 +224,10 @@ def golden_table() -> Table:
     )
     cells = []
     for environment in ENVIRONMENTS:
-        own = [row for row in rows_of("golden") if row["environment"] == environment]
-        success = wilson(sum(row["status"] == "success" for row in own), len(own))
-        medians = (float(np.median([row[name] for row in own])) for name in ("flight_s", "wall_s"))
-        cells.append((environment, success, *medians, sum(row.get("same", False) for row in own)))
+        rows = [row for row in rows_of("golden") if row["environment"] == environment]
+        success = wilson(sum(row["status"] == "success" for row in rows), len(rows))
+        medians = (float(np.median([row[name] for row in rows])) for name in ("flight_s", "wall_s"))
+        cells.append((environment, success, *medians, sum(row.get("same", False) for row in rows)))
     return Table("golden", "Golden missions", columns, cells)
 
 
@@ -228,22 +237,29 @@ def healthy_table() -> Table:
     columns = (
         Column("seeds", "seeds"),
         Column("flights", "flights", NUMBER),
-        *(Column(one.value.replace(" ", "_"), one.value, NUMBER) for one in ControlEffect),
+        *(Column(effect.value.replace(" ", "_"), effect.value, NUMBER) for effect in ControlEffect),
         Column("apart_m", "from the golden run, max (m)", "number .1f"),
         Column("time", "longer, max", SIGNED),
         Column("energy", "more energy, max", SIGNED),
         *(Column(name, f"{name} error, max (rad, m/s, rad/s)", "number .2f") for name in errors),
     )
-    parts: dict[str, list[Row]] = {"evaluation": [], "design, from which the limits are": []}
+    # missions of the evaluation and those of the design, which have lower seeds
+    evaluation: list[Row] = []
+    design: list[Row] = []
     for row in rows_of("healthy"):
-        parts[list(parts)[row["mission"] < _FIRST_MISSION]].append(row)
+        if row["mission"] < _FIRST_MISSION:
+            design.append(row)
+        else:
+            evaluation.append(row)
+
     cells = []
-    for seeds, rows in parts.items():
-        classes = Counter(row["control"] for row in rows)
-        every = [found for row in rows for found in row["errors"]]
+    for seeds, rows in (("evaluation", evaluation), ("design, from which the limits are", design)):
+        counter = Counter(row["control"] for row in rows)
+        counts = (counter[effect.value] for effect in ControlEffect)
         largest = (max((row[name] for row in rows), default=None) for name in ("distance_m", "time", "energy"))
-        worst = (max((found[name] for found in every), default=None) for name in errors)
-        cells.append((seeds, len(rows), *(classes[one.value] for one in ControlEffect), *largest, *worst))
+        errors_of_flights = [flight for row in rows for flight in row["errors"]]
+        worst = (max((flight[name] for flight in errors_of_flights), default=None) for name in errors)
+        cells.append((seeds, len(rows), *counts, *largest, *worst))
     return Table("healthy", "Missions without a fault, other gyro noise, classified", columns, cells)
 
 

@@ -148,9 +148,19 @@ def measure(mission: MissionSpec) -> GoldenFlight:
 
 def row(mission: MissionSpec, flights: Sequence[GoldenFlight]) -> tuple[Any, ...]:
     """The cells of a setting, in the order of `COLUMNS`."""
+    # times are of flights that arrived; without any they are absent
     times = [flight.time_s for flight in flights if flight.arrived]
     lost = [flight.seed for flight in flights if not flight.arrived]
     replans = [max(flight.plans - 1, 0) for flight in flights]
+    median_time = None
+    percentile_time = None
+    longest_time = None
+    if times:
+        median_time = float(np.median(times))
+        percentile_time = float(np.percentile(times, 95))
+        longest_time = max(times)
+
+    # the setting, then what was measured, over all flights
     return (
         name_of(mission),
         mission.autopilot,
@@ -158,7 +168,9 @@ def row(mission: MissionSpec, flights: Sequence[GoldenFlight]) -> tuple[Any, ...
         mission.platform,
         mission.v_max,
         wilson(len(times), len(flights)),
-        *((float(np.median(times)), float(np.percentile(times, 95)), max(times)) if times else (None, None, None)),
+        median_time,
+        percentile_time,
+        longest_time,
         min(flight.clearance_m for flight in flights),
         float(np.median(replans)),
         max(replans),
@@ -179,8 +191,8 @@ def write_page(rows: Sequence[tuple[Any, ...]], about: Sequence[str]) -> None:
         is_default = cells["platform"] == "i9-9940x" and "," not in cells["environment"]
         return is_default and cells["planner"] == "rrt_connect"
 
-    shown = results.Excerpt("settings", is_shown, SHOWN)
-    page = results.write(PAGE, "Golden rates", TEXT, {"settings": full}, [shown], about)
+    excerpt = results.Excerpt("settings", is_shown, SHOWN)
+    page = results.write(PAGE, "Golden rates", TEXT, {"settings": full}, [excerpt], about)
     print(f"wrote {page.relative_to(ROOT)}")
 
 
@@ -190,7 +202,7 @@ def main() -> int:
     executor = LocalExecutor(os.cpu_count() or 1)
     rows = []
     for kind, mission in settings():
-        missions = [mission.model_copy(update={"seed": FIRST_SEED + place}) for place in range(counts[kind])]
+        missions = [mission.model_copy(update={"seed": seed}) for seed in range(FIRST_SEED, FIRST_SEED + counts[kind])]
         flights = [flight for _, flight in map_each(executor, measure, missions)]
         rows.append(row(mission, sorted(flights, key=lambda flight: flight.seed)))
         print(*rows[-1][:5], rows[-1][5], flush=True)

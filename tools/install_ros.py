@@ -34,14 +34,19 @@ PACKAGES = ("topic-tools", *map("python3-{}".format, _PYTHON), *map("ros-{}".for
 def main() -> int:
     """Install missing packages, and report the result in one line."""
     try:
-        before = finder.missing()
-        if before:
+        missing = finder.missing()
+        if missing:
             install()
         finder.require()
     except MavfiError as error:
         sys.stderr.write(f"make ros: {error}\n")
         return 2
-    how = "was here" if not before else "installed" if os.geteuid() == 0 else f"unpacked into {finder.own_root()}"
+    if not missing:
+        how = "was here"
+    elif os.geteuid() == 0:
+        how = "installed"
+    else:
+        how = f"unpacked into {finder.own_root()}"
     sys.stdout.write(f"ROS 1 {version()} {how}: {finder.find_file('usr/bin/rosmaster')}\n")
     return 0
 
@@ -61,9 +66,11 @@ def unpack(folder: Path, status: Path = Path("/var/lib/dpkg/status")) -> int:
 
     `status` lists the installed packages in dpkg's format.
     """
-    state, cache = folder / "apt" / "state", folder / "apt" / "cache"
-    for place in (state / "lists" / "partial", cache / "archives" / "partial"):
-        place.mkdir(parents=True, exist_ok=True)
+    # apt keeps its lists and packages in the folder, so that it needs no root rights
+    state = folder / "apt" / "state"
+    cache = folder / "apt" / "cache"
+    for directory in (state / "lists" / "partial", cache / "archives" / "partial"):
+        directory.mkdir(parents=True, exist_ok=True)
     options = [
         "-qq",
         "-o",
@@ -77,24 +84,30 @@ def unpack(folder: Path, status: Path = Path("/var/lib/dpkg/status")) -> int:
         "-o",
         "APT::Sandbox::User=",
     ]
+
+    # which packages are missing: those that a simulated installation would install
     _run(["apt-get", *options, "update"])
     planned = _run(["apt-get", *options, "install", "--simulate", "--no-install-recommends", *PACKAGES])
-    wanted = [line.split()[1] for line in planned.splitlines() if line.startswith("Inst ")]
+    packages = [line.split()[1] for line in planned.splitlines() if line.startswith("Inst ")]
+
+    # download and unpack them
     archives = cache / "archives"
-    if wanted:
-        _run(["apt-get", *options, "download", *wanted], cwd=archives)
+    if packages:
+        _run(["apt-get", *options, "download", *packages], cwd=archives)
     for archive in sorted(archives.glob("*.deb")):
         _run(["dpkg", "-x", str(archive), str(folder)])
         archive.unlink()
     (folder / finder.WORKSPACE_MARK).touch()  # otherwise rosbag searches its executables only under /usr
-    return len(wanted)
+    return len(packages)
 
 
 def version() -> str:
     """Version of Debian's rospy."""
     folders = [root / finder.DIST_PACKAGES for root in finder.roots()]
-    found = [path.name.split("-")[1] for folder in folders for path in folder.glob("rospy-*.egg-info")]
-    return found[0].removesuffix(".egg") if found else ""
+    for folder in folders:
+        for path in folder.glob("rospy-*.egg-info"):
+            return path.name.split("-")[1].removesuffix(".egg")
+    return ""
 
 
 def _run(command: Sequence[str], *, cwd: Path | None = None, environment: dict[str, str] | None = None) -> str:

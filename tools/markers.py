@@ -23,7 +23,8 @@ def between(page: str, name: str, block: str) -> str:
     Raises:
         ValueError: The page does not contain both markers exactly once, in order.
     """
-    begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
+    begin = f"<!-- {name}:begin -->"
+    end = f"<!-- {name}:end -->"
     if page.count(begin) != 1 or page.count(end) != 1 or page.index(begin) > page.index(end):
         raise ValueError(f"must hold {begin} and {end} once each, in this order")
     return f"{page.split(begin)[0]}{begin}\n{block.strip()}\n{end}{page.split(end)[1]}"

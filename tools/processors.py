@@ -15,5 +15,9 @@ def with_others(table: str, page: str, name: str) -> str:
     """
     heading = f"**{processor()}**"
     earlier = page.partition(f"<!-- {name}:begin -->")[2].partition(f"<!-- {name}:end -->")[0]
-    others = [one.strip() for one in re.split(r"(?m)^(?=\*\*)", earlier) if one.strip()]
-    return "\n\n".join([f"{heading}\n\n{table}", *(one for one in others if not one.startswith(heading))])
+    tables = [f"{heading}\n\n{table}"]
+    for part in re.split(r"(?m)^(?=\*\*)", earlier):
+        other = part.strip()
+        if other and not other.startswith(heading):
+            tables.append(other)
+    return "\n\n".join(tables)

@@ -25,11 +25,13 @@ COMMANDS = {"quick": "make reproduce", "paper": "make reproduce SCALE=paper"}
 """By scale, in the order of their columns."""
 
 
-def known(docs: Path = DOCS) -> dict[str, Any]:
+def stored_digests(docs: Path = DOCS) -> dict[str, Any]:
     """By scale: program, fingerprint, ledgers with name, what they need, and digest."""
     path = docs / FILE
-    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    return found
+    digests: dict[str, Any] = {}
+    if path.is_file():
+        digests = json.loads(path.read_text(encoding="utf-8"))
+    return digests
 
 
 def identities(scale: str) -> dict[str, str]:
@@ -58,21 +60,25 @@ def of_study(out: Path, study: Mapping[str, Any]) -> dict[str, Any]:
         raise ValueError(f"holds study {study['study']} at scale {scale}; allowed: paper at {', '.join(COMMANDS)}")
     for folder, identity in identities(scale).items():
         campaign = study["campaigns"][folder]
-        there = held(out / folder, "identity")
-        if there is None or canonical({**there, "models": {}}) != identity:
+        stored_identity = held(out / folder, "identity")
+        if stored_identity is None or canonical({**stored_identity, "models": {}}) != identity:
             raise ValueError(f"campaign {campaign['name']} is not that of scale {scale} here")
         if campaign["done"] < campaign["total"]:
             raise ValueError(f"campaign {campaign['name']}: {campaign['done']} of {campaign['total']} runs are flown")
     if not study.get("programs"):
         raise ValueError("does not say which program flew it; needed: a study of `mavfi reproduce`")
-    ledgers = [[one["name"], needs(one), short(one["digest"])] for one in study["campaigns"].values()]
+    ledgers = [
+        [campaign["name"], needs(campaign), short(campaign["digest"])] for campaign in study["campaigns"].values()
+    ]
     return {"program": "; then ".join(study["programs"]), "fingerprint": fingerprint(scale), "ledgers": ledgers}
 
 
 def needs(campaign: Mapping[str, Any]) -> str:
     """What must be the same, besides the packages, for a ledger with the same digest."""
     python = campaign["versions"].get("python")  # of faults in instructions alone
-    return f"Python {python}" if python else ""
+    if python:
+        return f"Python {python}"
+    return ""
 
 
 ABOUT = """\
@@ -81,22 +87,22 @@ the same on all x86-64 machines with the packages of `requirements.lock`; those 
 on the version of Python."""
 
 
-def block(found: Mapping[str, Any]) -> str:
+def block(digests: Mapping[str, Any]) -> str:
     """Digests as a Markdown table with a column for each scale, and what they are good for."""
-    scales = [scale for scale in COMMANDS if scale in found]
+    scales = [scale for scale in COMMANDS if scale in digests]
     rows: dict[tuple[str, str], dict[str, str]] = {}
     for scale in scales:
-        for name, needed, digest in found[scale]["ledgers"]:
-            rows.setdefault((name, needed), {})[scale] = f"`{digest}`"
+        for name, requirement, digest in digests[scale]["ledgers"]:
+            rows.setdefault((name, requirement), {})[scale] = f"`{digest}`"
     grid = markdown_grid(
         ["ledger", "depends on", *(f"`{COMMANDS[scale]}`" for scale in scales)],
         [[*key, *(row.get(scale, "") for scale in scales)] for key, row in rows.items()],
     )
-    flown = "; ".join(f"scale {scale} by {found[scale]['program']}" for scale in scales)
-    return f"{ABOUT}\n\n{grid}\n\nFlown at {flown}."
+    programs = "; ".join(f"scale {scale} by {digests[scale]['program']}" for scale in scales)
+    return f"{ABOUT}\n\n{grid}\n\nFlown at {programs}."
 
 
-def write(found: Mapping[str, Any], docs: Path = DOCS) -> None:
+def write(digests: Mapping[str, Any], docs: Path = DOCS) -> None:
     """Keep the digests."""
     (docs / FILE).parent.mkdir(exist_ok=True)
-    (docs / FILE).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    (docs / FILE).write_text(json.dumps(digests, indent=1) + "\n", encoding="utf-8")

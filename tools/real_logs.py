@@ -73,16 +73,16 @@ def judge_apart(recordings: Sequence[LogRecording], kind: str, profile: str) -> 
     if len(recordings) == 1:
         return [judge_rest(kind, profile, recordings[0], 0.5, flips=FLIPS)[1]]
     probes = select([recording.normal for recording in recordings])
-    found = []
+    judged_logs = []
     for recording in recordings:
         others = [other.normal for other in recordings if other is not recording]
-        found.append(LogWatch(kind, profile, probes, others).judge(recording, FLIPS))
-    return found
+        judged_logs.append(LogWatch(kind, profile, probes, others).judge(recording, FLIPS))
+    return judged_logs
 
 
 def rows(name: str, recordings: Sequence[LogRecording]) -> list[tuple[str, ...]]:
     """One row per detector and profile."""
-    found = []
+    rows_of_settings = []
     for kind, profile in SETTINGS:
         rates = LogRates(judge_apart(recordings, kind, profile))
         cells = (
@@ -96,20 +96,25 @@ def rows(name: str, recordings: Sequence[LogRecording]) -> list[tuple[str, ...]]
             rate(rates.faults),
             ", ".join(f"{delay:.2f}" for delay in rates.delays_s) or ABSENT,
         )
-        found.append(cells)
-    return found
+        rows_of_settings.append(cells)
+    return rows_of_settings
 
 
 def write_page(folder: Path) -> Path:
     """Judge the recordings, and write the page."""
-    cells: list[tuple[str, ...]] = []
+    all_rows: list[tuple[str, ...]] = []
     for name, (pattern, _) in SETS.items():
-        fault = FAULT if name == "RflyMAD" else ""
+        fault = ""
+        if name == "RflyMAD":
+            fault = FAULT
         recordings = [read_recording(path, fault) for path in sorted(folder.glob(pattern))]
         if not recordings:
             raise SystemExit(f"{folder}: no {pattern}")
-        cells += rows(f"{name}, {len(recordings)} log{'s' if len(recordings) > 1 else ''}", recordings)
-    full = Table.of_text("Alarms and detected flips, by set of logs and detector", HEADINGS, cells, NOTES)
+        logs = "1 log"
+        if len(recordings) > 1:
+            logs = f"{len(recordings)} logs"
+        all_rows += rows(f"{name}, {logs}", recordings)
+    full = Table.of_text("Alarms and detected flips, by set of logs and detector", HEADINGS, all_rows, NOTES)
     about = [f"{name}: {text}" for name, (_, text) in SETS.items()]
     return results.write(PAGE, "Detectors on recorded flights", TEXT, {"logs": full}, [results.Excerpt("logs")], about)
 

@@ -45,10 +45,11 @@ class Excerpt:
         Raises:
             ValueError: No row is left, or a column does not exist: the page would show nothing.
         """
-        columns, cells = shown(full)
+        columns, lines = shown(full)
         headings = [column.heading for column in columns]
         headings_shown = list(self.columns or headings)
-        rows = [row for row in (dict(zip(headings, line, strict=True)) for line in cells) if self.keep(row)]
+        all_rows = [dict(zip(headings, cells, strict=True)) for cells in lines]
+        rows = [row for row in all_rows if self.keep(row)]
         missing = set(headings_shown) - set(headings)
         if not rows or missing:
             raise ValueError(f"{self.file}: no rows to show, or no columns {sorted(missing)}; has {headings}")
@@ -56,7 +57,9 @@ class Excerpt:
 
     def notes(self, full: Table) -> list[str]:
         """Notes of the table, without those that explain columns which are not shown."""
-        hidden = {column.heading for column in full.columns} - set(self.columns or [c.heading for c in full.columns])
+        headings = [column.heading for column in full.columns]
+        hidden = set(headings) - set(self.columns or headings)
+        # a note that explains a column begins with its heading
         return [note for note in full.notes if note.partition(":")[0].partition(",")[0] not in hidden]
 
 
@@ -83,12 +86,15 @@ def write(
     Returns:
         The page.
     """
+    # the tables, in place of the former ones
     folder = TABLES / name
     folder.mkdir(parents=True, exist_ok=True)
     for stale in {path.stem for path in folder.glob("*.csv")} - {*tables, *keep}:
         (folder / f"{stale}.csv").unlink()
     for file, full in tables.items():
         (folder / f"{file}.csv").write_text(full.to_csv(), encoding="utf-8")
+
+    # the page: text, excerpts, links to all tables, notes
     grids = [excerpt.markdown(tables[excerpt.file]) for excerpt in excerpts]
     notes = dict.fromkeys(note for excerpt in excerpts for note in excerpt.notes(tables[excerpt.file]))
     links = [f"- [{full.title}](tables/{name}/{file}.csv): {len(full.rows)} rows" for file, full in tables.items()]
@@ -212,15 +218,17 @@ def write_campaigns(name: str, ledgers: Mapping[str, Path]) -> Path:
     Raises:
         BadInputError: A folder holds no ledger, or its runs have nothing to show in a view.
     """
-    own = CAMPAIGNS[name]
+    page = CAMPAIGNS[name]
     tables: dict[str, Table] = {}
     about: list[str] = []
-    for campaign, views in own.campaigns.items():
+    for campaign, views in page.campaigns.items():
         runs = load(ledgers[campaign])
         about += [" · ".join(header(runs.campaign))]
-        prefix = f"{campaign}-" if len(own.campaigns) > 1 else ""
+        prefix = ""
+        if len(page.campaigns) > 1:
+            prefix = f"{campaign}-"
         tables |= {f"{prefix}{view}": table(runs, view) for view in views}
-    return write(name, own.title, own.text, tables, own.excerpts, about)
+    return write(name, page.title, page.text, tables, page.excerpts, about)
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -12,12 +12,14 @@ from mavfi.extras.hardening.plan import Coverage
 
 def certificate_of(content: Mapping[str, Any]) -> Certificate:
     """Inverse of `Certificate.to_json`."""
-    same = ("kernel", "function", "signature", "instructions", "before", "after", "growth", "time", "planned_time")
-    predicted = content["predicted"]
+    plain = ("kernel", "function", "signature", "instructions", "before", "after", "growth", "time", "planned_time")
+    predicted = None
+    if content["predicted"] is not None:
+        predicted = Coverage(**content["predicted"])
     paired = content["paired"]
     return Certificate(
-        **{key: content[key] for key in same},
-        predicted=None if predicted is None else Coverage(**predicted),
+        **{key: content[key] for key in plain},
+        predicted=predicted,
         paired=Paired(*(paired[key] for key in ("n", "plain_only", "protected_only", "p"))),
     )
 
@@ -29,6 +31,9 @@ def unprotected_of(content: Mapping[str, Any]) -> Unprotected:
 
 def certification_of(content: Mapping[str, Any]) -> Certification:
     """Inverse of `certification_json`; ones that were written without processor or spending have none."""
+    scope: tuple[str, ...] = ()
+    if content["kernels"] != "all":
+        scope = tuple(content["kernels"])
     return Certification(
         plan=content["plan"],
         faults=content["faults"],
@@ -36,7 +41,7 @@ def certification_of(content: Mapping[str, Any]) -> Certification:
         certificates=tuple(map(certificate_of, content["functions"])),
         golden=GoldenCheck(**content["golden"]),
         others=tuple(map(unprotected_of, content["unprotected"])),
-        scope=() if content["kernels"] == "all" else tuple(content["kernels"]),
+        scope=scope,
         cpu=content.get("cpu", ""),
         spending=tuple(Spending(**row) for row in content.get("spending", ())),
     )

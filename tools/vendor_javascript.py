@@ -51,6 +51,7 @@ def main() -> None:
     VENDOR.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
+        # fetch the packages, and bundle what the scene uses of three.js
         packages = {name: fetch(name, version, folder) for name, version in VERSIONS.items()}
         (folder / "entry.js").write_text(ENTRY, encoding="utf-8")
         command: list[str | Path] = [
@@ -67,6 +68,8 @@ def main() -> None:
             f"--alias:three/addons={packages['three'] / 'examples' / 'jsm'}",
         ]
         bundle = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout
+
+        # write both libraries with their licences; uPlot comes as one file already
         uplot = (packages["uplot"] / "dist" / "uPlot.iife.min.js").read_text(encoding="utf-8")
         style = (packages["uplot"] / "dist" / "uPlot.min.css").read_text(encoding="utf-8")
         for name, package, code in (("three", "three", bundle), ("uplot", "uplot", uplot)):

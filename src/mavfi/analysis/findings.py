@@ -28,43 +28,49 @@ def _bits(runs: Runs) -> str:
 
 
 def _percent(rate: Rate) -> str:
+    """A rate and its interval in per cent."""
     if rate.rate is None or rate.low is None or rate.high is None:
         return "unknown"
     return f"{100 * rate.rate:.1f} % [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
 
 
 def _with_n(rate: Rate) -> str:
+    """A rate and its interval in per cent, with the number of runs."""
     return f"{_percent(rate)} (n = {rate.n})"
 
 
+# ---- the sentences: each function returns one, or none if it does not apply ------------------------------------------
 def _success(runs: Runs) -> list[str]:
+    """Success with and without a fault."""
     golden = runs.golden.where("judged", setting=GOLDEN)
     faulty = m.leading_faults(runs).where(setting=FI)
     if not runs.has_missions or not len(golden) or not len(faulty):
         return []
-    without = m.rate_of(golden, "success")
+    without_fault = m.rate_of(golden, "success")
     with_fault = m.rate_of(faulty, "success")
     test = m.against_golden(faulty.where(pl.col("golden_success").is_not_null()))
     return [
-        f"Without a fault {_with_n(without)} of missions succeed, with one fault{_bits(faulty)} "
+        f"Without a fault {_with_n(without_fault)} of missions succeed, with one fault{_bits(faulty)} "
         f"{_with_n(with_fault)}: the fault loses {test.first_only} of {test.n} missions and saves {test.second_only} "
         f"(McNemar p = {test.p_value:.2g})."
     ]
 
 
 def _deaths(runs: Runs) -> list[str]:
+    """Faults that kill their kernel, and what that would cost without restarts."""
     faulty = runs.injected.where("judged", setting=FI)
     deadly = faulty.where(pl.col("kernel_effect").is_in(KERNEL_DUE), pl.col("kernel") != "")
     if not len(deadly) or not runs.has_missions:
         return []
-    ended = m.rate_of(faulty, "success_if_ended")
+    if_ended = m.rate_of(faulty, "success_if_ended")
     return [
-        f"{len(deadly)} of {len(faulty)} faults kill their kernel; if a dead node ended the mission, {_with_n(ended)} "
-        "would succeed."
+        f"{len(deadly)} of {len(faulty)} faults kill their kernel; if a dead node ended the mission, "
+        f"{_with_n(if_ended)} would succeed."
     ]
 
 
 def _effects(runs: Runs) -> list[str]:
+    """Effects of faults on the flight, or on the output of a program."""
     faulty = runs.injected.where("judged", pl.col("effect") != "unknown", setting=FI)
     if not len(faulty):
         return []
@@ -86,6 +92,7 @@ def _effects(runs: Runs) -> list[str]:
 
 
 def _worst_stage(runs: Runs) -> list[str]:
+    """Stages by the harm that their faults do."""
     faulty = m.leading_faults(runs).where(setting=FI)
     rates = {stage: m.rate_of(part, m.FAILS_OR_SLOWER) for (stage,), part in faulty.groups("stage").items() if stage}
     if len(rates) < 2:
@@ -96,6 +103,7 @@ def _worst_stage(runs: Runs) -> list[str]:
 
 
 def _recovery(runs: Runs) -> list[str]:
+    """Missions that each detector with its recovery brings back, and newly loses."""
     paired = m.against_fi(runs)
     if not len(paired):
         return []
@@ -122,6 +130,7 @@ def _recovery(runs: Runs) -> list[str]:
 
 
 def _false_alarms(runs: Runs) -> list[str]:
+    """Alarms of each detector on golden runs."""
     watched = runs.golden.where(pl.col("detector") != "", end="flown")
     rates = {arm: m.alarm_rate(flights) for (arm,), flights in watched.groups("arm").items()}
     by_arm = "; ".join(
@@ -135,6 +144,7 @@ def _false_alarms(runs: Runs) -> list[str]:
 
 
 def _flight_time(runs: Runs) -> list[str]:
+    """Flight times of successful missions with a fault."""
     successes = runs.injected.where("judged", "success", pl.col("inflation").is_not_null(), setting=FI)
     if not len(successes):
         return []

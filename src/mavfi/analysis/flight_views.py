@@ -214,6 +214,7 @@ def named_populations(runs: Runs) -> Runs:
 
 
 def _recovery_notes(runs: Runs) -> list[str]:
+    """Notes below a table of recovery: its terms, tests and intervals."""
     notes = [
         "lost: missions that succeed without the fault and fail with it; brought back: of these, those that "
         "succeed with the detector on; newly lost / saved: missions that fail / succeed only with the detector on",

@@ -51,6 +51,8 @@ def _fly_one(spec: RunSpec, fly: Callable[[RunSpec], CompletedRun], fly_golden: 
 
 
 def _check_machine(spec: RunSpec, fly_golden: Callable[[str], None]) -> None:
+    """Raise a MachineError if the golden run dies, too: the machine is at fault, not the run."""
+
     def fly() -> bytes:
         fly_golden(spec.arm)
         return b""
@@ -71,6 +73,7 @@ def _run_in_child(work: Callable[[], bytes]) -> ChildEnd:
 
 
 def _pickled(spec: RunSpec, fly: Callable[[RunSpec], CompletedRun]) -> bytes:
+    """The result of a run, or the failure of the machine, for the parent process."""
     try:
         return pickle.dumps(fly(spec))
     except MachineError as error:
@@ -78,6 +81,7 @@ def _pickled(spec: RunSpec, fly: Callable[[RunSpec], CompletedRun]) -> bytes:
 
 
 def _unpickled(payload: bytes) -> CompletedRun:
+    """Inverse of `_pickled`; raises a failure of the machine."""
     flown: CompletedRun | MachineError = pickle.loads(payload)
     if isinstance(flown, MachineError):
         raise flown

@@ -80,6 +80,7 @@ class ArmConfig(Config):
     @model_validator(mode="before")
     @classmethod
     def _gather(cls, data: Any, info: ValidationInfo) -> Any:
+        """Move keys of missions, which may stand beside those of the campaign, to `mission`."""
         if not isinstance(data, dict):
             return data
         inline = {key: data[key] for key in data if key in MissionSpec.model_fields}
@@ -168,6 +169,7 @@ class Campaign(Config):
 
     @model_validator(mode="after")
     def _consistent(self) -> "Campaign":
+        """Check what depends on several keys: seeds, names, and how the level and the host draw faults."""
         missions = max([self.missions, *(scale.missions or 0 for scale in self.scales.values())])
         if self.first_seed + missions > TRAINING_SEED:
             raise ValueError(
@@ -254,8 +256,9 @@ class Campaign(Config):
 
     def spec(self, environment: str, seed: int, overrides: Mapping[str, Any] | None = None) -> MissionSpec:
         """The mission for an environment and seed, with the overrides of an arm."""
-        part = self.parts.get(environment, CampaignPart(environment=environment)).model_dump(exclude_none=True)
-        keys = {**self.mission, **(overrides or {}), **part, "seed": seed}
+        part = self.parts.get(environment, CampaignPart(environment=environment))
+        part_keys = part.model_dump(exclude_none=True)
+        keys = {**self.mission, **(overrides or {}), **part_keys, "seed": seed}  # later entries replace earlier ones
         return parse(MissionSpec, keys, f"campaign {self.name}")
 
     def to_json(self) -> dict[str, Any]:
@@ -297,13 +300,18 @@ def _with_under_test(data: dict[str, Any], info: ValidationInfo) -> dict[str, An
             raise ValueError(f"host: {host.name!r}: the key {key} goes with host {host.name}, and only with it")
         under_test = parse_part(host.config, values, key, info.context)
         data = {**host.campaign_defaults(under_test), **data, "under_test": under_test}
+    _refuse_keys_of_other_hosts(data)
+    return data
+
+
+def _refuse_keys_of_other_hosts(data: Mapping[str, Any]) -> None:
+    """Raise a ValueError for a key of what is under test at another host; other unknown keys are refused later."""
     for key in data.keys() - Campaign.model_fields.keys():
         for other in extensions("mavfi.hosts").values():
             if other.config_key == key:
                 raise ValueError(
                     f"host: {data.get('host', _LOCAL)!r}: the key {key} goes with host {other.name}, and only with it"
                 )
-    return data
 
 
 def _sampling(data: Any, info: ValidationInfo | None) -> Sampling:

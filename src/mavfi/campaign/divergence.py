@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -9,7 +10,8 @@ import scipy
 from mavfi.record import FlightLog
 from mavfi.states import STATES, State
 
-LEFT = 0.1  # distance beyond which a flight has left the golden run's path (m)
+LEFT = 0.1
+"""Distance beyond which a flight has left the golden run's path (m)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +51,9 @@ def first_difference(golden: Sequence[TimedState], injected: Sequence[TimedState
         pair = golden_by_key.get(key), injected_by_key.get(key)
         times = [publication.time_us for publication in pair if publication is not None]
         if earliest is not None and min(times) >= earliest.time_us:
-            continue
-        difference = _difference(key[0], *pair)
+            continue  # the comparison takes long: only publications that may be the first to differ
+        name, _ = key
+        difference = _difference(name, *pair)
         if difference is not None:
             earliest = difference
     return earliest
@@ -90,7 +93,8 @@ def _spread(name: str, kernel: str, values: Sequence[tuple[int, bool]]) -> State
     times = [time_us for time_us, differs in values if differs]
     if not times:
         return None
-    return StateSpread(name, kernel, times[0], times[-1], len(times), len(values), values[-1][1])
+    _, last_differs = values[-1]
+    return StateSpread(name, kernel, times[0], times[-1], len(times), len(values), to_the_end=last_differs)
 
 
 def _numbered(publications: Sequence[TimedState]) -> dict[tuple[str, int], TimedState]:
@@ -104,31 +108,42 @@ def _numbered(publications: Sequence[TimedState]) -> dict[tuple[str, int], Timed
     return by_key
 
 
-def _difference(name: str, first: TimedState | None, second: TimedState | None) -> FirstDifference | None:
-    if first is None or second is None:
-        times = (None if publication is None else publication.time_us for publication in (first, second))
-        return FirstDifference(name, "", *times)
-    if not first.state.same_bits(second.state):
-        field, before, after = _field(first.state, second.state)
-        return FirstDifference(name, field, first.time_us, second.time_us, before, after)
-    if first.time_us != second.time_us:
-        return FirstDifference(name, "", first.time_us, second.time_us)
+def _difference(name: str, golden: TimedState | None, injected: TimedState | None) -> FirstDifference | None:
+    """How two publications of a state differ, of which at most one is missing (None); None = they are equal."""
+    if golden is None:
+        return FirstDifference(name, "", None, None if injected is None else injected.time_us)
+    if injected is None:
+        return FirstDifference(name, "", golden.time_us, None)
+    if not golden.state.same_bits(injected.state):
+        field, golden_value, injected_value = _first_field(golden.state, injected.state)
+        return FirstDifference(name, field, golden.time_us, injected.time_us, golden_value, injected_value)
+    if golden.time_us != injected.time_us:
+        return FirstDifference(name, "", golden.time_us, injected.time_us)
     return None
 
 
-def _field(first: State, second: State) -> tuple[str, object, object]:
-    """Name and both values of the first field that differs bitwise; or the numbers of elements, if these differ."""
-    if len(first.elements) != len(second.elements):
-        return "number of elements", len(first.elements), len(second.elements)
-    for name in second.header.dtype.names or ():
-        row = _first_row(first.header[name], second.header[name])
+class _FieldDifference(NamedTuple):
+    """A field that differs, and its values."""
+
+    field: str
+    golden: object
+    injected: object
+
+
+def _first_field(golden: State, injected: State) -> _FieldDifference:
+    """The first field that differs bitwise; or the numbers of elements, if these differ."""
+    if len(golden.elements) != len(injected.elements):
+        return _FieldDifference("number of elements", len(golden.elements), len(injected.elements))
+    for name in injected.header.dtype.names or ():
+        row = _first_row(golden.header[name], injected.header[name])
         if row is not None:
-            return name, first.header[name][row].item(), second.header[name][row].item()
-    for name in second.elements.dtype.names or ():
-        row = _first_row(first.elements[name], second.elements[name])
+            return _FieldDifference(name, golden.header[name][row].item(), injected.header[name][row].item())
+    for name in injected.elements.dtype.names or ():
+        row = _first_row(golden.elements[name], injected.elements[name])
         if row is not None:
-            return f"{name}[{row}]", first.elements[name][row].item(), second.elements[name][row].item()
-    raise AssertionError(f"{second.spec.name}: bits differ and no field does")
+            values = golden.elements[name][row].item(), injected.elements[name][row].item()
+            return _FieldDifference(f"{name}[{row}]", *values)
+    raise AssertionError(f"{injected.spec.name}: bits differ and no field does")
 
 
 def _first_row(before: np.ndarray, after: np.ndarray) -> int | None:
@@ -155,20 +170,28 @@ class Departure:
 def departure(golden: FlightLog, injected: FlightLog) -> Departure:
     """Compute the deviation of a flight from the path of its golden run, and its final delay."""
     time = injected.column("time")
-    distance, passed = _nearest(golden, injected.columns("x", "y", "z"))
+    positions = injected.columns("x", "y", "z")
+    distance, golden_time = _project(golden, positions)
+
+    # where the flight leaves the path
+    departure_time = None
+    departure_position = None
+    outside = np.flatnonzero(distance > LEFT)
+    if len(outside):
+        first = outside[0]
+        x, y, z = positions[first].tolist()
+        departure_time = float(time[first])
+        departure_position = (x, y, z)
+
+    # how far it gets from the path, and how far behind it ends
     farthest = int(np.argmax(distance))
     behind = None
     if np.isfinite(distance[-1]):
-        behind = float(time[-1] - passed[-1])
-    left = np.flatnonzero(distance > LEFT)
-    largest = (float(distance[farthest]), float(time[farthest]), behind)
-    if len(left) == 0:
-        return Departure(None, None, *largest)
-    x, y, z = (float(value) for value in injected.columns("x", "y", "z")[left[0]])
-    return Departure(float(time[left[0]]), (x, y, z), *largest)
+        behind = float(time[-1] - golden_time[-1])
+    return Departure(departure_time, departure_position, float(distance[farthest]), float(time[farthest]), behind)
 
 
-def _nearest(golden: FlightLog, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _project(golden: FlightLog, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distances (m) of points (m), shape (n, 3), from a flown path, and times (s) of the nearest points of the path.
 
     The search finds the nearest recorded position, then the nearest point on the two legs adjacent to it.
@@ -177,20 +200,24 @@ def _nearest(golden: FlightLog, points: np.ndarray) -> tuple[np.ndarray, np.ndar
     path = golden.columns("x", "y", "z")
     time = golden.column("time")
     distance = np.full(len(points), np.inf)
-    passed = np.zeros(len(points))
+    golden_time = np.zeros(len(points))
+
+    # the nearest recorded position
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
     position = points[finite]
     distance[finite], row = scipy.spatial.cKDTree(path).query(position)
-    passed[finite] = time[row]
-    # the nearest point on the leg before the nearest recorded position, and on the leg after it
+    golden_time[finite] = time[row]
+
+    # the nearest point on the leg before it, and on the leg after it
     for begin in (np.maximum(row - 1, 0), np.minimum(row, max(0, len(path) - 2))):
         end = np.minimum(begin + 1, len(path) - 1)
         leg = path[end] - path[begin]
         square = (leg**2).sum(axis=1)
-        along = ((position - path[begin]) * leg).sum(axis=1) / np.where(square > 0.0, square, 1.0)
-        along = np.clip(along, 0.0, 1.0)
-        apart = np.linalg.norm(position - path[begin] - along[:, None] * leg, axis=1)
-        nearer = apart < distance[finite]
-        distance[finite[nearer]] = apart[nearer]
-        passed[finite[nearer]] = (time[begin] + along * (time[end] - time[begin]))[nearer]
-    return distance, passed
+        # share of the leg at which the point projects onto it; a leg without length has the share 0
+        share = ((position - path[begin]) * leg).sum(axis=1) / np.where(square > 0.0, square, 1.0)
+        share = np.clip(share, 0.0, 1.0)
+        leg_distance = np.linalg.norm(position - path[begin] - share[:, None] * leg, axis=1)
+        is_nearer = leg_distance < distance[finite]
+        distance[finite[is_nearer]] = leg_distance[is_nearer]
+        golden_time[finite[is_nearer]] = (time[begin] + share * (time[end] - time[begin]))[is_nearer]
+    return distance, golden_time

@@ -157,6 +157,7 @@ def setup_of(plan: MissionPlan, arm: Arm, host: Host, scenario: Scenario | None 
     scenario = scenario or host.resolve(spec)
 
     def make() -> Detector:
+        """Load the detector; its model must be the planned one."""
         detector, model = detector_for(
             scenario, arm.detector, arm.profile, plan.models_dir, spec.trained_for, arm.options
         )
@@ -334,6 +335,7 @@ class _SeparateFlights:
         return fly_alone(specs, fly, self._fly_golden)
 
     def _fly_golden(self, arm: str) -> None:
+        """Fly the golden flight of an arm."""
         self._from_take_off(arm).golden(arm)
 
     def _from_take_off(self, arm: str) -> MissionFlights:
@@ -459,6 +461,7 @@ def check_names(campaign: Campaign, source: str) -> None:
 
 
 def _check_detector(arm: Arm, source: str) -> None:
+    """Check detector and profile of an arm; an error names the key of the campaign."""
     if not arm.detector:
         return
     with_keys_of(MissionSpec(), arm.detector)
@@ -471,6 +474,7 @@ def _check_detector(arm: Arm, source: str) -> None:
 
 
 def _check_mission(campaign: Campaign, host: Host, environment: str, arm: Arm, source: str) -> None:
+    """Check the first mission of an arm in an environment; an error names the key of the campaign."""
     spec = campaign.spec(environment, campaign.first_seed, arm.overrides)
     try:
         host.resolve(spec)

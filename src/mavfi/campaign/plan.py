@@ -305,9 +305,11 @@ class Plan:
         return {arm.name: self.scenarios[environment, arm.name] for arm in self.arms}
 
     def _arm(self, name: str) -> Arm:
+        """The arm of this name."""
         return next(arm for arm in self.arms if arm.name == name)
 
     def _run(self, kind: Kind, setting: str, environment: str, seed: int, arm: Arm, **more: Any) -> RunSpec:
+        """A run of an arm, with what is planned for it."""
         return RunSpec(
             kind,
             setting,

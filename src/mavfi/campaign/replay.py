@@ -157,6 +157,7 @@ def explain(directory: Path, run_id: str) -> Explanation:
             cannot be recorded.
         SpecMismatchError: The detector's model has changed since the run.
     """
+    # Refuse runs without a fault or a flight.
     with Store.open(directory) as store:
         run = store.run(run_id)
         if run.spec.fault is None:
@@ -171,6 +172,8 @@ def explain(directory: Path, run_id: str) -> Explanation:
                 why = f" ({reason_of(run.note)})"
             raise BadInputError(f"{directory}: run {run.spec.run_id}: left no flight to explain{why}")
         setup = _setup_to_record(store, run.spec)
+
+    # Fly both again, and record their publications.
     golden, golden_published = fly_recorded(setup, None)
     injected, published = fly_recorded(setup, run.spec.fault)
     return Explanation(

@@ -67,7 +67,7 @@ class Session:
         """All missions, environment by environment."""
         return self.shard.worlds(self.plan.campaign)
 
-    def left(self, world: tuple[str, int]) -> MissionPlan | None:
+    def incomplete_mission(self, world: tuple[str, int]) -> MissionPlan | None:
         """A mission, if runs of it are missing."""
         if self.store.is_complete(world):
             return None
@@ -147,22 +147,23 @@ class Session:
             versions=versions(),
             pid=os.getpid(),
             workers=executor.workers,
-            runs_left=self.total - self._done,
+            runs_left=self.total - self._runs_done,
         )
         try:
             yield
         except BaseException as error:
-            self.log.end(error, done=self._done, total=self.total)
+            self.log.end(error, done=self._runs_done, total=self.total)
             raise
-        self.log.end(None, done=self._done, total=self._done, digest=self.store.digest())
+        self.log.end(None, done=self._runs_done, total=self._runs_done, digest=self.store.digest())
 
     @property
-    def _done(self) -> int:
+    def _runs_done(self) -> int:
+        """Number of runs that have a result."""
         return sum(number for _, number, _ in self.counts.values())
 
     def tell(self, *, compiling: bool = False) -> None:
         """Report the progress."""
-        self.report(Progress(self._done, self.total, dict(self.counts), flown=self.flown, compiling=compiling))
+        self.report(Progress(self._runs_done, self.total, dict(self.counts), flown=self.flown, compiling=compiling))
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +208,7 @@ class Flying:
         for group in self._groups():
             job = []
             for number, world in group:
-                mission = self.sessions[number].left(world)
+                mission = self.sessions[number].incomplete_mission(world)
                 if mission is not None:
                     job.append((number, mission))
             if job:
@@ -402,7 +403,7 @@ def _prepare(session: Session, executor: Executor) -> None:
     """Check the host, and compile in this process what its forks will need, if missions are left."""
     campaign = session.plan.campaign
     host = host_of(campaign)
-    missions = (session.left(world) for world in session.worlds())
+    missions = (session.incomplete_mission(world) for world in session.worlds())
     first = next((mission for mission in missions if mission is not None), None)
     if first is None:
         return
@@ -424,6 +425,7 @@ def _as_begun(campaign: Campaign, directory: Path) -> Campaign:
 
 
 def _models_dir(directory: Path) -> Path | None:
+    """Folder of models with which a ledger was begun; None = the shipped ones, or there is no ledger."""
     path: str | None = held(directory, "models_dir")
     if path is None:
         return None

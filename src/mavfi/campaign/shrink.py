@@ -26,7 +26,7 @@ class CandidateFlight:
     """A candidate fault and the result of its flight."""
 
     fault: Fault
-    status: str  # of the mission; "" = the flight could not be judged
+    status: str  # label of the mission's status; "" = the flight could not be judged
     time_s: float  # end of the flight
     injection: Injection | None
 
@@ -85,11 +85,11 @@ def shrink(directory: Path, run_id: str, report: Callable[[int], None] | None = 
     original = next(candidates.fly([fault]))
     # ... and without which the mission succeeds.
     if golden.log.status is not MissionStatus.SUCCESS or not original.lost:
-        how = f"ends in {original.status or 'an error'}"
+        reason = f"ends in {original.status or 'an error'}"
         if original.lost:
-            how = "fails without its fault, too"
+            reason = "fails without its fault, too"
         raise BadInputError(
-            f"{directory}: run {spec.run_id}: {how}; allowed: runs whose fault loses the mission (mavfi runs "
+            f"{directory}: run {spec.run_id}: {reason}; allowed: runs whose fault loses the mission (mavfi runs "
             f"{directory} --failed)"
         )
     # Each step starts from the smallest fault of the steps before.
@@ -113,8 +113,8 @@ class _CandidateFlights:
     flights: MissionFlights
     arm: str
     report: Callable[[int], None]
-    flown: int = 0
-    count: int = 0  # candidates of the last list yielded so far
+    flown: int = 0  # flights so far, in all lists of candidates
+    count: int = 0  # candidates of the last list that were yielded so far
 
     def fly(self, faults: Sequence[Fault]) -> Iterator[CandidateFlight]:
         """Fly candidates in order, batch by batch, until the caller stops iterating."""

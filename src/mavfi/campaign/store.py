@@ -299,10 +299,11 @@ class Store:
         return store
 
     def _ask(self, query: str) -> Any:
+        """The only value of a query; a BadInputError if the file is no ledger."""
         try:
             return self._connection.execute(query).fetchone()[0]
         except sqlite3.DatabaseError as error:
-            code = error.sqlite_errorcode
+            code = error.sqlite_errorcode  # the low byte is the kind of error, the rest its details
             if code & 0xFF in (sqlite3.SQLITE_IOERR, sqlite3.SQLITE_NOMEM):
                 raise MachineError(f"{self.directory / FILE}: cannot be read ({error})") from None
         self._check_disk()
@@ -325,6 +326,7 @@ class Store:
                 raise MachineError(f"{path}: cannot be read ({error.strerror})") from error
 
     def _check_schema(self) -> None:
+        """Raise a BadInputError for a file of another schema, or of another program."""
         path = self.directory / FILE
         version = self._ask("PRAGMA user_version")
         if version == 0:  # what SQLite gives for a file that no mavfi wrote
@@ -339,6 +341,7 @@ class Store:
             raise BadInputError(text)
 
     def _check(self, identity: Mapping[str, Any]) -> None:
+        """Raise a BadInputError for a damaged ledger, or for that of another campaign."""
         self._check_schema()
         self._check_content()
         stored = self.meta("identity")
@@ -357,6 +360,7 @@ class Store:
             raise BadInputError(f"{self.directory / FILE}: is damaged: {violation}")
 
     def _begin_log(self) -> None:
+        """Let readers and the writer work at the same time, by a log of changes."""
         try:
             self._connection.execute("PRAGMA journal_mode = WAL")
             self._connection.execute(f"CREATE INDEX IF NOT EXISTS {INDEX}")
@@ -498,6 +502,7 @@ class Store:
         return self._run(*rows[0][1:])
 
     def _run(self, spec: str, record: str | None, note: str, wall_s: float | None) -> Run:
+        """A stored run, from its columns."""
         try:
             flight_record = None
             if record is not None:

@@ -37,7 +37,9 @@ Progress = Callable[[int, int], None]
 Recorded = tuple[Any, ...]
 """What was recorded of one flight, for each training in turn."""
 _MOST_FLIGHTS_PER_WANTED = 3
-FOLDER = ".flights"  # folder of the recordings, in the folder of the models
+"""Largest number of missions flown for each that must reach its goal."""
+FOLDER = ".flights"
+"""Folder of the recordings, in the folder of the models."""
 
 
 class KeptRecordings:
@@ -181,8 +183,8 @@ def record_flights(
         if disk is not None:
             by_seed |= disk.load(seeds)
         report(len(by_seed), count)
-        left = [scenario.model_copy(update={"seed": seed}) for seed in seeds if seed not in by_seed]
-        tasks = [_FlightTask(mission, trainings=trainings) for mission in left]
+        missions = [scenario.model_copy(update={"seed": seed}) for seed in seeds if seed not in by_seed]
+        tasks = [_FlightTask(mission, trainings=trainings) for mission in missions]
         if tasks and tried == 0:
             record_flight(tasks[0])  # compiles in this process; workers inherit the code
         tried += len(seeds)
@@ -207,7 +209,7 @@ class RecordedFlights:
         provenance: Origin of the models, without seeds.
         disks: Copies of the recordings.
         extras, only: See `record`.
-        alike: Whether all detectors are fitted to all environments, not to those of their training.
+        fits_all_environments: Whether all detectors are fitted to all environments, not to those of their training.
     """
 
     folder: Path
@@ -217,7 +219,7 @@ class RecordedFlights:
     disks: list[KeptRecordings]
     extras: Sequence[str]
     only: Collection[tuple[str, str]] | None
-    alike: bool
+    fits_all_environments: bool
 
     def __str__(self) -> str:
         return f"training of detectors for {self.provenance['platform']}"
@@ -230,19 +232,23 @@ class RecordedFlights:
         """
         models: dict[str, Model] = {}
         for number, training in enumerate(self.trainings):
-            environments = tuple(self.flights) if self.alike else training.environments
+            environments = training.environments
+            if self.fits_all_environments:
+                environments = tuple(self.flights)
+
+            # the recordings of this training, and where they come from
             seeds: list[int] = []
             recordings = []
             for name in environments:
                 for seed, recorded in self.flights[name].items():
                     seeds.append(seed)
                     recordings.append(recorded[number])
-            origin = self.provenance | {
+            provenance = self.provenance | {
                 "environment": ", ".join(environments),
                 "flights": len(recordings),
                 "seeds": seeds,
             }
-            models |= fit(training, recordings, origin, self.extras, self.only)
+            models |= fit(training, recordings, provenance, self.extras, self.only)
         files = [model.save(self.folder) for model in models.values()]
         for disk in self.disks:
             disk.delete()
@@ -279,10 +285,10 @@ def fit(
     classes = {name: detector for name, detector in trainable(extras).items() if detector.training == training}
     models = {}
     for profile in training.profiles:
-        chosen = {name: detector for name, detector in classes.items() if only is None or (name, profile) in only}
-        if chosen:
-            figures = {name: figures_of(name, profile) for name in chosen}
-            for model in training.fit(chosen, profile, recordings, origin, figures):
+        fitted = {name: detector for name, detector in classes.items() if only is None or (name, profile) in only}
+        if fitted:
+            figures = {name: figures_of(name, profile) for name in fitted}
+            for model in training.fit(fitted, profile, recordings, origin, figures):
                 models[f"{model.kind}-{profile}"] = model
     return models
 
@@ -315,19 +321,24 @@ def record(
     Raises:
         BadInputError: A name is unknown, too few flights arrive, or the folder cannot be written.
     """
+    # Refuse before the first flight what would fail after the last.
     for detector in trainable(extras).values():
         detector.check_installed()
     check_folder(folder)
+
+    # Fly the missions of all environments.
     trainings = trainings_of(extras, only)
     scenarios = {
         name: training_mission(mission or MissionSpec(), environment=name)
         for name in environments or environments_of(trainings)
     }
     disks = [KeptRecordings(folder, scenario, trainings) for scenario in scenarios.values()]
-    flown = [
-        record_flights(scenario, flights, workers, progress, disk, trainings)
-        for scenario, disk in zip(scenarios.values(), disks, strict=True)
-    ]
+    recordings = {
+        name: record_flights(scenario, flights, workers, progress, disk, trainings)
+        for (name, scenario), disk in zip(scenarios.items(), disks, strict=True)
+    }
+
+    # What the models are fitted to is the same in all environments.
     scenario = next(iter(scenarios.values()))
     provenance = {
         "stack": scenario.autopilot.name,
@@ -335,13 +346,21 @@ def record(
         "v_max": scenario.v_max,
         "planner": scenario.planner.name,
     }
-    recordings = dict(zip(scenarios, flown, strict=True))
-    return RecordedFlights(folder, trainings, recordings, provenance, disks, extras, only, alike=bool(environments))
+    return RecordedFlights(
+        folder,
+        trainings,
+        recordings,
+        provenance,
+        disks,
+        extras,
+        only,
+        fits_all_environments=bool(environments),
+    )
 
 
-def train(folder: Path, flights: int = 100, mission: MissionSpec | None = None, **more: Any) -> list[Path]:  # noqa: ANN401
-    """Fly error-free missions, fit every detector in every profile, and write the models; see `record`."""
-    return record(folder, flights, mission, **more).fit()
+def train(folder: Path, flights: int = 100, mission: MissionSpec | None = None, **options: Any) -> list[Path]:  # noqa: ANN401
+    """Fly error-free missions, fit every detector in every profile, and write the models; options as of `record`."""
+    return record(folder, flights, mission, **options).fit()
 
 
 def count_false_alarms(
@@ -353,12 +372,13 @@ def count_false_alarms(
     progress: Progress,
     environments: Sequence[str] = ("training",),
 ) -> list[dict[str, list[tuple[int, float]]]]:
-    """Alarms and flight hours by flight of each model in the folder by environment, on error-free missions.
-
-    The missions have other seeds than those of the training.
+    """Count the alarms of models on error-free missions with other seeds than those of the training.
 
     Each environment has `flights` missions, flown as in `train`; `progress` is called with the numbers of completed
     and required flights.
+
+    Returns:
+        For each model, by environment: alarms and flight hours of each mission.
 
     Raises:
         MavfiError: A worker was lost.

@@ -119,7 +119,7 @@ def compile_ahead(
                 incomplete.add(task.campaign.name)
     for campaign in left:
         if campaign.name not in incomplete:
-            _done(campaign).touch()
+            _warm_file(campaign).touch()
 
 
 def compile_flight(scenario: Scenario, executor: Executor) -> None:
@@ -135,11 +135,12 @@ def compile_flight(scenario: Scenario, executor: Executor) -> None:
 
 def is_compiled(campaign: Campaign) -> bool:
     """Whether the cache has all of a campaign's code, by `compile_ahead` or on a machine that flew it."""
-    return _done(campaign).exists()
+    return _warm_file(campaign).exists()
 
 
 def _not_compiled(campaigns: Iterable[Campaign]) -> list[Campaign]:
-    return [campaign for campaign in campaigns if host_of(campaign).in_process and not _done(campaign).exists()]
+    """Campaigns whose code is not in the cache; hosts with processes of their own compile none."""
+    return [campaign for campaign in campaigns if host_of(campaign).in_process and not _warm_file(campaign).exists()]
 
 
 def _rounds(campaigns: Sequence[Campaign]) -> list[list[_CompileTask]]:
@@ -152,6 +153,7 @@ def _rounds(campaigns: Sequence[Campaign]) -> list[list[_CompileTask]]:
 
 
 def _compile(task: _CompileTask) -> None:
+    """Perform a task, in a worker."""
     task.compile()
 
 
@@ -237,17 +239,17 @@ def fly_missions_anywhere(job: Job) -> Iterator[tuple[int, Planned | CompletedRu
 
 def _warm_up_machine(mission: MissionPlan) -> None:
     """Compile in one process of this machine, while the others wait."""
-    done = _done(mission.campaign)
-    if done.exists():
+    warm_file = _warm_file(mission.campaign)
+    if warm_file.exists():
         return
     with (code_folder() / "warm-up.lock").open("w", encoding="utf-8") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not done.exists():
+        if not warm_file.exists():
             warm_up(mission)
-            done.touch()
+            warm_file.touch()
 
 
-def _done(campaign: Campaign) -> Path:
+def _warm_file(campaign: Campaign) -> Path:
     """File that exists if the code of a campaign is in the cache."""
     folder = code_folder()
     folder.mkdir(parents=True, exist_ok=True)

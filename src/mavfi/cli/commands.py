@@ -157,6 +157,8 @@ def run(arguments: Sequence[str]) -> int:
         allow_plugins()
         arguments = [word for word in arguments if word != _ALLOW_PLUGINS]
     allow_typed(word.rpartition("=")[2] for word in arguments)
+
+    # every known kind of failure becomes a line and an exit code
     try:
         code = _command().main(args=arguments or ["--help"], prog_name="mavfi", standalone_mode=False)
     except MavfiError as error:

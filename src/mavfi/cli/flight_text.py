@@ -127,6 +127,7 @@ def _fault(result: FlightResult) -> list[RenderableType]:
 
 
 def _alarms(result: FlightResult) -> list[RenderableType]:
+    """The alarms of a flight, or that there was none."""
     golden = None if result.golden is None else result.golden.log
     story = alarm_lines(result.log, golden, MAX_ALARMS)
     if story:

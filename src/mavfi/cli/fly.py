@@ -112,6 +112,7 @@ def _check_dead_node(mission: MissionSpec, fault: str | None) -> None:
 
 
 def _show(result: FlightResult, written: Sequence[Path | None], *, as_json: bool) -> None:
+    """Print the result of a flight, and the names of the files."""
     from mavfi.cli.flight_text import panel
 
     if as_json:
@@ -154,6 +155,7 @@ def _chosen_by_extras(mission: MissionSpec, values: dict[str, Any]) -> tuple[Fau
 
 
 def _draw(picture: Path, result: FlightResult) -> None:
+    """Draw a flight; with a detector, that without it as well."""
     from mavfi.report.picture import draw_flight
 
     if result.unwatched is None:

@@ -42,8 +42,8 @@ class Bar:
         )
         self._task = self._bar.add_task(label, total=None, counts="", pace="")
         self._live = Live(self._bar, console=self._console, refresh_per_second=5)
-        self._printed = time.perf_counter()
-        self._line = ""
+        self._last_line = ""
+        self._last_line_at = time.perf_counter()
         self.begin(label, unit)
 
     def __enter__(self) -> Self:
@@ -58,20 +58,21 @@ class Bar:
         """Show other work from now on, with a rate of its own."""
         self._label = label
         self._unit = unit
-        self._begun = time.perf_counter()
+        # The rate counts from here: the instant, and the units done before it (None = not shown yet).
+        self._rate_from = time.perf_counter()
         self._done_before: int | None = None
-        self._first_is_open = True
+        self._first_unit_is_open = True
         self._campaigns: dict[Path, CampaignProgress] = {}
         self._bar.update(self._task, description=label, completed=0, total=None, counts="", pace="")
         self._live.update(self._bar)
 
     def show(self, done: int, total: int) -> None:
         """Show progress; the rate excludes the first unit, which includes compiling and loading."""
-        if self._done_before is None or (self._first_is_open and done > self._done_before):
-            self._first_is_open = self._done_before is None
+        if self._done_before is None or (self._first_unit_is_open and done > self._done_before):
+            self._first_unit_is_open = self._done_before is None
             self._done_before = done
-            self._begun = time.perf_counter()
-        seconds = time.perf_counter() - self._begun
+            self._rate_from = time.perf_counter()
+        seconds = time.perf_counter() - self._rate_from
         rate = 0.0
         if seconds > 0:
             rate = (done - self._done_before) / seconds
@@ -86,8 +87,8 @@ class Bar:
             text = "compiling kernels and flying the first mission ..."
             self._bar.update(self._task, pace=text)
             line = f"{self._label}: {text}"
-            if not self._console.is_terminal and line != self._line:  # campaigns that fly together say it once
-                self._line = line
+            if not self._console.is_terminal and line != self._last_line:  # campaigns that fly together say it once
+                self._last_line = line
                 self._console.print(line)
             return
         if progress.settings:
@@ -107,15 +108,16 @@ class Bar:
         self.show(sum(campaign.done for campaign in campaigns), sum(campaign.total for campaign in campaigns))
 
     def _draw(self, done: int, total: int, pace: str) -> None:
+        """Update the bar in a terminal; elsewhere print a line from time to time, and at the end."""
         counts = f"{done}/{total} {self._unit}"
         if self._console.is_terminal:
             self._bar.update(self._task, completed=done, total=total, counts=counts, pace=pace)
             return
         now = time.perf_counter()
         line = f"{self._label} {counts}  {pace}".rstrip()
-        if (now - self._printed >= _LINE_EVERY or done == total) and line != self._line:
-            self._printed = now
-            self._line = line
+        if (now - self._last_line_at >= _LINE_EVERY or done == total) and line != self._last_line:
+            self._last_line_at = now
+            self._last_line = line
             self._console.print(line)
 
 
@@ -135,11 +137,13 @@ def compiling(*, instrumented: bool = False, flight: bool = False) -> Iterator[b
     folder = code_folder()
     out = console(error=True)
     # files of the cache: .nbc of plain functions, .bin of instrumented ones, .warm once a flight has ended
-    empty = not any(folder.rglob("*.nbc"))
-    cold = empty
+    is_empty = not any(folder.rglob("*.nbc"))
+    is_cold = is_empty
     if flight:
-        cold = not any(folder.glob(f"*-{packages_digest()}.warm"))
-    compiles = cold if out.is_terminal else empty
+        is_cold = not any(folder.glob(f"*-{packages_digest()}.warm"))
+    compiles = is_empty
+    if out.is_terminal:
+        compiles = is_cold
     if instrumented and not any(folder.rglob("*.bin")):
         compiles = True
     if compiles:
@@ -148,9 +152,9 @@ def compiling(*, instrumented: bool = False, flight: bool = False) -> Iterator[b
         if not out.is_terminal:
             out.print(text)
         with out.status(text):  # draws nothing elsewhere than in a terminal
-            yield cold
+            yield is_cold
     else:
-        yield cold
+        yield is_cold
     if flight:
         with suppress(OSError):  # a cache that cannot be written stays as it is
             folder.mkdir(parents=True, exist_ok=True)

@@ -78,6 +78,7 @@ def _is_replayable(again: "Replay") -> bool:
 
 
 def _replay_json(again: "Replay") -> dict[str, Any]:
+    """A replayed run beside its stored record, as plain data."""
     record = again.record
     data = {
         "run_id": again.run.spec.run_id,

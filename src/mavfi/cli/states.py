@@ -53,6 +53,7 @@ def _readers(autopilot: str, localization: str) -> dict[str, list[str]]:
 
 
 def _page(specs: Collection[StateSpec], autopilot: str, readers: Mapping[str, list[str]]) -> Group:
+    """All states with their fields, and what the signs mean."""
     count = sum(len(spec.elements) + len(spec.header) for spec in specs)
     notes = (
         f"{len(specs)} states, {count} fields. ● watched by detectors ({_MONITORED}). "
@@ -66,6 +67,7 @@ def _page(specs: Collection[StateSpec], autopilot: str, readers: Mapping[str, li
 
 
 def _heading(spec: StateSpec, readers: Sequence[str]) -> Group:
+    """Name of a state, its rate, its writer and its readers."""
     about = [spec.rate]
     if spec.acted_on:
         about.append(f"acted on when {spec.acted_on} grows")

@@ -131,6 +131,7 @@ def _entry(model: Model) -> dict[str, Any]:
 
 
 def _table(models: list[Model], alarms: list[dict[str, EventRate]], folder: Path) -> Table:
+    """The trained models with their false alarms by environment."""
     origin = max((model.provenance for model in models), key=lambda provenance: int(provenance["flights"]))
     seeds = origin["seeds"]
     shown = titled_table(
@@ -161,12 +162,14 @@ def _exposure(rates: dict[str, EventRate]) -> str:
 
 
 def _alarms(rate: EventRate) -> str:
+    """A rate of false alarms with its interval."""
     if rate.per_hour is None:
         return "not counted"
     return f"{rate.events}: {rate.per_hour:.1f} per h [{rate.low:.1f}, {rate.high:.1f}]"
 
 
 def _threshold(model: Model) -> str:
+    """The limits above which a model raises an alarm, in short."""
     parameters = model.parameters
     if "sigmas" in parameters:
         return f"{parameters['sigmas']:g} deviations, {len(parameters['statistics'])} fields"

@@ -316,6 +316,7 @@ class NotedCalls:
         self._call("seal", state, time_us)
 
     def _call(self, method: str, *arguments: Any) -> Any:  # noqa: ANN401
+        """Call a method of the detector, noting its name for the message about a process that dies in it."""
         call = getattr(self._detector, method)
         note = _CurrentCall.note
         if note is None:

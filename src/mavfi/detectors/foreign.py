@@ -27,6 +27,8 @@ _LARGEST_EXPONENT = 1000
 """Largest exponent threshold of a code."""
 _BELOW = {"paper": 3, "tuned": 1}
 """Octaves between the code threshold and the largest magnitude or difference."""
+_BELOW_CONSTANT = 20
+"""Octaves between the assumed difference of a field that never changes and its magnitude."""
 
 
 def foreign_spec(name: str, fields: Sequence[str]) -> StateSpec:
@@ -78,6 +80,8 @@ def _thresholds(spec: StateSpec, recordings: Sequence[Sequence[State]], profile:
         raise BadInputError(
             f"training: {count} messages of {spec.name}; allowed: {SMALLEST_SAMPLE} or more that are normal"
         )
+
+    # All values, and their changes within each recording.
     tables = [np.array([state.header[0].item() for state in states]) for states in recordings if states]
     values = np.concatenate(tables)
     if not np.isfinite(values).all():
@@ -90,6 +94,8 @@ def _thresholds(spec: StateSpec, recordings: Sequence[Sequence[State]], profile:
             measured = values
         largest = np.abs(measured).max(axis=0)
     largest = np.minimum(largest, np.finfo(np.float64).max)  # a difference may have overflowed
-    # Without any change, far below the value.
-    exponents = np.where(largest > 0, np.frexp(largest)[1] - 1, np.frexp(np.abs(values).max(axis=0))[1] - 1 - 20)
+
+    # Below the largest number that is coded; for a field that never changes, far below its value.
+    largest_values = np.abs(values).max(axis=0)
+    exponents = np.where(largest > 0, np.frexp(largest)[1] - 1, np.frexp(largest_values)[1] - 1 - _BELOW_CONSTANT)
     return [int(exponent) for exponent in np.clip(exponents - _BELOW[profile], _SMALLEST_EXPONENT, _LARGEST_EXPONENT)]

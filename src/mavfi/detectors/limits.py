@@ -15,9 +15,11 @@ NEAR = 4.0
 """Smallest bound on the distance between vehicle and start of a plan, or goal and its end (m): the planner searches for
 free space within 3 m."""
 _ROUNDING = 1.001
+"""Largest commanded speed / its limit: the limit is computed with rounding."""
 _CURVE_ERROR = 0.1
 """Position error of a trajectory point at constant velocity, since curves are sampled (m)."""
 _ACCELERATION_MARGIN = 1.2
+"""Largest acceleration between points of a trajectory / a_max."""
 _SHARPEST = 0.2
 """Length within which an interpolated trajectory may reverse: a plan entered at speed leaves its first corner as sharp
 as the available space requires (m)."""
@@ -26,7 +28,15 @@ _CLOCK_MARGIN = 1.5
 _SHORTEST_ALARM = 30.0
 """`time_to_collision` without a collision (s); others lie within the camera range, flown at a quarter of v_max."""
 _SLOW = 0.25
+"""Speed at which the camera range is flown / v_max."""
+_TRAVEL_MARGIN = 1.5
+"""Largest speed while a plan is made / v_max."""
+_ENTRY_TIME = 0.1
+"""Time in addition to the latency of planning in which the speed at the entry of a path may change (s)."""
+_LEAST_ENTRY = 1.0
+"""Smallest bound on that change (m/s)."""
 
+# Names of the numbers in the record: scalars, points (m) and flags.
 _SCALARS = (
     "speed",
     "command",
@@ -110,10 +120,14 @@ class MissionLimits:
         """Limits as the record read by compiled rules. Shape (1,)."""
         record = np.zeros(1, NUMBERS)
         # What the vehicle flies while a plan is made (m), and how much a velocity changes between points (m/s).
-        travel = 1.5 * self.v_max * (self.velocity_lag + 2.0 * self.plan_latency)
+        travel = _TRAVEL_MARGIN * self.v_max * (self.velocity_lag + 2.0 * self.plan_latency)
         change = _ACCELERATION_MARGIN * self.a_max * self.point_period
         if not self.held:
             change += 2.0 * self.v_max * min(1.0, self.v_max * self.point_period / _SHARPEST)
+        # A hold is at the place where the vehicle comes to rest, which only the profile of held points predicts (s).
+        lag = 0.0
+        if self.held:
+            lag = self.velocity_lag
         values = {
             "speed": SPEED_MARGIN * self.v_max,
             "command": _ROUNDING * self.command_limit * self.v_max,
@@ -123,10 +137,10 @@ class MissionLimits:
             "upper": np.array(self.flight[1]) + BOX_MARGIN,
             "longest_time": max(_SHORTEST_ALARM, self.camera_range / (_SLOW * self.v_max)),
             "near": max(NEAR, travel),
-            "entry": max(1.0, self.a_max * (self.plan_latency + 0.1)),
+            "entry": max(_LEAST_ENTRY, self.a_max * (self.plan_latency + _ENTRY_TIME)),
             "step": self.a_max * self.look_ahead * self.point_period + _CURVE_ERROR,
             "change": change,
-            "lag": self.velocity_lag if self.held else 0.0,
+            "lag": lag,
             "hold": SPEED_MARGIN * self.v_max * self.control_period,
             "slowest": self.control_period / (self.slowdown_cap * self.tracker_slowdown),
             "fastest": self.control_period / self.tracker_slowdown,

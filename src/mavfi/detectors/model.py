@@ -102,6 +102,7 @@ class Model:
         return array
 
     def _content(self) -> dict[str, Any]:
+        """What is stored of a model, without its digest."""
         return {"format": FORMAT, **{field.name: getattr(self, field.name) for field in fields(self)}}
 
     def save(self, folder: Path) -> Path:

@@ -255,10 +255,10 @@ def _model_of(
 ) -> tuple[Path, Model]:
     """The model of a detector that fits the mission, or is that of `trained_for`, and its file."""
     if trained_for:
-        wanted = dict(zip(("stack", "platform"), trained_for.split("/"), strict=True))
+        fitted_to = dict(zip(("stack", "platform"), trained_for.split("/"), strict=True))
     else:
-        wanted = {key: mission[key] for key in FITTED_TO}
-    name = model_name(wanted["stack"], wanted["platform"], factory.model_kind, profile)
+        fitted_to = {key: mission[key] for key in FITTED_TO}
+    name = model_name(fitted_to["stack"], fitted_to["platform"], factory.model_kind, profile)
     path = (models_dir or SHIPPED_MODELS) / f"{name}.json"
     shown = str(path)
     if models_dir is None:
@@ -280,7 +280,7 @@ def _model_of(
     if (model.kind, model.profile) != (factory.model_kind, profile):
         needed = f"{factory.model_kind}-{profile}"
         raise BadInputError(f"{path}: is a model {model.kind}-{model.profile}; needed: {needed}")
-    check_fits(model, **wanted)
+    check_fits(model, **fitted_to)
     return path, model
 
 

@@ -64,6 +64,7 @@ def can_save_kernels(loop: Loop) -> bool:
 
 
 def _succeeds(save: Callable[[], object]) -> bool:
+    """Whether an object can be saved."""
     try:
         save()
     except Exception:  # noqa: BLE001 - any exception of a user's object

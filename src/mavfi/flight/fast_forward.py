@@ -137,8 +137,10 @@ class SimulatedShare:
     """Share of the flights that was simulated.
 
     Attributes:
-        ticks: Control periods of all flights, of which `flown` were simulated; in those `shown`, a detector only
-            checked the publications of a known flight.
+        flights: Number of flights.
+        ticks: Control periods of all flights.
+        flown: Those of them that were simulated.
+        shown: Those in which a detector only checked the publications of a known flight.
         converged: Number of flights that converged to another one before their end.
     """
 
@@ -316,13 +318,14 @@ class FlightBranch:
 
     def store_checkpoint(self, instant: Instant) -> None:
         """Store a checkpoint at the current number of rows."""
-        self._checkpoints[len(self.loop.record.rows)] = self._checkpoint(instant)
+        self._checkpoints[len(self.loop.record.rows)] = self._new_checkpoint(instant)
 
     def store_checkpoints_from_now_on(self) -> None:
         """Take checkpoints at all further instants for them."""
         self.keeps_checkpoints = True
 
-    def _checkpoint(self, instant: Instant | None) -> Checkpoint:
+    def _new_checkpoint(self, instant: Instant | None) -> Checkpoint:
+        """A checkpoint of the record so far, with the state of the loop at it; None = the flight has ended."""
         record = self.loop.record
         injector = self.loop.taps.injector
         assert isinstance(injector, (CounterWatch, StateInjector))  # installed in every flight of this class
@@ -440,14 +443,14 @@ class FlightBranch:
             else:
                 self._log = loop.flight().log
         loop.taps.recorders.clear()
-        return KnownFlight(self._log, record.rows, self.publications, self._checkpoints, self._checkpoint(None))
+        return KnownFlight(self._log, record.rows, self.publications, self._checkpoints, self._new_checkpoint(None))
 
     def _arrive_at_checkpoint(self) -> None:
         """Take a checkpoint if others may start here; reuse a known flight if the current state has converged to it."""
         rows = len(self.loop.record.rows)
         known_flight = None
         if self._is_settled() and self.comparable():
-            known_flight = self._converged()
+            known_flight = self._find_converged()
         if known_flight is None:
             if self.keeps_checkpoints:
                 # Instruction faults are injected after golden checkpoints: these need the work arrays of kernels, too.
@@ -466,13 +469,12 @@ class FlightBranch:
         injector = self.loop.taps.injector
         return not self.loop.awaited and not self.loop.requests and injector is not None and injector.spent
 
-    def _converged(self) -> KnownFlight | None:
+    def _find_converged(self) -> KnownFlight | None:
         """A known flight in the current state that can be followed from here; None = none."""
         loop = self.loop
         rows = len(self.loop.record.rows)
-        is_here: dict[
-            int, bool
-        ] = {}  # result of the comparison, which takes long, by instant: several flights share one
+        # Whether the loop is at an instant, by its identity: the comparison takes long, and several flights share one.
+        is_here: dict[int, bool] = {}
         known_flights = list(self._others)
         if self._own_golden is not None:
             known_flights.append(self._own_golden)
@@ -532,7 +534,7 @@ class FastForward:
         self._golden: dict[str, KnownFlight] = {}
         self._profile: Profile | None = None
         self._latest_fault: StateFault | None = None
-        self._same_fault: dict[str, KnownFlight] = {}
+        self._flights_with_fault: dict[str, KnownFlight] = {}
 
     def fly(
         self,
@@ -566,12 +568,12 @@ class FastForward:
         """The golden flight of an arm, flown on first use."""
         if arm.name not in self._golden:
             if arm.detector is None or takes_part(arm.detector, arm.recovery):
-                self._golden[arm.name] = self._simulated(arm)
+                self._golden[arm.name] = self._simulate_golden(arm)
             else:
-                self._golden[arm.name] = self._replayed(arm)
+                self._golden[arm.name] = self._replay_golden(arm)
         return self._golden[arm.name]
 
-    def _simulated(self, arm: FlownArm) -> KnownFlight:
+    def _simulate_golden(self, arm: FlownArm) -> KnownFlight:
         """A golden flight from take-off; the one without a detector leaves the profile."""
         loop = self.loop
         others = [self._golden[""]] if "" in self._golden else []
@@ -591,7 +593,7 @@ class FastForward:
         loop.record.publications.want_profile = False
         return known_flight
 
-    def _replayed(self, arm: FlownArm) -> KnownFlight:
+    def _replay_golden(self, arm: FlownArm) -> KnownFlight:
         """The golden flight with a detector that acts on alarms alone."""
         assert arm.detector is not None  # the other one is simulated
         plain = self.golden()
@@ -608,16 +610,17 @@ class FastForward:
         """The injected run; the one without a detector is kept for the other arms."""
         if arm.detector is None and "" in self._known_flights(fault):
             return self._known_flights(fault)[""]
-        return self._injected(fault, arm)
+        return self._fly_injected(fault, arm)
 
     def _known_flights(self, fault: StateFault) -> dict[str, KnownFlight]:
         """The injected runs that others may follow, by arm; those of the latest fault are kept."""
         if self._latest_fault != fault:
             self._latest_fault = fault
-            self._same_fault = {}
-        return self._same_fault
+            self._flights_with_fault = {}
+        return self._flights_with_fault
 
-    def _injected(self, fault: StateFault, arm: FlownArm) -> KnownFlight:
+    def _fly_injected(self, fault: StateFault, arm: FlownArm) -> KnownFlight:
+        """The injected run of an arm, flown with as much of the known flights as possible."""
         # Start from the golden flight of the arm at its last checkpoint before the fault.
         own_golden = self.golden(arm)
         rows = own_golden.before(fault.time_us)

@@ -419,6 +419,7 @@ class Forks(Listener):
         return None
 
     def _inject(self, case: FaultCase, function: Any, args: tuple[Any, ...]) -> CallResult | None:
+        """Fork at a call; returns its result in a child, None in the golden flight, which makes the call itself."""
         # 1. Find the fault in the code of this call; if calls have shifted, it may be in a later one.
         variant = variant_for(function, args, self._rewriting)
         fault = self._fault_in(case.fault, variant, function, args)
@@ -551,6 +552,7 @@ class Forks(Listener):
         self._end(ChildReport(log, child.output, child.call_same, published=publications, watched=watched or {}))
 
     def _end(self, report: ChildReport) -> NoReturn:
+        """End this child with a report."""
         assert self.child is not None  # called in children only
         self.child.point.finish(pickle.dumps(report))
 
@@ -659,11 +661,11 @@ class FromTakeOff(GoldenApproach):
         # Count the calls of all functions with faults, in kernels and detectors.
         faults = [case.fault for case in cases if case.fault.has_site]
         entries = tuple(dict.fromkeys(fault.entry for fault in faults if fault.kernel not in DETECTORS))
-        self.loop = new_loop(scenario, functions=PLAIN.instrumented(entries, self._counted))
+        self.loop = new_loop(scenario, functions=PLAIN.instrumented(entries, self._count_calls))
         for source in {fault.kernel for fault in faults if fault.kernel in DETECTORS}:
             part = part_of(detector, source)
             entries_of_source = {fault.entry for fault in faults if fault.kernel == source}
-            part.instrument({entry: self._counted(entry, part.compiled[entry]) for entry in entries_of_source})
+            part.instrument({entry: self._count_calls(entry, part.compiled[entry]) for entry in entries_of_source})
         for function in self._functions:
             function.attach(self.loop)
 
@@ -673,11 +675,13 @@ class FromTakeOff(GoldenApproach):
             self.loop.taps.recorders.append(self._record)
         self._restarts = Restarts(self.loop, scenario.dead_node)
 
-    def _counted(self, entry: str, function: Callable[..., Any]) -> CountedFunction:
+    def _count_calls(self, entry: str, function: Callable[..., Any]) -> CountedFunction:
+        """The function with a counter of its calls."""
         self._functions.append(CountedFunction(entry, function))
         return self._functions[-1]
 
     def _record(self, state: State, now: int) -> None:
+        """Record a publication."""
         assert self.publications is not None  # this is a recorder only then
         self.publications.append((state.copy(), now))
 
@@ -768,7 +772,7 @@ class FromCheckpoints(GoldenApproach):
                 function.intercept = None
 
     def _checkpoint_before(self, golden: KnownFlight, case: FaultCase) -> int:
-        """Number of rows of the last checkpoint before the injected call."""
+        """Number of rows of the last checkpoint of a golden flight before the injected call."""
         count_index = list(self.loop.record.calls).index(case.fault.entry)  # calls come first in the counts
         checkpoints = golden.checkpoints.items()
         return max(rows for rows, checkpoint in checkpoints if checkpoint.counts[count_index] <= case.call)

@@ -60,11 +60,11 @@ class RunResult:
 
     Attributes:
         flight_record: The record.
-        passed: Calls of an error-free run of a program, from which faults are drawn.
+        calls: Calls of an error-free run of a program, from which faults are drawn.
     """
 
     flight_record: FlightRecord
-    passed: tuple[Any, ...] = ()
+    calls: tuple[Any, ...] = ()
     profile: None = None
 
     def record(self) -> FlightRecord:

@@ -60,7 +60,7 @@ class RecordLayout:
 
     Args:
         kind: Name of the type.
-        leaves: Place of each number, by its name.
+        leaves: Location of each number, by its name.
     """
 
     def __init__(self, kind: str, leaves: Mapping[str, Leaf]) -> None:
@@ -158,64 +158,79 @@ def reading(path: Path, kind: str) -> Iterator[None]:
         raise BadInputError(f"{path}: is not {kind} that can be read ({reason(error)})") from None
 
 
-def check_topics(path: Path, topics: Sequence[str], held: Collection[str]) -> None:
+def check_topics(path: Path, topics: Sequence[str], topics_of_file: Collection[str]) -> None:
     """Refuse topics that a file does not hold."""
     for topic in topics:
-        if topic not in held:
-            raise BadInputError(f"{path}: holds no topic {topic}; allowed: {allowed(held, topic)}")
+        if topic not in topics_of_file:
+            raise BadInputError(f"{path}: holds no topic {topic}; allowed: {allowed(topics_of_file, topic)}")
 
 
 # ---- monitored numbers ------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Probe:
-    """Extracts the monitored fields of a topic's messages, as a state of `spec`."""
+    """Extracts the monitored fields of a topic's messages.
 
-    definition: Layout
+    Attributes:
+        layout: Layout of the messages.
+        spec: Specification of the state that they become, with a field for each monitored number.
+    """
+
+    layout: Layout
     spec: StateSpec
 
     def read(self, message: bytes) -> State | None:
         """The field values; None if the message lacks any of them."""
         try:
-            leaves = [self.definition.locate(message, field.name) for field in self.spec.header]
+            leaves = [self.layout.locate(message, field.name) for field in self.spec.header]
         except AbsentError:
             return None
         return foreign_state(self.spec, [float(leaf.value(message)) for leaf in leaves])
 
 
-def make_probes(first: Mapping[str, tuple[Layout, bytes]], wanted: Sequence[str]) -> dict[str, Probe]:
-    """The probe of each topic.
+def make_probes(examples: Mapping[str, tuple[Layout, bytes]], requested: Sequence[str]) -> dict[str, Probe]:
+    """The probe of each topic that has a monitored number.
 
     Args:
-        first: Definition and one message, by topic.
-        wanted: Field paths, each for every topic that has it, or `topic:path` for one topic; empty = all numbers.
+        examples: Layout and one message, by topic.
+        requested: Field paths, each for every topic that has it, or `topic:path` for one topic; empty = all numbers.
 
     Raises:
         BadInputError: A field that no topic has or that is not numeric; no fields at all; too many.
     """
-    fields: dict[str, list[str]] = {topic: [] for topic in first}
-    for name in wanted:
-        _assign(name, first, fields)
-    if not wanted:
-        fields = {topic: definition.numbers(message, LONGEST_LIST) for topic, (definition, message) in first.items()}
+    fields: dict[str, list[str]] = {topic: [] for topic in examples}
+    for name in requested:
+        _assign(name, examples, fields)
+    if not requested:
+        fields = {topic: layout.numbers(message, LONGEST_LIST) for topic, (layout, message) in examples.items()}
     count = sum(map(len, fields.values()))
     if not 0 < count <= _MOST_FIELDS:
-        raise BadInputError(f"--fields: {count} numbers in {', '.join(first)}; allowed: 1 to {_MOST_FIELDS}, name them")
-    return {topic: Probe(first[topic][0], foreign_spec(topic, paths)) for topic, paths in fields.items() if paths}
+        topics = ", ".join(examples)
+        raise BadInputError(f"--fields: {count} numbers in {topics}; allowed: 1 to {_MOST_FIELDS}, name them")
+    probes = {}
+    for topic, paths in fields.items():
+        if paths:
+            layout, _ = examples[topic]
+            probes[topic] = Probe(layout, foreign_spec(topic, paths))
+    return probes
 
 
-def _assign(name: str, first: Mapping[str, tuple[Layout, bytes]], fields: dict[str, list[str]]) -> None:
-    """Assign a requested field to its topics."""
+def _assign(name: str, examples: Mapping[str, tuple[Layout, bytes]], fields: dict[str, list[str]]) -> None:
+    """Add a requested field to those of its topics; `fields` is updated."""
+    # the topic that is named, or all
     topic, colon, path = name.rpartition(":")
-    candidates = list(first)
+    candidates = list(examples)
     if colon:
-        candidates = [_full(topic, first)]
-        if candidates[0] not in first:
-            raise BadInputError(f"field {name}: topic {topic}: not watched; allowed: {allowed(first)}")
+        candidates = [_with_slash(topic, examples)]
+        if candidates[0] not in examples:
+            raise BadInputError(f"field {name}: topic {topic}: not watched; allowed: {allowed(examples)}")
+
+    # those of them that have it: at least one
     refusal: BadInputError | None = None  # of the first topic that lacks it
     is_assigned = False
     for candidate in candidates:
         try:
-            first[candidate][0].check(path)
+            layout, _ = examples[candidate]
+            layout.check(path)
         except BadInputError as error:
             refusal = refusal or error
         else:
@@ -225,8 +240,8 @@ def _assign(name: str, first: Mapping[str, tuple[Layout, bytes]], fields: dict[s
         raise refusal
 
 
-def _full(topic: str, first: Mapping[str, tuple[Layout, bytes]]) -> str:
+def _with_slash(topic: str, topics: Collection[str]) -> str:
     """Name of a topic, with the slash of ROS if it was omitted."""
-    if topic in first:
+    if topic in topics:
         return topic
     return "/" + topic.removeprefix("/")

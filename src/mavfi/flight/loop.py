@@ -139,7 +139,7 @@ class Sensors:
         return range(0)
 
     def depth(self) -> State:
-        """A depth image with the believed pose."""
+        """A depth image with the pose at which consumers take it to be recorded."""
         ranges, pose = self._plant.depth()
         state = new_state("sensor.depth", len(ranges))
         if self.estimating:
@@ -319,6 +319,12 @@ class Loop:
             the additional time (us).  None = results are published unverified.
         repeating: Whether the current step repeats another one for verification.
         forked: Whether this process was forked for an injected call.
+        mapped: Whether the map contains the scan in progress, whose collision check has not ended.
+        captured_us: Instant of the last image (us).
+        failed_plans: Number of consecutive plans without a path.
+        command: The command in force: velocity (m/s) and yaw rate (rad/s). Shape (4,).
+        reference: Position of the way-point in force (m). Shape (3,).
+        status: The final status; None = the mission continues.
     """
 
     def __init__(
@@ -452,6 +458,7 @@ class Loop:
             listener.after_tick(now)
 
     def _control_period(self, now: int) -> None:
+        """Sample the sensors, start the periodic kernels, and schedule the next control period."""
         self.sense(now)
         for later in self.sensors.samples_between(now, now + CONTROL_PERIOD_US):
             self.at(later, "sense")
@@ -541,6 +548,7 @@ class Loop:
             self._next_image(now)
 
     def _next_image(self, now: int) -> None:
+        """Schedule the next image: now, but not before the camera has one."""
         self.at(max(now, self.captured_us + self.scenario.camera.period_us), "capture")
 
     def resend(self, now: int, state: State) -> None:
@@ -567,17 +575,21 @@ class Loop:
             route(self, state, now)
 
     def _command_vehicle(self, state: State, now: int) -> None:
+        """The flight controller receives a command."""
         values = floats(state.header, 5)
         self.command = values[:4].copy()
         self.plant.command(self.command, float(values[4]))
 
     def _see_estimate(self, state: State, now: int) -> None:
+        """Later images carry the pose of this estimate."""
         self.sensors.see(state)
 
     def _set_reference(self, state: State, now: int) -> None:
+        """Later rows of the record have this way-point as their reference."""
         self.reference = floats(state.header, 3).copy()
 
     def _end_mapping(self, state: State, now: int) -> None:
+        """The map contains the scan: the collision check that follows ends perception."""
         self.mapped = True
 
     def _end_perception(self, state: State, now: int) -> None:

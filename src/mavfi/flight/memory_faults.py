@@ -92,6 +92,7 @@ class MemoryInjector(Injector):
             loop.at(fault.time_us, _ACTION)
 
     def _inject(self, now: int) -> None:
+        """Flip the bit, if the word exists, and guard the kernel or detector from now on."""
         fault = self._fault
         loop = self._loop
         holder = memory_of(loop, fault.kernel, self._detector)
@@ -120,6 +121,8 @@ class MemoryInjector(Injector):
                 setattr(part, name, self._guarded(getattr(part, name), answer))
 
     def _guarded(self, method: Callable[..., Any], answer: Callable[[], Any]) -> Callable[..., Any]:
+        """A method whose exceptions terminate the node; it then answers with a neutral value."""
+
         def call(*arguments: Any) -> Any:
             try:
                 return method(*arguments)
@@ -134,6 +137,7 @@ class MemoryInjector(Injector):
         return call
 
     def _die(self) -> None:
+        """Terminate the node of the kernel, or the detector."""
         target = self._fault.kernel
         now = self._loop.now
         if self._detector is not None and target in DETECTORS:

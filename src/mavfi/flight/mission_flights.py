@@ -242,6 +242,7 @@ class LocalFlights(ArmFlights):
     def _fly_instruction_faults(
         self, arm: str, faults: Sequence[InstructionFault], arms: Collection[str]
     ) -> InjectedRuns:
+        """Fly an arm with each of several faults in instructions, and `arms` as far as they follow from it."""
         setup = self._arms[arm]
         detector = self._detector(arm)
         golden = self._golden.get(arm)

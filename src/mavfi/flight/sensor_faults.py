@@ -99,18 +99,20 @@ class SensorInjector(Injector):
         return state
 
     def _image(self, state: State, time_us: int) -> State:
+        """A depth image with the changes that failing sensors cause in its pose and ranges."""
         pose = floats(state.header, 7)
         ranges = state.elements["range"]
+        # Without an estimator, the pose is measured; an estimator's has its errors already.
         if not self._estimating:
-            believed = self._failures.state(time_us, self._plant.odometry)
-            if believed is not self._plant.odometry:
-                pose = np.concatenate([believed[:3], believed[6:10]])
-        seen = _with_header(state, pose)
+            measured = self._failures.state(time_us, self._plant.odometry)
+            if measured is not self._plant.odometry:
+                pose = np.concatenate([measured[:3], measured[6:10]])
+        image = _with_header(state, pose)
         failed_ranges = self._failures.ranges(time_us, ranges)
         if failed_ranges is not ranges:
-            seen = seen.copy()
-            seen.elements["range"] = failed_ranges
-        return seen
+            image = image.copy()
+            image.elements["range"] = failed_ranges
+        return image
 
     def finish(self) -> list[Injection]:
         """The injection, or a record that it was not activated."""

@@ -127,7 +127,7 @@ class Instruction:
 
 
 @dataclass(slots=True)
-class Block:
+class BasicBlock:
     """A basic block: phis, allocations on the stack, the body, and the terminator.
 
     Attributes:
@@ -169,7 +169,7 @@ class Function:
     linkage: str
     kind: str
     parameters: list[tuple[str, str]]
-    blocks: list[Block] = field(default_factory=list)
+    blocks: list[BasicBlock] = field(default_factory=list)
     location: int | None = None
 
     def head(self) -> str:

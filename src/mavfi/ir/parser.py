@@ -8,7 +8,7 @@ import re
 from itertools import takewhile
 
 from mavfi.ir.metadata import variable_of
-from mavfi.ir.module import Block, Function, Instruction, Module, NotInstrumentableError, holds_pointer, parts
+from mavfi.ir.module import BasicBlock, Function, Instruction, Module, NotInstrumentableError, holds_pointer, parts
 
 _OUTSIDE = re.compile(r'@"?(?:_ZN7cpython|cfunc\.|NRT_|nrt_|numba_|\.dtor|__excinfo)')
 """Numba's wrappers and runtime: linked into every module, but not part of a kernel."""
@@ -110,9 +110,9 @@ class _Reader:
         self._rename(function)
         return function
 
-    def _block(self, label: str, number: int) -> Block:
+    def _block(self, label: str, number: int) -> BasicBlock:
         """A block, with a short name for its label."""
-        return Block(self.names.setdefault(label, f"%b{number}"))
+        return BasicBlock(self.names.setdefault(label, f"%b{number}"))
 
     def _head(self, head: str) -> Function:
         """The function without blocks, from the first line of its definition."""
@@ -153,7 +153,7 @@ class _Reader:
         if unknown:
             raise NotInstrumentableError(self.kernel, f"function attribute {unknown[0]!r}")
 
-    def _line(self, line: str, block: Block) -> None:
+    def _line(self, line: str, block: BasicBlock) -> None:
         """Read an instruction or a debug record, and add it to its block."""
         if line.startswith("#dbg_"):
             self.variables.update(variable_of(line, self.metadata))

@@ -31,6 +31,7 @@ NULL = "null"
 """Target of null runs: the complete path through the injector, with an empty mask; and the text of such a fault."""
 DECIMAL = r"\d+(\.\d*)?"
 """Pattern of a number that is not negative, without exponent."""
+# Values of options in the text of a fault: pattern, description, type.
 WHOLE = (r"\d+", "a whole number", int)
 """An option whose value is a whole number, see `Level.options`: pattern, description, type."""
 SECONDS = (rf"inf|{DECIMAL}", "a number of seconds, or inf", float)

@@ -77,11 +77,14 @@ class MemoryRequest:
             check_watched(self.kernel, setup.detector())
         else:
             setup = replace(setup, make_detector=None)
+
         # Draw while the golden flight is flown.
         random = stream(seed, "memory", self.kernel)
         exposure = Exposure(((self.kernel, self.field),), "", self.bit, [_Drawing(random, seed)])
         golden = fly_exposed(setup, [exposure], self.time_us)
         (fault,) = exposure.faults()
+
+        # Without a site, say which words the target remembers instead.
         if not fault.has_site:
             names = collapsed(words.name for words in exposure.latest.get(self.kernel, ()))
             bit = ""
@@ -205,12 +208,14 @@ def fly_exposed(setup: "ArmSetup", exposures: Sequence[Exposure], time_us: int |
     targets = dict.fromkeys(target for exposure in exposures for target, _ in exposure.sites)
 
     def words(target: str) -> list[Words]:
+        """The words that a target remembers now."""
         holder = memory_of(loop, target, detector)
         if holder is None:
             return []
         return list(words_of(holder))
 
     def look(now: int) -> None:
+        """Show them to the exposures."""
         remembered = {name: words(name) for name in targets}
         for exposure in exposures:
             exposure.observe(remembered, now)
@@ -238,6 +243,7 @@ class MemorySampling(Sampling):
 
     @model_validator(mode="after")
     def _consistent(self) -> "MemorySampling":
+        """Check names of kernels, groups and strata."""
         check_distinct("sampling.kernels", self.kernels)
         check_distinct("sampling.groups", [group.name for group in self.groups])
         if self.strata is not None:

@@ -77,6 +77,7 @@ class SensorSampling(Sampling):
 
     @model_validator(mode="after")
     def _consistent(self) -> "SensorSampling":
+        """Check names of units and kinds of failures."""
         check_known("sampling.units", self.units, UNITS)
         check_known("sampling.types", self.types, FAILING)
         check_distinct("sampling.units", self.units)

@@ -187,6 +187,7 @@ class StateSampling(Sampling):
 
     @model_validator(mode="after")
     def _consistent(self) -> "StateSampling":
+        """Check that the keys belong to the scheme, and that names are known and distinct."""
         for key, value in (("groups", self.groups), ("messages", self.messages)):
             if value and self.scheme != key:
                 raise ValueError(f"sampling.scheme: {self.scheme!r}: allowed with the key {key}: {key}")

@@ -9,11 +9,11 @@ from mavfi.kernels.perception import state_estimation as filtering
 from mavfi.pipeline.memory import Memory, Remembers, zeros
 from mavfi.states import ODOMETRY, Stage, State, floats, new_state
 
-AT_REST = filtering.InitialSpread(velocity=0.02, tilt=0.01, force_bias=0.002, rate_bias=0.0002)
+AT_REST = filtering.Spread(velocity=0.02, tilt=0.01, force_bias=0.002, rate_bias=0.0002)
 """Initial uncertainty: before take-off the vehicle is at rest and level."""
-IN_FLIGHT = filtering.InitialSpread(velocity=2.0, tilt=0.3, force_bias=0.05, rate_bias=0.005)
+IN_FLIGHT = filtering.Spread(velocity=2.0, tilt=0.3, force_bias=0.05, rate_bias=0.005)
 """Uncertainty after a re-initialization: of the motion nothing is known."""
-READ_BACK = filtering.InitialSpread(velocity=0.2, tilt=0.03, force_bias=0.002, rate_bias=0.0002)
+READ_BACK = filtering.Spread(velocity=0.2, tilt=0.03, force_bias=0.002, rate_bias=0.0002)
 """Uncertainty after a restart with the last output, which is some control periods old."""
 _MOVED = 1.0
 """Standard deviation of the position after such a restart (m): the first fix corrects it."""

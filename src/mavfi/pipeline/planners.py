@@ -172,6 +172,7 @@ class Rrt(SamplingSearch):
         self.scratch = SearchScratch(arrays_of((self._tree, self._path, self._buffer)))
 
     def _run(self, problem: _Problem) -> int:
+        """See `SamplingSearch`."""
         config = self._config
         return int(
             self.functions.plan_rrt(
@@ -189,6 +190,7 @@ class RrtConnect(SamplingSearch):
         self.scratch = SearchScratch(arrays_of((self._trees, self._path, self._buffer)))
 
     def _run(self, problem: _Problem) -> int:
+        """See `SamplingSearch`."""
         return int(
             self.functions.plan_rrt_connect(
                 *problem, self._config.range, self._config.iterations, self.random, self._trees, self._path
@@ -210,6 +212,7 @@ class RrtStar(SamplingSearch):
         self._tree = rrt_star.new_tree(nodes)
 
     def _run(self, problem: _Problem) -> int:
+        """See `SamplingSearch`."""
         config = self._config
         return int(
             self.functions.plan_rrt_star(

@@ -41,6 +41,12 @@ _REACH_SHARE = 0.7
 """Reach of a polynomial at a corner / that of a blend with the same depth of cut."""
 _KNOT_TIME = 0.5
 """Knot spacing on a straight leg / v_max (s)."""
+_HELD_SPEED_SHARE = 0.97
+"""Top speed / v_max where points are held: their tracking lags a little, and the vehicle must not fall behind."""
+_VERTEX_SPACING = 0.7
+"""Least distance of the vertices along the trajectory in force (m)."""
+_JUNCTION_SPACING = 0.5
+"""Least distance of the last of them from the junction (m)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +133,8 @@ class TrajectoryGenerator(Remembers):
         """Points of the trajectory along the stored path; none if there is no path, or it is too long."""
         config = self._config
         path = self.memory.path
+
+        # The vertices, from the vehicle on.
         vertices = rows(path.elements, 3)
         motion = _Motion(path.value("entry_speed"))
         if len(vertices) and self._splices:
@@ -134,11 +142,15 @@ class TrajectoryGenerator(Remembers):
         vertices = _without_repeats(vertices)
         if len(vertices) < 2 or len(vertices) > MOST_VERTICES:
             return np.zeros((0, POINT_WIDTH))
+
+        # Dense points, one per control period; corners are blended if no polynomial is feasible.
         n = 0
         if config.autopilot.smoothing == "minimum_snap":
             n = self._polynomials(vertices, motion)
         if n == 0:
             n = self._blends(vertices, motion.speed)
+
+        # Each of the points that are published is held for several periods, unless the consumer interpolates.
         step = self._step
         if n == 0 or config.autopilot.sampling == "interpolated":
             return self._dense[:n]
@@ -149,8 +161,7 @@ class TrajectoryGenerator(Remembers):
     def _limits(self) -> timing.Limits:
         """Limits of speed and acceleration for timing, by the autopilot profile."""
         config = self._config
-        # held points are tracked with a small delay: a speed margin prevents the vehicle from falling behind
-        top_speed = 0.97 * config.v_max
+        top_speed = _HELD_SPEED_SHARE * config.v_max
         tight_speed = top_speed
         if self._splices:
             top_speed = config.v_max
@@ -247,11 +258,11 @@ class TrajectoryGenerator(Remembers):
             junction = min(stand, len(points) - 1)
             tail = np.vstack([points[junction, :3], vertices])
 
-        # Vertices up to there, at least 0.7 m from each other and 0.5 m from the junction.
+        # Vertices up to there.
         head = [waypoint[:3].copy()]
         last = arc[index]
         for k in range(index, junction):
-            if arc[k] - last >= 0.7 and arc[junction] - arc[k] >= 0.5:
+            if arc[k] - last >= _VERTEX_SPACING and arc[junction] - arc[k] >= _JUNCTION_SPACING:
                 head.append(points[k, :3])
                 last = arc[k]
         motion = _Motion(speed, waypoint[4:7].copy(), waypoint[7:10].copy(), float(waypoint[3]))

@@ -93,7 +93,7 @@ def change(kernel: Remembers, name: str, index: int, apply: Change) -> tuple[Any
         if array is not None:
             return _apply(array.reshape(-1)[index : index + 1], apply)
     first, *rest = _PARTS.findall(name)
-    changed_copy, before, after = _changed(getattr(kernel.memory, first), rest, index, apply)
+    changed_copy, before, after = _with_changed_word(getattr(kernel.memory, first), rest, index, apply)
     setattr(kernel.memory, first, changed_copy)
     return before, after
 
@@ -151,7 +151,7 @@ def _apply(word: np.ndarray, apply: Change) -> tuple[Any, Any]:
     return before, word[0].item()
 
 
-def _changed(value: Any, path: list[str], index: int, apply: Change) -> tuple[Any, Any, Any]:
+def _with_changed_word(value: Any, path: list[str], index: int, apply: Change) -> tuple[Any, Any, Any]:
     """Copy of a value with one word modified, and that word before and after; the original may be shared.
 
     `path` leads from the value to the word.
@@ -174,14 +174,14 @@ def _changed(value: Any, path: list[str], index: int, apply: Change) -> tuple[An
     # It is in an attribute, or in an item of a container: change that, and put it into a copy of this value.
     first, *rest = path
     if isinstance(value, Memory):
-        inner, before, after = _changed(getattr(value, first), rest, index, apply)
+        inner, before, after = _with_changed_word(getattr(value, first), rest, index, apply)
         memory = value.copy()
         object.__setattr__(memory, first, inner)  # the class may be frozen
         return memory, before, after
     key: Any = int(first)
     if isinstance(value, dict):
         key = list(value)[key]  # names have the position of an item
-    inner, before, after = _changed(value[key], rest, index, apply)
+    inner, before, after = _with_changed_word(value[key], rest, index, apply)
     # A tuple cannot be changed: build another one, with the same names.
     if isinstance(value, tuple):
         items = (*value[:key], inner, *value[key + 1 :])

@@ -95,9 +95,9 @@ def _markdown(report: CampaignReport, captions: Mapping[str, str], today: str) -
 def _readme_block(runs: Runs, table: Table, today: str) -> str:
     """The leading table of a report, with campaign, versions, digest and notes."""
     campaign = runs.campaign
-    mavfi, *packages = versions(campaign)
+    version_of_mavfi, *package_versions = versions(campaign)
     origin = (
-        f"Generated on {today} by {mavfi} ({', '.join(packages)}): "
+        f"Generated on {today} by {version_of_mavfi} ({', '.join(package_versions)}): "
         f"{'; '.join([campaign['title'], *campaign['lines']])}; "
         f"{campaign['done']} runs, digest `{campaign['digest'][:16]}`."
     )
@@ -115,17 +115,19 @@ def markdown_table(table: Table) -> str:
 def _grid(table: Table) -> str:
     """Format the cells; a first cell equal to the one above is left empty."""
     columns, rows = shown(table)
-    lines = []
-    above = ""
+    cells = []
+    first_above = ""
     for first, *others in rows:
-        if first == above:
-            lines.append(["", *others])
+        if first == first_above:
+            cells.append(["", *others])
         else:
-            lines.append([first, *others])
-        above = first
-    texts = sum(1 for _ in takewhile(lambda column: column.form == TEXT, columns))
-    return markdown_grid([column.heading for column in columns], lines, max(2, table.keys, texts))
+            cells.append([first, *others])
+        first_above = first
+    # leading columns that are aligned left: those that identify the row, and other texts
+    leading_texts = sum(1 for _ in takewhile(lambda column: column.form == TEXT, columns))
+    return markdown_grid([column.heading for column in columns], cells, max(2, table.keys, leading_texts))
 
 
 def _list(lines: Iterable[str]) -> str:
+    """Format lines as an unordered list."""
     return "\n".join(f"- {line}" for line in lines)

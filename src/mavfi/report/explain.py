@@ -259,6 +259,7 @@ def published_field(first: Mapping[str, Any]) -> str:
 
 
 def _first_difference(first: FirstDifference | None) -> str:
+    """The first publication that differs from that of the golden run, in a sentence."""
     if first is None:
         return "none: every published value is bit for bit that of the golden run"
     golden_us = first.golden_us
@@ -284,6 +285,7 @@ def _first_difference(first: FirstDifference | None) -> str:
 
 
 def _path(departure: Departure) -> str:
+    """Deviation from the path of the golden run, and the delay at the end, in a sentence."""
     delay = ""
     if departure.behind_s is not None and abs(departure.behind_s) >= _SHORTEST_DELAY:
         order = "behind" if departure.behind_s > 0 else "ahead of"
@@ -346,6 +348,7 @@ def _key(alarm: AlarmRecord) -> tuple[str, int]:
 
 
 def _alarm(alarm: AlarmRecord, *, in_golden: bool) -> str:
+    """An alarm with its response, and what became of it."""
     text = f"{alarm.time_s:.3f} s, {alarm.source}: {', '.join(alarm.fields) or alarm.state or alarm.stage}, "
     text += f"score {alarm.score:.3g}; {alarm.action} {alarm.stage}: {alarm.outcome}"
     if in_golden:

@@ -181,6 +181,7 @@ def _axes(lower: np.ndarray, upper: np.ndarray, rows: int) -> tuple[Figure, View
 
 
 def _draw_world(views: Views, world: World, course: np.ndarray) -> None:
+    """Draw the obstacles of a world: boxes, or the solid voxels of a scan near the path."""
     if world.is_voxels:
         _draw_scan(views, world, course)
         return
@@ -324,6 +325,7 @@ def _draw_marks(figure: Figure, views: Views, marks: list[_Drawn]) -> list[Line2
 
 
 def _label(figure: Figure, views: Views, flight: Flight, title: str) -> None:
+    """Write the title, what is flown with which fault, the axes, and what each view shows."""
     (above, _), (side, _) = views
     scenario = flight.log.meta["scenario"]
     height = figure.get_figheight()

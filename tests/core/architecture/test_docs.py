@@ -12,7 +12,10 @@ from mavfi.dropped import OPTIONS
 from tests.core.architecture.source import ROOT
 from tools import build_pages, results
 
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "tests/README.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
 DOCS = ROOT / "docs"
 
 
@@ -99,6 +102,20 @@ def test_commands_that_are_named_exist(page):
         if page.name == "CHANGELOG.md":
             everywhere |= {name.split()[-1] for name in OPTIONS}  # what earlier versions had
         assert options <= known | everywhere, f"{command.name}: {options - known}"
+
+
+def test_every_test_that_is_named_exists():
+    tests = ROOT / "tests"
+    rows = [line for line in text(tests / "README.md").splitlines() if line.startswith("| ")]
+    missing = []
+    for row in rows:
+        path = tests
+        for file, name in re.findall(r"`([^`:]*)(?:::(\w+))?`", row.rpartition(" | ")[2]):
+            if file:  # otherwise the test is in the file before it
+                path = tests / file
+            if not path.exists() or (name and f"def {name}(" not in text(path)):
+                missing.append(f"{path.relative_to(tests)}::{name}")
+    assert rows and missing == []
 
 
 def test_decisions_are_numbered_without_gaps_and_say_their_status():

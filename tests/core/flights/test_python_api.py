@@ -7,7 +7,7 @@ import runpy
 import pytest
 
 import mavfi
-from tools.build_notebook import NOTEBOOK, PAGE, executed
+from tools.build_notebook import NOTEBOOK, PAGE, execute_page
 from tools.markers import ROOT
 
 
@@ -22,7 +22,7 @@ def said(cells):
 @pytest.mark.slow
 def test_the_notebook_is_the_page_with_what_its_blocks_answer():
     written = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
-    assert said(executed(PAGE.read_text(encoding="utf-8"))) == said(written), "run `make docs`"
+    assert said(execute_page(PAGE.read_text(encoding="utf-8"))) == said(written), "run `make docs`"
 
 
 def test_names_of_the_page_are_public():

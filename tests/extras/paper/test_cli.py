@@ -199,7 +199,7 @@ def trained(monkeypatch):
     """Autopilot profiles that detectors were trained for; nothing is flown."""
     found = []
     monkeypatch.setattr(
-        "mavfi.extras.paper.cli._trained", lambda campaign, *_: campaign.mission.get("autopilot") in found
+        "mavfi.extras.paper.cli._is_trained", lambda campaign, *_: campaign.mission.get("autopilot") in found
     )
     no_report(monkeypatch)
     monkeypatch.setattr("mavfi.campaign.run.run_campaigns", lambda *_, **__: None)

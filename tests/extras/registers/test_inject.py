@@ -157,7 +157,7 @@ def test_a_symbol_that_is_unknown_or_ambiguous_is_refused(spin, symbol):
     ("pid", "message"),
     [
         (4_194_000, "there is no such process"),
-        (os.getpid(), "is mavfi itself"),
+        pytest.param(os.getpid(), "is mavfi itself", id="mavfi itself"),
         (1, "pid 1: is init"),
         (-1, "pid: -1: allowed:"),
     ],

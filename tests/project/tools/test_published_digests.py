@@ -12,7 +12,7 @@ from mavfi.report.text import short
 from tools import published_digests
 from tools.markers import DOCS, ROOT
 
-KNOWN = published_digests.known()
+KNOWN = published_digests.stored_digests()
 QUICK = pytest.mark.skipif(
     "quick" not in KNOWN, reason="README.md has no digests of scale quick: `make reproduce readme` adds them"
 )

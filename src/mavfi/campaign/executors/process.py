@@ -112,6 +112,7 @@ class Worker(Generic[T]):
         return items
 
     def _receive(self) -> Any:
+        """The next item of the process; if the process has died, why."""
         try:
             return self.pipe.recv()
         except (EOFError, OSError) as error:

@@ -72,7 +72,9 @@ def leaves(value: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
         yield prefix, float(value)
         return
     for key, item in _items(value):
-        path = f"{prefix}.{key}" if prefix else str(key)
+        path = str(key)
+        if prefix:
+            path = f"{prefix}.{key}"
         yield from leaves(item, path)
 
 
@@ -347,15 +349,19 @@ class Boundary:
         except BadInputError:
             return value
 
+        # the injection names the argument, not its number; that of a null fault has no bit
         if in_return:
             names = (RETURN, *path)
         else:
             names = (CALLS[name].arguments[int(path[0])], *path[1:])
+        bit = None
+        if fault.bit is not None:
+            bit = flipped_once.bit
         self.injection = Injection(
             "message",
             fault.site,
             1e-6 * now_us,
-            None if fault.bit is None else flipped_once.bit,
+            bit,
             flipped_once.before,
             after,
             True,

@@ -98,7 +98,9 @@ def floats(view: CameraView, kind: int, sky: float) -> list[float]:
     check_kind(kind)
     if kind not in (PLANAR, PERSPECTIVE, DISPARITY):
         raise BadInputError(f"image type {kind} as floats: not drawn; allowed: {PLANAR}, {PERSPECTIVE}, {DISPARITY}")
-    depth = view.ranges if kind == PERSPECTIVE else view.planar()
+    depth = view.planar()
+    if kind == PERSPECTIVE:
+        depth = view.ranges
     if kind == DISPARITY:
         depth = np.where(np.isfinite(depth), np.float32(_BASELINE_M) / np.maximum(depth, np.float32(1e-3)), 0.0)
     values: list[float] = np.where(np.isfinite(depth), depth, np.float32(sky)).tolist()
@@ -135,9 +137,10 @@ def _shaded(api: Api, planar: np.ndarray) -> np.ndarray:
     haze = 0.0
     if api.weather_on:
         haze = sum(api.weather.get(kind, 0.0) for kind in (FOG, DUST))
+    # share of the light that passes; `exp` of this project has the same bits on every machine
     clear = np.array([exp(value) for value in (-_THICKNESS * haze * planar).ravel().tolist()]).reshape(planar.shape)
-    seen: np.ndarray = clear * grey + (1.0 - clear) * 200.0
-    return seen
+    veiled: np.ndarray = clear * grey + (1.0 - clear) * 200.0
+    return veiled
 
 
 def owners(api: Api, view: CameraView) -> np.ndarray:
@@ -247,6 +250,7 @@ def simGetImages(api: Api, requests: Any) -> list[Data]:
 
 def _response(api: Api, request: Any) -> Data:
     """ImageResponse to an ImageRequest."""
+    # what is requested
     try:
         name = request["camera_name"]
         kind = int(request["image_type"])
@@ -254,13 +258,15 @@ def _response(api: Api, request: Any) -> Data:
         compress = bool(request["compress"])
     except (KeyError, TypeError, ValueError):
         raise BadInputError(f"{request!r}: allowed: an ImageRequest") from None
-    seen = view(api, name, kind)
+
+    # the image, as numbers or as bytes: the other one stays empty
+    camera_view = view(api, name, kind)
     data = b""
     numbers: list[float] = []
     if as_float:
-        numbers = floats(seen, kind, SKY)
+        numbers = floats(camera_view, kind, SKY)
     else:
-        data = encoded(api, seen, kind, compress)
+        data = encoded(api, camera_view, kind, compress)
     position, orientation = _camera_pose(api, name)
     return {
         "image_data_uint8": data,
@@ -272,8 +278,8 @@ def _response(api: Api, request: Any) -> Data:
         "message": "",
         "pixels_as_float": as_float,
         "compress": compress,
-        "width": seen.width,
-        "height": seen.height,
+        "width": camera_view.width,
+        "height": camera_view.height,
         "image_type": kind,
         "annotation_name": "",
     }
@@ -469,31 +475,34 @@ def simClearDetectionMeshNames(api: Api, camera_name: str, image_type: int) -> N
 @camera_call
 def simGetDetections(api: Api, camera_name: str, image_type: int) -> list[Data]:
     """DetectionInfo of each object with a wanted name, within the radius, of which a pixel is seen."""
-    wanted = _detection_filter(api, camera_name, image_type)
-    seen = view(api, camera_name, image_type)
-    owner = owners(api, seen).reshape(seen.height, seen.width)
+    detection_filter = _detection_filter(api, camera_name, image_type)
+    camera_view = view(api, camera_name, image_type)
+    owner = owners(api, camera_view).reshape(camera_view.height, camera_view.width)
     world = api.vehicle.sim.world
     detections = []
     for index, name in enumerate(api.objects):
         centre = 0.5 * (world.lower[index] + world.upper[index])
-        near = np.linalg.norm(centre - seen.pose[:3]) <= wanted.radius
-        if near and any(fnmatchcase(name, pattern) for pattern in wanted.names):
+        is_near = np.linalg.norm(centre - camera_view.pose[:3]) <= detection_filter.radius
+        if is_near and any(fnmatchcase(name, pattern) for pattern in detection_filter.names):
             rows, columns = np.nonzero(owner == index)
             if len(rows):
-                detections.append(_detection(api, seen, name, (world.lower[index], world.upper[index]), rows, columns))
+                box = (world.lower[index], world.upper[index])
+                detections.append(_detection(api, camera_view, name, box, rows, columns))
     return detections
 
 
 def _detection(
-    api: Api, seen: CameraView, name: str, box: tuple[np.ndarray, np.ndarray], rows: np.ndarray, columns: np.ndarray
+    api: Api, view: CameraView, name: str, box: tuple[np.ndarray, np.ndarray], rows: np.ndarray, columns: np.ndarray
 ) -> Data:
     """DetectionInfo of a box, lower and upper corner in the world (m), that is seen in these pixels."""
     matrix = np.empty((3, 3))
-    rotation_matrix(np.array(seen.pose[3:]), matrix)
-    camera = np.array(seen.pose[:3])
+    rotation_matrix(np.array(view.pose[3:]), matrix)
+    camera = np.array(view.pose[:3])
     centre = 0.5 * (box[0] + box[1])
-    corners = np.array([flipped((np.array(corner) - camera) @ matrix) for corner in product(*zip(*box, strict=True))])
-    w, x, y, z = seen.pose[3:]
+    # the eight corners in the camera's frame
+    corners_in_world = [np.array(corner) for corner in product(*zip(*box, strict=True))]
+    corners = np.array([flipped((corner - camera) @ matrix) for corner in corners_in_world])
+    w, x, y, z = view.pose[3:]
     return {
         "name": name,
         "geo_point": geo_point(api.vehicle.to_ned(centre)),

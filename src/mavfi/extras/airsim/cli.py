@@ -141,7 +141,7 @@ def serve(  # noqa: PLR0913 - one parameter per option
     from mavfi.extras.airsim.server import msgpack
 
     msgpack()
-    planned = _planned(fault, fault_seed)
+    planned = _fault_of(fault, fault_seed)
     with compiling():
         from mavfi.extras.airsim.host import make_api
         from mavfi.extras.airsim.server import AirsimServer, RealClock, StepClock
@@ -204,15 +204,17 @@ def _summarize(server: AirsimServer) -> None:
     """Print what the clients did: time, collision, digest, fault, refused calls."""
     out = console()
     vehicle = server.api.vehicle
-    hit = "collision" if vehicle.has_ever_collided else "no collision"
-    out.print(f"{1e-6 * vehicle.now_us:.3f} s simulated, {hit}, digest {vehicle.digest()[:16]}", markup=False)
+    collision = "no collision"
+    if vehicle.has_ever_collided:
+        collision = "collision"
+    out.print(f"{1e-6 * vehicle.now_us:.3f} s simulated, {collision}, digest {vehicle.digest()[:16]}", markup=False)
     if server.boundary.faulty:
         out.print(_line(server.boundary), markup=False)
     for text, count in server.errors.items():
         out.print(f"refused {count} x: {text}", markup=False)
 
 
-def _planned(fault: str | None, seed: int | None) -> BoundaryFault | SensorFault | None:
+def _fault_of(fault: str | None, seed: int | None) -> BoundaryFault | SensorFault | None:
     """Read the fault; None without one."""
     if seed is not None:
         check_seed("--fault-seed", seed)
@@ -253,7 +255,7 @@ def run(  # noqa: PLR0913 - one parameter per option
     _hint_at_order(context, arguments or ())
     _check_detector(detector, profile)
     pixels(image)
-    planned = _planned(fault, fault_seed)
+    planned = _fault_of(fault, fault_seed)
     program = ProgramConfig(
         script=str(script),
         arguments=tuple(arguments or ()),
@@ -268,12 +270,14 @@ def run(  # noqa: PLR0913 - one parameter per option
 
     msgpack()
 
-    # the error-free run, on which a detector is trained; then the run that is injected or watched
     with compiling():
         from mavfi.extras.airsim.boundary import ApiRecording, Boundary
         from mavfi.extras.airsim.host import run_program
 
-        recording = ApiRecording() if detector != "none" else None
+        # the error-free run, on which a detector is trained
+        recording = None
+        if detector != "none":
+            recording = ApiRecording()
         golden = run_program(program, mission, Boundary(recording=recording))
         watch = None
         if recording is not None:
@@ -281,6 +285,8 @@ def run(  # noqa: PLR0913 - one parameter per option
         if planned is None and watch is None:
             _report(program, golden, None, as_json)
             return
+
+        # the run that is injected or watched
         injected = run_program(program, mission, Boundary.of(planned, watch=watch))
     _report(program, golden, injected, as_json)
 
@@ -302,9 +308,13 @@ def _report(program: ProgramConfig, golden: ProgramResult, injected: ProgramResu
     if injected is not None and injected.boundary.faulty:
         effect = effect_on(golden, injected)
     if as_json:
-        injected_data = None if injected is None else shown(injected)
+        injected_data = None
+        if injected is not None:
+            injected_data = shown(injected)
         write_json({"script": program.script, "golden": shown(golden), "injected": injected_data, "effect": effect})
         return
+
+    # the effect of a fault, then each run; the program's last words at the end
     out = console()
     if injected is None:
         _print_run(out, "golden", golden)
@@ -324,10 +334,14 @@ def _report(program: ProgramConfig, golden: ProgramResult, injected: ProgramResu
 
 def _print_run(out: Console, label: str, run: ProgramResult) -> None:
     """Print how a run ended, and the calls that were refused."""
-    hit = ", collision" if run.collided else ""
-    reason = f" ({run.reason})" if run.reason else ""
+    collision = ""
+    if run.collided:
+        collision = ", collision"
+    reason = ""
+    if run.reason:
+        reason = f" ({run.reason})"
     calls = sum(run.calls.values())
-    text = f"{run.how}{hit}{reason}, {run.seconds:.3f} s simulated, {calls} calls, digest {run.digest[:16]}"
+    text = f"{run.how}{collision}{reason}, {run.seconds:.3f} s simulated, {calls} calls, digest {run.digest[:16]}"
     out.print(f"{label}: {text}", markup=False)
     for error, count in run.errors.items():
         out.print(f"  refused {count} x: {error}", markup=False)

@@ -31,7 +31,7 @@ from mavfi.flight.piloted import PilotedVehicle
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.outcomes import Effect
 from mavfi.plugins import require_allowed
-from mavfi.record import End, FlightRecord, KernelEffect
+from mavfi.record import End, FlightRecord, Injection, KernelEffect
 from mavfi.sim.scene import STEP_US
 
 # ---- one run of a program --------------------------------------------------------------------------------------------
@@ -61,7 +61,9 @@ def make_api(
     vehicle = PilotedVehicle(spec, on_ground=on_ground)
     camera = vehicle.scenario.camera
     if not image:
-        image = IMAGE if on_ground else f"{camera.width}x{camera.height}"
+        image = f"{camera.width}x{camera.height}"
+        if on_ground:
+            image = IMAGE
     return Api(vehicle, name, pixels(image), version, paused=not on_ground)
 
 
@@ -188,7 +190,9 @@ class _Run:
         while time.monotonic() < end:
             if serving.done():
                 serving.result()  # raises what ended it
-            code = None if self._process is None else self._process.poll()
+            code = None
+            if self._process is not None:
+                code = self._process.poll()
             if code is not None:
                 if self._server.calls:  # its last calls may not have been served yet
                     with suppress(TimeoutError):
@@ -311,8 +315,12 @@ def world_address(text: str) -> tuple[str, int]:
 
 def shown(result: ProgramResult) -> dict[str, Any]:
     """A run as plain data."""
-    injection = result.boundary.injected
-    watch = result.boundary.watch
+    injection = None
+    if result.boundary.injected is not None:
+        injection = result.boundary.injected.to_json()
+    alarms: list[dict[str, Any]] = []
+    if result.boundary.watch is not None:
+        alarms = [alarm.to_json() for alarm in result.boundary.watch.alarms]
     return {
         "how": result.how,
         "reason": result.reason,
@@ -321,8 +329,8 @@ def shown(result: ProgramResult) -> dict[str, Any]:
         "seconds": round(result.seconds, 6),
         "calls": result.calls,
         "errors": result.errors,
-        "injection": None if injection is None else injection.to_json(),
-        "alarms": [] if watch is None else [alarm.to_json() for alarm in watch.alarms],
+        "injection": injection,
+        "alarms": alarms,
     }
 
 
@@ -419,7 +427,9 @@ class ProgramRuns:
             boundary = Boundary.of(cast(MessageFault | SensorFault, fault))
             result = run_program(mission.program, mission.spec, boundary)
             # that of a program that ended by itself does not depend on the error-free run, which need not be flown
-            golden = result if result.how == "ended" else self._golden_run(arm)
+            golden = result
+            if result.how != "ended":
+                golden = self._golden_run(arm)
             return RunResult(record_of_program(result, golden))
 
         return one_by_one(runs, run)
@@ -438,7 +448,9 @@ def record_of_program(result: ProgramResult, golden: ProgramResult) -> FlightRec
     than 0 is a crash, if it is not that of the error-free one.
     """
     injection = result.boundary.injected
-    injections = () if injection is None else (injection,)
+    injections: tuple[Injection, ...] = ()
+    if injection is not None:
+        injections = (injection,)
     extra = {"how": result.how, "calls": sum(result.calls.values()), "refused": sum(result.errors.values())}
     effects = {"program crash": Effect.EXCEPTION, "hang": Effect.HANG}
     if golden.how == "ended":

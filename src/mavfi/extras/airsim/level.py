@@ -58,14 +58,18 @@ class MessageSampler(Sampler):
     def _fault(self, side: str, index: int, seed: int, golden: Golden, *, null: bool = False) -> MessageFault | None:
         """Draw a fault on one side of the calls; None if the golden run has no number there."""
         # all calls of the golden run with a number on this side
-        passed: Sequence[Any] = getattr(golden[""].flight, "passed", ()) if "" in golden else ()
-        seen: Counter[str] = Counter()
+        recorded_calls: Sequence[Any] = ()
+        if "" in golden:
+            recorded_calls = getattr(golden[""].flight, "calls", ())
+        counts: Counter[str] = Counter()
         calls: list[tuple[str, int, int]] = []  # name, number among those of this name, numbers on this side
-        for call in passed:
-            seen[call.name] += 1
-            numbers = call.arguments if side == "arguments" else call.returned
+        for call in recorded_calls:
+            counts[call.name] += 1
+            numbers = call.returned
+            if side == "arguments":
+                numbers = call.arguments
             if numbers and (not self.sampling.calls or call.name in self.sampling.calls):
-                calls.append((call.name, seen[call.name], numbers))
+                calls.append((call.name, counts[call.name], numbers))
         if not calls:
             return None
 
@@ -74,8 +78,10 @@ class MessageSampler(Sampler):
         random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
         name, at, numbers = calls[int(random.integers(len(calls)))]
         number = int(random.integers(numbers))
-        bit = int(random.integers(_BITS))
-        return MessageFault(name, f"{side}#{number}", None if null else bit, at, seed=seed)
+        bit: int | None = int(random.integers(_BITS))
+        if null:
+            bit = None
+        return MessageFault(name, f"{side}#{number}", bit, at, seed=seed)
 
 
 class MessageLevel(Level):
@@ -95,7 +101,9 @@ class MessageLevel(Level):
         what = ""
         if campaign.under_test is not None:
             what = campaign.under_test.script
-        named = f" of {', '.join(calls)}" if calls else ""
-        line = f"{what} · one bit per run, in a number of a call{named}, uniform over calls"
+        of_calls = ""
+        if calls:
+            of_calls = f" of {', '.join(calls)}"
+        line = f"{what} · one bit per run, in a number of a call{of_calls}, uniform over calls"
         title = f"campaign {campaign.name} · AirSim program in {', '.join(map(label_of, campaign.environments))}"
         return {"each": "side of the calls", "profile": "", "title": title, "lines": [line]}

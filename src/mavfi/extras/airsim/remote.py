@@ -75,7 +75,9 @@ class Rpc:
         while True:
             for answered, error, result in self._answers():
                 if error is not None:  # also of a call that was posted
-                    refused_call = method if answered == number else "refused"
+                    refused_call = "refused"
+                    if answered == number:
+                        refused_call = method
                     raise CallRefusedError(f"{self._where}: {refused_call}: {error}")
                 if answered == number:
                     return result

@@ -15,7 +15,7 @@ TIME_IS_UP = "mavfi: time is up"  # begins the error of every call after the tim
 EXIT_TIME_IS_UP = 75
 EXIT_CRASH = 70
 _START = 1600000000.0  # the simulation's first instant, as a Unix time
-_FIRST = []  # the program's first client
+_FIRST_CLIENT = []  # the program's first client, once it has connected
 
 
 def _airsim():
@@ -39,28 +39,28 @@ def _patch(port):
     from msgpackrpc.session import Session
 
     # the originals, which the replacements below call
-    make = airsim.VehicleClient.__init__
-    join = Future.join
-    get = Future.get
+    original_init = airsim.VehicleClient.__init__
+    original_join = Future.join
+    original_get = Future.get
 
-    def made(self, ip="", port_=port, timeout_value=3600, *more, **options):
+    def connect_to_server(self, ip="", port_=port, timeout_value=3600, *more, **options):
         options.pop("port", None)  # the server's port is not the program's choice
-        make(self, "127.0.0.1", port, timeout_value)
-        _FIRST.append(self.client)
+        original_init(self, "127.0.0.1", port, timeout_value)
+        _FIRST_CLIENT.append(self.client)
 
     # answers: the end of the time limit ends the program
-    def result(future):
-        join(future)
+    def answer_of(future):
+        original_join(future)
         try:
-            return get(future)
+            return original_get(future)
         except Exception as error:
             if TIME_IS_UP in str(error):
                 raise SystemExit(EXIT_TIME_IS_UP) from None
             raise
 
     def ask(method, *arguments):
-        if _FIRST:
-            return result(Session.send_request(_FIRST[0], method, arguments))
+        if _FIRST_CLIENT:
+            return answer_of(Session.send_request(_FIRST_CLIENT[0], method, arguments))
         return None
 
     # the program waits for a task: time must pass in the server, which advances it in calls only
@@ -69,17 +69,17 @@ def _patch(port):
         while not future._set_flag:
             ask("mavfiFinish")
             if not future._set_flag:
-                join(future)
+                original_join(future)
 
-    def waited(future):
+    def wait_and_get(future):
         wait(future)
-        return result(future)
+        return answer_of(future)
 
     # patch; a key is not awaited, its message is printed
-    airsim.VehicleClient.__init__ = made
-    Session.call = lambda self, method, *arguments: result(self.send_request(method, arguments))
+    airsim.VehicleClient.__init__ = connect_to_server
+    Session.call = lambda self, method, *arguments: answer_of(self.send_request(method, arguments))
     Future.join = wait
-    Future.get = waited
+    Future.get = wait_and_get
     airsim.wait_key = lambda message="": sys.stdout.write(str(message) + "\n")
     airsim.utils.wait_key = airsim.wait_key
     return ask
@@ -89,12 +89,12 @@ def _clocks(ask):
     """A module `time` for the program and what it imports; libraries loaded before keep the real one."""
 
     def now():
-        if _FIRST:
+        if _FIRST_CLIENT:
             return 1e-6 * ask("mavfiNow")
         return 0.0
 
     def sleep(seconds):
-        if _FIRST:
+        if _FIRST_CLIENT:
             ask("mavfiSleep", max(0.0, float(seconds)))
 
     proxy = types.ModuleType("time")

@@ -219,7 +219,9 @@ def simDestroyObject(api: Api, object_name: str) -> bool:
 
 @call
 def simSetSegmentationObjectID(api: Api, mesh_name: str, object_id: int, is_name_regex: bool = False) -> bool:
-    pattern = mesh_name if is_name_regex else re.escape(mesh_name)
+    pattern = re.escape(mesh_name)
+    if is_name_regex:
+        pattern = mesh_name
     matching = _matching((*api.objects, GROUND), pattern)
     api.segments.update(dict.fromkeys(matching, int(object_id)))
     return bool(matching)

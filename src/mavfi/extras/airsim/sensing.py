@@ -52,6 +52,7 @@ def kinematics(api: Api, odometry: np.ndarray) -> Data:
 
 def collision(api: Api) -> Data:
     """CollisionInfo."""
+    # without a contact all of it is zero
     vehicle = api.vehicle
     contact = vehicle.collision
     if contact is None:
@@ -66,9 +67,11 @@ def collision(api: Api) -> Data:
             "object_name": "",
             "object_id": -1,
         }
-    others = {grounded.GROUND: GROUND, grounded.SCAN: "scan", DESTROYED: ""}
+
+    # the last contact, with the name of what was touched
+    names_of_others = {grounded.GROUND: GROUND, grounded.SCAN: "scan", DESTROYED: ""}
     if contact.obstacle < 0:  # not one of the world's boxes
-        name = others[contact.obstacle]
+        name = names_of_others[contact.obstacle]
     else:
         name = api.objects[contact.obstacle]
     return {
@@ -86,13 +89,16 @@ def collision(api: Api) -> Data:
 @vehicle_call
 def getMultirotorState(api: Api) -> Data:
     switches = {f"switch{n}": 0 for n in range(1, 9)}
+    landed_state = FLYING
+    if api.vehicle.landed:
+        landed_state = LANDED
     sticks = {key: api.sticks.get(key, 0.0) for key in ("pitch", "roll", "throttle", "yaw")}
     return {
         "collision": collision(api),
         "kinematics_estimated": kinematics(api, api.vehicle.measured_state),
         "gps_location": geo_point(api.vehicle.position),
         "timestamp": api.vehicle.stamp,
-        "landed_state": LANDED if api.vehicle.landed else FLYING,
+        "landed_state": landed_state,
         "rc_data": {
             "timestamp": 0,
             **sticks,

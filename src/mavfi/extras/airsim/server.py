@@ -174,7 +174,9 @@ class AirsimServer:
 
     def _refuse(self, name: Any, error: Exception, reply: Reply) -> None:
         """Answer with an error that names the call."""
-        text = str(error) if str(name) in str(error) else f"{name}: {error}"
+        text = str(error)
+        if str(name) not in text:
+            text = f"{name}: {error}"
         if TIME_IS_UP not in text:  # the end of the run, not a fault of the call
             self.errors[text] += 1
         reply(text, None)

@@ -212,7 +212,9 @@ def faults_of(directory: Path) -> str:
             spec = run.spec
             fault = spec.fault
             if spec.kind == "injected" and spec.setting == FI and fault is not None:
-                bit = "" if fault.bit is None else fault.bit
+                bit = ""
+                if fault.bit is not None:
+                    bit = str(fault.bit)
                 mission = (spec.environment, spec.seed)
                 rows.append((*mission, spec.target, spec.index, fault.site, _time_of(fault), bit, fault.stratum))
     text = io.StringIO()

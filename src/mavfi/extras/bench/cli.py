@@ -80,19 +80,23 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     if detector:
         chosen = with_only(chosen, detector, profile or "paper")
     selected = select_parts(chosen, scale, levels=level or (), parts=part or (), models_dir=models)
-    out = out or Path("out") / "-".join(["bench", scale, *(chosen.arms if detector or scheme else ())])
+    if out is None:
+        words = ["bench", scale]
+        if detector or scheme:
+            words += chosen.arms
+        out = Path("out", "-".join(words))
     check_folder(out)
 
     # Fly, and write the tables; a bench with other schemes than its own is shown beside its published rows.
     flights = BenchFlights(chosen, selected, scale, out)
     with stoppable(f"Stopped. What is done is kept in {out}; the same command resumes."):
         flights.fly(workers, models)
-        scored = flights.scores(workers, models)
-    flown = flights.tables(scored)
+        scores_by_arm = flights.scores(workers, models)
+    flown = flights.tables(scores_by_arm)
     shown = flown
     if detector or scheme:
         shown = {name: flights.beside_published(name, table) for name, table in flown.items()}
-    write_leaderboard(flights, flown, shown, scored, _command(bench, level or (), part or (), scale))
+    write_leaderboard(flights, flown, shown, scores_by_arm, _command(bench, level or (), part or (), scale))
     if as_json:
         write_json({name: table.to_json() for name, table in flown.items()})
         return

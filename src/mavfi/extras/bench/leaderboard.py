@@ -56,22 +56,25 @@ class BenchFlights:
             run_campaigns(campaigns, executor=LocalExecutor(workers), models_dir=models, progress=bar.show_campaigns)
 
     @property
-    def scored(self) -> dict[str, Campaign]:
+    def scored_campaigns(self) -> dict[str, Campaign]:
         """Campaigns of the parts with `scores` enabled."""
         return {name: selected.campaign for name, selected in self.parts.items() if selected.part.scores}
 
     def scores(self, workers: int, models: Path | None) -> dict[str, Scores]:
         """Scores of the detectors, in the parts with `scores` enabled."""
-        if not self.scored:
+        if not self.scored_campaigns:
             return {}
         with Bar("bench: scores of all detectors", "missions") as bar:
-            return scores([self.folder / name for name in self.scored], LocalExecutor(workers), models, bar.show)
+            return scores(
+                [self.folder / name for name in self.scored_campaigns], LocalExecutor(workers), models, bar.show
+            )
 
-    def tables(self, scored: Mapping[str, Scores]) -> dict[str, Table]:
+    def tables(self, scores_by_arm: Mapping[str, Scores]) -> dict[str, Table]:
         """The table of each part, and that of the scores: detection at fixed rates of false alarms."""
         tables = {name: self._table(name, selected) for name, selected in self.parts.items()}
-        if scored:
-            tables[SCORES] = table_of_scores(scored, list(self.scored), unscored(self.scored.values(), scored))
+        if scores_by_arm:
+            reasons = unscored(self.scored_campaigns.values(), scores_by_arm)
+            tables[SCORES] = table_of_scores(scores_by_arm, list(self.scored_campaigns), reasons)
         return tables
 
     def _table(self, name: str, selected: SelectedPart) -> Table:
@@ -109,7 +112,7 @@ def write_leaderboard(
     flights: BenchFlights,
     flown: Mapping[str, Table],
     shown: Mapping[str, Table],
-    scored: Mapping[str, Scores],
+    scores_by_arm: Mapping[str, Scores],
     command: str,
 ) -> None:
     """Write page, tables and curves of a bench to its folder.
@@ -118,7 +121,7 @@ def write_leaderboard(
         flights: The flights.
         flown: Their tables.
         shown: The same tables with published rows.
-        scored: Scores by scheme.
+        scores_by_arm: Scores by scheme.
         command: Command that flies the same parts with a custom detector.
 
     Raises:
@@ -126,8 +129,8 @@ def write_leaderboard(
     """
     texts = {"leaderboard.md": leaderboard(shown, flights.bench.name, flights.scale, command)}
     texts |= {f"{name}.csv": table.to_csv() for name, table in flown.items()}
-    if scored:
-        draw_curves(scored, flights.folder / "curves.png")
+    if scores_by_arm:
+        draw_curves(scores_by_arm, flights.folder / "curves.png")
     for name, content in texts.items():
         write_text(flights.folder / name, content)
 
@@ -172,7 +175,9 @@ def beside_published(flown: Table, published: Sequence[Mapping[str, str]], bench
 
     names = ", ".join(map(str, schemes))
     note = f"flown here: {names}; the other rows are those published in {bench}, on the same faults"
-    behind = [ids for _, ids in rows] if flown.behind else ()
+    behind: Sequence[tuple[tuple[str, ...], ...]] = ()
+    if flown.behind:
+        behind = [ids for _, ids in rows]
     return replace(flown, rows=[row for row, _ in rows], notes=(note, *flown.notes), behind=behind)
 
 

@@ -78,16 +78,16 @@ class Scores:
 
     def area(self) -> float | None:
         """Area under the ROC curve of harmful corrupted publications against golden ones; None without both."""
-        return self._rated("roc_auc_score")
+        return self._metric("roc_auc_score")
 
     def precision(self) -> float | None:
         """Average precision: area under the curve of precision over recall, harmful corrupted publications to find.
 
         Precision depends on the share of corrupted publications, here one per harmful fault among the golden ones.
         """
-        return self._rated("average_precision_score")
+        return self._metric("average_precision_score")
 
-    def _rated(self, metric: str) -> float | None:
+    def _metric(self, metric: str) -> float | None:
         """A metric of the scores as a classifier of harmful publications; None without both kinds."""
         from sklearn import metrics
 
@@ -161,17 +161,17 @@ class _ScoreRecorder:
         # 1. Faults whose site this publication is: None = the message is lost.
         corrupted = {}
         for number, injector in self._injectors.items():
-            other = injector(state, time_us)
-            if other is not state:
-                corrupted[number] = other
+            corrupted_copy = injector(state, time_us)
+            if corrupted_copy is not state:
+                corrupted[number] = corrupted_copy
 
         # 2. Score the corrupted copies before the publication itself, which alone is accepted.
         for name, detector in self._detectors.items():
             scores = self.scores[name]
-            for number, other in corrupted.items():
+            for number, corrupted_copy in corrupted.items():
                 scores.corrupted[number] = 0.0
-                if other is not None:
-                    scores.corrupted[number] = detector.score(other, time_us) or 0.0
+                if corrupted_copy is not None:
+                    scores.corrupted[number] = detector.score(corrupted_copy, time_us) or 0.0
             score = detector.score(state, time_us)
             if score is not None:
                 scores.judged += 1
@@ -252,7 +252,7 @@ def scores(
 
     scores_of_arms = {}
     for name in dict.fromkeys(arm.name for task in tasks for arm in task.arms):
-        joined = _joined([(task, by_arm[name]) for task, by_arm in flown if name in by_arm])
+        joined = _join([(task, by_arm[name]) for task, by_arm in flown if name in by_arm])
         if joined.judged:
             scores_of_arms[name] = joined
     return scores_of_arms
@@ -262,11 +262,14 @@ def _tasks(directories: Sequence[Path], models_dir: Path | None) -> list[_Scorin
     """One task per mission, with the faults of all campaigns that contain it."""
     tasks: dict[str, _ScoringTask] = {}
     for directory in directories:
+        # the faults of the campaign, and whether each loses its mission
         judged = Runs.read(directory).injected.where("judged", setting=FI, site_outcome=ACTIVATED)
         lost = {row["run_id"]: bool(row["golden_success"]) and not row["success"] for row in judged}
         with Store.open(directory) as store:
             campaign = Campaign.model_validate_json(store.meta(ORDERED), context=STORED)
             specs = [run.spec for run in store.runs(done=True) if run.spec.run_id in lost]
+
+        # those of each mission are added to its task, which another campaign may have begun
         arms = tuple(scored_arms(campaign))
         for environment in campaign.environments:
             for seed in campaign.seeds:
@@ -283,7 +286,7 @@ def _tasks(directories: Sequence[Path], models_dir: Path | None) -> list[_Scorin
     return list(tasks.values())
 
 
-def _joined(flown: Sequence[tuple[_ScoringTask, _FlightScores]]) -> Scores:
+def _join(flown: Sequence[tuple[_ScoringTask, _FlightScores]]) -> Scores:
     """Scores of a detector over all flights."""
     golden: list[float] = []
     corrupted: list[float] = []

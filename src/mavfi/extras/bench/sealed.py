@@ -97,8 +97,10 @@ class Checksum(Sealed):
     source = "checksum"
 
     def __init__(self, *, large: bool = False) -> None:
-        states = ALL if large else SMALL
-        super().__init__(states)
+        if large:
+            super().__init__(ALL)
+        else:
+            super().__init__(SMALL)
         self._sum = 0
         self.instrument({})
 

@@ -154,6 +154,7 @@ def forest_of(
         sign: See `Forest`.
         shift: See `Forest`.
     """
+    # A split is packed into a word; a leaf has a word as well, and a value.
     words: list[int] = []
     values: list[float] = []
     roots: list[int] = []
@@ -178,7 +179,7 @@ def forest_of(
         for tree in state.trees:
             roots.append(len(words))
             level = [(append_leaf(), tree)]
-            depth = -1
+            depth = -1  # of a tree that is a leaf: 0
             while level:
                 next_level = []
                 for node, subtree in level:
@@ -186,6 +187,8 @@ def forest_of(
                 level = next_level
                 depth += 1
             depths.append(depth)
+
+    # Trees of a state follow each other, too.
     return Forest(
         spans_of([len(state.trees) for state in states]),
         np.array([state.unit for state in states], np.float64),

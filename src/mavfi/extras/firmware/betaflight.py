@@ -222,11 +222,11 @@ def _configure(program: Path, shim: Path) -> tuple[str, bytes]:
             console = _Console(firmware, connection)
             version = ".".join(str(number) for number in console.ask(_FC_VERSION)[:3])
             name = console.ask(_FC_VARIANT).decode("ascii", "replace")
-            _write(console)
+            _write_configuration(console)
             return f"{name} {version}", (firmware.folder / EEPROM).read_bytes()
 
 
-def _write(console: _Console) -> None:
+def _write_configuration(console: _Console) -> None:
     """Write the configuration; indices as in `MSP_RC_TUNING` and `MSP_PID`."""
     console.ask(_SET_MODE_RANGE, bytes([0, _ARM, 0, 32, 48]))  # auxiliary 1 from 1700 us on; steps of 25 us from 900
     console.ask(_SET_MODE_RANGE, bytes([1, _ANGLE, 1, 0, 48]))  # auxiliary 2: always

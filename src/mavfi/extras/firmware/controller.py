@@ -50,7 +50,7 @@ class BetaflightController:
         self._matrix = np.empty((3, 3))
         self.draw_noise(start.seed)
         self.injector: FirmwareInjector | None = None
-        self.lost: FirmwareLostError | None = None
+        self.loss: FirmwareLostError | None = None
         self.most_calls = 0
         self.tracking: Tracking | None = None
         parts = installed()
@@ -66,11 +66,11 @@ class BetaflightController:
         sequence = np.random.SeedSequence(seed, spawn_key=(_PURPOSE_GYRO_NOISE,))
         self._random = np.random.default_rng(sequence)
         self._noise = np.empty((0, 3))
-        self._used = 0
+        self._sample_count = 0
 
     def rotors(self, time_us: int, setpoint: np.ndarray, odometry: np.ndarray, force: np.ndarray) -> np.ndarray:
         """See `Controller.rotors`; zero after the firmware has ended."""
-        if self.lost is not None:
+        if self.loss is not None:
             return np.zeros(4)
         state = _state(odometry, self._gyro_noise(), force)
         rc = None
@@ -79,7 +79,7 @@ class BetaflightController:
         try:
             self._run(time_us, betaflight.packets(self.firmware.now_ns, state, rc))
         except FirmwareLostError as error:
-            self.lost = error
+            self.loss = error
             return np.zeros(4)
         self.most_calls = max(self.most_calls, self.firmware.calls)
         return np.array([self._airframe.max_thrust * min(1.0, max(0.0, motor)) ** 2 for motor in self.firmware.motors])
@@ -116,11 +116,11 @@ class BetaflightController:
 
     def _gyro_noise(self) -> np.ndarray:
         """Noise of the next gyro sample (rad/s). Shape (3,)."""
-        if self._used == len(self._noise):
+        if self._sample_count == len(self._noise):
             self._noise = self._random.normal(0.0, GYRO_NOISE, (_NOISE_BLOCK, 3))
-            self._used = 0
-        self._used += 1
-        sample: np.ndarray = self._noise[self._used - 1]
+            self._sample_count = 0
+        self._sample_count += 1
+        sample: np.ndarray = self._noise[self._sample_count - 1]
         return sample
 
     def save(self) -> bytes:

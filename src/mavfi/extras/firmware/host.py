@@ -129,9 +129,9 @@ def fly(
         loop.plant.close()
     # The log has the end of the firmware, the record how well it followed.
     log = flight.log
-    lost = controller.lost
-    if lost is not None:
-        log = replace(log, kernel=KernelEffect(lost.effect, lost.detail))
+    loss = controller.loss
+    if loss is not None:
+        log = replace(log, kernel=KernelEffect(loss.effect, loss.detail))
     extra = {"node": NODE, "most_calls": controller.most_calls, **_errors(controller, flight)}
     return replace(flight, log=log, extra=extra)
 
@@ -153,6 +153,6 @@ class _LossListener(Listener):
 
     def before_tick(self, now: int) -> None:
         """See `Listener`."""
-        lost = self._controller.lost
-        if lost is not None and all(event.kind != CONTROLLER_LOST for event in self._record.events):
-            self._record.note(now, CONTROLLER_LOST, {"effect": lost.effect, "why": lost.detail})
+        loss = self._controller.loss
+        if loss is not None and all(event.kind != CONTROLLER_LOST for event in self._record.events):
+            self._record.note(now, CONTROLLER_LOST, {"effect": loss.effect, "why": loss.detail})

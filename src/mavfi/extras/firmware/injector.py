@@ -75,7 +75,7 @@ class FirmwareInjector:
         space = AddressSpace(firmware.pid)
         memory = os.open(f"/proc/{firmware.pid}/mem", os.O_RDONLY)
         try:
-            tracee = _stopped(firmware)
+            tracee = _stop_main_thread(firmware)
 
             def walk(count: int) -> bool:
                 """Execute some instructions; False = the thread has left the firmware's code for the shim."""
@@ -112,7 +112,7 @@ class FirmwareInjector:
         return self.injections or [missed]
 
 
-def _stopped(firmware: Firmware) -> Tracee:
+def _stop_main_thread(firmware: Firmware) -> Tracee:
     """The main thread of a firmware that waits in front of an instruction, stopped at this instruction."""
     try:
         tracee = Tracee(firmware.pid)

@@ -30,7 +30,7 @@ from mavfi.extras.hardening.choose import NOTHING, Choice
 from mavfi.extras.hardening.compiled import Timed, compare
 from mavfi.extras.hardening.duplicate import protect
 from mavfi.extras.hardening.observed import observe
-from mavfi.extras.hardening.plan import Coverage, FunctionKey, FunctionPlan, ModuleSite, ProtectionPlan
+from mavfi.extras.hardening.plan import Coverage, FunctionKey, FunctionPlan, Kind, ModuleSite, ProtectionPlan
 from mavfi.extras.hardening.target import (
     FunctionTarget,
     Injected,
@@ -570,18 +570,23 @@ def plan_of(study: HardeningStudy, advices: Sequence[Advice]) -> ProtectionPlan:
 def planned_of(target: FunctionTarget, step: CurveStep, share: float | None = None) -> FunctionPlan:
     """The entry of a function in a plan; `share`: its share of the time of its kernel."""
     sites = target.sites(step.choice)
+    kind: Kind = "none"
+    predicted = None
+    if sites:
+        kind = "duplicate"
+        predicted = coverage_in_plan(step.coverage)
     return FunctionPlan(
         kernel=target.kernels[0],
         function=target.name,
         signature=target.seen.signature_text,
         ir_sha256=target.seen.variant.ir_sha256,
-        kind="duplicate" if sites else "none",
+        kind=kind,
         addresses=target.addresses,
         sites=tuple(sites),
         lines=target.lines(sites),
         time=round(step.time, 3),
         share=share,
-        predicted=coverage_in_plan(step.coverage) if sites else None,
+        predicted=predicted,
     )
 
 

@@ -30,7 +30,7 @@ _MIN_MAPPED_BYTES = 1 << 16
 
 def copied(value: Any) -> Any:  # noqa: ANN401 - numbers, arrays and tuples of these
     """A deep copy; arrays keep strides, access and common memory, since Numba compiles by these."""
-    return _copied(value, {}, read_only=False)
+    return _copy(value, {}, read_only=False)
 
 
 def read_only_copy(value: Any) -> Any:  # noqa: ANN401
@@ -39,10 +39,10 @@ def read_only_copy(value: Any) -> Any:  # noqa: ANN401
     Forked processes share this memory: its page tables, which for all recorded calls take two thirds of the time of a
     fork, are not copied, and an injected fault cannot write to it.
     """
-    return _copied(value, {}, read_only=True)
+    return _copy(value, {}, read_only=True)
 
 
-def _copied(value: Any, memories: dict[int, tuple[int, np.ndarray]], *, read_only: bool) -> Any:
+def _copy(value: Any, memories: dict[int, tuple[int, np.ndarray]], *, read_only: bool) -> Any:
     """A deep copy.
 
     Args:
@@ -51,7 +51,7 @@ def _copied(value: Any, memories: dict[int, tuple[int, np.ndarray]], *, read_onl
         read_only: Whether copies of large arrays are write-protected.
     """
     if isinstance(value, tuple):
-        parts = [_copied(part, memories, read_only=read_only) for part in value]
+        parts = [_copy(part, memories, read_only=read_only) for part in value]
         if hasattr(value, "_fields"):
             return type(value)(*parts)
         return tuple(parts)
@@ -284,13 +284,14 @@ class Battery:
         self.variant.claim_report()
         effects = [""] * len(points)
         for call in {point.call for point in points}:
-            left = [number for number, point in enumerate(points) if point.call == call]
+            remaining = [number for number, point in enumerate(points) if point.call == call]
             # A child ends with the first fault that ends its process; the next child continues behind it.
-            while left:
-                effects_in_child = self._effects(call, [(indices[number], points[number].bit) for number in left])
-                for number, effect in zip(left, effects_in_child, strict=False):
+            while remaining:
+                faults = [(indices[number], points[number].bit) for number in remaining]
+                effects_in_child = self._effects(call, faults)
+                for number, effect in zip(remaining, effects_in_child, strict=False):
                     effects[number] = effect
-                left = left[len(effects_in_child) :]
+                remaining = remaining[len(effects_in_child) :]
         return effects
 
     def _indices(self, points: Sequence[InjectionPoint]) -> list[int]:
@@ -315,7 +316,7 @@ class Battery:
 
         def inject_all() -> bytes:
             for number, (index, bit) in enumerate(faults):
-                effect = self._injected(copied(self.calls[call]), index, bit, budget, golden)
+                effect = self._effect_of(copied(self.calls[call]), index, bit, budget, golden)
                 codes[number] = 1 + _SURVIVED_LABELS.index(effect)
                 report = self.variant.report()
                 if report is not None and not report.planned:
@@ -326,10 +327,13 @@ class Battery:
         effects = [_SURVIVED_LABELS[code - 1] for code in codes[:] if code]
         if ended.how != "done" and len(effects) < len(faults):
             # The child ended in the fault after these; an end before its flip is not its effect.
-            effects.append(NOT_ACTIVATED if self.variant.report() is None else ended.how)
+            effect: str = ended.how
+            if self.variant.report() is None:
+                effect = NOT_ACTIVATED
+            effects.append(effect)
         return effects
 
-    def _injected(self, args: tuple[Any, ...], index: int, bit: int, budget: int, golden: tuple[Any, ...]) -> str:
+    def _effect_of(self, args: tuple[Any, ...], index: int, bit: int, budget: int, golden: tuple[Any, ...]) -> str:
         """Effect of a fault that does not end the process."""
         try:
             result = self.variant.inject(index, -1, 1 << bit, budget, *args)

@@ -492,7 +492,7 @@ def pairs_of(seen: Sequence[ObservedFunction], plan: ProtectionPlan) -> list[Fun
     """The observed functions that the plan protects; `BadInputError` if it is of other code."""
     protected = []
     for function in seen:
-        planned = _planned(function, plan)
+        planned = _entry_of(function, plan)
         if planned is not None:
             protected.append((function, planned))
     with ThreadPoolExecutor(2) as ahead:  # each build waits for a process of its own
@@ -503,10 +503,10 @@ def pairs_of(seen: Sequence[ObservedFunction], plan: ProtectionPlan) -> list[Fun
 
 def unprotected(seen: Sequence[ObservedFunction], plan: ProtectionPlan) -> list[ObservedFunction]:
     """The observed functions that are not among `pairs_of`."""
-    return [function for function in seen if _planned(function, plan) is None]
+    return [function for function in seen if _entry_of(function, plan) is None]
 
 
-def _planned(seen: ObservedFunction, plan: ProtectionPlan) -> FunctionPlan | None:
+def _entry_of(seen: ObservedFunction, plan: ProtectionPlan) -> FunctionPlan | None:
     """What the plan duplicates in a function; None = nothing."""
     planned = plan.find(name_of(seen.function), seen.signature)
     if planned is not None and planned.sites:
@@ -542,7 +542,9 @@ class Spending:
     @property
     def refuted(self) -> bool:
         """Whether more is added than the budget, or without one than planned, by more than `TOLERANCE`."""
-        allowed = self.planned if self.budget is None else self.budget
+        allowed = self.planned
+        if self.budget is not None:
+            allowed = self.budget
         return self.measured > allowed + TOLERANCE
 
 
@@ -698,6 +700,9 @@ def certify_plan(
 
     if not certificates:
         raise BadInputError("the plan protects no function of these missions; allowed: one with sites")
+    scope: tuple[str, ...] = ()
+    if not study.complete:
+        scope = tuple(study.kernels)
     return Certification(
         plan=plan.digest,
         faults=faults,
@@ -705,7 +710,7 @@ def certify_plan(
         certificates=tuple(certificates),
         golden=golden,
         others=tuple(others),
-        scope=() if study.complete else study.kernels,
+        scope=scope,
         cpu=processor(),
         spending=tuple(spending),
     )

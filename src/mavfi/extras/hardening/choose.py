@@ -368,7 +368,9 @@ class Chooser:
         """Choices on the upper convex hull of benefit over cost, from nothing to everything."""
         full = self.full
         cuts = Cuts(self.values, self.benefit)
-        scale = full.benefit / full.cost if full.cost else 0.0
+        scale = 0.0
+        if full.cost:
+            scale = full.benefit / full.cost
         choices = {NOTHING.chosen: NOTHING, full.chosen: full}
         for price in _PRICES:
             chosen = cuts.at(float(price * scale))

@@ -245,7 +245,9 @@ def compare(
     # 1. How long is a call? Short ones are repeated, and made before without being timed.
     first = min(plain(copied(calls[0]), 1) for _ in range(3))
     repetitions = int(np.clip(_MIN_LOOP_TICKS / max(first, 1.0), 1, _MAX_REPETITIONS))
-    warm_up_calls = _WARM_UP_CALLS if first < _SHORT_CALL else 0
+    warm_up_calls = 0
+    if first < _SHORT_CALL:
+        warm_up_calls = _WARM_UP_CALLS
 
     def timed(clock: Clock, args: tuple[Any, ...]) -> float:
         for _ in range(warm_up_calls):

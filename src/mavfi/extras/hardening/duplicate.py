@@ -19,7 +19,7 @@ from dataclasses import replace
 
 from mavfi.extras.hardening.plan import ModuleSite
 from mavfi.ir.flow import back_edges, loop_depths, successors
-from mavfi.ir.module import Block, Function, Instruction, Module, width
+from mavfi.ir.module import BasicBlock, Function, Instruction, Module, width
 from mavfi.ir.parser import VOLATILE_LOAD
 
 _PURE = re.compile(
@@ -189,7 +189,7 @@ class _Duplicator:
         kinds: Types of all values, by name.
         home: Block and instruction that compute each value.
         headers: Labels of the latches of each loop header.
-        chosen: Names of the values that get a shadow.
+        duplicable: Names of the values that get a shadow.
         uses: See `_uses`.
         checked_in: See `_places_of_checks`.
         checked_last: See `_checks_at_end`.
@@ -197,7 +197,7 @@ class _Duplicator:
         tails: Copies at the end of a block, by its label.
         starts: Initial value of a phi's shadow, by result, label and value.
         ends: Label of the last part of a block that leads to another one, by both labels.
-        made: Blocks written so far.
+        blocks: Blocks written so far.
         block: The part of a block that is being written.
         copies: Copies of operands in this block, by operand.
         checked: Values compared in this block.
@@ -212,7 +212,7 @@ class _Duplicator:
         self.headers: dict[str, set[str]] = defaultdict(set)
         for latch, header in back_edges(function):
             self.headers[header].add(latch)
-        self.chosen = self._separable(chosen)
+        self.duplicable = self._separable(chosen)
         self.uses = self._uses()
         self.checked_in = self._places_of_checks()
         self.checked_last = self._checks_at_end()
@@ -220,7 +220,7 @@ class _Duplicator:
         self.tails: dict[str, list[Instruction]] = defaultdict(list)
         self.starts: dict[tuple[str, str, str], str] = {}
         self.ends: dict[tuple[str, str], str] = {}
-        self.made: list[Block] = []
+        self.blocks: list[BasicBlock] = []
 
     # ---- what is duplicated and compared ----------------------------------------------------------------------------
     def _separable(self, chosen: set[str]) -> set[str]:
@@ -248,11 +248,11 @@ class _Duplicator:
                 else:
                     for name in dict.fromkeys(user.uses()):
                         uses[name].append((user, block.label))
-        return {name: uses[name] for name in self.chosen}
+        return {name: uses[name] for name in self.duplicable}
 
     def _leaves(self, name: str, user: Instruction) -> bool:
         """Whether a value must be compared before this use of it."""
-        if user.result in self.chosen:
+        if user.result in self.duplicable:
             return self.addresses and reads_memory(user) and name in user.addresses
         return not (is_fork(user) and name == user.tokens[2])
 
@@ -292,7 +292,7 @@ class _Duplicator:
         # 1. Copies with which shadows of phis begin: they stand in blocks that may be written earlier.
         for block in self.function.blocks:
             for phi in block.phis:
-                if phi.result in self.chosen:
+                if phi.result in self.duplicable:
                     self._start(phi, block.label)
 
         # 2. The blocks, each in one part or several.
@@ -300,12 +300,12 @@ class _Duplicator:
             self._write(block)
 
         # 3. Phis must name the parts of blocks that lead to them, and all checks need the block that stops.
-        for block in self.made:
+        for block in self.blocks:
             block.phis = [self._from_parts(phi, block.label) for phi in block.phis]
-        if any(_STOP in successors(block.terminator) for block in self.made):
+        if any(_STOP in successors(block.terminator) for block in self.blocks):
             end = Instruction("ret", ["ret", "i32", str(DETECTED)])
-            self.made.append(Block(_STOP, terminator=end, unreached=True))
-        return replace(self.function, blocks=self.made)
+            self.blocks.append(BasicBlock(_STOP, terminator=end, unreached=True))
+        return replace(self.function, blocks=self.blocks)
 
     def _from_parts(self, phi: Instruction, label: str) -> Instruction:
         incoming = [(value, self.ends.get((before, label), before)) for value, before in phi.incoming]
@@ -314,7 +314,7 @@ class _Duplicator:
     def _start(self, phi: Instruction, label: str) -> None:
         """Copy incoming values of a phi that have no shadow, where its own shadow would else equal the original."""
         latches = self.headers[label]
-        plain = [(value, before) for value, before in phi.incoming if value not in self.chosen]
+        plain = [(value, before) for value, before in phi.incoming if value not in self.duplicable]
         if latches:
             # Without different initial values, original and shadow would be one recurrence.
             initial = [(value, before) for value, before in plain if before not in latches]
@@ -326,21 +326,21 @@ class _Duplicator:
         for value, before in copied:
             self.starts[str(phi.result), before, value] = self._copy(value, phi, self.tails[before])
 
-    def _write(self, block: Block) -> None:
+    def _write(self, block: BasicBlock) -> None:
         """Write a block: originals, each followed by its shadow and checks; a check begins a new part."""
-        self.block = Block(block.label, list(block.phis), block.allocations)
-        self.made.append(self.block)
+        self.block = BasicBlock(block.label, list(block.phis), block.allocations)
+        self.blocks.append(self.block)
         self.copies: dict[str, str] = {}
         self.checked: set[str] = set()
         for phi in block.phis:
-            if phi.result in self.chosen:
+            if phi.result in self.duplicable:
                 self.block.phis.append(self._shadow_of_phi(phi))
         for phi in block.phis:
             self._check_where_computed(phi, block.label)
         for instruction in block.body:
             self._check_uses(instruction, block.label)
             self.block.body.append(instruction)
-            if instruction.result in self.chosen and not self._only_decides(instruction.result):
+            if instruction.result in self.duplicable and not self._only_decides(instruction.result):
                 self._shadow(instruction, shadow(instruction.result))
             self._check_where_computed(instruction, block.label)
             if instruction.callee in self.detecting:
@@ -351,11 +351,11 @@ class _Duplicator:
         self.block.body += self.tails[block.label]
         self._finish(block)
 
-    def _finish(self, block: Block) -> None:
+    def _finish(self, block: BasicBlock) -> None:
         """Write the terminator of a block."""
         end = block.terminator
         assert end is not None  # of parsed blocks
-        if is_fork(end) and end.tokens[2] in self.chosen:
+        if is_fork(end) and end.tokens[2] in self.duplicable:
             self._check_edges(block.label, end)
             return
         self._check_uses(end, block.label)
@@ -366,7 +366,7 @@ class _Duplicator:
         result = str(phi.result)
         incoming = []
         for value, label in phi.incoming:
-            if value in self.chosen:
+            if value in self.duplicable:
                 shadow_value = shadow(value)
             else:
                 shadow_value = self.starts.get((result, label, value), value)
@@ -375,7 +375,7 @@ class _Duplicator:
 
     def _shadow(self, instruction: Instruction, result: str) -> None:
         """Append the shadow of an instruction, named `result`."""
-        operands = {name: shadow(name) for name in instruction.uses() if name in self.chosen}
+        operands = {name: shadow(name) for name in instruction.uses() if name in self.duplicable}
         opcode = instruction.tokens[0]
         if not operands and instruction.opcode == "load":
             opcode = VOLATILE_LOAD
@@ -400,7 +400,10 @@ class _Duplicator:
 
     def _copy(self, value: str, like: Instruction, body: list[Instruction]) -> str:
         """Append a copy of a value that code generation takes for another one; returns its name."""
-        kind = like.kind if like.opcode == "phi" else self.kinds[value]  # the value of a phi may be a constant
+        if like.opcode == "phi":  # its value may be a constant
+            kind = like.kind
+        else:
+            kind = self.kinds[value]
         constraint = constraint_of(kind)
         if constraint is None:  # a few bits: through a byte
             wide = self._new("zext", [kind, value, "to", "i8"], "i8", like, body, COPY)
@@ -459,8 +462,8 @@ class _Duplicator:
         first = self.block.label.split("c")[0]
         following = f"{first}c{self.numbers}"
         self.block.terminator = _branch(is_true, _STOP, following, _FIRST_IS_RARE, like)
-        self.block = Block(following, runs_as=(first,))
-        self.made.append(self.block)
+        self.block = BasicBlock(following, runs_as=(first,))
+        self.blocks.append(self.block)
 
     def _check_edges(self, label: str, end: Instruction) -> None:
         """Branch on the condition, then on its shadow: both must lead to the same block."""
@@ -480,8 +483,8 @@ class _Duplicator:
 
     def _begin_edge(self, edge: str, condition: str, runs_as: tuple[str, ...]) -> str:
         """Begin the block of an edge; returns the shadow of the condition there."""
-        self.block = Block(edge, runs_as=runs_as)
-        self.made.append(self.block)
+        self.block = BasicBlock(edge, runs_as=runs_as)
+        self.blocks.append(self.block)
         if not self._only_decides(condition):
             return shadow(condition)
         copies = self.copies
@@ -498,7 +501,7 @@ def _without_undefined(function: Function) -> Function:
         phis = [_with_zeros(phi) for phi in block.phis]
         body = [_with_zeros(instruction) for instruction in block.body]
         terminator = block.terminator and _with_zeros(block.terminator)
-        blocks.append(Block(block.label, phis, block.allocations, body, terminator))
+        blocks.append(BasicBlock(block.label, phis, block.allocations, body, terminator))
     return replace(function, blocks=blocks)
 
 

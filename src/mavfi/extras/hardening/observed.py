@@ -74,18 +74,18 @@ class ObservedCalls:
         self._entry = entry
         self._function = function
         self._ahead = ahead
-        self._seen: dict[tuple[Any, ...], tuple[ObservedFunction, CallRecording]] = {}
+        self._calls_by_signature: dict[tuple[Any, ...], tuple[ObservedFunction, CallRecording]] = {}
 
     def __call__(self, *args: Any) -> Any:
         """Call the function; bit-identical result."""
         signature = signature_of(args)
-        if signature not in self._seen:
+        if signature not in self._calls_by_signature:
             variant = variant_for(self._function, args)
             blocks = np.zeros(len(variant.table.blocks), np.int64)
             seen = ObservedFunction(self._function, self._entry, signature, variant, blocks)
-            self._seen[signature] = seen, CallRecording(_RECORDED_CALLS)
+            self._calls_by_signature[signature] = seen, CallRecording(_RECORDED_CALLS)
             self._ahead.submit(cached_source, self._function, signature)
-        seen, recording = self._seen[signature]
+        seen, recording = self._calls_by_signature[signature]
         recording.note(args)
         result, times = seen.variant.tally(*args)
         seen.executions += times
@@ -93,10 +93,10 @@ class ObservedCalls:
 
     def seen(self) -> list[ObservedFunction]:
         """What the flight showed of the function, by signature, in order of the first call."""
-        for seen, recording in self._seen.values():
+        for seen, recording in self._calls_by_signature.values():
             seen.total = recording.total
             seen.calls = [*recording.arguments.values()]
-        return [seen for seen, _ in self._seen.values()]
+        return [seen for seen, _ in self._calls_by_signature.values()]
 
 
 def entries_of(kernels: Sequence[str]) -> tuple[str, ...]:

@@ -234,7 +234,9 @@ def check_code(plan: FunctionPlan, ir_sha256: str, sites: Sequence[Sequence[int]
             "numba or llvmlite differ; make the plan again with mavfi harden"
         )
     for site in plan.sites:
-        blocks = sites[site.function] if site.function < len(sites) else ()  # of another function: no blocks
+        blocks: Sequence[int] = ()  # a function that the module does not have has no blocks
+        if site.function < len(sites):
+            blocks = sites[site.function]
         if site.block >= len(blocks) or site.offset >= blocks[site.block]:
             raise BadInputError(
                 f"protection of {plan.function}: site {site.block}:{site.offset} of function {site.function}: not in "

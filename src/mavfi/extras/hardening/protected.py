@@ -116,8 +116,10 @@ class ProtectionRewriter:
 
     def alarm(self, stage: str, states: Sequence[State], now: int) -> AlarmRecord:
         """The alarm of a step, with the first of the states that its recomputation gave."""
-        published = states[0].spec.name if states else ""
-        return AlarmRecord(now / 1e6, SOURCE, published, stage, outcome="repaired")
+        state_name = ""
+        if states:
+            state_name = states[0].spec.name
+        return AlarmRecord(now / 1e6, SOURCE, state_name, stage, outcome="repaired")
 
 
 REWRITER = ProtectionRewriter()

@@ -339,7 +339,9 @@ def write_certificate(
 def page(summary: AdviceSummary, directory: Path, plan: Path | None) -> str:
     """Render the page as text."""
     path = plan or Path("plan.yaml")
-    addresses = " --addresses" if summary.addresses else ""
+    addresses = ""
+    if summary.addresses:
+        addresses = " --addresses"
     again = _command(directory, summary.selected, path, f" --budget {summary.budget:g}", addresses)
     commands = {
         "Make the plan again": again,

@@ -232,11 +232,14 @@ def _kernel(kernel: str, studied: Sequence[tuple[Curve, CurveStep]]) -> KernelSu
     steps = [(curve, step) for curve, step in studied if kernel in curve.target.kernels]
     share = sum(curve.share for curve, _ in steps)
     extra = sum(curve.extra(step) for curve, step in steps)
-    time = 1 + extra / share if share else 1.0
+    time = 1.0
+    if share:
+        time = 1 + extra / share
     return KernelSummary(kernel, share, extra, time, coverage_of_steps(steps))
 
 
 def _function(curve: Curve, chosen: CurveStep, certified: Rate | None) -> FunctionSummary:
+    """What was measured of a function, and what the chosen step does to it."""
     target = curve.target
     sites = target.sites(chosen.choice)
     steps = tuple(
@@ -303,6 +306,9 @@ def _lines(target: FunctionTarget, sites: Collection[ModuleSite]) -> tuple[LineS
     all_masses = max(sum(line.mass for line in sums.values()), _SMALLEST_SUM)
     lines = []
     for (file, number), line in sorted(sums.items(), key=lambda item: item[0]):
-        protected = line.removed / line.mass if line.mass else 0.0
-        lines.append(LineSummary(file, number, line.executions / all_executions, line.mass / all_masses, protected))
+        removed_share = 0.0
+        if line.mass:
+            removed_share = line.removed / line.mass
+        share_of_executions = line.executions / all_executions
+        lines.append(LineSummary(file, number, share_of_executions, line.mass / all_masses, removed_share))
     return tuple(lines)

@@ -217,7 +217,9 @@ class FunctionTarget:
         by_call = len(worlds) >= FOLDS
         parts: list[list[Injected]] = [[] for _ in range(FOLDS)]
         for number, injected in enumerate(self.injections):
-            group = worlds.index(injected.world) if by_call else number
+            group = number
+            if by_call:
+                group = worlds.index(injected.world)
             parts[group % FOLDS].append(injected)
 
         folds = []

@@ -82,9 +82,9 @@ def export(
         raise BadInputError(f"{flight}: is not the folder of a campaign, so there is no run {run_id!r}")
     check_writable(to)
     if to.suffix in ROS_ENDINGS:
-        exported = _recorded(flight, run_id)
+        exported = _fly_recorded(flight, run_id)
     else:
-        exported = ExportedFlight(_stored(flight, run_id))
+        exported = ExportedFlight(_log_of(flight, run_id))
     count = _write(exported, to, str(flight))
     log = exported.log
     unit = "messages"
@@ -97,7 +97,7 @@ def export(
     console().print(text, markup=False, soft_wrap=True)
 
 
-def _stored(source: Path, run_id: str) -> FlightLog:
+def _log_of(source: Path, run_id: str) -> FlightLog:
     """The log of a saved flight, or of a run of a campaign, which is flown again."""
     if run_id:
         from mavfi.campaign.replay import flight_again
@@ -110,7 +110,7 @@ def _stored(source: Path, run_id: str) -> FlightLog:
     return FlightLog.load(source)
 
 
-def _recorded(source: Path, run_id: str) -> ExportedFlight:
+def _fly_recorded(source: Path, run_id: str) -> ExportedFlight:
     """The flight with publications and golden run, flown again; a saved flight must be bit-identical to the second."""
     from mavfi.campaign.replay import fly_recorded, recorded_again
     from mavfi.faults.fault import fault_from_json
@@ -120,7 +120,7 @@ def _recorded(source: Path, run_id: str) -> ExportedFlight:
         if reference is None:
             return ExportedFlight(flight.log, published)
         return ExportedFlight(flight.log, published, reference.log)
-    log = _stored(source, "")
+    log = _log_of(source, "")
     scenario = _scenario(log, str(source))
     try:
         # Fly it again, with the fault and detector of its request.

@@ -108,9 +108,9 @@ def timeline(
         injections, and the end of the mission.
     """
     yield from scenery(world)
-    yield _flown("/flown", log)
+    yield _path_of("/flown", log)
     if golden is not None:
-        yield _flown("/golden", golden)
+        yield _path_of("/golden", golden)
     ticks = (message for row in log.rows for message in tick_messages(row))
     lines = map(log_message, lines_of(log))
     yield from heapq.merge(ticks, lines, _published(published), key=lambda message: message.time_ns)
@@ -262,7 +262,7 @@ def scenery(world: World) -> Iterator[Message]:
     )
 
 
-def _flown(topic: str, log: FlightLog) -> Message:
+def _path_of(topic: str, log: FlightLog) -> Message:
     """The path of a flight."""
     in_map = _in_map(FIRST_STAMP_NS)
     poses = [

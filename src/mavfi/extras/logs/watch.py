@@ -321,7 +321,7 @@ class LogWatch:
         probe = self.probes.get(message.topic)
         if probe is None:
             return None
-        return replace(probe, definition=message.layout).read(data)
+        return replace(probe, layout=message.layout).read(data)
 
     def judge(self, recording: LogRecording, flips: int = 0, seed: int = 0) -> JudgedLog:
         """Judge a recording.

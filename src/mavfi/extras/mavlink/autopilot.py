@@ -169,7 +169,9 @@ _ALL_TYPES = 255
 
 def place_of(item: Any) -> Triple:
     """Place (NED, m) of a MISSION_ITEM_INT or COMMAND_INT; NaN where a coordinate is left out."""
-    origin = HOME[2] if item.frame in _RELATIVE_FRAMES else 0.0
+    origin = 0.0
+    if item.frame in _RELATIVE_FRAMES:
+        origin = HOME[2]
     return local(_degrees(item.x), _degrees(item.y), item.z + origin)
 
 
@@ -271,7 +273,9 @@ class Mission:
         if command == MavCommand.TAKEOFF or (command == MavCommand.WAYPOINT and vehicle.landed):
             yield from climb(vehicle, -target[2])
         if command == MavCommand.WAYPOINT:
-            yaw = None if math.isnan(item.param4) else math.radians(item.param4)
+            yaw = None
+            if not math.isnan(item.param4):
+                yaw = math.radians(item.param4)
             yield from go_to(vehicle, target, autopilot.speed, yaw)
         elif command == MavCommand.CHANGE_SPEED and item.param2 > 0:
             autopilot.speed = float(item.param2)
@@ -373,8 +377,10 @@ class Autopilot:
     def text(self, text: str, severity: int = INFO) -> None:
         """Send a STATUSTEXT, a longer text in chunks that share an id."""
         parts = chunks_of(text)
-        self._long_texts += len(parts) > 1
-        text_id = 0 if len(parts) == 1 else self._long_texts % 65_535 + 1
+        text_id = 0
+        if len(parts) > 1:
+            self._long_texts += 1
+            text_id = self._long_texts % 65_535 + 1
         for index, part in enumerate(parts):
             self.send("statustext", severity, part, text_id, index)
 
@@ -423,12 +429,15 @@ class Autopilot:
 
     def arm(self, message: Any) -> int:
         """MAV_CMD_COMPONENT_ARM_DISARM; disarming in flight needs the magic number of PX4."""
-        on = message.param1 > 0.5
-        if not on and not self.vehicle.landed and message.param2 != _FORCE:
+        arms = message.param1 > 0.5
+        if not arms and not self.vehicle.landed and message.param2 != _FORCE:
             return MavResult.DENIED
-        if on != self.vehicle.sim.armed:
-            self.vehicle.sim.arm(on)
-            self.text("Armed" if on else "Disarmed")
+        if arms != self.vehicle.sim.armed:
+            self.vehicle.sim.arm(arms)
+            if arms:
+                self.text("Armed")
+            else:
+                self.text("Disarmed")
             if self.mode not in (FlightMode.OFFBOARD, FlightMode.MISSION):
                 self.set_mode(FlightMode.HOLD)
         self._schedule.request("heartbeat")
@@ -467,7 +476,9 @@ class Autopilot:
 
     def reposition(self, message: Any) -> int:
         """MAV_CMD_DO_REPOSITION."""
-        yaw = None if math.isnan(message.param4) else message.param4
+        yaw = None
+        if not math.isnan(message.param4):
+            yaw = message.param4
         self.mode = FlightMode.HOLD
         self._start(self._go_and_hold(self._target(message), yaw))
         return MavResult.ACCEPTED
@@ -494,11 +505,13 @@ class Autopilot:
             target = place_of(message)
         else:
             target = local(message.param5, message.param6, message.param7)
-        x, y, z = (
-            coordinate if math.isfinite(coordinate) else here
-            for coordinate, here in zip(target, self.vehicle.position, strict=True)
-        )
-        return x, y, z
+        coordinates = []
+        for coordinate, here in zip(target, self.vehicle.position, strict=True):
+            if math.isfinite(coordinate):
+                coordinates.append(coordinate)
+            else:
+                coordinates.append(here)
+        return coordinates[0], coordinates[1], coordinates[2]
 
     def request_message(self, message: Any) -> int:
         """MAV_CMD_REQUEST_MESSAGE and older forms: AUTOPILOT_VERSION, or any message of the telemetry by its id."""
@@ -694,13 +707,15 @@ def extended_sys_state(autopilot: Autopilot) -> Arguments:
 
 def gps_raw_int(autopilot: Autopilot) -> Arguments:
     """GPS_RAW_INT; without a fix while the position is off."""
-    lost = any(failure.fault.unit == "position" and failure.fault.kind == "off" for failure in autopilot.failures)
+    fix = _FIX_3D
+    if any(failure.fault.unit == "position" and failure.fault.kind == "off" for failure in autopilot.failures):
+        fix = _NO_FIX
     north, east, _ = autopilot.vehicle.velocity
     speed = min(65_534, round(100 * math.hypot(north, east)))
     course = round(100 * _heading(autopilot)) % 36_000
     return (
         autopilot.vehicle.now_us,
-        _NO_FIX if lost else _FIX_3D,
+        fix,
         *_scaled(autopilot.vehicle.position),
         80,
         80,

@@ -80,9 +80,11 @@ def serve(
     server = MavlinkServer(mission, port, speed=speed)
     if not as_json:
         console().print(f"autopilot at udp://127.0.0.1:{server.port}, telemetry to 14540 and 14550", markup=False)
+    if seconds is None:
+        seconds = _MAX_DURATION_S
     with stoppable("Stopped."):
         try:
-            server.run(_MAX_DURATION_S if seconds is None else seconds)
+            server.run(seconds)
         finally:
             _show(server, as_json)
             server.close()
@@ -105,10 +107,18 @@ def _show(server: MavlinkServer, as_json: bool) -> None:
     if as_json:
         write_json(state)
         return
+
+    # the same as a sentence
     north, east, down = vehicle.position
-    whereabouts = "on the ground" if vehicle.landed else "in the air"
-    motors = "armed" if vehicle.sim.armed else "disarmed"
-    collision = "after a" if vehicle.has_collided else "without"
+    whereabouts = "in the air"
+    if vehicle.landed:
+        whereabouts = "on the ground"
+    motors = "disarmed"
+    if vehicle.sim.armed:
+        motors = "armed"
+    collision = "without"
+    if vehicle.has_collided:
+        collision = "after a"
     console().print(
         f"{state['time_s']:.1f} s simulated, {server.received} messages received: the vehicle is {whereabouts}, "
         f"{north:z.1f} m north, {east:z.1f} m east and {-down:z.1f} m above its start, in mode {state['mode']}, "

@@ -15,10 +15,13 @@ SETPOINT_TIMEOUT_US = 1_000_000
 RETURN_HEIGHT = 5.0
 """Least height of a return to launch (m); PX4's default is 60 m, above the walls of some environments."""
 FOREVER_S = 1e5
+"""Time limit of tasks that have none (s)."""
 _POSITION_GAIN = 0.9
+_ORBIT_GAIN = 1.0
+"""Velocity per distance from a position, and from an orbit (1/s)."""
 _HOLD_SPEED = 2.0
 _APPROACH_SPEED = 5.0
-_ORBIT_GAIN = 1.0
+"""Largest speed that corrects a position, when holding it and on the way to it (m/s)."""
 
 
 class MavVehicle(PilotedVehicle):
@@ -55,8 +58,9 @@ def hold(vehicle: PilotedVehicle) -> Task:
     here = vehicle.position
     while True:
         if not vehicle.landed:
-            back = [clip(_POSITION_GAIN * (a - b), _HOLD_SPEED) for a, b in zip(here, vehicle.position, strict=True)]
-            vehicle.send((back[0], back[1], back[2]), 0.0, HOLD_S)
+            offsets = [origin - now for origin, now in zip(here, vehicle.position, strict=True)]
+            north, east, down = (clip(_POSITION_GAIN * offset, _HOLD_SPEED) for offset in offsets)
+            vehicle.send((north, east, down), 0.0, HOLD_S)
         yield
 
 
@@ -82,18 +86,25 @@ def return_to_launch(vehicle: PilotedVehicle, speed: float) -> Task:
 
 def orbit(vehicle: PilotedVehicle, centre: Triple, radius: float, speed: float, clockwise: bool) -> Task:
     """Circle around a place, nose to the centre."""
-    sign = 1.0 if clockwise else -1.0
+    sign = -1.0
+    if clockwise:
+        sign = 1.0
     while True:
+        # unit vector (n, e) from the centre to the vehicle
         north, east, down = vehicle.position
-        away = north - centre[0], east - centre[1]
-        distance = max(math.hypot(*away), 1e-6)
-        n = away[0] / distance
-        e = away[1] / distance
+        outward = (north - centre[0], east - centre[1])
+        distance = max(math.hypot(*outward), 1e-6)
+        n = outward[0] / distance
+        e = outward[1] / distance
+
+        # along the circle, and back to it
         inward = clip(_ORBIT_GAIN * (distance - radius), speed)
-        velocity = -n * inward - sign * e * speed, -e * inward + sign * n * speed, clip(centre[2] - down, 2.0)
-        off = math.remainder(float(atan2(-e, -n)) - vehicle.yaw, 2.0 * math.pi)
-        turn = sign * speed / max(distance, 1.0)
-        vehicle.send(velocity, clip(YAW_GAIN * off + turn, YAW_RATE), HOLD_S)
+        velocity = (-n * inward - sign * e * speed, -e * inward + sign * n * speed, clip(centre[2] - down, 2.0))
+
+        # turn with the circle, and towards its centre
+        yaw_error = math.remainder(float(atan2(-e, -n)) - vehicle.yaw, 2.0 * math.pi)
+        turn_rate = sign * speed / max(distance, 1.0)
+        vehicle.send(velocity, clip(YAW_GAIN * yaw_error + turn_rate, YAW_RATE), HOLD_S)
         yield
 
 

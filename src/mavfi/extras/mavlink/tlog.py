@@ -187,7 +187,9 @@ class FlightMessages:
     def text(self, line: LogLine, number: int) -> Iterator[Any]:
         """The STATUSTEXT messages of a line; chunks of a long text share an id derived from `number`."""
         parts = chunks_of(line.text)
-        shared_id = 0 if len(parts) == 1 else number % 65_535 + 1
+        shared_id = 0
+        if len(parts) > 1:
+            shared_id = number % 65_535 + 1
         for index, part in enumerate(parts):
             yield self._dialect.MAVLink_statustext_message(_SEVERITIES[line.level], part, shared_id, min(index, 255))
 

@@ -60,9 +60,12 @@ def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
     unknown = next((name for name in names if name not in CLAIMS), None)
     if unknown is not None:
         raise BadInputError(f"claim {unknown!r}: not known; allowed: {', '.join(CLAIMS)}")
+
+    # each claim is tested on the runs of its campaign
     claims = [CLAIMS[name] for name in names]
     runs_by_campaign = {runs.campaign["name"]: runs for runs in campaigns}
     results = [_test(claim, runs_by_campaign.get(claim.campaign)) for claim in claims]
+
     # the correction is over the claims of this table: those that could not be tested do not count
     adjusted = holm([evidence.p_value for evidence in results])
     rows = [
@@ -119,7 +122,13 @@ _LINKED = ("verdict", "p", "holm_p")
 
 def _behind_cells(evidence: Evidence) -> tuple[tuple[str, ...], ...]:
     """Ids of the runs that each cell of a row opens."""
-    return tuple(evidence.behind if key in _LINKED else () for key in _KEYS)
+    cells = []
+    for key in _KEYS:
+        ids: tuple[str, ...] = ()
+        if key in _LINKED:
+            ids = evidence.behind
+        cells.append(ids)
+    return tuple(cells)
 
 
 def _test(claim: Claim, runs: Runs | None) -> Evidence:
@@ -200,7 +209,7 @@ def _faults(runs: Runs) -> Runs:
     return m.leading_faults(runs).where(setting=FI)
 
 
-def _of(column: str, *names: str) -> pl.Expr:
+def _is_one_of(column: str, *names: str) -> pl.Expr:
     return pl.col(column).is_in(names)
 
 
@@ -225,8 +234,8 @@ def _compare_faults(
     return test
 
 
-_PERCEPTION = ("perception", _of("stage", "perception"))
-_PLANNING_CONTROL = ("planning and control", _of("stage", "planning", "control"))
+_PERCEPTION = ("perception", _is_one_of("stage", "perception"))
+_PLANNING_CONTROL = ("planning and control", _is_one_of("stage", "planning", "control"))
 _HARMED_WORDS = "fails or > 5 % longer"
 _SETTING_WORDS = {FI: "fault", "dr_gaussian": "fault with GAD", "dr_autoencoder": "fault with AAD"}
 """Settings of paired tests."""
@@ -300,8 +309,8 @@ def _most_missed(runs: Runs) -> Evidence:
     return _in_dense(faults, pl.col("detected_at_site"), more=False, what="faults detected at their site by GAD or AAD")
 
 
-_HIGH_BITS = ("sign and exponent", _of("bits", "sign", "exponent"))
-_LOW_BITS = ("mantissa", _of("bits", "mantissa"))
+_HIGH_BITS = ("sign and exponent", _is_one_of("bits", "sign", "exponent"))
+_LOW_BITS = ("mantissa", _is_one_of("bits", "mantissa"))
 
 
 Row = tuple[str, str, Callable[[Runs], Evidence]]
@@ -315,8 +324,9 @@ def _claims(section: str, campaign: str, *rows: Row, method: str = WITHIN) -> li
 
 def _of_kernels() -> list[Claim]:
     """Claims on the effect of a fault by the kernel that it hits."""
-    collision_check = ("collision check", _of("kernel", "collision_check"))
-    clouds_and_maps = ("point cloud and OctoMap", _of("kernel", "point_cloud", "octomap"))
+    # within perception, and the spread of flight times
+    collision_check = ("collision check", _is_one_of("kernel", "collision_check"))
+    clouds_and_maps = ("point cloud and OctoMap", _is_one_of("kernel", "point_cloud", "octomap"))
     critical = _compare_faults(_faults, collision_check, clouds_and_maps, HARMED, more=True, what=_HARMED_WORDS)
     wider = _compare_faults(
         _faults, _PLANNING_CONTROL, _PERCEPTION, TIME_CHANGED, more=True, what="flight time changed by > 5 %"
@@ -350,17 +360,20 @@ def _of_kernels() -> list[Claim]:
 
 def _of_states() -> list[Claim]:
     """Claims on the effect of a fault by the state and the bit that it hits."""
+    # the two states that the paper compares
     sequence = "future_collision_seq"
     time = "time_to_collision"
     robust = _compare_faults(
         _faults,
-        (sequence, _of("target", sequence)),
-        (time, _of("target", time)),
+        (sequence, _is_one_of("target", sequence)),
+        (time, _is_one_of("target", time)),
         HARMED,
         more=False,
         what=_HARMED_WORDS,
     )
-    waypoints = _of("target", "waypoint position", "waypoint yaw", "waypoint velocity")
+
+    # the other states, and classes of bits
+    waypoints = _is_one_of("target", "waypoint position", "waypoint yaw", "waypoint velocity")
 
     def by_class(value: pl.Expr, what: str) -> Callable[[Runs], Evidence]:
         return _compare_faults(by_bits, _HIGH_BITS, _LOW_BITS, value, more=True, what=what)
@@ -397,6 +410,8 @@ def _of_success(campaign: str, level: str, end: str) -> list[Claim]:
     longer = "flight time over golden"
     gaussian = "dr_gaussian"
     autoencoder = "dr_autoencoder"
+
+    # what a fault does, then what each detector recovers, on the same missions
     within = _claims(
         "VI-A",
         campaign,
@@ -442,6 +457,8 @@ def _of_success(campaign: str, level: str, end: str) -> list[Claim]:
             paired(autoencoder, FI, "inflation", more=False, what=longer),
         ),
     )
+
+    # Dense against the other environments
     between = _claims(
         "VI-A",
         campaign,
@@ -487,7 +504,7 @@ def _measured_overhead(arm: str, bound: float) -> Callable[[Runs], Evidence]:
     """Test of measured detection and recovery of golden flights, as shares of their kernels' time."""
 
     def test(runs: Runs) -> Evidence:
-        flights = _timed(runs, arm)
+        flights = _measured_times(runs, arm)
         if not flights:
             return Evidence(_NOT_MEASURED, None, supports=False)
         spent = [detection + recovery for detection, recovery in flights.values()]
@@ -499,7 +516,7 @@ def _measured_overhead(arm: str, bound: float) -> Callable[[Runs], Evidence]:
     return test
 
 
-def _timed(runs: Runs, arm: str) -> dict[tuple[str, int], tuple[float, float]]:
+def _measured_times(runs: Runs, arm: str) -> dict[tuple[str, int], tuple[float, float]]:
     """Measured detection and recovery of an arm's golden flights, by environment and number of the flight."""
     rows = runs.campaign.get("overheads", {}).get("rows", ())
     return {
@@ -531,21 +548,28 @@ def _of_early_stages(runs: Runs) -> Evidence:
     return evidence_of(difference, *words, more=True, what="recomputation of GAD", unit=_OVERHEAD_SHARE)
 
 
+_DETECTION = 0
+_RECOVERY = 1
+"""Parts of the measured times of a flight."""
+
+
 def _measured_against(*parts: int, more: bool) -> Callable[[Runs], Evidence]:
-    """Sign test of both detectors on the same golden flights, measured; parts: 0 = detection, 1 = recovery."""
+    """Sign test of the sum of some parts of the measured times of both detectors, on the same golden flights."""
 
     def test(runs: Runs) -> Evidence:
-        aad = _summed(_timed(runs, "autoencoder"), parts)
-        gad = _summed(_timed(runs, "gaussian"), parts)
+        aad = _sums_of(_measured_times(runs, "autoencoder"), parts)
+        gad = _sums_of(_measured_times(runs, "gaussian"), parts)
         shared = [flight for flight in aad if flight in gad]
         if not shared:
             return Evidence(_NOT_MEASURED, None, supports=False)
+
         # sign test: flights with equal times are left out
         above = sum(aad[flight] > gad[flight] for flight in shared)
         below = sum(aad[flight] < gad[flight] for flight in shared)
         p_value = 1.0
         if above + below:
             p_value = float(binomtest(above, above + below).pvalue)
+
         means = (
             f"{name} {100 * sum(times[flight] for flight in shared) / len(shared):.3g} %"
             for name, times in (("AAD", aad), ("GAD", gad))
@@ -554,13 +578,14 @@ def _measured_against(*parts: int, more: bool) -> Callable[[Runs], Evidence]:
             f"{', '.join(means)} of the kernels' time; AAD's is higher in {above} and lower in {below} of "
             f"{len(shared)} flights"
         )
-        supports = above > below if more else above < below
-        return Evidence(here, p_value, supports)
+        if more:
+            return Evidence(here, p_value, supports=above > below)
+        return Evidence(here, p_value, supports=above < below)
 
     return test
 
 
-def _summed(
+def _sums_of(
     flights: Mapping[tuple[str, int], tuple[float, float]], parts: Sequence[int]
 ) -> dict[tuple[str, int], float]:
     """Sum of some parts of the measured times of each flight."""
@@ -592,10 +617,10 @@ def _of_overhead() -> Iterable[Claim]:
         yield Claim(f"{arm}_overhead_measured", text, "VI-C", VALUES, _FLIGHTS, _measured_overhead(arm, bound))
     text = "The overhead of AAD is smaller than GAD's"
     yield Claim("autoencoder_overhead_smaller", f"{text}: recomputation, modelled", "VI-C", INSTRUCTIONS, WITHIN, _less)
-    test = _measured_against(0, 1, more=False)
+    test = _measured_against(_DETECTION, _RECOVERY, more=False)
     yield Claim("autoencoder_overhead_smaller_measured", f"{text}, measured here", "VI-C", VALUES, _FLIGHTS, test)
     text = "AAD's detection takes more time than GAD's, measured here"
-    test = _measured_against(0, more=True)
+    test = _measured_against(_DETECTION, more=True)
     yield Claim("autoencoder_detection_slower", text, "VI-C", VALUES, _FLIGHTS, test)
     text = "GAD's recovery is dominated by perception and planning, modelled"
     yield Claim("gaussian_recovery_of_early_stages", text, "VI-C", INSTRUCTIONS, WITHIN, _of_early_stages)
@@ -671,6 +696,7 @@ def _of_redundancy() -> Iterable[Claim]:
 
 def _of_platforms() -> Iterable[Claim]:
     """Claims on golden flights, on the effect of a fault, and on recovery, on the slow platform and the fast one."""
+    # golden flights
     yield Claim(
         "slow_platform_time",
         "Flights on the Cortex-A57 take longer (115 s : 322 s)",
@@ -687,6 +713,8 @@ def _of_platforms() -> Iterable[Claim]:
         WITHIN,
         _of_golden("energy_j", "mean energy", _KILOJOULES),
     )
+
+    # flights with a fault
     factor = float(paper.figure("platforms_worst", quantity="flight_time_ratio"))
     text = f"With a fault, flights on the Cortex-A57 take at least {factor:g} times as long (the paper: the worst)"
     yield Claim("slow_platform_ratio", text, "VI-D", PLATFORMS, WITHIN, _times_as_long(factor))
@@ -694,6 +722,7 @@ def _of_platforms() -> Iterable[Claim]:
         "platforms_alike", "Faults harm alike on both platforms", "VI-D", PLATFORMS, WITHIN, equality(_same_trend)
     )
 
+    # what detectors recover
     def shorter(setting: str, other: str) -> Callable[[Runs], Evidence]:
         return paired(setting, other, "inflation", more=False, what="flight time over golden", environment=SLOW)
 

@@ -76,9 +76,9 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     for folder, campaign in campaigns.items():
         _check_campaign(campaign, chosen.campaigns[folder], out / folder)
     check_folder(out)
-    lacking = _untrained(campaigns.values(), out / MODELS, chosen.training_flights)
+    lacking = _missions_to_train(campaigns.values(), out / MODELS, chosen.training_flights)
     wanted = {pair for campaign in campaigns.values() for pair in _detectors(campaign)}
-    timed = _to_be_timed(chosen, campaigns, out)
+    timed = _folders_to_time(chosen, campaigns, out)
 
     # each step writes its results, so that the command can be stopped and resumed
     stopped = f"Stopped. What is done is kept in {out}; the same command resumes."
@@ -97,12 +97,14 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
         for folder in timed:  # in one process, with no other work at the same time
             with bar.timed("timed flights"):
                 save(measure(campaigns[folder], TIMED_FLIGHTS, out / MODELS, bar.show), out / folder)
-        written, _ = write_study_report(chosen, scale, out, out / PAGE, FLIGHTS, workers, bar=bar)
+        report, _ = write_study_report(chosen, scale, out, out / PAGE, FLIGHTS, workers, bar=bar)
+
+    # the headline, and where everything is
     if as_json:
-        write_json(written.to_json())
+        write_json(report.to_json())
         return
-    show_study_report(written, show_all)
-    _say_where(out, written.campaigns, bar.steps)
+    show_study_report(report, show_all)
+    _say_where(out, report.campaigns, bar.steps)
 
 
 def _train(
@@ -137,24 +139,27 @@ def _say_where(out: Path, campaigns: Mapping[str, "Runs"], steps: "StepTimes") -
         name = runs.campaign["name"]
         digest = short(runs.campaign["digest"])
         terminal.print(Text(f"  {name:{width}}  {digest}  {out / folder}"), soft_wrap=True)
-    took = duration(sum(steps.seconds.values()))
-    took += ", set-up included" if SET_UP in steps.seconds else " in all"
-    terminal.print(f"The models are in {out / MODELS}. It took {took}.", soft_wrap=True)
+    wall_time = duration(sum(steps.seconds.values()))
+    if SET_UP in steps.seconds:
+        wall_time += ", set-up included"
+    else:
+        wall_time += " in all"
+    terminal.print(f"The models are in {out / MODELS}. It took {wall_time}.", soft_wrap=True)
 
 
-def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> list["MissionSpec"]:
+def _missions_to_train(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> list["MissionSpec"]:
     """Missions for which detectors are still to be trained, without duplicates."""
     untrained: dict[tuple[str, ...], MissionSpec] = {}
     for campaign in campaigns:
         if not _detectors(campaign):
             continue
         for mission in _missions(campaign):
-            if not _trained(campaign, mission, folder, flights):
+            if not _is_trained(campaign, mission, folder, flights):
                 untrained.setdefault(tuple(_trained_for(mission).values()), mission)
     return list(untrained.values())
 
 
-def _to_be_timed(study: "Study", campaigns: Mapping[str, "Campaign"], out: Path) -> list[str]:
+def _folders_to_time(study: "Study", campaigns: Mapping[str, "Campaign"], out: Path) -> list[str]:
     """Folders of the campaigns whose overheads the study shows and nobody has measured yet."""
     from mavfi.extras.paper.overhead_views import load
 
@@ -208,7 +213,7 @@ def _trained_for(mission: "MissionSpec") -> dict[str, str]:
     return {"stack": mission.autopilot, "platform": mission.platform, "planner": mission.planner}
 
 
-def _trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flights: int) -> bool:
+def _is_trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flights: int) -> bool:
     """Whether the folder holds up-to-date models for a mission and all detectors of a campaign."""
     from mavfi.campaign.fingerprint import versions
     from mavfi.detectors.model import Model

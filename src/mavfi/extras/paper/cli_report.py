@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -86,24 +86,26 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
     else:
         report_workers = workers
     if bar is None:
-        written, *campaign_reports = _written(tasks, report_workers)
+        study_report, *campaign_reports = _write_all(tasks, report_workers)
     else:
         with bar.timed("tables and figures", "reports"):
-            written, *campaign_reports = _written(tasks, report_workers, bar.show)
-        written = replace(written, steps=bar.steps)
+            study_report, *campaign_reports = _write_all(tasks, report_workers, bar.show)
+        study_report = replace(study_report, steps=bar.steps)
 
     # the page needs the reports of all campaigns
     reports = dict(zip(campaigns, campaign_reports, strict=True))
     count = 0
     if page is not None:
-        page_bar = bar.timed("report.html and its flights") if bar else Bar("flights of the page")
-        with page_bar as shown:
-            count = write_study_html(page, folder, written, scale, reports, flights, workers, shown.show)
+        page_bar: AbstractContextManager[Bar] = Bar("flights of the page")
+        if bar is not None:
+            page_bar = bar.timed("report.html and its flights")
+        with page_bar as running_bar:
+            count = write_study_html(page, folder, study_report, scale, reports, flights, workers, running_bar.show)
 
     # once more, with the time of the page
     if bar is not None:
-        write_texts(written, scale, folder)
-    return written, count
+        write_texts(study_report, scale, folder)
+    return study_report, count
 
 
 def report_study(directory: Path, html: Path | None, flights: int | None, workers: int) -> Reported | None:
@@ -115,8 +117,8 @@ def report_study(directory: Path, html: Path | None, flights: int | None, worker
     for folder in study.campaigns:
         Store.open(directory / folder).close()  # fails before writing
     check_folder(directory)
-    written, count = write_study_report(study, scale, directory, html, flights, workers)
-    return Reported(written, count, partial(drawn_of_study, written), partial(show_study_report, written))
+    report, count = write_study_report(study, scale, directory, html, flights, workers)
+    return Reported(report, count, partial(drawn_of_study, report), partial(show_study_report, report))
 
 
 def _polars_has_threads() -> bool:
@@ -125,7 +127,7 @@ def _polars_has_threads() -> bool:
     return any(re.match(r"polars-\d", name) for name in names)
 
 
-def _written(
+def _write_all(
     tasks: Sequence[Callable[[], Any]], workers: int, show: Callable[[int, int], None] | None = None
 ) -> list[Any]:
     """Reports in the order of the tasks that write them."""

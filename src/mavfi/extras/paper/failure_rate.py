@@ -429,8 +429,11 @@ _DIFFERENCE = (
 
 def failure_notes(upsets: UpsetConfig, runs: Runs) -> list[str]:
     """Notes on omitted settings, definitions, assumptions and sources of the table."""
+    # what is left out, and whether a detector pays; the latter with the explanation of its test
     rate = upsets_per_instruction(upsets)
     verdicts = payoffs(runs, rate.value)
+    if verdicts:
+        verdicts = [*verdicts, _DIFFERENCE]
     fit = upsets.fit_per_mbit
     altitude = upsets.altitude
     left_out = [
@@ -441,7 +444,6 @@ def failure_notes(upsets: UpsetConfig, runs: Runs) -> list[str]:
     return [
         *left_out,
         *verdicts,
-        *([_DIFFERENCE] if verdicts else []),
         "failures per flight hour = upsets per instruction x dynamic instructions per flight hour (golden runs of the "
         "setting, recomputations and detector included) x harm; [95 % interval of the harm]; faults alone, "
         "not the failures without a fault",

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import polars as pl
@@ -60,17 +60,22 @@ _BOX = 0.5
 
 def _rows(runs: Runs, select: Callable[[Runs], Runs], column: str) -> Figure | None:
     """Flight times of successful missions (left) and success (right), one row per value of a column."""
-    shown = select(runs)
-    if not len(shown.injected):
+    # a pair of panels for each environment, as high as its number of rows
+    selected = select(runs)
+    if not len(selected.injected):
         return None
-    environments = {name: flights.groups(column) for (name,), flights in shown.groups("environment").items()}
+    environments = {name: flights.groups(column) for (name,), flights in selected.groups("environment").items()}
     counts = [len(groups) for groups in environments.values()]
     height = 0.75 + sum(0.75 + _ROW * count for count in counts)
     figure = Figure(figsize=(9.2, height), layout="constrained")
     panels = figure.subplots(len(counts), 2, squeeze=False, height_ratios=counts, width_ratios=(1.6, 1), sharex="col")
+
+    # a box and a mark for each row
     for (left, right), (environment, groups) in zip(panels, environments.items(), strict=True):
         names = [str(name) for (name,) in groups]
-        golden = names.index(GOLDEN_ROW) if GOLDEN_ROW in names else None
+        golden = None
+        if GOLDEN_ROW in names:
+            golden = names.index(GOLDEN_ROW)
         _times(left, [flights.where("success") for flights in groups.values()], golden)
         for row, flights in enumerate(groups.values()):
             label = {"environment": environment, column: names[row]}
@@ -84,6 +89,8 @@ def _rows(runs: Runs, select: Callable[[Runs], Runs], column: str) -> Figure | N
             axes.set_ylim(len(names) - 0.5, -0.5)
             axes.tick_params(axis="y", length=0)
             axes.grid(axis="x")
+
+    # the shared axes are labelled at the last environment
     panels[-1][0].set_xlabel("flight time of missions that succeed (s)")
     panels[-1][1].set_xlim(right=1.02)  # after the last environment: a limit ends autoscaling of the shared axis
     panels[-1][1].set_xlabel("missions that succeed")
@@ -121,8 +128,11 @@ def _look(name: str) -> dict[str, str]:
 def _times(axes: Axes, parts: Sequence[Runs], golden: int | None) -> None:
     """Draw a box per part, and a line at the golden median."""
     for row, arrived in enumerate(parts):
+        colour = style.ORANGE
+        if row == golden:
+            colour = style.BLUE
         if len(arrived):
-            _box(axes, arrived, row, style.BLUE if row == golden else style.ORANGE)
+            _box(axes, arrived, row, colour)
     if golden is not None and len(parts[golden]):
         axes.axvline(
             float(np.median(parts[golden]["flight_time_s"])),
@@ -136,11 +146,14 @@ def _times(axes: Axes, parts: Sequence[Runs], golden: int | None) -> None:
 def _box(axes: Axes, arrived: Runs, position: float, colour: str, *, upright: bool = False) -> None:
     """Draw median and quartiles of flight times, with every run as a dot; dots have deterministic jitter."""
     values = arrived["flight_time_s"]
+    orientation: Literal["horizontal", "vertical"] = "horizontal"
+    if upright:
+        orientation = "vertical"
     axes.boxplot(
         [values],
         positions=[position],
         widths=_BOX,
-        orientation="vertical" if upright else "horizontal",
+        orientation=orientation,
         whis=0,
         showfliers=False,
         showcaps=False,
@@ -166,16 +179,17 @@ def _link_times(axes: Axes, flights: Runs, position: float, label: Mapping[str, 
 # ---- Fig. 6 ------------------------------------------------------------------------------------------------------
 def distributions(runs: Runs) -> Figure | None:
     """Flight times of successful missions by environment and setting, with the conditional value at risk."""
-    shown = distribution(runs)
-    if not len(shown.injected):
+    # a panel for each environment, a column for each setting
+    selected = distribution(runs)
+    if not len(selected.injected):
         return None
-    settings = shown.values("setting")
-    environments = shown.values("environment")
+    settings = selected.values("setting")
+    environments = selected.values("environment")
     figure = Figure(figsize=(max(5.0, 0.8 + 2.9 * len(environments)), 4.1), layout="constrained")
     panels = figure.subplots(1, len(environments), squeeze=False, sharey=True)[0]
     looks = style.setting_looks(settings)
     for axes, environment in zip(panels, environments, strict=True):
-        flights = shown.where(environment=environment)
+        flights = selected.where(environment=environment)
         for column, setting in enumerate(settings):
             label = {"environment": environment, "setting": setting}
             _setting_column(axes, flights.where(setting=setting), column, looks[setting], label)
@@ -191,6 +205,8 @@ def distributions(runs: Runs) -> Figure | None:
         axes.grid(axis="y")
         axes.margins(y=0.14)  # the worst case's time is above its mark
     panels[0].set_ylabel("flight time of missions that succeed (s)")
+
+    # the legend explains box, mean and worst
     handles = [
         Line2D([], [], color=style.INK, linewidth=2.0, label="median, box: quartiles"),
         Line2D([], [], color=style.INK, linestyle="", marker="_", markersize=12, label="mean of the slowest 5 %"),
@@ -260,9 +276,10 @@ def flight_times(runs: Runs) -> Figure | None:
 
     The dashed line is the paper's flight time; the paper does not specify its flights.
     """
+    # a panel for each platform, a column for each setting
     platform_of = platforms(runs)
-    flown = compared(runs)
-    settings = [GOLDEN, *flown.settings()]
+    all_flights = compared(runs)
+    settings = [GOLDEN, *all_flights.settings()]
     if not platform_of or len(settings) < 2:
         return None
     figure = Figure(figsize=(1.2 + 2.9 * len(platform_of), 3.9), layout="constrained")
@@ -270,21 +287,10 @@ def flight_times(runs: Runs) -> Figure | None:
     looks = style.setting_looks(settings)
     for axes, (environment, platform) in zip(panels, platform_of.items(), strict=True):
         for column, setting in enumerate(settings):
-            flights = flown.where(environment=environment, setting=setting)
+            flights = all_flights.where(environment=environment, setting=setting)
             _time_column(axes, flights, column, looks[setting], {"platform": platform, "setting": setting})
         if paper.comparable(runs.campaign, ""):
-            printed = paper.figure("platforms", quantity="flight_time_s", platform=platform)
-            if printed is not None:
-                axes.axhline(printed, color=style.INK, linestyle="--", linewidth=0.9)
-                axes.annotate(
-                    f"paper: {printed} s",
-                    (len(settings) - 0.5, printed),
-                    (0, 3),
-                    ha="right",
-                    fontsize=8,
-                    textcoords="offset points",
-                    color=style.INK,
-                )
+            _printed_time(axes, platform, len(settings) - 0.5)
         names = [style.setting_label(setting).replace(" + ", " +\n") for setting in settings]
         axes.set_xticks(range(len(settings)), names, fontsize=8)
         axes.tick_params(axis="x", length=0)
@@ -295,6 +301,23 @@ def flight_times(runs: Runs) -> Figure | None:
     panels[0].set_ylabel("flight time (s) of missions that succeed")
     figure.supxlabel("one fault per mission; bar: quartiles; number: worst", fontsize=8.5, color=style.GREY)
     return figure
+
+
+def _printed_time(axes: Axes, platform: str, right: float) -> None:
+    """Draw the paper's flight time on a platform as a line, with its number at the right end."""
+    printed = paper.figure("platforms", quantity="flight_time_s", platform=platform)
+    if printed is None:
+        return
+    axes.axhline(printed, color=style.INK, linestyle="--", linewidth=0.9)
+    axes.annotate(
+        f"paper: {printed} s",
+        (right, printed),
+        (0, 3),
+        ha="right",
+        fontsize=8,
+        textcoords="offset points",
+        color=style.INK,
+    )
 
 
 def _time_column(axes: Axes, flights: Runs, column: int, look: dict[str, Any], label: Mapping[str, str]) -> None:
@@ -326,6 +349,7 @@ _DESIGN_LOOKS = ((style.BLUE, "o"), (style.ORANGE, "s"), (style.GREEN, "^"), (st
 
 def redundancy(designs: Sequence[DesignConfig]) -> Figure:
     """Ratios of flight time (with bands) and of energy by scheme; one panel per vehicle."""
+    # a panel for each vehicle, a column for each scheme, in it a mark for each calibration
     vehicles = list(dict.fromkeys(design.craft for design in designs))
     calibrations = list(dict.fromkeys(design.calibration for design in designs))
     figure = Figure(figsize=(1.4 + 3.4 * len(vehicles), 3.9), layout="constrained")
@@ -360,6 +384,8 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
         axes.grid(axis="y")
         axes.set_title(vehicle.replace("_", " "))
     panels[0].set_ylabel("against the autoencoder scheme")
+
+    # the legend
     handles = [
         Line2D([], [], linestyle="", marker=marker, color=colour, label=f"flight time, {name}")
         for name, (colour, marker) in zip(calibrations, cycle(_DESIGN_LOOKS), strict=False)
@@ -435,7 +461,9 @@ def path_cases(runs: Runs) -> list[PathCase]:
     environments = runs.values("environment")
     if not environments:
         return []
-    environment = ENVIRONMENT if ENVIRONMENT in environments else environments[-1]
+    environment = environments[-1]
+    if ENVIRONMENT in environments:
+        environment = ENVIRONMENT
     cases = (_case(runs.where(environment=environment), stage) for stage in STAGES)
     return [case for case in cases if case is not None]
 
@@ -461,7 +489,9 @@ def _case(runs: Runs, stage: str) -> PathCase | None:
     else:  # none saves anything: the worst fault, with any detector that flew
         lost = alone.frame.filter(~pl.col("success")).sort(-pl.col("distance_m"), "run_id")
         slowest = alone.frame.sort("inflation", "run_id", descending=[True, False], nulls_last=True)
-        worst = lost if len(lost) else slowest
+        worst = slowest
+        if len(lost):
+            worst = lost
         arm = next((arm for arm in faults.values("arm") if arm), "")
         row = {**worst.row(0, named=True), "dr_inflation": None, "arm": arm}
 
@@ -512,22 +542,22 @@ def trajectories(runs: Runs) -> Figure | None:
     figure = Figure(figsize=(11.0, 0.4 + 3.1 * len(cases)), layout="constrained")
     parts = figure.subfigures(len(cases), 1, squeeze=False)[:, 0]
     for part, case in zip(parts, cases, strict=True):
-        flown = [name for name in (case.golden, case.fault, case.recovered) if name in runs.flights]
-        flights = [runs.flights[name] for name in flown]
+        run_ids = [run_id for run_id in (case.golden, case.fault, case.recovered) if run_id in runs.flights]
+        flights = [runs.flights[run_id] for run_id in run_ids]
         grid = part.add_gridspec(1, 2, width_ratios=(1, 1))
         above = part.add_subplot(grid[0, 0])
         space = part.add_subplot(grid[0, 1], projection="3d")
         _from_above(above, flights)
         _in_space(space, flights)
         for axes in (above, space):  # lines are paths, in this order, before marks
-            for line, run_id in zip(axes.get_lines(), flown, strict=False):
+            for line, run_id in zip(axes.get_lines(), run_ids, strict=False):
                 links.lines([line], links.to_run(run_id))
         part.suptitle(f"fault in {case.stage}: {_fault(flights[1])}\n{_ends(case, flights)}", fontsize=9.5)
         labels = ("golden run", "with the fault", f"with the fault and detector {case.arm}")
         for line, label in zip(above.get_lines(), labels, strict=False):
             line.set_label(label)
-    handles, shown = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, shown, loc="outside upper left", ncols=6)
+    handles, names = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper left", ncols=6)
     return figure
 
 
@@ -572,13 +602,15 @@ def _in_space(axes: Any, flights: Sequence["Flight"]) -> None:
     lower, upper = _limits(flights)
     points = [positions(flight) for flight in flights]
     # obstacles near the paths only: all of them would hide these
-    shown = np.zeros(0, bool)
+    is_near = np.zeros(0, bool)
     if len(world.lower):
-        shown = near_boxes(world, np.concatenate(points))
+        is_near = near_boxes(world, np.concatenate(points))
     faces = []
-    for low, high in zip(world.lower[shown], world.upper[shown], strict=True):
+    for low, high in zip(world.lower[is_near], world.upper[is_near], strict=True):
         faces += _box_faces(np.maximum(low, lower), np.minimum(high, upper))
     axes.add_collection3d(Poly3DCollection(faces, facecolors=_SOLID, edgecolors=_EDGE, linewidths=0.4, alpha=0.25))
+
+    # paths, and the injections on them
     for path, look in zip(points, _LOOKS, strict=False):
         axes.plot(*path.T, **look)
     axes.plot(
@@ -590,6 +622,8 @@ def _in_space(axes: Any, flights: Sequence["Flight"]) -> None:
         markersize=13,
         zorder=9,
     )
+
+    # the displayed volume, and the point of view
     axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
     axes.zaxis.set_rotate_label(False)
     axes.set_zlabel("z (m)", rotation=90, labelpad=-2)
@@ -614,8 +648,8 @@ def _limits(flights: Sequence["Flight"]) -> tuple[np.ndarray, np.ndarray]:
     lower = points.min(axis=0) - _MARGIN
     upper = points.max(axis=0) + _MARGIN
     lower[2] = 0.0
-    more = max(0.0, _WIDTH - (upper[1] - lower[1])) / 2
-    return lower - (0.0, more, 0.0), upper + (0.0, more, 0.0)
+    extra = max(0.0, _WIDTH - (upper[1] - lower[1])) / 2  # on each side, for the least width
+    return lower - (0.0, extra, 0.0), upper + (0.0, extra, 0.0)
 
 
 def _injection(flight: "Flight") -> np.ndarray:
@@ -625,15 +659,19 @@ def _injection(flight: "Flight") -> np.ndarray:
 
 def _fault(flight: "Flight") -> str:
     injection = flight.log.injections[0]
-    bit = "" if injection.bit is None else f", bit {injection.bit}"
+    bit = ""
+    if injection.bit is not None:
+        bit = f", bit {injection.bit}"
     return f"{injection.site}{bit} at {injection.time_s:.1f} s"
 
 
 def _ends(case: PathCase, flights: Sequence["Flight"]) -> str:
     ends = []
     for flight, change in zip(flights, (None, case.inflation, case.recovered_inflation), strict=False):
-        more = "" if change is None else f" ({signed_percent(change)})"
-        ends.append(f"{flight.log.status.words} {float(flight.log.column('time')[-1]):.1f} s{more}")
+        change_text = ""
+        if change is not None:
+            change_text = f" ({signed_percent(change)})"
+        ends.append(f"{flight.log.status.words} {float(flight.log.column('time')[-1]):.1f} s{change_text}")
     words = ("golden", "fault", "detector")
     return ", ".join(f"{word}: {text}" for word, text in zip(words, ends, strict=False))
 
@@ -645,9 +683,11 @@ def _ids(runs: Runs) -> list[str]:
 
 def _caption(runs: Runs) -> str:
     cases = path_cases(runs)
-    shown = "; ".join(f"{case.stage}: `{case.fault}`" for case in cases)
-    where = f" in {cases[0].environment}" if cases else ""
-    return f"Fig. 7, paths{where}, from above and in 3-D (heights drawn three times as large). {RULE} Shown: {shown}."
+    faults = "; ".join(f"{case.stage}: `{case.fault}`" for case in cases)
+    where = ""
+    if cases:
+        where = f" in {cases[0].environment}"
+    return f"Fig. 7, paths{where}, from above and in 3-D (heights drawn three times as large). {RULE} Shown: {faults}."
 
 
 CHAPTER = Chapter(
@@ -659,8 +699,7 @@ CHAPTER = Chapter(
             "redundancy",
             lambda _: redundancy(shipped_designs()),
             "Flight time with redundant processors over that with a detector, by the visual performance model; "
-            "black: the "
-            "paper's figure.",
+            "black: the paper's figure.",
         ),
         Drawing("trajectories", trajectories, _caption, cases=_ids),
     ),

@@ -34,11 +34,7 @@ def load(directory: Path) -> dict[str, Any]:
     path = directory / FILE
     try:
         measured: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        measured["processor"], measured["missions"]
-        {
-            (row["environment"], row["arm"], row["stage"]): (row["detection"], row["recovery"])
-            for row in measured["rows"]
-        }
+        _check_keys(measured)
     except FileNotFoundError:
         return {}
     except (OSError, ValueError, KeyError, TypeError):
@@ -46,35 +42,54 @@ def load(directory: Path) -> dict[str, Any]:
     return measured
 
 
+def _check_keys(measured: dict[str, Any]) -> None:
+    """Read each key that the views need; `KeyError` or `TypeError` if one is missing, or a value has another type."""
+    for key in ("processor", "missions"):
+        measured[key]
+    for row in measured["rows"]:
+        for key in ("detection", "recovery"):
+            row[key]
+        hash((row["environment"], row["arm"], row["stage"]))
+
+
 def of_stages(record: FlightRecord) -> list[Mapping[str, Any]]:
     """Modelled recomputation time by stage and in total, with the modelled compute time of the pipeline (us)."""
-    recomputed = sum(record.recompute_us.values())
-    compute = sum(record.compute_us.values()) - recomputed  # kernels' compute times include recomputations
-    spent = {**{str(stage): record.recompute_us.get(str(stage), 0) for stage in PPC_STAGES}, ALL: recomputed}
-    return [{"stage": stage, "recomputed_us": us, "pipeline_us": compute} for stage, us in spent.items()]
+    total_us = sum(record.recompute_us.values())
+    pipeline_us = sum(record.compute_us.values()) - total_us  # kernels' compute times include recomputations
+    recompute_us = {str(stage): record.recompute_us.get(str(stage), 0) for stage in PPC_STAGES}
+    recompute_us[ALL] = total_us
+    return [
+        {"stage": stage, "recomputed_us": time_us, "pipeline_us": pipeline_us}
+        for stage, time_us in recompute_us.items()
+    ]
 
 
-def _timed(runs: Runs) -> Mapping[str, Any]:
+def _measured_row(runs: Runs) -> Mapping[str, Any]:
     """Measured overheads of an environment, arm and stage; empty if there are none."""
-    group = runs.first("environment"), runs.first("arm"), runs.first("stage")
-    rows = runs.campaign.get("overheads", {}).get("rows", ())
-    return next((row for row in rows if (row["environment"], row["arm"], row["stage"]) == group), {})
+    group = (runs.first("environment"), runs.first("arm"), runs.first("stage"))
+    for row in runs.campaign.get("overheads", {}).get("rows", ()):
+        if (row["environment"], row["arm"], row["stage"]) == group:
+            return row  # type: ignore[no-any-return]
+    return {}
 
 
 def _measured(*keys: str) -> Measure:
     """Sum of measured overheads, as shares of the kernels' time on this machine; see `mavfi.extras.paper.overheads`."""
 
-    def of(runs: Runs) -> float | None:
-        row = _timed(runs)
+    def sum_of_keys(runs: Runs) -> float | None:
+        row = _measured_row(runs)
         if row:
             return float(sum(row[key] for key in keys))
         return None
 
-    name = keys[0] if len(keys) == 1 else "sum"
-    return Measure(f"measured_{name}", f"{name}, measured", SMALL, of)
+    name = "sum"
+    if len(keys) == 1:
+        name = keys[0]
+    return Measure(f"measured_{name}", f"{name}, measured", SMALL, sum_of_keys)
 
 
 def _modelled(runs: Runs) -> float | None:
+    """Recomputations / compute time of the pipeline, both in the platform's modelled time."""
     compute = sum(runs["pipeline_us"])
     if compute:
         return float(sum(runs["recomputed_us"]) / compute)
@@ -83,7 +98,7 @@ def _modelled(runs: Runs) -> float | None:
 
 def _detection_modelled(runs: Runs) -> float | None:
     """Time of the detector, as fast on the platform as on the machine that was measured / modelled compute time."""
-    share: float | None = _timed(runs).get("detection_modelled")
+    share: float | None = _measured_row(runs).get("detection_modelled")
     return share
 
 
@@ -98,20 +113,26 @@ def _sum_modelled(runs: Runs) -> float | None:
 def _papers(key: str, of_stage: str, of_all: str = "") -> Measure:
     """The paper's value for a stage, or its value for all stages if given."""
 
-    def of(runs: Runs) -> float | None:
+    def printed_value(runs: Runs) -> float | None:
         stage = runs.first("stage")
-        name = of_all if stage == ALL else of_stage
+        name = of_stage
+        if stage == ALL:
+            name = of_all
         if not name or not paper.comparable(runs.campaign, runs.first("detector_profile")):
             return None
         where = {"environment": runs.first("environment"), "setting": runs.first("setting"), "stage": stage}
         printed: float | None = paper.figure(name, **where)
         return printed
 
-    return Measure(f"paper_{key}", "paper" if of_stage else "paper, sum", SMALL, of)
+    heading = "paper, sum"
+    if of_stage:
+        heading = "paper"
+    return Measure(f"paper_{key}", heading, SMALL, printed_value)
 
 
 def _overhead_notes(runs: Runs) -> list[str]:
     """Notes on what is divided by what, and on how it was measured."""
+    # how the times were measured, and what a measurement of an earlier version lacks
     measured = runs.campaign.get("overheads", {})
     if measured:
         where = (
@@ -127,6 +148,8 @@ def _overhead_notes(runs: Runs) -> list[str]:
     not_modelled = []
     if any("detection_modelled" not in row for row in measured.get("rows", ())):  # measured by an earlier version
         not_modelled = ["detection, modelled: not in this measurement; mavfi bench overheads DIR repeats it"]
+
+    # what is divided by what
     return [
         "recovery, modelled: recomputations with the latencies of the platform / compute time of the pipeline, all "
         "flights with the detector and a fault, as the paper's",

@@ -29,7 +29,9 @@ from mavfi.states import KERNELS, PPC_STAGES, Stage, State
 
 STAGES = (*map(str, PPC_STAGES), ALL)
 _REPLAYS = 5
+"""Number of replays, of whose times the median is taken."""
 _BLOCK = 16
+"""Publications that are timed at once: few enough to stay in the CPU cache, see `replay`."""
 LONG_S = 1.0
 """Time of a replay from which on it is not repeated: the clock is fine enough for one."""
 
@@ -42,7 +44,7 @@ class Cost(NamedTuple):
         detection: Time of `check` and `accept`, by stage of the publications, and of steps that are computed again for
             comparison (s).
         recovery: Time of repeated steps, and of saving and restoring memory for them (s).
-        shown: Number of publications that the detector checked, and of steps that were computed again.
+        judged_count: Number of publications that the detector checked, and of steps that were computed again.
         recomputed: Recomputations / computations, both in the platform's modelled time.
         compute: Compute time of the pipeline with the platform's latencies, without recomputations (s).
     """
@@ -50,7 +52,7 @@ class Cost(NamedTuple):
     kernels: float
     detection: Mapping[str, float]
     recovery: Mapping[str, float]
-    shown: int
+    judged_count: int
     recomputed: float
     compute: float
 
@@ -59,13 +61,13 @@ Verify = Callable[[Any, list[State], int], tuple[list[State], int]]
 
 
 class _Clock:
-    """Wall time and calls by kernel and method."""
+    """Wall time (s) and calls by kernel and method; verification of steps, by stage, is apart."""
 
     def __init__(self) -> None:
         self.seconds: defaultdict[tuple[str, str], float] = defaultdict(float)
         self.calls: Counter[tuple[str, str]] = Counter()
-        self.again: defaultdict[str, float] = defaultdict(float)
-        self.verified = 0
+        self.verification_seconds: defaultdict[str, float] = defaultdict(float)
+        self.verification_count = 0
 
     def timed(self, kernel: Any, method: str) -> None:
         """Wrap a method of a kernel in a timer."""
@@ -90,10 +92,10 @@ class _Clock:
             calls = self.calls.copy()
             start = time.perf_counter()
             result = verify(kernel, states, now)
-            self.again[str(kernel.stage)] += time.perf_counter() - start
+            self.verification_seconds[str(kernel.stage)] += time.perf_counter() - start
             self.seconds = seconds
             self.calls = calls
-            self.verified += 1
+            self.verification_count += 1
             return result
 
         return call
@@ -122,11 +124,11 @@ def cost(
     clock = _Clock()
 
     def build(config: Any) -> Any:
-        built: dict[str, Any] = build_pipeline(config)
-        for kernel in built.values():
+        kernels: dict[str, Any] = build_pipeline(config)
+        for kernel in kernels.values():
             for method in ("step", "receive", "mark", "rollback"):
                 clock.timed(kernel, method)
-        return built
+        return kernels
 
     scenario = resolve(mission)
     detector = detector_for(scenario, name, profile, models_dir, mission.trained_for, options).detector
@@ -139,55 +141,61 @@ def cost(
     repeated: Counter[tuple[str, str]] = Counter()
     recompute = loop.recompute
 
-    def counted(action: Action, now: int) -> None:
-        for kernel in SCANNING if action.kernel in SCANNING else (action.kernel,):
+    def count_and_recompute(action: Action, now: int) -> None:
+        kernels: Sequence[str] = (action.kernel,)
+        if action.kernel in SCANNING:
+            kernels = SCANNING
+        for kernel in kernels:
             repeated[str(action.stage), kernel] += 1
         recompute(action, now)
 
-    loop.recompute = counted  # type: ignore[method-assign]
+    loop.recompute = count_and_recompute  # type: ignore[method-assign]
 
     # record what the detector checks, for the replay
     states = loop.taps.watched
-    shown = list[tuple[State, int]]()
-    loop.taps.recorders.append(lambda state, now: shown.append((state, now)))
+    publications = list[tuple[State, int]]()
+    loop.taps.recorders.append(lambda state, now: publications.append((state, now)))
     meta = loop.fly().log.meta
-    recomputed = sum(meta["recompute_us"].values())
-    computed = sum(meta["compute_us"].values())
-    if not computed > recomputed:
+    recompute_us = sum(meta["recompute_us"].values())
+    compute_us = sum(meta["compute_us"].values())
+    if not compute_us > recompute_us:
         raise BadInputError(f"platform {scenario.platform.name}: latency_us: all are 0; allowed: one above 0 at least")
-    watched = [(state, now) for state, now in shown if states is None or state.spec.name in states]
-    kernels = sum(spent for (_, method), spent in clock.seconds.items() if method in ("step", "receive"))
+
+    # replay them
+    judged = [(state, now) for state, now in publications if states is None or state.spec.name in states]
+    seconds_of_kernels = sum(spent for (_, method), spent in clock.seconds.items() if method in ("step", "receive"))
     return Cost(
-        kernels,
-        _detection(detector, watched, clock.again),
+        seconds_of_kernels,
+        _detection(detector, judged, clock.verification_seconds),
         _recovery(clock, repeated),
-        len(watched) + clock.verified,
-        recomputed / computed,
-        1e-6 * (computed - recomputed),
+        len(judged) + clock.verification_count,
+        recompute_us / compute_us,
+        1e-6 * (compute_us - recompute_us),
     )
 
 
 def _detection(
-    detector: Detector, publications: Sequence[tuple[State, int]], again: Mapping[str, float]
+    detector: Detector, publications: Sequence[tuple[State, int]], verification_seconds: Mapping[str, float]
 ) -> dict[str, float]:
-    """Time of a detector by stage; `again`: that of steps that were computed again."""
+    """Time of a detector by stage (s), with that of steps that were computed again for it."""
 
-    def spent(checked: Sequence[tuple[State, int]]) -> float:
-        if not checked:
+    def seconds_of(part: Sequence[tuple[State, int]]) -> float:
+        if not part:
             return 0.0
-        times = [replay(detector, checked)]
+        times = [replay(detector, part)]
         while times[0] < LONG_S and len(times) < _REPLAYS:
-            times.append(replay(detector, checked))
+            times.append(replay(detector, part))
         return statistics.median(times)
 
     by_stage = {}
     for stage in PPC_STAGES:
         of_stage = [(state, now) for state, now in publications if state.spec.stage is stage]
-        by_stage[str(stage)] = spent(of_stage) + again.get(str(stage), 0.0)
-    return {**by_stage, ALL: spent(publications) + sum(again.values())}
+        by_stage[str(stage)] = seconds_of(of_stage) + verification_seconds.get(str(stage), 0.0)
+    return {**by_stage, ALL: seconds_of(publications) + sum(verification_seconds.values())}
 
 
 def _recovery(clock: _Clock, repeated: Mapping[tuple[str, str], int]) -> dict[str, float]:
+    """Time of recovery by stage (s): saving and restoring memory, and repeated steps at the mean time of a step."""
     by_stage = dict.fromkeys(STAGES, 0.0)
     for (kernel, method), spent in clock.seconds.items():
         if method in ("mark", "rollback") and KERNELS[kernel].stage is not Stage.SENSOR:
@@ -208,16 +216,19 @@ def replay(detector: Detector, publications: Sequence[tuple[State, int]]) -> flo
     clock = time.perf_counter
     for first in range(0, len(publications), _BLOCK):
         block = publications[first : first + _BLOCK]
-        for state, _ in block:
+        for state, _ in block:  # into the cache
             state.header.tobytes(), state.elements.tobytes()
+        timed_publications: Iterable[tuple[State, int]] = block
+        if detector.seals:
+            timed_publications = _sealed(block, detector.seal)
         start = clock()
-        for state, now in _sealed(block, detector.seal) if detector.seals else block:
+        for state, now in timed_publications:
             detector.check(state, now)  # after a false alarm, the value is assumed to be published, too
             detector.accept(state, now)
         middle = clock()
         for state, now in block:  # noqa: B007 - as above
             pass
-        spent += 2.0 * middle - start - clock()
+        spent += 2.0 * middle - start - clock()  # (middle - start) - (clock() - middle)
     return spent
 
 
@@ -251,20 +262,23 @@ def measure(
     Raises:
         BadInputError: No arm has a detector, or a mission cannot be flown.
     """
+    # the flights: each seed in each environment with each detector
     arms = [arm for arm in arms_of(campaign) if arm.detector]
     if not arms:
         raise BadInputError(f"campaign {campaign.name}: arms: none has a detector; needed: one at least")
     seeds = range(campaign.first_seed, campaign.first_seed + missions)
     total = len(campaign.environments) * len(arms) * missions
     done = 0
+
+    # fly them one after the other; rows have medians over the seeds
     rows: list[dict[str, Any]] = []
     for environment in campaign.environments:
         for arm in arms:
-            flown = [campaign.spec(environment, seed, arm.overrides) for seed in seeds]
+            flights = [campaign.spec(environment, seed, arm.overrides) for seed in seeds]
             if not rows:  # warm-up: compiles, or reads the cache
-                cost(flown[0], arm.detector, arm.profile, models_dir, arm.options)
+                cost(flights[0], arm.detector, arm.profile, models_dir, arm.options)
             costs = []
-            for mission in flown:
+            for mission in flights:
                 costs.append(cost(mission, arm.detector, arm.profile, models_dir, arm.options))
                 done += 1
                 progress(done, total)
@@ -276,6 +290,7 @@ def measure(
 
 
 def _shares(costs: Iterable[Cost], stage: str) -> dict[str, Any]:
+    """Cells of a row: medians of the shares over flights, and the shares of each flight."""
     shares = [
         (
             flight.detection[stage] / flight.kernels,

@@ -105,7 +105,9 @@ class Performance:
 
 def payload(design: DesignConfig, copies: int) -> float:
     """Mass of the computer (kg) with `copies` processors; heat sink mass is proportional to power."""
-    boards = copies if design.replicated == "board" else 1
+    boards = 1
+    if design.replicated == "board":
+        boards = copies
     return boards * design.board_mass + copies * design.heatsink * design.processor_power
 
 
@@ -257,7 +259,7 @@ def _sensitivity(designs: Sequence[DesignConfig]) -> Runs:
     rows = []
     for design in designs:
         for key, supported in design.bands.items():
-            low, high = at_ends(design, key)
+            at_low, at_high = (None if end is None else ratio(end, TMR) for end in at_ends(design, key))
             rows.append(
                 {
                     "vehicle": design.craft,
@@ -266,8 +268,8 @@ def _sensitivity(designs: Sequence[DesignConfig]) -> Runs:
                     "value": getattr(design, key),
                     "from": supported.low,
                     "to": supported.high,
-                    "at_low": None if low is None else ratio(low, TMR),
-                    "at_high": None if high is None else ratio(high, TMR),
+                    "at_low": at_low,
+                    "at_high": at_high,
                     "source": design.sources.get(key, ""),
                 }
             )

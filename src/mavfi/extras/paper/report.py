@@ -294,12 +294,17 @@ _MINUTES = "number .1f min"
 
 def step_table(seconds: Mapping[str, float], campaigns: Mapping[str, Runs]) -> Table:
     """Wall time (s) by step, with the runs per second of the campaigns, and the sum."""
+    # only the step of the flights has a pace; a study without times has no rows
     total = sum(seconds.values())
     runs = sum(map(len, campaigns.values()))
     rows = []
     for step, spent in [*seconds.items(), ("all", total)]:
-        share = spent / total if total else None
-        pace = runs / spent if step == FLIGHTS and spent else None
+        share = None
+        if total:
+            share = spent / total
+        pace = None
+        if step == FLIGHTS and spent:
+            pace = runs / spent
         rows.append((step, spent / 60, share, pace))
     columns = (
         Column("step", "step"),

@@ -87,7 +87,7 @@ def _quantile(runs: Runs, share: float) -> float | None:
     return m.quantile_of(runs.where("success")["flight_time_s"], share)
 
 
-def _shown(
+def _view_by(
     name: str,
     title: str,
     by: str,
@@ -129,7 +129,7 @@ def _kernels_note() -> str:
 
 
 _EFFECTS = (
-    _shown(
+    _view_by(
         "kernels_as_in_the_paper",
         "Fig. 3: flight time and success, one fault in one kernel",
         "kernel",
@@ -139,7 +139,7 @@ _EFFECTS = (
         _kernels_note(),
         leads=True,
     ),
-    _shown(
+    _view_by(
         "states_as_in_the_paper",
         "Fig. 4: flight time and success, one fault in one inter-kernel state",
         "target",
@@ -148,7 +148,7 @@ _EFFECTS = (
         lambda runs: of_states(runs) and runs.campaign.get("each") == "group",
         "the paper's Fig. 4 is a drawing without numbers; faults in sign and exponent bits, where drawn apart",
     ),
-    _shown(
+    _view_by(
         "bits_as_in_the_paper",
         "Section III-B: flight time and success, by class of the flipped bit",
         "bits",
@@ -367,6 +367,7 @@ def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
         recovered: float | None = paper.figure("platforms_recovered", setting=group.first("setting"))
         return recovered
 
+    # the columns, ours beside the paper's
     yield ratio("median_ratio", "median ratio", "flight_time_s", 0.5)
     yield ratio("energy_ratio", "of energy", "energy_j", 0.5)
     yield ratio("worst_ratio", "worst ratio", "flight_time_s", 1.0)

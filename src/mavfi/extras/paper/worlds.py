@@ -64,7 +64,7 @@ def within_worlds(first: Runs, second: Runs, value: pl.Expr, *, by: str = "world
         return None
     differences = np.array([np.mean(first_values[world]) - np.mean(second_values[world]) for world in shared])
     p_value = _p_value((differences,), np.mean, "samples")
-    return _compared(first, second, value, len(shared), float(differences.mean()), p_value)
+    return _difference_of(first, second, value, len(shared), float(differences.mean()), p_value)
 
 
 def between_worlds(first: Runs, second: Runs, value: pl.Expr) -> MeanDifference | None:
@@ -77,10 +77,10 @@ def between_worlds(first: Runs, second: Runs, value: pl.Expr) -> MeanDifference 
     second_means = np.array([np.mean(values) for values in second_values.values()])
     difference = float(first_means.mean() - second_means.mean())
     p_value = _p_value((first_means, second_means), _difference, "independent")
-    return _compared(first, second, value, len(first_values) + len(second_values), difference, p_value)
+    return _difference_of(first, second, value, len(first_values) + len(second_values), difference, p_value)
 
 
-def _compared(
+def _difference_of(
     first: Runs, second: Runs, value: pl.Expr, worlds: int, difference: float, p_value: float | None
 ) -> MeanDifference:
     ids = (part.where(value.is_not_null()).ids for part in (first, second))

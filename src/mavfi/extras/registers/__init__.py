@@ -78,7 +78,7 @@ def inject(
         finally:
             tracer.stdin.close()
             tracer.wait(_RELEASE_S)
-    if len(injections) < count:
+    if len(injections) < count:  # it was killed, or failed before it could report why
         raise MavfiError(f"pid {pid}: the tracer ended with exit code {tracer.returncode}")
     return injections
 

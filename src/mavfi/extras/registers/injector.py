@@ -78,7 +78,7 @@ class _Attempt:
         since: Start of the stop (s).
         walked: Number of instructions that have been single-stepped.
         flip: The injection; None = there is none yet.
-        stopped: Duration of the stop (s), after it.
+        stop_s: Duration of the stop (s), after it.
     """
 
     tracee: Tracee
@@ -86,7 +86,7 @@ class _Attempt:
     since: float
     walked: int = 0
     flip: RegisterFlip | None = None
-    stopped: float = 0.0
+    stop_s: float = 0.0
 
     def walk(self, count: int) -> bool:
         """Single-step instructions; False before one that would enter the kernel, which may block."""
@@ -215,7 +215,7 @@ def _record(search: _Search, attempt: _Attempt, flipped: RegisterFlip, attempts:
         "thread": attempt.tracee.thread,
         "attempts": attempts,
         "walked": attempt.walked,
-        "stopped_us": round(1e6 * attempt.stopped),
+        "stopped_us": round(1e6 * attempt.stop_s),
     }
     return injection_of(flipped, space, search.fault, details)
 
@@ -269,7 +269,7 @@ def _stopped(search: _Search, space: AddressSpace) -> Iterator[_Attempt]:
         attempt = _Attempt(tracee, memory, since)
         yield attempt
         tracee.detach()
-        attempt.stopped = time.perf_counter() - since
+        attempt.stop_s = time.perf_counter() - since
 
 
 def _stop_at(search: _Search, space: AddressSpace, cleanup: ExitStack) -> tuple[Tracee, float]:

@@ -158,8 +158,8 @@ class Tracee:
 
     Attributes:
         thread: Thread id.
-        stopped: Whether it is stopped.
-        ended: Whether it has ended.
+        is_stopped: Whether it is stopped.
+        has_ended: Whether it has ended.
         cancelled: Polled while waiting; True ends the wait.
     """
 
@@ -169,8 +169,8 @@ class Tracee:
         Raises an OSError if it must not be traced.
         """
         self.thread = thread
-        self.stopped = False
-        self.ended = False
+        self.is_stopped = False
+        self.has_ended = False
         self.cancelled = cancelled
         self._info = (ctypes.c_int * 32)()  # siginfo_t
         self._info_at = ctypes.addressof(self._info)
@@ -198,7 +198,7 @@ class Tracee:
         stop = Stop()
         while True:
             _ptrace(_SINGLESTEP, self.thread, 0, stop.signal)
-            self.stopped = False
+            self.is_stopped = False
             stop = self.wait(timeout)
             if not stop.signal:
                 return
@@ -206,7 +206,7 @@ class Tracee:
     def resume(self, number: int = 0) -> None:
         """Continue the thread, and deliver a signal."""
         _ptrace(_CONT, self.thread, 0, number)
-        self.stopped = False
+        self.is_stopped = False
 
     def wait(self, timeout: float) -> Stop:
         """Wait until the thread stops."""
@@ -226,13 +226,13 @@ class Tracee:
     def note(self, status: int) -> Stop:
         """Process a status of waitpid; returns why the thread stopped."""
         if not os.WIFSTOPPED(status):
-            self.stopped = False
-            self.ended = True
+            self.is_stopped = False
+            self.has_ended = True
             code = os.waitstatus_to_exitcode(status)
             if code < 0:
                 raise TargetGoneError(f"the target ended by signal {-code}", code)
             raise TargetGoneError(f"the target ended with {code}", code)
-        self.stopped = True
+        self.is_stopped = True
         event = status >> 16
         number = os.WSTOPSIG(status)
         if event == _EVENT_STOP:
@@ -248,11 +248,11 @@ class Tracee:
 
     def detach(self) -> None:
         """Remove the breakpoint, and release the thread with its pending signal."""
-        if self.ended:
+        if self.has_ended:
             return
         number = 0
         try:
-            if not self.stopped:
+            if not self.is_stopped:
                 self.cancelled = bool  # never cancelled: a breakpoint would be left behind
                 _ptrace(_INTERRUPT, self.thread)
                 number = self.wait(_HALT_LIMIT_S).signal

@@ -25,8 +25,12 @@ _MASKED = re.compile(r"[xy]mm\d+(?= \{k[1-7]\})")
 class Register:
     """A register as named by an instruction, e.g. "eax", "xmm3", "rflags".
 
-    It starts at bit `shift` of its holder, which is "" for vector registers; those have an index. `bits` are the
-    injectable bits, counted from the start of the register.
+    Attributes:
+        name: As in the instruction.
+        holder: The general register of which it is a part; "" = a vector register.
+        index: Number of a vector register; 0 for others.
+        shift: Bit of the holder at which it starts.
+        bits: The injectable bits, counted from its start.
     """
 
     name: str
@@ -50,6 +54,7 @@ class Register:
 
 def _general() -> dict[str, Register]:
     """General registers by name, with their parts: of "rax", "ah" starts at bit 8."""
+    # from the widest name to the narrowest; "h" is the second byte
     families = [[(f"r{x}x", 64), (f"e{x}x", 32), (f"{x}x", 16), (f"{x}l", 8), (f"{x}h", 8)] for x in "abcd"]
     families += [[(f"r{x}", 64), (f"e{x}", 32), (x, 16), (f"{x}l", 8)] for x in ("si", "di", "bp", "sp")]
     families += [[(f"r{x}", 64), (f"r{x}d", 32), (f"r{x}w", 16), (f"r{x}b", 8)] for x in range(8, 16)]

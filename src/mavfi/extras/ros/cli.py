@@ -95,11 +95,12 @@ def fly(  # noqa: PLR0913 - one parameter per option
     from mavfi.extras.ros.ros1.host import configure
     from mavfi.extras.ros.ros1.plan import FlightPlan
 
+    # plan the flight, and check that its nodes exist
     setup, label, _ = watched(mission, detector, profile, models)
     plan = FlightPlan(
         setup.scenario,
         configure(setup.scenario),
-        drawn(setup.scenario, request, fault_seed),
+        draw_fault(setup.scenario, request, fault_seed),
         setup.detector(),
         setup.recovery,
         kills,
@@ -107,6 +108,8 @@ def fly(  # noqa: PLR0913 - one parameter per option
         pace=pace,
     )
     check(plan)
+
+    # fly, and show
     with stoppable("Stopped; every process of the flight has ended."):
         result, flight = _fly(plan, label, allow_bind_all, quiet=as_json)
     _show(plan, result, flight, as_json, save)
@@ -117,7 +120,9 @@ def _fly(plan: FlightPlan, label: str, allow_bind_all: bool, *, quiet: bool) -> 
     from mavfi.extras.ros.ros1.host import fly as fly_there
     from mavfi.report.flight_result import FlightResult
 
-    tell = _invite if plan.pace > 0 and not quiet else None
+    tell = None
+    if plan.pace > 0 and not quiet:
+        tell = _invite
     flight = fly_there(plan, allow_bind_all=allow_bind_all, tell=tell)
     golden = None
     if plan.fault is not None:
@@ -137,8 +142,12 @@ def _show(plan: FlightPlan, result: FlightResult, flight: RosFlight, as_json: bo
     if written is not None:
         log.save(written)
     nodes = [event for event in log.events if event.kind in _NODE_EVENTS]
+
+    # as JSON: the flight as of `mavfi fly`, with what ROS adds to it
     if as_json:
-        coupling = None if plan.detector is None else plan.recovery.coupling
+        coupling = None
+        if plan.detector is not None:
+            coupling = plan.recovery.coupling
         ros = {
             "nodes": list(plan.nodes),
             "coupling": coupling,
@@ -198,7 +207,7 @@ def request_of(text: str | None, mission: MissionSpec) -> Request | None:
     return parse(text, mission.localization, Ros1Host.levels)
 
 
-def drawn(scenario: Scenario, request: Request | None, seed: int | None) -> Any:  # noqa: ANN401 - a fault of these levels
+def draw_fault(scenario: Scenario, request: Request | None, seed: int | None) -> Any:  # noqa: ANN401 - a fault of these levels
     """The fault that a request of `request_of` draws in a mission; None without a request."""
     from mavfi.flight.host import ArmSetup
 
@@ -235,7 +244,9 @@ def without_registers(plan: FlightPlan, with_fault: bool) -> Flight:
     """
     from mavfi.flight.fly import fly
 
-    fault = plan.fault if with_fault else None
+    fault = None
+    if with_fault:
+        fault = plan.fault
     return fly(plan.scenario, fault, plan.detector, recovery=plan.recovery)
 
 

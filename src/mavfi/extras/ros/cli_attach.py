@@ -76,7 +76,10 @@ def list_graph(
 def _table(title: str, *columns: str) -> Table:
     table = titled_table(title)
     for column in columns:
-        table.add_column(column, justify="right" if column in ("pid", "Hz") else "left", overflow="fold")
+        if column in ("pid", "Hz"):  # numbers
+            table.add_column(column, justify="right", overflow="fold")
+        else:
+            table.add_column(column, justify="left", overflow="fold")
     return table
 
 
@@ -92,7 +95,9 @@ def _tables(graph: Survey) -> tuple[Table, Table]:
         nodes.add_row(node.name, pid, executable, "\n".join(node.publishes), "\n".join(node.reads))
     topics = _table("Topics", "topic", "type", "Hz", "publishers", "readers")
     for topic in graph.topics:
-        rate = "" if topic.rate is None else f"{topic.rate:.1f}"
+        rate = ""
+        if topic.rate is not None:
+            rate = f"{topic.rate:.1f}"
         topics.add_row(topic.name, topic.kind, rate, "\n".join(topic.publishers), "\n".join(topic.readers))
     return nodes, topics
 
@@ -124,7 +129,10 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
     from mavfi.faults.fault import MessageFault
 
     fault = MessageFault(topic, field, bit, at, rate, seed=seed)
-    injector = MessageInjector(fault, None if as_json else _tell)
+    tell = None
+    if not as_json:
+        tell = _tell
+    injector = MessageInjector(fault, tell)
     relay = Relay(Master(), topic, injector, partial(check_fault, fault), node)
     with stoppable("Stopped. The graph is as it was."), relay:
         try:
@@ -132,8 +140,8 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
         finally:
             injector.stop()
             if as_json:
-                done = [injection.to_json() for injection in injector.injections]
-                write_json({"topic": relay.topic, "passed": relay.passed, "injections": done})
+                injections = [injection.to_json() for injection in injector.injections]
+                write_json({"topic": relay.topic, "passed": relay.passed, "injections": injections})
     if not as_json:
         console().print(f"{relay.passed} messages passed, {len(injector.injections)} injected; the graph is as it was")
 
@@ -142,7 +150,9 @@ def _run(relay: Relay, injector: MessageInjector, duration: float | None) -> Non
     """Relay messages until the fault has been injected, or the duration has elapsed."""
     for failure in relay.failures:
         console(error=True).print(f"not turned: {failure}", markup=False)
-    end = time.monotonic() + (_MAX_DURATION_S if duration is None else duration)
+    if duration is None:
+        duration = _MAX_DURATION_S
+    end = time.monotonic() + duration
     while time.monotonic() < end:
         if relay.error is not None:
             raise MavfiError(f"topic {relay.topic}: {relay.error}")
@@ -156,7 +166,9 @@ def _run(relay: Relay, injector: MessageInjector, duration: float | None) -> Non
 def _tell(injection: Injection) -> None:
     """Print one injection in one line."""
     details = injection.details
-    verdict = "verified" if injection.activated else "NOT verified"
+    verdict = "NOT verified"
+    if injection.activated:
+        verdict = "verified"
     console().print(
         f"{details['topic']} message {details['message']}: [bold]{escape(details['field'])}[/bold] "
         f"({details['kind']}) bit {injection.bit}: {injection.before!r} → {injection.after!r}, "
@@ -184,6 +196,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi ros watch --topics /joint_states --fields 'position\[0]' --train bag.bag[/bold]
     """
+    # refuse what cannot be watched, before anything is read
     from mavfi.detectors.preprocess import PROFILES
 
     check_number("--learn", learn_s, 0.1, _MAX_DURATION_S)
@@ -195,21 +208,26 @@ def watch(  # noqa: PLR0913 - one parameter per option
     names = options.listed(topics)
     if not names:
         raise BadInputError(f"--topics: {topics!r}: allowed: names, with commas between")
+    if duration is None:
+        duration = _MAX_DURATION_S
     listener = TopicListener(Master(), names)
     out = console()
     with stoppable("Stopped. The graph is as it was."), listener:
-        # learn what is normal, then judge each message
-        training = _trained(listener, (detector, profile), options.listed(fields), train, learn_s)
+        # learn what is normal
+        training = _train_detector(listener, (detector, profile), options.listed(fields), train, learn_s)
         watching = TopicWatch(listener, training.probes, training.detector)
         if not as_json:
             topic_names = ", ".join(sorted(training.probes))
             out.print(f"learned from {training.messages} messages; watching {topic_names}", markup=False)
+
+        # judge each message
         try:
-            for topic, message in listener.take(_MAX_DURATION_S if duration is None else duration):
+            for topic, message in listener.take(duration):
                 alarm = watching.judge(topic, message)
                 if alarm is not None and not as_json:
-                    named = ", ".join(f"{f} = {v}" for f, v in zip(alarm.fields, alarm.values, strict=False))
-                    out.print(f"{topic} message {alarm.message}: {named}, score {alarm.score:.3g}", markup=False)
+                    fields_and_values = zip(alarm.fields, alarm.values, strict=False)
+                    values = ", ".join(f"{field} = {value}" for field, value in fields_and_values)
+                    out.print(f"{topic} message {alarm.message}: {values}, score {alarm.score:.3g}", markup=False)
         finally:
             if as_json:
                 write_json(
@@ -238,29 +256,29 @@ class MonitorTraining(NamedTuple):
     messages: int
 
 
-def _trained(
-    listener: TopicListener, chosen: tuple[str, str], fields: list[str], source: str, seconds: float
+def _train_detector(
+    listener: TopicListener, detector_and_profile: tuple[str, str], fields: list[str], source: str, seconds: float
 ) -> MonitorTraining:
-    """Train a detector (name, profile) on what the topics publish now, or on a file."""
+    """Train a detector on what the topics publish now, or on a file."""
     from mavfi.detectors.registry import of_monitored_fields
     from mavfi.extras.ros.node.watch import train
     from mavfi.flight.log_readers import make_probes
 
-    check_name("--detector", chosen[0], of_monitored_fields())
+    check_name("--detector", detector_and_profile[0], of_monitored_fields())
     if source == "online":
         probes = make_probes(listener.first(), fields)
-        return MonitorTraining(probes, *train(*chosen, probes, listener.take(seconds)))
-    return trained_on_file(Path(source), listener.topics, listener.definitions, chosen, fields)
+        return MonitorTraining(probes, *train(*detector_and_profile, probes, listener.take(seconds)))
+    return trained_on_file(Path(source), listener.topics, listener.definitions, detector_and_profile, fields)
 
 
 def trained_on_file(
     source: Path,
     topics: Sequence[str],
     definitions: Mapping[str, Definition],
-    chosen: tuple[str, str],
+    detector_and_profile: tuple[str, str],
     fields: list[str],
 ) -> MonitorTraining:
-    """Train a detector (name, profile) on the messages of a file.
+    """Train a detector on the messages of a file.
 
     Raises:
         BadInputError: The file cannot be read, lacks a topic, has another type for it, or has an invalid message.
@@ -276,6 +294,6 @@ def trained_on_file(
                 raise BadInputError(f"{topic} has another type there than now ({definition.kind})")
         probes = make_probes(first, fields)
         parts = ((message.topic, message.data) for message in messages)
-        return MonitorTraining(probes, *train(*chosen, probes, parts))
+        return MonitorTraining(probes, *train(*detector_and_profile, probes, parts))
     except MavfiError as error:
         raise BadInputError(f"{source}: {str(error).removeprefix(f'{source}: ')}") from None

@@ -55,7 +55,7 @@ LONGEST = 512
 """Steps of the longest traversal in a block."""
 
 
-class Bundle(NamedTuple):
+class Block(NamedTuple):
     """Parallel traversals, one column per ray.
 
     Attributes:
@@ -176,7 +176,7 @@ def _well_inside(key: int, end: int, first: int, n: int) -> bool:
 
 
 @kernel_jit
-def _set_out(frame: KeyFrame, origin: np.ndarray, ends: np.ndarray, first: int, count: int, block: Bundle) -> int:
+def _set_out(frame: KeyFrame, origin: np.ndarray, ends: np.ndarray, first: int, count: int, block: Block) -> int:
     """Prepare the traversals to `count` ends from `first` on; returns the number of steps of the longest one."""
     rays = block.rays
     kx, ky, kz = _keys(frame, origin)
@@ -202,7 +202,7 @@ def _set_out(frame: KeyFrame, origin: np.ndarray, ends: np.ndarray, first: int, 
 
 
 @kernel_jit
-def _walk_block(block: Bundle, steps: int) -> None:
+def _walk_block(block: Block, steps: int) -> None:
     """Traverse all rays of a block for a number of steps; store each voxel and the parameter at which it is left.
 
     The next axis is selected without a branch: it is unpredictable, and without branches the compiler vectorizes over
@@ -232,7 +232,7 @@ def _free_block(
     origin: np.ndarray,
     ends: np.ndarray,
     first: int,
-    block: Bundle,
+    block: Block,
     stamp: np.ndarray,
     scan_stamp: np.int32,
     touched: np.ndarray,
@@ -338,7 +338,7 @@ def collect(
             hits[n_hits] = voxel
             n_hits += 1
     n_free = 0
-    block = Bundle(np.zeros((12, RAYS)), np.zeros(RAYS, np.int64), np.empty((LONGEST, RAYS)), np.empty((LONGEST, RAYS)))
+    block = Block(np.zeros((12, RAYS)), np.zeros(RAYS, np.int64), np.empty((LONGEST, RAYS)), np.empty((LONGEST, RAYS)))
     for first in range(0, n_ends, RAYS):
         n_free = _free_block(frame, start, ends[:n_ends], first, block, stamp, free_stamp, touched, n_free)
     for i in range(n_hits):

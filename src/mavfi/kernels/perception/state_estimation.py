@@ -54,7 +54,7 @@ class Noise(NamedTuple):
     heading: float
 
 
-class InitialSpread(NamedTuple):
+class Spread(NamedTuple):
     """Initial standard deviations: velocity (m/s), tilt (rad), biases (m/s^2, rad/s)."""
 
     velocity: float
@@ -90,7 +90,7 @@ def usable_fix(fix: np.ndarray) -> bool:
 
 
 @kernel_jit
-def align(nominal: np.ndarray, covariance: np.ndarray, fix: np.ndarray, noise: Noise, spread: InitialSpread) -> None:
+def align(nominal: np.ndarray, covariance: np.ndarray, fix: np.ndarray, noise: Noise, spread: Spread) -> None:
     """Initialize at a fix: level, without bias, with unchanged velocity.
 
     Args:

@@ -12,7 +12,7 @@ from mavfi.numerics.voxels import Grid, segment_free
 NODE_LIMIT = 8000
 
 
-class NodeTrees(NamedTuple):
+class Trees(NamedTuple):
     """Memory of the search: the trees from start and goal.
 
     Attributes:
@@ -30,9 +30,9 @@ class NodeTrees(NamedTuple):
     near_goal: Index
 
 
-def new_trees() -> NodeTrees:
+def new_trees() -> Trees:
     """Empty search memory."""
-    return NodeTrees(
+    return Trees(
         np.zeros((2, NODE_LIMIT, 3)),
         np.zeros((2, NODE_LIMIT), np.int32),
         np.zeros(2, np.int64),
@@ -42,7 +42,7 @@ def new_trees() -> NodeTrees:
 
 
 @kernel_jit
-def _search(trees: NodeTrees, which: int, target: np.ndarray) -> int:
+def _search(trees: Trees, which: int, target: np.ndarray) -> int:
     """Index of the node of a large tree nearest to a point."""
     if which == 0:
         return search(trees.near_start, trees.nodes[0], trees.counts[0], target)
@@ -75,7 +75,7 @@ def _extend(
 
 
 @kernel_jit
-def _collect(trees: NodeTrees, from_start: int, from_goal: int, path: np.ndarray) -> int:
+def _collect(trees: Trees, from_start: int, from_goal: int, path: np.ndarray) -> int:
     """Path through both trees; their common vertex is included once."""
     count = trace(trees.nodes[0], trees.parents[0], from_start, path)
     node = trees.parents[1, from_goal]
@@ -87,7 +87,7 @@ def _collect(trees: NodeTrees, from_start: int, from_goal: int, path: np.ndarray
 
 
 @kernel_jit
-def _plant(trees: NodeTrees, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> None:
+def _plant(trees: Trees, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> None:
     """Reset both trees to their root."""
     clear(trees.near_start, lower, upper)
     clear(trees.near_goal, lower, upper)
@@ -110,7 +110,7 @@ def plan(
     max_step: float,
     iterations: int,
     random: np.ndarray,
-    trees: NodeTrees,
+    trees: Trees,
     path: np.ndarray,
 ) -> int:
     """Find a path.

@@ -38,7 +38,9 @@ MAX_ALARMS = 60
 NEAR = 8.0
 """Distance from the paths within which voxels of a scan are shown (m)."""
 MAX_VOXELS = 20_000
-_STEP = 5  # stride over the rows of a log: 10 Hz
+"""Maximum number of voxels of a scan."""
+_STEP = 5
+"""Smallest stride over the rows of a log: 10 Hz."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +70,7 @@ def flight_data(courses: Sequence[Course], world: World, site: str = "") -> dict
     """
     paths = [course_data(course) for course in courses]
     data = {"world": world_data(world, courses), "paths": paths, "fault": None, "lines": []}
+    # the time lines are around the fault, if one was injected
     for path in paths:
         if path["fault"] is not None:  # the same instant in all flights with the fault
             published = {course.role: course.published for course in courses}
@@ -249,6 +252,7 @@ def _course(role: str, label: str, setup: ArmSetup, fault: Fault | None, flight:
 
 
 def _site(fault: Fault | None) -> str:
+    """Site of a fault, as text; "" = no fault."""
     if fault is None:
         return ""
     return fault.site
@@ -315,6 +319,7 @@ def fly_command(
 
 
 def _word(value: object) -> str:
+    """The value of an option, as words for a shell."""
     if isinstance(value, (list, tuple)):
         return " ".join(map(str, value))
     return shlex.quote(str(value))
@@ -349,7 +354,7 @@ TimeSeries = tuple[np.ndarray, np.ndarray]
 
 
 def time_lines(
-    published: Mapping[str, Sequence[TimedState]], at: float, site: str, wrong: str = ""
+    published: Mapping[str, Sequence[TimedState]], fault_s: float, site: str, wrong_field: str = ""
 ) -> list[dict[str, Any]]:
     """Time lines of the injected field, or of the first wrong one, and of those that differ most from the golden run.
 
@@ -358,36 +363,43 @@ def time_lines(
     Args:
         published: Publications by role of the flight; the result is empty without those of the golden run and of
             another flight.
-        at: Instant of the fault (s).
+        fault_s: Instant of the fault (s).
         site: Site of the fault, as text.
-        wrong: First field that the injected kernel published wrong, as text; "" = none, or not known.
+        wrong_field: First field that the injected kernel published wrong, as text; "" = none, or not known.
     """
-    near = {role: _near(publications, at) for role, publications in published.items() if publications}
-    if "golden" not in near or len(near) < 2:
+    windows = {role: _window(publications, fault_s) for role, publications in published.items() if publications}
+    if GOLDEN not in windows or len(windows) < 2:
         return []
-    injected = near.get("injected") or near["recovered"]
+    golden = windows[GOLDEN]
+    injected = windows.get(INJECTED) or windows[RECOVERED]
+
     # the injected field or, if the fault is in no field, the first wrong one
     injected_field = _numeric_site(site)
-    first_field = injected_field or _numeric_site(wrong)
-    first = [] if first_field is None else [first_field]
+    first_field = injected_field or _numeric_site(wrong_field)
+    fields = []
+    if first_field is not None:
+        fields.append(first_field)
+
     # the fields that differ most, in data-flow order, which is that of the candidates
-    scores = {field: _difference(near["golden"], injected, field) for field in _candidates() if field not in first}
-    differing = [field for field in scores if scores[field] > 0]
-    worst = sorted(differing, key=lambda field: -scores[field])[: MAX_LINES - len(first)]
-    shown = first + [field for field in differing if field in worst]
-    ends = {role: min(1e-6 * published[role][-1].time_us, at + AFTER) for role in near}
-    return [_line(field, near, at, ends, is_site=field == injected_field) for field in shown]
+    scores = {field: _difference(golden, injected, field) for field in _candidates() if field != first_field}
+    differing_fields = [field for field in scores if scores[field] > 0]
+    worst_fields = sorted(differing_fields, key=lambda field: -scores[field])[: MAX_LINES - len(fields)]
+    fields += [field for field in differing_fields if field in worst_fields]
+
+    # the lines, each to the end of the flight or of the window
+    ends = {role: min(1e-6 * published[role][-1].time_us, fault_s + AFTER) for role in windows}
+    return [_line(field, windows, fault_s, ends, is_site=field == injected_field) for field in fields]
 
 
-def _near(publications: Sequence[TimedState], at: float) -> dict[str, list[TimedState]]:
-    """Publications in the time window around an instant, by state, with the last one before the window."""
+def _window(publications: Sequence[TimedState], fault_s: float) -> dict[str, list[TimedState]]:
+    """Publications in the time window around the fault, by state, with the last one before the window."""
     by_state: dict[str, list[TimedState]] = {}
     for publication in publications:
         time_s = 1e-6 * publication.time_us
-        if time_s > at + AFTER:
+        if time_s > fault_s + AFTER:
             break
         window = by_state.setdefault(publication.state.spec.name, [])
-        if time_s < at - BEFORE:
+        if time_s < fault_s - BEFORE:
             window.clear()  # only the last one before the window holds into it
         window.append(publication)
     return by_state
@@ -440,10 +452,11 @@ def _difference(golden: Mapping[str, Any], injected: Mapping[str, Any], site: Fi
         return 0.0
     # the golden value that holds at each instant; 1 ns absorbs the rounding of equal instants
     last = np.searchsorted(golden_times, times + 1e-9, side="right") - 1
-    held = golden_values[np.clip(last, 0, None)]
+    expected = golden_values[np.clip(last, 0, None)]
     with np.errstate(invalid="ignore", over="ignore"):
-        difference = np.abs(values - held)
-        difference[(values == held) | (np.isnan(values) & np.isnan(held))] = 0.0  # also equal infinities and NaNs
+        difference = np.abs(values - expected)
+        # infinities and NaNs, too, can be equal
+        difference[(values == expected) | (np.isnan(values) & np.isnan(expected))] = 0.0
         finite = golden_values[np.isfinite(golden_values)]
         span = 0.0
         if len(finite):
@@ -454,17 +467,17 @@ def _difference(golden: Mapping[str, Any], injected: Mapping[str, Any], site: Fi
 
 def _line(
     site: FieldSite,
-    near: Mapping[str, Mapping[str, Sequence[TimedState]]],
-    at: float,
+    windows: Mapping[str, Mapping[str, Sequence[TimedState]]],
+    fault_s: float,
     ends: Mapping[str, float],
     *,
     is_site: bool,
 ) -> dict[str, Any]:
     """One time line; `ends` has the instant until which a flight's last value is held, by role."""
     data = {}
-    for role, publications in near.items():
+    for role, publications in windows.items():
         samples = _samples(publications, site)
-        times, values = _thinned(*_held(*samples, at - BEFORE, ends[role]))
+        times, values = _thinned(*_within(*samples, fault_s - BEFORE, ends[role]))
         data[role] = [[round(time, 4) for time in times.tolist()], [_number(value) for value in values.tolist()]]
     unit = STATES[site.state].find(site.field).unit
     if unit == "-":  # a number without a unit
@@ -473,12 +486,12 @@ def _line(
         "label": site.label,
         "unit": unit,
         "site": is_site,
-        "window": [round(at - BEFORE, 4), round(at + AFTER, 4)],
+        "window": [round(fault_s - BEFORE, 4), round(fault_s + AFTER, 4)],
         "data": data,
     }
 
 
-def _held(times: np.ndarray, values: np.ndarray, start: float, end: float) -> TimeSeries:
+def _within(times: np.ndarray, values: np.ndarray, start: float, end: float) -> TimeSeries:
     """The samples between two instants (s); a value holds until the next one, the last one until the end."""
     holds = np.append(times[1:], np.inf)[: len(times)] > start  # its successor comes after the start
     times = np.maximum(times[holds], start)

@@ -38,6 +38,7 @@ def with_code(text: str) -> Markup:
 
 @cache
 def _environment(*folders: Path) -> Environment:
+    """Environment of the templates in these folders and in that of this module."""
     loader = FileSystemLoader([*folders, Path(__file__).parent])
     environment = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True

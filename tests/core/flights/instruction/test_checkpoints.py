@@ -179,7 +179,7 @@ def test_children_that_converge_end_there(monkeypatch):
     found, periods = [], []
     for converges in (True, False):
         if not converges:
-            monkeypatch.setattr(FlightBranch, "_converged", lambda self: None)
+            monkeypatch.setattr(FlightBranch, "_find_converged", lambda self: None)
         forward.golden()
         memory[0] = 0
         found.append(records(fly_from_checkpoints(forward, faults, golden).flights))

@@ -114,7 +114,7 @@ def test_rays_walked_side_by_side_meet_the_same_voxels_in_the_same_order(frame, 
 
 
 def test_rays_that_leave_the_grid_or_are_long_are_walked_alone():
-    block = key_sets.Bundle(
+    block = key_sets.Block(
         np.zeros((12, key_sets.RAYS)),
         np.zeros(key_sets.RAYS, np.int64),
         np.empty((key_sets.LONGEST, key_sets.RAYS)),

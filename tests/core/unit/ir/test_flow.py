@@ -1,7 +1,7 @@
 """Loops of a function."""
 
 from mavfi.ir.flow import back_edges, loop_depths, successors
-from mavfi.ir.module import Block, Function, Instruction
+from mavfi.ir.module import BasicBlock, Function, Instruction
 
 
 def function(**edges):
@@ -11,7 +11,7 @@ def function(**edges):
         tokens = ["br"] if targets else ["ret"]
         for target in targets:
             tokens += ["label", f"%{target}"]
-        blocks.append(Block(f"%{name}", terminator=Instruction(tokens[0], tokens)))
+        blocks.append(BasicBlock(f"%{name}", terminator=Instruction(tokens[0], tokens)))
     return Function("@f", "", "i32", [], blocks)
 
 

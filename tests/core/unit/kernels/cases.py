@@ -21,7 +21,7 @@ from mavfi.kernels.perception import (
     point_cloud,
     state_estimation,
 )
-from mavfi.kernels.perception.state_estimation import InitialSpread, Noise
+from mavfi.kernels.perception.state_estimation import Noise, Spread
 from mavfi.kernels.planning import (
     knots,
     minimum_snap,
@@ -49,7 +49,7 @@ GAINS = pid.Gains(np.full(3, 0.2), np.full(3, 0.1), np.full(3, 0.1), 1.0, 1.0, 0
 PACE = travel.Pace(5.0, 1.0, 2.5, 3.5, 2.0)
 LIMITS = trajectory.Limits(3.0, 1.0, 3.5, 2.5, 4.0, 2.0, 3.0)
 SENSORS = Noise(2e-3, 9e-5, 1e-5, 1e-6, 0.05, 0.025)
-ALIGNED = InitialSpread(0.02, 0.01, 0.002, 0.0002)
+ALIGNED = Spread(0.02, 0.01, 0.002, 0.0002)
 CURVE_LIMITS = knots.CurveLimits(3.0, 4.5, 1.0, 3.5, 2.5, 4.0, 2.0, 1.5)
 OFFSETS = offsets_within(0.8, 0.5, False)
 
@@ -342,9 +342,7 @@ def corrupted(case):
         elif isinstance(argument, np.ndarray) and argument.dtype.kind == "f":
             middle = argument.size // 2
             places = [0, middle, argument.size - 1, slice(None)]
-        elif isinstance(
-            argument, pid.Gains | trajectory.Limits | travel.Pace | Noise | InitialSpread | knots.CurveLimits
-        ):
+        elif isinstance(argument, pid.Gains | trajectory.Limits | travel.Pace | Noise | Spread | knots.CurveLimits):
             places = [name for name, value in argument._asdict().items() if isinstance(value, float)]
         elif isinstance(argument, octree.Octree) or (
             isinstance(argument, knots.Work) and case.function is time_allocation.fit

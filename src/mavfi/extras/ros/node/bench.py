@@ -90,10 +90,14 @@ class NodeBench:
             "OMP_NUM_THREADS": "1",
             **(extra or {}),
         }
+
+        # a name below /usr is looked for in all folders with ROS packages
         name = command[0]
         program = name
         if name.startswith("/usr/"):
             program = str(finder.find_file(name.lstrip("/")))
+
+        # start it, with a log of its own
         log = self._folder / f"{len(self._processes)}-{Path(name).name}.log"
         try:
             with log.open("wb") as output:
@@ -137,7 +141,7 @@ class NodeDriver:
         self._patience = node.patience_s
         self._composer = Composer(node.inputs.type)
         self._outlet = bench.peer().advertise(absolute(node.inputs.topic), self._composer.header)
-        self._sent = 0
+        self._sequence_number = 0
         self._answers: queue.Queue[bytes] = queue.Queue()
         self._is_over = threading.Event()
         self._source = self._connect(bench.master, absolute(node.name), absolute(node.outputs.topic))
@@ -182,12 +186,12 @@ class NodeDriver:
 
     def _stamped(self, fields: dict[str, Any]) -> dict[str, Any]:
         """The message, stamped with the current time if it has a header."""
-        self._sent += 1
+        self._sequence_number += 1
         if "std_msgs/Header header" not in self._composer.header["message_definition"].partition("=====")[0]:
             return fields
         now = time.time_ns()
         stamp = {"sec": now // 1_000_000_000, "nanosec": now % 1_000_000_000}
-        return {**fields, "header": {**fields.get("header", {}), "seq": self._sent, "stamp": stamp}}
+        return {**fields, "header": {**fields.get("header", {}), "seq": self._sequence_number, "stamp": stamp}}
 
 
 # ---- a trial ---------------------------------------------------------------------------------------------------------
@@ -230,10 +234,13 @@ def run_trial(node: NodeConfig, golden: tuple[str, ...] = (), fault: RegisterFau
         BadInputError: ROS is not installed, no private network, unknown program or type, ptrace refused.
         MavfiError: The node does not start, or the trial's process ended without a result.
     """
-    fault_data = None if fault is None else fault.to_json()
+    # a process of its own, in a private network, gets one order on its stdin
+    fault_data = None
+    if fault is not None:
+        fault_data = fault.to_json()
     order = {"node": node.to_json(), "golden": golden, "fault": fault_data}
     command = [*private_network(), sys.executable, "-m", "mavfi.extras.ros.node.bench"]
-    done = subprocess.run(
+    process = subprocess.run(
         command,
         input=json.dumps(order).encode(),
         capture_output=True,
@@ -242,12 +249,16 @@ def run_trial(node: NodeConfig, golden: tuple[str, ...] = (), fault: RegisterFau
         env={**os.environ, "PYTHONPATH": absolute_python_path()},
         start_new_session=True,
     )
+
+    # its answer is the trial, or why there is none
     try:
-        answer = json.loads(done.stdout)
+        answer = json.loads(process.stdout)
     except ValueError:
-        lines = done.stderr.decode(errors="replace").strip().splitlines()
-        last = lines[-1] if lines else f"exit code {done.returncode}"
-        raise MavfiError(f"node {node.name}: the trial ended without a result ({last})") from None
+        reason = f"exit code {process.returncode}"
+        lines = process.stderr.decode(errors="replace").strip().splitlines()
+        if lines:
+            reason = lines[-1]
+        raise MavfiError(f"node {node.name}: the trial ended without a result ({reason})") from None
     if "refused" in answer:
         raise BadInputError(answer["refused"])
     if "failed" in answer:
@@ -375,10 +386,13 @@ def differences(definition: Definition, golden: bytes, output: bytes) -> list[di
 
 def main() -> None:
     """Read the trial's specification from stdin, and write its result to stdout."""
+    # whatever is started here ends with this process
     end_with_parent(signal.SIGTERM)
     adopt_orphans()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     loopback_up()
+
+    # the order
     order = json.load(sys.stdin)
     node = NodeConfig.model_validate(order["node"])
     fault: RegisterFault | None = None
@@ -386,6 +400,8 @@ def main() -> None:
         any_fault = fault_from_json(order["fault"])
         assert isinstance(any_fault, RegisterFault)
         fault = any_fault
+
+    # the trial, and the answer
     answer: dict[str, Any]
     try:
         with tempfile.TemporaryDirectory(prefix="mavfi-trial-") as folder, NodeBench(Path(folder)) as bench:

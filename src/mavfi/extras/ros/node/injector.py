@@ -47,15 +47,15 @@ class MessageInjector:
         self.done = threading.Event()
         self.too_short = 0
         self._began = time.monotonic()
-        self._seen = 0
-        self._stopped = False
+        self._message_count = 0
+        self._is_stopped = False
         self._choices = random.Random(fault.seed)
         self._lock = threading.Lock()
 
     def __call__(self, message: bytes, outlet: MessageSink) -> bytes:
         """Forward a message, changed or unchanged."""
         with self._lock:
-            self._seen += 1
+            self._message_count += 1
             if self._is_due():
                 try:
                     leaf = outlet.definition.locate(message, self.fault.field)
@@ -69,10 +69,10 @@ class MessageInjector:
     def stop(self) -> None:
         """Stop injecting; messages are still forwarded."""
         with self._lock:
-            self._stopped = True
+            self._is_stopped = True
 
     def _is_due(self) -> bool:
-        if self._stopped or self._seen < self.fault.at:
+        if self._is_stopped or self._message_count < self.fault.at:
             return False
         if self.fault.rate is None:
             return not self.done.is_set()
@@ -98,7 +98,7 @@ class MessageInjector:
             activated,
             details={
                 "topic": outlet.topic,
-                "message": self._seen,
+                "message": self._message_count,
                 "field": self.fault.field,
                 "kind": leaf.kind,
                 "readers": readers,

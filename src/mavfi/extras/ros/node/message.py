@@ -66,9 +66,13 @@ class Composer:
         if node == Nodetype.BASE:
             return _scalar(details[0], value, path)
         inner, length = details
-        items = [None] * length if value is None else value
+        items = value
+        if value is None:
+            items = [None] * length
         if not isinstance(items, (list, tuple)) or (length and len(items) != length):
-            count = f" of {length}" if length else ""
+            count = ""
+            if length:
+                count = f" of {length}"
             raise BadInputError(f"message {path}: {value!r}: allowed: a list{count}")
         if inner[0] == Nodetype.NAME or inner[1][0] == "string":
             return [self._value(inner, item, path) for item in items]

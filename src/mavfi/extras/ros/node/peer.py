@@ -73,6 +73,8 @@ class TopicSource:
         self.node = node
         self.uri = uri
         self.topic = topic
+
+        # ask the publisher for its address
         answer = call(uri, "requestTopic", caller, topic, [["TCPROS"]])
         if not answer or answer[0] != "TCPROS":
             raise MavfiError(f"{node}: offers {topic}, but not over TCPROS")
@@ -81,6 +83,8 @@ class TopicSource:
         except OSError as error:
             raise MavfiError(f"{node}: does not send {topic} ({error})") from None
         self._stream = self._socket.makefile("rb")
+
+        # exchange headers: any type is accepted, and its definition is in the answer
         try:
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._socket.sendall(
@@ -90,6 +94,8 @@ class TopicSource:
         except (OSError, EOFError) as error:
             self.close()
             raise MavfiError(f"{node}: does not send {topic} ({error or 'connection closed'})") from None
+
+        # refuse a publisher that refuses, or that does not say what it sends
         if "error" in self.header:
             self.close()
             raise MavfiError(f"{node}: does not send {topic}: {self.header['error']}")

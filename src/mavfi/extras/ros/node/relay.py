@@ -43,7 +43,9 @@ def sources_of(master: Master, graph: RosGraph, topic: str, skipped: Sequence[st
             except MavfiError as error:
                 failures.append(str(error))
     if not sources:
-        reason = f": {failures[0]}" if failures else ""
+        reason = ""
+        if failures:
+            reason = f": {failures[0]}"
         raise BadInputError(f"topic {topic}: nobody publishes it{reason}; start its publisher first")
     return sources
 
@@ -91,8 +93,8 @@ class Relay:
             self._close_sources()
             raise
         self._lock = threading.Lock()
-        self._ended = threading.Event()
-        self._begun = False
+        self._end = threading.Event()
+        self._all_redirected = False
         self.passed = 0
         self.failures: list[str] = []
         self.error: Exception | None = None
@@ -120,13 +122,13 @@ class Relay:
         if not latched:
             self._pump(self._sources)
         self._turn_all(self.master.graph())
-        self._begun = True
+        self._all_redirected = True
         if latched:  # the only message must not be relayed before there are subscribers
             self._pump(self._sources)
         threading.Thread(target=self._watch, daemon=True).start()
 
     def __exit__(self, *_: object) -> None:
-        self._ended.set()
+        self._end.set()
         with self._lock:  # no subscriber is redirected after this point
             self._guardian.undo()
         self._close_sources()
@@ -144,7 +146,7 @@ class Relay:
     def _pass_on(self, source: TopicSource) -> None:
         try:
             for message in source.messages():
-                if not self._begun:  # not all subscribers are redirected yet
+                if not self._all_redirected:  # not all subscribers are redirected yet
                     self.send(message)
                 elif any(reader.active for reader in self._outlet.readers):
                     self.passed += 1
@@ -182,7 +184,7 @@ class Relay:
             with suppress(MavfiError):
                 publishers.append(self.master.node_uri(name))
         with self._lock:
-            if self._ended.is_set():
+            if self._end.is_set():
                 return
             self._guardian.remember(RedirectedSubscriber(self.topic, node, uri, tuple(publishers)))
             call(uri, "publisherUpdate", MASTER_CALLER, self.topic, [*publishers, self._peer.uri])
@@ -202,7 +204,7 @@ class Relay:
     def _watch(self) -> None:
         """Redirect again subscribers that the master has notified of new publishers."""
         rounds = 0
-        while not self._ended.wait(_WATCH_S):
+        while not self._end.wait(_WATCH_S):
             rounds += 1
             with suppress(MavfiError):
                 if rounds % _LOOK_EVERY == 0 or not self._outlet.readers:

@@ -140,7 +140,9 @@ def write_join(folder: Path, isolated: bool, own_users: bool) -> None:
     """Write the script `join`, which enters the flight's network namespace and, if present, its user namespace."""
     prefix = ""
     if isolated:
-        enter = "--user --preserve-credentials --net" if own_users else "--net"
+        enter = "--net"
+        if own_users:
+            enter = "--user --preserve-credentials --net"
         prefix = f"nsenter --target \"$(cat '{folder / PID}')\" {enter} "
     variables = environment(folder)
     exports = " ".join(f"{name}='{variables[name]}'" for name in _EXPORTED if name in variables)

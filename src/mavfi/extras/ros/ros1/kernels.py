@@ -30,7 +30,7 @@ class KernelNode:
         self._ports = Ports(name, plan)
         self._build()
         self._inbox = Inbox()
-        self._taken: dict[int, tuple[State, int]] = {}
+        self._states_in_use: dict[int, tuple[State, int]] = {}
         self._due: dict[str, tuple[int, State]] = {}
         self._results: dict[int, State] = {}
         self._restored: dict[int, State] = {}
@@ -108,12 +108,12 @@ class KernelNode:
         """A value received over a topic, for one of the kernels that read it."""
         if number in self._restored:
             return self._restored[number]
-        if number not in self._taken:
+        if number not in self._states_in_use:
             state = self._inbox.take(number, self._ports.plan.patience_s)
-            self._taken[number] = state, len(self._reading(state.spec.name))
-        state, left = self._taken.pop(number)
+            self._states_in_use[number] = state, len(self._reading(state.spec.name))
+        state, left = self._states_in_use.pop(number)
         if left > 1:
-            self._taken[number] = state, left - 1
+            self._states_in_use[number] = state, left - 1
         return state
 
     def _publish(self, kernel: Kernel, order: Any) -> None:

@@ -92,12 +92,18 @@ def type_name(spec: StateSpec) -> str:
 
 def header_slots(spec: StateSpec) -> tuple[str, ...]:
     """Message field names of the state's header, in table order."""
-    return tuple(f"header_{f.name}" if spec.in_elements(f.name) else f.name for f in spec.header)
+    slots = []
+    for field in spec.header:
+        if spec.in_elements(field.name):
+            slots.append(f"header_{field.name}")
+        else:
+            slots.append(field.name)
+    return tuple(slots)
 
 
 def element_slots(spec: StateSpec) -> tuple[str, ...]:
     """Message field names of the state's elements, in table order."""
-    return tuple(f.name for f in spec.elements)
+    return tuple(field.name for field in spec.elements)
 
 
 def message_text(spec: StateSpec) -> str:
@@ -204,7 +210,7 @@ def from_msg(message: Any, spec: StateSpec) -> State:
     state_header = np.zeros(1, spec.header_dtype)
     state_header[0] = tuple(getattr(message, slot) for slot in header)
     lists = [np.asarray(getattr(message, slot)) for slot in slots]
-    count = min(map(len, lists)) if lists else 0
+    count = min(map(len, lists), default=0)
     elements = np.zeros(count, spec.element_dtype)
     for values, field in zip(lists, spec.elements, strict=True):
         elements[field.name] = values[:count]

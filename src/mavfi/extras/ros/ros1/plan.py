@@ -168,8 +168,10 @@ class FlightPlan:
         if self.detector is not None and (self.detector.seals or self.detector.duplicates):
             text = "takes part in what is not published; allowed on ROS: detectors of published values"
             raise BadInputError(f"detector {type(self.detector).__name__}: {text}")
-        injected = None if fault is None else fault.where.state
-        graph = FlightGraph(build_pipeline(self.config), injected)
+        injected_state = None
+        if fault is not None:
+            injected_state = fault.where.state
+        graph = FlightGraph(build_pipeline(self.config), injected_state)
         nodes = list(graph.nodes)
         if fault is not None:
             nodes.append(INJECTOR)

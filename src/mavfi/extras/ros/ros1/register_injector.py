@@ -37,34 +37,34 @@ class RegisterInjector:
 
     def __init__(self, faults: Sequence[RegisterFault], pid_of: Callable[[str], int]) -> None:
         self.injections: list[Injection] = []
-        self._planned = sorted(faults, key=lambda fault: fault.time_us)
+        self._pending_faults = sorted(faults, key=lambda fault: fault.time_us)
         self._pid_of = pid_of
-        self._begun: list[tuple[RegisterFault, Future[list[Injection]]]] = []
+        self._tracings: list[tuple[RegisterFault, Future[list[Injection]]]] = []
 
     def __call__(self, now: int) -> None:
         """Start the faults that are due, and record the completed ones."""
-        while self._planned and self._planned[0].time_us <= now:
-            self._begin(self._planned.pop(0))
-        for fault, tracing in list(self._begun):
+        while self._pending_faults and self._pending_faults[0].time_us <= now:
+            self._begin(self._pending_faults.pop(0))
+        for fault, tracing in list(self._tracings):
             if tracing.done():
-                self._begun.remove((fault, tracing))
+                self._tracings.remove((fault, tracing))
                 self._note(fault, tracing, now)
 
     def finish(self, now: int) -> None:
         """End of the flight: record pending faults as not injected."""
-        for fault, tracing in self._begun:
+        for fault, tracing in self._tracings:
             self._note(fault, tracing, now)
-        for fault in self._planned:
+        for fault in self._pending_faults:
             self._miss(fault, "the flight was over first", now)
-        self._begun = []
-        self._planned = []
+        self._tracings = []
+        self._pending_faults = []
 
     def _begin(self, fault: RegisterFault) -> None:
         """Start a tracer, and wait until it is attached: a node computes only during the flight."""
         pid = self._pid_of(fault.node)
         tracing: Future[list[Injection]] = Future()
         threading.Thread(target=_trace, args=(pid, fault, tracing), daemon=True).start()
-        self._begun.append((fault, tracing))
+        self._tracings.append((fault, tracing))
         end = time.monotonic() + _TIMEOUT_S
         while not is_traced(pid) and not tracing.done() and time.monotonic() < end:
             time.sleep(_POLL_S)

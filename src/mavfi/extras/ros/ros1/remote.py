@@ -50,7 +50,7 @@ class RemotePublication(State):
     @property
     def is_lost(self) -> bool:
         """Whether it was lost with its node."""
-        return self.link is not None and (self.link.lost or self.link.life != self.life)
+        return self.link is not None and (self.link.is_lost or self.link.life != self.life)
 
 
 class Watchdog:
@@ -92,7 +92,7 @@ class Link:
     """The connection to one node.
 
     Attributes:
-        lost: Whether the node is down.
+        is_lost: Whether the node is down.
         life: Number of losses so far.
         since: Sequence number of the first publication that the current process can have received; the node must
             be given earlier ones.
@@ -102,7 +102,7 @@ class Link:
     watchdog: Watchdog
     on_loss: Callable[["Link", str], None]
     pid: int = 0
-    lost: bool = True
+    is_lost: bool = True
     life: int = 0
     since: int = 0
     _handed_over: set[int] = field(default_factory=set)
@@ -118,11 +118,11 @@ class Link:
         self._proxy = rospy.ServiceProxy(f"/{self.node}/drive", Drive, persistent=True)
         self.pid = pid
         self.since = since
-        self.lost = False
+        self.is_lost = False
 
     def lose(self) -> None:
         """Mark the node as down, its memory as lost."""
-        self.lost = True
+        self.is_lost = True
         self.life += 1
         self._restart()
 
@@ -147,7 +147,7 @@ class Link:
         value: bytes = b"",
     ) -> None:
         """Append an operation to the next call; arguments are the fields of `mavfi_msgs/Operation`."""
-        if not self.lost:
+        if not self.is_lost:
             self._pending.append(message_type("Operation")(action, kernel, number, time_us, publish_us, state, value))
 
     def note_input(self, kernel: str, state: RemotePublication) -> None:
@@ -164,7 +164,7 @@ class Link:
 
     def call(self, action: NodeAction, kernel: str, number: int, time_us: int, publish_us: int = HELD) -> Any:
         """Send all pending operations, then this one; returns the response, None = the node is down."""
-        if self.lost:
+        if self.is_lost:
             return None
         self.note(action, kernel, number, time_us, publish_us)
         return self._try_to_send()

@@ -123,7 +123,7 @@ class Conductor(Listener):
     # ---- node crashes and restarts -----------------------------------------------------------------------------------
     def _lost(self, link: Link, why: str) -> None:
         """A node does not respond or is to be killed: kill its process, and schedule its return."""
-        if link.lost:
+        if link.is_lost:
             return
         self._note("node_lost", {"node": link.node, "pid": link.pid, "why": why})
         with suppress(ProcessLookupError):
@@ -141,11 +141,11 @@ class Conductor(Listener):
         link = self.links[self.plan.graph.node_of(kernel)]
         for other in self.links.values():
             other.flush()
-        if link.lost:
+        if link.is_lost:
             self._rejoin(link.node)
         else:
             link.reset(kernel, self.counter.take(0))
-        if link.lost:
+        if link.is_lost:
             return {}
         return self._proxies(self.plan.config)
 
@@ -206,7 +206,7 @@ class TopicTap:
         if isinstance(state, RemotePublication) and state.is_lost:
             return True
         nodes = self._routes[state.spec.name].nodes
-        return any(node in self._links and self._links[node].lost for node in nodes[1:])
+        return any(node in self._links and self._links[node].is_lost for node in nodes[1:])
 
     def _pass(self, state: State, time_us: int) -> State:
         """Publish a value, by its node or here, and wait until it has passed its route."""
@@ -236,7 +236,7 @@ class TopicTap:
                 link = self._links.get(node)
                 # the writer has confirmed its publication: a timeout is attributed to the last node on the route
                 is_slow = is_late and node == nodes[-1]
-                if link is not None and (link.lost or is_slow or not is_alive(link.pid)):
+                if link is not None and (link.is_lost or is_slow or not is_alive(link.pid)):
                     self._on_loss(link, SILENT)
                     raise NodeLostError(node)
 

@@ -83,14 +83,14 @@ def size_of(kind: str) -> int:
         return _round_up(width(kind), 8) // 8  # bits
     # A structure: each field begins at a multiple of its alignment, and so does the next structure in an array.
     end = 0
-    widest = 1
+    largest_alignment = 1
     for part in fields:
         alignment = _LONGEST_ALIGNMENT
         if not parts(part):
             alignment = min(_LONGEST_ALIGNMENT, size_of(part))
         end = _round_up(end, alignment) + size_of(part)
-        widest = max(widest, alignment)
-    return _round_up(end, widest)
+        largest_alignment = max(largest_alignment, alignment)
+    return _round_up(end, largest_alignment)
 
 
 def is_owned(module: Module) -> bool:
@@ -123,18 +123,20 @@ class Constant:
 def constants_of(module: Module) -> dict[str, Constant]:
     """Arrays used in the fault space, with their addresses in the arena, in order of first use.
 
-    Pickled exceptions are not relocate: only Python reads them, and their length depends on a file path.
+    Pickled exceptions are not relocated: only Python reads them, and their length depends on a file path.
     """
     # Types of all constant arrays by name; those that a function uses get the next free address.
     arrays = (match for match in map(_CONSTANT_ARRAY.match, module.preamble) if match is not None)
     kinds = {match[1]: match[3] for match in arrays if ".const.pickle" not in match[1]}
+
+    # Place those that are used, each at the start of a cache line.
     constants: dict[str, Constant] = {}
-    free = CONSTANTS
+    address = CONSTANTS
     for function in module.functions:
         for name in _GLOBAL_NAME.findall(function.text()):
             if name in kinds and name not in constants:
-                constants[name] = Constant(name, free, size_of(kinds[name]))
-                free += _round_up(constants[name].size, LINE)
+                constants[name] = Constant(name, address, size_of(kinds[name]))
+                address += _round_up(constants[name].size, LINE)
     return constants
 
 

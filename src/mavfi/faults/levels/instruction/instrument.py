@@ -42,7 +42,7 @@ from mavfi.faults.levels.instruction.runtime import (
 from mavfi.faults.levels.instruction.table import SiteTable, make_table
 from mavfi.ir.build import Rewrite
 from mavfi.ir.module import (
-    Block,
+    BasicBlock,
     Function,
     Instruction,
     Module,
@@ -159,7 +159,7 @@ class _Rewriter:
                 self._leave(block)
         return "\n".join([*self.lines, "}"])
 
-    def _allocate(self, block: Block) -> None:
+    def _allocate(self, block: BasicBlock) -> None:
         """Allocate the function's stack frame in the arena."""
         if not block.allocations:
             return
@@ -173,7 +173,7 @@ class _Rewriter:
         self.lines.append(f"  store i64 {end}, ptr {word_address(ControlWord.FRAME)}")
         self.lines.append(f"  call void @mavfi_overflow(i64 {end})")
 
-    def _leave(self, block: Block) -> None:
+    def _leave(self, block: BasicBlock) -> None:
         """The terminator; a return releases the stack frame."""
         if block.terminator is not None:
             if block.terminator.opcode == "ret" and self.frame:
@@ -208,7 +208,7 @@ class _Rewriter:
         self.lines.append(f"  {name} = {text}")
         return name
 
-    def _split(self, block: Block, number: int) -> None:
+    def _split(self, block: BasicBlock, number: int) -> None:
         """Write a block with sites as shown at the top of this module."""
         label = block.label
         # The head: count the sites, and choose the path.
@@ -234,7 +234,7 @@ class _Rewriter:
                 self.lines.append(f"  {name} = phi {site.kind} {pairs}")
         self._leave(block)
 
-    def _fast(self, block: Block, names: dict[str, str]) -> dict[str, str]:
+    def _fast(self, block: BasicBlock, names: dict[str, str]) -> dict[str, str]:
         """Write the original instructions; returns the names of all values on this path, given those of the phis."""
         self.lines.append(f"{block.label[1:]}.fast:")
         for instruction in block.body:
@@ -244,7 +244,7 @@ class _Rewriter:
         self.lines.append(f"  br label {block.label}.join")
         return names
 
-    def _slow(self, block: Block, names: dict[str, str], after: str, number: int) -> dict[str, str]:
+    def _slow(self, block: BasicBlock, names: dict[str, str], after: str, number: int) -> dict[str, str]:
         """Write the instructions with injections and checks; returns names as `_fast`.
 
         Args:
@@ -389,7 +389,7 @@ def optimised(module: llvm.ModuleRef, machine: llvm.TargetMachine) -> llvm.Modul
     return module
 
 
-def _blocks_with_sites(function: Function) -> list[Block]:
+def _blocks_with_sites(function: Function) -> list[BasicBlock]:
     """The blocks that are numbered."""
     return [block for block in function.blocks if block.sites]
 

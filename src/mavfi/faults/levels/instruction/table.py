@@ -12,7 +12,7 @@ import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.ir.metadata import Frame, Locations
-from mavfi.ir.module import Block, Function, Instruction, Module, holds_pointer, is_floating, width
+from mavfi.ir.module import BasicBlock, Function, Instruction, Module, holds_pointer, is_floating, width
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +162,7 @@ def make_table(module: Module) -> SiteTable:
     return SiteTable(tuple(blocks))
 
 
-def _lines_of(block: Block, function: Function, locations: Locations) -> dict[int, tuple[tuple[Frame, ...], bool]]:
+def _lines_of(block: BasicBlock, function: Function, locations: Locations) -> dict[int, tuple[tuple[Frame, ...], bool]]:
     """Source lines of each instruction, and whether they are borrowed from the next instruction that has some."""
     # The lines that instructions have themselves, from the last instruction on; line 0 is none.
     chains: list[tuple[Instruction, tuple[Frame, ...]]] = []

@@ -52,7 +52,7 @@ class Passes:
     """Wanted block executions: the k-th execution of a block in a call.
 
     Attributes:
-        passed: Executions of each block so far. Shape (blocks,).
+        counts: Number of executions of each block so far. Shape (blocks,).
         wanted: Wanted executions of each block in order, each list terminated by -1. Shape (m,).
         cursors: Index in `wanted` of the next wanted execution of each block. Shape (blocks,).
         starts: Dynamic index at which a wanted execution starts; -1 = not reached. Shape (m,).
@@ -63,7 +63,7 @@ class Passes:
         ordered: dict[int, list[int]] = {}
         for block, number in sorted(set(wanted)):
             ordered.setdefault(block, []).append(number)
-        self.passed = np.zeros(blocks, np.int64)
+        self.counts = np.zeros(blocks, np.int64)
         self.cursors = np.zeros(blocks, np.int64)
         passes = [-1]  # a block without wanted executions has its cursor here
         self._index_of: dict[tuple[int, int], int] = {}
@@ -250,7 +250,7 @@ class Variant:
             RunMode.LOCATE,
             0,
             args,
-            HISTOGRAM=passes.passed.ctypes.data,
+            HISTOGRAM=passes.counts.ctypes.data,
             EVENTS=passes.wanted.ctypes.data,
             EVENT_BLOCKS=passes.cursors.ctypes.data,
             EVENT_OFFSETS=passes.starts.ctypes.data,

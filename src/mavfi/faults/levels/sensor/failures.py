@@ -110,15 +110,16 @@ class Failures:
         self.active.remove(failure)
 
     def state(self, time_us: int, odometry: np.ndarray) -> np.ndarray:
-        """The state that readers believe, as in `sim.simulator.Simulator.odometry`. Shape (13,)."""
-        believed = self._changed("state", _STATE, time_us, odometry)
+        """The state as its readers receive it, see `sim.simulator.Simulator.odometry`. Shape (13,)."""
+        measured = self._changed("state", _STATE, time_us, odometry)
+        # a failing compass turns the vehicle about the vertical
         for failure in self._of("compass"):
-            heading = yaw_of(believed[6:10])
-            measured = float(failure("state", time_us, np.array([heading]))[0])
-            if measured != heading:
-                believed = believed.copy()
-                believed[6:10] = _turned(believed[6:10], measured - heading)
-        return believed
+            heading = yaw_of(measured[6:10])
+            measured_heading = float(failure("state", time_us, np.array([heading]))[0])
+            if measured_heading != heading:
+                measured = measured.copy()
+                measured[6:10] = _turned(measured[6:10], measured_heading - heading)
+        return measured
 
     def force(self, time_us: int, force: np.ndarray) -> np.ndarray:
         """Specific force, body frame (m/s^2). Shape (3,)."""
@@ -201,7 +202,7 @@ class Signal:
         self._spread = self._device.spread
         if spread is not None:
             self._spread = spread
-        self._kept: np.ndarray | None = None  # the value that readers keep
+        self._held_value: np.ndarray | None = None  # what readers receive while there is no new value
         self._due_us = fault.time_us  # of `slow`: next update
         self._block = -1  # of `intermittent`: number of the block of time
         self._lost = False  # and whether it is lost
@@ -219,8 +220,8 @@ class Signal:
             self._remember(time_us, values)
         if not fault.time_us <= time_us < fault.end_us:
             return values
-        if self._kept is None:
-            self._kept = values.copy()
+        if self._held_value is None:
+            self._held_value = values.copy()
         sample: np.ndarray = getattr(self, fault.kind)(time_us, values)  # the method of this name
         return sample
 
@@ -238,8 +239,8 @@ class Signal:
     def stuck(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """The held value: that at the start of the failure."""
         del time_us, values
-        assert self._kept is not None  # set by the first sample
-        return self._kept.copy()
+        assert self._held_value is not None  # set by the first sample
+        return self._held_value.copy()
 
     def garbage(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """Noise, drawn from the seed and the instant."""
@@ -271,7 +272,7 @@ class Signal:
     def slow(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """Updates at a low rate."""
         if time_us >= self._due_us:
-            self._kept = values.copy()
+            self._held_value = values.copy()
             self._due_us = time_us + SLOW_US
         return self.stuck(time_us, values)
 
@@ -295,5 +296,5 @@ class Signal:
             self._lost = bool(random.random() < 0.5)
         if self._lost:
             return self.off(time_us, values)
-        self._kept = values.copy()
+        self._held_value = values.copy()
         return values
