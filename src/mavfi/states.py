@@ -207,7 +207,7 @@ class StateSpec:
 
     @property
     def lengths(self) -> tuple[Field, ...]:
-        """Lengths of the lists of a serialized message, one per field of the elements (see `faults.transit`)."""
+        """Lengths of the lists of a serialized message, one per field of the elements (see `faults.levels.transit`)."""
         return tuple(Field(f"length_{f.name}", "u4", "-") for f in self.elements)
 
     def offset(self, name: str) -> int:

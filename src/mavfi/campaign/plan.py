@@ -205,7 +205,7 @@ class Plan:
     models: Mapping[str, str]  # sha256 of the trained model by arm, or by environment/arm
 
     @property
-    def watching(self) -> tuple[Arm, ...]:
+    def repeating_arms(self) -> tuple[Arm, ...]:
         """Arms in which every fault is repeated."""
         return tuple(arm for arm in self.arms if arm.name and not arm.is_variant)
 
@@ -226,7 +226,7 @@ class Plan:
         repeat the fault, and then through its null runs.
         """
         campaign = self.campaign
-        runs_per_fault = 1 + len(self.watching)
+        runs_per_fault = 1 + len(self.repeating_arms)
         blocks = self.sampler.blocks(environment)
         mission = seed - campaign.first_seed
         draws = sum(block.count for block in blocks)
@@ -277,7 +277,7 @@ class Plan:
         if variant.detector:  # the fault is in this detector, which other arms lack
             return [(variant, _with_arm(RECOVERY, variant.name))]
         settings = [(variant, FI)]
-        for arm in self.watching:
+        for arm in self.repeating_arms:
             setting = RECOVERY if arm.detector else FI
             settings.append((arm, _with_arm(setting, arm.name)))
         return settings

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
@@ -16,16 +16,27 @@ if TYPE_CHECKING:
     from mavfi.flight.loop import ObserverListener
 
 OBSERVERS = "mavfi.observers"
-"""Group of entry points, by the name of an option: objects with `options`, see `with_extra_options`, `chosen(values)`
-(whether they are set; refuses values that are not allowed), and `build(values)` (an observer and a line of text).
-"""
+"""Group of entry points: a `FlightObserver` by the name of its option."""
 REAL_TIME = 1.0
 Pace = Annotated[
     float, typer.Option(help="Flight time per wall time with --live and --mavlink; 0 = as fast as possible.")
 ]
 
 
-def chosen_observers(values: Mapping[str, Any], pace: float, fault: str | None) -> list[Any]:
+class FlightObserver(Protocol):
+    """What an extra adds to `mavfi fly`."""
+
+    options: Mapping[str, Any]
+    """Annotated types of its options by name, see `with_extra_options`."""
+
+    def chosen(self, values: Mapping[str, Any]) -> bool:
+        """Whether its options are set; refuses values that are not allowed."""
+
+    def build(self, values: Mapping[str, Any]) -> tuple[Any, str]:
+        """An observer with `close`, and a line of text that says where to look."""
+
+
+def chosen_observers(values: Mapping[str, Any], pace: float, fault: str | None) -> list[FlightObserver]:
     """The observers whose options are set; refuses values that are not allowed, before the flight."""
     observers = extensions(OBSERVERS)
     chosen = {name: observer for name, observer in observers.items() if observer.chosen(values)}
@@ -42,7 +53,9 @@ def chosen_observers(values: Mapping[str, Any], pace: float, fault: str | None) 
 
 
 @contextmanager
-def observing(chosen: list[Any], values: Mapping[str, Any], pace: float) -> Iterator[tuple[ObserverListener, ...]]:
+def observing(
+    chosen: list[FlightObserver], values: Mapping[str, Any], pace: float
+) -> Iterator[tuple[ObserverListener, ...]]:
     """Observers of a flight, for `ArmSetup.observers`, until the end of the context."""
     if not chosen:
         yield ()
@@ -51,10 +64,10 @@ def observing(chosen: list[Any], values: Mapping[str, Any], pace: float) -> Iter
 
     attached: list[ObserverListener] = []
     with ExitStack() as stack:
-        for observer in chosen:
+        for number, observer in enumerate(chosen):
             view, text = observer.build(values)
             stack.callback(view.close)
             console(error=True).print(text, markup=False, highlight=False)
-            attached.append(ObserverListener(view, pace))
-            pace = 0.0  # only the first waits for the pace
+            own_pace = pace if number == 0 else 0.0  # only the first waits for the wall clock
+            attached.append(ObserverListener(view, own_pace))
         yield tuple(attached)

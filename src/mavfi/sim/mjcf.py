@@ -105,20 +105,41 @@ def measure(path: Path) -> RigidBody:
     model = _compile(spec, path)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    root = model.body(free.name).id if free.name else next(i for i in range(model.nbody) if model.body_dofnum[i])
-    parts = [i for i in range(model.nbody) if model.body_rootid[i] == model.body_rootid[root] and i >= root]
-    axes, origin, middle = data.xmat[root].reshape(3, 3), data.xpos[root], data.subtree_com[root]
+    # the free body, and the bodies fixed to it, which have higher numbers
+    if free.name:
+        root = model.body(free.name).id
+    else:
+        root = next(body for body in range(model.nbody) if model.body_dofnum[body])
+    tree = model.body_rootid[root]
+    parts = [body for body in range(root, model.nbody) if model.body_rootid[body] == tree]
+
+    # all in the axes of the free body
+    centre = data.subtree_com[root]
+    axes = data.xmat[root].reshape(3, 3)
+    tensor = product(product(axes.T, _inertia_about(centre, model, data, parts)), axes)
+    x, y, z = (float(value) for value in np.diag(tensor))
+    offset = product(axes.T, (centre - data.xpos[root])[:, None])[:, 0]
+    return RigidBody(float(model.body_subtreemass[root]), (x, y, z), offset, _reach(centre, model, data, parts))
+
+
+def _inertia_about(centre: np.ndarray, model: Any, data: Any, parts: list[int]) -> np.ndarray:
+    """Inertia of bodies about a point, world axes (kg m^2), by the parallel-axis theorem. Shape (3, 3)."""
     tensor = np.zeros((3, 3))
-    for i in parts:  # parallel axes (Huygens-Steiner)
-        principal, arm = data.ximat[i].reshape(3, 3), data.xipos[i] - middle
-        tensor += product(principal * model.body_inertia[i], principal.T)
-        tensor += model.body_mass[i] * (length(arm) * length(arm) * np.eye(3) - np.outer(arm, arm))
-    geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] in parts]
-    reach = max((length(data.geom_xpos[g] - middle) + float(model.geom_rbound[g]) for g in geoms), default=0.0)
-    x, y, z = (float(value) for value in np.diag(product(product(axes.T, tensor), axes)))
-    return RigidBody(
-        float(model.body_subtreemass[root]), (x, y, z), product(axes.T, (middle - origin)[:, None])[:, 0], reach
-    )
+    for body in parts:
+        principal = data.ximat[body].reshape(3, 3)
+        arm = data.xipos[body] - centre
+        tensor += product(principal * model.body_inertia[body], principal.T)
+        tensor += model.body_mass[body] * (length(arm) * length(arm) * np.eye(3) - np.outer(arm, arm))
+    return tensor
+
+
+def _reach(centre: np.ndarray, model: Any, data: Any, parts: list[int]) -> float:
+    """Largest distance of the bodies' geometry from a point (m), by bounding spheres; 0 = no geometry."""
+    reach = 0.0
+    for geom in range(model.ngeom):
+        if model.geom_bodyid[geom] in parts:
+            reach = max(reach, length(data.geom_xpos[geom] - centre) + float(model.geom_rbound[geom]))
+    return reach
 
 
 def attach(vehicle: VehicleConfig, scene: Any, holder: Any) -> None:

@@ -3,7 +3,7 @@
 import copy
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import mujoco
 import numpy as np
@@ -64,17 +64,17 @@ class Snapshot:
         return self._content() == other._content()
 
     def _content(self) -> tuple[int | bytes, ...]:
-        arrays = (
-            self.physics,
-            self.sensors,
-            self.warnings,
-            self.thrusts,
-            self.setpoint,
-            self.odometry,
-            self.imu.bias,
-        )
-        numbers = self.time_us, self.expiry_us, self.collided, self.rejected_commands, self.imu.time_us, self.controller
-        return (*numbers, *(array.tobytes() for array in arrays))
+        """Every field, so that none can be forgotten: arrays as their bytes, the IMU as what it remembers."""
+        content: list[int | bytes] = []
+        for attribute in fields(self):
+            value = getattr(self, attribute.name)
+            if isinstance(value, Imu):
+                content += [value.time_us, value.bias.tobytes()]
+            elif isinstance(value, np.ndarray):
+                content.append(value.tobytes())
+            else:
+                content.append(value)
+        return tuple(content)
 
 
 def _shortened(velocity: tuple[float, float, float], limit: float) -> tuple[float, float, float]:

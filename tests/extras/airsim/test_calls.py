@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mavfi.extras.airsim.boundary import Boundary
-from mavfi.extras.airsim.frames import LEVEL, geo_point, pose, vector
+from mavfi.extras.airsim.frames import LEVEL, to_geo_point, to_pose, to_vector3r
 from mavfi.extras.airsim.host import make_api
 from mavfi.extras.airsim.scene import REFUSED
 from mavfi.extras.airsim.server import AirsimServer, StepClock
@@ -73,7 +73,7 @@ def test_take_off_land_and_what_the_state_says():
     assert client("takeoff", 20.0, "") is True and -2.0 < client.at[2] < -1.4
     state = client("getMultirotorState", "")
     assert state["landed_state"] == 1 and not state["collision"]["has_collided"]
-    assert state["kinematics_estimated"]["position"] == vector(client.vehicle.position)
+    assert state["kinematics_estimated"]["position"] == to_vector3r(client.vehicle.position)
     assert client("land", 60.0, "") is True and client("getMultirotorState", "")["landed_state"] == 0
     assert client("armDisarm", False, "") and not client("simGetCollisionInfo", "")["has_collided"]
     with pytest.raises(RuntimeError, match="takeoff: the motors are off; allowed: after armDisarm"):
@@ -88,7 +88,7 @@ def test_take_off_land_and_what_the_state_says():
         ("goHome", (60.0, ""), (0.0, 0.0, 0.0)),
         (
             "moveOnPath",
-            ([vector((2, 0, -4)), vector((2, 3, -4))], 2.0, 60.0, FORWARD_ONLY, AHEAD, 2.0, 1.0, ""),
+            ([to_vector3r((2, 0, -4)), to_vector3r((2, 3, -4))], 2.0, 60.0, FORWARD_ONLY, AHEAD, 2.0, 1.0, ""),
             (2, 3, -4),
         ),
     ],
@@ -203,11 +203,11 @@ def test_objects_are_listed_moved_spawned_and_met():
     names = client("simListSceneObjects", "box_.*")
     assert len(names) == len(client.vehicle.sim.world.lower) > 3
     assert (
-        client("simSpawnObject", "wall", "Cube", pose((5.0, 0.0, -2.0), LEVEL), vector((1, 6, 8)), False, False)
+        client("simSpawnObject", "wall", "Cube", to_pose((5.0, 0.0, -2.0), LEVEL), to_vector3r((1, 6, 8)), False, False)
         == "wall"
     )
-    assert client("simGetObjectPose", "wall", True)["position"] == pytest.approx(vector((5.0, 0.0, -2.0)))
-    a, b = geo_point((0, 0, -2)), geo_point((9, 0, -2))
+    assert client("simGetObjectPose", "wall", True)["position"] == pytest.approx(to_vector3r((5.0, 0.0, -2.0)))
+    a, b = to_geo_point((0, 0, -2)), to_geo_point((9, 0, -2))
     assert client("simTestLineOfSightBetweenPoints", a, b) is False
     client("takeoff", 20.0, "")
     client("moveToPosition", 9.0, 0.0, -2.0, 2.0, 8.0, 0, STILL, -1.0, 1.0, "")

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from mavfi.extras.airsim.frames import LEVEL, pose, vector
+from mavfi.extras.airsim.frames import LEVEL, to_pose, to_vector3r
 from tests.extras.airsim.test_calls import Client
 
 CAMERA, SEGMENTATION = "0", 5
@@ -41,8 +41,8 @@ def test_what_no_pinhole_can_be_is_refused(client, name, given, allowed):
 @pytest.fixture
 def seeing(client):
     """A cube of 2 m, 10 m ahead and 3 m above the start, and a camera that looks at it."""
-    client("simSetVehiclePose", pose((0.0, 0.0, -30.0), LEVEL), True)
-    client("simSpawnObject", "cube_a", "Cube", pose((10.0, 0.0, -30.0), LEVEL), vector((2.0, 2.0, 2.0)))
+    client("simSetVehiclePose", to_pose((0.0, 0.0, -30.0), LEVEL), True)
+    client("simSpawnObject", "cube_a", "Cube", to_pose((10.0, 0.0, -30.0), LEVEL), to_vector3r((2.0, 2.0, 2.0)))
     return client
 
 

@@ -16,8 +16,17 @@ import numpy as np
 
 from mavfi.config import CameraConfig
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim.frames import Data, geo_point, looking, mount, pose, pose_numbers, quaternion, vector
-from mavfi.extras.airsim.frames import rotation as rotated
+from mavfi.extras.airsim.frames import (
+    Data,
+    from_pose,
+    from_quaternionr,
+    looking,
+    mount,
+    to_geo_point,
+    to_pose,
+    to_quaternionr,
+    to_vector3r,
+)
 from mavfi.extras.airsim.table import (
     FILM_MM,
     GROUND,
@@ -271,9 +280,9 @@ def _response(api: Api, request: Any) -> Data:
     return {
         "image_data_uint8": data,
         "image_data_float": numbers,
-        "camera_position": vector(position),
+        "camera_position": to_vector3r(position),
         "camera_name": str(name),
-        "camera_orientation": rotated(orientation),
+        "camera_orientation": to_quaternionr(orientation),
         "time_stamp": api.vehicle.stamp,
         "message": "",
         "pixels_as_float": as_float,
@@ -291,12 +300,12 @@ def simGetCameraInfo(api: Api, camera_name: str) -> Data:
     fov = find_camera(api, camera_name).fov_deg
     x = 1.0 / tan(math.radians(0.5 * fov))
     matrix = [[x, 0.0, 0.0, 0.0], [0.0, x * width / height, 0.0, 0.0], [0.0, 0.0, 0.0, 10.0], [0.0, 0.0, 1.0, 0.0]]
-    return {"pose": pose(*_camera_pose(api, camera_name)), "fov": fov, "proj_mat": {"matrix": matrix}}
+    return {"pose": to_pose(*_camera_pose(api, camera_name)), "fov": fov, "proj_mat": {"matrix": matrix}}
 
 
 @camera_call
 def simSetCameraPose(api: Api, camera_name: str, pose: Any) -> None:
-    place_camera(find_camera(api, camera_name), *pose_numbers(pose))
+    place_camera(find_camera(api, camera_name), *from_pose(pose))
 
 
 def place_camera(camera: ApiCamera, position: Triple, orientation: Quaternion) -> None:
@@ -325,7 +334,7 @@ def simSetCameraFov(api: Api, camera_name: str, fov_degrees: float) -> None:
 @vehicle_call
 def simSetCameraOrientation(api: Api, camera_name: str, orientation: Any) -> None:
     camera = find_camera(api, camera_name)
-    place_camera(camera, camera.position, quaternion(orientation))
+    place_camera(camera, camera.position, from_quaternionr(orientation))
 
 
 # ---- lens, film and focus --------------------------------------------------------------------------------------------
@@ -505,10 +514,10 @@ def _detection(
     w, x, y, z = view.pose[3:]
     return {
         "name": name,
-        "geo_point": geo_point(api.vehicle.to_ned(centre)),
+        "geo_point": to_geo_point(api.vehicle.to_ned(centre)),
         "box2D": {"min": _pixel(columns.min(), rows.min()), "max": _pixel(columns.max(), rows.max())},
-        "box3D": {"min": vector(corners.min(axis=0)), "max": vector(corners.max(axis=0))},
-        "relative_pose": pose(flipped((centre - camera) @ matrix), turned((w, -x, -y, -z))),
+        "box3D": {"min": to_vector3r(corners.min(axis=0)), "max": to_vector3r(corners.max(axis=0))},
+        "relative_pose": to_pose(flipped((centre - camera) @ matrix), turned((w, -x, -y, -z))),
     }
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim.frames import from_geo_point, pose_numbers, triple
+from mavfi.extras.airsim.frames import from_geo_point, from_pose, from_vector3r
 from mavfi.extras.airsim.table import Api, add_readings, call, require_ready, task, vehicle_call
 from mavfi.flight.piloted import (
     Task,
@@ -82,19 +82,19 @@ def armDisarm(api: Api, arm: bool) -> bool:
 
 @vehicle_call
 def simSetVehiclePose(api: Api, pose: Any, ignore_collision: bool) -> bool:
-    api.vehicle.place(*pose_numbers(pose))
+    api.vehicle.place(*from_pose(pose))
     return True
 
 
 @vehicle_call
 def simSetKinematics(api: Api, state: Any, ignore_collision: bool) -> None:
     try:
-        moving = [triple(state[name]) for name in ("linear_velocity", "angular_velocity")]
+        moving = [from_vector3r(state[name]) for name in ("linear_velocity", "angular_velocity")]
     except (KeyError, TypeError):
         raise BadInputError(f"{state!r}: allowed: a KinematicsState") from None
     if any(any(values) for values in moving):
         raise BadInputError("simSetKinematics: a velocity cannot be set; allowed: 0")
-    api.vehicle.place(*pose_numbers(state))
+    api.vehicle.place(*from_pose(state))
 
 
 # ---- tasks -----------------------------------------------------------------------------------------------------------
@@ -175,7 +175,7 @@ def moveOnPath(
         raise BadInputError("moveOnPath: ForwardOnly with a yaw rate; allowed: YawMode(is_rate=False)")
     if not isinstance(path, list) or not path:
         raise BadInputError("moveOnPath: no path; allowed: at least one Vector3r")
-    return fly_path(api.vehicle, [triple(point) for point in path], velocity, timeout_sec, yaw, lookahead)
+    return fly_path(api.vehicle, [from_vector3r(point) for point in path], velocity, timeout_sec, yaw, lookahead)
 
 
 @task

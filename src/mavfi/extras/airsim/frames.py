@@ -21,7 +21,7 @@ Data = dict[str, Any]
 """An object of the API, as plain data."""
 
 
-def vector(values: Numbers) -> dict[str, float]:
+def to_vector3r(values: Numbers) -> dict[str, float]:
     """Three numbers as plain data of AirSim's type Vector3r."""
     x, y, z = values
     return {"x_val": float(x), "y_val": float(y), "z_val": float(z)}
@@ -35,58 +35,58 @@ def _numbers_of(data: Any, kind: str, names: Sequence[str]) -> list[float]:  # n
         raise BadInputError(f"{data!r}: allowed: a {kind} ({', '.join(names)})") from None
 
 
-def triple(data: Any) -> Triple:  # noqa: ANN401 - a client's
+def from_vector3r(data: Any) -> Triple:  # noqa: ANN401 - a client's
     """Numbers of a Vector3r.
 
     Raises:
-        BadInputError: It is none.
+        BadInputError: The data is something else.
     """
     x, y, z = _numbers_of(data, "Vector3r", ("x_val", "y_val", "z_val"))
     return x, y, z
 
 
-def rotation(quaternion: Numbers) -> dict[str, float]:
-    """Quaternionr."""
+def to_quaternionr(quaternion: Numbers) -> dict[str, float]:
+    """A quaternion (w, x, y, z) as plain data of AirSim's type Quaternionr."""
     w, x, y, z = quaternion
     return {"w_val": float(w), "x_val": float(x), "y_val": float(y), "z_val": float(z)}
 
 
-def quaternion(data: Any) -> Quaternion:  # noqa: ANN401 - a client's
+def from_quaternionr(data: Any) -> Quaternion:  # noqa: ANN401 - a client's
     """Numbers w x y z of a Quaternionr.
 
     Raises:
-        BadInputError: It is none.
+        BadInputError: The data is something else.
     """
     w, x, y, z = _numbers_of(data, "Quaternionr", ("w_val", "x_val", "y_val", "z_val"))
     return w, x, y, z
 
 
-def pose(position: Numbers, orientation: Numbers) -> Data:
+def to_pose(position: Numbers, orientation: Numbers) -> Data:
     """Pose, from NED numbers."""
-    return {"position": vector(position), "orientation": rotation(orientation)}
+    return {"position": to_vector3r(position), "orientation": to_quaternionr(orientation)}
 
 
-def pose_numbers(data: Any) -> tuple[Triple, Quaternion]:  # noqa: ANN401 - a client's
+def from_pose(data: Any) -> tuple[Triple, Quaternion]:  # noqa: ANN401 - a client's
     """Position and quaternion of a Pose.
 
     Raises:
-        BadInputError: It is none.
+        BadInputError: The data is something else.
     """
     if not isinstance(data, Mapping) or not {"position", "orientation"} <= set(data):
         raise BadInputError(f"{data!r}: allowed: a Pose (position, orientation)")
-    return triple(data["position"]), quaternion(data["orientation"])
+    return from_vector3r(data["position"]), from_quaternionr(data["orientation"])
 
 
-def geo_point(ned: Numbers) -> dict[str, float]:
+def to_geo_point(ned: Numbers) -> dict[str, float]:
     """GeoPoint of a place in NED (m), on the tangential plane at `HOME`."""
     return dict(zip(_GEO_POINT, geodetic(ned, HOME), strict=True))
 
 
 def from_geo_point(data: Any) -> Triple:  # noqa: ANN401 - a client's
-    """Inverse of `geo_point`.
+    """Inverse of `to_geo_point`.
 
     Raises:
-        BadInputError: It is none.
+        BadInputError: The data is something else.
     """
     latitude, longitude, altitude = _numbers_of(data, "GeoPoint", _GEO_POINT)
     return local(latitude, longitude, altitude, HOME)

@@ -15,7 +15,7 @@ import numpy as np
 
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.airsim.cameras import PERSPECTIVE
-from mavfi.extras.airsim.frames import pose, pose_numbers, triple
+from mavfi.extras.airsim.frames import from_pose, from_vector3r, to_pose
 from mavfi.extras.airsim.scene import difference, identity, reported
 from mavfi.extras.airsim.server import msgpack
 from mavfi.mission import Scenario
@@ -182,7 +182,7 @@ class Remote:
         course = world.goal - world.start
         yaw = atan2(course[1], course[0])
         facing = turned((cos(0.5 * yaw), 0.0, 0.0, sin(0.5 * yaw)))
-        self.rpc.call("simSetVehiclePose", pose(flipped(world.start - self._origin), facing), True, "")
+        self.rpc.call("simSetVehiclePose", to_pose(flipped(world.start - self._origin), facing), True, "")
         self._observe()
         self.collided = False
 
@@ -192,12 +192,12 @@ class Remote:
         try:
             kinematics = state["kinematics_estimated"]
             self._stamp = int(state["timestamp"])
-            velocity = triple(kinematics["linear_velocity"])
-            rates = triple(kinematics["angular_velocity"])
+            velocity = from_vector3r(kinematics["linear_velocity"])
+            rates = from_vector3r(kinematics["angular_velocity"])
             self.collided = self.collided or bool(state["collision"]["has_collided"])
         except (KeyError, TypeError, ValueError) as error:
             raise MavfiError(f"server of --world: getMultirotorState: not a MultirotorState ({error!r})") from None
-        position, orientation = pose_numbers(kinematics)
+        position, orientation = from_pose(kinematics)
         self.odometry[:3] = np.array(flipped(position)) + self._origin
         self.odometry[3:6] = flipped(velocity)
         self.odometry[6:10] = turned(orientation)
@@ -262,7 +262,9 @@ class Remote:
     def imu(self) -> np.ndarray:
         """See `Plant.imu`; the server's, with its noise."""
         data = self.rpc.call("getImuData", "", "")
-        return np.array([*flipped(triple(data["linear_acceleration"])), *flipped(triple(data["angular_velocity"]))])
+        return np.array(
+            [*flipped(from_vector3r(data["linear_acceleration"])), *flipped(from_vector3r(data["angular_velocity"]))]
+        )
 
     def position_fix(self) -> np.ndarray:
         """See `Plant.position_fix`; not offered."""

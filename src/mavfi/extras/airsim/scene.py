@@ -12,7 +12,16 @@ import numpy as np
 from mavfi.config import names
 from mavfi.errors import BadInputError
 from mavfi.extras.airsim.cameras import DUST, FOG
-from mavfi.extras.airsim.frames import LEVEL, Data, from_geo_point, geo_point, pose, pose_numbers, triple, vector
+from mavfi.extras.airsim.frames import (
+    LEVEL,
+    Data,
+    from_geo_point,
+    from_pose,
+    from_vector3r,
+    to_geo_point,
+    to_pose,
+    to_vector3r,
+)
 from mavfi.extras.airsim.table import DESTROYED, GROUND, Api, add_readings, call, vehicle_call
 from mavfi.flight.piloted import TICK_US
 from mavfi.mission import Scenario
@@ -129,7 +138,7 @@ def _set_box(api: Api, index: int | None, centre: np.ndarray, size: np.ndarray) 
 
 def _box_position(pose: Any) -> Triple:  # noqa: ANN401 - a client's
     """Position of an object's pose; boxes are aligned with the axes."""
-    position, (_, *axis) = pose_numbers(pose)
+    position, (_, *axis) = from_pose(pose)
     if any(axis):
         raise BadInputError(f"{pose!r}: boxes stay aligned with the axes; allowed: the orientation (1, 0, 0, 0)")
     return position
@@ -151,10 +160,10 @@ def simListSceneObjects(api: Api, name_regex: str = ".*", tags: Any = None) -> l
 def simGetObjectPose(api: Api, object_name: str, ned: bool = True) -> Data:
     """NaN for an object that does not exist, as in AirSim."""
     if object_name == api.name:
-        return pose(api.vehicle.position, api.vehicle.orientation)
+        return to_pose(api.vehicle.position, api.vehicle.orientation)
     if object_name not in api.objects:
-        return pose((math.nan,) * 3, (math.nan,) * 4)
-    return pose(api.vehicle.to_ned(_box(api, object_name)[0]), LEVEL)
+        return to_pose((math.nan,) * 3, (math.nan,) * 4)
+    return to_pose(api.vehicle.to_ned(_box(api, object_name)[0]), LEVEL)
 
 
 @call
@@ -166,13 +175,13 @@ def simSetObjectPose(api: Api, object_name: str, pose: Any, teleport: bool = Tru
 
 @call
 def simGetObjectScale(api: Api, object_name: str) -> dict[str, float]:
-    return vector(_box(api, object_name)[1])
+    return to_vector3r(_box(api, object_name)[1])
 
 
 @call
 def simSetObjectScale(api: Api, object_name: str, scale_vector: Any) -> bool:
     centre, _ = _box(api, object_name)
-    _set_box(api, _index_of(api, object_name), centre, np.array(triple(scale_vector)))
+    _set_box(api, _index_of(api, object_name), centre, np.array(from_vector3r(scale_vector)))
     return True
 
 
@@ -194,7 +203,7 @@ def simSpawnObject(
     while name in api.objects:
         tries += 1
         name = f"{object_name}_{tries}"
-    _set_box(api, None, api.vehicle.to_world(_box_position(pose)), np.array(triple(scale)))
+    _set_box(api, None, api.vehicle.to_world(_box_position(pose)), np.array(from_vector3r(scale)))
     api.objects.append(name)
     return name
 
@@ -247,7 +256,7 @@ def simLoadLevel(api: Api, level_name: str) -> bool:
 @call
 def simGetWorldExtents(api: Api) -> list[dict[str, float]]:
     world = api.vehicle.sim.world
-    return [geo_point(api.vehicle.to_ned(corner)) for corner in (world.arena_lower, world.arena_upper)]
+    return [to_geo_point(api.vehicle.to_ned(corner)) for corner in (world.arena_lower, world.arena_upper)]
 
 
 @vehicle_call
@@ -267,7 +276,7 @@ def _in_world(api: Api, point: Any) -> np.ndarray:
 # ---- weather, drawing, recording -------------------------------------------------------------------------------------
 @call
 def simSetWind(api: Api, wind: Any) -> None:
-    api.vehicle.sim.set_wind(flipped(triple(wind)))
+    api.vehicle.sim.set_wind(flipped(from_vector3r(wind)))
 
 
 @call

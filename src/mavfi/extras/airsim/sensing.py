@@ -5,8 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from mavfi.extras.airsim.frames import LEVEL, Data, geo_point, pose, vector
-from mavfi.extras.airsim.frames import rotation as rotated
+from mavfi.extras.airsim.frames import LEVEL, Data, to_geo_point, to_pose, to_quaternionr, to_vector3r
 from mavfi.extras.airsim.table import (
     DESTROYED,
     GROUND,
@@ -42,11 +41,11 @@ def kinematics(api: Api, odometry: np.ndarray) -> Data:
     """KinematicsState of a state of the vehicle."""
     position, orientation, velocity, rates = api.vehicle.in_ned(odometry)
     return {
-        **pose(position, orientation),
-        "linear_velocity": vector(velocity),
-        "angular_velocity": vector(rates),
-        "linear_acceleration": vector(flipped(api.vehicle.sim.acceleration())),
-        "angular_acceleration": vector((0, 0, 0)),
+        **to_pose(position, orientation),
+        "linear_velocity": to_vector3r(velocity),
+        "angular_velocity": to_vector3r(rates),
+        "linear_acceleration": to_vector3r(flipped(api.vehicle.sim.acceleration())),
+        "angular_acceleration": to_vector3r((0, 0, 0)),
     }
 
 
@@ -56,7 +55,7 @@ def collision(api: Api) -> Data:
     vehicle = api.vehicle
     contact = vehicle.collision
     if contact is None:
-        zero = vector((0, 0, 0))
+        zero = to_vector3r((0, 0, 0))
         return {
             "has_collided": vehicle.has_collided,
             "normal": zero,
@@ -76,9 +75,9 @@ def collision(api: Api) -> Data:
         name = api.objects[contact.obstacle]
     return {
         "has_collided": vehicle.has_collided,
-        "normal": vector(flipped(contact.normal)),
-        "impact_point": vector(vehicle.to_ned(contact.point)),
-        "position": vector(vehicle.to_ned(contact.vehicle)),
+        "normal": to_vector3r(flipped(contact.normal)),
+        "impact_point": to_vector3r(vehicle.to_ned(contact.point)),
+        "position": to_vector3r(vehicle.to_ned(contact.vehicle)),
         "penetration_depth": contact.depth,
         "time_stamp": vehicle.stamp - 1000 * (vehicle.sim.time_us - contact.time_us),
         "object_name": name,
@@ -96,7 +95,7 @@ def getMultirotorState(api: Api) -> Data:
     return {
         "collision": collision(api),
         "kinematics_estimated": kinematics(api, api.vehicle.measured_state),
-        "gps_location": geo_point(api.vehicle.position),
+        "gps_location": to_geo_point(api.vehicle.position),
         "timestamp": api.vehicle.stamp,
         "landed_state": landed_state,
         "rc_data": {
@@ -118,12 +117,12 @@ def getMultirotorState(api: Api) -> Data:
 @vehicle_call
 def simGetGroundTruthEnvironment(api: Api) -> Data:
     position, *_ = api.vehicle.in_ned(api.vehicle.sim.odometry)
-    height = geo_point(position)["altitude"]
+    height = to_geo_point(position)["altitude"]
     kelvin = 288.15 - 0.0065 * height
     return {
-        "position": vector(position),
-        "geo_point": geo_point(position),
-        "gravity": vector((0.0, 0.0, GRAVITY)),
+        "position": to_vector3r(position),
+        "geo_point": to_geo_point(position),
+        "gravity": to_vector3r((0.0, 0.0, GRAVITY)),
         "air_pressure": _pressure(height),
         "temperature": kelvin,
         "air_density": _pressure(height) / (287.053 * kelvin),
@@ -150,9 +149,9 @@ def getImuData(api: Api, imu_name: str = "") -> Data:
     sample = api.vehicle.imu()
     return {
         "time_stamp": api.vehicle.stamp,
-        "orientation": rotated(api.vehicle.orientation),
-        "angular_velocity": vector(flipped(sample[3:])),
-        "linear_acceleration": vector(flipped(sample[:3])),
+        "orientation": to_quaternionr(api.vehicle.orientation),
+        "angular_velocity": to_vector3r(flipped(sample[3:])),
+        "linear_acceleration": to_vector3r(flipped(sample[:3])),
     }
 
 
@@ -166,7 +165,7 @@ def _pressure(height: float) -> float:
 
 @vehicle_call
 def getBarometerData(api: Api, barometer_name: str = "") -> Data:
-    height = geo_point(api.vehicle.position)["altitude"]
+    height = to_geo_point(api.vehicle.position)["altitude"]
     return {"time_stamp": api.vehicle.stamp, "altitude": height, "pressure": _pressure(height), "qnh": _QNH}
 
 
@@ -175,17 +174,17 @@ def getMagnetometerData(api: Api, magnetometer_name: str = "") -> Data:
     matrix = np.empty((3, 3))
     rotation_matrix(np.array(api.vehicle.orientation), matrix)
     body = [float(sum(matrix[k, axis] * _FIELD[k] for k in range(3))) for axis in range(3)]
-    return {"time_stamp": api.vehicle.stamp, "magnetic_field_body": vector(body), "magnetic_field_covariance": []}
+    return {"time_stamp": api.vehicle.stamp, "magnetic_field_body": to_vector3r(body), "magnetic_field_covariance": []}
 
 
 @vehicle_call
 def getGpsData(api: Api, gps_name: str = "") -> Data:
     vehicle = api.vehicle
     gnss = {
-        "geo_point": geo_point(vehicle.position),
+        "geo_point": to_geo_point(vehicle.position),
         "eph": 0.1,
         "epv": 0.1,
-        "velocity": vector(vehicle.velocity),
+        "velocity": to_vector3r(vehicle.velocity),
         "fix_type": 3,
         "time_utc": vehicle.stamp // 1000,
     }
@@ -200,7 +199,7 @@ def getDistanceSensorData(api: Api, distance_sensor_name: str = "") -> Data:
         "distance": min(_FARTHEST, max(_NEAREST, distance)),
         "min_distance": _NEAREST,
         "max_distance": _FARTHEST,
-        "relative_pose": pose((0, 0, 0), LEVEL),
+        "relative_pose": to_pose((0, 0, 0), LEVEL),
     }
 
 
@@ -226,7 +225,7 @@ def getLidarData(api: Api, lidar_name: str = "") -> Data:
     return {
         "point_cloud": points.astype(np.float32).ravel().tolist(),
         "time_stamp": vehicle.stamp,
-        "pose": pose(vehicle.position, vehicle.orientation),
+        "pose": to_pose(vehicle.position, vehicle.orientation),
         "segmentation": [],
     }
 
@@ -235,13 +234,13 @@ add_readings(
     vehicle_call,
     {
         "simGetGroundTruthKinematics": lambda api: kinematics(api, api.vehicle.sim.odometry),
-        "simGetVehiclePose": lambda api: pose(*api.vehicle.in_ned(api.vehicle.sim.odometry)[:2]),
+        "simGetVehiclePose": lambda api: to_pose(*api.vehicle.in_ned(api.vehicle.sim.odometry)[:2]),
         "simGetCollisionInfo": collision,
-        "getHomeGeoPoint": lambda _: geo_point((0.0, 0.0, 0.0)),
+        "getHomeGeoPoint": lambda _: to_geo_point((0.0, 0.0, 0.0)),
         # names before AirSim 1.3
-        "getPosition": lambda api: vector(api.vehicle.position),
-        "getVelocity": lambda api: vector(api.vehicle.velocity),
-        "getOrientation": lambda api: rotated(api.vehicle.orientation),
+        "getPosition": lambda api: to_vector3r(api.vehicle.position),
+        "getVelocity": lambda api: to_vector3r(api.vehicle.velocity),
+        "getOrientation": lambda api: to_quaternionr(api.vehicle.orientation),
         "getCollisionInfo": collision,
     },
 )

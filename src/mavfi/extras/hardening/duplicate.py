@@ -329,6 +329,7 @@ class _Duplicator:
     def _write(self, block: BasicBlock) -> None:
         """Write a block: originals, each followed by its shadow and checks; a check begins a new part."""
         self.block = BasicBlock(block.label, list(block.phis), block.allocations)
+        self.origin_label = block.label  # of the parts into which checks split it
         self.blocks.append(self.block)
         self.copies: dict[str, str] = {}
         self.checked: set[str] = set()
@@ -459,10 +460,9 @@ class _Duplicator:
     def _stop_if(self, predicate: str, kind: str, pair: list[str], like: Instruction) -> None:
         """End this part of the block: return the status if a comparison is true, else go on in a new part."""
         is_true = self._new("icmp", [predicate, kind, pair[0], ",", pair[1]], "i1", like, self.block.body, CHECK)
-        first = self.block.label.split("c")[0]
-        following = f"{first}c{self.numbers}"
+        following = f"{self.origin_label}c{self.numbers}"
         self.block.terminator = _branch(is_true, _STOP, following, _FIRST_IS_RARE, like)
-        self.block = BasicBlock(following, runs_as=(first,))
+        self.block = BasicBlock(following, runs_as=(self.origin_label,))
         self.blocks.append(self.block)
 
     def _check_edges(self, label: str, end: Instruction) -> None:
@@ -484,6 +484,7 @@ class _Duplicator:
     def _begin_edge(self, edge: str, condition: str, runs_as: tuple[str, ...]) -> str:
         """Begin the block of an edge; returns the shadow of the condition there."""
         self.block = BasicBlock(edge, runs_as=runs_as)
+        self.origin_label = edge
         self.blocks.append(self.block)
         if not self._only_decides(condition):
             return shadow(condition)

@@ -4,7 +4,7 @@ import math
 import struct
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from enum import Enum, IntEnum
+from enum import Enum, IntEnum, IntFlag
 from typing import Any
 
 from mavfi.errors import BadInputError
@@ -589,22 +589,40 @@ def _integer(value: float) -> int:
     return -1
 
 
+class Ignored(IntFlag):
+    """Fields of a set-point that its sender leaves out (POSITION_TARGET_TYPEMASK)."""
+
+    X = 1
+    Y = 2
+    Z = 4
+    VX = 8
+    VY = 16
+    VZ = 32
+    YAW = 1024
+    YAW_RATE = 2048
+
+
 def position_target(message: Any) -> Setpoint:
     """The set-point of a SET_POSITION_TARGET_LOCAL_NED."""
-    mask = message.type_mask
 
-    def unless(bit: int, value: float) -> float | None:
-        if mask & bit or not math.isfinite(value):
+    def unless(ignored: Ignored, value: float) -> float | None:
+        if message.type_mask & ignored or not math.isfinite(value):
             return None
         return float(value)
 
     return Setpoint(
-        (unless(1, message.x), unless(2, message.y), unless(4, message.z)),
-        (unless(8, message.vx), unless(16, message.vy), unless(32, message.vz)),
-        unless(1024, message.yaw),
-        unless(2048, message.yaw_rate),
+        (unless(Ignored.X, message.x), unless(Ignored.Y, message.y), unless(Ignored.Z, message.z)),
+        (unless(Ignored.VX, message.vx), unless(Ignored.VY, message.vy), unless(Ignored.VZ, message.vz)),
+        unless(Ignored.YAW, message.yaw),
+        unless(Ignored.YAW_RATE, message.yaw_rate),
         message.coordinate_frame in _BODY_FRAMES,
     )
+
+
+def accept_interval(autopilot: Autopilot, message: Any) -> MavResult:
+    """SET_MESSAGE_INTERVAL: all rates are fixed, and high enough."""
+    del autopilot, message
+    return MavResult.ACCEPTED
 
 
 _COMMANDS: dict[int, Callable[[Autopilot, Any], int | None]] = {
@@ -621,9 +639,7 @@ _COMMANDS: dict[int, Callable[[Autopilot, Any], int | None]] = {
     MavCommand.LAND: lambda autopilot, _: autopilot.change_mode(FlightMode.LAND, "Landing"),
     MavCommand.RETURN_TO_LAUNCH: lambda autopilot, _: autopilot.change_mode(FlightMode.RETURN, "Returning to launch"),
     MavCommand.MISSION_START: lambda autopilot, _: autopilot.change_mode(FlightMode.MISSION, "Mission started"),
-    MavCommand.SET_MESSAGE_INTERVAL: lambda *_: (
-        MavResult.ACCEPTED
-    ),  # message intervals: all rates are fixed, and high enough
+    MavCommand.SET_MESSAGE_INTERVAL: accept_interval,
 }
 """What answers each command."""
 
@@ -635,6 +651,11 @@ _PX4 = 12
 _ACTIVE = 4
 _STANDBY = 3
 _MODE_FLAGS = 1 | 4 | 8 | 16
+_DILUTION = 80  # of precision of the position, in 1/100
+_SATELLITES = 12
+_THROTTLE = 50  # %
+_ALL_FIELDS = 0x1FFF  # of HIGHRES_IMU are updated
+_ALL_ESTIMATES = 0x3FF  # of ESTIMATOR_STATUS are valid
 _ARMED_FLAG = 128
 """MAV_MODE_FLAG: custom mode, auto, guided, stabilize; safety armed."""
 _HEALTHY = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x400 | 0x800 | 0x1000 | 0x4000 | 0x8000 | 0x10000 | 0x200000 | 0x10000000
@@ -717,11 +738,11 @@ def gps_raw_int(autopilot: Autopilot) -> Arguments:
         autopilot.vehicle.now_us,
         fix,
         *_scaled(autopilot.vehicle.position),
-        80,
-        80,
+        _DILUTION,  # horizontal
+        _DILUTION,  # vertical
         speed,
         course,
-        12,
+        _SATELLITES,
     )
 
 
@@ -736,7 +757,7 @@ def vfr_hud(autopilot: Autopilot) -> Arguments:
     """VFR_HUD."""
     north, east, down = autopilot.vehicle.velocity
     speed = math.hypot(north, east)
-    return speed, speed, round(_heading(autopilot)) % 360, 50, _above_sea(autopilot), -down
+    return speed, speed, round(_heading(autopilot)) % 360, _THROTTLE, _above_sea(autopilot), -down
 
 
 def altitude(autopilot: Autopilot) -> Arguments:
@@ -766,7 +787,7 @@ def highres_imu(autopilot: Autopilot) -> Arguments:
     x, y, z, roll, pitch, yaw = map(float, autopilot.vehicle.imu())
     field = (0.2, 0.0, 0.4)
     air = (1013.25, 0.0, _above_sea(autopilot), 25.0)
-    return autopilot.vehicle.now_us, x, -y, -z, roll, -pitch, -yaw, *field, *air, 0x1FFF
+    return autopilot.vehicle.now_us, x, -y, -z, roll, -pitch, -yaw, *field, *air, _ALL_FIELDS
 
 
 def battery_status(autopilot: Autopilot) -> Arguments:
@@ -777,7 +798,7 @@ def battery_status(autopilot: Autopilot) -> Arguments:
 
 def estimator_status(autopilot: Autopilot) -> Arguments:
     """ESTIMATOR_STATUS: all estimates are valid."""
-    return autopilot.vehicle.now_us, 0x3FF, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.2, 0.2
+    return autopilot.vehicle.now_us, _ALL_ESTIMATES, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.2, 0.2
 
 
 def system_time(autopilot: Autopilot) -> Arguments:

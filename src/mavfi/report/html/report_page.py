@@ -252,7 +252,7 @@ def _dots(run_ids: Sequence[str], sets: RunSets) -> str:
 
 
 def _link(link: str, sets: RunSets) -> str:
-    """Rewrite a link of `figures.links` for the page, with a label for screen readers."""
+    """Rewrite a link of `report.links` for the page, with a label for screen readers."""
     if link.startswith(links.RUN):
         return f'<a href="{link}" aria-label="run {link.removeprefix(links.RUN)}"'
     label = dict(parse_qsl(unescape(link).removeprefix(links.RUNS)))
