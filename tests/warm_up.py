@@ -11,7 +11,7 @@ from mavfi.campaign.warm_up import compile_ahead
 
 
 def main():
-    campaigns = [load_campaign(name) for name in ("table1_instructions", "kernels", "lasting")]
+    campaigns = [load_campaign(name) for name in ("table1_instructions", "lasting")]
     compile_ahead(campaigns, LocalExecutor(os.cpu_count() or 1))
 
 

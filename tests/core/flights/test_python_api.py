@@ -20,6 +20,7 @@ def said(cells):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_notebook_is_the_page_with_what_its_blocks_answer():
     written = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
     assert said(execute_page(PAGE.read_text(encoding="utf-8"))) == said(written), "run `make docs`"

@@ -81,6 +81,7 @@ def test_on_the_command_line_the_instant_is_drawn_from_the_golden_run():
     assert 0 < 1e-6 * drawn.time_us < golden().log.column("time")[-1]
 
 
+@pytest.mark.long
 def test_a_campaign_is_the_same_on_any_number_of_workers_and_every_run_can_be_explained(tmp_path):
     campaign = Campaign(
         name="c",

@@ -15,7 +15,7 @@ NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 @given(st.tuples(NUMBERS, NUMBERS, NUMBERS))
 def test_a_vector_comes_back_bit_for_bit(values):
     assert frames.flipped(frames.flipped(values)) == values
-    assert frames.triple(frames.vector(values)) == values
+    assert frames.from_vector3r(frames.to_vector3r(values)) == values
 
 
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 4), st.tuples(*[st.floats(-10.0, 10.0)] * 3))
@@ -33,9 +33,9 @@ def test_turning_in_either_frame_is_the_same(quaternion, values):
 @pytest.mark.parametrize(
     ("read", "name"),
     [
-        (frames.triple, "Vector3r"),
-        (frames.quaternion, "Quaternionr"),
-        (frames.pose_numbers, "Pose"),
+        (frames.from_vector3r, "Vector3r"),
+        (frames.from_quaternionr, "Quaternionr"),
+        (frames.from_pose, "Pose"),
         (frames.from_geo_point, "GeoPoint"),
     ],
 )

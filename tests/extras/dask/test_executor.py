@@ -171,6 +171,7 @@ def test_a_scheduler_that_dies_is_a_failure_of_the_machine_in_one_line(tmp_path,
                 flat(retry)
 
 
+@pytest.mark.long
 def test_a_worker_that_is_killed_while_the_cluster_starts_is_a_failure_of_the_machine(monkeypatch):
     """Found by a signal at this instant: a traceback.  Failures of the machine are tried again."""
 

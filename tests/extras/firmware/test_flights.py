@@ -81,6 +81,7 @@ def _stop_rotors(time_us, loop):
     loop.plant.controller.rotors = lambda now, *rest: rotors(now, *rest) * (now < time_us)
 
 
+@pytest.mark.long
 def test_a_failure_of_a_sensor_reaches_the_firmware(golden):
     log = fly(scenario(), SensorFault("gyro", "wrong", 3_000_000)).log
     assert log.injections[0].activated and log.digest() != golden.log.digest()

@@ -66,6 +66,7 @@ def test_each_shipped_plan_is_that_of_the_code(golden, name):
         assert cached_shape(function, signature)[0] == one.ir_sha256, one.function
 
 
+@pytest.mark.long
 def test_protection_flies_with_a_detector_and_its_restarts_in_a_campaign(tmp_path):
     shipped = load_campaign("protected").to_json()
     arms = {name: shipped["arms"][name] for name in ("ten_percent", "ten_percent_recommended")}

@@ -132,6 +132,7 @@ def test_a_loop_that_does_not_end_is_a_hang():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_protected_code_detects_what_was_silent():
     plain = inject_all(stepped(copy_sum, VALUES, TOTAL), np.random.default_rng(SEED), 40, lambda _: None)
     code, entry = protected("pid", copy_sum, (VALUES, TOTAL))

@@ -57,11 +57,11 @@ def both_ways(faults, arm="", make=lambda: None, **options):
 @pytest.mark.parametrize(
     ("which", "arm"),
     [
-        ("all", ""),
         ("address", "gaussian"),
         *(
             pytest.param(*case, marks=pytest.mark.long)
             for case in (
+                ("all", ""),
                 ("all", "gaussian"),
                 ("address", ""),
                 ("all", "nervous"),

@@ -98,6 +98,7 @@ def test_a_plan_keeps_the_certificate_of_the_same_code(target):
     assert with_certified(plan, other).functions[0].certified is None
 
 
+@pytest.mark.long
 def test_choice_and_certificate_count_the_same_corruptions():
     """A function's result that its caller would mask is a corruption for both."""
     pair = FunctionPair.of(see(smooth, calls()), full_plan("pid", smooth, signature_of(calls()[0])))

@@ -62,7 +62,11 @@ def test_a_flight_with_a_state_fault():
     ("failure", "options"),
     [
         (SensorFault("motor", "slow", 3_000_000, instance=2), {}),
-        (SensorFault("depth_camera", "garbage", 2_000_000, 1.5, seed=4), {"localization": "estimator"}),
+        pytest.param(
+            SensorFault("depth_camera", "garbage", 2_000_000, 1.5, seed=4),
+            {"localization": "estimator"},
+            marks=pytest.mark.long,
+        ),
     ],
 )
 def test_a_sensor_or_motor_fails_as_in_one_process(failure, options):
@@ -81,6 +85,7 @@ def test_a_flight_with_a_fault_and_a_detector():
     assert log.alarms
 
 
+@pytest.mark.long
 def test_an_injected_estimate_violates_its_rule():
     scenario, observer = short(localization="estimator"), RecoveryPolicy("observer")
     wrong = fault("perception.odometry", "x", 3.0, 62)

@@ -111,6 +111,7 @@ def doubled(x):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_fresh_processes_with_empty_caches_agree_in_any_order(tmp_path):
     found = [
         ir_digests(order, tmp_path / str(number), {"PYTHONHASHSEED": str(number)})
