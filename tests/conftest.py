@@ -59,15 +59,9 @@ def _give_memory_back():
 
 
 def pytest_runtest_logfinish():
+    """Each collection takes half a second, so memory is given back when a worker has grown."""
     if _resident() > _MEMORY["limit"]:
         _give_memory_back()
-
-
-@pytest.fixture(scope="module", autouse=True)
-def memory_is_given_back():
-    """After each file."""
-    yield
-    _give_memory_back()
 
 
 _ALONE = (
@@ -81,7 +75,7 @@ Most wait most of the time, so two files run at once."""
 
 
 _SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text(encoding="utf-8").split())
-"""Files whose tests together take more than a second of processor time: `make check` leaves them to `make test`."""
+"""Files whose tests take more than half a second of processor time: `make check` leaves them to `make test`."""
 
 
 def pytest_ignore_collect(collection_path, config):
