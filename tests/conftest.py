@@ -64,6 +64,15 @@ def pytest_runtest_logfinish():
         _give_memory_back()
 
 
+@pytest.fixture(scope="module", autouse=True)
+def flights_of_a_file_are_forgotten(request):
+    """What a file's functions have cached, flights for the most part, serves no other file."""
+    yield
+    for function in vars(request.module).values():
+        if hasattr(function, "cache_clear") and function.__module__ == request.module.__name__:
+            function.cache_clear()
+
+
 _ALONE = (
     "tests/extras/registers",
     "tests/extras/ros/node/test_attach",
