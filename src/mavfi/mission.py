@@ -188,7 +188,7 @@ OF_THE_PIPELINE = (
 _OPTIONS = ("wind", "localization", "dead_node", "flight_controller", "protection")
 """Attributes of a `Scenario` that its plain data omit at their defaults."""
 _AUTOPILOT_OPTIONS = ("alarm",)
-"""The same of its autopilot."""
+"""Attributes of its autopilot that its plain data omit at their defaults."""
 
 
 class Scenario(Config):

@@ -29,7 +29,7 @@ WIDTH = 10
 _ACCELERATION = math.sqrt(3.0) * LARGEST_FORCE + GRAVITY
 """Largest acceleration in a step of the filter: that of a sample in the corner of the sensor's range (m/s^2)."""
 _RATE = math.sqrt(3.0) * LARGEST_RATE
-"""Likewise the largest turn rate (rad/s)."""
+"""Largest turn rate in a step of the filter: that of a sample in the corner of the gyro's range (rad/s)."""
 _VELOCITY_JUMP = 1.0
 _TILT_JUMP = 0.1
 """Largest corrections of velocity (m/s) and tilt (rad) by a fix.

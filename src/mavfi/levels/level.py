@@ -369,7 +369,7 @@ class Level:
         options: dict[str, Any] = {}
         for part in rest:
             name, equals, value = part.partition("=")
-            if not equals and options:  # the last value goes on: it may have colons
+            if not equals and options:  # no name: this part belongs to the last value, which contains a colon
                 name = next(reversed(options))
                 value = f"{options[name]}:{part}"
             elif name in options:

@@ -136,7 +136,7 @@ class MotionPlanner(Remembers):
             decisions.alarm = state.value("time_to_collision")
 
     def _take_trajectory(self, state: State, time_us: int) -> None:
-        """Store a published trajectory and its arc lengths; progress on it starts anew."""
+        """Store a published trajectory and its arc lengths; progress along it restarts at zero."""
         if self._every_map and len(state.elements) == 0:
             return  # planning failed: the current trajectory remains in force
         memory = self.memory

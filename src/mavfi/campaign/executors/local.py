@@ -67,7 +67,7 @@ class LocalExecutor:
             if not items:
                 continue
             last = items[-1]
-            if isinstance(last, Raised):  # after what was flown before
+            if isinstance(last, Raised):  # flights completed before the error are yielded first
                 if items[:-1]:
                     yield mission, items[:-1]
                 raise last.error

@@ -163,7 +163,7 @@ def protect(module: Module, sites: Collection[ModuleSite], *, addresses: bool) -
             break
         detecting |= callers
 
-    # 3. Write them anew, and let the wrapper raise an error.
+    # 3. Rewrite these functions; the wrapper raises an error when one detects a difference.
     functions = []
     for number, function in enumerate(module.functions):
         if function.name in detecting:

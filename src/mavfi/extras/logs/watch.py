@@ -387,7 +387,7 @@ class LogWatch:
             return
         random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_INJECTION_STREAM,)))
         drawn = sorted((*usable[int(random.integers(len(usable)))], number) for number in range(count))
-        # One run through the flight: each flip is undone before it goes on.
+        # One pass over the flight: each flip is undone before the next message is judged.
         self.detector.start()
         position = 0
         for index, follower, number in drawn:

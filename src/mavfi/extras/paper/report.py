@@ -306,24 +306,23 @@ def step_table(seconds: Mapping[str, float], campaigns: Mapping[str, Runs]) -> T
         if step == FLIGHTS and spent:
             pace = runs / spent
         rows.append((step, spent / 60, share, pace))
+    if not seconds:
+        rows = []
+
     columns = (
         Column("step", "step"),
         Column("wall", "wall time", _MINUTES),
         Column("share", "share", PERCENT),
         Column("pace", "runs per second", "number .1f"),
     )
-    return Table(
-        "steps",
-        "Where the time goes: steps of mavfi reproduce",
-        columns,
-        rows if seconds else (),
-        notes=(
-            "wall time, added over the runs of a resumed study; that of flights includes drawing their faults and "
-            "writing the ledgers; compilation: of what was not in the cache",
-            *((f"{SET_UP}: once, also if it was for another study",) if SET_UP in seconds else ()),
-            "report.html is written last, so that its own time is in study.md only",
-        ),
-    )
+    notes = [
+        "wall time, added over the runs of a resumed study; that of flights includes drawing their faults and "
+        "writing the ledgers; compilation: of what was not in the cache"
+    ]
+    if SET_UP in seconds:
+        notes.append(f"{SET_UP}: once, also if it was for another study")
+    notes.append("report.html is written last, so that its own time is in study.md only")
+    return Table("steps", "Where the time goes: steps of mavfi reproduce", columns, rows, notes=tuple(notes))
 
 
 def time_table(campaigns: Mapping[str, Runs]) -> Table:

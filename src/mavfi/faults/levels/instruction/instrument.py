@@ -104,7 +104,7 @@ def instrument(text: str, kernel: str, rewrite: Rewrite | None = None) -> Instru
     owned = is_owned(module)
     constants = constants_of(module)
     tally = tally_text(module)
-    # Write the module anew, with our runtime and the rewritten functions.
+    # Assemble the instrumented module: the injection runtime and the rewritten functions.
     names = [function.name for function in module.functions]
     others = [planned_wrapper(text, names) for text in module.others]
     lines = [*(export_constants(line, constants) for line in module.preamble), RUNTIME, MEMORY]
