@@ -98,6 +98,9 @@ class MissionSpec(Config):
     map_resolution: float | None = Field(
         None, ge=0.02, le=5.0, description="Voxel edge, m; the environment's by default."
     )
+    camera_range: float | None = Field(
+        None, ge=1.0, le=1e3, description="Range of the depth camera, m; the environment's by default."
+    )
     vehicle: str | None = Field(
         None, description=f"{_names('vehicles')}, or a YAML file; the environment's by default."
     )
@@ -176,6 +179,7 @@ OF_THE_PIPELINE = (
     "platform",
     "map",
     "map_resolution",
+    "camera_range",
     "depth_noise",
     "localization",
     "dead_node",

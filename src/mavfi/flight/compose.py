@@ -89,8 +89,9 @@ def resolve(spec: MissionSpec) -> Scenario:
     if not 0.1 <= speed <= 20.0:
         raise BadInputError(f"v_max: {speed}: must lie between 0.1 and 20 m/s")
     camera = configs.CameraConfig(noise=spec.depth_noise)
-    if environment.camera_range is not None:
-        camera = configs.CameraConfig(noise=spec.depth_noise, range=environment.camera_range)
+    camera_range = spec.camera_range or environment.camera_range
+    if camera_range is not None:
+        camera = configs.CameraConfig(noise=spec.depth_noise, range=camera_range)
     resolution = spec.map_resolution
     if resolution is None:
         resolution = environment.map_resolution

@@ -31,7 +31,7 @@ from mavfi.faults.sampling import (
     stage_target,
     stream,
 )
-from mavfi.faults.strata import HEADLINE, WORD_BITS, WORDS, bits_of
+from mavfi.faults.strata import HEADLINE, WHOLE, WORD_BITS, WORDS, bits_of
 from mavfi.levels.level import (
     DECIMAL,
     SECONDS,
@@ -469,14 +469,17 @@ class StateLevel(Level):
         """See `Level.columns`."""
         site = fault.where
         spec = STATES[fault.where.state]
-        return {
+        columns = {
             "stage": str(spec.stage),
             "kernel": spec.writer,
             "state": site.state,
             "field": site.field,
             "element": site.element,
-            "population": fault.stratum,
         }
+        # bits drawn from the whole word are the population of faults without strata
+        if fault.stratum != WHOLE:
+            columns["population"] = fault.stratum
+        return columns
 
     def about(self, campaign: Any) -> dict[str, Any]:
         """See `Level.about`."""

@@ -1,0 +1,498 @@
+"""Tables, figure and page of the study of assumptions."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from mavfi.analysis import published as paper
+from mavfi.analysis.measures import recomputed_share
+from mavfi.analysis.runs import Runs
+from mavfi.analysis.statistics import holm
+from mavfi.analysis.table import TEXT, Column, Table
+from mavfi.extras.paper.assumptions.design import INSTRUCTION, STATE, AxisValue, Reading
+from mavfi.extras.paper.assumptions.fit import (
+    EnvironmentFlights,
+    PointsDifference,
+    deviance_interval,
+    lost_points,
+    paper_counts,
+)
+from mavfi.extras.paper.assumptions.rounds import AssumptionResults, JudgedDetectors, fit_of
+from mavfi.extras.paper.claims import CLAIMS, INSTRUCTIONS, KERNELS, LEVEL, VALUES, Evidence, verdict
+from mavfi.report import style
+from mavfi.report.campaign_report import markdown_table
+from mavfi.report.text import short
+
+_REJECTED = 0.05
+_SHOWN = 12
+"""Rows of the table of readings."""
+_OUT_OF_REACH = {
+    "III-B": "only with faults in one named state at a time (Fig. 4)",
+    "VI-C": "none: it is about the time of detection on their machine, or a calibrated model",
+    "VI-D": "none: it is about another computer",
+}
+"""What would bear on a finding that no reading of this study does, by section of the paper."""
+
+
+def tables(results: AssumptionResults) -> list[Table]:
+    """All tables, the answer first."""
+    return [
+        differences_table(results),
+        cells_table(results),
+        detectors_table(results),
+        axes_table(results),
+        readings_table(results),
+        findings_table(results),
+        worst_times_table(results),
+        ledgers_table(results),
+    ]
+
+
+# ---- the answer ------------------------------------------------------------------------------------------------------
+def best_detectors(results: AssumptionResults) -> JudgedDetectors:
+    """The reading of the detectors that predicts the paper's cells best."""
+    return max(results.detectors, key=lambda item: (item.judgement.p_value, -item.judgement.deviance))
+
+
+def summary(results: AssumptionResults) -> list[str]:
+    """The answer in a few sentences, computed."""
+    frozen = results.frozen
+    best = best_detectors(results)
+    accepted = [item for item in results.fitted if item.fit.p_value >= _REJECTED]
+    judged = holm([item.judgement.p_value for item in results.detectors])
+    kept = [item.name for item, p in zip(results.detectors, judged, strict=True) if p is not None and p >= _REJECTED]
+    worst = [
+        f"{kind.removeprefix('dr_')} in {environment} ({100 * cell.paper:.1f} %, predicted "
+        f"[{100 * cell.low:.1f}, {100 * cell.high:.1f}])"
+        for (environment, kind), cell in best.judgement.cells.items()
+        if not cell.low <= cell.paper <= cell.high
+    ]
+    outside = "all eight detector cells lie in its prediction intervals"
+    if worst:
+        outside = f"outside its prediction intervals: {', '.join(worst)}"
+    return [
+        f"{len(results.fitted)} readings of the experiment were fitted to the paper's golden and injection cells "
+        f"({len(results.flown)} of them flown, the others count the same flights in another way); {len(accepted)} are "
+        "not rejected at 5 %.",
+        f"The best, frozen: {reading_text(results, frozen.reading)} (deviance {frozen.fit.deviance:.1f}, "
+        f"{frozen.fit.freedom} degrees of freedom, p = {frozen.fit.p_value:.2g}).",
+        f"On fresh seeds, judged on the eight detector cells with {len(results.detectors)} readings of the detectors: "
+        f"not rejected at 5 % (Holm): {', '.join(kept) or 'none'}. Best: {best.name} "
+        f"(p = {best.judgement.p_value:.2g}); {outside}.",
+    ]
+
+
+def reading_text(results: AssumptionResults, reading: Reading) -> str:
+    """A reading in words."""
+    return "; ".join(results.study.value(axis, name).text for axis, name in reading.values)
+
+
+def cells_table(results: AssumptionResults) -> Table:
+    """The paper's Table I beside the frozen reading with the best reading of the detectors."""
+    best = best_detectors(results)
+    rows = []
+    for name in results.study.environments:
+        flights = results.judged_flights[name]
+        background = _background(results, name)
+        golden = background * flights.golden.counts().rate
+        faulty = background * flights.faulty["fi"].counts(_deaths(results).deaths).rate
+        rows.append((name, "golden run", paper_counts(name, "golden").rate, golden, None, "fitted"))
+        rows.append((name, "one fault", paper_counts(name, "fi").rate, faulty, None, "fitted"))
+        for setting, words in (("dr_gaussian", "GAD"), ("dr_autoencoder", "AAD")):
+            cell = best.judgement.cells[name, setting]
+            interval = f"[{100 * cell.low:.1f}, {100 * cell.high:.1f}]"
+            rows.append((name, words, cell.paper, cell.mean, interval, "predicted"))
+    columns = (
+        Column("environment", "environment"),
+        Column("setting", "setting"),
+        Column("paper", "paper", "percent"),
+        Column("here", "frozen reading", "percent"),
+        Column("interval", "95 % prediction"),
+        Column("status", "status"),
+    )
+    notes = (
+        f"missions that succeed, %, on fresh seeds from {results.study.rounds.judged_first_seed}; detectors: {best.name}",
+        "fitted: the background of each environment is fitted to the paper's golden and injection cells, and to nothing "
+        "else; predicted: where 300 runs of the paper should lie",
+    )
+    return Table("cells", "The paper's Table I, and the frozen reading", columns, rows, keys=2, notes=notes)
+
+
+def differences_table(results: AssumptionResults) -> Table:
+    """Differences to the golden run in points, in the paper and here, which no background enters."""
+    best = best_detectors(results)
+    rows = []
+    for setting, words in (("fi", "one fault"), ("dr_gaussian", "with GAD"), ("dr_autoencoder", "with AAD")):
+        cells: list[object] = [words]
+        for name in results.study.environments:
+            papers = 100 * (paper_counts(name, setting).rate - paper_counts(name, "golden").rate)
+            ours = lost_points(
+                results.judged_flights[name], _setting_of(results, best, setting), _deaths(results).deaths
+            )
+            cells.append(f"{-ours.points:+.1f} ({papers:+.1f})")
+        rows.append(tuple(cells))
+    columns = (Column("setting", ""), *(Column(name, name) for name in results.study.environments))
+    notes = (
+        "success with the setting - success of golden runs, points; in brackets the paper's",
+        f"frozen reading, fresh seeds, detectors: {best.name}",
+    )
+    return Table("differences", "What a fault costs, and what the detectors bring back", columns, rows, notes=notes)
+
+
+def _setting_of(results: AssumptionResults, detectors: JudgedDetectors, papers: str) -> str:
+    """Our setting for a setting of the paper."""
+    if papers == "fi":
+        return papers
+    return f"dr_{results.study.arm_of(detectors.name, papers.removeprefix('dr_'))}"
+
+
+def _background(results: AssumptionResults, environment: str) -> float:
+    """Share of missions that the fitted background leaves in an environment; 1 = the reading has none."""
+    if _losses(results).losses == "background":
+        return results.frozen.fit.environments[environment].best
+    return 1.0
+
+
+def _deaths(results: AssumptionResults) -> AxisValue:
+    return results.study.value("deaths", results.frozen.reading["deaths"])
+
+
+def _losses(results: AssumptionResults) -> AxisValue:
+    return results.study.value("losses", results.frozen.reading["losses"])
+
+
+def detectors_table(results: AssumptionResults) -> Table:
+    """Readings of the detectors, judged on the eight detector cells."""
+    corrected = holm([item.judgement.p_value for item in results.detectors])
+    rows = []
+    for item, p in zip(results.detectors, corrected, strict=True):
+        reading = results.study.detectors[item.name]
+        outside = [
+            f"{kind.removeprefix('dr_')[:1].upper()}AD {name} {100 * (cell.paper - cell.mean):+.1f}"
+            for (name, kind), cell in item.judgement.cells.items()
+            if not cell.low <= cell.paper <= cell.high
+        ]
+        brought = [_brought_back(results, item, f"dr_{kind}") for kind in ("gaussian", "autoencoder")]
+        rows.append(
+            (
+                item.name,
+                reading.text,
+                reading.source,
+                *brought,
+                item.judgement.deviance,
+                item.judgement.p_value,
+                p,
+                ", ".join(outside) or "none",
+            )
+        )
+    columns = (
+        Column("name", "reading"),
+        Column("text", "detectors"),
+        Column("source", "source"),
+        Column("gaussian", "GAD brings back"),
+        Column("autoencoder", "AAD brings back"),
+        Column("deviance", "deviance", "number .1f"),
+        Column("p", "p", "number .2g"),
+        Column("holm", "p (Holm)", "number .2g"),
+        Column("outside", "cells outside: paper - predicted, points"),
+    )
+    notes = (
+        f"each judged on the paper's eight detector cells, {results.study.rounds.judged_missions} fresh missions per "
+        "environment and stage; deviance of the paper's counts from the predicted rates; p: simulated, with the "
+        "uncertainty of background, of our rates and of the paper's samples",
+        "brings back: lost missions of the frozen reading that the detector saves, and those that it newly loses",
+    )
+    return Table("detectors", "Readings of the detectors, judged", columns, rows, notes=notes)
+
+
+def _brought_back(results: AssumptionResults, item: JudgedDetectors, setting: str) -> str:
+    """E.g. "66 of 87, loses 1"."""
+    rows = item.runs.injected.where("judged").frame
+    pair = ("environment", "target", "index")
+    bare = rows.filter(setting="fi").select(*pair, fault="success")
+    watched = rows.filter(setting=setting).select(*pair, saved="success")
+    both = bare.join(watched, on=pair)
+    lost = both.filter(~both["fault"])
+    newly = both.filter(both["fault"] & ~both["saved"]).height
+    return f"{int(lost['saved'].sum())} of {lost.height}, loses {newly}"
+
+
+# ---- axes and readings -----------------------------------------------------------------------------------------------
+class Effect(NamedTuple):
+    """What a change of one axis of an anchor does.
+
+    Attributes:
+        anchor: Name of the anchor.
+        axis: Name of the axis.
+        value: Name of its value.
+        points: Change of the success lost to a fault, by environment, in points.
+        deviance: Change of the deviance, each reading with the background that fits it best.
+    """
+
+    anchor: str
+    axis: str
+    value: str
+    points: Mapping[str, PointsDifference]
+    deviance: float
+
+    @property
+    def largest(self) -> float:
+        """Largest change over environments (points)."""
+        return max(abs(change.points) for change in self.points.values())
+
+
+def effects(results: AssumptionResults) -> list[Effect]:
+    """Effects of all single changes of the anchors, the largest first."""
+    study = results.study
+    lost = {}
+
+    def lost_by(reading: Reading) -> Mapping[str, PointsDifference]:
+        if reading not in lost:
+            flights = results.flown[study.flights_of(reading)].flights
+            deaths = study.value("deaths", reading["deaths"]).deaths
+            lost[reading] = {name: lost_points(part, "fi", deaths) for name, part in flights.items()}
+        return lost[reading]
+
+    found = []
+    for reading, changes in results.changes.items():
+        for change in changes:
+            anchor = study.anchor(change.anchor)
+            if change.axis == "losses":
+                continue  # it changes what is subtracted on both sides
+            before = lost_by(anchor)
+            after = lost_by(reading)
+            points = {name: _change(before[name], after[name]) for name in before}
+            deviance = _best_deviance(results, reading) - _best_deviance(results, anchor)
+            found.append(Effect(change.anchor, change.axis, change.value, points, deviance))
+    return sorted(found, key=lambda effect: -effect.largest)
+
+
+def _change(before: PointsDifference, after: PointsDifference) -> PointsDifference:
+    """Difference of two independent differences, with MOVER's interval."""
+    points = after.points - before.points
+    below = np.hypot(after.points - after.low, before.high - before.points)
+    above = np.hypot(after.high - after.points, before.points - before.low)
+    return PointsDifference(points, float(points - below), float(points + above))
+
+
+def _best_deviance(results: AssumptionResults, reading: Reading) -> float:
+    """Deviance with the values of `losses` that fit best."""
+    flights = results.flown[results.study.flights_of(reading)].flights
+    values = results.study.axes["losses"].values
+    return min(fit_of(results.study, reading.with_value("losses", name), flights).deviance for name in values)
+
+
+def axes_table(results: AssumptionResults) -> Table:
+    """Single changes of the anchors, the largest effect first."""
+    study = results.study
+    rows = []
+    for effect in effects(results):
+        value = study.value(effect.axis, effect.value)
+        cells = [_points_text(effect.points[name]) for name in study.environments]
+        rows.append((study.axes[effect.axis].title, value.text, value.source, effect.anchor, *cells, effect.deviance))
+    columns = (
+        Column("axis", "assumption"),
+        Column("value", "changed to"),
+        Column("source", "source"),
+        Column("anchor", "from"),
+        *(Column(name, name) for name in study.environments),
+        Column("deviance", "deviance", "number +.1f"),
+    )
+    anchors = "; ".join(f"{name}: {reading_text(results, study.anchor(name))}" for name in study.anchors)
+    notes = (
+        f"anchors: {anchors}",
+        "environments: change of the success that one fault loses, points [95 % interval: bootstrap of worlds]; "
+        "deviance: its change, each reading with the background that fits best; negative = closer to the paper",
+    )
+    return Table("axes", "Assumptions, ranked by how much they move what a fault loses", columns, rows, 2, notes)
+
+
+def _points_text(change: PointsDifference) -> str:
+    return f"{change.points:+.1f} [{change.low:+.1f}, {change.high:+.1f}]"
+
+
+def readings_table(results: AssumptionResults) -> Table:
+    """The readings that fit best, and the anchors."""
+    study = results.study
+    anchors = {study.anchor(name): name for name in study.anchors}
+    best = list(results.fitted[:_SHOWN])
+    best += [item for item in results.fitted[_SHOWN:] if item.reading in anchors]
+    rows = []
+    for item in best:
+        flights = results.flown[item.flown].flights
+        cells = [_lost_text(part, study.value("deaths", item.reading["deaths"]).deaths) for part in flights.values()]
+        n = sum(len(part.faulty["fi"].success) for part in flights.values())
+        interval = ""
+        if item is results.frozen:
+            low, high = deviance_interval(flights, _deaths(results), _losses(results))
+            interval = f" [{low:.1f}, {high:.1f}]"
+        deviance = f"{item.fit.deviance:.1f}{interval}"
+        names = f" (anchor: {anchors[item.reading]})" if item.reading in anchors else ""
+        rows.append((item.reading.text + names, *cells, n, deviance, item.fit.freedom, item.fit.p_value))
+    paper_row = [f"{100 * (paper_counts(name, 'golden').rate - paper_counts(name, 'fi').rate):.1f}" for name in flights]
+    rows.insert(0, ("the paper", *paper_row, None, "", None, None))
+    columns = (
+        Column("reading", "reading"),
+        *(Column(name, name) for name in study.environments),
+        Column("n", "n", "number"),
+        Column("deviance", "deviance"),
+        Column("freedom", "df", "number"),
+        Column("p", "p", "number .2g"),
+    )
+    accepted = sum(item.fit.p_value >= _REJECTED for item in results.fitted)
+    notes = (
+        f"environments: success lost to one fault, points, before a background; the best {_SHOWN} of "
+        f"{len(results.fitted)} by deviance + 2 x fitted parameters, and the anchors; {accepted} have p >= {_REJECTED:g}",
+        "n: runs with a fault, in all; a reading is flown no further once "
+        f"p < {study.rounds.reject_below:g} however its flights are counted; "
+        "deviance: [95 % interval: bootstrap of worlds] of the frozen reading",
+    )
+    return Table("readings", "Readings that the paper's golden and injection cells support", columns, rows, notes=notes)
+
+
+def _lost_text(part: EnvironmentFlights, deaths: str) -> str:
+    lost = part.golden.counts().rate - part.faulty["fi"].counts(deaths).rate
+    return f"{100 * lost:.1f}"
+
+
+# ---- the paper's findings under these readings -----------------------------------------------------------------------
+def findings_table(results: AssumptionResults) -> Table:
+    """For each finding of the paper that is tested on missions, the readings that confirm or contradict it."""
+    rows = []
+    for claim in CLAIMS.values():
+        tested = list(_tested_on(results, claim.campaign))
+        if not tested:
+            reach = _OUT_OF_REACH.get(claim.section, "none of this study")
+            rows.append((claim.statement, claim.section, "—", "—", reach))
+            continue
+        evidence: list[Evidence] = [claim.test(runs) for _, runs in tested]
+        adjusted = holm([part.p_value for part in evidence])
+        verdicts = [verdict(part, p) for part, p in zip(evidence, adjusted, strict=True)]
+        names = {word: [] for word in ("confirmed", "contradicted")}
+        for (name, _), word in zip(tested, verdicts, strict=True):
+            if word in names:
+                names[word].append(name)
+        if _is_settled(evidence):
+            rows.append((claim.statement, claim.section, "—", "—", "not measured by these flights"))
+            continue
+        left = len(tested) - sum(map(len, names.values()))
+        rows.append(
+            (
+                claim.statement,
+                claim.section,
+                ", ".join(names["confirmed"]) or "—",
+                ", ".join(names["contradicted"]) or "—",
+                f"undecided in {left} of {len(tested)} readings",
+            )
+        )
+    columns = (
+        Column("statement", "the paper"),
+        Column("section", "section"),
+        Column("confirmed", "confirmed by"),
+        Column("contradicted", "contradicted by"),
+        Column("left", "else"),
+    )
+    notes = (
+        f"tests as in the study of the paper, at {LEVEL:g} after Holm's correction over the readings of a row; findings "
+        "on Table I: frozen reading of the faults with each reading of the detectors; findings on kernels: each reading "
+        "with faults in instructions",
+    )
+    return Table("findings", "The paper's findings under these readings", columns, rows, notes=notes)
+
+
+def _is_settled(evidence: Sequence[Evidence]) -> bool:
+    """Whether no reading gives a test."""
+    return all(part.p_value is None for part in evidence)
+
+
+def _tested_on(results: AssumptionResults, campaign: str) -> Iterator[tuple[str, Runs]]:
+    """Readings that bear on the findings of a campaign of the paper's study, with their runs."""
+    study = results.study
+    level = study.sampling_of(results.frozen.flown).get("level", STATE)
+    frozen_campaign = INSTRUCTIONS if level == INSTRUCTION else VALUES
+    if campaign == frozen_campaign:
+        for item in results.detectors:
+            yield item.name, item.runs
+    if campaign == KERNELS:
+        for reading, part in results.flown.items():
+            if study.sampling_of(reading).get("level", STATE) == INSTRUCTION:
+                yield reading.text, Runs.read(part.ledgers[0])
+
+
+# ---- checks that were not fitted -------------------------------------------------------------------------------------
+def worst_times_table(results: AssumptionResults) -> Table:
+    """Fig. 6 and Table II: worst flight times and recomputation, beside the paper's."""
+    best = best_detectors(results)
+    rows = []
+    for name in results.study.environments:
+        for setting, words in (("fi", "one fault"), ("dr_gaussian", "GAD"), ("dr_autoencoder", "AAD")):
+            runs = best.runs.injected.where("judged", environment=name, setting=setting)
+            worst = runs.frame["inflation"].max()
+            share = None
+            papers_share = None
+            if setting != "fi":
+                share = recomputed_share(runs.recorded(), ())
+                papers_share = paper.figure("overhead", environment=name, setting=setting)
+            rows.append((name, words, worst, paper.worst_time(name, setting), share, papers_share))
+    columns = (
+        Column("environment", "environment"),
+        Column("setting", "setting"),
+        Column("worst", "worst flight time", "signed percent"),
+        Column("paper_worst", "paper", "signed percent"),
+        Column("share", "recomputation / compute", "small percent"),
+        Column("paper_share", "paper, with detection", "small percent"),
+    )
+    notes = (
+        "not fitted; worst flight time of missions that succeed, over the golden run; bounded by the time limit, which "
+        "the paper does not state",
+        f"recomputation modelled with the paper's latencies; frozen reading, detectors: {best.name}",
+    )
+    return Table("checks", "Further checks: Fig. 6 and Table II", columns, rows, keys=2, notes=notes)
+
+
+def ledgers_table(results: AssumptionResults) -> Table:
+    """Digests of all ledgers."""
+    rows = [(folder, short(digest)) for folder, digest in results.ledgers.items()]
+    return Table("ledgers", "Ledgers", (Column("folder", "ledger"), Column("digest", "digest", TEXT)), rows)
+
+
+# ---- figure and page -------------------------------------------------------------------------------------------------
+def axes_figure(results: AssumptionResults) -> Figure:
+    """How much each single change moves what a fault loses: one row per change, one mark per environment."""
+    shown = effects(results)
+    figure = Figure(figsize=(8.2, 0.34 * len(shown) + 1.4), layout="constrained")
+    axes: Axes = figure.subplots()
+    looks = dict(zip(results.study.environments, (style.BLUE, style.GREEN, style.AMBER, style.ORANGE), strict=False))
+    markers = dict(zip(results.study.environments, "os^D", strict=False))
+    for row, effect in enumerate(shown):
+        for shift, (name, colour) in enumerate(looks.items()):
+            change = effect.points[name]
+            y = row + 0.16 * (shift - 1.5)
+            axes.plot([change.low, change.high], [y, y], color=colour, linewidth=1.2, alpha=0.6)
+            label = name if row == 0 else None
+            axes.plot(change.points, y, markers[name], color=colour, markersize=4.5, label=label)
+    axes.axvline(0, color=style.GREY, linewidth=0.8)
+    axes.set_yticks(range(len(shown)), [_effect_label(results, effect) for effect in shown])
+    axes.invert_yaxis()
+    axes.set_xlabel("change of the success that one fault loses (points)")
+    axes.legend(loc="lower right", frameon=False)
+    return figure
+
+
+def _effect_label(results: AssumptionResults, effect: Effect) -> str:
+    title = results.study.axes[effect.axis].title
+    return f"{title}: {effect.value.replace('_', ' ')} (from {effect.anchor})"
+
+
+def markdown(results: AssumptionResults, shown: Sequence[Table], figure: str) -> str:
+    """The page."""
+    parts = ["# Which assumptions produce the paper's tables?", results.study.text.strip()]
+    parts.append("\n".join(f"- {sentence}" for sentence in summary(results)))
+    for table in shown:
+        if table.name == "axes":
+            parts.append(f"![Effect of each assumption]({figure})")
+        parts.append(markdown_table(table))
+    return "\n\n".join(part for part in parts if part) + "\n"

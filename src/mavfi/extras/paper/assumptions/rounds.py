@@ -1,0 +1,287 @@
+"""Flies the study of assumptions: rounds of readings until they are rejected, then the frozen one with detectors."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+
+from mavfi.analysis.rows import KERNEL_DUE
+from mavfi.analysis.runs import Runs
+from mavfi.campaign.config import Campaign, label_of
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.run import run_campaigns
+from mavfi.campaign.training import record
+from mavfi.extras.paper.assumptions.design import DETECTORS, AssumptionStudy, Change, Reading
+from mavfi.extras.paper.assumptions.fit import EnvironmentFlights, Fit, Flights, Judgement, fit, judge
+from mavfi.mission import MissionSpec
+
+if TYPE_CHECKING:
+    from mavfi.extras.paper.cli_report import StudyBar
+
+FIT = "fit"
+JUDGED = "judged"
+MODELS = "models"
+"""Subfolders: rounds of the readings, flights of the frozen one, trained models."""
+
+
+@dataclass
+class FlownReading:
+    """A reading whose flights exist.
+
+    Attributes:
+        flights: By environment of the paper.
+        ledgers: Folders, in the order of the rounds.
+    """
+
+    flights: dict[str, EnvironmentFlights]
+    ledgers: list[Path]
+
+    def add(self, flights: Mapping[str, EnvironmentFlights], ledger: Path) -> None:
+        """Add a round."""
+        for name, part in flights.items():
+            if name in self.flights:
+                part = self.flights[name].plus(part)
+            self.flights[name] = part
+        self.ledgers.append(ledger)
+
+
+@dataclass(frozen=True, slots=True)
+class FittedReading:
+    """A reading, whose flights it counts, and its fit."""
+
+    reading: Reading
+    flown: Reading
+    fit: Fit
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedDetectors:
+    """The frozen reading with a reading of the detectors.
+
+    Attributes:
+        name: Name of the reading of the detectors.
+        judgement: On the paper's eight detector cells.
+        runs: Its runs, with the settings named as the paper's: golden, fi, dr_gaussian, dr_autoencoder.
+    """
+
+    name: str
+    judgement: Judgement
+    runs: Runs
+
+
+@dataclass(frozen=True, slots=True)
+class AssumptionResults:
+    """All results of the study.
+
+    Attributes:
+        study: Its definition.
+        flown: Readings that were flown.
+        changes: The changes of anchors that lead to each single-change reading.
+        pairs: Anchor of each pair of changes.
+        fitted: All fitted readings, best criterion first.
+        frozen: The best of them.
+        detectors: Judged readings of the detectors, in the order of the study.
+        judged_flights: Fresh flights of the frozen reading, by environment; settings "fi" and those of all arms.
+        ledgers: Digest of each ledger, by folder.
+    """
+
+    study: AssumptionStudy
+    flown: Mapping[Reading, FlownReading]
+    changes: Mapping[Reading, Sequence[Change]]
+    pairs: Mapping[Reading, str]
+    fitted: Sequence[FittedReading]
+    frozen: FittedReading
+    detectors: Sequence[JudgedDetectors]
+    judged_flights: Mapping[str, EnvironmentFlights]
+    ledgers: Mapping[str, str]
+
+
+def fly_assumptions(study: AssumptionStudy, folder: Path, workers: int, bar: "StudyBar") -> AssumptionResults:
+    """Fly the study, or what is left of it: every ledger resumes.
+
+    1. Single changes of both anchors fly in rounds; a reading that the paper's golden and injection cells reject is
+       flown no further.
+    2. The best changes of each anchor are combined in pairs, which fly in the same rounds.
+    3. The reading that fits best is frozen, and flown on fresh seeds with all readings of the detectors.
+    """
+    executor = LocalExecutor(workers)
+    changes = study.single_changes()
+    flown: dict[Reading, FlownReading] = {}
+    _fly_rounds(study, dict.fromkeys(map(study.flights_of, changes)), folder, executor, bar, flown)
+
+    best = _best_changes(study, changes, flown)
+    pairs = study.pairs(best)
+    _fly_rounds(study, dict.fromkeys(map(study.flights_of, pairs)), folder, executor, bar, flown)
+
+    fitted = sorted(_all_fits(study, flown), key=lambda item: item.fit.criterion)
+    frozen = fitted[0]
+    judged, detectors = _judge(study, frozen, folder, executor, workers, bar)
+
+    ledgers = {str(path.relative_to(folder)): _digest(path) for part in flown.values() for path in part.ledgers}
+    ledgers |= {str(path.relative_to(folder)): _digest(path) for path in sorted((folder / JUDGED).iterdir())}
+    return AssumptionResults(study, flown, changes, pairs, fitted, frozen, detectors, judged, ledgers)
+
+
+# ---- rounds ----------------------------------------------------------------------------------------------------------
+def _fly_rounds(  # noqa: PLR0913 - what the study is flown with
+    study: AssumptionStudy,
+    readings: Mapping[Reading, None],
+    folder: Path,
+    executor: LocalExecutor,
+    bar: "StudyBar",
+    flown: dict[Reading, FlownReading],
+) -> None:
+    """Fly readings in rounds; those that have been flown already, or are rejected, are left out."""
+    active = [reading for reading in readings if reading not in flown]
+    for number in range(study.rounds.number):
+        campaigns = {folder / FIT / f"{reading.folder}-{number}": study.campaign(reading, number) for reading in active}
+        with bar.timed(f"round {number + 1}, {len(active)} readings"):
+            run_campaigns(campaigns, executor=executor, progress=bar.show_campaigns)
+        for reading, (path, campaign) in zip(active, campaigns.items(), strict=True):
+            flown.setdefault(reading, FlownReading({}, [])).add(flights_in(path, campaign, study), path)
+        active = [reading for reading in active if not _is_rejected(study, reading, flown[reading])]
+
+
+def _is_rejected(study: AssumptionStudy, flown: Reading, part: FlownReading) -> bool:
+    """Whether no way of counting the flights agrees with the paper's cells."""
+    fits = _fits(study, flown, part)
+    return all(item.fit.p_value < study.rounds.reject_below for item in fits)
+
+
+def _fits(study: AssumptionStudy, flown: Reading, part: FlownReading) -> list[FittedReading]:
+    """Fits of all readings that count the flights of one."""
+    return [
+        FittedReading(reading, flown, fit_of(study, reading, part.flights)) for reading in study.counted_alike(flown)
+    ]
+
+
+def fit_of(study: AssumptionStudy, reading: Reading, flights: Mapping[str, EnvironmentFlights]) -> Fit:
+    """Fit of a reading's flights, counted as it says."""
+    return fit(flights, study.value("deaths", reading["deaths"]), study.value("losses", reading["losses"]))
+
+
+def _all_fits(study: AssumptionStudy, flown: Mapping[Reading, FlownReading]) -> list[FittedReading]:
+    return [item for reading, part in flown.items() for item in _fits(study, reading, part)]
+
+
+def _best_changes(
+    study: AssumptionStudy, changes: Mapping[Reading, Sequence[Change]], flown: Mapping[Reading, FlownReading]
+) -> dict[str, list[Change]]:
+    """Changes that alter flights, by anchor, the best first: each by the best way of counting its flights."""
+    ranked: dict[str, list[tuple[float, Change]]] = {name: [] for name in study.anchors}
+    for reading, leading in changes.items():
+        part = study.flights_of(reading)
+        criterion = min(item.fit.criterion for item in _fits(study, part, flown[part]))
+        for change in leading:
+            if not study.value(change.axis, change.value).only_counts or change.axis in ("where", "bit", "when"):
+                ranked[change.anchor].append((criterion, change))
+    return {name: [change for _, change in sorted(items, key=lambda item: item[0])] for name, items in ranked.items()}
+
+
+# ---- flights of a ledger ---------------------------------------------------------------------------------------------
+def flights_in(path: Path, campaign: Campaign, study: AssumptionStudy) -> dict[str, EnvironmentFlights]:
+    """The flights of a ledger, by environment of the paper."""
+    runs = Runs.read(path)
+    names = dict(zip(map(label_of, campaign.environments), study.environments, strict=True))
+    return {name: _environment_flights(runs.where(environment=label)) for label, name in names.items()}
+
+
+def _environment_flights(runs: Runs) -> EnvironmentFlights:
+    golden = _flights(runs.golden.where(arm=""))
+    faulty = {setting: _flights(part) for (setting,), part in runs.injected.where("judged").groups("setting").items()}
+    return EnvironmentFlights(golden, faulty)
+
+
+def _flights(runs: Runs) -> Flights:
+    frame = runs.frame
+    return Flights(
+        frame["success"].to_numpy(),
+        frame["kernel_effect"].is_in(KERNEL_DUE).to_numpy() & (frame["level"] != "state").to_numpy(),
+        frame["flight_time_s"].fill_null(np.inf).to_numpy(),
+        frame["world"].to_numpy(),
+    )
+
+
+def _digest(path: Path) -> str:
+    return str(Runs.read(path).campaign["digest"])
+
+
+# ---- the frozen reading with detectors -------------------------------------------------------------------------------
+def _judge(  # noqa: PLR0913 - what the study is flown with
+    study: AssumptionStudy,
+    frozen: FittedReading,
+    folder: Path,
+    executor: LocalExecutor,
+    workers: int,
+    bar: "StudyBar",
+) -> tuple[dict[str, EnvironmentFlights], list[JudgedDetectors]]:
+    """Train the detectors, fly the frozen reading with each reading of them, and compare with the paper's cells."""
+    trainings = dict.fromkeys(detectors.training for detectors in study.detectors.values())
+    everything: dict[str, EnvironmentFlights] = {}
+    runs_by_training: dict[tuple[str, ...], Runs] = {}
+    for training in trainings:
+        campaign = study.judged_campaign(frozen.flown, training)
+        name = "_".join(training) or "generated"
+        models = _trained(study, campaign, training, folder / MODELS / name, workers, bar)
+        path = folder / JUDGED / name
+        with bar.timed(f"judged flights, detectors trained on {name} worlds"):
+            run_campaigns({path: campaign}, executor=executor, models_dir=models, progress=bar.show_campaigns)
+        runs_by_training[training] = _named_as_the_papers(Runs.read(path), campaign, study)
+        for environment, part in flights_in(path, campaign, study).items():
+            if environment in everything:
+                merged = {**everything[environment].faulty, **part.faulty}
+                part = EnvironmentFlights(part.golden, merged)
+            everything[environment] = part
+
+    deaths = study.value("deaths", frozen.reading["deaths"])
+    losses = study.value("losses", frozen.reading["losses"])
+    judged = []
+    for name, detectors in study.detectors.items():
+        settings = {f"dr_{kind}": f"dr_{study.arm_of(name, kind)}" for kind in DETECTORS}
+        judgement = judge(frozen.fit, everything, deaths, losses, settings)
+        judged.append(JudgedDetectors(name, judgement, _of_detectors(runs_by_training[detectors.training], settings)))
+    return everything, judged
+
+
+def _trained(  # noqa: PLR0913
+    study: AssumptionStudy, campaign: Campaign, training: tuple[str, ...], folder: Path, workers: int, bar: "StudyBar"
+) -> Path:
+    """Folder of models of both detectors; trained unless they are there."""
+    detectors = {(arm.detector, arm.profile) for arm in campaign.arms.values()}
+    if not list(folder.glob("*.json")):
+        mission: MissionSpec = campaign.spec(campaign.environments[0], campaign.first_seed)
+        show: Callable[[int, int], None] = bar.show
+        with bar.timed("training flights"):
+            recorded = record(
+                folder,
+                study.training_flights,
+                mission,
+                workers=workers,
+                progress=show,
+                environments=training,
+                only=detectors,
+            )
+        with bar.timed("fitting of detectors"):
+            recorded.fit()
+    return folder
+
+
+def _named_as_the_papers(runs: Runs, campaign: Campaign, study: AssumptionStudy) -> Runs:
+    """Runs whose environments are named as the paper's, and whose faults count alike, as drawn."""
+    names: dict[str, str] = dict(zip(map(label_of, campaign.environments), study.environments, strict=True))
+    faulty = pl.col("kind") == "injected"
+    return runs.adding(
+        environment=pl.col("environment").replace(names),
+        population=pl.when(faulty).then(pl.lit("all_bits")).otherwise(pl.col("population")),
+    )
+
+
+def _of_detectors(runs: Runs, settings: Mapping[str, str]) -> Runs:
+    """Runs without a detector, and those with the two arms of one reading of the detectors, named as the paper's."""
+    named: dict[str, Any] = {here: papers for papers, here in settings.items()}
+    bare = pl.col("arm") == ""
+    chosen = runs.where(bare | pl.col("setting").is_in(list(named)))
+    return chosen.adding(setting=pl.col("setting").replace(named))
