@@ -35,7 +35,7 @@ from mavfi.errors import BadInputError
 from mavfi.rewriting import rewriter
 
 ARRIVAL_RADIUS = 2.0
-"""Distance from the goal that counts as arrival (m)."""
+"""Distance from the goal that counts as arrival, unless a mission has another one (m)."""
 FLY_AWAY_MARGIN = 30.0
 """Distance outside the arena that ends a flight (m)."""
 LARGEST_SEED = 2**63 - 1
@@ -105,6 +105,9 @@ class MissionSpec(Config):
         "cascade", description="From velocity to rotor commands: cascade, betaflight, an entry point, or package:Class."
     )
     v_max: float | None = Field(None, ge=0.1, le=20.0, description="Speed limit, m/s; the environment's by default.")
+    arrival_radius: float = Field(
+        ARRIVAL_RADIUS, ge=0.5, le=20.0, description="Distance from the goal that counts as arrival, m."
+    )
     depth_noise: float = Field(
         0.0, ge=0.0, le=1.0, description="Noise of the depth camera: standard deviation / range."
     )
@@ -165,6 +168,14 @@ class MissionSpec(Config):
             renamed["dead_node"] = "fresh"
         return renamed
 
+    def to_json(self) -> dict[str, Any]:
+        """Plain data; keys of later versions are omitted at their defaults, so that what is stored keeps its key."""
+        data = self.model_dump(mode="json")
+        for name in _LATER_KEYS:
+            if getattr(self, name) == MissionSpec.model_fields[name].default:
+                del data[name]
+        return data
+
 
 RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded")
 """Mission keys that define the recovery from a detector's alarms."""
@@ -176,6 +187,7 @@ OF_THE_PIPELINE = (
     "platform",
     "map",
     "map_resolution",
+    "arrival_radius",
     "depth_noise",
     "localization",
     "dead_node",
@@ -185,7 +197,9 @@ OF_THE_PIPELINE = (
     *OF_A_DETECTOR,
 )
 """Mission keys without effect where another program flies the vehicle."""
-_OPTIONS = ("wind", "localization", "dead_node", "flight_controller", "protection")
+_LATER_KEYS = ("arrival_radius",)
+"""Keys of a mission that its plain data omit at their defaults."""
+_OPTIONS = ("wind", "localization", "dead_node", "flight_controller", "protection", "arrival_radius")
 """Attributes of a `Scenario` that its plain data omit at their defaults."""
 _AUTOPILOT_OPTIONS = ("alarm",)
 """Attributes of its autopilot that its plain data omit at their defaults."""
@@ -211,6 +225,7 @@ class Scenario(Config):
     dead_node: DeadNode = "fresh"
     flight_controller: str = "cascade"
     protection: SerializeAsAny[Config] | None = None
+    arrival_radius: float = ARRIVAL_RADIUS
 
     @field_validator("protection", mode="before")
     @classmethod

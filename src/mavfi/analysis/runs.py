@@ -174,6 +174,7 @@ _LISTED_KEYS = (
     "vehicle",
     "map",
     "flight_controller",
+    "arrival_radius",
     "grain",
     "same_twice",
     "answer_s",

@@ -123,6 +123,7 @@ def resolve(spec: MissionSpec) -> Scenario:
         dead_node=spec.dead_node,
         flight_controller=_controller(spec.flight_controller),
         protection=protection,
+        arrival_radius=spec.arrival_radius,
     )
 
 
@@ -260,7 +261,7 @@ def new_loop(
     Raises:
         BadInputError: The scenario cannot be flown, e.g. the start lies in an obstacle.
     """
-    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
     plant = make_plant(world, scenario)
     config = pipeline_config(scenario, world, plant.ray_directions, rewindable=rewindable, functions=functions)
     return Loop(scenario, world, plant, partial(make_kernels, config), want_profile=profile, marks=rewindable)
@@ -334,7 +335,7 @@ def detector_for(
         BadInputError: The detector, profile or model does not exist.
         SpecMismatchError: The model was trained for a different configuration.
     """
-    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
     mission = {
         "stack": scenario.autopilot.name,
         "platform": scenario.platform.name,

@@ -22,7 +22,7 @@ from mavfi.flight.decide import SCANNING, Action, PendingResult, Response
 from mavfi.flight.host import Flight
 from mavfi.flight.plant import Plant
 from mavfi.flight.taps import Taps
-from mavfi.mission import ARRIVAL_RADIUS, FLY_AWAY_MARGIN, MissionStatus, Scenario, time_limit
+from mavfi.mission import FLY_AWAY_MARGIN, MissionStatus, Scenario, time_limit
 from mavfi.pipeline.kernel import Kernel, repeat
 from mavfi.pipeline.memory import Memory
 from mavfi.record import AlarmRecord, Event, FlightLog, Injection, Profile
@@ -83,6 +83,7 @@ class MissionJudge:
 
     def __init__(self, scenario: Scenario, world: World) -> None:
         self._goal = world.goal.tolist()
+        self._arrival_radius = scenario.arrival_radius
         self._lower = world.arena_lower.tolist()
         self._upper = world.arena_upper.tolist()
         self._max_failed_plans = scenario.autopilot.max_failed_plans
@@ -95,7 +96,7 @@ class MissionJudge:
             return MissionStatus.INVALID_STATE
         if plant.collided:
             return MissionStatus.COLLISION
-        if math.dist(state[:3], self._goal) < ARRIVAL_RADIUS:
+        if math.dist(state[:3], self._goal) < self._arrival_radius:
             return MissionStatus.SUCCESS
         for low, value, high in zip(self._lower, state, self._upper, strict=False):  # x, y, z
             if low - value > FLY_AWAY_MARGIN or value - high > FLY_AWAY_MARGIN:

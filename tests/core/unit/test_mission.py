@@ -35,7 +35,9 @@ def test_renamed_fields_are_stored_by_their_older_names_and_read_by_both():
 
 def test_options_that_are_off_are_not_in_the_key():
     plain = resolve(MissionSpec(environment="dense", seed=7)).to_json()
-    assert not {"wind", "localization", "dead_node"} & set(plain) and "alarm" not in plain["stack"]
+    assert not {"wind", "localization", "dead_node", "arrival_radius"} & set(plain) and "alarm" not in plain["stack"]
+    assert "arrival_radius" not in MissionSpec().to_json()
+    assert MissionSpec(arrival_radius=8.0).to_json()["arrival_radius"] == 8.0
     on = {"wind": 2.0, "localization": "estimator", "dead_node": "readback", "alarm": "repeated"}
     full = resolve(MissionSpec(environment="dense", seed=7, **on))
     data = json.loads(json.dumps(full.to_json()))
@@ -60,6 +62,7 @@ def test_whatever_decides_the_flight_changes_the_key():
         {"dead_node": "end"},
         {"alarm": "repeated"},
         {"epoch_liveness": 1.0},
+        {"arrival_radius": 8.0},
     ]
     assert len({resolve(MissionSpec(**base | change)).key() for change in changes}) == len(changes)
 

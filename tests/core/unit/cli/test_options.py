@@ -24,6 +24,7 @@ VALUES = {
     "map_resolution": 0.4,
     "vehicle": "small_quad",
     "v_max": 2.0,
+    "arrival_radius": 8.0,
     "depth_noise": 0.1,
     "wind": 3.0,
     "localization": "estimator",
