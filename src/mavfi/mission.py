@@ -41,7 +41,7 @@ FLY_AWAY_MARGIN = 30.0
 LARGEST_SEED = 2**63 - 1
 """Seeds are stored as 64-bit integers."""
 TIME_LIMIT_FACTOR = 4.5
-"""Time limit / (course / v_max)."""
+"""Time limit / (course / v_max), unless a mission has another one."""
 
 DeadNode = Literal["end", "fresh", "readback"]
 """Restart policy of a node that dies, see `flight.restarts`."""
@@ -107,6 +107,12 @@ class MissionSpec(Config):
     v_max: float | None = Field(None, ge=0.1, le=20.0, description="Speed limit, m/s; the environment's by default.")
     arrival_radius: float = Field(
         ARRIVAL_RADIUS, ge=0.5, le=20.0, description="Distance from the goal that counts as arrival, m."
+    )
+    time_limit_factor: float = Field(
+        TIME_LIMIT_FACTOR,
+        ge=1.0,
+        le=100.0,
+        description="Time limit / (course / v_max); on a slow computer multiplied by the platform's factor.",
     )
     depth_noise: float = Field(
         0.0, ge=0.0, le=1.0, description="Noise of the depth camera: standard deviation / range."
@@ -188,6 +194,7 @@ OF_THE_PIPELINE = (
     "map",
     "map_resolution",
     "arrival_radius",
+    "time_limit_factor",
     "depth_noise",
     "localization",
     "dead_node",
@@ -197,9 +204,17 @@ OF_THE_PIPELINE = (
     *OF_A_DETECTOR,
 )
 """Mission keys without effect where another program flies the vehicle."""
-_LATER_KEYS = ("arrival_radius",)
+_LATER_KEYS = ("arrival_radius", "time_limit_factor")
 """Keys of a mission that its plain data omit at their defaults."""
-_OPTIONS = ("wind", "localization", "dead_node", "flight_controller", "protection", "arrival_radius")
+_OPTIONS = (
+    "wind",
+    "localization",
+    "dead_node",
+    "flight_controller",
+    "protection",
+    "arrival_radius",
+    "time_limit_factor",
+)
 """Attributes of a `Scenario` that its plain data omit at their defaults."""
 _AUTOPILOT_OPTIONS = ("alarm",)
 """Attributes of its autopilot that its plain data omit at their defaults."""
@@ -226,6 +241,7 @@ class Scenario(Config):
     flight_controller: str = "cascade"
     protection: SerializeAsAny[Config] | None = None
     arrival_radius: float = ARRIVAL_RADIUS
+    time_limit_factor: float = TIME_LIMIT_FACTOR
 
     @field_validator("protection", mode="before")
     @classmethod
@@ -257,6 +273,6 @@ class Scenario(Config):
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
 
 
-def time_limit(course: float, v_max: float, platform: PlatformConfig) -> float:
-    """Time limit of the flight (s), for a straight course (m), a speed limit (m/s), a computer."""
-    return TIME_LIMIT_FACTOR * course / v_max * platform.time_limit_factor
+def time_limit(course: float, v_max: float, platform: PlatformConfig, factor: float = TIME_LIMIT_FACTOR) -> float:
+    """Time limit of the flight (s), for a straight course (m), a speed limit (m/s), a computer, and a factor."""
+    return factor * course / v_max * platform.time_limit_factor

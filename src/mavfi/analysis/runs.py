@@ -175,6 +175,7 @@ _LISTED_KEYS = (
     "map",
     "flight_controller",
     "arrival_radius",
+    "time_limit_factor",
     "grain",
     "same_twice",
     "answer_s",

@@ -124,6 +124,7 @@ def resolve(spec: MissionSpec) -> Scenario:
         flight_controller=_controller(spec.flight_controller),
         protection=protection,
         arrival_radius=spec.arrival_radius,
+        time_limit_factor=spec.time_limit_factor,
     )
 
 

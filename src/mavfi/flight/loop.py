@@ -87,7 +87,8 @@ class MissionJudge:
         self._lower = world.arena_lower.tolist()
         self._upper = world.arena_upper.tolist()
         self._max_failed_plans = scenario.autopilot.max_failed_plans
-        self.limit_us = int(1e6 * time_limit(world.course, scenario.v_max, scenario.platform))
+        limit_s = time_limit(world.course, scenario.v_max, scenario.platform, scenario.time_limit_factor)
+        self.limit_us = int(1e6 * limit_s)
 
     def status(self, plant: Plant, failed_plans: int, now: int) -> MissionStatus | None:
         """The final status; None = the mission continues."""

@@ -25,6 +25,7 @@ VALUES = {
     "vehicle": "small_quad",
     "v_max": 2.0,
     "arrival_radius": 8.0,
+    "time_limit_factor": 9.0,
     "depth_noise": 0.1,
     "wind": 3.0,
     "localization": "estimator",
