@@ -114,6 +114,12 @@ class MissionSpec(Config):
         le=100.0,
         description="Time limit / (course / v_max); on a slow computer multiplied by the platform's factor.",
     )
+    latency_jitter: float = Field(
+        0.0,
+        ge=0.0,
+        le=4.0,
+        description="Each charged latency is multiplied by a factor drawn from 1 / (1 + jitter) to 1 + jitter.",
+    )
     depth_noise: float = Field(
         0.0, ge=0.0, le=1.0, description="Noise of the depth camera: standard deviation / range."
     )
@@ -195,6 +201,7 @@ OF_THE_PIPELINE = (
     "map_resolution",
     "arrival_radius",
     "time_limit_factor",
+    "latency_jitter",
     "depth_noise",
     "localization",
     "dead_node",
@@ -204,7 +211,7 @@ OF_THE_PIPELINE = (
     *OF_A_DETECTOR,
 )
 """Mission keys without effect where another program flies the vehicle."""
-_LATER_KEYS = ("arrival_radius", "time_limit_factor")
+_LATER_KEYS = ("arrival_radius", "time_limit_factor", "latency_jitter")
 """Keys of a mission that its plain data omit at their defaults."""
 _OPTIONS = (
     "wind",
@@ -214,6 +221,7 @@ _OPTIONS = (
     "protection",
     "arrival_radius",
     "time_limit_factor",
+    "latency_jitter",
 )
 """Attributes of a `Scenario` that its plain data omit at their defaults."""
 _AUTOPILOT_OPTIONS = ("alarm",)
@@ -242,6 +250,7 @@ class Scenario(Config):
     protection: SerializeAsAny[Config] | None = None
     arrival_radius: float = ARRIVAL_RADIUS
     time_limit_factor: float = TIME_LIMIT_FACTOR
+    latency_jitter: float = 0.0
 
     @field_validator("protection", mode="before")
     @classmethod

@@ -176,6 +176,7 @@ _LISTED_KEYS = (
     "flight_controller",
     "arrival_radius",
     "time_limit_factor",
+    "latency_jitter",
     "grain",
     "same_twice",
     "answer_s",

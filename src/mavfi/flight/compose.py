@@ -125,6 +125,7 @@ def resolve(spec: MissionSpec) -> Scenario:
         protection=protection,
         arrival_radius=spec.arrival_radius,
         time_limit_factor=spec.time_limit_factor,
+        latency_jitter=spec.latency_jitter,
     )
 
 
@@ -415,6 +416,7 @@ def limits_of(scenario: Scenario, world: World) -> MissionLimits:
     autopilot = scenario.autopilot
     platform = scenario.platform
     period = 1e-6 * CONTROL_PERIOD_US
+    slowest = 1.0 + scenario.latency_jitter  # latency / nominal latency, at most; its inverse at least
     # without an estimator there are no fixes to check
     noise = noise_of(scenario.localization)
     fix_noise = None
@@ -436,8 +438,8 @@ def limits_of(scenario: Scenario, world: World) -> MissionLimits:
         point_period=autopilot.point_period,
         control_period=period,
         look_ahead=autopilot.look_ahead,
-        planner_latency=1e-6 * latency(platform, "planner"),
-        plan_latency=1e-6 * stage_latency(platform, Stage.PLANNING),
+        planner_latency=1e-6 * latency(platform, "planner") / slowest,
+        plan_latency=1e-6 * stage_latency(platform, Stage.PLANNING) * slowest,
         velocity_lag=1.0 / scenario.vehicle.velocity_gain,
         command_limit=autopilot.command_limit,
         command_step=command_step,

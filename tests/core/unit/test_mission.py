@@ -7,7 +7,7 @@ from mavfi.errors import BadInputError
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec, Scenario, time_limit
 
-LATER = {"arrival_radius": 8.0, "time_limit_factor": 9.0}
+LATER = {"arrival_radius": 8.0, "time_limit_factor": 9.0, "latency_jitter": 1.0}
 """Keys that earlier versions did not have, at other values than their defaults."""
 
 
@@ -67,6 +67,7 @@ def test_whatever_decides_the_flight_changes_the_key():
         {"epoch_liveness": 1.0},
         {"arrival_radius": 8.0},
         {"time_limit_factor": 9.0},
+        {"latency_jitter": 1.0},
     ]
     assert len({resolve(MissionSpec(**base | change)).key() for change in changes}) == len(changes)
 

@@ -26,6 +26,7 @@ VALUES = {
     "v_max": 2.0,
     "arrival_radius": 8.0,
     "time_limit_factor": 9.0,
+    "latency_jitter": 1.0,
     "depth_noise": 0.1,
     "wind": 3.0,
     "localization": "estimator",
