@@ -45,6 +45,8 @@ TIME_LIMIT_FACTOR = 4.5
 
 DeadNode = Literal["end", "fresh", "readback"]
 """Restart policy of a node that dies, see `flight.restarts`."""
+DetectorPlace = Literal["consumer", "producer", "published"]
+"""Where a detector checks a value relative to a fault on the way, see `flight.taps`."""
 
 
 class MissionStatus(Enum):
@@ -131,6 +133,12 @@ class MissionSpec(Config):
         "inline",
         description="Coupling of a detector: inline (a gate before the value is seen) or observer (one step late).",
     )
+    detector_place: DetectorPlace = Field(
+        "consumer",
+        description="Where a detector checks a value: consumer (after a fault on the way), producer (before: it never "
+        "sees the fault; values of sensors at the consumer), or published, as the authors' code: commands at the "
+        "producer, others at the consumer.",
+    )
     grain: Literal["stage", "kernel", "message"] = Field(
         "stage",
         description="Repeated after an alarm: the stage, only the kernel that wrote the value, or its message: the "
@@ -189,7 +197,7 @@ class MissionSpec(Config):
         return data
 
 
-RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded")
+RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded", "detector_place")
 """Mission keys that define the recovery from a detector's alarms."""
 OF_A_DETECTOR = (*RECOVERY, "trained_for")
 """Mission keys without effect on a flight without a detector."""
@@ -211,7 +219,7 @@ OF_THE_PIPELINE = (
     *OF_A_DETECTOR,
 )
 """Mission keys without effect where another program flies the vehicle."""
-_LATER_KEYS = ("arrival_radius", "time_limit_factor", "latency_jitter")
+_LATER_KEYS = ("arrival_radius", "time_limit_factor", "latency_jitter", "detector_place")
 """Keys of a mission that its plain data omit at their defaults."""
 _OPTIONS = (
     "wind",

@@ -181,6 +181,7 @@ _LISTED_KEYS = (
     "same_twice",
     "answer_s",
     "degraded",
+    "detector_place",
     "dead_node",
     "alarm",
     "epoch_liveness",

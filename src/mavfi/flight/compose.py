@@ -20,6 +20,7 @@ from mavfi.flight.loop import CONTROL_PERIOD_US, Loop, latency, stage_latency
 from mavfi.flight.plant import MakePlant
 from mavfi.flight.recovery import DetectorTap, Duplicates
 from mavfi.flight.restarts import Restarts
+from mavfi.flight.taps import CHECKED_AT_PRODUCER
 from mavfi.kernels.perception.state_estimation import Noise
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
@@ -297,6 +298,7 @@ def install(loop: Loop, detector: Detector, recovery: RecoveryPolicy, restarts: 
         tap = DetectorTap(loop, detector, recovery, restarts.die)
     loop.taps.detector = tap
     loop.taps.watched = tap.states
+    loop.taps.checked_at_producer = CHECKED_AT_PRODUCER[recovery.detector_place]
     loop.taps.seal = None
     if tap.seals:
         loop.taps.seal = tap.seal

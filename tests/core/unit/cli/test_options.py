@@ -31,6 +31,7 @@ VALUES = {
     "wind": 3.0,
     "localization": "estimator",
     "coupling": "observer",
+    "detector_place": "published",
     "dead_node": "readback",
     "alarm": "repeated",
     "epoch_liveness": 2.0,
