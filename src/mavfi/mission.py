@@ -35,16 +35,18 @@ from mavfi.errors import BadInputError
 from mavfi.rewriting import rewriter
 
 ARRIVAL_RADIUS = 2.0
-"""Distance from the goal that counts as arrival (m)."""
+"""Distance from the goal that counts as arrival, unless a mission has another one (m)."""
 FLY_AWAY_MARGIN = 30.0
 """Distance outside the arena that ends a flight (m)."""
 LARGEST_SEED = 2**63 - 1
 """Seeds are stored as 64-bit integers."""
 TIME_LIMIT_FACTOR = 4.5
-"""Time limit / (course / v_max)."""
+"""Time limit / (course / v_max), unless a mission has another one."""
 
 DeadNode = Literal["end", "fresh", "readback"]
 """Restart policy of a node that dies, see `flight.restarts`."""
+DetectorPlace = Literal["consumer", "producer", "published"]
+"""Where a detector checks a value relative to a fault on the way, see `flight.taps`."""
 
 
 class MissionStatus(Enum):
@@ -108,6 +110,21 @@ class MissionSpec(Config):
         "cascade", description="From velocity to rotor commands: cascade, betaflight, an entry point, or package:Class."
     )
     v_max: float | None = Field(None, ge=0.1, le=20.0, description="Speed limit, m/s; the environment's by default.")
+    arrival_radius: float = Field(
+        ARRIVAL_RADIUS, ge=0.5, le=20.0, description="Distance from the goal that counts as arrival, m."
+    )
+    time_limit_factor: float = Field(
+        TIME_LIMIT_FACTOR,
+        ge=1.0,
+        le=100.0,
+        description="Time limit / (course / v_max); on a slow computer multiplied by the platform's factor.",
+    )
+    latency_jitter: float = Field(
+        0.0,
+        ge=0.0,
+        le=4.0,
+        description="Each charged latency is multiplied by a factor drawn from 1 / (1 + jitter) to 1 + jitter.",
+    )
     depth_noise: float = Field(
         0.0, ge=0.0, le=1.0, description="Noise of the depth camera: standard deviation / range."
     )
@@ -118,6 +135,12 @@ class MissionSpec(Config):
     coupling: Literal["inline", "observer"] = Field(
         "inline",
         description="Coupling of a detector: inline (a gate before the value is seen) or observer (one step late).",
+    )
+    detector_place: DetectorPlace = Field(
+        "consumer",
+        description="Where a detector checks a value: consumer (after a fault on the way), producer (before: it never "
+        "sees the fault; values of sensors at the consumer), or published, as the authors' code: commands at the "
+        "producer, others at the consumer.",
     )
     grain: Literal["stage", "kernel", "message"] = Field(
         "stage",
@@ -168,8 +191,16 @@ class MissionSpec(Config):
             renamed["dead_node"] = "fresh"
         return renamed
 
+    def to_json(self) -> dict[str, Any]:
+        """Plain data; keys of later versions are omitted at their defaults, so that what is stored keeps its key."""
+        data = self.model_dump(mode="json")
+        for name in _LATER_KEYS:
+            if getattr(self, name) == MissionSpec.model_fields[name].default:
+                del data[name]
+        return data
 
-RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded")
+
+RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded", "detector_place")
 """Mission keys that define the recovery from a detector's alarms."""
 OF_A_DETECTOR = (*RECOVERY, "trained_for")
 """Mission keys without effect on a flight without a detector."""
@@ -180,6 +211,9 @@ OF_THE_PIPELINE = (
     "map",
     "map_resolution",
     "camera_range",
+    "arrival_radius",
+    "time_limit_factor",
+    "latency_jitter",
     "depth_noise",
     "localization",
     "dead_node",
@@ -189,7 +223,18 @@ OF_THE_PIPELINE = (
     *OF_A_DETECTOR,
 )
 """Mission keys without effect where another program flies the vehicle."""
-_OPTIONS = ("wind", "localization", "dead_node", "flight_controller", "protection")
+_LATER_KEYS = ("arrival_radius", "time_limit_factor", "latency_jitter", "detector_place")
+"""Keys of a mission that its plain data omit at their defaults."""
+_OPTIONS = (
+    "wind",
+    "localization",
+    "dead_node",
+    "flight_controller",
+    "protection",
+    "arrival_radius",
+    "time_limit_factor",
+    "latency_jitter",
+)
 """Attributes of a `Scenario` that its plain data omit at their defaults."""
 _AUTOPILOT_OPTIONS = ("alarm",)
 """Attributes of its autopilot that its plain data omit at their defaults."""
@@ -215,6 +260,9 @@ class Scenario(Config):
     dead_node: DeadNode = "fresh"
     flight_controller: str = "cascade"
     protection: SerializeAsAny[Config] | None = None
+    arrival_radius: float = ARRIVAL_RADIUS
+    time_limit_factor: float = TIME_LIMIT_FACTOR
+    latency_jitter: float = 0.0
 
     @field_validator("protection", mode="before")
     @classmethod
@@ -246,6 +294,6 @@ class Scenario(Config):
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
 
 
-def time_limit(course: float, v_max: float, platform: PlatformConfig) -> float:
-    """Time limit of the flight (s), for a straight course (m), a speed limit (m/s), a computer."""
-    return TIME_LIMIT_FACTOR * course / v_max * platform.time_limit_factor
+def time_limit(course: float, v_max: float, platform: PlatformConfig, factor: float = TIME_LIMIT_FACTOR) -> float:
+    """Time limit of the flight (s), for a straight course (m), a speed limit (m/s), a computer, and a factor."""
+    return factor * course / v_max * platform.time_limit_factor

@@ -82,8 +82,8 @@ class MissionLimits:
         point_period: Time between trajectory points (s).
         control_period: Time between commands (s).
         look_ahead: Look-ahead of a point's velocity (s).
-        planner_latency: Time from request to path (s).
-        plan_latency: Time from request to trajectory (s).
+        planner_latency: Least time from request to path (s).
+        plan_latency: Longest time from request to trajectory (s).
         velocity_lag: Time constant of the vehicle's velocity loop (s).
         command_limit: Largest command / v_max.
         command_step: Largest change of the command between periods under the same way-point (m/s).

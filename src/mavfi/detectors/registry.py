@@ -17,13 +17,14 @@ from mavfi.detectors.training import MonitoredFields, TrainedDetector
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, SpecMismatchError, hint
 from mavfi.files import is_file
+from mavfi.mission import RECOVERY
 from mavfi.plugins import build, known, load_object
 from mavfi.states import DETECTORS, INJECTABLE, PLANNERS
 
 GROUP = "mavfi.detectors"
 """Entry points of this group are classes that inherit `Detector`; `mavfi train` fits those that inherit
 `TrainedDetector`, with the figures of configs/detectors/<name>.yaml."""
-OF_RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded", "dead_node", "alarm", "epoch_liveness")
+OF_RECOVERY = (*RECOVERY, "dead_node", "alarm", "epoch_liveness")
 """Mission keys that a detector may set (`Detector.recovery`)."""
 OF_OWN: Mapping[str, Any] = {"grain": "kernel", "same_twice": "limit"}
 """Mission keys of a detector that is not part of mavfi, unless it sets them: it may raise alarms without end."""

@@ -20,6 +20,7 @@ from mavfi.flight.loop import CONTROL_PERIOD_US, Loop, latency, stage_latency
 from mavfi.flight.plant import MakePlant
 from mavfi.flight.recovery import DetectorTap, Duplicates
 from mavfi.flight.restarts import Restarts
+from mavfi.flight.taps import CHECKED_AT_PRODUCER
 from mavfi.kernels.perception.state_estimation import Noise
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
@@ -124,6 +125,9 @@ def resolve(spec: MissionSpec) -> Scenario:
         dead_node=spec.dead_node,
         flight_controller=_controller(spec.flight_controller),
         protection=protection,
+        arrival_radius=spec.arrival_radius,
+        time_limit_factor=spec.time_limit_factor,
+        latency_jitter=spec.latency_jitter,
     )
 
 
@@ -261,7 +265,7 @@ def new_loop(
     Raises:
         BadInputError: The scenario cannot be flown, e.g. the start lies in an obstacle.
     """
-    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
     plant = make_plant(world, scenario)
     config = pipeline_config(scenario, world, plant.ray_directions, rewindable=rewindable, functions=functions)
     return Loop(scenario, world, plant, partial(make_kernels, config), want_profile=profile, marks=rewindable)
@@ -295,6 +299,7 @@ def install(loop: Loop, detector: Detector, recovery: RecoveryPolicy, restarts: 
         tap = DetectorTap(loop, detector, recovery, restarts.die)
     loop.taps.detector = tap
     loop.taps.watched = tap.states
+    loop.taps.checked_at_producer = CHECKED_AT_PRODUCER[recovery.detector_place]
     loop.taps.seal = None
     if tap.seals:
         loop.taps.seal = tap.seal
@@ -335,7 +340,7 @@ def detector_for(
         BadInputError: The detector, profile or model does not exist.
         SpecMismatchError: The model was trained for a different configuration.
     """
-    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
     mission = {
         "stack": scenario.autopilot.name,
         "platform": scenario.platform.name,
@@ -414,6 +419,7 @@ def limits_of(scenario: Scenario, world: World) -> MissionLimits:
     autopilot = scenario.autopilot
     platform = scenario.platform
     period = 1e-6 * CONTROL_PERIOD_US
+    slowest = 1.0 + scenario.latency_jitter  # latency / nominal latency, at most; its inverse at least
     # without an estimator there are no fixes to check
     noise = noise_of(scenario.localization)
     fix_noise = None
@@ -435,8 +441,8 @@ def limits_of(scenario: Scenario, world: World) -> MissionLimits:
         point_period=autopilot.point_period,
         control_period=period,
         look_ahead=autopilot.look_ahead,
-        planner_latency=1e-6 * latency(platform, "planner"),
-        plan_latency=1e-6 * stage_latency(platform, Stage.PLANNING),
+        planner_latency=1e-6 * latency(platform, "planner") / slowest,
+        plan_latency=1e-6 * stage_latency(platform, Stage.PLANNING) * slowest,
         velocity_lag=1.0 / scenario.vehicle.velocity_gain,
         command_limit=autopilot.command_limit,
         command_step=command_step,

@@ -13,7 +13,7 @@ from mavfi.config import AutopilotConfig
 from mavfi.detectors.detector import Alarm
 from mavfi.errors import BadInputError
 from mavfi.kernels.perception.collision_check import NO_COLLISION
-from mavfi.mission import RECOVERY, MissionSpec
+from mavfi.mission import RECOVERY, DetectorPlace, MissionSpec
 from mavfi.pipeline.memory import Memory
 from mavfi.states import KERNELS, ODOMETRY, STAGE_KERNELS, STATES, Stage, State, StateSpec, floats
 
@@ -62,6 +62,7 @@ class RecoveryPolicy:
             0 = none.
         degraded: Policy when a rule is still violated with no restart left, or when hard alarms persist: `none`
             continues the mission, `hold` gives it up, see `HoldPosition`.
+        detector_place: Where the detector checks a value relative to a fault on the way, see `flight.taps`.
 
     Raises:
         BadInputError: A degraded mode with coupling `observer`, which cannot withhold commands.
@@ -72,6 +73,7 @@ class RecoveryPolicy:
     same_twice: Literal["accept", "escalate", "limit"] = "accept"
     answer_s: float = 0.0
     degraded: Literal["none", "hold"] = "none"
+    detector_place: DetectorPlace = "consumer"
 
     def __post_init__(self) -> None:
         if self.degrades and not self.gates:
@@ -80,7 +82,7 @@ class RecoveryPolicy:
     @staticmethod
     def of(spec: MissionSpec) -> "RecoveryPolicy":
         """The recovery policy of a mission."""
-        return RecoveryPolicy(*(getattr(spec, key) for key in RECOVERY))
+        return RecoveryPolicy(**{key: getattr(spec, key) for key in RECOVERY})
 
     @property
     def gates(self) -> bool:

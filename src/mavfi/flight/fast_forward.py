@@ -10,7 +10,8 @@
 4. Shared flights after alarms: after an alarm, a flight may converge to one with the same fault under another detector,
    and follows it between that detector's alarms.
 
-The last two are not done for a detector that takes part in flights without an alarm, see `takes_part`.
+The last two are not done for a detector that takes part in flights without an alarm, see `takes_part`, or that checks
+corrupted publications before the fault, see `checks_before`.
 Instruction faults use the same golden flights and the same convergence, see `flight.forks`.
 """
 
@@ -40,11 +41,12 @@ from mavfi.flight.compose import install, new_loop, restarts_for
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.host import Flight
 from mavfi.flight.loop import CONTROL_PERIOD_US, Loop
+from mavfi.flight.taps import CHECKED_AT_PRODUCER
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.record import FlightLog, Profile
 from mavfi.sim.controller import is_rewindable
-from mavfi.states import State
+from mavfi.states import STATES, State
 
 TICKS = {"dense": 50, "octree": 200}
 """Control periods between two checkpoints, by map kind: an octree is copied whole each time."""
@@ -177,6 +179,13 @@ def takes_part(detector: Detector | None, recovery: RecoveryPolicy) -> bool:
     return detector.seals or bool(detector.duplicates)
 
 
+def checks_before(arm: FlownArm, fault: StateFault) -> bool:
+    """Whether an arm's detector checks the corrupted state before the fault: it does not see what flights publish."""
+    if arm.detector is None:
+        return False
+    return STATES[fault.where.state].stage in CHECKED_AT_PRODUCER[arm.recovery.detector_place]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownFlight:
     """A completed flight, which others may follow.
@@ -255,6 +264,7 @@ class FlightBranch:
         self.loop.status = None
         self.loop.verify = None
         self.loop.taps.detector = None
+        self.loop.taps.checked_at_producer = frozenset()
         self.loop.taps.seal = None
         self.loop.taps.answer_loss = None
         self.loop.taps.recorders.clear()
@@ -627,7 +637,7 @@ class FastForward:
         start = own_golden.checkpoints[rows]
         assert isinstance(start.injector, CounterWatch)  # a golden flight's tap
         injector = StateInjector(fault, start.injector)
-        if takes_part(arm.detector, arm.recovery):
+        if takes_part(arm.detector, arm.recovery) or checks_before(arm, fault):
             branch = FlightBranch(self, arm, own_golden=own_golden)
             return self._fly_on(branch, own_golden, rows, injector)
 

@@ -4,6 +4,7 @@ The plant advances to the current instant; kernels step when their period elapse
 published through the taps after the platform's latency; the control command drives the plant; a status ends the flight.
 """
 
+import hashlib
 import heapq
 import math
 import sys
@@ -22,7 +23,7 @@ from mavfi.flight.decide import SCANNING, Action, PendingResult, Response
 from mavfi.flight.host import Flight
 from mavfi.flight.plant import Plant
 from mavfi.flight.taps import Taps
-from mavfi.mission import ARRIVAL_RADIUS, FLY_AWAY_MARGIN, MissionStatus, Scenario, time_limit
+from mavfi.mission import FLY_AWAY_MARGIN, MissionStatus, Scenario, time_limit
 from mavfi.pipeline.kernel import Kernel, repeat
 from mavfi.pipeline.memory import Memory
 from mavfi.record import AlarmRecord, Event, FlightLog, Injection, Profile
@@ -65,16 +66,53 @@ def latency(platform: PlatformConfig, kernel: str) -> int:
         ) from None
 
 
-def redo_latency(platform: PlatformConfig, kernel: str, stage: Stage) -> int:
-    """Cost of recomputing after an alarm on a kernel's result (us): its stage's; 0 on the flight controller."""
-    if KERNELS[kernel].on_flight_controller:
-        return 0
-    return stage_latency(platform, stage)
-
-
 def stage_latency(platform: PlatformConfig, stage: Stage) -> int:
     """Cost of rerunning a stage (us)."""
     return sum(latency(platform, kernel) for kernel in STAGE_KERNELS[stage])
+
+
+class Latencies:
+    """Latencies as charged in a flight (us).
+
+    On a real computer a kernel takes another time in each run.  With a jitter j, each latency is therefore multiplied
+    by a factor drawn uniformly from 1 / (1 + j) to 1 + j.  The factor is a hash of seed, kernel and instant: no
+    generator has a state that a checkpoint would have to contain.
+
+    Args:
+        platform: The computer.
+        seed: Seed of the mission.
+        jitter: The jitter j; 0 = none.
+    """
+
+    def __init__(self, platform: PlatformConfig, seed: int = 0, jitter: float = 0.0) -> None:
+        self._platform = platform
+        self._seed = seed
+        self._jitter = jitter
+
+    def of_kernel(self, kernel: str, now: int) -> int:
+        """Latency of a kernel's step at an instant (us)."""
+        nominal_us = latency(self._platform, kernel)
+        if self._jitter == 0.0:
+            return nominal_us
+        return round(nominal_us * self._factor(kernel, now))
+
+    def of_stage(self, stage: Stage, now: int) -> int:
+        """Cost of rerunning a stage at an instant (us)."""
+        return sum(self.of_kernel(kernel, now) for kernel in STAGE_KERNELS[stage])
+
+    def of_recomputation(self, kernel: str, stage: Stage, now: int) -> int:
+        """Cost of recomputing after an alarm on a kernel's result: its stage's; 0 on the flight controller."""
+        if KERNELS[kernel].on_flight_controller:
+            return 0
+        return self.of_stage(stage, now)
+
+    def _factor(self, kernel: str, now: int) -> float:
+        """Latency / nominal latency of a kernel's step at an instant (us)."""
+        digest = hashlib.blake2b(f"{self._seed} {kernel} {now}".encode(), digest_size=8).digest()
+        share = (int.from_bytes(digest, "little") >> 11) / 2**53  # as many bits as a float has, in [0, 1)
+        longest = 1.0 + self._jitter
+        shortest = 1.0 / longest
+        return shortest + (longest - shortest) * share
 
 
 # ---- when a mission ends --------------------------------------------------------------------------------------------
@@ -83,10 +121,12 @@ class MissionJudge:
 
     def __init__(self, scenario: Scenario, world: World) -> None:
         self._goal = world.goal.tolist()
+        self._arrival_radius = scenario.arrival_radius
         self._lower = world.arena_lower.tolist()
         self._upper = world.arena_upper.tolist()
         self._max_failed_plans = scenario.autopilot.max_failed_plans
-        self.limit_us = int(1e6 * time_limit(world.course, scenario.v_max, scenario.platform))
+        limit_s = time_limit(world.course, scenario.v_max, scenario.platform, scenario.time_limit_factor)
+        self.limit_us = int(1e6 * limit_s)
 
     def status(self, plant: Plant, failed_plans: int, now: int) -> MissionStatus | None:
         """The final status; None = the mission continues."""
@@ -95,7 +135,7 @@ class MissionJudge:
             return MissionStatus.INVALID_STATE
         if plant.collided:
             return MissionStatus.COLLISION
-        if math.dist(state[:3], self._goal) < ARRIVAL_RADIUS:
+        if math.dist(state[:3], self._goal) < self._arrival_radius:
             return MissionStatus.SUCCESS
         for low, value, high in zip(self._lower, state, self._upper, strict=False):  # x, y, z
             if low - value > FLY_AWAY_MARGIN or value - high > FLY_AWAY_MARGIN:
@@ -344,7 +384,9 @@ class Loop:
         self.marks = marks
         self.renew: Callable[[str], Mapping[str, Kernel]] = lambda kernel: make_kernels()
         self.kernels = make_kernels()
-        self.latency = {name: latency(scenario.platform, name) for name in self.kernels}
+        for name in self.kernels:
+            latency(scenario.platform, name)  # refuses a platform that lacks a kernel
+        self.latencies = Latencies(scenario.platform, scenario.seed, scenario.latency_jitter)
         self.readers: dict[str, list[Kernel]] = {
             name: [kernel for kernel in self.kernels.values() if name in kernel.reads] for name in STATES
         }
@@ -491,7 +533,9 @@ class Loop:
             if self.marks:
                 kernel.mark()
         states = kernel.step(now)
-        cost_us = self.latency[kernel.name] if latency_us is None else latency_us
+        cost_us = latency_us
+        if cost_us is None:
+            cost_us = self.latencies.of_kernel(kernel.name, now)
         if self.verify is not None:
             states, verification_us = self.verify(kernel, states, now)
             cost_us += verification_us
@@ -503,7 +547,7 @@ class Loop:
             listener.after_step(kernel, states, now)
         if kernel.name in self.down:
             return
-        self.record.compute_us[kernel.name] += self.latency[kernel.name]
+        self.record.compute_us[kernel.name] += self.latencies.of_kernel(kernel.name, now)
         if latency_us == 0:
             self._deliver_all(kernel.name, states, now)
             return
@@ -602,7 +646,7 @@ class Loop:
     def recompute(self, action: Action, now: int) -> None:
         """Restore memory and repeat the step, or request another way-point; charges the latency again."""
         kernel: Any = self.kernels[action.kernel]
-        cost_us = self.charge(action)
+        cost_us = self.charge(action, now)
         # requests to the setpoint generator
         if action.kind is Response.STOP:
             self.finish(kernel, kernel.stop(), now, cost_us)
@@ -622,15 +666,14 @@ class Loop:
         else:
             self.start(kernel, now, cost_us)
 
-    def charge(self, action: Action) -> int:
+    def charge(self, action: Action, now: int) -> int:
         """Charge a recomputation to its stage; returns its modelled time (us)."""
-        platform = self.scenario.platform
         if action.alone:
-            cost_us = self.latency[action.kernel]
+            cost_us = self.latencies.of_kernel(action.kernel, now)
         elif action.kernel:
-            cost_us = redo_latency(platform, action.kernel, action.stage)
+            cost_us = self.latencies.of_recomputation(action.kernel, action.stage, now)
         else:
-            cost_us = stage_latency(platform, action.stage)
+            cost_us = self.latencies.of_stage(action.stage, now)
         self.record.recompute_us[action.stage.value] += cost_us
         return cost_us
 

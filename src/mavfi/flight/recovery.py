@@ -370,7 +370,7 @@ class DetectorTap:
             return  # an alarm on another of its states has already requested this recomputation
         is_only_charged = not action.kernel or (not action.awaited and action.kernel in loop.busy)
         if is_only_charged:
-            loop.charge(action)
+            loop.charge(action, now)
         else:
             loop.recompute(action, now)
 
@@ -430,7 +430,7 @@ class Duplicates:
             published = self._execute_again(kernel, now)
             extra_runs = 2
             self._record_alarm(kernel, different_state, _outcome(first, second, published), now)
-        cost_us = extra_runs * self._loop.latency[kernel.name]
+        cost_us = extra_runs * self._loop.latencies.of_kernel(kernel.name, now)
         record = self._loop.record
         record.recompute_us[kernel.stage.value] += cost_us
         record.compute_us[kernel.name] += cost_us

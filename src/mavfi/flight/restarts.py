@@ -113,7 +113,7 @@ class Restarts:
     def recompute(self, name: str, now: int, states: Sequence[State]) -> None:
         """Publish the results of a kernel's repeated step one latency later, under any policy."""
         loop = self._loop
-        cost_us = self._loop.latency[name]
+        cost_us = loop.latencies.of_kernel(name, now)
         if cost_us <= 0:
             return  # a result without latency is published as in the error-free case
         loop.record.recompute_us[loop.kernels[name].stage.value] += cost_us
@@ -126,7 +126,7 @@ class Restarts:
         loop = self._loop
         loop.down.discard(name)
         waiting = loop.busy.pop(name)
-        loop.finish(loop.kernels[name], states, now, loop.latency[name])
+        loop.finish(loop.kernels[name], states, now, loop.latencies.of_kernel(name, now))
         if name in loop.busy:
             loop.busy[name] = waiting
         elif waiting is not None and loop.kernels[name].receive(waiting, now) and name not in PERIODIC:

@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mavfi.flight.compose import new_loop
 from mavfi.flight.fly import fly
+from mavfi.flight.loop import Latencies
 from mavfi.mission import MissionStatus
 from mavfi.states import STATES, states_with
 from tests.core.flights.missions import AUTOPILOTS, GOAL, ends_as_its_status_says, fault, golden, mission
@@ -45,6 +47,16 @@ def test_another_seed_or_autopilot_gives_another_digest():
     digests = {golden(autopilot).log.digest() for autopilot in AUTOPILOTS}
     digests.add(fly(mission(wind=1.0)).log.digest())
     assert len(digests) == 3
+
+
+def test_jitter_of_latencies_is_a_function_of_the_seed():
+    scenario = mission(latency_jitter=1.0)
+    jittered = fly(scenario).log
+    assert jittered.digest() == fly(scenario).log.digest() != golden().log.digest()
+    # the same world and pipeline, whose latencies another seed draws
+    loop = new_loop(scenario)
+    loop.latencies = Latencies(scenario.platform, scenario.seed + 1, scenario.latency_jitter)
+    assert not np.array_equal(loop.fly().log.rows, jittered.rows)
 
 
 @pytest.mark.slow

@@ -70,6 +70,16 @@ def test_the_vehicles_state_is_judged(odometry, expected):
     assert judge(odometry) is expected
 
 
+def test_the_arrival_radius_is_that_of_the_mission():
+    loop = new_loop(mission(arrival_radius=8.0))
+    loop.plant.odometry[:3] = np.add(GOAL, (0.0, 0.0, 7.9))
+    assert loop.judge.status(loop.plant, 0, 1_000_000) is MissionStatus.SUCCESS
+    loop.plant.odometry[:3] = np.add(GOAL, (0.0, 0.0, 8.1))
+    assert loop.judge.status(loop.plant, 0, 1_000_000) is None
+    with pytest.raises(BadInputError, match="where it counts as reached; allowed: 20 m or more"):
+        new_loop(mission(goal=(15.0, -3.0, 3.0), arrival_radius=20.0))
+
+
 def test_failed_plans_and_time_are_judged():
     limit = golden().log.meta["time_limit_s"] * 1e6
     assert judge({}, failed_plans=mission().autopilot.max_failed_plans) is None

@@ -279,6 +279,16 @@ def test_a_checkpoint_without_the_sensors_memory_is_noticed(monkeypatch):
     assert under_an_estimator("", [None, ESTIMATED[-1]])[1] != []
 
 
+def test_flights_with_jitter_of_latencies_are_fast_forwarded_too():
+    scenario = mission(latency_jitter=1.0)
+    forward = FastForward(scenario)
+    for arm, make in (("", lambda: None), ("nervous", Nervous)):
+        for injected in (None, FAULTS[0], FAULTS[3], FAULTS[8]):
+            direct = fly(scenario, injected, make())
+            assert content(forward.fly(injected, make(), arm).log) == content(direct.log)
+    assert forward.share.flown < forward.share.ticks
+
+
 TAKING_PART = {
     "checksum": (lambda: Checksum(), RecoveryPolicy(grain="message")),
     "oracle": (lambda: Oracle(), RecoveryPolicy(grain="kernel")),

@@ -1,15 +1,18 @@
 from itertools import pairwise
 
+import numpy as np
 import pytest
 
 from mavfi import api
+from mavfi.detectors import Alarm, Detector
 from mavfi.errors import BadInputError
 from mavfi.flight.compose import with_keys_of
 from mavfi.flight.decide import MAX_UNCHANGED, RecoveryPolicy
+from mavfi.flight.fast_forward import FastForward
 from mavfi.flight.fly import fly
 from mavfi.flight.loop import stage_latency
 from mavfi.mission import MissionSpec, MissionStatus
-from mavfi.states import PPC_STAGES, STATES, Stage
+from mavfi.states import PPC_STAGES, STATES, Stage, floats
 from tests.core.flights.missions import (
     AUTOPILOTS,
     FAR_GOAL,
@@ -204,6 +207,39 @@ def test_a_detector_that_always_alarms_keeps_no_mission_from_its_goal_if_kernels
     assert len(flight.log.alarms) > 500
     delay = flight.log.column("time")[-1] / golden(autopilot).log.column("time")[-1]
     assert delay < 1.1
+
+
+class Leap(Detector):
+    """Alarms at a command or way-point that no flight has."""
+
+    states = ("control.command", "planning.waypoint")
+
+    def check(self, state, time_us):
+        del time_us
+        if np.abs(floats(state.header, 3)).max() < 1e3:
+            return None
+        return Alarm("leap", state.spec.stage)
+
+
+@pytest.mark.parametrize(
+    ("place", "alarmed"),
+    [
+        ("consumer", ["control.command", "planning.waypoint"]),
+        ("published", ["planning.waypoint"]),
+        ("producer", []),
+    ],
+)
+def test_a_detector_sees_a_fault_on_the_way_at_the_consumer_only(place, alarmed):
+    recovery = RecoveryPolicy.of(MissionSpec(detector_place=place))
+    forward = FastForward(mission())
+    seen = []
+    for arm, detector in (("", None), ("leap", Leap())):  # as in campaigns, in which arms share flights
+        for state, field in (("control.command", "vx"), ("planning.waypoint", "y")):
+            injected = fault(state, field, 4.0, 62)
+            log = forward.fly(injected, detector, arm, recovery).log
+            assert log.digest() == fly(mission(), injected, detector, recovery=recovery).log.digest()
+            seen += sorted({alarm.state for alarm in log.alarms if alarm.time_s == log.injections[0].time_s})
+    assert seen == alarmed
 
 
 @pytest.mark.slow

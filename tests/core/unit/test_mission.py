@@ -7,6 +7,9 @@ from mavfi.errors import BadInputError
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec, Scenario, time_limit
 
+LATER = {"arrival_radius": 8.0, "time_limit_factor": 9.0, "latency_jitter": 1.0, "detector_place": "published"}
+"""Keys that earlier versions did not have, at other values than their defaults."""
+
 
 def test_the_time_limit_is_150_s_at_the_defaults():
     platform = shipped("platforms", PlatformConfig, "i9-9940x")
@@ -35,7 +38,9 @@ def test_renamed_fields_are_stored_by_their_older_names_and_read_by_both():
 
 def test_options_that_are_off_are_not_in_the_key():
     plain = resolve(MissionSpec(environment="dense", seed=7)).to_json()
-    assert not {"wind", "localization", "dead_node"} & set(plain) and "alarm" not in plain["stack"]
+    assert not {"wind", "localization", "dead_node", *LATER} & set(plain) and "alarm" not in plain["stack"]
+    assert not set(LATER) & set(MissionSpec().to_json())
+    assert set(LATER.items()) <= set(MissionSpec(**LATER).to_json().items())
     on = {"wind": 2.0, "localization": "estimator", "dead_node": "readback", "alarm": "repeated"}
     full = resolve(MissionSpec(environment="dense", seed=7, **on))
     data = json.loads(json.dumps(full.to_json()))
@@ -60,6 +65,9 @@ def test_whatever_decides_the_flight_changes_the_key():
         {"dead_node": "end"},
         {"alarm": "repeated"},
         {"epoch_liveness": 1.0},
+        {"arrival_radius": 8.0},
+        {"time_limit_factor": 9.0},
+        {"latency_jitter": 1.0},
     ]
     assert len({resolve(MissionSpec(**base | change)).key() for change in changes}) == len(changes)
 

@@ -344,7 +344,7 @@ class ProgramMission:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data, with a digest of the program's text."""
-        return {"program": self.program.to_json(), "mission": self.spec.model_dump(mode="json")}
+        return {"program": self.program.to_json(), "mission": self.spec.to_json()}
 
     def key(self) -> str:
         """Identifying hash."""

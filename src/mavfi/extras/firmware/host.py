@@ -41,11 +41,14 @@ class FirmwareHost(Host):
         """See `Host.resolve`.
 
         Raises:
-            BadInputError: The flight controller is no firmware.
+            BadInputError: The flight controller is no firmware, or the detector is not at the consumer.
         """
         if spec.flight_controller not in CONTROLLERS:
             allowed = ", ".join(CONTROLLERS)
             raise BadInputError(f"host firmware: flight_controller: {spec.flight_controller!r}: allowed: {allowed}")
+        if spec.detector_place != "consumer":
+            place = spec.detector_place
+            raise BadInputError(f"host firmware: detector_place: {place!r}: no publication changes; allowed: consumer")
         return resolve(spec)
 
     def check(self) -> None:

@@ -174,7 +174,7 @@ def _write(exported: ExportedFlight, to: Path, source: str) -> int:
 
     # Messages of the flight in its world.
     scenario = _scenario(log, source)
-    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
     publications = None
     if exported.published is not None:
         grid = map_grid(pipeline_config(scenario, world, np.zeros((1, 3))))

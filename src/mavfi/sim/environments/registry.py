@@ -29,7 +29,11 @@ _BUILT_IN["octomap_file"] = "mavfi.sim.environments.octomap_file:octomap_file"
 
 
 def build_world(
-    environment: EnvironmentConfig, seed: int, start: Vector | None = None, goal: Vector | None = None
+    environment: EnvironmentConfig,
+    seed: int,
+    start: Vector | None = None,
+    goal: Vector | None = None,
+    arrival_radius: float = ARRIVAL_RADIUS,
 ) -> World:
     """The world of a mission.
 
@@ -38,10 +42,11 @@ def build_world(
         seed: Seed of the mission; all randomness comes from it.
         start: Overrides the generator's start (m).
         goal: Overrides the generator's goal (m).
+        arrival_radius: Distance from the goal that counts as arrival (m).
 
     Raises:
         BadInputError: Unknown generator or parameter, a parameter that the generator rejects, or a start or goal
-            inside an obstacle or outside the flight volume.
+            inside an obstacle or outside the flight volume, or a start within the arrival radius.
     """
     generator = find_generator(environment.generator)
     known = parameters_of("generator", environment.generator, generator)[1:]
@@ -67,10 +72,10 @@ def build_world(
     radius = _collision_radius(environment.vehicle)
     for key, point in (("start", world.start), ("goal", world.goal)):
         _check_end(source, key, point, world, radius)
-    if world.course < ARRIVAL_RADIUS:
+    if world.course < arrival_radius:
         raise BadInputError(
             f"{source}: goal {_text(world.goal)}: {world.course:.2f} m from the start, where it counts as reached; "
-            f"allowed: {ARRIVAL_RADIUS:g} m or more"
+            f"allowed: {arrival_radius:g} m or more"
         )
     return world
 

@@ -75,10 +75,11 @@ def test_text_for_people_has_whole_names_at_any_width(capsys, monkeypatch):
         assert any(name in line for line in lines), name
 
 
-def test_a_mission_that_fails_is_no_failure_of_the_program(capsys, monkeypatch):
-    monkeypatch.setattr("mavfi.mission.TIME_LIMIT_FACTOR", 0.1)
-    assert _fly(capsys)["status"] == "timeout"
-    assert run(["fly", "--environment", "sparse", "--seed", "7"]) == 0
+def test_a_mission_that_fails_is_no_failure_of_the_program(capsys):
+    limited = ["--time-limit-factor", "1", "--goal", "30", "0", "3"]
+    flown = _fly(capsys, *limited)
+    assert flown["status"] == "timeout" and flown["time_limit_s"] == pytest.approx(flown["course_m"] / 3.0, abs=1e-5)
+    assert run(["fly", "--environment", "sparse", "--seed", "7", *limited]) == 0
     assert "Did not reach the goal in time." in capsys.readouterr().out
 
 

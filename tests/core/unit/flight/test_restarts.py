@@ -4,6 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from mavfi.config import PlatformConfig
+from mavfi.flight.loop import Latencies
 from mavfi.flight.restarts import Restarts
 from mavfi.flight.taps import Taps
 from mavfi.mission import MissionStatus
@@ -39,7 +41,8 @@ class Loop:
 
     def __init__(self):
         self.taps, self.actions, self.queue = Taps(), {}, []
-        self.kernels, self.latency = self.renew("planner"), {"planner": 80_000, "trajectory": 0}
+        self.kernels = self.renew("planner")
+        self.latencies = Latencies(PlatformConfig(name="toy", latency_us={"planner": 80_000, "trajectory": 0}))
         self.readers = {"planning.waypoint": [self.kernels["planner"]]}
         self.busy, self.down, self.awaited, self.requests = {}, set(), {"planning.path": 1, "control.command": 2}, {}
         self.status, self.marks, self.started, self.finished = None, False, [], []

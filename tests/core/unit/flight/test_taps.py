@@ -1,6 +1,6 @@
 """What a published state passes, and in which order."""
 
-from mavfi.flight.taps import Taps
+from mavfi.flight.taps import CHECKED_AT_PRODUCER, Taps
 from mavfi.states import new_state
 
 
@@ -29,6 +29,25 @@ def test_the_order_is_injector_detector_recorders_and_each_sees_what_the_one_bef
     assert taps(published, 7) is injected
     assert [(who, time_us) for who, _, time_us in seen] == [("injector", 7), ("detector", 7), ("recorder", 7)]
     assert seen[0][1] is published and seen[1][1] is seen[2][1] is injected
+
+
+def test_a_detector_at_the_producer_sees_neither_the_fault_nor_the_loss():
+    seen, published, injected = [], new_state("control.command"), new_state("control.command")
+
+    def detector(state, time_us):
+        seen.append(state)
+        return state
+
+    at_producer = {"checked_at_producer": CHECKED_AT_PRODUCER["published"]}
+    taps = Taps(Injector([], injected), detector, **at_producer)
+    assert taps(published, 7) is injected and seen == [published]
+    path = new_state("planning.path")
+    assert taps(path, 7) is injected and seen == [published, injected]
+    losses = []
+    lost = Taps(Injector([], None), detector, answer_loss=lambda s, t: True, note_loss=lambda s, t: losses.append(s))
+    assert lost(published, 7) is None and losses == []
+    lost.checked_at_producer = CHECKED_AT_PRODUCER["producer"]
+    assert lost(published, 7) is None and losses == [published]
 
 
 def test_what_is_lost_or_held_back_nobody_sees():

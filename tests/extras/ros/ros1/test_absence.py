@@ -109,3 +109,5 @@ def test_the_grain_of_a_detector_is_one_that_nodes_have():
     assert mission_with(MissionSpec(grain="stage"), "recommended").grain == "stage"
     with pytest.raises(BadInputError, match="grain: 'message': on ROS"):
         mission_with(MissionSpec(grain="message"), "recommended")
+    with pytest.raises(BadInputError, match="detector_place: 'published': not on ROS; allowed: consumer"):
+        mission_with(MissionSpec(detector_place="published"), "recommended")

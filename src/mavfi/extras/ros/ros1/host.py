@@ -101,7 +101,7 @@ class RosFlight:
 
 def configure(scenario: Scenario) -> PipelineConfig:
     """The kernels' configuration for a mission."""
-    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
     return pipeline_config(scenario, world, pixel_directions(scenario.camera))
 
 
@@ -203,7 +203,7 @@ def _result(folder: Path, plan: FlightPlan) -> Flight:
     if not (folder / files.FLIGHT).exists():
         raise MavfiError("ROS: the flight ended without a record")
     scenario = plan.scenario
-    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
     if plan.profile:
         profile = Profile.from_bytes((folder / files.PROFILE).read_bytes())
     else:

@@ -113,7 +113,8 @@ def check_supported(spec: MissionSpec) -> None:
     """Check that ROS nodes can fly a mission.
 
     Raises:
-        BadInputError: The mission requires retransmission of messages, protected kernels, or a degraded mode.
+        BadInputError: The mission requires retransmission of messages, protected kernels, a degraded mode, or a
+            detector at the producer.
     """
     if spec.grain == "message":
         raise BadInputError("grain: 'message': on ROS, nodes keep no copy of what they sent; allowed: stage, kernel")
@@ -121,6 +122,8 @@ def check_supported(spec: MissionSpec) -> None:
         raise BadInputError(f"protection: {spec.protection!r}: not on ROS; allowed: none")
     if spec.degraded != "none":
         raise BadInputError(f"degraded: {spec.degraded!r}: not on ROS; allowed: none")
+    if spec.detector_place != "consumer":
+        raise BadInputError(f"detector_place: {spec.detector_place!r}: not on ROS; allowed: consumer")
 
 
 @dataclass(frozen=True, slots=True)

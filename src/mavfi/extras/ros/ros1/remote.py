@@ -18,7 +18,7 @@ from mavfi.detectors.detector import Alarm, Detector
 from mavfi.extras.ros.ros1.kernels import alarm_of
 from mavfi.extras.ros.ros1.messages import NodeAction, message_type, serialized
 from mavfi.extras.ros.ros1.plan import FlightPlan, KernelInterface
-from mavfi.flight.loop import latency
+from mavfi.flight.loop import Latencies
 from mavfi.states import STATES, State
 
 HELD = -1
@@ -211,7 +211,8 @@ class RemoteKernel:
     """Proxy of a kernel in another process."""
 
     def __init__(self, interface: KernelInterface, link: Link, counter: Counter, plan: FlightPlan) -> None:
-        self._latency_us = latency(plan.scenario.platform, interface.name)
+        scenario = plan.scenario
+        self._latencies = Latencies(scenario.platform, scenario.seed, scenario.latency_jitter)
         self._immediate = plan.immediate_states()
         self.name = interface.name
         self.stage = interface.stage
@@ -270,7 +271,7 @@ class RemoteKernel:
         first = self._counter.take(len(self.writes))
         publish_us = HELD
         if self._immediate:
-            publish_us = time_us + self._latency_us
+            publish_us = time_us + self._latencies.of_kernel(self.name, time_us)
         response = self._link.call(action, self.name, first, time_us, publish_us)
         if response is None:
             return []
