@@ -22,6 +22,7 @@ from mavfi.faults.fault import LIFETIME, Fault, FaultSite, StateFault
 from mavfi.faults.levels.state_injector import StateInjector
 from mavfi.faults.sampling import (
     Target,
+    When,
     draw,
     draw_in_message,
     draw_publication,
@@ -184,6 +185,12 @@ class StateSampling(Sampling):
         default_factory=lambda: {"sign_exponent": 2.0, "mantissa": 1.0}, description="shares of the faults by bit class"
     )
     lifetime: Lifetime = Lifetime()
+    when: When = Key(
+        "uniform",
+        description="publication that is hit: each with the same probability; `published`: as by the authors' injector "
+        "of states (the first from the first collision status on, a coin per finished plan, 1 in 100 commands); "
+        "`second_plan`: the first from the second plan on; no site if the golden flight has none",
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> "StateSampling":
@@ -207,6 +214,8 @@ class StateSampling(Sampling):
             del data["lifetime"]
         if not self.messages:
             del data["messages"]
+        if self.when == "uniform":
+            del data["when"]
         return data
 
 
@@ -231,6 +240,7 @@ class StateSampler(Sampler):
         self._lifetimes = {group.name: group.lifetime for group in self.sampling.groups if group.lifetime}
         self.targets = {target.name: shares for target, shares in targets}
         self.orders = {name: self._draws_like(name) for name in self.targets}
+        self._check_when()
         # A target without bits in one of its strata is an error now, not after the first flights.
         for target, shares in targets:
             for stratum in shares:
@@ -250,6 +260,16 @@ class StateSampler(Sampler):
             (stage_target(stage, self._autopilot, monitored, self._localization), sampling.strata)
             for stage in PPC_STAGES
         ]
+
+    def _check_when(self) -> None:
+        """Refuse `published` for states of other stages than those in which the authors inject."""
+        states = [state for target in self._fields.values() for state in target.fields]
+        for state in states:
+            if self.sampling.when == "published" and STATES[state].stage not in PPC_STAGES:
+                raise BadInputError(
+                    f"sampling.when: 'published': {state}: the authors inject no such state; allowed: states of "
+                    f"{', '.join(PPC_STAGES)}"
+                )
 
     def _group(self, index: int) -> Target:
         """The fields of a group; an error names the group by its index."""
@@ -297,13 +317,14 @@ class StateSampler(Sampler):
         # Faults of the same seed differ by environment, and by how often the target's missions have been used before.
         seed_environment = self.campaign.environment_of(environment)
         repetition = requested.index // self.campaign.missions
+        stratum = requested.stratum
+        seed = requested.seed
+        when = self.sampling.when
         if self.sampling.scheme == "messages":
-            fault = draw_in_message(
-                requested.target, requested.stratum, profile, requested.seed, seed_environment, repetition
-            )
+            fault = draw_in_message(requested.target, stratum, profile, seed, seed_environment, repetition, when=when)
         else:
             target = self._fields[self.orders[requested.target]]
-            fault = draw(target, requested.stratum, profile, requested.seed, seed_environment, repetition)
+            fault = draw(target, stratum, profile, seed, seed_environment, repetition, when=when)
         return self._with_lifetime(requested.target, fault)
 
     def _with_lifetime(self, target: str, fault: StateFault) -> StateFault:
@@ -484,7 +505,10 @@ class StateLevel(Level):
         unit = {"stage_balanced": "stage", "groups": "group", "messages": "message"}[sampling.scheme]
         shares = sorted(sampling.strata.items(), reverse=True)
         strata = " : ".join(f"{WORDS.get(name, name)} {share:g}" for name, share in shares)
-        return {"each": unit, "how": f"drawn {strata}, fields: {sampling.sites}"}
+        how = f"drawn {strata}, fields: {sampling.sites}"
+        if sampling.when != "uniform":
+            how += f", publications: {sampling.when}"
+        return {"each": unit, "how": how}
 
 
 def _find_state(path: str, localization: str) -> tuple[StateSpec, str | None]:

@@ -86,3 +86,10 @@ def test_every_message_has_its_own_row_and_the_strata_that_it_has():
 def test_messages_that_cannot_be_drawn_are_refused(given, message):
     with pytest.raises((BadInputError, ValueError), match=message):
         messages(**given)
+
+
+def test_the_published_instants_are_those_of_the_pipeline_and_stored_only_if_set():
+    assert "when" not in messages(("planning.waypoint",)).sampling.to_json()
+    assert messages(("planning.waypoint",), when="published").sampling.to_json()["when"] == "published"
+    with pytest.raises(ValueError, match=r"sampling.when: 'published': sensor.depth: .*allowed: states of perception"):
+        messages(("sensor.depth",), when="published")
