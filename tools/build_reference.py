@@ -57,6 +57,7 @@ As text, for `--fault` of `mavfi fly` and `mavfi ros fly`; whatever is left out 
 | `state:planning.waypoint.x:bit=62@20.0` | bit 62 of the first publication at or after 20 s |
 | `state:planning.waypoint.x:bit=60:lasts=1@5` | stuck at its flipped value for 1 s; `inf` = for ever |
 | `state:planning.waypoint.x:lasts=10:share=0.2` | for 10 s, in 20 % of the publications |
+| `state:planning.waypoint.x:bit=62:also=y.60+z.3@5` | in the same publication bit 60 of y and bit 3 of z as well |
 | `state:planning.waypoint.x:width=4:times=2` | 4 adjacent bits, in two publications, recomputed ones included |
 | `memory:planner` | one bit of what the kernel remembers, at an instant of the golden flight |
 | `memory:planner.acted_seq` | of the words with this name, or the end or a part of it |
@@ -152,6 +153,9 @@ def kind(annotation: Any) -> str:
 def _kind_of_tuple(elements: tuple[Any, ...]) -> str:
     if Ellipsis in elements:
         return f"list of {kind(elements[0])}"
+    kinds = [kind(element) for element in elements]
+    if len(set(kinds)) > 1:
+        return f"({', '.join(kinds)})"
     return f"{len(elements)} × {kind(elements[0])}"
 
 

@@ -389,6 +389,10 @@ STATES: dict[str, StateSpec] = {spec.name: spec for spec in _TABLE}
 """Every inter-kernel state by name, in the order of the data flow."""
 
 
+VECTORS: tuple[tuple[str, ...], ...] = tuple(tuple(f"{prefix}{axis}" for axis in "xyz") for prefix in ("", "v", "a"))
+"""Names of fields that are the components of one vector: position, velocity, acceleration."""
+
+
 def states_with(localization: str) -> dict[str, StateSpec]:
     """The states published in flights with that localization, by name, in the order of the data flow."""
     return {name: spec for name, spec in STATES.items() if spec.exists_with(localization)}

@@ -19,7 +19,17 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
 from mavfi.faults.strata import WORD_BITS, bits_of, word_share
 from mavfi.record import Profile
-from mavfi.states import AUTOPILOTS, MONITORED_SETS, PPC_STAGES, STATES, Stage, StateSpec, find_state, states_with
+from mavfi.states import (
+    AUTOPILOTS,
+    MONITORED_SETS,
+    PPC_STAGES,
+    STATES,
+    VECTORS,
+    Stage,
+    StateSpec,
+    find_state,
+    states_with,
+)
 
 FAULT_PURPOSE = 3
 """First part of the spawn key of every fault stream."""
@@ -124,12 +134,19 @@ def stream(seed: int, *key: int | str) -> np.random.Generator:
 
 
 def draw(
-    target: Target, stratum: str, profile: Profile, seed: int, *address: int | str, when: When = "uniform"
+    target: Target,
+    stratum: str,
+    profile: Profile,
+    seed: int,
+    *address: int | str,
+    when: When = "uniform",
+    together: bool = False,
 ) -> StateFault:
     """Draw one fault: a field of the target, a publication of the golden run, and a bit of the stratum.
 
     Its time is `NO_SITE` if the golden run has no such publication of the field. The address is environment and number
-    in the mission: without it, environments with equal seeds would be injected at the same sites.
+    in the mission: without it, environments with equal seeds would be injected at the same sites.  With `together`, a
+    component of a vector is hit with the two others, each in a bit of its own of the same stratum.
     """
     random = stream(seed, target.name, *address)
     part = target.within(stratum)
@@ -139,7 +156,7 @@ def draw(
     field = spec.find(name)
     time_us, element = draw_publication(random, profile, FaultSite(state, name), when)
     bits = bits_of(field, stratum)
-    return StateFault(
+    fault = StateFault(
         FaultSite(state, name, element),
         time_us,
         bit=bits[int(random.integers(len(bits)))],
@@ -147,6 +164,11 @@ def draw(
         weight=word_share(field, stratum) * target.probability(state) / part.probability(state),
         seed=seed,
     )
+    if not together:
+        return fault
+    # Components of a vector have the same type, and so the same bits.
+    others = [other for vector in VECTORS if name in vector for other in vector if other != name]
+    return replace(fault, also=tuple((other, bits[int(random.integers(len(bits)))]) for other in others))
 
 
 def message_target(state: str) -> Target:

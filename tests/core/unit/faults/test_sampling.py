@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -195,3 +197,17 @@ def test_uniform_draws_are_those_of_stored_campaigns():
     assert fault == StateFault(FaultSite("planning.trajectory", "x", 0), 6000, 21, "mantissa", 0.8125, 3)
     fault = draw_in_message("planning.trajectory", "mantissa", trajectory, 3, "sparse", 1)
     assert (fault.site, fault.time_us, fault.bit) == ("planning.trajectory.yaw[2]", 9000, 23)
+
+
+def test_the_components_of_a_vector_are_hit_together_in_independent_bits_of_the_stratum():
+    target = group_target("some", ["planning.trajectory.vy", "planning.trajectory.yaw"])
+    bits = []
+    for seed in range(300):
+        alone = draw(target, "sign_exponent", FLIGHT, seed, 0)
+        fault = draw(target, "sign_exponent", FLIGHT, seed, 0, together=True)
+        assert replace(fault, also=()) == alone
+        assert [name for name, _ in fault.also] == (["vx", "vz"] if fault.where.field == "vy" else [])
+        bits += [(fault.bit, *(bit for _, bit in fault.also))] if fault.also else []
+    for position in range(3):
+        assert {drawn[position] for drawn in bits} == set(range(52, 64))
+    assert np.abs(np.corrcoef(np.array(bits).T) - np.eye(3)).max() < 0.3

@@ -7,7 +7,7 @@ from mavfi.campaign.config import Campaign
 from mavfi.errors import BadInputError
 from mavfi.flight.host import Flight
 from mavfi.levels.level import Sampled
-from mavfi.levels.state import StateSampler
+from mavfi.levels.state import StateLevel, StateSampler, fewer_fields
 from mavfi.record import Profile
 
 SITES = ["planning.waypoint.x", "perception.collision_status.collision"]
@@ -89,7 +89,20 @@ def test_messages_that_cannot_be_drawn_are_refused(given, message):
 
 
 def test_the_published_instants_are_those_of_the_pipeline_and_stored_only_if_set():
-    assert "when" not in messages(("planning.waypoint",)).sampling.to_json()
+    assert not {"when", "together"} & set(messages(("planning.waypoint",)).sampling.to_json())
     assert messages(("planning.waypoint",), when="published").sampling.to_json()["when"] == "published"
     with pytest.raises(ValueError, match=r"sampling.when: 'published': sensor.depth: .*allowed: states of perception"):
         messages(("sensor.depth",), when="published")
+
+
+def test_vectors_are_hit_together_without_a_lifetime_and_made_smaller_by_fields_first():
+    (drawn,) = faults(None, together=True)
+    assert {tuple(name for name, _ in fault.also) for fault in drawn} == {("y", "z"), ()}
+    vector = next(fault for fault in drawn if fault.also)
+    assert next(iter(StateLevel.reductions)) == "fields"
+    assert [fault.also for fault in fewer_fields(vector, None)] == [(), vector.also[:1], vector.also[1:]]
+    for lifetimes in ([{"width": 2}], [None]):
+        with pytest.raises(ValueError, match="sampling.together: true: allowed with scheme .* and without a lifetime"):
+            faults(*lifetimes, together=True, lifetime={"times": 2})
+    with pytest.raises(ValueError, match="sampling.together: true: allowed with scheme stage_balanced or groups"):
+        messages(("planning.waypoint",), together=True)
