@@ -415,6 +415,20 @@ MONITORED_SETS: dict[str, tuple[tuple[str, str], ...]] = {
 """Fields monitored by detectors, by the name of the set: (state, field), in the order of the input vector."""
 
 
+_PUBLISHED_FIELDS = {
+    "perception.collision_status": "time_to_collision future_collision_seq collision",
+    "planning.trajectory": "x y z yaw vx vy vz ax ay az duration trajectory_seq future_collision_seq",
+    "control.command": "vx vy vz yaw_rate duration",
+}
+PUBLISHED_SITES: dict[str, tuple[str, ...]] = {
+    state: tuple(names.split()) for state, names in _PUBLISHED_FIELDS.items()
+}
+"""Fields that the authors' injector of states can change, by state, whether or not a consumer reads them.
+
+From MAVBench/MAV_apps, branch mavfi; its flags of a trajectory, `blocking_yaw`, `append` and `reverse`, are not here.
+"""
+
+
 def find_state(name: str) -> StateSpec:
     """The named state.
 

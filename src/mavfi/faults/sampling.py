@@ -23,6 +23,7 @@ from mavfi.states import (
     AUTOPILOTS,
     MONITORED_SETS,
     PPC_STAGES,
+    PUBLISHED_SITES,
     STATES,
     VECTORS,
     Stage,
@@ -102,6 +103,11 @@ def stage_target(stage: str, autopilot: str, monitored_set: str | None = None, l
         monitored = set(MONITORED_SETS[monitored_set])
         fields = {state: tuple(name for name in names if (state, name) in monitored) for state, names in fields.items()}
     return Target(stage, {state: names for state, names in fields.items() if names})
+
+
+def published_target(stage: str) -> Target:
+    """The fields of a stage that the authors' injector of states can change, see `PUBLISHED_SITES`."""
+    return Target(stage, {state: names for state, names in PUBLISHED_SITES.items() if STATES[state].stage == stage})
 
 
 def group_target(name: str, sites: Sequence[str], localization: str = "truth") -> Target:

@@ -29,6 +29,7 @@ from mavfi.faults.sampling import (
     group_target,
     live_fields,
     message_target,
+    published_target,
     stage_target,
     stream,
 )
@@ -179,7 +180,11 @@ class StateSampling(Sampling):
         "stage_balanced",
         description="`faults` for each stage (the paper's scheme), each group, or each message, uniform over its bits",
     )
-    sites: Literal["all", "monitored"] = Key("all", description="fields that stage_balanced draws from")
+    sites: Literal["all", "monitored", "published"] = Key(
+        "all",
+        description="fields that stage_balanced draws from: all that are read; those of the monitored set; or those "
+        "that the authors' injector of states can change, read or not",
+    )
     groups: tuple[SiteGroup, ...] = ()
     messages: tuple[str, ...] = Key((), description="names of states, for scheme messages")
     strata: dict[str, float] = Key(
@@ -206,6 +211,8 @@ class StateSampling(Sampling):
                 raise ValueError(f"sampling.scheme: {self.scheme!r}: allowed with the key {key}: {key}")
             if not value and self.scheme == key:
                 raise ValueError(f"sampling.{key}: is required with scheme {key!r}; allowed: a list of 1 or more")
+        if self.sites == "published" and self.scheme != "stage_balanced":
+            raise ValueError("sampling.sites: 'published': allowed with scheme stage_balanced")
         check_known("sampling.messages", self.messages, STATES)
         check_distinct("sampling.messages", self.messages)
         check_distinct("sampling.groups", [group.name for group in self.groups])
@@ -266,6 +273,8 @@ class StateSampler(Sampler):
             return [(self._group(i), group.strata or sampling.strata) for i, group in enumerate(sampling.groups)]
         if sampling.scheme == "messages":
             return [self._message(state) for state in sampling.messages]
+        if sampling.sites == "published":
+            return [(published_target(stage), sampling.strata) for stage in PPC_STAGES]
         monitored = None
         if sampling.sites == "monitored":
             monitored = self.campaign.monitored_set

@@ -9,6 +9,8 @@ from mavfi.flight.host import Flight
 from mavfi.levels.level import Sampled
 from mavfi.levels.state import StateLevel, StateSampler, fewer_fields
 from mavfi.record import Profile
+from mavfi.states import PUBLISHED_SITES
+from mavfi.states import STATES as SPECS
 
 SITES = ["planning.waypoint.x", "perception.collision_status.collision"]
 STATES = ("planning.waypoint", "perception.collision_status")
@@ -106,3 +108,19 @@ def test_vectors_are_hit_together_without_a_lifetime_and_made_smaller_by_fields_
             faults(*lifetimes, together=True, lifetime={"times": 2})
     with pytest.raises(ValueError, match="sampling.together: true: allowed with scheme stage_balanced or groups"):
         messages(("planning.waypoint",), together=True)
+
+
+def test_the_published_sites_are_three_states_of_the_table():
+    sampling = {"level": "state", "sites": "published", "together": True}
+    sampler = StateSampler(Campaign(name="c", environments=("sparse",), missions=9, faults=90, sampling=sampling))
+    fields = {"perception": set(), "planning": set(), "control": set()}
+    for block in sampler.blocks("sparse"):
+        for draw in map(block.draw, range(block.count)):
+            (fault,) = sampler.draw([draw], "sparse", {})
+            fields[draw.target].add((fault.where.state, fault.where.field))
+    drawn = {site for sites in fields.values() for site in sites}
+    assert drawn == {(state, name) for state, names in PUBLISHED_SITES.items() for name in names}
+    assert all(SPECS[state].find(name) for state, name in drawn)
+    assert [{state for state, _ in sites} for sites in fields.values()] == [{state} for state in PUBLISHED_SITES]
+    with pytest.raises(ValueError, match="sampling.sites: 'published': allowed with scheme stage_balanced"):
+        messages(("planning.waypoint",), sites="published")
