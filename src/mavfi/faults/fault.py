@@ -27,7 +27,7 @@ SHIPPED = {
 """Levels of the core, by name."""
 NO_SITE = -1
 """`StateFault.time_us` or `InstructionFault.call` of a draw for which the golden run has no site."""
-Model = Literal["one_bit", "bits", "random", "zero"]
+Model = Literal["one_bit", "bits", "random", "zero", "low_byte", "high_bits"]
 """How an instruction fault changes a value, see `plan.plan`."""
 MODELS: tuple[Model, ...] = get_args(Model)
 """All of these, the default first."""
