@@ -57,6 +57,7 @@ As text, for `--fault` of `mavfi fly` and `mavfi ros fly`; whatever is left out 
 | `state:planning.waypoint.x:bit=62@20.0` | bit 62 of the first publication at or after 20 s |
 | `state:planning.waypoint.x:bit=60:lasts=1@5` | stuck at its flipped value for 1 s; `inf` = for ever |
 | `state:planning.waypoint.x:lasts=10:share=0.2` | for 10 s, in 20 % of the publications |
+| `state:planning.waypoint.x:bit=62:also=y.60+z.3@5` | in the same publication bit 60 of y and bit 3 of z as well |
 | `state:planning.waypoint.x:width=4:times=2` | 4 adjacent bits, in two publications, recomputed ones included |
 | `memory:planner` | one bit of what the kernel remembers, at an instant of the golden flight |
 | `memory:planner.acted_seq` | of the words with this name, or the end or a part of it |
@@ -65,7 +66,8 @@ As text, for `--fault` of `mavfi fly` and `mavfi ros fly`; whatever is left out 
 | `sensor:motor2:off:lasts=0.5` | motor 2 stands still for 0.5 s, from an instant of the golden flight on |
 | `instruction:octomap` | one bit in the result of one instruction that the kernel executes |
 | `instruction:pid:which=floating_point` | of this class of instructions ([fault model](../fault-model.md)) |
-| `instruction:pid:model=zero` | the value becomes zero; other models: `one_bit`, `bits`, `random` |
+| `instruction:pid:model=zero` | the value becomes zero; other models: `one_bit`, `bits`, `random`, \
+`low_byte`, `high_bits` |
 | `instruction:pid.track:call=7:index=42:bit=3:budget=N:ir=DIGEST` | one instruction of one call, as `mavfi shrink` \
 prints it; `bit=3+7` flips two bits, `value=0x0` replaces the value |
 
@@ -152,6 +154,9 @@ def kind(annotation: Any) -> str:
 def _kind_of_tuple(elements: tuple[Any, ...]) -> str:
     if Ellipsis in elements:
         return f"list of {kind(elements[0])}"
+    kinds = [kind(element) for element in elements]
+    if len(set(kinds)) > 1:
+        return f"({', '.join(kinds)})"
     return f"{len(elements)} × {kind(elements[0])}"
 
 

@@ -389,6 +389,10 @@ STATES: dict[str, StateSpec] = {spec.name: spec for spec in _TABLE}
 """Every inter-kernel state by name, in the order of the data flow."""
 
 
+VECTORS: tuple[tuple[str, ...], ...] = tuple(tuple(f"{prefix}{axis}" for axis in "xyz") for prefix in ("", "v", "a"))
+"""Names of fields that are the components of one vector: position, velocity, acceleration."""
+
+
 def states_with(localization: str) -> dict[str, StateSpec]:
     """The states published in flights with that localization, by name, in the order of the data flow."""
     return {name: spec for name, spec in STATES.items() if spec.exists_with(localization)}
@@ -409,6 +413,20 @@ MONITORED_SETS: dict[str, tuple[tuple[str, str], ...]] = {
     for name, point in _MONITORED_POINT.items()
 }
 """Fields monitored by detectors, by the name of the set: (state, field), in the order of the input vector."""
+
+
+_PUBLISHED_FIELDS = {
+    "perception.collision_status": "time_to_collision future_collision_seq collision",
+    "planning.trajectory": "x y z yaw vx vy vz ax ay az duration trajectory_seq future_collision_seq",
+    "control.command": "vx vy vz yaw_rate duration",
+}
+PUBLISHED_SITES: dict[str, tuple[str, ...]] = {
+    state: tuple(names.split()) for state, names in _PUBLISHED_FIELDS.items()
+}
+"""Fields that the authors' injector of states can change, by state, whether or not a consumer reads them.
+
+From MAVBench/MAV_apps, branch mavfi; its flags of a trajectory, `blocking_yaw`, `append` and `reverse`, are not here.
+"""
 
 
 def find_state(name: str) -> StateSpec:

@@ -216,7 +216,7 @@ class AutoencoderDetector(ScoringDetector, TrainedDetector):
 
     Args:
         model: A model of kind "autoencoder".
-        policy: "paper" or "keyed", see `scoring.POLICIES`.
+        policy: Name of a recovery policy, see `scoring.POLICIES`.
         preprocessor: For the fields that the model was trained on, unless these are a monitored set.
 
     Raises:

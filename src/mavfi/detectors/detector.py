@@ -29,6 +29,8 @@ class Alarm:
         score: Anomaly score in units of the threshold (> 1 is an alarm).
         fields: The anomalous monitored fields, "state.field".
         hard: A rule is violated, not a statistic exceeded: recomputing the same value does not prove it right.
+        withhold: With a request for a stop or the next way-point: withhold the value, too, whatever its state; the next
+            one of this state is its replacement.  A way-point is withheld in any case.
     """
 
     source: str
@@ -38,6 +40,7 @@ class Alarm:
     score: float = 0.0
     fields: tuple[str, ...] = ()
     hard: bool = False
+    withhold: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""

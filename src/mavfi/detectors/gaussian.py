@@ -173,7 +173,7 @@ class GaussianDetector(ScoringDetector, TrainedDetector):
 
     Args:
         model: A model of kind "gaussian".
-        policy: "paper" or "keyed", see `scoring.POLICIES`.
+        policy: Name of a recovery policy, see `scoring.POLICIES`.
         preprocessor: For the fields that the model was trained on, unless these are a monitored set.
     """
 

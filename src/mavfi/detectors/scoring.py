@@ -14,12 +14,14 @@ import numpy as np
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.errors import BadInputError
 from mavfi.numerics.jit import kernel_jit
-from mavfi.states import State
+from mavfi.states import Stage, State
 
 NOT_FINITE = 1e9
 """Score of a publication with a value that is not finite: always an alarm."""
 _WAYPOINT = "planning.waypoint"
 """The state whose anomalies the paper's policy counts."""
+_COMMAND = "control.command"
+"""The state whose anomalies the policy of the authors' AAD counts as well."""
 _NONE = np.zeros(0, np.int64)
 """No field."""
 
@@ -192,7 +194,7 @@ class Threshold:
 
 Policy = Callable[[Alarm, State, bool], Alarm]
 """Recovery that an alarm requests.  Arguments: an alarm for the stage of the anomalous field, the publication, and
-whether the way-point in force was anomalous as well."""
+whether the last published value of this state was anomalous as well, for the states of `_counted_states`."""
 
 
 def keyed(alarm: Alarm, state: State, persists: bool) -> Alarm:
@@ -209,8 +211,45 @@ def abandon_waypoint(alarm: Alarm, state: State, persists: bool) -> Alarm:
     return replace(alarm, stage="control", abandon_waypoint=waypoint, stop=waypoint and persists)
 
 
-POLICIES: dict[str, Policy] = {"paper": abandon_waypoint, "keyed": keyed}
+def published_aad(alarm: Alarm, state: State, persists: bool) -> Alarm:
+    """The policy of the authors' code for the AAD: an anomalous way-point or command costs the way-point in force.
+
+    The value is withheld, and the next way-point requested; if the last published value of the state was anomalous as
+    well, a stop and another plan.  After any other anomaly only the command is recomputed, which corrects nothing.
+    """
+    drops = state.spec.name in (_WAYPOINT, _COMMAND)
+    stops = drops and persists
+    return replace(alarm, stage="control", abandon_waypoint=drops, stop=stops, withhold=drops)
+
+
+def published_gad(alarm: Alarm, state: State, persists: bool) -> Alarm:
+    """The policy of the authors' code for the GAD, which differs by the stage of the anomalous value.
+
+    Planning is recomputed.  A command is withheld, and the way-point in force dropped for the next one.  A value of
+    perception is published regardless; only the command is recomputed, which corrects nothing.
+    """
+    if state.spec.stage is Stage.PLANNING:
+        return alarm
+    drops = state.spec.name == _COMMAND
+    return replace(alarm, stage="control", abandon_waypoint=drops, withhold=drops)
+
+
+POLICIES: dict[str, Policy] = {
+    "paper": abandon_waypoint,
+    "keyed": keyed,
+    "published_aad": published_aad,
+    "published_gad": published_gad,
+}
 """Recovery policies by name."""
+
+
+def _counted_states(policy: Policy) -> tuple[str, ...]:
+    """Names of the states for which a policy needs to know whether the last published value was anomalous."""
+    if policy in (keyed, published_gad):
+        return ()
+    if policy is published_aad:
+        return (_WAYPOINT, _COMMAND)
+    return (_WAYPOINT,)
 
 
 def find_policy(name: str) -> Policy:
@@ -242,15 +281,15 @@ class ScoringDetector(Detector):
         self.policy = policy
         scorer.use(threshold)
         self.states = scorer.states
-        self._counts_waypoints = policy is not keyed
-        self._persists = np.zeros(1, np.bool_)
+        self._counted = _counted_states(policy)
+        self._persists = np.zeros(max(1, len(self._counted)), np.bool_)
         self._last_state: State | None = None
         self._last_score: float | None = None
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
         self._last_state = None
-        self._persists[0] = False
+        self._persists[:] = False
         self.scorer.start()
 
     def score(self, state: State, time_us: int) -> float | None:
@@ -279,14 +318,17 @@ class ScoringDetector(Detector):
         indices = self.threshold.fields_of_alarm(reading, not_finite)
         names = tuple(self.scorer.fields[index] for index in indices)
         alarm = Alarm(self.source, self.scorer.stages[indices[0]], score=float(score), fields=names)
-        return self.policy(alarm, state, bool(self._persists[0]))
+        persists = False
+        if state.spec.name in self._counted:
+            persists = bool(self._persists[self._counted.index(state.spec.name)])
+        return self.policy(alarm, state, persists)
 
     def accept(self, state: State, time_us: int) -> None:
         """Record a published value."""
-        if self._counts_waypoints and state.spec.name == _WAYPOINT:
+        if state.spec.name in self._counted:
             score = self.score(state, time_us)
             if score is not None:
-                self._persists[0] = not score <= 1.0
+                self._persists[self._counted.index(state.spec.name)] = not score <= 1.0
         self._last_state = None
         self.scorer.accept(state)
 
@@ -299,14 +341,15 @@ class ScoringDetector(Detector):
         """See `Detector`."""
         self.scorer.instrument(instrumented)
 
-    def memory(self) -> tuple[tuple[bytes, ...], bool]:
+    def memory(self) -> tuple[tuple[bytes, ...], bytes]:
         """Memory between publications, see `Detector`."""
-        return self.scorer.memory(), bool(self._persists[0])
+        return self.scorer.memory(), self._persists.tobytes()
 
-    def restore(self, memory: tuple[tuple[bytes, ...], bool]) -> None:
+    def restore(self, memory: tuple[tuple[bytes, ...], bytes]) -> None:
         """Inverse of `memory`."""
         self._last_state = None
-        content, self._persists[0] = memory
+        content, persists = memory
+        self._persists[:] = np.frombuffer(persists, np.bool_)
         self.scorer.restore(content)
 
     def arrays(self) -> dict[str, np.ndarray]:

@@ -27,7 +27,7 @@ SHIPPED = {
 """Levels of the core, by name."""
 NO_SITE = -1
 """`StateFault.time_us` or `InstructionFault.call` of a draw for which the golden run has no site."""
-Model = Literal["one_bit", "bits", "random", "zero"]
+Model = Literal["one_bit", "bits", "random", "zero", "low_byte", "high_bits"]
 """How an instruction fault changes a value, see `plan.plan`."""
 MODELS: tuple[Model, ...] = get_args(Model)
 """All of these, the default first."""
@@ -133,9 +133,11 @@ class StateFault(Fault):
         share: Probability that a publication after the first one is changed, drawn by the seed; 1 = all.
         width: Number of adjacent bits to flip, starting at `bit`.
         times: Least number of publications, including recomputed ones, in which the bit is stuck.
+        also: Further fields of the same publication, each with its flipped bit; only of a fault in one bit of one
+            publication.
 
     Raises:
-        BadInputError: A number out of range.
+        BadInputError: A number out of range, or a further field that cannot be changed with the first one.
     """
 
     level: ClassVar[Literal["state"]] = "state"
@@ -149,6 +151,7 @@ class StateFault(Fault):
     share: float = 1.0
     width: int = 1
     times: int = 1
+    also: tuple[tuple[str, int], ...] = ()
 
     def __post_init__(self) -> None:
         for key, is_allowed, allowed in (
@@ -159,6 +162,28 @@ class StateFault(Fault):
         ):
             if not is_allowed:
                 raise BadInputError(f"fault in {self.site}: {key}: {getattr(self, key)}: allowed: {allowed}")
+        if self.also:
+            self._check_also()
+
+    def _check_also(self) -> None:
+        """Check that further fields are in the same list element or header, and changed once; see `StateFault`."""
+        where = f"fault in {self.site}: also"
+        if self.bit is None or any(getattr(self, key) != default for key, default in LIFETIME.items()):
+            raise BadInputError(f"{where}: {len(self.also)} further fields: allowed: in one bit of one publication")
+        # The fields of the same container, by name.
+        spec = find_state(self.where.state)
+        in_elements = spec.in_elements(self.where.field)
+        others = {field.name: field for field in spec.fields if spec.in_elements(field.name) == in_elements}
+        others.pop(self.where.field, None)
+        if self.of_length:
+            others = {}
+        for name, bit in self.also:
+            if name not in others:
+                allowed = ", ".join(others) or "none"
+                raise BadInputError(f"{where}: {name!r}: no other field, or named twice; allowed: {allowed}")
+            bits = strata.WORD_BITS[others.pop(name).dtype]
+            if not 0 <= bit < bits:
+                raise BadInputError(f"{where}: {name}: bit {bit}; allowed: 0 to {bits - 1}")
 
     @property
     def lasting(self) -> bool:
@@ -184,8 +209,11 @@ class StateFault(Fault):
         return strata.bit_class(field, self.bit)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; keys of `LIFETIME` with default values are omitted."""
+        """Plain data; keys of `LIFETIME` with default values are omitted, and further fields if there are none."""
         data = Fault.to_json(self)
+        data["also"] = [list(flipped) for flipped in self.also]
+        if not self.also:
+            del data["also"]
         for name, default in LIFETIME.items():
             if data[name] == default:
                 del data[name]

@@ -4,12 +4,14 @@
 publication, uniform; element, uniform; bit, uniform within a stratum.  The same draw serves any named group of fields.
 
 `messages`: publication, uniform; then a bit of its serialized message, uniform within a stratum.
+
+The publication may also be drawn as injectors of the authors of MAVFI choose it, see `When`.
 """
 
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -17,10 +19,39 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
 from mavfi.faults.strata import WORD_BITS, bits_of, word_share
 from mavfi.record import Profile
-from mavfi.states import AUTOPILOTS, MONITORED_SETS, PPC_STAGES, STATES, StateSpec, find_state, states_with
+from mavfi.states import (
+    AUTOPILOTS,
+    MONITORED_SETS,
+    PPC_STAGES,
+    PUBLISHED_SITES,
+    STATES,
+    VECTORS,
+    Stage,
+    StateSpec,
+    find_state,
+    states_with,
+)
 
 FAULT_PURPOSE = 3
 """First part of the spawn key of every fault stream."""
+When = Literal["uniform", "published", "second_plan"]
+"""How the publication of a fault is chosen among those of the golden run that consumers act on.
+
+`uniform`: each with the same probability.
+
+`published`: as by the authors' injector of states.  Perception: the first from the first collision status on.
+Planning: the first of the k-th finished plan, with probability 1/2^k; of the last one if there are fewer.  Control:
+each command is hit with a probability of 1/100, until one is; the last one if none is.
+
+`second_plan`: the first from the second plan on, finished or not: their injector of registers stops the planner's node
+when it plans for the second time.
+"""
+COLLISION = "perception.collision_status"
+"""The state that marks the instants of `published` in perception."""
+PLAN_CHANCE = 1 / 2
+"""Probability with which the authors' injector of states hits a finished plan (MAVBench/MAV_apps, branch mavfi)."""
+COMMAND_CHANCE = 1 / 100
+"""Probability with which it hits a velocity command."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +105,11 @@ def stage_target(stage: str, autopilot: str, monitored_set: str | None = None, l
     return Target(stage, {state: names for state, names in fields.items() if names})
 
 
+def published_target(stage: str) -> Target:
+    """The fields of a stage that the authors' injector of states can change, see `PUBLISHED_SITES`."""
+    return Target(stage, {state: names for state, names in PUBLISHED_SITES.items() if STATES[state].stage == stage})
+
+
 def group_target(name: str, sites: Sequence[str], localization: str = "truth") -> Target:
     """The named fields, e.g. "planning.waypoint.x".
 
@@ -103,11 +139,20 @@ def stream(seed: int, *key: int | str) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FAULT_PURPOSE, *numbers)))
 
 
-def draw(target: Target, stratum: str, profile: Profile, seed: int, *address: int | str) -> StateFault:
+def draw(
+    target: Target,
+    stratum: str,
+    profile: Profile,
+    seed: int,
+    *address: int | str,
+    when: When = "uniform",
+    together: bool = False,
+) -> StateFault:
     """Draw one fault: a field of the target, a publication of the golden run, and a bit of the stratum.
 
-    Its time is `NO_SITE` if the golden run never published the field. The address is environment and number in the
-    mission: without it, environments with equal seeds would be injected at the same sites.
+    Its time is `NO_SITE` if the golden run has no such publication of the field. The address is environment and number
+    in the mission: without it, environments with equal seeds would be injected at the same sites.  With `together`, a
+    component of a vector is hit with the two others, each in a bit of its own of the same stratum.
     """
     random = stream(seed, target.name, *address)
     part = target.within(stratum)
@@ -115,9 +160,9 @@ def draw(target: Target, stratum: str, profile: Profile, seed: int, *address: in
     name = _pick(random, part.fields[state])
     spec = STATES[state]
     field = spec.find(name)
-    time_us, element = draw_publication(random, profile, FaultSite(state, name))
+    time_us, element = draw_publication(random, profile, FaultSite(state, name), when)
     bits = bits_of(field, stratum)
-    return StateFault(
+    fault = StateFault(
         FaultSite(state, name, element),
         time_us,
         bit=bits[int(random.integers(len(bits)))],
@@ -125,6 +170,11 @@ def draw(target: Target, stratum: str, profile: Profile, seed: int, *address: in
         weight=word_share(field, stratum) * target.probability(state) / part.probability(state),
         seed=seed,
     )
+    if not together:
+        return fault
+    # Components of a vector have the same type, and so the same bits.
+    others = [other for vector in VECTORS if name in vector for other in vector if other != name]
+    return replace(fault, also=tuple((other, bits[int(random.integers(len(bits)))]) for other in others))
 
 
 def message_target(state: str) -> Target:
@@ -177,20 +227,22 @@ def locate_bit(parts: Sequence[FieldBits], number: int) -> tuple[str, int, int]:
     raise IndexError(number)
 
 
-def draw_in_message(state: str, stratum: str, profile: Profile, seed: int, *address: int | str) -> StateFault:
-    """Draw one fault: a publication of the golden run, then a bit of the stratum in its message, each uniformly.
+def draw_in_message(
+    state: str, stratum: str, profile: Profile, seed: int, *address: int | str, when: When = "uniform"
+) -> StateFault:
+    """Draw one fault: a publication of the golden run, then a bit of the stratum in its message, uniformly.
 
-    Its weight is the stratum's share of the message.  Its time is `NO_SITE` if the golden run never published the
-    state, or the drawn publication has no bit of the stratum.
+    Its weight is the stratum's share of the message.  Its time is `NO_SITE` if the golden run has no such publication
+    of the state, or the drawn one has no bit of the stratum.
     """
     random = stream(seed, f"message {state}", *address)
     spec = STATES[state]
     nowhere = StateFault(FaultSite(state, spec.fields[0].name), NO_SITE, 0, stratum, 0.0, seed)
     # The publication.
     times = profile.times_us.get(state, np.zeros(0, np.int64))
-    if not len(times):
+    chosen = _choose_publication(random, profile, state, np.arange(len(times)), when)
+    if chosen is None:
         return nowhere
-    chosen = int(random.integers(len(times)))
     # The bit of its message.
     parts, share = message_bits(state, stratum, int(profile.counts[state][chosen]))
     total = sum(part.copies * len(part.bits) for part in parts)
@@ -218,8 +270,10 @@ def share_out(shares: Mapping[str, float], count: int, seed: int, *address: str)
     return [strata[index] for index in stream(seed, "strata", *address).permutation(count)]
 
 
-def draw_publication(random: np.random.Generator, profile: Profile, site: FaultSite) -> tuple[int, int | None]:
-    """Draw a publication of the golden run that contains the field, uniformly, and an element if none is given.
+def draw_publication(
+    random: np.random.Generator, profile: Profile, site: FaultSite, when: When = "uniform"
+) -> tuple[int, int | None]:
+    """Draw a publication of the golden run that contains the field, and an element, uniformly, if none is given.
 
     Returns:
         Instant (us), or `NO_SITE`, and the element, or None if the field is not in a list.
@@ -230,13 +284,58 @@ def draw_publication(random: np.random.Generator, profile: Profile, site: FaultS
     candidates = np.arange(len(times))
     if in_elements:
         candidates = np.flatnonzero(counts > 0)
-    if len(candidates) == 0:
+    chosen = _choose_publication(random, profile, site.state, candidates, when)
+    if chosen is None:
         return NO_SITE, site.element
-    chosen = candidates[int(random.integers(len(candidates)))]
     element = site.element
     if in_elements and element is None:
         element = int(random.integers(int(counts[chosen])))
     return int(times[chosen]), element
+
+
+def _choose_publication(
+    random: np.random.Generator, profile: Profile, state: str, candidates: np.ndarray, when: When
+) -> int | None:
+    """Choose one of the publications of a state, given by their indices in the profile; None = there is no such one."""
+    if len(candidates) == 0:
+        return None
+    stage = STATES[state].stage
+    if when == "uniform":
+        return int(candidates[int(random.integers(len(candidates)))])
+    if when == "published" and stage is Stage.CONTROL:
+        trial = int(random.geometric(COMMAND_CHANCE))
+        return int(candidates[min(trial, len(candidates)) - 1])
+
+    # The others begin at an instant of the golden run.
+    if when == "second_plan":
+        instants = _plan_times(profile, state, finished=False)[1:2]
+    elif stage is Stage.PLANNING:
+        finished = _plan_times(profile, state, finished=True)
+        trial = min(int(random.geometric(PLAN_CHANCE)), len(finished))
+        instants = finished[max(trial - 1, 0) : trial]
+    else:
+        instants = profile.times_us.get(COLLISION, np.zeros(0, np.int64))[:1]
+    if len(instants) == 0:
+        return None
+    later = candidates[profile.times_us[state][candidates] >= instants[0]]
+    if len(later) == 0:
+        return None
+    return int(later[0])
+
+
+def _plan_times(profile: Profile, state: str, *, finished: bool) -> np.ndarray:
+    """Instants from which a state may belong to a plan, one per plan (us).
+
+    A path comes before its trajectory, all other states of a plan not before.  Plans that failed have no points; they
+    are left out of the `finished` ones.
+    """
+    carrier = "planning.trajectory"
+    if state == "planning.path":
+        carrier = state
+    times = profile.times_us.get(carrier, np.zeros(0, np.int64))
+    if not finished:
+        return times
+    return times[profile.counts.get(carrier, np.zeros(0, np.int32)) > 0]
 
 
 def _pick(random: np.random.Generator, names: tuple[str, ...]) -> str:

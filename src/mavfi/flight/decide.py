@@ -314,9 +314,9 @@ def decide(rejection: Rejection, history: History, policy: RecoveryPolicy) -> Ac
     if origin is Origin.RECOMPUTED:
         return _restart_of(spec, history, policy)
     if alarm.stop:
-        return _request(Response.STOP, spec, policy)
+        return _request(Response.STOP, rejection, policy)
     if alarm.abandon_waypoint:
-        return _request(Response.ABANDON, spec, policy)
+        return _request(Response.ABANDON, rejection, policy)
     if Stage(alarm.stage) is not spec.stage:
         return _charge_of(Stage(alarm.stage))
     if policy.resends and origin is Origin.STEP:
@@ -345,10 +345,13 @@ def _restart_of(spec: StateSpec, history: History, policy: RecoveryPolicy) -> Ac
     return Action(Response.RESTART, spec.stage, spec.writer, withholds=policy.gates)
 
 
-def _request(response: Response, spec: StateSpec, policy: RecoveryPolicy) -> Action:
-    """A request to the setpoint generator; the way-point in force is withheld, other values pass."""
-    withholds = policy.gates and spec.name == WAYPOINT
-    return Action(response, Stage.CONTROL, "waypoint", awaited=WAYPOINT, withholds=withholds)
+def _request(response: Response, rejection: Rejection, policy: RecoveryPolicy) -> Action:
+    """A request to the setpoint generator; a way-point is withheld, other values only if the alarm asks for it."""
+    awaited = WAYPOINT
+    if rejection.alarm.withhold:
+        awaited = rejection.spec.name
+    is_withheld = rejection.alarm.withhold or rejection.spec.name == WAYPOINT
+    return Action(response, Stage.CONTROL, "waypoint", awaited=awaited, withholds=policy.gates and is_withheld)
 
 
 def _charge_of(stage: Stage) -> Action:

@@ -303,7 +303,10 @@ class InstructionSampling(Sampling):
         "kernel", description="what `faults` counts: each kernel, or each stage, whose kernels share them equally"
     )
     which: str = Field("all", description="class of instructions, e.g. floating_point")
-    model: Model = Field("one_bit", description="what becomes of the value")
+    model: Model = Field(
+        "one_bit",
+        description="what becomes of the value; low_byte and high_bits are those of the authors' injector of registers",
+    )
     restart_s: float = Field(0.57, ge=0, le=60, description="time until a dead node is back (s)")
 
     @model_validator(mode="before")

@@ -22,12 +22,14 @@ from mavfi.faults.fault import LIFETIME, Fault, FaultSite, StateFault
 from mavfi.faults.levels.state_injector import StateInjector
 from mavfi.faults.sampling import (
     Target,
+    When,
     draw,
     draw_in_message,
     draw_publication,
     group_target,
     live_fields,
     message_target,
+    published_target,
     stage_target,
     stream,
 )
@@ -63,7 +65,7 @@ _SHORTER_COUNTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 class StateRequest:
     """A fault in a state as requested by the user: field, list element, bit, earliest instant; None is drawn.
 
-    A null fault flips nothing; `lifetime` has the given keys of `fault.LIFETIME`.
+    A null fault flips nothing; `lifetime` has the given keys of `fault.LIFETIME`; `also` as in `StateFault`.
     """
 
     state: StateSpec
@@ -73,6 +75,7 @@ class StateRequest:
     time_us: int | None = None
     null: bool = False
     lifetime: Mapping[str, Any] = dataclasses.field(default_factory=dict, hash=False)
+    also: tuple[tuple[str, int], ...] = ()
 
     @property
     def needs_profile(self) -> bool:
@@ -115,7 +118,7 @@ class StateRequest:
             bit = int(random.integers(WORD_BITS[field.dtype] - width + 1))
         if self.null:
             bit = None
-        return StateFault(site, time_us, bit, seed=seed, **self.lifetime)
+        return StateFault(site, time_us, bit, seed=seed, also=self.also, **self.lifetime)
 
     def _field(self, random: np.random.Generator, autopilot: str) -> Field:
         """The requested field, or one that has the requested element and bits."""
@@ -177,13 +180,28 @@ class StateSampling(Sampling):
         "stage_balanced",
         description="`faults` for each stage (the paper's scheme), each group, or each message, uniform over its bits",
     )
-    sites: Literal["all", "monitored"] = Key("all", description="fields that stage_balanced draws from")
+    sites: Literal["all", "monitored", "published"] = Key(
+        "all",
+        description="fields that stage_balanced draws from: all that are read; those of the monitored set; or those "
+        "that the authors' injector of states can change, read or not",
+    )
     groups: tuple[SiteGroup, ...] = ()
     messages: tuple[str, ...] = Key((), description="names of states, for scheme messages")
     strata: dict[str, float] = Key(
         default_factory=lambda: {"sign_exponent": 2.0, "mantissa": 1.0}, description="shares of the faults by bit class"
     )
     lifetime: Lifetime = Lifetime()
+    when: When = Key(
+        "uniform",
+        description="publication that is hit: each with the same probability; `published`: as by the authors' injector "
+        "of states (the first from the first collision status on, a coin per finished plan, 1 in 100 commands); "
+        "`second_plan`: the first from the second plan on; no site if the golden flight has none",
+    )
+    together: bool = Key(
+        False,
+        description="a drawn component of a vector (x y z, vx vy vz or ax ay az) is hit with the two others, each in a "
+        "bit of its own of the same stratum",
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> "StateSampling":
@@ -193,9 +211,16 @@ class StateSampling(Sampling):
                 raise ValueError(f"sampling.scheme: {self.scheme!r}: allowed with the key {key}: {key}")
             if not value and self.scheme == key:
                 raise ValueError(f"sampling.{key}: is required with scheme {key!r}; allowed: a list of 1 or more")
+        if self.sites == "published" and self.scheme != "stage_balanced":
+            raise ValueError("sampling.sites: 'published': allowed with scheme stage_balanced")
         check_known("sampling.messages", self.messages, STATES)
         check_distinct("sampling.messages", self.messages)
         check_distinct("sampling.groups", [group.name for group in self.groups])
+        lifetimes = [self.lifetime, *(group.lifetime for group in self.groups if group.lifetime is not None)]
+        if self.together and (self.scheme == "messages" or any(lifetime != Lifetime() for lifetime in lifetimes)):
+            raise ValueError(
+                "sampling.together: true: allowed with scheme stage_balanced or groups, and without a lifetime"
+            )
         for strata in (self.strata, *(group.strata for group in self.groups if group.strata is not None)):
             check_strata(strata)
         return self
@@ -207,6 +232,10 @@ class StateSampling(Sampling):
             del data["lifetime"]
         if not self.messages:
             del data["messages"]
+        if self.when == "uniform":
+            del data["when"]
+        if not self.together:
+            del data["together"]
         return data
 
 
@@ -231,6 +260,7 @@ class StateSampler(Sampler):
         self._lifetimes = {group.name: group.lifetime for group in self.sampling.groups if group.lifetime}
         self.targets = {target.name: shares for target, shares in targets}
         self.orders = {name: self._draws_like(name) for name in self.targets}
+        self._check_when()
         # A target without bits in one of its strata is an error now, not after the first flights.
         for target, shares in targets:
             for stratum in shares:
@@ -243,6 +273,8 @@ class StateSampler(Sampler):
             return [(self._group(i), group.strata or sampling.strata) for i, group in enumerate(sampling.groups)]
         if sampling.scheme == "messages":
             return [self._message(state) for state in sampling.messages]
+        if sampling.sites == "published":
+            return [(published_target(stage), sampling.strata) for stage in PPC_STAGES]
         monitored = None
         if sampling.sites == "monitored":
             monitored = self.campaign.monitored_set
@@ -250,6 +282,16 @@ class StateSampler(Sampler):
             (stage_target(stage, self._autopilot, monitored, self._localization), sampling.strata)
             for stage in PPC_STAGES
         ]
+
+    def _check_when(self) -> None:
+        """Refuse `published` for states of other stages than those in which the authors inject."""
+        states = [state for target in self._fields.values() for state in target.fields]
+        for state in states:
+            if self.sampling.when == "published" and STATES[state].stage not in PPC_STAGES:
+                raise BadInputError(
+                    f"sampling.when: 'published': {state}: the authors inject no such state; allowed: states of "
+                    f"{', '.join(PPC_STAGES)}"
+                )
 
     def _group(self, index: int) -> Target:
         """The fields of a group; an error names the group by its index."""
@@ -297,13 +339,15 @@ class StateSampler(Sampler):
         # Faults of the same seed differ by environment, and by how often the target's missions have been used before.
         seed_environment = self.campaign.environment_of(environment)
         repetition = requested.index // self.campaign.missions
+        stratum = requested.stratum
+        seed = requested.seed
+        when = self.sampling.when
         if self.sampling.scheme == "messages":
-            fault = draw_in_message(
-                requested.target, requested.stratum, profile, requested.seed, seed_environment, repetition
-            )
+            fault = draw_in_message(requested.target, stratum, profile, seed, seed_environment, repetition, when=when)
         else:
             target = self._fields[self.orders[requested.target]]
-            fault = draw(target, requested.stratum, profile, requested.seed, seed_environment, repetition)
+            together = self.sampling.together
+            fault = draw(target, stratum, profile, seed, seed_environment, repetition, when=when, together=together)
         return self._with_lifetime(requested.target, fault)
 
     def _with_lifetime(self, target: str, fault: StateFault) -> StateFault:
@@ -334,6 +378,15 @@ def _profile(golden: Golden) -> Profile:
 def _dtype(fault: StateFault) -> str:
     """Type of the field."""
     return STATES[fault.where.state].find(fault.where.field).dtype
+
+
+def fewer_fields(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
+    """Faults in fewer fields for one in several: in the first one alone, then in that and one of the others."""
+    if fault.also:
+        yield replace(fault, also=())
+    if len(fault.also) > 1:
+        for further in fault.also:
+            yield replace(fault, also=(further,))
 
 
 def shorter_faults(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
@@ -395,15 +448,23 @@ class StateLevel(Level):
     sampling = StateSampling
     sampler = StateSampler
     local = True
-    form = "state:STATE[.FIELD][[ELEMENT]][:bit=N][:width=N][:times=N][:lasts=S][:share=P][@SECONDS]"
+    form = (
+        "state:STATE[.FIELD][[ELEMENT]][:bit=N][:also=FIELD.N[+...]][:width=N][:times=N][:lasts=S][:share=P][@SECONDS]"
+    )
     options = {
         "bit": WHOLE,
+        "also": (r"\w+\.\d{1,4}(\+\w+\.\d{1,4})*", "further fields and their bits, e.g. y.60+z.3", str),
         "width": WHOLE,
         "times": WHOLE,
         "lasts": SECONDS,
         "share": (DECIMAL, "a number above 0, to 1", float),
     }
-    reductions = {"publications": shorter_faults, "width": single_bit_faults, "bit": smaller_changes}
+    reductions = {
+        "fields": fewer_fields,
+        "publications": shorter_faults,
+        "width": single_bit_faults,
+        "bit": smaller_changes,
+    }
     absent = ("published", "no such publication came")
 
     def null(self) -> StateRequest:
@@ -434,19 +495,24 @@ class StateLevel(Level):
         bits = max(WORD_BITS[candidate.dtype] for candidate in fields)
         lifetime = dict(parts.options)
         bit = lifetime.pop("bit", None)
+        also = _further_fields(lifetime.pop("also", ""))
+        if also and (field is None or bit is None):
+            raise BadInputError("also: goes with a field and its bit; allowed: FIELD:bit=N:also=...")
         last = (bit or 0) + lifetime.get("width", 1) - 1
         if last >= bits:
             raise BadInputError(f"no bit {last} in {site_name}; allowed: 0 to {bits - 1}")
         if "lasts" in lifetime:
             lifetime["lasts_s"] = lifetime.pop("lasts")
-        StateFault(FaultSite(spec.name, field or spec.fields[0].name), **lifetime)  # refuses numbers out of range
-        return StateRequest(spec, field, element, bit, parts.time_us, lifetime=lifetime)
+        StateFault(FaultSite(spec.name, field or spec.fields[0].name), bit=bit, also=also, **lifetime)  # checks them
+        return StateRequest(spec, field, element, bit, parts.time_us, lifetime=lifetime, also=also)
 
     def text_of(self, fault: StateFault) -> str:
         """See `Level.text_of`."""
         options = ""
         if fault.bit is not None:
             options = f":bit={fault.bit}"
+        if fault.also:
+            options += f":also={'+'.join(f'{name}.{bit}' for name, bit in fault.also)}"
         for name in ("width", "times", "lasts_s", "share"):
             value = getattr(fault, name)
             if value != LIFETIME[name]:
@@ -487,7 +553,21 @@ class StateLevel(Level):
         unit = {"stage_balanced": "stage", "groups": "group", "messages": "message"}[sampling.scheme]
         shares = sorted(sampling.strata.items(), reverse=True)
         strata = " : ".join(f"{WORDS.get(name, name)} {share:g}" for name, share in shares)
-        return {"each": unit, "how": f"drawn {strata}, fields: {sampling.sites}"}
+        how = f"drawn {strata}, fields: {sampling.sites}"
+        if sampling.when != "uniform":
+            how += f", publications: {sampling.when}"
+        return {"each": unit, "how": how}
+
+
+def _further_fields(text: str) -> tuple[tuple[str, int], ...]:
+    """Further fields and their bits, from the option `also`; "" = none."""
+    if not text:
+        return ()
+    flips = []
+    for part in text.split("+"):
+        name, _, bit = part.partition(".")
+        flips.append((name, int(bit)))
+    return tuple(flips)
 
 
 def _find_state(path: str, localization: str) -> tuple[StateSpec, str | None]:

@@ -187,6 +187,9 @@ def injection_lines(injection: Injection, fault: Fault | None, log: FlightLog) -
     """The injected value before and after; for instructions, also source line and effect on the kernel."""
     story = [("fault", _fault(injection, fault))]
     details = injection.details
+    for further in details.get("also", ()):
+        before, after = change(further["before"], further["after"])
+        story.append(("also", f"{further['field']}, bit {further['bit']}: {before} → {after}"))
     if injection.file:
         story.append(("source line", _source_line(injection)))
     if "instruction" in details:

@@ -127,6 +127,19 @@ def test_abandoning_takes_the_next_way_point():
     assert flight.log.meta["recompute_us"]["control"] == stage_latency(mission().platform, Stage.CONTROL)
 
 
+def test_a_command_can_be_withheld_with_its_way_point_and_the_next_one_passes():
+    observed = []
+    detector = Scripted("control.command", 300, "control", times=2, abandon_waypoint=True, withhold=True)
+    flight = fly(mission(), detector=detector, recorders=[stamped(observed)])
+    alarms = flight.log.alarms
+    ((when, withheld), (again, _)) = detector.alarmed
+    assert [(alarm.action, alarm.outcome) for alarm in alarms] == [("abandon", "replaced")] * 2
+    assert again - when == 40_000, "the command in between is the answer, and is not checked"
+    commands = [time for time, name, _ in observed if name == withheld.spec.name]
+    assert when not in commands and when + 20_000 in commands
+    assert flight.log.status is MissionStatus.SUCCESS
+
+
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
 def test_without_a_next_way_point_abandoning_holds(autopilot):
     observed = []

@@ -15,7 +15,7 @@ from mavfi.faults.injector import Injector
 from mavfi.faults.levels.transit import ChangedPublication, changed_bits, is_length, with_length
 from mavfi.faults.sampling import stream
 from mavfi.faults.strata import WORD_BITS
-from mavfi.record import Injection
+from mavfi.record import Injection, plain
 from mavfi.states import STATES, State, StateSpec, find_state
 
 Number = float | int | bool
@@ -217,13 +217,35 @@ class StateInjector(Injector):
         if is_first:
             self._since_us = time_us
             self._stuck = change.word
-            self.injections.append(self._record(state, time_us, site, change))
+            change, further = self._change_further(change, site)
+            self.injections.append(self._record(state, time_us, site, change, further))
         return change.state
 
-    def _record(self, state: State, time_us: int, site: FaultSite, change: ChangedPublication) -> Injection:
-        """The record of the first change."""
+    def _change_further(
+        self, change: ChangedPublication, site: FaultSite
+    ) -> tuple[ChangedPublication, list[dict[str, Any]]]:
+        """Flip the bits of further fields as well; returns the change, and their values before and after as data."""
+        values = []
+        for name, bit in self._fault.also:
+            assert change.state is not None  # only a wrong length loses a message
+            further = _with_bits(change.state, replace(site, field=name), mask_of(bit, 1))
+            change = change._replace(state=further.state)
+            values.append({"field": name, "bit": bit, "before": plain(further.before), "after": plain(further.after)})
+        return change, values
+
+    def _record(
+        self,
+        state: State,
+        time_us: int,
+        site: FaultSite,
+        change: ChangedPublication,
+        further: list[dict[str, Any]],
+    ) -> Injection:
+        """The record of the first change, and of the further fields."""
         fault = self._fault
         details: dict[str, Any] = {}
+        if further:
+            details["also"] = further
         is_same = False
         if change.state is None:
             details["lost"] = True

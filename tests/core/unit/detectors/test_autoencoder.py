@@ -28,6 +28,19 @@ def test_alarms_persist_when_the_way_point_in_force_was_anomalous_too(models, ev
     assert (alarms[first].stop, alarms[second].stop) == (False, True)
 
 
+def test_the_authors_aad_drops_the_way_point_and_stops_at_the_second_anomaly_of_a_state(models, events):
+    for state, field in (("planning.waypoint", "x"), ("control.command", "vy")):
+        detector = AutoencoderDetector(models["autoencoder-paper"], "published_aad")
+        first, second = (later(events, state, count) for count in (20, 21))
+        alarms = dict(fly(detector, strike(strike(events, first, field, -1e30), second, field, 1e30)))
+        for struck, stop in ((first, False), (second, True)):
+            alarm = alarms[struck]
+            assert (alarm.stage, alarm.abandon_waypoint, alarm.withhold, alarm.stop) == ("control", True, True, stop)
+    struck = later(events, "perception.collision_status", 10)
+    alarm = dict(fly(detector, strike(events, struck, "future_collision_seq", 4096)))[struck]
+    assert (alarm.stage, alarm.abandon_waypoint, alarm.withhold, alarm.stop) == ("control", False, False, False)
+
+
 def test_an_accepted_anomaly_is_not_held_against_what_follows(models, events):
     for name in ("autoencoder-paper", "autoencoder-tuned"):
         detector = AutoencoderDetector(models[name])

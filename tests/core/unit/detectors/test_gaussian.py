@@ -75,3 +75,22 @@ def test_tuned_is_silent_in_golden_flights_and_sees_two_metres(models):
             struck = later(events, "planning.waypoint", count)
             y = float(events[struck][0].header["y"][0])
             assert fly(detector, strike(events, struck, "y", y + 2.0))[0][0] == struck
+
+
+@pytest.mark.parametrize(
+    ("state", "count", "field", "value", "expected"),
+    [
+        ("planning.waypoint", 20, "x", -1e30, ("planning", False, False)),
+        ("control.command", 333, "vy", 1e30, ("control", True, True)),
+        ("perception.collision_status", 40, "future_collision_seq", 4096, ("control", False, False)),
+    ],
+)
+def test_the_authors_gad_recomputes_planning_and_drops_a_command_with_its_way_point(
+    models, state, count, field, value, expected
+):
+    detector = GaussianDetector(models["gaussian-tuned"], "published_gad")
+    events = flight(400)
+    struck = later(events, state, count)
+    alarm = dict(fly(detector, strike(events, struck, field, value)))[struck]
+    assert (alarm.stage, alarm.abandon_waypoint, alarm.withhold) == expected
+    assert not alarm.stop

@@ -258,3 +258,42 @@ def test_the_record_counts_what_was_changed_and_says_when_it_is_over():
     assert injection.details == {"publications": 3} and (injection.before, injection.after) == (50.0, -50.0)
     assert copy(waypoint(), 50_000).header["x"][0] == -50.0 and copy.finish()[0].details == {"publications": 4}
     assert StateInjector(StateFault(WAYPOINT, 0, 63)).finish()[0].details == {}
+
+
+def test_a_vector_is_hit_in_one_publication_and_recorded_before_and_after():
+    fault = StateFault(FaultSite("planning.trajectory", "y", 2), 0, 63, also=(("x", 52), ("z", 62)))
+    injector = StateInjector(fault)
+    struck = injector(trajectory(4), 0)
+    assert struck is not None
+    assert struck.elements["y"].tolist() == [10.0, 11.0, -12.0, 13.0]
+    assert struck.elements["x"].tolist() == [0.0, 0.0, 2.0**-1022, 0.0]
+    assert struck.elements["z"].tolist() == [0.0, 0.0, 2.0, 0.0]
+    assert injector(trajectory(4), 1).same_bits(trajectory(4)), "once"
+    (injection,) = injector.finish()
+    assert (injection.before, injection.after, injection.activated) == (12.0, -12.0, True)
+    assert injection.details["also"] == [
+        {"field": "x", "bit": 52, "before": 0.0, "after": 2.0**-1022},
+        {"field": "z", "bit": 62, "before": 0.0, "after": 2.0},
+    ]
+    infinite = replace(fault, also=(("duration", 62),))
+    state = trajectory(4)
+    state.elements["duration"] = 1.0
+    injector = StateInjector(infinite)
+    injector(state, 0)
+    assert injector.finish()[0].details["also"][0]["after"] == "inf", "as JSON can represent it"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"lasts_s": 1.0}, "also: 1 further fields: allowed: in one bit of one publication"),
+        ({"width": 2}, "allowed: in one bit of one publication"),
+        ({"bit": None}, "allowed: in one bit of one publication"),
+        ({"also": (("x", 3),)}, "also: 'x': no other field, or named twice; allowed: y, z, yaw"),
+        ({"also": (("y", 3), ("y", 4))}, "also: 'y': no other field, or named twice; allowed: z"),
+        ({"also": (("y", 64),)}, "also: y: bit 64; allowed: 0 to 63"),
+    ],
+)
+def test_further_fields_that_cannot_be_changed_are_refused(change, message):
+    with pytest.raises(BadInputError, match=message.replace("(", r"\(")):
+        replace(StateFault(WAYPOINT, 0, 1, also=(("y", 3),)), **change)

@@ -65,6 +65,16 @@ CASES = [
         Action(Response.ABANDON, CONTROL, "waypoint", (), WAYPOINT),
     ),
     (Alarm("d", "control", stop=True), WAYPOINT, Action(Response.STOP, CONTROL, "waypoint", (), WAYPOINT, True)),
+    (
+        Alarm("d", "control", abandon_waypoint=True, withhold=True),
+        COMMAND,
+        Action(Response.ABANDON, CONTROL, "waypoint", (), COMMAND, True),
+    ),
+    (
+        Alarm("d", "control", stop=True, withhold=True),
+        COMMAND,
+        Action(Response.STOP, CONTROL, "waypoint", (), COMMAND, True),
+    ),
 ]
 
 

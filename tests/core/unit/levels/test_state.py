@@ -7,8 +7,10 @@ from mavfi.campaign.config import Campaign
 from mavfi.errors import BadInputError
 from mavfi.flight.host import Flight
 from mavfi.levels.level import Sampled
-from mavfi.levels.state import StateSampler
+from mavfi.levels.state import StateLevel, StateSampler, fewer_fields
 from mavfi.record import Profile
+from mavfi.states import PUBLISHED_SITES
+from mavfi.states import STATES as SPECS
 
 SITES = ["planning.waypoint.x", "perception.collision_status.collision"]
 STATES = ("planning.waypoint", "perception.collision_status")
@@ -86,3 +88,39 @@ def test_every_message_has_its_own_row_and_the_strata_that_it_has():
 def test_messages_that_cannot_be_drawn_are_refused(given, message):
     with pytest.raises((BadInputError, ValueError), match=message):
         messages(**given)
+
+
+def test_the_published_instants_are_those_of_the_pipeline_and_stored_only_if_set():
+    assert not {"when", "together"} & set(messages(("planning.waypoint",)).sampling.to_json())
+    assert messages(("planning.waypoint",), when="published").sampling.to_json()["when"] == "published"
+    with pytest.raises(ValueError, match=r"sampling.when: 'published': sensor.depth: .*allowed: states of perception"):
+        messages(("sensor.depth",), when="published")
+
+
+def test_vectors_are_hit_together_without_a_lifetime_and_made_smaller_by_fields_first():
+    (drawn,) = faults(None, together=True)
+    assert {tuple(name for name, _ in fault.also) for fault in drawn} == {("y", "z"), ()}
+    vector = next(fault for fault in drawn if fault.also)
+    assert next(iter(StateLevel.reductions)) == "fields"
+    assert [fault.also for fault in fewer_fields(vector, None)] == [(), vector.also[:1], vector.also[1:]]
+    for lifetimes in ([{"width": 2}], [None]):
+        with pytest.raises(ValueError, match="sampling.together: true: allowed with scheme .* and without a lifetime"):
+            faults(*lifetimes, together=True, lifetime={"times": 2})
+    with pytest.raises(ValueError, match="sampling.together: true: allowed with scheme stage_balanced or groups"):
+        messages(("planning.waypoint",), together=True)
+
+
+def test_the_published_sites_are_three_states_of_the_table():
+    sampling = {"level": "state", "sites": "published", "together": True}
+    sampler = StateSampler(Campaign(name="c", environments=("sparse",), missions=9, faults=90, sampling=sampling))
+    fields = {"perception": set(), "planning": set(), "control": set()}
+    for block in sampler.blocks("sparse"):
+        for draw in map(block.draw, range(block.count)):
+            (fault,) = sampler.draw([draw], "sparse", {})
+            fields[draw.target].add((fault.where.state, fault.where.field))
+    drawn = {site for sites in fields.values() for site in sites}
+    assert drawn == {(state, name) for state, names in PUBLISHED_SITES.items() for name in names}
+    assert all(SPECS[state].find(name) for state, name in drawn)
+    assert [{state for state, _ in sites} for sites in fields.values()] == [{state} for state in PUBLISHED_SITES]
+    with pytest.raises(ValueError, match="sampling.sites: 'published': allowed with scheme stage_balanced"):
+        messages(("planning.waypoint",), sites="published")

@@ -91,10 +91,14 @@ def test_null_is_an_empty_mask_at_a_drawn_instant():
         ("state:planning.waypoint.x[3]", "no element"),
         ("state:planning.waypoint.x@1e99", "0 to 1e+09"),
         ("state:planning.waypoint.x:bit=63:width=2", "no bit 64 in planning.waypoint.x; allowed: 0 to 63"),
+        ("state:planning.waypoint.x:bit=3:also=y", "also: 'y': allowed: further fields and their bits, e.g. y.60+z.3"),
+        ("state:planning.waypoint.x:also=y.3", "also: goes with a field and its bit; allowed: FIELD:bit=N:also="),
+        ("state:planning.waypoint.x:bit=3:also=y.64", "also: y: bit 64; allowed: 0 to 63"),
+        ("state:planning.waypoint.x:bit=3:also=y.4:times=2", "also: 1 further fields: allowed: in one bit of one"),
         ("state:planning.waypoint.x:share=2", "share: 2.0: allowed: above 0, to 1"),
         ("state:planning.waypoint.x:times=0", "times: 0: allowed: 1 or more"),
         ("state:planning.waypoint.x:lasts=long", "lasts: 'long': allowed: a number of seconds, or inf"),
-        ("state:planning.waypoint.x:bits=3", "'bits': not known (did you mean 'bit'?); allowed: bit=, width=, times="),
+        ("state:planning.waypoint.x:bits=3", "'bits': not known (did you mean 'bit'?); allowed: bit=, also=, width="),
         ("state:planning.waypoint.x:share=half@3", "share: 'half': allowed: a number above 0, to 1"),
         ("state:planning.waypoint.x[two]", "not understood; allowed: state:STATE[.FIELD][[ELEMENT]]"),
         ("planning.waypoint.x", "not understood; allowed: null, state:STATE"),
@@ -122,6 +126,13 @@ def test_errors_are_one_line_that_says_what_is_allowed(text, names):
     assert names in message
     assert repr(text) in message
     assert "allowed:" in message
+
+
+def test_further_fields_can_be_named_and_are_written_again():
+    text = "state:planning.trajectory.x[3]:bit=62:also=y.60+z.3@5.0"
+    fault = parse(text).resolve(0, "published")
+    assert fault.also == (("y", 60), ("z", 3))
+    assert text_of(fault) == text
 
 
 def test_a_lifetime_can_be_named():

@@ -81,6 +81,7 @@ bool stop
 float64 score
 string[] fields
 bool hard
+bool withhold
 """,
 }
 

@@ -79,7 +79,7 @@ def draw(
         n: Number of faults.
         *args: Arguments of the call; they are not modified.
         which: Class of instructions, see `mavfi.faults.levels.instruction.table`.
-        model: "one_bit", "bits", "random" or "zero", see `mavfi.faults.levels.instruction.plan`.
+        model: One of `fault.MODELS`, see `mavfi.faults.levels.instruction.plan`.
         seed: Seed of the draw.
         bits: Number of bits for the model "bits".
 

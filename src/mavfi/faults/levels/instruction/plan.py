@@ -52,7 +52,8 @@ def plan(
         ir_sha256: Digest of the IR.
         site: The static instruction.
         index: Dynamic index.
-        model: "one_bit", uniform; "bits": `count` distinct bits, or all if fewer; "random": any value; "zero".
+        model: "one_bit", uniform; "bits": `count` distinct bits, or all if fewer; "random": any value; "zero";
+            "low_byte" and "high_bits": one bit, uniform in a part of the value, see `_bit_range`.
         count: Number of bits for "bits".
         **fields: Further fields of the fault.
 
@@ -65,7 +66,10 @@ def plan(
         count = 1
     bits: tuple[int, ...] = ()
     value = 0  # of the model "zero"
-    if model in ("one_bit", "bits"):
+    if model in ("low_byte", "high_bits"):
+        bit_range = _bit_range(model, site.width)
+        bits = (int(random.integers(bit_range.start, bit_range.stop)),)
+    elif model in ("one_bit", "bits"):
         drawn = random.choice(site.width, size=min(count, site.width), replace=False)
         bits = tuple(sorted(int(bit) for bit in drawn))
     elif model == "random":
@@ -84,6 +88,19 @@ def plan(
         stratum=stratum_of(site.kind, single_bit),
         **fields,
     )
+
+
+def _bit_range(model: Model, width: int) -> range:
+    """Bits of a value from which models of the authors' injector of registers draw (MAVBench/MAV_apps, branch mavfi).
+
+    "high_bits": the range that it draws from by default, bits 52 to 62 of 64; in other widths all bits.  "low_byte":
+    what it changes, since its write reaches byte 0 of the register only; in a narrower value all bits.
+    """
+    if model == "low_byte":
+        return range(min(8, width))
+    if width == 64:
+        return range(52, 63)
+    return range(width)
 
 
 def stratum_of(kind: str, bit: int | None) -> str:
