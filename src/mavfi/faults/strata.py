@@ -33,7 +33,7 @@ _CLASSES: dict[str, dict[str, range]] = {
 }
 """Classes of the bits of a word, by its type; the classes of floating-point numbers are those of IEEE 754."""
 
-WHOLE = "word"
+WHOLE_WORD = "word"
 """Stratum of all bits of a word."""
 
 STRATA: dict[str, tuple[str, ...]] = {
@@ -43,12 +43,12 @@ STRATA: dict[str, tuple[str, ...]] = {
     "exponent": ("exponent",),
     "length": ("length",),
     "exponent_field": ("exponent", "other", "flag"),
-    WHOLE: ("sign", "exponent", "flag", "mantissa", "other"),
+    WHOLE_WORD: ("sign", "exponent", "flag", "mantissa", "other"),
 }
 """Bit classes of each stratum.  The first two partition every word; headline figures use the first.  Integers have sign
 and other bits, unsigned ones other bits only; a flag's single bit counts with the headline.  The length of a list in a
-message is none of these.  `exponent_field` is the class 2 of the published injector: bits 52 to 62 of a float64, 0 to 30
-of an integer.  `word` draws from all bits alike."""
+message is none of these.  `exponent_field` is class 2 of the published injector: bits 52 to 62 of a float64, 0 to
+30 of an integer.  `word` draws from all bits alike."""
 
 HEADLINE = "sign_exponent"
 """Stratum of the headline figures."""

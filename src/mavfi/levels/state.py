@@ -33,7 +33,7 @@ from mavfi.faults.sampling import (
     stage_target,
     stream,
 )
-from mavfi.faults.strata import HEADLINE, WHOLE, WORD_BITS, WORDS, bits_of
+from mavfi.faults.strata import HEADLINE, WHOLE_WORD, WORD_BITS, WORDS, bits_of
 from mavfi.levels.level import (
     DECIMAL,
     SECONDS,
@@ -543,7 +543,7 @@ class StateLevel(Level):
             "element": site.element,
         }
         # bits drawn from the whole word are the population of faults without strata
-        if fault.stratum != WHOLE:
+        if fault.stratum != WHOLE_WORD:
             columns["population"] = fault.stratum
         return columns
 

@@ -52,6 +52,13 @@ class Axis(Config):
     values: dict[Name, AxisValue] = Field(min_length=2)
 
 
+class Anchor(Config):
+    """A reading from which others differ in one axis."""
+
+    values: dict[str, str] = Field(description="a value of each axis")
+    vary: tuple[str, ...] = Field((), description="axes that are changed; default: all")
+
+
 class DetectorReading(Config):
     """How the detectors are placed, what their alarms do, and on what they were trained."""
 
@@ -76,7 +83,8 @@ class Rounds(Config):
     best: int = Field(3, ge=2, description="changes per anchor, the best, that are combined in pairs")
     first_seed: int = Field(30_000, ge=10_000)
     judged_first_seed: int = Field(40_000, ge=10_000)
-    judged_missions: int = Field(100, ge=2)
+    judged_missions: int = Field(40, ge=2)
+    frozen: int = Field(2, ge=1, description="readings that are frozen: the best of as many places of the fault")
 
 
 class AssumptionStudy(Config):
@@ -87,18 +95,18 @@ class AssumptionStudy(Config):
     environments: tuple[str, ...] = ("factory", "farm", "sparse", "dense")
     rounds: Rounds = Rounds()
     axes: dict[Name, Axis]
-    anchors: dict[Name, dict[str, str]] = Field(description="a value of each axis, by name of the anchor")
+    anchors: dict[Name, Anchor]
     detectors: dict[Name, DetectorReading]
     training_flights: int = Field(100, ge=1)
 
     @model_validator(mode="after")
     def _consistent(self) -> "AssumptionStudy":
         for name, anchor in self.anchors.items():
-            check_known(f"anchors.{name}", anchor, self.axes)
+            check_known(f"anchors.{name}", [*anchor.values, *anchor.vary], self.axes)
             for axis in self.axes:
-                if axis not in anchor:
+                if axis not in anchor.values:
                     raise ValueError(f"anchors.{name}: no value of {axis!r}; needed: a value of each axis")
-                check_known(f"anchors.{name}.{axis}", [anchor[axis]], self.axes[axis].values)
+                check_known(f"anchors.{name}.{axis}", [anchor.values[axis]], self.axes[axis].values)
         return self
 
     def value(self, axis: str, name: str) -> AxisValue:
@@ -107,7 +115,7 @@ class AssumptionStudy(Config):
 
     def anchor(self, name: str) -> "Reading":
         """The reading of an anchor."""
-        return Reading(tuple((axis, self.anchors[name][axis]) for axis in self.axes))
+        return Reading(tuple((axis, self.anchors[name].values[axis]) for axis in self.axes))
 
     def single_changes(self) -> "dict[Reading, list[Change]]":
         """Readings that differ from an anchor in one axis, with the changes that lead to each; the anchors first.
@@ -116,16 +124,17 @@ class AssumptionStudy(Config):
         """
         readings: dict[Reading, list[Change]] = {self.anchor(name): [] for name in self.anchors}
         for name in self.anchors:
-            for axis, value in self._changes(self.anchor(name)):
+            for axis, value in self._changes(name):
                 changed = self.anchor(name).with_value(axis, value)
                 if self.applies(changed):
                     readings.setdefault(changed, []).append(Change(name, axis, value))
         return readings
 
-    def _changes(self, anchor: "Reading") -> Iterator[tuple[str, str]]:
-        for axis, definition in self.axes.items():
-            for value in definition.values:
-                if value != anchor[axis]:
+    def _changes(self, anchor: str) -> Iterator[tuple[str, str]]:
+        """Axes that an anchor varies, with their other values."""
+        for axis in self.anchors[anchor].vary or self.axes:
+            for value in self.axes[axis].values:
+                if value != self.anchor(anchor)[axis]:
                     yield axis, value
 
     def applies(self, reading: "Reading") -> bool:

@@ -1,8 +1,8 @@
 """How well a reading agrees with the paper's counts: deviance of two binomial samples, by environment and cell.
 
 Both sides are samples: the paper's of 100 golden runs and 300 runs with a fault per environment, ours with the
-effective number of runs, n / design effect of worlds.  What loses golden runs besides the fault is a nuisance parameter of each
-environment, fitted to the paper's golden and injection cells together.
+effective number of runs, n / design effect of worlds.  What loses golden runs besides the fault is a nuisance parameter
+of each environment, fitted to the paper's golden and injection cells together.
 """
 
 from collections.abc import Mapping

@@ -12,7 +12,7 @@ from mavfi.analysis.measures import recomputed_share
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import holm
 from mavfi.analysis.table import TEXT, Column, Table
-from mavfi.extras.paper.assumptions.design import INSTRUCTION, STATE, AxisValue, Reading
+from mavfi.extras.paper.assumptions.design import INSTRUCTION, STATE, Reading
 from mavfi.extras.paper.assumptions.fit import (
     EnvironmentFlights,
     PointsDifference,
@@ -20,7 +20,7 @@ from mavfi.extras.paper.assumptions.fit import (
     lost_points,
     paper_counts,
 )
-from mavfi.extras.paper.assumptions.rounds import AssumptionResults, JudgedDetectors, fit_of
+from mavfi.extras.paper.assumptions.rounds import AssumptionResults, FrozenReading, JudgedDetectors, fit_of
 from mavfi.extras.paper.claims import CLAIMS, INSTRUCTIONS, KERNELS, LEVEL, VALUES, Evidence, verdict
 from mavfi.report import style
 from mavfi.report.campaign_report import markdown_table
@@ -29,6 +29,10 @@ from mavfi.report.text import short
 _REJECTED = 0.05
 _SHOWN = 12
 """Rows of the table of readings."""
+_SHORT = {"dr_gaussian": "GAD", "dr_autoencoder": "AAD"}
+"""The paper's names of its detectors, by setting."""
+_TABLE_ONE = {STATE: VALUES, INSTRUCTION: INSTRUCTIONS}
+"""Campaign of the paper's study for its Table I, by level of the faults."""
 _OUT_OF_REACH = {
     "III-B": "only with faults in one named state at a time (Fig. 4)",
     "VI-C": "none: it is about the time of detection on their machine, or a calibrated model",
@@ -52,37 +56,67 @@ def tables(results: AssumptionResults) -> list[Table]:
 
 
 # ---- the answer ------------------------------------------------------------------------------------------------------
-def best_detectors(results: AssumptionResults) -> JudgedDetectors:
-    """The reading of the detectors that predicts the paper's cells best."""
-    return max(results.detectors, key=lambda item: (item.judgement.p_value, -item.judgement.deviance))
+class Combination(NamedTuple):
+    """A frozen reading of the faults with a reading of the detectors."""
+
+    frozen: FrozenReading
+    detectors: JudgedDetectors
+    corrected_p: float
+
+    @property
+    def name(self) -> str:
+        """E.g. "monitored with largest"."""
+        return f"{self.frozen.fitted.reading['where']} with {self.detectors.name}"
+
+
+def combinations_of(results: AssumptionResults) -> list[Combination]:
+    """All judged combinations, with p after Holm's correction over all of them."""
+    pairs = [(frozen, item) for frozen in results.frozen for item in frozen.detectors]
+    corrected = holm([item.judgement.p_value for _, item in pairs])
+    return [Combination(*pair, p if p is not None else 1.0) for pair, p in zip(pairs, corrected, strict=True)]
+
+
+def best_combination(results: AssumptionResults) -> Combination:
+    """The combination that predicts the paper's detector cells best."""
+
+    def quality(combination: Combination) -> tuple[float, float]:
+        judgement = combination.detectors.judgement
+        return judgement.p_value, -judgement.deviance
+
+    return max(combinations_of(results), key=quality)
 
 
 def summary(results: AssumptionResults) -> list[str]:
     """The answer in a few sentences, computed."""
-    frozen = results.frozen
-    best = best_detectors(results)
     accepted = [item for item in results.fitted if item.fit.p_value >= _REJECTED]
-    judged = holm([item.judgement.p_value for item in results.detectors])
-    kept = [item.name for item, p in zip(results.detectors, judged, strict=True) if p is not None and p >= _REJECTED]
-    worst = [
-        f"{kind.removeprefix('dr_')} in {environment} ({100 * cell.paper:.1f} %, predicted "
-        f"[{100 * cell.low:.1f}, {100 * cell.high:.1f}])"
-        for (environment, kind), cell in best.judgement.cells.items()
-        if not cell.low <= cell.paper <= cell.high
-    ]
-    outside = "all eight detector cells lie in its prediction intervals"
-    if worst:
-        outside = f"outside its prediction intervals: {', '.join(worst)}"
+    combinations = combinations_of(results)
+    left = [combination.name for combination in combinations if combination.corrected_p >= _REJECTED]
+    best = best_combination(results)
+    outside = _cells_outside(best.detectors)
+    where = "all eight detector cells lie in its prediction intervals"
+    if outside:
+        where = f"outside its prediction intervals (paper - predicted, points): {outside}"
+    fit = best.frozen.fitted.fit
     return [
         f"{len(results.fitted)} readings of the experiment were fitted to the paper's golden and injection cells "
         f"({len(results.flown)} of them flown, the others count the same flights in another way); {len(accepted)} are "
-        "not rejected at 5 %.",
-        f"The best, frozen: {reading_text(results, frozen.reading)} (deviance {frozen.fit.deviance:.1f}, "
-        f"{frozen.fit.freedom} degrees of freedom, p = {frozen.fit.p_value:.2g}).",
-        f"On fresh seeds, judged on the eight detector cells with {len(results.detectors)} readings of the detectors: "
-        f"not rejected at 5 % (Holm): {', '.join(kept) or 'none'}. Best: {best.name} "
-        f"(p = {best.judgement.p_value:.2g}); {outside}.",
+        "not rejected at 5 %: these cells alone do not tell where the faults lay.",
+        f"The best {len(results.frozen)}, each with the fault in another place, were frozen and judged on fresh seeds "
+        f"on the eight detector cells, with {len(results.study.detectors)} readings of the detectors each. Not "
+        f"rejected at 5 % (Holm over {len(combinations)}): {', '.join(left) or 'none'}.",
+        f"Best: {best.name} (p = {best.detectors.judgement.p_value:.2g}); {where}. Its faults: "
+        f"{reading_text(results, best.frozen.fitted.reading)} (golden and injection cells: deviance "
+        f"{fit.deviance:.1f}, {fit.freedom} degrees of freedom, p = {fit.p_value:.2g}).",
     ]
+
+
+def _cells_outside(item: JudgedDetectors) -> str:
+    """Cells of the paper outside their prediction interval, with paper - predicted (points)."""
+    cells = []
+    for (environment, setting), cell in item.judgement.cells.items():
+        if not cell.low <= cell.paper <= cell.high:
+            cells.append(f"{_SHORT[setting]} {environment} {100 * (cell.paper - cell.mean):+.1f}")
+    return ", ".join(cells)
 
 
 def reading_text(results: AssumptionResults, reading: Reading) -> str:
@@ -91,106 +125,100 @@ def reading_text(results: AssumptionResults, reading: Reading) -> str:
 
 
 def cells_table(results: AssumptionResults) -> Table:
-    """The paper's Table I beside the frozen reading with the best reading of the detectors."""
-    best = best_detectors(results)
-    rows = []
+    """The paper's Table I beside the best combination."""
+    best = best_combination(results)
+    rows: list[tuple[object, ...]] = []
     for name in results.study.environments:
-        flights = results.judged_flights[name]
-        background = _background(results, name)
+        flights = best.frozen.flights[name]
+        background = _background(results, best.frozen, name)
         golden = background * flights.golden.counts().rate
-        faulty = background * flights.faulty["fi"].counts(_deaths(results).deaths).rate
-        rows.append((name, "golden run", paper_counts(name, "golden").rate, golden, None, "fitted"))
-        rows.append((name, "one fault", paper_counts(name, "fi").rate, faulty, None, "fitted"))
-        for setting, words in (("dr_gaussian", "GAD"), ("dr_autoencoder", "AAD")):
-            cell = best.judgement.cells[name, setting]
+        faulty = background * flights.faulty["fi"].counts(_deaths(results, best.frozen)).rate
+        rows.append((name, "golden run", paper_counts(name, "golden").rate, golden, "", "fitted"))
+        rows.append((name, "one fault", paper_counts(name, "fi").rate, faulty, "", "fitted"))
+        for setting, words in _SHORT.items():
+            cell = best.detectors.judgement.cells[name, setting]
             interval = f"[{100 * cell.low:.1f}, {100 * cell.high:.1f}]"
             rows.append((name, words, cell.paper, cell.mean, interval, "predicted"))
     columns = (
         Column("environment", "environment"),
         Column("setting", "setting"),
         Column("paper", "paper", "percent"),
-        Column("here", "frozen reading", "percent"),
+        Column("here", "here", "percent"),
         Column("interval", "95 % prediction"),
         Column("status", "status"),
     )
     notes = (
-        f"missions that succeed, %, on fresh seeds from {results.study.rounds.judged_first_seed}; detectors: {best.name}",
-        "fitted: the background of each environment is fitted to the paper's golden and injection cells, and to nothing "
-        "else; predicted: where 300 runs of the paper should lie",
+        f"missions that succeed, on fresh seeds from {results.study.rounds.judged_first_seed}; {best.name}",
+        "fitted: what else loses golden runs is fitted to the paper's golden and injection cells, and to nothing else; "
+        "predicted: where 300 runs of the paper should lie",
     )
-    return Table("cells", "The paper's Table I, and the frozen reading", columns, rows, keys=2, notes=notes)
+    return Table("cells", "The paper's Table I, and the best combination", columns, rows, keys=2, notes=notes)
 
 
 def differences_table(results: AssumptionResults) -> Table:
     """Differences to the golden run in points, in the paper and here, which no background enters."""
-    best = best_detectors(results)
+    best = best_combination(results)
     rows = []
     for setting, words in (("fi", "one fault"), ("dr_gaussian", "with GAD"), ("dr_autoencoder", "with AAD")):
-        cells: list[object] = [words]
+        cells = [words]
         for name in results.study.environments:
             papers = 100 * (paper_counts(name, setting).rate - paper_counts(name, "golden").rate)
-            ours = lost_points(
-                results.judged_flights[name], _setting_of(results, best, setting), _deaths(results).deaths
-            )
+            here = _setting_of(results, best, setting)
+            ours = lost_points(best.frozen.flights[name], here, _deaths(results, best.frozen))
             cells.append(f"{-ours.points:+.1f} ({papers:+.1f})")
         rows.append(tuple(cells))
     columns = (Column("setting", ""), *(Column(name, name) for name in results.study.environments))
     notes = (
         "success with the setting - success of golden runs, points; in brackets the paper's",
-        f"frozen reading, fresh seeds, detectors: {best.name}",
+        f"{best.name}, fresh seeds",
     )
     return Table("differences", "What a fault costs, and what the detectors bring back", columns, rows, notes=notes)
 
 
-def _setting_of(results: AssumptionResults, detectors: JudgedDetectors, papers: str) -> str:
+def _setting_of(results: AssumptionResults, best: Combination, papers: str) -> str:
     """Our setting for a setting of the paper."""
     if papers == "fi":
         return papers
-    return f"dr_{results.study.arm_of(detectors.name, papers.removeprefix('dr_'))}"
+    return f"dr_{results.study.arm_of(best.detectors.name, papers.removeprefix('dr_'))}"
 
 
-def _background(results: AssumptionResults, environment: str) -> float:
+def _background(results: AssumptionResults, frozen: FrozenReading, environment: str) -> float:
     """Share of missions that the fitted background leaves in an environment; 1 = the reading has none."""
-    if _losses(results).losses == "background":
-        return results.frozen.fit.environments[environment].best
+    losses = results.study.value("losses", frozen.fitted.reading["losses"]).losses
+    if losses == "background":
+        return frozen.fitted.fit.environments[environment].best
     return 1.0
 
 
-def _deaths(results: AssumptionResults) -> AxisValue:
-    return results.study.value("deaths", results.frozen.reading["deaths"])
-
-
-def _losses(results: AssumptionResults) -> AxisValue:
-    return results.study.value("losses", results.frozen.reading["losses"])
+def _deaths(results: AssumptionResults, frozen: FrozenReading) -> str:
+    """How a frozen reading counts dead kernels."""
+    return results.study.value("deaths", frozen.fitted.reading["deaths"]).deaths
 
 
 def detectors_table(results: AssumptionResults) -> Table:
-    """Readings of the detectors, judged on the eight detector cells."""
-    corrected = holm([item.judgement.p_value for item in results.detectors])
+    """The judged combinations."""
     rows = []
-    for item, p in zip(results.detectors, corrected, strict=True):
+    for combination in combinations_of(results):
+        item = combination.detectors
         reading = results.study.detectors[item.name]
-        outside = [
-            f"{kind.removeprefix('dr_')[:1].upper()}AD {name} {100 * (cell.paper - cell.mean):+.1f}"
-            for (name, kind), cell in item.judgement.cells.items()
-            if not cell.low <= cell.paper <= cell.high
-        ]
-        brought = [_brought_back(results, item, f"dr_{kind}") for kind in ("gaussian", "autoencoder")]
+        brought = [_brought_back(item, setting) for setting in _SHORT]
         rows.append(
             (
+                combination.frozen.fitted.reading["where"],
                 item.name,
                 reading.text,
                 reading.source,
                 *brought,
                 item.judgement.deviance,
                 item.judgement.p_value,
-                p,
-                ", ".join(outside) or "none",
+                combination.corrected_p,
+                _cells_outside(item) or "none",
             )
         )
     columns = (
-        Column("name", "reading"),
-        Column("text", "detectors"),
+        Column("where", "faults"),
+        Column("name", "detectors"),
+        Column("text", "in words"),
         Column("source", "source"),
         Column("gaussian", "GAD brings back"),
         Column("autoencoder", "AAD brings back"),
@@ -199,16 +227,18 @@ def detectors_table(results: AssumptionResults) -> Table:
         Column("holm", "p (Holm)", "number .2g"),
         Column("outside", "cells outside: paper - predicted, points"),
     )
+    frozen = "; ".join(f"{part.fitted.reading['where']}: {part.fitted.reading.text}" for part in results.frozen)
     notes = (
-        f"each judged on the paper's eight detector cells, {results.study.rounds.judged_missions} fresh missions per "
-        "environment and stage; deviance of the paper's counts from the predicted rates; p: simulated, with the "
-        "uncertainty of background, of our rates and of the paper's samples",
-        "brings back: lost missions of the frozen reading that the detector saves, and those that it newly loses",
+        f"frozen readings of the faults: {frozen}; {results.study.rounds.judged_missions} fresh missions per "
+        "environment and stage",
+        "deviance of the paper's eight detector cells from the predicted rates; p: simulated, with the uncertainty of "
+        "what else loses golden runs, of our rates and of the paper's samples",
+        "brings back: lost missions that the detector saves, and those that it newly loses",
     )
-    return Table("detectors", "Readings of the detectors, judged", columns, rows, notes=notes)
+    return Table("detectors", "Readings of the detectors, judged", columns, rows, keys=2, notes=notes)
 
 
-def _brought_back(results: AssumptionResults, item: JudgedDetectors, setting: str) -> str:
+def _brought_back(item: JudgedDetectors, setting: str) -> str:
     """E.g. "66 of 87, loses 1"."""
     rows = item.runs.injected.where("judged").frame
     pair = ("environment", "target", "index")
@@ -216,8 +246,8 @@ def _brought_back(results: AssumptionResults, item: JudgedDetectors, setting: st
     watched = rows.filter(setting=setting).select(*pair, saved="success")
     both = bare.join(watched, on=pair)
     lost = both.filter(~both["fault"])
-    newly = both.filter(both["fault"] & ~both["saved"]).height
-    return f"{int(lost['saved'].sum())} of {lost.height}, loses {newly}"
+    newly_lost = both.filter(both["fault"] & ~both["saved"]).height
+    return f"{int(lost['saved'].sum())} of {lost.height}, loses {newly_lost}"
 
 
 # ---- axes and readings -----------------------------------------------------------------------------------------------
@@ -256,7 +286,7 @@ def effects(results: AssumptionResults) -> list[Effect]:
             lost[reading] = {name: lost_points(part, "fi", deaths) for name, part in flights.items()}
         return lost[reading]
 
-    found = []
+    all_effects = []
     for reading, changes in results.changes.items():
         for change in changes:
             anchor = study.anchor(change.anchor)
@@ -266,8 +296,8 @@ def effects(results: AssumptionResults) -> list[Effect]:
             after = lost_by(reading)
             points = {name: _change(before[name], after[name]) for name in before}
             deviance = _best_deviance(results, reading) - _best_deviance(results, anchor)
-            found.append(Effect(change.anchor, change.axis, change.value, points, deviance))
-    return sorted(found, key=lambda effect: -effect.largest)
+            all_effects.append(Effect(change.anchor, change.axis, change.value, points, deviance))
+    return sorted(all_effects, key=lambda effect: -effect.largest)
 
 
 def _change(before: PointsDifference, after: PointsDifference) -> PointsDifference:
@@ -318,16 +348,19 @@ def readings_table(results: AssumptionResults) -> Table:
     """The readings that fit best, and the anchors."""
     study = results.study
     anchors = {study.anchor(name): name for name in study.anchors}
+    frozen = [part.fitted for part in results.frozen]
     best = list(results.fitted[:_SHOWN])
-    best += [item for item in results.fitted[_SHOWN:] if item.reading in anchors]
+    best += [item for item in frozen if item not in best]
+    best += [item for item in results.fitted[_SHOWN:] if item.reading in anchors and item not in best]
     rows = []
     for item in best:
         flights = results.flown[item.flown].flights
         cells = [_lost_text(part, study.value("deaths", item.reading["deaths"]).deaths) for part in flights.values()]
         n = sum(len(part.faulty["fi"].success) for part in flights.values())
         interval = ""
-        if item is results.frozen:
-            low, high = deviance_interval(flights, _deaths(results), _losses(results))
+        if item in frozen:
+            deaths, losses = (study.value(axis, item.reading[axis]) for axis in ("deaths", "losses"))
+            low, high = deviance_interval(flights, deaths, losses)
             interval = f" [{low:.1f}, {high:.1f}]"
         deviance = f"{item.fit.deviance:.1f}{interval}"
         names = f" (anchor: {anchors[item.reading]})" if item.reading in anchors else ""
@@ -345,10 +378,11 @@ def readings_table(results: AssumptionResults) -> Table:
     accepted = sum(item.fit.p_value >= _REJECTED for item in results.fitted)
     notes = (
         f"environments: success lost to one fault, points, before a background; the best {_SHOWN} of "
-        f"{len(results.fitted)} by deviance + 2 x fitted parameters, and the anchors; {accepted} have p >= {_REJECTED:g}",
+        f"{len(results.fitted)} by deviance + 2 x fitted parameters, and the anchors; {accepted} have "
+        f"p >= {_REJECTED:g}",
         "n: runs with a fault, in all; a reading is flown no further once "
         f"p < {study.rounds.reject_below:g} however its flights are counted; "
-        "deviance: [95 % interval: bootstrap of worlds] of the frozen reading",
+        "deviance: [95 % interval: bootstrap of worlds] of the frozen readings",
     )
     return Table("readings", "Readings that the paper's golden and injection cells support", columns, rows, notes=notes)
 
@@ -371,7 +405,7 @@ def findings_table(results: AssumptionResults) -> Table:
         evidence: list[Evidence] = [claim.test(runs) for _, runs in tested]
         adjusted = holm([part.p_value for part in evidence])
         verdicts = [verdict(part, p) for part, p in zip(evidence, adjusted, strict=True)]
-        names = {word: [] for word in ("confirmed", "contradicted")}
+        names: dict[str, list[str]] = {"confirmed": [], "contradicted": []}
         for (name, _), word in zip(tested, verdicts, strict=True):
             if word in names:
                 names[word].append(name)
@@ -396,8 +430,8 @@ def findings_table(results: AssumptionResults) -> Table:
         Column("left", "else"),
     )
     notes = (
-        f"tests as in the study of the paper, at {LEVEL:g} after Holm's correction over the readings of a row; findings "
-        "on Table I: frozen reading of the faults with each reading of the detectors; findings on kernels: each reading "
+        f"tests as in the study of the paper, at {LEVEL:g} after Holm's correction over the readings of a row; "
+        "findings on Table I: the judged combinations; findings on kernels: each reading "
         "with faults in instructions",
     )
     return Table("findings", "The paper's findings under these readings", columns, rows, notes=notes)
@@ -411,11 +445,10 @@ def _is_settled(evidence: Sequence[Evidence]) -> bool:
 def _tested_on(results: AssumptionResults, campaign: str) -> Iterator[tuple[str, Runs]]:
     """Readings that bear on the findings of a campaign of the paper's study, with their runs."""
     study = results.study
-    level = study.sampling_of(results.frozen.flown).get("level", STATE)
-    frozen_campaign = INSTRUCTIONS if level == INSTRUCTION else VALUES
-    if campaign == frozen_campaign:
-        for item in results.detectors:
-            yield item.name, item.runs
+    for combination in combinations_of(results):
+        level = study.sampling_of(combination.frozen.fitted.flown).get("level", STATE)
+        if campaign == _TABLE_ONE[level]:
+            yield combination.name, combination.detectors.runs
     if campaign == KERNELS:
         for reading, part in results.flown.items():
             if study.sampling_of(reading).get("level", STATE) == INSTRUCTION:
@@ -425,11 +458,11 @@ def _tested_on(results: AssumptionResults, campaign: str) -> Iterator[tuple[str,
 # ---- checks that were not fitted -------------------------------------------------------------------------------------
 def worst_times_table(results: AssumptionResults) -> Table:
     """Fig. 6 and Table II: worst flight times and recomputation, beside the paper's."""
-    best = best_detectors(results)
+    best = best_combination(results)
     rows = []
     for name in results.study.environments:
-        for setting, words in (("fi", "one fault"), ("dr_gaussian", "GAD"), ("dr_autoencoder", "AAD")):
-            runs = best.runs.injected.where("judged", environment=name, setting=setting)
+        for setting, words in {"fi": "one fault", **_SHORT}.items():
+            runs = best.detectors.runs.injected.where("judged", environment=name, setting=setting)
             worst = runs.frame["inflation"].max()
             share = None
             papers_share = None
@@ -448,7 +481,7 @@ def worst_times_table(results: AssumptionResults) -> Table:
     notes = (
         "not fitted; worst flight time of missions that succeed, over the golden run; bounded by the time limit, which "
         "the paper does not state",
-        f"recomputation modelled with the paper's latencies; frozen reading, detectors: {best.name}",
+        f"recomputation modelled with the paper's latencies; {best.name}",
     )
     return Table("checks", "Further checks: Fig. 6 and Table II", columns, rows, keys=2, notes=notes)
 

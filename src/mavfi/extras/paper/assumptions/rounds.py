@@ -73,6 +73,21 @@ class JudgedDetectors:
 
 
 @dataclass(frozen=True, slots=True)
+class FrozenReading:
+    """A reading that is fitted no more, on fresh seeds, with all readings of the detectors.
+
+    Attributes:
+        fitted: The reading and its fit.
+        flights: Fresh flights, by environment; settings "fi" and those of all arms.
+        detectors: Judged readings of the detectors, in the order of the study.
+    """
+
+    fitted: FittedReading
+    flights: Mapping[str, EnvironmentFlights]
+    detectors: Sequence[JudgedDetectors]
+
+
+@dataclass(frozen=True, slots=True)
 class AssumptionResults:
     """All results of the study.
 
@@ -80,22 +95,16 @@ class AssumptionResults:
         study: Its definition.
         flown: Readings that were flown.
         changes: The changes of anchors that lead to each single-change reading.
-        pairs: Anchor of each pair of changes.
         fitted: All fitted readings, best criterion first.
-        frozen: The best of them.
-        detectors: Judged readings of the detectors, in the order of the study.
-        judged_flights: Fresh flights of the frozen reading, by environment; settings "fi" and those of all arms.
+        frozen: The best of them, each with the fault in another place.
         ledgers: Digest of each ledger, by folder.
     """
 
     study: AssumptionStudy
     flown: Mapping[Reading, FlownReading]
     changes: Mapping[Reading, Sequence[Change]]
-    pairs: Mapping[Reading, str]
     fitted: Sequence[FittedReading]
-    frozen: FittedReading
-    detectors: Sequence[JudgedDetectors]
-    judged_flights: Mapping[str, EnvironmentFlights]
+    frozen: Sequence[FrozenReading]
     ledgers: Mapping[str, str]
 
 
@@ -105,7 +114,8 @@ def fly_assumptions(study: AssumptionStudy, folder: Path, workers: int, bar: "St
     1. Single changes of both anchors fly in rounds; a reading that the paper's golden and injection cells reject is
        flown no further.
     2. The best changes of each anchor are combined in pairs, which fly in the same rounds.
-    3. The reading that fits best is frozen, and flown on fresh seeds with all readings of the detectors.
+    3. The readings that fit best, each with the fault in another place, are frozen, and flown on fresh seeds with all
+       readings of the detectors.
     """
     executor = LocalExecutor(workers)
     changes = study.single_changes()
@@ -117,12 +127,16 @@ def fly_assumptions(study: AssumptionStudy, folder: Path, workers: int, bar: "St
     _fly_rounds(study, dict.fromkeys(map(study.flights_of, pairs)), folder, executor, bar, flown)
 
     fitted = sorted(_all_fits(study, flown), key=lambda item: item.fit.criterion)
-    frozen = fitted[0]
-    judged, detectors = _judge(study, frozen, folder, executor, workers, bar)
+    by_place: dict[str, FittedReading] = {}
+    for item in fitted:
+        by_place.setdefault(item.reading["where"], item)
+    best_of_places = list(by_place.values())[: study.rounds.frozen]
+    frozen = [_judge(study, item, folder, executor, workers, bar) for item in best_of_places]
 
-    ledgers = {str(path.relative_to(folder)): _digest(path) for part in flown.values() for path in part.ledgers}
-    ledgers |= {str(path.relative_to(folder)): _digest(path) for path in sorted((folder / JUDGED).iterdir())}
-    return AssumptionResults(study, flown, changes, pairs, fitted, frozen, detectors, judged, ledgers)
+    paths = [path for part in flown.values() for path in part.ledgers]
+    paths += sorted((folder / JUDGED).iterdir())
+    ledgers = {str(path.relative_to(folder)): _digest(path) for path in paths}
+    return AssumptionResults(study, flown, changes, fitted, frozen, ledgers)
 
 
 # ---- rounds ----------------------------------------------------------------------------------------------------------
@@ -217,16 +231,18 @@ def _judge(  # noqa: PLR0913 - what the study is flown with
     executor: LocalExecutor,
     workers: int,
     bar: "StudyBar",
-) -> tuple[dict[str, EnvironmentFlights], list[JudgedDetectors]]:
-    """Train the detectors, fly the frozen reading with each reading of them, and compare with the paper's cells."""
+) -> FrozenReading:
+    """Train the detectors, fly a frozen reading with each reading of them, and compare with the paper's cells."""
     trainings = dict.fromkeys(detectors.training for detectors in study.detectors.values())
     everything: dict[str, EnvironmentFlights] = {}
     runs_by_training: dict[tuple[str, ...], Runs] = {}
     for training in trainings:
         campaign = study.judged_campaign(frozen.flown, training)
         name = "_".join(training) or "generated"
-        models = _trained(study, campaign, training, folder / MODELS / name, workers, bar)
-        path = folder / JUDGED / name
+        models = _trained(
+            study, campaign, training, folder / MODELS / f"{frozen.flown['difficulty']}-{name}", workers, bar
+        )
+        path = folder / JUDGED / f"{frozen.flown.folder}-{name}"
         with bar.timed(f"judged flights, detectors trained on {name} worlds"):
             run_campaigns({path: campaign}, executor=executor, models_dir=models, progress=bar.show_campaigns)
         runs_by_training[training] = _named_as_the_papers(Runs.read(path), campaign, study)
@@ -243,7 +259,7 @@ def _judge(  # noqa: PLR0913 - what the study is flown with
         settings = {f"dr_{kind}": f"dr_{study.arm_of(name, kind)}" for kind in DETECTORS}
         judgement = judge(frozen.fit, everything, deaths, losses, settings)
         judged.append(JudgedDetectors(name, judgement, _of_detectors(runs_by_training[detectors.training], settings)))
-    return everything, judged
+    return FrozenReading(frozen, everything, judged)
 
 
 def _trained(  # noqa: PLR0913
