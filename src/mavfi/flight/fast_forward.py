@@ -40,7 +40,7 @@ from mavfi.flight.checkpoints import (
 from mavfi.flight.compose import install, new_loop, restarts_for
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.host import Flight
-from mavfi.flight.loop import CONTROL_PERIOD_US, Loop
+from mavfi.flight.loop import CONTROL_PERIOD_US, Listener, Loop
 from mavfi.flight.taps import CHECKED_AT_PRODUCER
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
@@ -684,11 +684,19 @@ class FastForward:
 
     # ---- counting and resolving of instructions ---------------------------------------------------------------------
     @contextmanager
-    def instrumented(self, functions: Mapping[str, Callable[..., Any]]) -> Iterator[None]:
-        """Call these in the place of functions of the kernels; results must be the same, bit for bit."""
+    def instrumented(
+        self, functions: Mapping[str, Callable[..., Any]], listeners: Sequence[Listener] = ()
+    ) -> Iterator[None]:
+        """Call these in the place of functions of the kernels; results must be the same, bit for bit.
+
+        `listeners` are told of the steps of kernels.
+        """
         with ExitStack() as stack:
             for name, function in functions.items():
                 stack.enter_context(self.functions[name].replaced(function))
+            for listener in listeners:
+                self.loop.listeners.append(listener)
+                stack.callback(self.loop.listeners.remove, listener)
             yield
 
     def resolve(self, functions: Mapping[str, Resolving]) -> None:

@@ -29,6 +29,7 @@ from mavfi.flight.forks import (
     fly_with_publications,
 )
 from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host, Recorded, one_by_one, require_level
+from mavfi.flight.loop import Listener
 from mavfi.flight.plant import MakePlant
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
@@ -150,10 +151,13 @@ class LocalFlights(ArmFlights):
         )
 
     # ---- counting and resolving of instructions ---------------------------------------------------------------------
-    def count_instructions(self, arm: str, functions: Mapping[str, Callable[..., Any]]) -> Flight:
+    def count_instructions(
+        self, arm: str, functions: Mapping[str, Callable[..., Any]], listeners: Sequence[Listener] = ()
+    ) -> Flight:
         """Fly the golden flight of an arm with instrumented functions of its kernels and detector, by name.
 
-        Without a detector or protection it takes the checkpoints, unless they have been taken already.
+        Without a detector or protection it takes the checkpoints, unless they have been taken already.  `listeners` are
+        told of the steps of kernels.
         """
         setup = self._arms[arm]
         detector = self._detector(arm)
@@ -164,11 +168,13 @@ class LocalFlights(ArmFlights):
         if takes_checkpoints:
             with self._forwarding(arm) as forward:
                 if forward is not None:
-                    with forward.instrumented(functions):
+                    with forward.instrumented(functions, listeners):
                         self._golden[arm] = Flight(forward.fly().log)
                     return self._golden[arm]
         with _instrumented(detector, functions) as table:
-            self._golden[arm] = fly(setup.scenario, None, detector, recovery=setup.recovery, functions=table)
+            self._golden[arm] = fly(
+                setup.scenario, None, detector, recovery=setup.recovery, functions=table, observers=listeners
+            )
         return self._golden[arm]
 
     def resolve_instructions(self, arm: str, functions: Mapping[str, Resolving]) -> None:

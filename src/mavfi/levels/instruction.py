@@ -63,6 +63,11 @@ _MAX_ROUNDS = 6
 """Rounds of drawing for instructions of a class; more only if it is executed less than once in 240 instructions."""
 _SPARES = 40
 """Draws per fault of a class: those outside it are dropped."""
+When = Literal["uniform", "second_plan"]
+"""Calls from which faults are drawn: all of the mission, or those from the second step of the planner on.
+
+At its second plan the authors' injector of registers stops the planner's node (MAVBench/MAV_apps, branch mavfi).
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +79,14 @@ class InstructionRequest:
         which: Class of instructions, see `mavfi.faults.levels.instruction.table`.
         model: How the value is changed.
         restart_s: Time after which a crashed node has restarted (s).
+        when: Calls from which they are drawn.
     """
 
     kernels: Mapping[str, int]
     which: str = "all"
     model: Model = "one_bit"
     restart_s: float = RESTART_S
+    when: When = "uniform"
 
     def draw(self, setup: "ArmSetup", seed: int) -> "tuple[InstructionFault, Flight | None]":
         """See `Request.draw`, for a request of one fault."""
@@ -167,6 +174,7 @@ def draw_instruction_faults(
     """
     from mavfi.flight.host import ArmSetup
     from mavfi.flight.mission_flights import LocalHost
+    from mavfi.flight.second_plan import SecondPlan
 
     functions = {kernel: _functions(kernel, scenario, detector) for kernel in request.kernels}
     parse_selection(request.which)
@@ -180,11 +188,19 @@ def draw_instruction_faults(
     rewriting = rewriting_of(scenario.protection)
     compiled = {entry: function for entries in functions.values() for entry, function in entries.items()}
     counters = {entry: Profiling(function, rewriting) for entry, function in compiled.items()}
-    golden = flights.count_instructions(arm, counters)
+    if request.when == "second_plan":
+        second_plan = SecondPlan(counters)
+        golden = flights.count_instructions(arm, counters, [second_plan])
+        first_calls = second_plan.first_calls()
+    else:
+        golden = flights.count_instructions(arm, counters)
+        first_calls = dict.fromkeys(counters, 0)
 
     # 2. Draw positions, and resolve them, until there are enough faults of the class.
     draws = [
-        _KernelDraw(kernel, number, request, {entry: counters[entry] for entry in functions[kernel]}, seed, address)
+        _KernelDraw(
+            kernel, number, request, {entry: counters[entry] for entry in functions[kernel]}, first_calls, seed, address
+        )
         for kernel, number in request.kernels.items()
     ]
     for _ in range(_MAX_ROUNDS):
@@ -217,7 +233,7 @@ def _functions(kernel: str, scenario: Scenario, detector: "Detector | None") -> 
 
 
 class _KernelDraw:
-    """The draw of one kernel's faults from the counts of its functions."""
+    """The draw of one kernel's faults from the counts of its functions, from the first call that is given for each."""
 
     def __init__(
         self,
@@ -225,11 +241,18 @@ class _KernelDraw:
         number: int,
         request: InstructionRequest,
         counters: Mapping[str, Profiling],
+        first_calls: Mapping[str, int],
         seed: int,
         address: tuple[str, ...],
     ) -> None:
         self.kernel = kernel
         self.counters = counters
+        self._calls: list[tuple[str, int]] = []
+        self._counts: list[int] = []
+        for entry, counter in counters.items():
+            first = first_calls[entry]
+            self._calls += [(entry, call) for call in range(first, len(counter.counts))]
+            self._counts += counter.counts[first:]
         self._number = number
         self._request = request
         self._seed = seed
@@ -239,15 +262,14 @@ class _KernelDraw:
 
     def positions(self) -> list[_Position]:
         """Draw dynamic instructions of the mission uniformly, with spares if limited to a class; empty when done."""
-        counts = [count for counter in self.counters.values() for count in counter.counts]
-        if len(self._faults) >= self._number or not sum(counts):
+        if len(self._faults) >= self._number or not sum(self._counts):
             return []
-        calls = [(entry, call) for entry, counter in self.counters.items() for call in range(len(counter.counts))]
         if self._request.which == "all":
             number = self._number
         else:
             number = _SPARES * self._number
-        return [_Position(*calls[position], index) for position, index in choose(self._random, counts, number)]
+        chosen = choose(self._random, self._counts, number)
+        return [_Position(*self._calls[position], index) for position, index in chosen]
 
     def take(self, position: _Position, site: InjectionSite | None) -> None:
         """Plan a fault at a position if its instruction is of the class and faults are still missing."""
@@ -308,6 +330,11 @@ class InstructionSampling(Sampling):
         description="what becomes of the value; low_byte and high_bits are those of the authors' injector of registers",
     )
     restart_s: float = Field(0.57, ge=0, le=60, description="time until a dead node is back (s)")
+    when: When = Field(
+        "uniform",
+        description="calls that are drawn from: all; or, as by the authors' injector of registers, those from the "
+        "planner's second plan on; no site if the golden flight has none",
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -327,6 +354,13 @@ class InstructionSampling(Sampling):
     def instrumented(self) -> tuple[str, ...]:
         """See `Sampling.instrumented`."""
         return self.kernels
+
+    def to_json(self) -> dict[str, Any]:
+        """See `Sampling.to_json`."""
+        data = super().to_json()
+        if self.when == "uniform":
+            del data["when"]
+        return data
 
     def identity(self) -> dict[str, Any]:
         """See `Sampling.identity`."""
@@ -391,7 +425,7 @@ class InstructionSampler(Sampler):
         if isinstance(flights, LocalFlights):
             local_flights = flights
         numbers = {name: targets.count(name) for name in kernels}
-        request = InstructionRequest(numbers, sampling.which, sampling.model, sampling.restart_s)
+        request = InstructionRequest(numbers, sampling.which, sampling.model, sampling.restart_s, sampling.when)
         drawn = draw_instruction_faults(
             scenario,
             request,
@@ -506,6 +540,8 @@ class InstructionLevel(Level):
         """See `Level.about`."""
         sampling = campaign.sampling
         how = f"instructions: {sampling.which}, model {sampling.model}"
+        if sampling.when != "uniform":
+            how += f", calls: {sampling.when}"
         return {"each": sampling.share, "how": how, "kernels": list(sampling.kernels), "which": sampling.which}
 
 

@@ -47,7 +47,7 @@ def calls(monkeypatch):
             self.supported = scenario.name != "planner"
 
         @contextmanager
-        def instrumented(self, functions):
+        def instrumented(self, functions, listeners):
             found.made.append(f"counts {', '.join(functions)}")
             yield
 

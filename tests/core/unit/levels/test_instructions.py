@@ -1,6 +1,7 @@
 """Faults in instructions: who gets how many, and which runs they make."""
 
 from collections import Counter
+from types import SimpleNamespace
 
 import pytest
 
@@ -9,7 +10,7 @@ from mavfi.campaign.plan import Plan, arms_of
 from mavfi.faults.fault import NO_SITE, InstructionFault
 from mavfi.flight.host import ArmSetup
 from mavfi.levels import instruction
-from mavfi.levels.instruction import DrawnFaults
+from mavfi.levels.instruction import DrawnFaults, InstructionRequest, InstructionSampling
 from mavfi.levels.level import draws_of, sampler_for
 from tests.core.unit.campaign import fakes
 from tests.core.unit.campaign.fakes import DETECTOR, small
@@ -149,3 +150,26 @@ def test_a_detector_that_no_arm_or_several_arms_have_is_refused():
     ):
         with pytest.raises(ValueError, match=f"'gaussian': is in {number} arms; allowed: what is in one arm"):
             campaign("kernel", ("pid", "gaussian"), arms=arms)
+
+
+def test_the_calls_of_draws_are_stored_only_if_they_are_limited():
+    sampling = {"level": "instruction", "kernels": ("pid",)}
+    assert "when" not in InstructionSampling(**sampling).identity()
+    assert InstructionSampling(**sampling, when="second_plan").identity()["when"] == "second_plan"
+    with pytest.raises(ValueError, match="'uniform' or 'second_plan'"):
+        InstructionSampling(**sampling, when="published")
+
+
+def test_draws_begin_at_the_given_calls_and_are_else_those_of_stored_campaigns():
+    counter = SimpleNamespace(counts=[5, 100, 7, 50])
+    request = InstructionRequest({"pid": 200})
+
+    def positions(first):
+        return instruction._KernelDraw("pid", 200, request, {"track": counter}, {"track": first}, 3, ()).positions()
+
+    assert [(place.call, place.index) for place in positions(0)[:4]] == [(3, 34), (1, 86), (3, 5), (1, 8)]
+    later = positions(2)
+    assert {place.call for place in later} == {2, 3}
+    assert abs(sum(place.call == 3 for place in later) - 200 * 50 / 57) < 25
+    assert all(place.index < counter.counts[place.call] for place in later)
+    assert positions(4) == []
