@@ -34,11 +34,10 @@ class SecondPlan(Listener):
             return
         self._plans += 1
         for entry, counter in self._counters.items():
-            is_planners = any(entry in entries for entries in PLANNERS.values())
-            plan = 2
-            if is_planners:
-                plan = 1
-            if self._plans == plan:
+            noted_after = 2  # steps of the planner
+            if any(entry in entries for entries in PLANNERS.values()):
+                noted_after = 1
+            if self._plans == noted_after:
                 self._first_calls[entry] = len(counter.counts)
 
     def first_calls(self) -> dict[str, int]:

@@ -10,6 +10,7 @@ import dataclasses
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -381,12 +382,14 @@ def _dtype(fault: StateFault) -> str:
 
 
 def fewer_fields(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
-    """Faults in fewer fields for one in several: in the first one alone, then in that and one of the others."""
-    if fault.also:
-        yield replace(fault, also=())
-    if len(fault.also) > 1:
-        for further in fault.also:
-            yield replace(fault, also=(further,))
+    """Faults in fewer fields for one in several: in each field alone, then in two of them, and so on."""
+    if fault.bit is None:
+        return
+    flips = [(fault.where.field, fault.bit), *fault.also]
+    for count in range(1, len(flips)):
+        for (name, bit), *others in combinations(flips, count):
+            where = replace(fault.where, field=name)
+            yield replace(fault, where=where, bit=bit, also=tuple(others), stratum="", weight=1.0)
 
 
 def shorter_faults(fault: StateFault, _: Injection | None) -> Iterator[Fault]:

@@ -102,7 +102,11 @@ def test_vectors_are_hit_together_without_a_lifetime_and_made_smaller_by_fields_
     assert {tuple(name for name, _ in fault.also) for fault in drawn} == {("y", "z"), ()}
     vector = next(fault for fault in drawn if fault.also)
     assert next(iter(StateLevel.reductions)) == "fields"
-    assert [fault.also for fault in fewer_fields(vector, None)] == [(), vector.also[:1], vector.also[1:]]
+    fewer = [(fault.where.field, fault.bit, fault.also) for fault in fewer_fields(vector, None)]
+    x, y, z = ("x", vector.bit), *vector.also
+    assert fewer == [(*x, ()), (*y, ()), (*z, ()), (*x, (y,)), (*x, (z,)), (*y, (z,))]
+    alone = next(fault for fault in drawn if not fault.also)
+    assert list(fewer_fields(alone, None)) == []
     for lifetimes in ([{"width": 2}], [None]):
         with pytest.raises(ValueError, match="sampling.together: true: allowed with scheme .* and without a lifetime"):
             faults(*lifetimes, together=True, lifetime={"times": 2})
