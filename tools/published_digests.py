@@ -36,7 +36,7 @@ def stored_digests(docs: Path = DOCS) -> dict[str, Any]:
 
 def identities(scale: str) -> dict[str, str]:
     """What the program flies at a scale, by folder of the ledger, as canonical text; models are not in it."""
-    campaigns = load_study("paper").campaigns_at(scale)
+    campaigns = load_study("paper").at_scale(scale).campaigns_at(scale)
     return {
         folder: canonical({**identity_of(campaign, scenarios_of(campaign, arms_of(campaign)), {}), "models": {}})
         for folder, campaign in campaigns.items()

@@ -12,7 +12,6 @@ from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.cli import run
 from mavfi.extras.paper import overhead_views
-from mavfi.extras.paper.cli import FLIGHTS
 from mavfi.extras.paper.cli_report import StudyBar
 from mavfi.extras.paper.report import study_report
 from mavfi.extras.paper.steps import FLIGHTS as FLIGHTS_STEP
@@ -25,7 +24,7 @@ from tests.core.unit.campaign.fakes import small
 def few_flights(monkeypatch, tmp_path):
     """One flight in the page of a study; code is compiled when it is needed; nobody knows how long set-up took."""
     monkeypatch.setattr("mavfi.extras.paper.steps.SET_UP_FILE", tmp_path / "setup-seconds")
-    monkeypatch.setattr("mavfi.extras.paper.cli.FLIGHTS", 1)
+    monkeypatch.setattr("mavfi.extras.paper.cli.FLIGHTS_EACH", 1)
     monkeypatch.setattr("mavfi.campaign.warm_up.compile_ahead", lambda *_: None)
 
 
@@ -52,11 +51,6 @@ def study(folder, **changes):
     content = {"name": "small", "training_flights": 3, "campaigns": where, **changes.get("study", {})}
     (folder / "small.yaml").write_text(yaml.safe_dump(content))
     return str(folder / "small.yaml")
-
-
-def test_the_page_of_the_papers_study_has_five_flights_of_each_campaign():
-    assert FLIGHTS == 5 * len(load_study("paper").campaigns)
-    assert f"and {FLIGHTS} flights: " in (Path(__file__).parents[3] / "docs/studies.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
@@ -100,7 +94,7 @@ def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(ca
     spent = StepTimes.load(out).seconds[FLIGHTS_STEP]
     monkeypatch.setattr("mavfi.campaign.training.record", never)
     monkeypatch.setattr("mavfi.extras.paper.overheads.measure", never)
-    monkeypatch.setattr("mavfi.extras.paper.cli.FLIGHTS", 0)
+    monkeypatch.setattr("mavfi.extras.paper.cli.FLIGHTS_EACH", 0)
     assert run([*arguments, "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert set(data["campaigns"]) == {".", "instructions"} and len(data["provenance"]) == 6

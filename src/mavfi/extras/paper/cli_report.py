@@ -18,7 +18,7 @@ from mavfi.campaign.store import FILE, Store
 from mavfi.cli.console import console
 from mavfi.cli.progress import Bar
 from mavfi.cli.report import Reported
-from mavfi.extras.paper.report import StudyReport, stored_study, write_study, write_texts
+from mavfi.extras.paper.report import StudyReport, stored_study, title_of, write_study, write_texts
 from mavfi.extras.paper.steps import StepTimes
 from mavfi.extras.paper.study import Study
 from mavfi.files import check_folder
@@ -222,7 +222,7 @@ def headline_of_study(study: StudyReport) -> Headline:
         f"{done:,} of {total:,} runs done in {len(campaigns)} campaigns: {', '.join(counts)}",
         *study.provenance,
     ]
-    return Headline("study", f"Study {study.study.name}", lines, study.findings)
+    return Headline("study", title_of(study.study), lines, study.findings)
 
 
 def write_study_html(  # noqa: PLR0913 - what the command was given

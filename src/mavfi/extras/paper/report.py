@@ -165,8 +165,13 @@ def check_names(study: Study, where: str) -> None:
     """
     known: dict[str, Mapping[str, Any]] = {"views": VIEWS, "figures": FIGURES, "claims": CLAIMS}
     for section in study.sections:
+        used = {
+            "views": section.views,
+            "figures": section.figures,
+            "claims": (*section.claims, *(name for claims in section.claims_at.values() for name in claims)),
+        }
         for key, allowed in known.items():
-            for name in getattr(section, key):
+            for name in used[key]:
                 if dropped_name(key, name):
                     raise BadInputError(f"{where}: section {section.title!r}: {dropped_name(key, name)}")
                 if name not in allowed:
@@ -207,7 +212,7 @@ def _section_report(section: StudySection, campaigns: Mapping[str, Runs], folder
     captions: dict[str, str] = {}
     runs = campaigns.get(section.campaign)
     if section.claims:
-        tables.append(claims_table(section.claims, campaigns.values()))
+        tables.append(claims_table(section.claims, campaigns.values(), section.untested))
     if runs is not None:
         tables += [table(runs, name) for name in section.views]
         # some figures draw flights, which are replayed only for them
@@ -273,8 +278,13 @@ def stored_study(folder: Path) -> tuple[Study, str] | None:
     return parse(Study, definition, f"{path}: definition"), scale
 
 
+def title_of(study: Study) -> str:
+    """Title of a study's report."""
+    return study.title or f"Study {study.name}"
+
+
 def _markdown(report: StudyReport, today: str, scale: str) -> str:
-    parts = [f"# Study {report.study.name}", f"Report of {today}, scale {scale}."]
+    parts = [f"# {title_of(report.study)}", f"Study {report.study.name}, report of {today}, scale {scale}."]
     parts.append("\n".join(f"- {line}" for line in (*report.provenance, *report.digests)))
     for section in report.sections:
         parts += [f"# {section.definition.title}", section.definition.text]

@@ -20,6 +20,13 @@ class StudySection(Config):
     views: tuple[str, ...] = Field((), description="tables, in this order")
     figures: tuple[str, ...] = Field((), description="in this order")
     claims: tuple[str, ...] = Field((), description="statements of the paper that are tested")
+    claims_at: dict[str, tuple[str, ...]] = Field(
+        default_factory=dict,
+        description="those that only a scale has flights enough to decide, by scale; elsewhere named",
+    )
+    untested: dict[str, tuple[str, ...]] = Field(
+        default_factory=dict, description="claims that this scale names only, by the scale that tests them; computed"
+    )
     headline: bool = Field(False, description="its first table is printed, and leads the page; all, if none is marked")
 
     @model_validator(mode="after")
@@ -28,17 +35,25 @@ class StudySection(Config):
             raise ValueError(f"section {self.title!r}: views and figures are of a campaign; needed: key campaign")
         return self
 
+    def at_scale(self, scale: str) -> "StudySection":
+        """The section with the claims of a scale; those of other scales are `untested`."""
+        others = {name: claims for name, claims in self.claims_at.items() if name != scale}
+        claims = (*self.claims, *self.claims_at.get(scale, ()))
+        return self.model_copy(update={"claims": claims, "claims_at": {}, "untested": others})
+
 
 class Study(Config):
     """A set of campaigns, and the tables, figures and tested claims computed from them."""
 
     name: Name
+    title: str = Field("", description="of its report")
     training_flights: int = Field(100, ge=0, description="error-free flights that the detectors are trained on")
     campaigns: dict[Name | Literal["."], str] = Field(
         min_length=1, description="name or path of a campaign, by folder of its ledger"
     )
-    scales: dict[str, dict[str, Scale]] = Field(
-        default_factory=dict, description="sizes of campaigns by folder, where they differ from those of the campaign"
+    scales: dict[str, dict[str, Scale | None]] = Field(
+        default_factory=dict,
+        description="sizes of campaigns by folder, where they differ from those of the campaign; null = not flown",
     )
     sections: tuple[StudySection, ...] = Field(
         (), description="of its report, in this order; by default the leading table of each campaign"
@@ -51,6 +66,14 @@ class Study(Config):
         for scale, sizes in self.scales.items():
             check_known(f"scales: {scale}", sizes, self.campaigns)
         return self
+
+    def at_scale(self, scale: str) -> "Study":
+        """The study with the campaigns and claims of a scale, and with the sections that these fill."""
+        sizes = self.scales.get(scale, {})
+        campaigns = {folder: name for folder, name in self.campaigns.items() if sizes.get(folder, True) is not None}
+        sections = [section.at_scale(scale) for section in self.sections]
+        shown = tuple(section for section in sections if not section.campaign or section.campaign in campaigns)
+        return self.model_copy(update={"campaigns": campaigns, "sections": shown})
 
     def campaigns_at(self, scale: str) -> dict[str, Campaign]:
         """Campaigns by ledger folder, at a scale.
@@ -66,10 +89,11 @@ class Study(Config):
         sizes = self.scales.get(scale, {})
         resized = {}
         for folder, campaign in campaigns.items():
-            if folder in sizes:
-                resized[folder] = campaign.resized(sizes[folder])
-            else:
+            size = sizes.get(folder)
+            if size is None:
                 resized[folder] = campaign.at_scale(scale)
+            else:
+                resized[folder] = campaign.resized(size)
         return resized
 
 

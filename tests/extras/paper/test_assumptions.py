@@ -1,0 +1,222 @@
+"""The study of assumptions: its design, its fit against naive counterparts, and a small study from end to end."""
+
+import numpy as np
+import pytest
+import scipy
+import yaml
+
+from mavfi.cli import run
+from mavfi.config import config_root, parse, read_yaml
+from mavfi.errors import BadInputError
+from mavfi.extras.paper.assumptions.command import load_assumptions
+from mavfi.extras.paper.assumptions.design import AssumptionStudy
+from mavfi.extras.paper.assumptions.fit import (
+    FAULT_N,
+    GOLDEN_N,
+    Counts,
+    EnvironmentFlights,
+    Flights,
+    deviance,
+    fit,
+    judge,
+    lost_points,
+    pair_deviance,
+    paper_counts,
+)
+
+ENVIRONMENTS = ("factory", "farm", "sparse", "dense")
+SETTINGS = {"dr_gaussian": "dr_gaussian", "dr_autoencoder": "dr_autoencoder"}
+
+
+@pytest.fixture(scope="module")
+def study() -> AssumptionStudy:
+    shipped = load_assumptions("assumptions")
+    assert shipped is not None
+    return shipped
+
+
+def flights(rate: float, n: int, random: np.random.Generator) -> Flights:
+    """Independent runs, one per world, of which a share succeeds."""
+    worlds = np.array([f"world {index}" for index in range(n)])
+    return Flights(random.random(n) < rate, np.zeros(n, bool), np.full(n, 40.0), worlds)
+
+
+def as_in_the_paper(n: int, background: float, random: np.random.Generator) -> dict[str, EnvironmentFlights]:
+    """Runs whose success rates are the paper's / background."""
+    result = {}
+    for name in ENVIRONMENTS:
+        rates = {setting: paper_counts(name, setting).rate / background for setting in ("golden", "fi", *SETTINGS)}
+        faulty = {setting: flights(rates[setting], n, random) for setting in ("fi", *SETTINGS)}
+        result[name] = EnvironmentFlights(flights(rates["golden"], n, random), faulty)
+    return result
+
+
+# ---- design ----------------------------------------------------------------------------------------------------------
+def test_readings_differ_from_their_anchor_in_one_axis_and_make_campaigns(study: AssumptionStudy) -> None:
+    for reading, changes in study.single_changes().items():
+        for change in changes:
+            anchor = study.anchor(change.anchor)
+            assert [axis for axis, value in reading.values if value != anchor[axis]] == [change.axis]
+        campaign = study.campaign(reading, 0)
+        assert len(campaign.environments) == 4
+        assert campaign.first_seed >= study.rounds.first_seed > 10_000
+
+
+def test_rounds_and_judgement_fly_different_missions(study: AssumptionStudy) -> None:
+    reading = study.anchor("states")
+    seeds = [set(study.campaign(reading, number).seeds) for number in range(study.rounds.number)]
+    seeds.append(set(study.judged_campaign(reading, ()).seeds))
+    assert len(set.union(*seeds)) == sum(map(len, seeds))
+
+
+def test_values_that_only_count_share_flights(study: AssumptionStudy) -> None:
+    text = study.anchor("text")
+    ended = text.with_value("deaths", "end").with_value("losses", "background")
+    assert study.flights_of(ended) == text
+    assert ended in study.counted_alike(text)
+    assert len(study.counted_alike(text)) == 9
+    # no kernel dies at state level
+    assert len(study.counted_alike(study.anchor("states"))) == 3
+
+
+def test_arms_with_equal_keys_are_flown_once(study: AssumptionStudy) -> None:
+    campaign = study.judged_campaign(study.anchor("states"), ())
+    assert study.arm_of("largest", "gaussian") == study.arm_of("gate", "gaussian") in campaign.arms
+    assert study.arm_of("largest", "autoencoder") != study.arm_of("gate", "autoencoder")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"anchors": {"a": {"values": {"where": "monitored"}}}}, "anchors.a: no value of 'bit'"),
+        ({"anchors": {"a": {"values": {"where": "nowhere"}}}}, "anchors.a: no value of|nowhere"),
+    ],
+)
+def test_an_incomplete_study_is_refused(change: dict[str, object], message: str) -> None:
+    data = read_yaml(config_root() / "studies" / "assumptions.yaml")
+    with pytest.raises(BadInputError, match=message):
+        parse(AssumptionStudy, data | change, "study")
+
+
+# ---- fit -------------------------------------------------------------------------------------------------------------
+def test_deviance_is_that_of_the_likelihoods() -> None:
+    counts = Counts(27, 30)
+    likelihood = scipy.stats.binom.logpmf
+    expected = 2 * (likelihood(27, 30, 0.9) - likelihood(27, 30, 0.8))
+    assert float(deviance(counts, 0.8)) == pytest.approx(expected)
+
+
+def test_deviance_of_a_pair_is_that_of_a_table_of_counts() -> None:
+    ours = Counts(80, 100)
+    papers = Counts(270, 300)
+    table = [[80, 20], [270, 30]]
+    expected = scipy.stats.chi2_contingency(table, correction=False, lambda_="log-likelihood").statistic
+    assert pair_deviance(ours, papers) == pytest.approx(expected, abs=0.01)
+
+
+def test_the_papers_rates_are_accepted_and_others_rejected(study: AssumptionStudy) -> None:
+    random = np.random.default_rng(1)
+    restart = study.value("deaths", "restart")
+    flown = study.value("losses", "flown")
+    background = study.value("losses", "background")
+
+    p_values = [fit(as_in_the_paper(300, 1.0, random), restart, flown).p_value for _ in range(20)]
+    assert np.mean(np.array(p_values) > 0.05) >= 0.85
+
+    # where nothing is lost, not even a background explains the paper's cells
+    perfect = {
+        name: EnvironmentFlights(flights(1, 300, random), {"fi": flights(1, 300, random)}) for name in ENVIRONMENTS
+    }
+    assert fit(perfect, restart, flown).p_value < 1e-6
+    assert fit(perfect, restart, background).p_value < 1e-3
+
+
+def test_a_background_and_a_time_limit_are_recovered(study: AssumptionStudy) -> None:
+    random = np.random.default_rng(2)
+    restart = study.value("deaths", "restart")
+    golden = flights(1.0, 400, random)
+    faulty = flights(paper_counts("dense", "fi").rate / paper_counts("dense", "golden").rate, 400, random)
+    dense = {"dense": EnvironmentFlights(golden, {"fi": faulty})}
+    assert fit(dense, restart, study.value("losses", "background")).environments["dense"].best == pytest.approx(
+        0.85, abs=0.04
+    )
+
+    # golden flights take 30 to 50 s; those with a fault as long, if they arrive
+    slow = Flights(golden.success, golden.died, random.uniform(30, 50, 400), golden.worlds)
+    slow_faulty = Flights(faulty.success, faulty.died, random.uniform(30, 50, 400), faulty.worlds)
+    dense = {"dense": EnvironmentFlights(slow, {"fi": slow_faulty})}
+    assert fit(dense, restart, study.value("losses", "time_limit")).environments["dense"].best == pytest.approx(
+        47, abs=1.5
+    )
+
+
+def test_judgement_accepts_what_predicts_the_paper_and_rejects_what_does_not(study: AssumptionStudy) -> None:
+    random = np.random.default_rng(3)
+    restart = study.value("deaths", "restart")
+    losses = study.value("losses", "flown")
+    right = as_in_the_paper(300, 1.0, random)
+    frozen = fit(right, restart, losses)
+    accepted = judge(frozen, as_in_the_paper(300, 1.0, random), restart, losses, SETTINGS)
+    assert accepted.p_value > 0.05
+    useless = {"dr_gaussian": "fi", "dr_autoencoder": "fi"}
+    assert judge(frozen, right, restart, losses, useless).p_value < 0.01
+
+
+def test_dead_kernels_are_counted_as_asked() -> None:
+    part = Flights(
+        np.array([True, True, False, True]),
+        np.array([False, True, True, False]),
+        np.array([30.0, 31.0, np.inf, 60.0]),
+        np.array(["a", "b", "c", "d"]),
+    )
+    assert part.counts().rate == pytest.approx(0.75)
+    assert part.counts("end").rate == pytest.approx(0.5)
+    assert part.counts("not_counted").rate == pytest.approx(1.0)
+    assert part.counts("restart", limit_s=45.0).rate == pytest.approx(0.5)
+
+
+def test_lost_points_resample_worlds() -> None:
+    # one fault in each of ten worlds is harmful in two whole worlds: the interval is that of ten worlds, not of thirty
+    worlds = np.repeat([f"w{index}" for index in range(10)], 3)
+    faulty = Flights(~np.isin(worlds, ["w0", "w1"]), np.zeros(30, bool), np.full(30, 40.0), worlds)
+    golden = Flights(np.ones(10, bool), np.zeros(10, bool), np.full(10, 40.0), np.unique(worlds))
+    points = lost_points(EnvironmentFlights(golden, {"fi": faulty}))
+    assert points.points == pytest.approx(20)
+    assert points.high - points.low > 35
+
+
+def test_sizes_are_the_papers() -> None:
+    assert (GOLDEN_N, FAULT_N) == (100, 300)
+    assert paper_counts("dense", "fi") == (226, 300)
+
+
+# ---- from end to end -------------------------------------------------------------------------------------------------
+@pytest.mark.slow
+def test_a_small_study_flies_and_resumes(tmp_path, capsys):
+    data = read_yaml(config_root() / "studies" / "assumptions.yaml")
+    values = data["axes"]["where"]["values"]
+    data["axes"]["where"]["values"] = {name: values[name] for name in ("monitored", "all_states")}
+    data["axes"]["bit"]["values"] = {name: data["axes"]["bit"]["values"][name] for name in ("word", "sign_exponent")}
+    data["axes"]["difficulty"]["values"] = {
+        name: data["axes"]["difficulty"]["values"][name] for name in ("ours", "arrival")
+    }
+    anchor = dict(data["anchors"]["states"]["values"])
+    data |= {
+        "environments": ["farm"],
+        "anchors": {"states": {"values": anchor, "vary": ["where", "losses"]}},
+        "detectors": {"gate": data["detectors"]["gate"]},
+        "rounds": {"missions": 2, "number": 1, "frozen": 1, "judged_missions": 2, "first_seed": 30_000},
+        "training_flights": 2,
+    }
+    path = tmp_path / "small.yaml"
+    path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+    command = ["reproduce", str(path), "--out", str(tmp_path / "out"), "--workers", "1"]
+    assert run(command) == 0
+    answer = capsys.readouterr().out
+    assert "readings of the experiment were fitted" in answer
+    page = (tmp_path / "out" / "assumptions.md").read_text(encoding="utf-8")
+    assert "## Readings of the detectors, judged" in page and "| fit/monitored-" in page
+    assert (tmp_path / "out" / "assumptions.png").stat().st_size > 10_000
+    # the same command resumes, flies nothing and gives the same page
+    assert run(command) == 0
+    assert (tmp_path / "out" / "assumptions.md").read_text(encoding="utf-8") == page
