@@ -188,6 +188,7 @@ CAMPAIGNS = {
     ),
 }
 MODULES = {
+    "assumptions": "tools.build_assumptions",
     "leaderboard": "tools.build_leaderboard",
     "five-rules": "tools.build_rules",
     "hardening": "tools.build_hardening",

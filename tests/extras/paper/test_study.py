@@ -4,6 +4,8 @@ from mavfi.campaign.config import load_campaign
 from mavfi.campaign.mission import plan_of
 from mavfi.config import config_root, parse
 from mavfi.errors import BadInputError
+from mavfi.extras.paper.assumptions.command import load_assumptions
+from mavfi.extras.paper.claims import claims_table
 from mavfi.extras.paper.report import check_names
 from mavfi.extras.paper.study import Study, load_study
 
@@ -15,26 +17,57 @@ def study(**more):
 
 
 def test_shipped_studies_name_campaigns_views_figures_and_claims_that_there_are():
-    for path in (config_root() / "studies").glob("*.yaml"):
-        found = load_study(path.stem)
-        check_names(found, path.stem)
+    names = {path.stem for path in (config_root() / "studies").glob("*.yaml")}
+    for name in names:
+        if load_assumptions(name) is not None:
+            continue
+        whole = load_study(name)
+        check_names(whole, name)
         for scale in ("quick", "paper"):
-            assert set(found.campaigns_at(scale)) == set(found.campaigns)
-    with pytest.raises(BadInputError, match="study 'table1': not known; allowed: paper, or a path"):
+            at_scale = whole.at_scale(scale)
+            assert set(at_scale.campaigns_at(scale)) == set(at_scale.campaigns)
+    with pytest.raises(BadInputError, match="study 'table1': not known; allowed: as_published, assumptions, paper, or"):
         load_study("table1")
+
+
+def test_a_scale_flies_tests_and_shows_what_it_has_the_flights_for():
+    sections = [
+        {"title": "a", "campaign": "kernels", "views": ["success"]},
+        {"title": "b", "claims": ["dense_hardest"], "claims_at": {"paper": ["platforms_alike"]}},
+    ]
+    whole = study(scales={"quick": {"kernels": None}}, sections=sections)
+    quick = whole.at_scale("quick")
+    assert set(quick.campaigns_at("quick")) == {"."}
+    assert [section.title for section in quick.sections] == ["b"]
+    assert quick.sections[0].claims == ("dense_hardest",)
+    assert quick.sections[0].untested == {"paper": ("platforms_alike",)}
+    paper = whole.at_scale("paper")
+    assert set(paper.campaigns) == {".", "kernels"}
+    assert paper.sections[1].claims == ("dense_hardest", "platforms_alike")
+    assert not paper.sections[1].untested
+    notes = claims_table(("dense_hardest",), [], quick.sections[0].untested).notes
+    assert notes[-1].endswith("tested at scale paper: Faults harm alike on both platforms")
+
+
+def test_quick_has_100_flights_in_each_cell_of_the_first_table():
+    first = load_study("paper").at_scale("quick").sections[0].campaign
+    campaign = load_study("paper").campaigns_at("quick")[first]
+    assert campaign.missions >= 100
+    assert 3 * campaign.faults >= 100
 
 
 def test_the_paper_at_its_scale_has_the_sizes_that_its_head_names():
     campaigns = load_study("paper").campaigns_at("paper")
     assert {folder: (found.missions, found.faults) for folder, found in campaigns.items()} == {
         ".": (100, 100),
+        "state_level": (100, 100),
         "instructions": (100, 100),
         "kernels": (25, 100),
         "states": (100, 100),
         "platforms": (100, 100),
         "failure_rate": (25, 50),
     }
-    assert 16_500 < sum(plan_of(found, {}, {}).count() for found in campaigns.values()) < 17_500
+    assert 21_000 < sum(plan_of(found, {}, {}).count() for found in campaigns.values()) < 22_000
 
 
 def test_sizes_of_a_study_come_before_those_of_its_campaigns():

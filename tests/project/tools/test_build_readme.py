@@ -29,7 +29,7 @@ def test_the_table_of_the_readme_has_our_rates_and_the_papers():
         "| Injection run | 100.0 (97.3) | 96.2 (75.3) |",
         "| Gaussian-based | 100.0 (99.3) | 98.7 (83.0) |",
         "",
-        "One bit in one instruction per mission; a node that dies restarts; n = 13 to 78 per cell.",
+        "One fault per mission; n = 13 to 78 per cell.",
     ]
     for other in ("", TABLE.replace("|  | paper | 99.3 | 83.0 |\n", "")):
         with pytest.raises(ValueError, match="not a success table"):
@@ -38,6 +38,9 @@ def test_the_table_of_the_readme_has_our_rates_and_the_papers():
 
 def test_the_headline_of_the_readme_is_that_of_the_results():
     results = (DOCS / "results.md").read_text(encoding="utf-8")
-    block = results.partition("<!-- instruction_table:begin -->")[2].partition("<!-- instruction_table:end -->")[0]
+    blocks = [
+        results.partition(f"<!-- {name}:begin -->")[2].partition(f"<!-- {name}:end -->")[0]
+        for name in ("published_table", "instruction_table")
+    ]
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert build_readme.headline(block) in readme and build_readme.compact(block) in readme
+    assert build_readme.headline(*blocks) in readme

@@ -41,7 +41,7 @@ TIMED_FLIGHTS = 3
 def reproduce(  # noqa: PLR0913 - one parameter per option
     study: Annotated[str, typer.Argument(metavar="[STUDY.yaml]", help="A YAML file, or a shipped study.")] = "paper",
     scale: Annotated[
-        str, typer.Option(help="quick: minutes on two cores; paper: as many missions as the paper, about 17,000.")
+        str, typer.Option(help="quick: minutes on two cores; paper: as many missions as the paper, about 21,500.")
     ] = "quick",
     out: Annotated[Path, typer.Option(help="Folder of everything that is written.")] = Path("out/reproduce"),
     workers: options.Workers = 2,

@@ -14,6 +14,7 @@ from mavfi.report.text import show_table
 
 MARKDOWN = "assumptions.md"
 FIGURE = "assumptions.png"
+TABLES_FOLDER = "tables"
 _AXES = "axes"
 """Key that a study of campaigns does not have."""
 
@@ -56,6 +57,9 @@ def reproduce_assumptions(study: AssumptionStudy, scale: str, out: Path, workers
         with bar.timed("tables and figures"):
             shown = tables(results)
             write_text(out / MARKDOWN, markdown(results, shown, FIGURE))
+            check_folder(out / TABLES_FOLDER)
+            for table in shown:
+                write_text(out / TABLES_FOLDER / f"{table.name}.csv", table.to_csv())
             with style.house_style():
                 style.write(axes_figure(results), out / FIGURE)
     if as_json:

@@ -80,6 +80,7 @@ class Rounds(Config):
     missions: int = Field(25, ge=2, description="per environment and round; one fault per stage in each")
     number: int = Field(4, ge=1)
     reject_below: float = Field(1e-4, gt=0, lt=1, description="p below which a reading is flown no further")
+    behind: float = Field(6.0, gt=0, description="or once its criterion exceeds the best one by this")
     best: int = Field(3, ge=2, description="changes per anchor, the best, that are combined in pairs")
     first_seed: int = Field(30_000, ge=10_000)
     judged_first_seed: int = Field(40_000, ge=10_000)

@@ -1,14 +1,18 @@
 """Tables, figure and page of the study of assumptions."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from mavfi.analysis import published as paper
 from mavfi.analysis.measures import recomputed_share
+from mavfi.analysis.rows import ALL_BITS
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import holm
 from mavfi.analysis.table import TEXT, Column, Table
@@ -21,7 +25,19 @@ from mavfi.extras.paper.assumptions.fit import (
     paper_counts,
 )
 from mavfi.extras.paper.assumptions.rounds import AssumptionResults, FrozenReading, JudgedDetectors, fit_of
-from mavfi.extras.paper.claims import CLAIMS, INSTRUCTIONS, KERNELS, LEVEL, VALUES, Evidence, verdict
+from mavfi.extras.paper.claims import (
+    AS_PUBLISHED,
+    CLAIMS,
+    CONFIRMED,
+    CONTRADICTED,
+    INSTRUCTIONS,
+    KERNELS,
+    LEVEL,
+    UNDECIDED,
+    VALUES,
+    Claim,
+    verdict,
+)
 from mavfi.report import style
 from mavfi.report.campaign_report import markdown_table
 from mavfi.report.text import short
@@ -31,12 +47,12 @@ _SHOWN = 12
 """Rows of the table of readings."""
 _SHORT = {"dr_gaussian": "GAD", "dr_autoencoder": "AAD"}
 """The paper's names of its detectors, by setting."""
-_TABLE_ONE = {STATE: VALUES, INSTRUCTION: INSTRUCTIONS}
-"""Campaign of the paper's study for its Table I, by level of the faults."""
+_LISTED = 4
+"""Readings that a cell names; of more it gives the number."""
 _OUT_OF_REACH = {
-    "III-B": "only with faults in one named state at a time (Fig. 4)",
-    "VI-C": "none: it is about the time of detection on their machine, or a calibrated model",
-    "VI-D": "none: it is about another computer",
+    "III-B": "needs faults in one named state at a time (Fig. 4), see the study of the paper",
+    "VI-C": "no assumption bears on it: time of detection on their machine, or a calibrated model",
+    "VI-D": "no assumption bears on it: another computer",
 }
 """What would bear on a finding that no reading of this study does, by section of the paper."""
 
@@ -380,8 +396,8 @@ def readings_table(results: AssumptionResults) -> Table:
         f"environments: success lost to one fault, points, before a background; the best {_SHOWN} of "
         f"{len(results.fitted)} by deviance + 2 x fitted parameters, and the anchors; {accepted} have "
         f"p >= {_REJECTED:g}",
-        "n: runs with a fault, in all; a reading is flown no further once "
-        f"p < {study.rounds.reject_below:g} however its flights are counted; "
+        f"n: runs with a fault, in all; a reading is flown no further once p < {study.rounds.reject_below:g}, or "
+        f"{study.rounds.behind:g} behind the best, however its flights are counted; "
         "deviance: [95 % interval: bootstrap of worlds] of the frozen readings",
     )
     return Table("readings", "Readings that the paper's golden and injection cells support", columns, rows, notes=notes)
@@ -395,33 +411,20 @@ def _lost_text(part: EnvironmentFlights, deaths: str) -> str:
 # ---- the paper's findings under these readings -----------------------------------------------------------------------
 def findings_table(results: AssumptionResults) -> Table:
     """For each finding of the paper that is tested on missions, the readings that confirm or contradict it."""
+    combinations = [(combination.name, combination.detectors.runs) for combination in combinations_of(results)]
+    of_instructions = list(_flown_at(results, INSTRUCTION))
+    of_fields = [(name, _by_field(runs)) for name, runs in _flown_at(results, STATE)]
     rows = []
     for claim in CLAIMS.values():
-        tested = list(_tested_on(results, claim.campaign))
-        if not tested:
-            reach = _OUT_OF_REACH.get(claim.section, "none of this study")
-            rows.append((claim.statement, claim.section, "—", "—", reach))
-            continue
-        evidence: list[Evidence] = [claim.test(runs) for _, runs in tested]
-        adjusted = holm([part.p_value for part in evidence])
-        verdicts = [verdict(part, p) for part, p in zip(evidence, adjusted, strict=True)]
-        names: dict[str, list[str]] = {"confirmed": [], "contradicted": []}
-        for (name, _), word in zip(tested, verdicts, strict=True):
-            if word in names:
-                names[word].append(name)
-        if _is_settled(evidence):
-            rows.append((claim.statement, claim.section, "—", "—", "not measured by these flights"))
-            continue
-        left = len(tested) - sum(map(len, names.values()))
-        rows.append(
-            (
-                claim.statement,
-                claim.section,
-                ", ".join(names["confirmed"]) or "—",
-                ", ".join(names["contradicted"]) or "—",
-                f"undecided in {left} of {len(tested)} readings",
-            )
-        )
+        tested: Sequence[tuple[str, Runs]] = ()
+        if claim.campaign in (AS_PUBLISHED, VALUES, INSTRUCTIONS):
+            tested = combinations
+        if claim.campaign == KERNELS:
+            tested = of_instructions
+        if claim.name == "collision_seq_robust":
+            tested = of_fields
+        if not _has_twin(claim):
+            rows.append(_finding(claim, tested))
     columns = (
         Column("statement", "the paper"),
         Column("section", "section"),
@@ -431,28 +434,54 @@ def findings_table(results: AssumptionResults) -> Table:
     )
     notes = (
         f"tests as in the study of the paper, at {LEVEL:g} after Holm's correction over the readings of a row; "
-        "findings on Table I: the judged combinations; findings on kernels: each reading "
-        "with faults in instructions",
+        "findings on Table I and overhead: the judged combinations; findings on kernels: each reading with faults in "
+        "instructions; on future_collision_seq: each reading with faults in states",
     )
     return Table("findings", "The paper's findings under these readings", columns, rows, notes=notes)
 
 
-def _is_settled(evidence: Sequence[Evidence]) -> bool:
-    """Whether no reading gives a test."""
-    return all(part.p_value is None for part in evidence)
+def _has_twin(claim: Claim) -> bool:
+    """Whether the same statement is tested under another name: that of the campaign `as_published`."""
+    base = claim.name.removesuffix("_in_states")
+    return claim.campaign in (VALUES, INSTRUCTIONS) and f"{base}_as_published" in CLAIMS
 
 
-def _tested_on(results: AssumptionResults, campaign: str) -> Iterator[tuple[str, Runs]]:
-    """Readings that bear on the findings of a campaign of the paper's study, with their runs."""
-    study = results.study
-    for combination in combinations_of(results):
-        level = study.sampling_of(combination.frozen.fitted.flown).get("level", STATE)
-        if campaign == _TABLE_ONE[level]:
-            yield combination.name, combination.detectors.runs
-    if campaign == KERNELS:
-        for reading, part in results.flown.items():
-            if study.sampling_of(reading).get("level", STATE) == INSTRUCTION:
-                yield reading.text, Runs.read(part.ledgers[0])
+def _flown_at(results: AssumptionResults, level: str) -> Iterator[tuple[str, Runs]]:
+    """Readings that were flown with faults of a level, with the runs of all rounds."""
+    for reading, part in results.flown.items():
+        if results.study.sampling_of(reading).get("level", STATE) == level:
+            rounds = [Runs.read(path) for path in part.ledgers]
+            frame = pl.concat([runs.frame for runs in rounds])
+            yield reading.text, replace(rounds[0], frame=frame)
+
+
+def _by_field(runs: Runs) -> Runs:
+    """Runs whose target is the field that was hit; all faults count, as drawn."""
+    return runs.adding(target=pl.col("field"), population=pl.lit(ALL_BITS))
+
+
+def _finding(claim: Claim, tested: Sequence[tuple[str, Runs]]) -> tuple[object, ...]:
+    """Row of a claim: the readings by verdict."""
+    statement = claim.statement
+    if claim.campaign in (AS_PUBLISHED, VALUES):
+        statement = re.sub(r"^Table I, [^:]*:", "Table I:", statement)
+    evidence = [claim.test(runs) for _, runs in tested]
+    if all(part.p_value is None for part in evidence):
+        reach = _OUT_OF_REACH.get(claim.section, "not measured by these flights")
+        return statement, claim.section, "—", "—", reach
+    adjusted = holm([part.p_value for part in evidence])
+    names: dict[str, list[str]] = {CONFIRMED: [], CONTRADICTED: [], UNDECIDED: []}
+    for (name, _), part, p in zip(tested, evidence, adjusted, strict=True):
+        names[verdict(part, p)].append(name)
+    undecided = f"undecided in {len(names[UNDECIDED])} of {len(tested)}"
+    return statement, claim.section, _listed(names[CONFIRMED]), _listed(names[CONTRADICTED]), undecided
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names of readings, of many their number and the first."""
+    if len(names) > _LISTED:
+        return f"{len(names)} readings, e.g. {names[0]}"
+    return "; ".join(names) or "—"
 
 
 # ---- checks that were not fitted -------------------------------------------------------------------------------------

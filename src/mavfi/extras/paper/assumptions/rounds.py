@@ -156,13 +156,15 @@ def _fly_rounds(  # noqa: PLR0913 - what the study is flown with
             run_campaigns(campaigns, executor=executor, progress=bar.show_campaigns)
         for reading, (path, campaign) in zip(active, campaigns.items(), strict=True):
             flown.setdefault(reading, FlownReading({}, [])).add(flights_in(path, campaign, study), path)
-        active = [reading for reading in active if not _is_rejected(study, reading, flown[reading])]
+        active = [reading for reading in active if _may_be_the_best(study, reading, flown)]
 
 
-def _is_rejected(study: AssumptionStudy, flown: Reading, part: FlownReading) -> bool:
-    """Whether no way of counting the flights agrees with the paper's cells."""
-    fits = _fits(study, flown, part)
-    return all(item.fit.p_value < study.rounds.reject_below for item in fits)
+def _may_be_the_best(study: AssumptionStudy, reading: Reading, flown: Mapping[Reading, FlownReading]) -> bool:
+    """Whether some way of counting a reading's flights is not rejected, and not far behind the best reading."""
+    best = min(item.fit.criterion for item in _all_fits(study, flown))
+    fits = [item.fit for item in _fits(study, reading, flown[reading])]
+    limit = best + study.rounds.behind
+    return any(fit.p_value >= study.rounds.reject_below and fit.criterion <= limit for fit in fits)
 
 
 def _fits(study: AssumptionStudy, flown: Reading, part: FlownReading) -> list[FittedReading]:
