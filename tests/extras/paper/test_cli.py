@@ -1,6 +1,5 @@
 import json
 import re
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
