@@ -39,6 +39,8 @@ class AxisValue(Config):
         "a time limit; either is fitted for each environment",
     )
 
+    kind: str = Field("", description="values of a kind compete: the best reading of each kind is frozen")
+
     @property
     def only_counts(self) -> bool:
         """Whether it changes no flight."""
@@ -85,7 +87,7 @@ class Rounds(Config):
     first_seed: int = Field(30_000, ge=10_000)
     judged_first_seed: int = Field(40_000, ge=10_000)
     judged_missions: int = Field(40, ge=2)
-    frozen: int = Field(2, ge=1, description="readings that are frozen: the best of as many places of the fault")
+    frozen: int = Field(2, ge=1, description="readings that are frozen: the best of as many kinds of place")
 
 
 class AssumptionStudy(Config):
@@ -113,6 +115,11 @@ class AssumptionStudy(Config):
     def value(self, axis: str, name: str) -> AxisValue:
         """A value of an axis."""
         return self.axes[axis].values[name]
+
+    def kind_of(self, reading: "Reading") -> str:
+        """Kinds of a reading's values, of those axes that have kinds."""
+        kinds = [self.value(axis, name).kind for axis, name in reading.values]
+        return " ".join(kind for kind in kinds if kind)
 
     def anchor(self, name: str) -> "Reading":
         """The reading of an anchor."""

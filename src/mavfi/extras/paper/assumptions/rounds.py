@@ -96,7 +96,7 @@ class AssumptionResults:
         flown: Readings that were flown.
         changes: The changes of anchors that lead to each single-change reading.
         fitted: All fitted readings, best criterion first.
-        frozen: The best of them, each with the fault in another place.
+        frozen: The best of them, each of another kind.
         ledgers: Digest of each ledger, by folder.
     """
 
@@ -114,7 +114,7 @@ def fly_assumptions(study: AssumptionStudy, folder: Path, workers: int, bar: "St
     1. Single changes of both anchors fly in rounds; a reading that the paper's golden and injection cells reject is
        flown no further.
     2. The best changes of each anchor are combined in pairs, which fly in the same rounds.
-    3. The readings that fit best, each with the fault in another place, are frozen, and flown on fresh seeds with all
+    3. The readings that fit best, each of another kind, are frozen, and flown on fresh seeds with all
        readings of the detectors.
     """
     executor = LocalExecutor(workers)
@@ -127,11 +127,13 @@ def fly_assumptions(study: AssumptionStudy, folder: Path, workers: int, bar: "St
     _fly_rounds(study, dict.fromkeys(map(study.flights_of, pairs)), folder, executor, bar, flown)
 
     fitted = sorted(_all_fits(study, flown), key=lambda item: item.fit.criterion)
-    by_place: dict[str, FittedReading] = {}
+    best_of_kinds: dict[str, FittedReading] = {}
     for item in fitted:
-        by_place.setdefault(item.reading["where"], item)
-    best_of_places = list(by_place.values())[: study.rounds.frozen]
-    frozen = [_judge(study, item, folder, executor, workers, bar) for item in best_of_places]
+        # deviances of fewer flights are smaller: only readings that flew all rounds compete
+        if len(flown[item.flown].ledgers) == study.rounds.number:
+            best_of_kinds.setdefault(study.kind_of(item.reading), item)
+    chosen = list(best_of_kinds.values())[: study.rounds.frozen]
+    frozen = [_judge(study, item, folder, executor, workers, bar) for item in chosen]
 
     paths = [path for part in flown.values() for path in part.ledgers]
     paths += sorted((folder / JUDGED).iterdir())
