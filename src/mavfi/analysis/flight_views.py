@@ -10,7 +10,7 @@ import polars as pl
 from mavfi.analysis import measures as m
 from mavfi.analysis import published as paper
 from mavfi.analysis.measures import Measure
-from mavfi.analysis.rows import ACTIVATED, KERNEL_DUE, NO_SITE, NOT_ACTIVATED, POPULATIONS
+from mavfi.analysis.rows import ACTIVATED, ALL_BITS, KERNEL_DUE, NO_SITE, NOT_ACTIVATED, POPULATIONS
 from mavfi.analysis.runs import ALL, Runs
 from mavfi.analysis.statistics import Rate, RecoveryRate
 from mavfi.analysis.table import NUMBER, PER_HOUR, PERCENT, POINTS, RATE, TEXT
@@ -116,6 +116,13 @@ def faulty_and_bare(runs: Runs) -> Runs:
     return faulty_or_bare.adding(row=pl.col("setting").replace(names))
 
 
+def _bits_drawn(runs: Runs) -> str:
+    """The bits that the faults of a success table are in."""
+    if ALL_BITS in m.population_names(runs, ()):
+        return "all bits, as drawn"
+    return "sign and exponent bits"
+
+
 _SUCCESS = (
     View(
         "success_as_in_the_paper",
@@ -138,7 +145,7 @@ _SUCCESS = (
             paper.STATE_LEVEL,
             ONE_FAULT,
             "per cent, [95 % interval: Wilson, n reduced by the design effect of "
-            "worlds], successes / n; faults in sign and exponent bits",
+            f"worlds], successes / n; faults in {_bits_drawn(runs)}",
             *separable_note(runs),
         ),
         leads=True,

@@ -17,7 +17,7 @@ import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
-from mavfi.faults.strata import WORD_BITS, bits_of, word_share
+from mavfi.faults.strata import CLASS_STRATA, EACH_CLASS, WORD_BITS, bits_of, word_share
 from mavfi.record import Profile
 from mavfi.states import (
     AUTOPILOTS,
@@ -162,6 +162,8 @@ def draw(
     field = spec.find(name)
     time_us, element = draw_publication(random, profile, FaultSite(state, name), when)
     bits = bits_of(field, stratum)
+    if stratum == EACH_CLASS:
+        bits = bits_of(field, _pick(random, tuple(name for name in CLASS_STRATA if bits_of(field, name))))
     fault = StateFault(
         FaultSite(state, name, element),
         time_us,

@@ -35,6 +35,10 @@ _CLASSES: dict[str, dict[str, range]] = {
 
 WHOLE_WORD = "word"
 """Stratum of all bits of a word."""
+EACH_CLASS = "classes"
+"""Stratum of all bits of a word, of which a class is drawn first: one of `CLASS_STRATA`."""
+CLASS_STRATA = ("sign", "exponent_field", "mantissa")
+"""The classes of the published injector."""
 
 STRATA: dict[str, tuple[str, ...]] = {
     "sign_exponent": ("sign", "exponent", "flag"),
@@ -44,11 +48,12 @@ STRATA: dict[str, tuple[str, ...]] = {
     "length": ("length",),
     "exponent_field": ("exponent", "other", "flag"),
     WHOLE_WORD: ("sign", "exponent", "flag", "mantissa", "other"),
+    EACH_CLASS: ("sign", "exponent", "flag", "mantissa", "other"),
 }
 """Bit classes of each stratum.  The first two partition every word; headline figures use the first.  Integers have sign
 and other bits, unsigned ones other bits only; a flag's single bit counts with the headline.  The length of a list in a
 message is none of these.  `exponent_field` is class 2 of the published injector: bits 52 to 62 of a float64, 0 to
-30 of an integer.  `word` draws from all bits alike."""
+30 of an integer.  `word` draws from all bits alike, `classes` from sign, exponent field and mantissa alike."""
 
 HEADLINE = "sign_exponent"
 """Stratum of the headline figures."""

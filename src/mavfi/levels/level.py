@@ -19,7 +19,7 @@ from mavfi.errors import BadInputError, hint
 from mavfi.faults.fault import Fault, find_level, level_names
 from mavfi.faults.injector import Injector
 from mavfi.faults.sampling import share_out
-from mavfi.faults.strata import STRATA
+from mavfi.faults.strata import EACH_CLASS, STRATA
 from mavfi.record import Injection
 
 if TYPE_CHECKING:
@@ -419,8 +419,11 @@ def check_distinct(key: str, names: Iterable[str]) -> None:
             raise ValueError(f"{key}: {name!r}: named {count} times; allowed: once")
 
 
-def check_strata(strata: Mapping[str, float]) -> None:
-    """Raise a ValueError for unknown strata, or shares that are not above 0."""
-    check_known("sampling.strata", sorted(strata), STRATA)
+def check_strata(strata: Mapping[str, float], *, by_class: bool = False) -> None:
+    """Raise a ValueError for unknown strata, or shares that are not above 0.
+
+    `by_class`: whether the level can draw a class of bits first, for the stratum `EACH_CLASS`.
+    """
+    check_known("sampling.strata", sorted(strata), [name for name in STRATA if by_class or name != EACH_CLASS])
     if not strata or not all(0 < share < float("inf") for share in strata.values()):
         raise ValueError(f"sampling.strata: {strata}: need at least one name, and shares above 0")

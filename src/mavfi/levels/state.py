@@ -34,7 +34,7 @@ from mavfi.faults.sampling import (
     stage_target,
     stream,
 )
-from mavfi.faults.strata import HEADLINE, WHOLE_WORD, WORD_BITS, WORDS, bits_of
+from mavfi.faults.strata import EACH_CLASS, HEADLINE, WHOLE_WORD, WORD_BITS, WORDS, bits_of
 from mavfi.levels.level import (
     DECIMAL,
     SECONDS,
@@ -223,7 +223,7 @@ class StateSampling(Sampling):
                 "sampling.together: true: allowed with scheme stage_balanced or groups, and without a lifetime"
             )
         for strata in (self.strata, *(group.strata for group in self.groups if group.strata is not None)):
-            check_strata(strata)
+            check_strata(strata, by_class=self.scheme != "messages")
         return self
 
     def to_json(self) -> dict[str, Any]:
@@ -545,8 +545,8 @@ class StateLevel(Level):
             "field": site.field,
             "element": site.element,
         }
-        # bits drawn from the whole word are the population of faults without strata
-        if fault.stratum != WHOLE_WORD:
+        # what is drawn from all bits is the population of faults without strata
+        if fault.stratum not in (WHOLE_WORD, EACH_CLASS):
             columns["population"] = fault.stratum
         return columns
 

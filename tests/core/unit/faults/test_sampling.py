@@ -58,6 +58,15 @@ def test_the_same_address_gives_the_same_fault_and_another_address_another():
     assert len({(f.site, f.time_us, f.bit) for f in faults.values()}) > 20
 
 
+def test_classes_of_bits_are_drawn_alike_and_a_flag_has_its_only_bit():
+    target = group_target("x", ["planning.waypoint.x"])
+    bits = np.array([draw(target, "classes", WAYPOINTS, seed).bit for seed in range(900)])
+    counts = [np.sum(bits == 63), np.sum((bits >= 52) & (bits < 63)), np.sum(bits < 52)]
+    assert all(abs(count - 300) < 3.5 * np.sqrt(200) for count in counts)
+    flag = group_target("flag", ["perception.collision_status.collision"])
+    assert draw(flag, "classes", profile(perception__collision_status=0), 1).bit == 0
+
+
 def test_a_state_that_was_never_published_is_kept_as_no_site():
     fault = draw(stage_target("control", "published"), "sign_exponent", Profile(), 1, 0)
     assert fault.time_us == NO_SITE

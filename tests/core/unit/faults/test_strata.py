@@ -18,6 +18,9 @@ from mavfi.states import Field
         ("u8", "sign_exponent", range(0)),
         ("u1", "mantissa", range(8)),
         ("?", "sign_exponent", range(1)),
+        ("f8", "exponent_field", range(52, 63)),
+        ("i4", "exponent_field", range(31)),
+        ("f8", "word", range(64)),
     ],
 )
 def test_bits_of_each_stratum(dtype, stratum, bits):

@@ -117,9 +117,9 @@ def summary(results: AssumptionResults) -> list[str]:
         f"{len(results.fitted)} readings of the experiment were fitted to the paper's golden and injection cells "
         f"({len(results.flown)} of them flown, the others count the same flights in another way); {len(accepted)} are "
         "not rejected at 5 %: these cells alone do not tell where the faults lay.",
-        f"The best {len(results.frozen)}, each with another kind of place for the fault, were frozen and judged on fresh seeds "
-        f"on the eight detector cells, with {len(results.study.detectors)} readings of the detectors each. Not "
-        f"rejected at 5 % (Holm over {len(combinations)}): {', '.join(left) or 'none'}.",
+        f"The best {len(results.frozen)}, each with another kind of place for the fault, were frozen and judged on "
+        f"fresh seeds on the eight detector cells, with {len(results.study.detectors)} readings of the detectors each. "
+        f"Not rejected at 5 % (Holm over {len(combinations)}): {', '.join(left) or 'none'}.",
         f"Best: {best.name} (p = {best.detectors.judgement.p_value:.2g}); {where}. Its faults: "
         f"{reading_text(results, best.frozen.fitted.reading)} (golden and injection cells: deviance "
         f"{fit.deviance:.1f}, {fit.freedom} degrees of freedom, p = {fit.p_value:.2g}).",
