@@ -53,7 +53,7 @@ _CERTIFICATE = (
 )
 
 
-_MAX_SPANS = 3
+_MAX_SPANS = 2
 """Groups of lines of a function that a sentence names at most."""
 
 

@@ -269,7 +269,8 @@ class FunctionTarget:
                 unseen.add((row.file, row.line))
         by_file: dict[str, list[int]] = {}
         for file, line in sorted(unseen - seen):
-            by_file.setdefault(file, []).append(line)
+            if line:  # 0: the compiler does not say
+                by_file.setdefault(file, []).append(line)
         return by_file
 
     @cached_property

@@ -78,7 +78,7 @@ def test_what_was_not_seen_is_said():
         unseen_lines={"mavfi/kernels/control/pid.py": [60, 61, 62, 71, 80, 90]},
     )
     advice = replace(advice, functions=(track, *advice.functions[1:]))
-    assert caveats(advice)[-1].endswith("mission executes: track pid.py:60-62, pid.py:71, pid.py:80 and 1 more.")
+    assert caveats(advice)[-1].endswith("mission executes: track pid.py:60-62, pid.py:71 and 2 more.")
     assert "removes predicted from 3 calls of 2 missions: too few" in page(advice, DIRECTORY, PLAN)
     assert "too few" in advice_table(advice).to_csv()
     assert "a share of all silent corruptions (SDC) that is not known" in headline(replace(advice, coverage=rate(None)))
