@@ -38,8 +38,8 @@ from mavfi.extras.hardening.advise import (
     plan_of,
     planned_of,
 )
-from mavfi.extras.hardening.certify import Certification, certify, merged, pairs_of, rate_of, verdict_of
-from mavfi.extras.hardening.observed import GoldenCheck, ObservedFunction, check_golden, observe
+from mavfi.extras.hardening.certify import Certification, certify, pairs_of, rate_of, verdict_of
+from mavfi.extras.hardening.observed import GoldenCheck, ObservedFunction, check_golden, merged, observe
 from mavfi.extras.hardening.plan import ProtectionPlan, load_plan, save_plan
 from mavfi.extras.hardening.protected import Protection
 from mavfi.extras.hardening.report import advice_table, caveats, certificate_table, headline, verdict_line
@@ -113,7 +113,7 @@ class Records:
         return injections
 
     def _injections(self, seen: ObservedFunction, times: int) -> list[Injected]:
-        key = f"learned {times} {seen.variant.ir_sha256}"
+        key = f"learned {times} in {len(seen.parts)} missions {seen.variant.ir_sha256}"
         row = self.get(key)
         if row is None:
             row = self.put(key, {"injections": injections_in(seen, times)})

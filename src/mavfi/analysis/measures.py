@@ -21,7 +21,6 @@ from mavfi.analysis.statistics import (
     recovery,
     smallest_difference,
     weighted_rate,
-    wilson,
 )
 from mavfi.analysis.table import NUMBER, RATE, SIGNED, TEXT, Cell, Column
 from mavfi.campaign.plan import FI, GOLDEN
@@ -105,16 +104,6 @@ def rate(key: str, heading: str, test: pl.Expr | str, *where: pl.Expr | str) -> 
         lambda runs: rate_of(runs.where(*where), test),
         counted=lambda runs: runs.where(*where),
     )
-
-
-def wilson_rate(key: str, heading: str, test: pl.Expr, *where: pl.Expr) -> Measure:
-    """Share of rows that pass a test, among those that pass `where`, with a Wilson interval of independent rows."""
-
-    def of(runs: Runs) -> Cell:
-        judged = runs.where(*where)
-        return wilson(len(judged.where(test)), len(judged))
-
-    return Measure(key, heading, RATE, of)
 
 
 def rate_of(runs: Runs, test: pl.Expr | str) -> Rate:

@@ -21,6 +21,12 @@ _POWER = 0.8  # power for `smallest_difference`
 TAIL = (1 - CONFIDENCE) / 2  # probability outside an interval on each side
 _NORMAL = NormalDist()
 _Z2 = _NORMAL.inv_cdf(1 - TAIL) ** 2
+MIN_WORLDS = 3.0
+"""Fewest worlds, of equal size, from which a rate in further worlds is predicted."""
+_TYPICAL_CORRELATION = 0.1
+_TYPICAL_WORLDS = 2
+"""Correlation of flights in one world that is assumed before any are seen, and the number of worlds it counts for: few
+worlds show hardly how much they differ."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +97,62 @@ def clustered_rate(success: Sequence[bool], world: Sequence[object]) -> Rate:
     clustered = StratumRate.of(y, np.ones(len(y)), world)
     low, high = score_bounds(clustered.rate, clustered.effective)
     return replace(independent, low=low, high=high)
+
+
+def rate_in_further_worlds(success: Sequence[bool], world: Sequence[object], further: int) -> Rate:
+    """Rate with an interval for its value in some further worlds, if it were measured there without error.
+
+    Wilson's interval for the number n' of independent flights with the same variance.  With k worlds of equal size and
+    m further ones it is 1 / n' = 1 / n + rho (t / z)^2 (1 / k - 1 / n + 1 / m), where rho is the correlation of two
+    flights in one world, and t the quantile for k - 1 degrees of freedom.
+
+    Args:
+        success: Of each flight.
+        world: World of each flight.
+        further: m.
+
+    Returns:
+        All None with fewer than `MIN_WORLDS` worlds of equal size.
+    """
+    n = len(success)
+    unknown = Rate(n, None, None, None)
+    if n == 0:
+        return unknown
+    sizes, successes = cluster_sums(world, np.ones(n), np.asarray(success, np.float64)).T
+    equal_worlds = n**2 / float(sizes @ sizes)  # Kish's number
+    if equal_worlds < MIN_WORLDS:
+        return unknown
+
+    # 1. The correlation: how much more the worlds differ than independent flights would.
+    rate = float(successes.sum()) / n
+    excess = 0.0
+    if 0.0 < rate < 1.0:
+        squares = float(((successes - rate * sizes) ** 2).sum()) / (rate * (1 - rate))
+        independent = float((sizes * (1 - sizes / n)).sum())
+        excess = max(squares - independent, 0.0) * equal_worlds / (equal_worlds - 1)
+    pairs = float((sizes * (sizes - 1)).sum())
+    typical_pairs = _TYPICAL_WORLDS * max(pairs / len(sizes), 1.0)
+    correlation = min((excess + _TYPICAL_CORRELATION * typical_pairs) / (pairs + typical_pairs), 1.0)
+
+    # 2. The error of what was seen, and the difference of the further worlds, whose sizes vary as much.
+    t2 = float(scipy.stats.t.ppf(1 - TAIL, equal_worlds - 1)) ** 2
+    worlds_term = 1 / equal_worlds - 1 / n + len(sizes) / (equal_worlds * further)
+    inverse = 1 / n + correlation * t2 / _Z2 * worlds_term
+    return Rate(n, rate, *score_bounds(rate, 1 / inverse), int(successes.sum()))
+
+
+def further_worlds_half_width(contributions: np.ndarray, further: int) -> float:
+    """Half-width of the interval of a linearised estimate for its value in some further worlds.
+
+    Args:
+        contributions: Of each world to the error of the estimate; their sum is 0. Shape (k,).
+        further: Number of the further worlds.
+    """
+    k = len(contributions)
+    if k < 2:
+        return 0.0
+    variance = k / (k - 1) * float(contributions @ contributions) * (1 + k / further)
+    return float(scipy.stats.t.ppf(1 - TAIL, k - 1)) * float(np.sqrt(variance))
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +267,7 @@ def weighted_rate(
     rates = np.array([each.rate for each in strata])
     # MOVER: distances from the rates to their bounds are added like correlated standard errors
     bounds = np.array([score_bounds(each.rate, each.effective) for each in strata])
-    correlation = _correlation(np.array([each.spread for each in strata]))
+    correlation = correlation_of(np.array([each.spread for each in strata]))
     below = shares * (rates - bounds[:, 0])
     above = shares * (bounds[:, 1] - rates)
     rate = float(shares @ rates)
@@ -214,7 +276,7 @@ def weighted_rate(
     return Rate(n, rate, max(0.0, low), min(1.0, high))
 
 
-def _correlation(spread: np.ndarray) -> np.ndarray:
+def correlation_of(spread: np.ndarray) -> np.ndarray:
     """Correlation of estimates from their errors by world, shape (estimates, worlds); negative values are set to 0."""
     length = np.sqrt((spread**2).sum(axis=1))
     unit = spread / np.where(length > 0, length, 1.0)[:, None]

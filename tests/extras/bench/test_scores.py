@@ -18,7 +18,12 @@ def made(draw):
     corrupted = np.array(draw(st.lists(LEVELS, min_size=1, max_size=20)))
     harmful = np.array(draw(st.lists(st.booleans(), min_size=len(corrupted), max_size=len(corrupted))), bool)
     return golden, Scores(
-        np.sort(golden[golden > 0])[::-1], len(golden), draw(st.sampled_from([0.5, 2.0, 10.0])), corrupted, harmful
+        np.sort(golden[golden > 0])[::-1],
+        len(golden),
+        draw(st.sampled_from([0.5, 2.0, 10.0])),
+        corrupted,
+        harmful,
+        np.arange(len(corrupted)),
     )
 
 
@@ -46,8 +51,20 @@ def test_the_area_is_that_of_scikit_learn(own):
     assert found.area() == pytest.approx(roc_auc_score(labels, [*golden, *harmful]), abs=1e-12)
 
 
+def test_faults_of_one_mission_are_not_independent():
+    corrupted = np.repeat([9.0, 0.0], 20)
+    alone, together = (
+        Scores(np.array([2.0]), 9, 1.0, corrupted, np.ones(40, bool), missions).detected_at(1.0)
+        for missions in (np.arange(40), np.arange(40) // 10)
+    )
+    assert alone.rate == together.rate == 0.5
+    assert together.high - together.low > 2 * (alone.high - alone.low)
+
+
 def test_the_table_says_what_an_exposure_cannot_show():
-    found = Scores(np.array([3.0, 2.0]), 100, 1.5, np.array([2.5, 9.0, 0.0]), np.array([True, True, False]))
+    found = Scores(
+        np.array([3.0, 2.0]), 100, 1.5, np.array([2.5, 9.0, 0.0]), np.array([True, True, False]), np.arange(3)
+    )
     (row,) = table({"one": found}, ["a"]).entries()
     assert row["harmful"] == 2 and row["at_0.1"] is None
     assert (row["at_1"].successes, row["at_1"].n) == (2, 2)  # threshold 2.0: one alarm in 1.5 h

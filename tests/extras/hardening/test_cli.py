@@ -74,8 +74,8 @@ CAMPAIGN = """
 name: tiny
 environments: [dense]
 first_seed: 100
-missions: 2
-faults: 24
+missions: 4
+faults: 12
 sampling: {level: instruction, kernels: [pid], which: all, model: one_bit, restart_s: 0.57}
 mission: {autopilot: published, platform: i9-9940x, planner: rrt_connect}
 """

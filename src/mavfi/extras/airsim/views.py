@@ -20,18 +20,21 @@ CHAPTER = Chapter(
             ("side",),
             (
                 m.count("n", "runs", _OF_CALLS),
-                m.wilson_rate("masked", "masked", pl.col("effect") == "masked", _OF_CALLS),
-                m.wilson_rate("deviates", "deviates", _SILENT & ~_COLLIDED, _OF_CALLS),
-                m.wilson_rate("collides", "collision", _SILENT & _COLLIDED, _OF_CALLS),
-                m.wilson_rate("exception", "program crash", pl.col("effect") == "exception", _OF_CALLS),
-                m.wilson_rate("hang", "hang", pl.col("effect") == "hang", _OF_CALLS),
+                m.rate("masked", "masked", pl.col("effect") == "masked", _OF_CALLS),
+                m.rate("deviates", "deviates", _SILENT & ~_COLLIDED, _OF_CALLS),
+                m.rate("collides", "collision", _SILENT & _COLLIDED, _OF_CALLS),
+                m.rate("exception", "program crash", pl.col("effect") == "exception", _OF_CALLS),
+                m.rate("hang", "hang", pl.col("effect") == "hang", _OF_CALLS),
                 m.count("not_activated", "not activated", effect="not_activated"),
                 m.count("unknown", "not judged", effect="unknown"),
             ),
             where=lambda runs: runs.injected.where(level="message").adding(side=pl.col("target")),
             total=("side", "both"),
             applies=lambda runs: has(runs.injected, level="message"),
-            notes=lambda _: ("per cent of the runs whose fault was activated, [95 % interval, Wilson], count",),
+            notes=lambda _: (
+                "per cent of the runs whose fault was activated, [95 % interval: Wilson, n reduced by the design "
+                "effect of worlds], count",
+            ),
         ),
     ),
 )

@@ -14,7 +14,7 @@ import numpy as np
 
 from mavfi.analysis.rows import ACTIVATED
 from mavfi.analysis.runs import Runs
-from mavfi.analysis.statistics import Rate, wilson
+from mavfi.analysis.statistics import Rate, clustered_rate
 from mavfi.analysis.table import NUMBER, RATE, Column, Table
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor, map_each
@@ -45,6 +45,7 @@ class Scores:
         hours: Exposure (h).
         corrupted: Score of the publication corrupted by each fault; 0 if it is not scored. Shape (n,).
         harmful: Whether the fault loses the mission. Shape (n,).
+        missions: Number of the mission of each fault. Shape (n,).
     """
 
     golden: np.ndarray
@@ -52,6 +53,7 @@ class Scores:
     hours: float
     corrupted: np.ndarray
     harmful: np.ndarray
+    missions: np.ndarray
 
     @property
     def harmful_scores(self) -> np.ndarray:
@@ -69,12 +71,12 @@ class Scores:
         return 0.0
 
     def detected_at(self, per_hour: float) -> Rate | None:
-        """Share of harmful faults above `threshold_at` this rate, with Wilson's interval."""
+        """Share of harmful faults above `threshold_at` this rate; missions are the clusters of its interval."""
         threshold = self.threshold_at(per_hour)
         if threshold is None:
             return None
-        harmful = self.harmful_scores
-        return wilson(int((harmful > threshold).sum()), len(harmful))
+        detected = self.harmful_scores > threshold
+        return clustered_rate(detected.tolist(), self.missions[self.harmful].tolist())
 
     def area(self) -> float | None:
         """Area under the ROC curve of harmful corrupted publications against golden ones; None without both."""
@@ -291,8 +293,10 @@ def _join(flown: Sequence[tuple[_ScoringTask, _FlightScores]]) -> Scores:
     golden: list[float] = []
     corrupted: list[float] = []
     harmful: list[bool] = []
-    for task, scores_of_flight in flown:
+    missions: list[int] = []
+    for mission, (task, scores_of_flight) in enumerate(flown):
         golden += scores_of_flight.golden
+        missions += [mission] * len(task.faults)
         corrupted += [scores_of_flight.corrupted.get(number, 0.0) for number in range(len(task.faults))]
         harmful += task.harmful
     return Scores(
@@ -301,6 +305,7 @@ def _join(flown: Sequence[tuple[_ScoringTask, _FlightScores]]) -> Scores:
         hours=sum(scores_of_flight.hours for _, scores_of_flight in flown),
         corrupted=np.array(corrupted),
         harmful=np.array(harmful, bool),
+        missions=np.array(missions, np.int64),
     )
 
 
@@ -331,7 +336,8 @@ def table(
         "threshold of each detector moved to so many false alarms per hour of golden flight, counted as publications "
         "above it; — = the exposure is too short to show the rate",
         f"one golden flight for each mission of these parts, their faults together: {', '.join(parts)}",
-        "harmful: activated faults that lose the mission without a detector; [95 % interval: Wilson], n",
+        "harmful: activated faults that lose the mission without a detector; [95 % interval: Wilson, n reduced by the "
+        "design effect of missions], n",
         "ROC: corrupted publications of harmful faults against publications of golden flights; PR: precision over "
         "recall for the same publications (average precision), which falls with their share",
         *(f"{name}: not scored: {reason}" for name, reason in (left_out or {}).items()),

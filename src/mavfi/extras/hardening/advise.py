@@ -1,8 +1,8 @@
 """Advice: how much of the silent corruption each share of time removes, and a plan within a budget.
 
-A golden flight gives executions and calls; faults in these calls give rates by instruction.  For each function a series
+Golden flights give executions and calls; faults in these calls give rates by instruction.  For each function a series
 of choices is built and timed; the budget is spent on the steps that remove most corruptions per flight for their time.
-Coverage is predicted by cross-validation: each part of the faults judges choices that were made from the other parts.
+Coverage is predicted by cross-validation: each mission judges choices that were made from the other missions.
 """
 
 import math
@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mavfi.analysis.runs import Runs
-from mavfi.analysis.statistics import Rate, clustered_rate, weighted_rate
+from mavfi.analysis.statistics import Rate, correlation_of, further_worlds_half_width, rate_in_further_worlds
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
@@ -29,7 +29,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.hardening.choose import NOTHING, Choice
 from mavfi.extras.hardening.compiled import Timed, compare
 from mavfi.extras.hardening.duplicate import protect
-from mavfi.extras.hardening.observed import observe
+from mavfi.extras.hardening.observed import observe_all
 from mavfi.extras.hardening.plan import Coverage, FunctionKey, FunctionPlan, Kind, ModuleSite, ProtectionPlan
 from mavfi.extras.hardening.target import (
     FunctionTarget,
@@ -53,6 +53,10 @@ _MAX_ROUNDS_PER_S = 400
 """Rounds per second of that time after which timing ends: short functions would have thousands."""
 _MIN_RETIMED_SHARE = 0.02
 """Share of a flight's kernel time from which on the error of a function's time matters to a budget."""
+FRESH = 2
+"""Missions, per environment of the campaign, with which a plan is certified."""
+MAX_OBSERVED = 8
+"""Missions that the choice observes at most: between them coverage differs, which a prediction must know."""
 _MAX_RETIMINGS = 4
 """How often steps of a choice are timed again at most."""
 
@@ -84,17 +88,34 @@ class CurveStep:
         choice: What is duplicated.
         time: Measured time / that of plain code.
         judged: Prediction, by injection.
+        unseen_share: Share of a further mission's instructions that no choice has seen, see `ObservedFunction`.
     """
 
     fraction: float
     choice: Choice
     time: float
     judged: JudgedCorruptions
+    unseen_share: float = 0.0
+
+    @property
+    def removed_share(self) -> float:
+        """Share of the judged silent corruptions that it removes; 0 without any."""
+        return sum(removed for _, removed in self.judged) / max(len(self.judged), 1)
 
     @property
     def coverage(self) -> Rate:
-        """Predicted share of silent corruptions that it removes."""
-        return coverage_of(self.judged)
+        """Predicted share of silent corruptions that it removes; not known if too few missions were seen.
+
+        The interval is that of `FRESH` further missions.  Of their instructions `unseen_share` is expected where the
+        choice duplicates nothing.
+        """
+        if self.fraction == 0.0:
+            return Rate(len(self.judged), 0.0, 0.0, 0.0, 0)
+        worlds = [injected.world for injected, _ in self.judged]
+        rate = rate_in_further_worlds([removed for _, removed in self.judged], worlds, FRESH)
+        if rate.low is None:
+            return rate
+        return replace(rate, low=rate.low * (1 - self.unseen_share))
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +140,7 @@ class Curve:
 
     def removed(self, step: CurveStep) -> float:
         """Silent corruptions that a step removes, per flight in which every dynamic instruction is injected once."""
-        return self.target.sdc_mass * (step.coverage.rate or 0.0)
+        return self.target.sdc_mass * step.removed_share
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,22 +175,61 @@ class Advice:
         return coverage_of_steps(self.steps)
 
 
-def coverage_of(judged: JudgedCorruptions) -> Rate:
-    """Share of silent corruptions that are removed, with an interval clustered by call."""
-    return clustered_rate([removed for _, removed in judged], [injected.world for injected, _ in judged])
-
-
 def coverage_of_steps(steps: Sequence[tuple[Curve, CurveStep]]) -> Rate:
-    """Predicted coverage of a step of each of several functions, weighted by their expected silent corruptions."""
-    rows = []  # removed, weight, stratum and cluster of each silent corruption
-    for curve, step in steps:
-        target = curve.target
-        if target.sdc_mass > 0:
-            for injected, removed in step.judged:
-                rows.append((removed, target.sdc_mass, target.name, f"{target.name} {injected.world}"))
-    if rows:
-        return weighted_rate(*zip(*rows, strict=True))
-    return Rate(0, None, None, None)
+    """Predicted coverage of a step of each of several functions, weighted by their expected silent corruptions.
+
+    Functions without a prediction count as not removed, for the upper bound as removed.
+    """
+    counted = [(curve.target, step) for curve, step in steps if curve.target.sdc_mass > 0]
+    predicted = [step.coverage for _, step in counted]
+    n = sum(rate.n for rate in predicted)
+    if all(rate.rate is None for rate in predicted):
+        return Rate(n, None, None, None)
+    masses = np.array([target.sdc_mass for target, _ in counted])
+    shares = masses / masses.sum()
+
+    # 1. The error within the functions: they share missions, so it is correlated.
+    bounds = np.array([_bounds_of(rate) for rate in predicted])
+    rates = bounds[:, 0]
+    below = shares * (rates - bounds[:, 1])
+    above = shares * (bounds[:, 2] - rates)
+    missions = list(dict.fromkeys(mission for target, _ in counted for mission in target.sdc_mass_by_mission))
+    errors = np.zeros((len(counted), len(missions)))
+    for row, (_, step) in zip(errors, counted, strict=True):
+        for injected, removed in step.judged:
+            row[missions.index(injected.world)] += removed - step.removed_share
+    correlation = correlation_of(errors)
+
+    # 2. The error of the weights: they differ between missions, and are products of rates with errors.
+    total = float(shares @ rates)
+    leverage = shares * (rates - total)
+    mass_shares = np.array(
+        [
+            [target.sdc_mass_by_mission.get(mission, 0.0) / target.sdc_mass for mission in missions]
+            for target, _ in counted
+        ]
+    )
+    between = further_worlds_half_width(leverage @ mass_shares, FRESH)
+    within = leverage * [_relative_error(target.sdc_rate) for target, _ in counted]
+    weights = between**2 + float(within @ within)
+
+    low = total - math.sqrt(below @ correlation @ below + weights)
+    high = total + math.sqrt(above @ correlation @ above + weights)
+    return Rate(n, total, max(low, 0.0), min(high, 1.0))
+
+
+def _bounds_of(rate: Rate) -> tuple[float, float, float]:
+    """A predicted coverage and its interval; without a prediction nothing, from nothing to everything."""
+    if rate.rate is None or rate.low is None or rate.high is None:
+        return 0.0, 0.0, 1.0
+    return rate.rate, rate.low, rate.high
+
+
+def _relative_error(rate: Rate) -> float:
+    """Half-width of the interval of a rate as a multiple of it."""
+    if not rate.rate or rate.low is None or rate.high is None:
+        return 0.0
+    return (rate.high - rate.low) / 2 / rate.rate
 
 
 def every_choice(target: FunctionTarget, fractions: Sequence[float] = FRACTIONS) -> Ladder:
@@ -288,12 +348,12 @@ def curves_of(
     tell: Tell,
     seconds: float,
 ) -> tuple[Curve, ...]:
-    """Time the steps of the functions of a flight.
+    """Time the steps of the functions of some flights.
 
     Args:
         targets: The functions.
         prepared: The same functions, see `prepare_all`.
-        other_ticks: Ticks of all other functions in the flight.
+        other_ticks: Ticks of all other functions in the flights.
         tell: Called with the name of each function.
         seconds: For how long each is timed at most (s).
     """
@@ -301,8 +361,9 @@ def curves_of(
     for target, function in zip(targets, prepared, strict=True):
         tell(f"timing {target.name}")
         ticks, times = times_of(target, function.codes, seconds)
+        unseen_share = target.seen.unseen_share
         steps = [
-            CurveStep(step.fraction, step.choice, time, step.judged)
+            CurveStep(step.fraction, step.choice, time, step.judged, unseen_share)
             for step, time in zip(function.ladder, (1.0, *times), strict=True)
         ]
         rows.append((target, ticks * target.seen.total, tuple(steps)))
@@ -375,9 +436,6 @@ def _units(time: float, budget: float) -> int:
 
 
 # ---- from a ledger to a plan ----------------------------------------------------------------------------------------
-
-FRESH = 2
-"""Missions, per environment of the campaign, with which a plan is certified."""
 
 
 @dataclass(frozen=True)
@@ -457,6 +515,11 @@ class HardeningStudy:
         seeds = self.campaign.seeds
         return dict.fromkeys(self.worlds, (seeds.start, seeds.stop - 1))
 
+    def observed(self, planner: str) -> list[Scenario]:
+        """Missions of the ledger that the choice observes, evenly over the environments."""
+        missions = [(environment, seed) for seed in self.campaign.seeds for environment in self.campaign.environments]
+        return [self.scenario(environment, seed, planner) for environment, seed in missions[:MAX_OBSERVED]]
+
     @property
     def next_seeds(self) -> range:
         """The seeds after its own."""
@@ -478,7 +541,7 @@ def _sampled(campaign: Campaign) -> tuple[str, ...]:
 
 
 class _PlannerFlight(NamedTuple):
-    """Functions in the golden flight of a planner: those that flights of earlier planners call, too, and new ones."""
+    """Functions in the golden flights of a planner: those that flights of earlier planners call, too, and new ones."""
 
     shared: list[FunctionTarget]
     new: list[FunctionTarget]
@@ -512,14 +575,11 @@ def advise(
     Raises:
         BadInputError: A mission cannot be flown.
     """
-    # 1. Fly a golden mission with each planner: which functions does it call that no earlier planner calls?
-    environment = study.campaign.environments[0]
-    seed = study.campaign.first_seed
+    # 1. Fly golden missions with each planner: which functions do they call that no earlier planner calls?
     flights: list[_PlannerFlight] = []
     earlier: dict[FunctionKey, FunctionTarget] = {}
     for planner, kernels in study.by_planner().items():
-        tell(f"flying the golden mission {environment} {seed} with {planner}")
-        seen = observe(study.scenario(environment, seed, planner), kernels)
+        seen = observe_all(study.observed(planner), kernels, tell)
         targets = targets_of(seen, addresses=addresses)
         shared = [earlier[target.key] for target in targets if target.key in earlier]
         new = [target for target in targets if target.key not in earlier]

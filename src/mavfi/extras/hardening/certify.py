@@ -17,14 +17,12 @@ from pathlib import Path
 from statistics import NormalDist
 from typing import Any, Literal, NamedTuple, TypedDict
 
-import numpy as np
-
 from mavfi.analysis.statistics import TAIL, Paired, Rate, holm, mcnemar, wilson
 from mavfi.campaign.fingerprint import processor
 from mavfi.errors import BadInputError, write_text
 from mavfi.extras.hardening.advise import HardeningStudy, Tell, codes_of, coverage_in_plan, times_of
 from mavfi.extras.hardening.battery import SDC, Battery, InjectionPoint, counts_of
-from mavfi.extras.hardening.observed import GoldenCheck, ObservedFunction, check_golden, entries_of, observe
+from mavfi.extras.hardening.observed import GoldenCheck, ObservedFunction, check_golden, entries_of, merged, observe
 from mavfi.extras.hardening.plan import Coverage, FunctionKey, FunctionPlan, ProtectionPlan
 from mavfi.extras.hardening.protected import Protection, check_plan
 from mavfi.extras.hardening.target import FunctionTarget, affordable_faults
@@ -468,15 +466,22 @@ def combined_coverage(certificates: Sequence[Certificate], others: Sequence[Unpr
 def predicted_coverage(certificates: Sequence[Certificate], others: Sequence[Unprotected] = ()) -> Rate:
     """What `combined_coverage` gives if each function is as predicted, with the same weights.
 
+    A function without a prediction counts as not removed, for the upper bound as removed.
+
     Returns:
-        All None if a function has no prediction.
+        All None if no function has a prediction.
     """
     masses = [result.instructions * (result.sdc_before.rate or 0.0) for result in certificates]
     total_mass = sum(masses) + sum(result.instructions * (result.sdc.rate or 0.0) for result in others)
-    predicted = [certificate.predicted_rate for certificate in certificates]
-    if not total_mass or any(rate.rate is None for rate in predicted):
+    if not total_mass or all(certificate.predicted is None for certificate in certificates):
         return NO_RATE
-    return _weighted_sum([(mass / total_mass, rate) for mass, rate in zip(masses, predicted, strict=True)])
+    parts = []
+    for mass, certificate in zip(masses, certificates, strict=True):
+        predicted = certificate.predicted_rate
+        if certificate.predicted is None:
+            predicted = Rate(0, 0.0, 0.0, 1.0)
+        parts.append((mass / total_mass, predicted))
+    return _weighted_sum(parts)
 
 
 def _weighted_sum(parts: Sequence[tuple[float, Rate]]) -> Rate:
@@ -732,21 +737,6 @@ def check_fresh(study: HardeningStudy, plan: ProtectionPlan) -> None:
                     f"{study.directory}: mission {world} {seed}, the next after its own: the plan was made from it; "
                     "allowed: a ledger whose next missions are fresh"
                 )
-
-
-def merged(seen: Sequence[ObservedFunction]) -> list[ObservedFunction]:
-    """Join what several flights showed of the same function and signature."""
-    sums: dict[tuple[str, Any], ObservedFunction] = {}
-    for part in seen:
-        key = part.entry, part.signature
-        if key not in sums:
-            none = np.zeros_like(part.executions)
-            sums[key] = ObservedFunction(part.function, part.entry, part.signature, part.variant, none)
-        whole = sums[key]
-        whole.executions = whole.executions + part.executions
-        whole.total += part.total
-        whole.calls = [*whole.calls, *part.calls]
-    return list(sums.values())
 
 
 def with_certified(plan: ProtectionPlan, other: ProtectionPlan) -> ProtectionPlan:

@@ -1,8 +1,8 @@
 """Golden flights with other functions: counted, with some arguments kept, or with the protected code of a plan."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +23,22 @@ _RECORDED_CALLS = 12
 """About how many calls per signature are recorded; at most twice as many."""
 
 
+class FlightPart(NamedTuple):
+    """What one golden flight showed of a function.
+
+    Attributes:
+        mission: Environment and seed.
+        executions: Executions of each block with sites. Shape (blocks,).
+        total: Number of calls.
+        calls: Arguments of some calls, in order.
+    """
+
+    mission: str
+    executions: np.ndarray
+    total: int
+    calls: Sequence[tuple[Any, ...]]
+
+
 @dataclass(slots=True)
 class ObservedFunction:
     """What golden flights showed of a function compiled for one signature.
@@ -32,18 +48,45 @@ class ObservedFunction:
         entry: Its name, a field of `KernelFunctions`.
         signature: Numba types of the arguments.
         variant: Its instrumented variant.
-        executions: Executions of each block with sites. Shape (blocks,).
-        calls: Arguments of some calls, in order.
-        total: Number of calls.
+        parts: By flight, of those that call it.
     """
 
     function: Any
     entry: str
     signature: tuple[Any, ...]
     variant: Variant
-    executions: np.ndarray
-    total: int = 0
-    calls: list[tuple[Any, ...]] = field(default_factory=list)
+    parts: list[FlightPart]
+
+    @property
+    def executions(self) -> np.ndarray:
+        """Executions of each block with sites. Shape (blocks,)."""
+        executions: np.ndarray = np.sum([part.executions for part in self.parts], axis=0)
+        return executions
+
+    @property
+    def total(self) -> int:
+        """Number of calls."""
+        return sum(part.total for part in self.parts)
+
+    @property
+    def calls(self) -> list[tuple[Any, ...]]:
+        """Arguments of some calls, in order."""
+        return [arguments for part in self.parts for arguments in part.calls]
+
+    @property
+    def missions(self) -> list[str]:
+        """Mission of each of `calls`."""
+        return [part.mission for part in self.parts for _ in part.calls]
+
+    @property
+    def unseen_share(self) -> float:
+        """Share of the instructions of a further mission in blocks that none of these executed, as expected.
+
+        Estimated by the share in blocks that one mission alone executed (Good 1953).
+        """
+        by_part = np.array([part.executions for part in self.parts])
+        alone = (by_part > 0).sum(axis=0) == 1
+        return self.variant.written(np.where(alone, self.executions, 0)) / max(self.instructions, 1)
 
     @property
     def instructions(self) -> int:
@@ -61,6 +104,15 @@ class ObservedFunction:
         return signature_text(self.signature)
 
 
+@dataclass(slots=True)
+class _Tally:
+    """Counts of the calls of one signature so far: executions of each block, and recorded arguments."""
+
+    variant: Variant
+    executions: np.ndarray
+    recording: CallRecording
+
+
 class ObservedCalls:
     """Replaces a function in a flight: counts its blocks and records arguments, by signature.
 
@@ -74,7 +126,7 @@ class ObservedCalls:
         self._entry = entry
         self._function = function
         self._ahead = ahead
-        self._calls_by_signature: dict[tuple[Any, ...], tuple[ObservedFunction, CallRecording]] = {}
+        self._calls_by_signature: dict[tuple[Any, ...], _Tally] = {}
 
     def __call__(self, *args: Any) -> Any:
         """Call the function; bit-identical result."""
@@ -82,21 +134,22 @@ class ObservedCalls:
         if signature not in self._calls_by_signature:
             variant = variant_for(self._function, args)
             blocks = np.zeros(len(variant.table.blocks), np.int64)
-            seen = ObservedFunction(self._function, self._entry, signature, variant, blocks)
-            self._calls_by_signature[signature] = seen, CallRecording(_RECORDED_CALLS)
+            self._calls_by_signature[signature] = _Tally(variant, blocks, CallRecording(_RECORDED_CALLS))
             self._ahead.submit(cached_source, self._function, signature)
-        seen, recording = self._calls_by_signature[signature]
-        recording.note(args)
-        result, times = seen.variant.tally(*args)
-        seen.executions += times
+        tally = self._calls_by_signature[signature]
+        tally.recording.note(args)
+        result, times = tally.variant.tally(*args)
+        tally.executions += times
         return result
 
-    def seen(self) -> list[ObservedFunction]:
-        """What the flight showed of the function, by signature, in order of the first call."""
-        for seen, recording in self._calls_by_signature.values():
-            seen.total = recording.total
-            seen.calls = [*recording.arguments.values()]
-        return [seen for seen, _ in self._calls_by_signature.values()]
+    def seen(self, mission: str) -> list[ObservedFunction]:
+        """What the flight of a mission showed of the function, by signature, in order of the first call."""
+        observed = []
+        for signature, tally in self._calls_by_signature.items():
+            recording = tally.recording
+            part = FlightPart(mission, tally.executions, recording.total, [*recording.arguments.values()])
+            observed.append(ObservedFunction(self._function, self._entry, signature, tally.variant, [part]))
+        return observed
 
 
 def entries_of(kernels: Sequence[str]) -> tuple[str, ...]:
@@ -115,7 +168,51 @@ def observe(scenario: Scenario, kernels: Sequence[str]) -> dict[str, list[Observ
     with ThreadPoolExecutor(1) as ahead, np.errstate(all="ignore"):
         observers = {name: ObservedCalls(name, getattr(PLAIN, name), ahead) for name in names}
         fly(scenario, functions=PLAIN.instrumented(names, lambda name, _: observers[name]))
-    return {kernel: [seen for name in INJECTABLE[kernel] for seen in observers[name].seen()] for kernel in kernels}
+    mission = f"{scenario.environment.name}-{scenario.seed}"
+    return {
+        kernel: [seen for name in INJECTABLE[kernel] for seen in observers[name].seen(mission)] for kernel in kernels
+    }
+
+
+def merged(seen: Sequence[ObservedFunction]) -> list[ObservedFunction]:
+    """Join what several flights showed of the same function and signature."""
+    joined: dict[tuple[str, Any], ObservedFunction] = {}
+    for observed in seen:
+        key = observed.entry, observed.signature
+        if key in joined:
+            joined[key].parts += observed.parts
+        else:
+            joined[key] = replace(observed, parts=[*observed.parts])
+    return list(joined.values())
+
+
+def observe_all(
+    scenarios: Sequence[Scenario], kernels: Sequence[str], tell: Callable[[str], None]
+) -> dict[str, list[ObservedFunction]]:
+    """Fly golden missions; returns the executed functions by kernel, with about as many recorded calls as of two.
+
+    Args:
+        scenarios: The missions.
+        kernels: Kernels whose functions are observed.
+        tell: Called with a line of text for each mission.
+    """
+    stride = max(len(scenarios) // 2, 1)
+    seen: dict[str, list[ObservedFunction]] = {kernel: [] for kernel in kernels}
+    for number, scenario in enumerate(scenarios):
+        tell(f"flying the golden mission {scenario.environment.name} {scenario.seed}")
+        for kernel, functions in observe(scenario, kernels).items():
+            seen[kernel] += [_thinned(function, number % stride, stride) for function in functions]
+    return {kernel: merged(functions) for kernel, functions in seen.items()}
+
+
+def _thinned(seen: ObservedFunction, start: int, stride: int) -> ObservedFunction:
+    """Every `stride`th recorded call, at least one.
+
+    The starts of several missions differ: the first call of a mission, which is always recorded, would count too often.
+    """
+    (part,) = seen.parts
+    first = min(start, len(part.calls) - 1)
+    return replace(seen, parts=[part._replace(calls=part.calls[first::stride])])
 
 
 class GoldenCheck(NamedTuple):

@@ -4,12 +4,13 @@ import shlex
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mavfi.analysis.rows import KERNEL_DUE
 from mavfi.analysis.statistics import Rate
 from mavfi.analysis.table import Table
 from mavfi.errors import write_text
+from mavfi.extras.hardening.advise import FRESH
 from mavfi.extras.hardening.certify import (
     MAX_HALF_WIDTH,
     TOLERANCE,
@@ -52,6 +53,10 @@ _CERTIFICATE = (
 )
 
 
+_MAX_SPANS = 2
+"""Groups of lines of a function that a sentence names at most."""
+
+
 def headline(summary: AdviceSummary) -> str:
     """The advice in one sentence."""
     protected = [kernel.kernel for kernel in summary.kernels if kernel.added > 0 or kernel.coverage.rate]
@@ -60,22 +65,47 @@ def headline(summary: AdviceSummary) -> str:
     corruptions = "all silent corruptions (SDC)"
     if not summary.complete:
         corruptions = f"the silent corruptions (SDC) in {', '.join(kernel.kernel for kernel in summary.kernels)}"
-    return (
-        f"Protect {', '.join(protected)}: {percent(summary.spent)} more kernel time per flight removes "
-        f"{interval(summary.coverage)} of {corruptions}, predicted from {summary.injections:,} injections."
-    )
+    protect = f"Protect {', '.join(protected)}: {percent(summary.spent)} more kernel time per flight removes "
+    if summary.coverage.rate is None:
+        return f"{protect}a share of {corruptions} that is not known: predicted from too few missions."
+    return f"{protect}{interval(summary.coverage)} of {corruptions}, predicted from {summary.injections:,} injections."
 
 
 def caveats(summary: AdviceSummary) -> list[str]:
-    """What the protection does not buy."""
+    """What the protection does not buy, and what it has not seen."""
     silent = summary.harm.silent
     dead = summary.harm.dead
-    return [
+    unseen = [unseen_lines(function) for function in summary.functions if function.sites and function.unseen_lines]
+    lines = [
         f"It does not buy missions: {silent.successes} of {silent.n} flights with an SDC were lost, "
         f"{interval(silent)}; {dead.successes} of {dead.n} with a dead kernel.",
         f"It does not buy crashes: {interval(summary.harm.dead_share)} of the injections ended in a crash, hang or "
         "exception; duplication detects some of them at IR level, which says nothing about machine level.",
     ]
+    if unseen:
+        lines.append(f"It does not cover what no observed mission executes: {'; '.join(unseen)}.")
+    return lines
+
+
+def unseen_lines(function: FunctionSummary) -> str:
+    """Source lines of a function that no mission executed, as "track: pid.py:60-66, 71 and 3 more"; the first ones."""
+    spans: list[list[Any]] = []  # file, first and last line
+    for file, numbers in function.unseen_lines.items():
+        for number in numbers:
+            if spans and spans[-1][0] == file and number == spans[-1][2] + 1:
+                spans[-1][2] = number
+            else:
+                spans.append([file, number, number])
+    texts = []
+    for file, first, last in spans[:_MAX_SPANS]:
+        text = f"{Path(file).name}:{first}"
+        if last > first:
+            text += f"-{last}"
+        texts.append(text)
+    more = ""
+    if len(spans) > _MAX_SPANS:
+        more = f" and {len(spans) - _MAX_SPANS} more"
+    return f"{function.entry} {', '.join(texts)}{more}"
 
 
 def advice_table(summary: AdviceSummary) -> Table:
@@ -87,8 +117,8 @@ def advice_table(summary: AdviceSummary) -> Table:
         rows = [row[:-1] for row in rows]
     notes = (
         "kernel time: share of a golden flight's; time: measured, protected / plain; adds: of a flight's kernel time; "
-        "predicted by cross-validation over recorded calls, 95 % interval; sites: instructions that are "
-        "duplicated, of those that can be",
+        f"predicted by cross-validation over missions, 95 % interval for {FRESH} further missions; sites: instructions "
+        "that are duplicated, of those that can be",
     )
     return Table.of_text("What to protect", columns, rows, notes)
 
@@ -100,11 +130,18 @@ def _advice_row(function: FunctionSummary) -> tuple[str, ...]:
         percent(function.share),
         f"×{function.time:.2f}",
         percent(function.added, 2),
-        interval(function.coverage),
+        prediction(function),
         str(function.coverage.n),
         f"{function.sites} of {function.all_sites}",
         ABSENT if function.certified is None else interval(function.certified),
     )
+
+
+def prediction(function: FunctionSummary) -> str:
+    """The predicted coverage, or why there is none."""
+    if function.coverage.rate is None:
+        return f"predicted from {function.recorded} calls of {function.missions} missions: too few"
+    return interval(function.coverage)
 
 
 def verdict_line(certification: Certification) -> str:
@@ -357,6 +394,7 @@ def page(summary: AdviceSummary, directory: Path, plan: Path | None) -> str:
         curve=curve,
         source=source,
         escapes=escapes,
+        prediction=prediction,
         commands=commands,
         interval=interval,
         percent=percent,

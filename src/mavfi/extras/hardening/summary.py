@@ -8,10 +8,10 @@ import polars as pl
 
 from mavfi.analysis.rows import ACTIVATED, KERNEL_DUE
 from mavfi.analysis.runs import Runs
-from mavfi.analysis.statistics import Rate, wilson
+from mavfi.analysis.statistics import Rate, clustered_rate
 from mavfi.campaign.plan import FI
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.advise import Advice, Curve, CurveStep, HardeningStudy, coverage_of, coverage_of_steps
+from mavfi.extras.hardening.advise import Advice, Curve, CurveStep, HardeningStudy, coverage_of_steps
 from mavfi.extras.hardening.certify import rate_of
 from mavfi.extras.hardening.choose import added
 from mavfi.extras.hardening.duplicate import candidates
@@ -50,11 +50,17 @@ def harm_of(runs: Runs) -> Harm:
         raise BadInputError("no flight with a fault in an instruction is done (level: instruction)")
     silent = injected.where(kernel_effect=_SDC)
     dead = injected.where(pl.col("kernel_effect").is_in(KERNEL_DUE))
+    is_dead = [effect in KERNEL_DUE for effect in injected["kernel_effect"]]
     return Harm(
-        silent=wilson(silent["success"].count(False), len(silent)),
-        dead=wilson(dead["success"].count(False), len(dead)),
-        dead_share=wilson(len(dead), len(injected)),
+        silent=_lost(silent),
+        dead=_lost(dead),
+        dead_share=clustered_rate(is_dead, injected["world"]),
     )
+
+
+def _lost(runs: Runs) -> Rate:
+    """Lost missions per fault; the faults of one world are a cluster."""
+    return clustered_rate([not success for success in runs["success"]], runs["world"])
 
 
 # ---- the advice -----------------------------------------------------------------------------------------------------
@@ -129,20 +135,23 @@ class FunctionSummary:
         function: Module and name.
         entry: Its name.
         signature: Numba types of its arguments.
-        calls: Number of calls in a golden flight.
+        calls: Number of calls in the golden flights.
+        recorded: Number of these whose arguments were recorded.
+        missions: Number of missions that call it.
         instructions: Dynamic instructions of these.
         injections: Number of injections in recorded calls.
         sdc: Silent corruptions per injection.
         share: Share of the flight's kernel time.
         time: Protected / plain time of the chosen step.
         added: Time that this adds, as a share of the flight's kernel time.
-        coverage: Predicted share of silent corruptions that it removes.
+        coverage: Predicted share of silent corruptions that it removes; not known if too few missions call it.
         certified: The same, measured with fresh faults in the same protected code; None = not certified.
         sites: Number of duplicated instructions.
         all_sites: Number of those that can be duplicated.
         steps: Its curve.
         escapes: Shares of the expected silent corruptions: `PROTECTED`, and those that escape, by reason.
         lines: Its executed source lines.
+        unseen_lines: Source lines that no mission executed, by file.
     """
 
     kernel: str
@@ -150,6 +159,8 @@ class FunctionSummary:
     entry: str
     signature: str
     calls: int
+    recorded: int
+    missions: int
     instructions: int
     injections: int
     sdc: Rate
@@ -163,6 +174,7 @@ class FunctionSummary:
     steps: tuple[StepSummary, ...]
     escapes: dict[str, float]
     lines: tuple[LineSummary, ...]
+    unseen_lines: dict[str, list[int]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,9 +264,11 @@ def _function(curve: Curve, chosen: CurveStep, certified: Rate | None) -> Functi
         entry=target.seen.entry,
         signature=target.seen.signature_text,
         calls=target.seen.total,
+        recorded=len(target.seen.calls),
+        missions=len(target.seen.parts),
         instructions=target.seen.instructions,
         injections=len(target.injections),
-        sdc=coverage_of([(injected, injected.sdc) for injected in target.injections]),
+        sdc=target.sdc_rate,
         share=curve.share,
         time=chosen.time,
         added=curve.extra(chosen),
@@ -265,6 +279,7 @@ def _function(curve: Curve, chosen: CurveStep, certified: Rate | None) -> Functi
         steps=steps,
         escapes=_escapes(target, sites),
         lines=_lines(target, sites),
+        unseen_lines=target.unseen_lines,
     )
 
 

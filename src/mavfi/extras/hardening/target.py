@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mavfi.analysis.statistics import MIN_WORLDS, Rate, clustered_rate
 from mavfi.extras.hardening.battery import NOT_ACTIVATED, SDC, Battery
 from mavfi.extras.hardening.choose import Choice, Chooser, Value, values_of
 from mavfi.extras.hardening.observed import ObservedFunction
@@ -42,7 +43,7 @@ class Injected(NamedTuple):
         block: Index of the instruction's block, as in `ModuleSite`.
         offset: Its index in the block.
         sdc: Whether an output of the function was silently corrupted.
-        world: What it has in common with others: the call.
+        world: What it has in common with others: the mission of the call.
     """
 
     block: int
@@ -60,8 +61,9 @@ def injections_in(seen: ObservedFunction, times: int = 1) -> list[Injected]:
     """Inject `times` as many faults in the recorded calls of a function as take some seconds."""
     battery = Battery(seen.entry, seen.function, seen.variant, seen.calls)
     points = battery.draw(stream(0, "harden", name_of(seen.function)), times * affordable_faults(battery))
+    missions = seen.missions
     return [
-        Injected(point.block, point.offset, effect == SDC, str(point.call))
+        Injected(point.block, point.offset, effect == SDC, missions[point.call])
         for point, effect in zip(points, battery.run(points), strict=True)
         if effect != NOT_ACTIVATED
     ]
@@ -111,7 +113,7 @@ def rates_of(injections: Sequence[Injected], table: SiteTable) -> SiteRates:
 JudgedCorruptions = Sequence[tuple[Injected, bool]]
 """Silent corruptions, and whether they are removed."""
 FOLDS = 4
-"""Parts of the injections, each of which judges a choice made from the others."""
+"""Parts of the injections, each of which judges a choice made from the others, with too few missions for one each."""
 
 
 class SiteMass(NamedTuple):
@@ -120,7 +122,7 @@ class SiteMass(NamedTuple):
     Attributes:
         site: As in a plan.
         row: Its row in the table of sites.
-        executions: In the golden flight.
+        executions: In the golden flights.
         mass: Expected silent corruptions, if each of these executions were injected once.
     """
 
@@ -178,9 +180,13 @@ class FunctionTarget:
 
     @cached_property
     def values(self) -> list[Value]:
-        """Values that can be duplicated, with their executions in the golden flight."""
-        executions = dict(zip(self.blocks, map(float, self.seen.executions), strict=True))
-        return values_of(self.module, executions, addresses=self.addresses)
+        """Values that can be duplicated, with their executions in the golden flights."""
+        return self._values(self.seen.executions)
+
+    def _values(self, executions: np.ndarray) -> list[Value]:
+        """Values that can be duplicated, with these executions of blocks. Shape (blocks,)."""
+        by_block = dict(zip(self.blocks, map(float, executions), strict=True))
+        return values_of(self.module, by_block, addresses=self.addresses)
 
     @cached_property
     def rows(self) -> list[InjectionSite]:
@@ -193,11 +199,18 @@ class FunctionTarget:
         """Site of an injection, as in a plan."""
         return ModuleSite(*self.blocks[injected.block], injected.offset)
 
-    def benefit(self, injections: Sequence[Injected]) -> np.ndarray:
-        """Expected silent corruptions of each value, if every dynamic instruction of the flight were injected once."""
+    def _chooser(self, values: Sequence[Value], injections: Sequence[Injected]) -> Chooser:
+        """Choices by expected silent corruptions, if every execution of the values were injected once."""
         rates = rates_of(injections, self.seen.variant.table)
-        values_and_rows = zip(self.values, self.rows, strict=True)
-        return np.array([value.executions * rates.of(groups_of(row)) for value, row in values_and_rows])
+        values_and_rows = zip(values, self.rows, strict=True)
+        return Chooser(values, [value.executions * rates.of(groups_of(row)) for value, row in values_and_rows])
+
+    @property
+    def sdc_rate(self) -> Rate:
+        """Silent corruptions per injection, in these missions."""
+        return clustered_rate(
+            [injected.sdc for injected in self.injections], [injected.world for injected in self.injections]
+        )
 
     @property
     def sdc_mass(self) -> float:
@@ -205,29 +218,60 @@ class FunctionTarget:
         return sum(executed.mass for executed in self.masses)
 
     @cached_property
+    def sdc_mass_by_mission(self) -> dict[str, float]:
+        """The same for each mission alone."""
+        rates = rates_of(self.injections, self.seen.variant.table)
+        masses = {}
+        for part in self.seen.parts:
+            executions = self.seen.variant.table.executions(part.executions)
+            masses[part.mission] = sum(times * rates.of(groups_of(row)) for row, times in executions)
+        return masses
+
+    @cached_property
     def chooser(self) -> Chooser:
         """Choices from all injections."""
-        return Chooser(self.values, self.benefit(self.injections))
+        return self._chooser(self.values, self.injections)
 
     @cached_property
     def _folds(self) -> list[tuple[list[Injected], Chooser]]:
-        """Parts of the injections, by call, each with the choices from all others."""
-        # Injections in one call depend on each other, so they stay together if there are enough calls.
-        worlds = sorted({injected.world for injected in self.injections})
-        by_call = len(worlds) >= FOLDS
-        parts: list[list[Injected]] = [[] for _ in range(FOLDS)]
-        for number, injected in enumerate(self.injections):
-            group = number
-            if by_call:
-                group = worlds.index(injected.world)
-            parts[group % FOLDS].append(injected)
+        """Parts of the injections, each with the choices that are made without them.
 
+        A part is a mission: neither its faults nor its executions are known to the choice that it judges.
+        """
+        if len(self.seen.parts) < MIN_WORLDS:
+            return self._folds_by_number()
         folds = []
-        for part in parts:
-            if part:
-                others = [injected for other in parts if other is not part for injected in other]
-                folds.append((part, Chooser(self.values, self.benefit(others))))
+        for part in self.seen.parts:
+            judging = [injected for injected in self.injections if injected.world == part.mission]
+            others = [injected for injected in self.injections if injected.world != part.mission]
+            if judging:
+                values = self._values(self.seen.executions - part.executions)
+                folds.append((judging, self._chooser(values, others)))
         return folds
+
+    def _folds_by_number(self) -> list[tuple[list[Injected], Chooser]]:
+        """The same without regard to missions: they rank choices, but predict nothing."""
+        folds = []
+        for number in range(FOLDS):
+            others = [injected for n, injected in enumerate(self.injections) if n % FOLDS != number]
+            folds.append((self.injections[number::FOLDS], self._chooser(self.values, others)))
+        return folds
+
+    @property
+    def unseen_lines(self) -> dict[str, list[int]]:
+        """Source lines without an instruction that any mission executed, by file, ascending."""
+        seen = set()
+        unseen = set()
+        for row, executions in self.seen.variant.table.executions(self.seen.executions):
+            if executions:
+                seen.add((row.file, row.line))
+            else:
+                unseen.add((row.file, row.line))
+        by_file: dict[str, list[int]] = {}
+        for file, line in sorted(unseen - seen):
+            if line:  # 0: the compiler does not say
+                by_file.setdefault(file, []).append(line)
+        return by_file
 
     @cached_property
     def masses(self) -> list[SiteMass]:

@@ -8,7 +8,10 @@ from mavfi.analysis.views import View, has
 from mavfi.plugins import Chapter
 
 _EFFECTS = {"masked": "masked", "sdc": "SDC", "crash": "crash", "hang": "hang"}
-_INTERVALS = "per cent, [95 % interval, Wilson], count; a crash or a hang is a detected error (DUE)"
+_INTERVALS = (
+    "per cent, [95 % interval: Wilson, n reduced by the design effect of worlds], count; a crash or a hang is a "
+    "detected error (DUE)"
+)
 _REPEAT = (
     "the instant of an injection is the machine's, not the seed's: a trial cannot be repeated bit for bit, and the "
     "digest is that of this ledger"
@@ -56,7 +59,7 @@ CHAPTER = Chapter(
             ("registers",),
             (
                 m.count("n", "trials", _JUDGED),
-                *(m.wilson_rate(key, heading, pl.col("effect") == key, _JUDGED) for key, heading in _EFFECTS.items()),
+                *(m.rate(key, heading, pl.col("effect") == key, _JUDGED) for key, heading in _EFFECTS.items()),
                 m.count("unknown", "not judged", effect="unknown"),
             ),
             where=_trials,

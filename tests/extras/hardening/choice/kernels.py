@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from mavfi.extras.hardening.battery import copied
-from mavfi.extras.hardening.observed import ObservedFunction
+from mavfi.extras.hardening.observed import FlightPart, ObservedFunction
 from mavfi.faults.levels.instruction.variant import signature_of, variant_for
 from mavfi.numerics.jit import kernel_jit
 
@@ -27,16 +27,12 @@ def calls(count=4):
     return [(random.uniform(0.0, 4.0, 9), np.zeros(9)) for _ in range(count)]
 
 
-def see(function, calls):
-    """What calls, of equal types, show of a function, as golden flights do."""
+def see(function, calls, missions=1):
+    """What calls, of equal types, show of a function, as golden flights do; they are dealt out to the missions."""
     variant = variant_for(function, calls[0])
-    executions = sum(variant.tally(*copied(args))[1] for args in calls)
-    return ObservedFunction(
-        function,
-        function.py_func.__name__,
-        signature_of(calls[0]),
-        variant,
-        np.asarray(executions),
-        len(calls),
-        [*calls],
-    )
+    parts = []
+    for number in range(missions):
+        of_mission = calls[number::missions]
+        executions = sum(variant.tally(*copied(args))[1] for args in of_mission)
+        parts.append(FlightPart(f"dense-{number}", np.asarray(executions), len(of_mission), of_mission))
+    return ObservedFunction(function, function.py_func.__name__, signature_of(calls[0]), variant, parts)

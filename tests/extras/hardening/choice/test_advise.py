@@ -1,12 +1,13 @@
 """Budget of time over functions, and predicted coverage."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mavfi.analysis.statistics import Rate, wilson
 from mavfi.extras.hardening import advise
 from mavfi.extras.hardening.advise import (
     Advice,
@@ -15,7 +16,6 @@ from mavfi.extras.hardening.advise import (
     PreparedFunction,
     allocate,
     allocate_and_retime,
-    coverage_of,
     coverage_of_steps,
 )
 from mavfi.extras.hardening.choose import NOTHING
@@ -26,9 +26,14 @@ from mavfi.extras.hardening.target import Injected
 class Target:
     name: str
     sdc_mass: float
+    sdc_rate: Rate = field(default_factory=lambda: wilson(50, 100))
+
+    @property
+    def sdc_mass_by_mission(self):
+        return dict.fromkeys("01234567", self.sdc_mass / 8)
 
 
-def judged(hits, n, world=str):
+def judged(hits, n, world=lambda i: str(i % 8)):
     return [(Injected(0, i, True, world(i)), i < hits) for i in range(n)]
 
 
@@ -89,15 +94,31 @@ def test_no_other_choice_within_the_budget_removes_more(rows, budget):
     assert advice.spent <= budget + 1e-12
 
 
-def test_predicted_coverage_counts_calls_as_clusters():
-    alone = coverage_of(judged(50, 100))
-    clustered = coverage_of(judged(50, 100, lambda i: str(i // 50)))
-    assert alone.rate == clustered.rate == 0.5
-    assert clustered.high - clustered.low > 2 * (alone.high - alone.low)
+def test_predicted_coverage_counts_missions_as_clusters():
+    alike = CurveStep(1.0, NOTHING, 1.0, judged(50, 100)).coverage
+    different = CurveStep(1.0, NOTHING, 1.0, judged(50, 100, lambda i: str(i // 13))).coverage
+    assert alike.rate == different.rate == 0.5
+    assert different.high - different.low > 2 * (alike.high - alike.low)
+
+
+def test_too_few_missions_predict_nothing_and_the_rest_of_a_plan_is_told_without_them():
+    few = CurveStep(1.0, NOTHING, 1.0, judged(100, 100, lambda i: str(i % 2)))
+    many = CurveStep(1.0, NOTHING, 1.0, judged(100, 100))
+    assert few.coverage.rate is None and few.removed_share == 1.0
+    parts = [(Curve(Target(name, mass), 1.0, 0.1, ()), step) for name, mass, step in (("a", 90, many), ("b", 10, few))]
+    total = coverage_of_steps(parts)
+    assert total.rate == pytest.approx(0.9) and total.high > 0.99
+    assert coverage_of_steps(parts[1:]).rate is None
+
+
+def test_blocks_that_no_mission_executed_lower_the_bound():
+    seen = CurveStep(1.0, NOTHING, 1.0, judged(100, 100)).coverage
+    unseen = CurveStep(1.0, NOTHING, 1.0, judged(100, 100), 0.2).coverage
+    assert (unseen.rate, unseen.low) == (1.0, pytest.approx(0.8 * seen.low))
 
 
 def test_functions_count_by_their_silent_corruptions():
-    parts = [("a", 90.0, judged(100, 100)), ("b", 10.0, judged(0, 50)), ("c", 5.0, [])]
+    parts = [("a", 90.0, judged(100, 100)), ("b", 10.0, judged(0, 50)), ("c", 0.0, [])]
     found = coverage_of_steps(
         [(Curve(Target(name, mass), 1.0, 0.1, ()), CurveStep(1.0, NOTHING, 1.0, own)) for name, mass, own in parts]
     )

@@ -21,12 +21,17 @@ from tools.full_protection import full_plan
 @pytest.fixture(scope="module")
 def target():
     """Injections of which those in results of multiplications are silent corruptions."""
-    seen = see(smooth, calls())
+    seen = see(smooth, calls(12), missions=6)
     battery = Battery("smooth", smooth, seen.variant, seen.calls)
     (found,) = targets_of({"pid": [seen]})
     found.injections = [
-        Injected(place.block, place.offset, battery.site(place.block, place.offset).opcode == "fmul", str(number % 6))
-        for number, place in enumerate(battery.draw(np.random.default_rng(4), 300))
+        Injected(
+            place.block,
+            place.offset,
+            battery.site(place.block, place.offset).opcode == "fmul",
+            seen.missions[place.call],
+        )
+        for place in battery.draw(np.random.default_rng(4), 300)
     ]
     return found
 
@@ -38,6 +43,24 @@ def test_expected_corruptions_are_those_of_the_injected_instructions(target):
     assert max(by_opcode, key=by_opcode.get) == "fmul" and by_opcode["fmul"] > 0.7 * target.sdc_mass
     rate = sum(one.sdc for one in target.injections) / len(target.injections)
     assert target.sdc_mass == pytest.approx(rate * target.seen.instructions, rel=0.15)
+
+
+def test_a_mission_judges_choices_that_know_neither_its_faults_nor_its_blocks():
+    """Mission 0 alone has values, so what is in the loop over them the choice of the others does not duplicate."""
+    nothing = [(np.zeros(0), np.zeros(0)) for _ in range(5)]
+    seen = see(smooth, [(np.full(9, 3.0), np.zeros(9)), *nothing], missions=6)
+    (target,) = targets_of({"pid": [seen]})
+    by_mission = np.array([part.executions for part in seen.parts])
+    loop = int(by_mission[0].argmax())
+    everywhere = int(np.flatnonzero(by_mission.all(axis=0))[0])
+    target.injections = [
+        Injected(loop, 0, True, "dense-0"),
+        *(Injected(everywhere, 0, True, part.mission) for part in seen.parts),
+    ]
+    removed = dict(target.judged(1.0))
+    assert target.site_of(target.injections[0]) in target.sites(target.chooser.full)
+    assert [removed[injected] for injected in target.injections] == [False] + [True] * 6
+    assert 0.5 < seen.unseen_share < 1
 
 
 def test_sites_are_those_of_the_parsed_module(target):
@@ -101,10 +124,10 @@ def test_a_plan_keeps_the_certificate_of_the_same_code(target):
 @pytest.mark.long
 def test_choice_and_certificate_count_the_same_corruptions():
     """A function's result that its caller would mask is a corruption for both."""
-    pair = FunctionPair.of(see(smooth, calls()), full_plan("pid", smooth, signature_of(calls()[0])))
+    pair = FunctionPair.of(see(smooth, calls(), missions=4), full_plan("pid", smooth, signature_of(calls()[0])))
     learned = injections_in(pair.seen)
     rate = wilson(sum(one.sdc for one in learned), len(learned))
     measured = certify(pair, 60).sdc_before
     assert rate.rate > 0.2
     assert rate.low < measured.high and measured.low < rate.high, "the intervals overlap: two samples of one rate"
-    assert {one.world for one in learned} == {"0", "1", "2", "3"}
+    assert {one.world for one in learned} == {f"dense-{number}" for number in range(4)}

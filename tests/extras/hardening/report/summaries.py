@@ -18,6 +18,8 @@ def function(kernel, entry, share, steps, chosen, file="mavfi/kernels/control/pi
         entry=entry,
         signature="f8",
         calls=1800,
+        recorded=24,
+        missions=8,
         instructions=868_901,
         injections=400,
         sdc=rate(0.45),
@@ -33,6 +35,7 @@ def function(kernel, entry, share, steps, chosen, file="mavfi/kernels/control/pi
         ),
         escapes={"protected": 0.8, "beyond the budget": 0.15, "cannot repeat: call": 0.05},
         lines=tuple(LineSummary(file, first + 2 * i, 0.04 * (i + 1), 0.1 - 0.01 * i, i / 9) for i in range(10)),
+        unseen_lines={},
     )
 
 

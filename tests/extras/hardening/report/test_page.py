@@ -12,6 +12,7 @@ from mavfi.extras.hardening.plan import Coverage
 from mavfi.extras.hardening.report import (
     HEIGHT,
     WIDTH,
+    advice_table,
     caveats,
     certificate_table,
     curve,
@@ -65,6 +66,22 @@ def test_sentences():
     nothing = tuple(replace(row, added=0.0, coverage=rate(0.0)) for row in advice.kernels)
     assert headline(replace(advice, kernels=nothing)).startswith("Nothing can be protected within 10.0 %")
     assert "of 60 with a dead kernel" in caveats(advice)[0]
+
+
+def test_what_was_not_seen_is_said():
+    advice = summary()
+    track = replace(
+        advice.functions[0],
+        coverage=rate(None),
+        recorded=3,
+        missions=2,
+        unseen_lines={"mavfi/kernels/control/pid.py": [60, 61, 62, 71, 80, 90]},
+    )
+    advice = replace(advice, functions=(track, *advice.functions[1:]))
+    assert caveats(advice)[-1].endswith("mission executes: track pid.py:60-62, pid.py:71 and 2 more.")
+    assert "removes predicted from 3 calls of 2 missions: too few" in page(advice, DIRECTORY, PLAN)
+    assert "too few" in advice_table(advice).to_csv()
+    assert "a share of all silent corruptions (SDC) that is not known" in headline(replace(advice, coverage=rate(None)))
 
 
 def test_the_page_of_a_certificate_starts_with_its_verdict(tmp_path):
