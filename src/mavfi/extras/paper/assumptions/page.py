@@ -18,13 +18,20 @@ from mavfi.analysis.statistics import holm
 from mavfi.analysis.table import TEXT, Column, Table
 from mavfi.extras.paper.assumptions.design import INSTRUCTION, STATE, Reading
 from mavfi.extras.paper.assumptions.fit import (
+    Counts,
     EnvironmentFlights,
     PointsDifference,
     deviance_interval,
     lost_points,
     paper_counts,
 )
-from mavfi.extras.paper.assumptions.rounds import AssumptionResults, FrozenReading, JudgedDetectors, fit_of
+from mavfi.extras.paper.assumptions.rounds import (
+    NOT_REJECTED,
+    AssumptionResults,
+    FrozenReading,
+    JudgedDetectors,
+    fit_of,
+)
 from mavfi.extras.paper.claims import (
     AS_PUBLISHED,
     CLAIMS,
@@ -42,7 +49,6 @@ from mavfi.report import style
 from mavfi.report.campaign_report import markdown_table
 from mavfi.report.text import short
 
-_REJECTED = 0.05
 _SHOWN = 12
 """Rows of the table of readings."""
 _SHORT = {"dr_gaussian": "GAD", "dr_autoencoder": "AAD"}
@@ -81,8 +87,9 @@ class Combination(NamedTuple):
 
     @property
     def name(self) -> str:
-        """E.g. "monitored with largest"."""
-        return f"{self.frozen.fitted.reading['where']} with {self.detectors.name}"
+        """E.g. "monitored, background, with largest"."""
+        reading = self.frozen.fitted.reading
+        return f"{reading['where']}, {reading['losses']}, with {self.detectors.name}"
 
 
 def combinations_of(results: AssumptionResults) -> list[Combination]:
@@ -104,10 +111,11 @@ def best_combination(results: AssumptionResults) -> Combination:
 
 def summary(results: AssumptionResults) -> list[str]:
     """The answer in a few sentences, computed."""
-    accepted = [item for item in results.fitted if item.fit.p_value >= _REJECTED]
+    accepted = [item for item in results.fitted if item.fit.p_value >= NOT_REJECTED]
     combinations = combinations_of(results)
-    left = [combination.name for combination in combinations if combination.corrected_p >= _REJECTED]
+    left = [combination.name for combination in combinations if combination.corrected_p >= NOT_REJECTED]
     best = best_combination(results)
+    kinds = dict.fromkeys(results.study.kind_of(part.fitted.reading) for part in results.frozen)
     outside = _cells_outside(best.detectors)
     where = "all eight detector cells lie in its prediction intervals"
     if outside:
@@ -117,7 +125,7 @@ def summary(results: AssumptionResults) -> list[str]:
         f"{len(results.fitted)} readings of the experiment were fitted to the paper's golden and injection cells "
         f"({len(results.flown)} of them flown, the others count the same flights in another way); {len(accepted)} are "
         "not rejected at 5 %: these cells alone do not tell where the faults lay.",
-        f"The best {len(results.frozen)}, each with another kind of place for the fault, were frozen and judged on "
+        f"The best with faults in {' and in '.join(kinds)} were frozen, and judged on "
         f"fresh seeds on the eight detector cells, with {len(results.study.detectors)} readings of the detectors each. "
         f"Not rejected at 5 % (Holm over {len(combinations)}): {', '.join(left) or 'none'}.",
         f"Best: {best.name} (p = {best.detectors.judgement.p_value:.2g}); {where}. Its faults: "
@@ -145,10 +153,7 @@ def cells_table(results: AssumptionResults) -> Table:
     best = best_combination(results)
     rows: list[tuple[object, ...]] = []
     for name in results.study.environments:
-        flights = best.frozen.flights[name]
-        background = _background(results, best.frozen, name)
-        golden = background * flights.golden.counts().rate
-        faulty = background * flights.faulty["fi"].counts(_deaths(results, best.frozen)).rate
+        golden, faulty = (_counts(results, best.frozen, name, setting).rate for setting in ("golden", "fi"))
         rows.append((name, "golden run", paper_counts(name, "golden").rate, golden, "", "fitted"))
         rows.append((name, "one fault", paper_counts(name, "fi").rate, faulty, "", "fitted"))
         for setting, words in _SHORT.items():
@@ -185,7 +190,8 @@ def differences_table(results: AssumptionResults) -> Table:
         rows.append(tuple(cells))
     columns = (Column("setting", ""), *(Column(name, name) for name in results.study.environments))
     notes = (
-        "success with the setting - success of golden runs, points; in brackets the paper's",
+        "success with the setting - success of golden runs, points, before what else loses golden runs; in brackets "
+        "the paper's",
         f"{best.name}, fresh seeds",
     )
     return Table("differences", "What a fault costs, and what the detectors bring back", columns, rows, notes=notes)
@@ -198,12 +204,21 @@ def _setting_of(results: AssumptionResults, best: Combination, papers: str) -> s
     return f"dr_{results.study.arm_of(best.detectors.name, papers.removeprefix('dr_'))}"
 
 
-def _background(results: AssumptionResults, frozen: FrozenReading, environment: str) -> float:
-    """Share of missions that the fitted background leaves in an environment; 1 = the reading has none."""
+def _counts(results: AssumptionResults, frozen: FrozenReading, environment: str, setting: str) -> Counts:
+    """Counts of golden runs, or of those with a fault, in an environment, as the frozen reading counts them."""
     losses = results.study.value("losses", frozen.fitted.reading["losses"]).losses
+    fitted = frozen.fitted.fit.environments[environment].best
+    flights = frozen.flights[environment]
+    limit_s = np.inf
+    if losses == "time_limit":
+        limit_s = fitted
+    if setting == "golden":
+        counts = flights.golden.counts(limit_s=limit_s)
+    else:
+        counts = flights.faulty[setting].counts(_deaths(results, frozen), limit_s)
     if losses == "background":
-        return frozen.fitted.fit.environments[environment].best
-    return 1.0
+        return Counts(fitted * counts.successes, counts.n)
+    return counts
 
 
 def _deaths(results: AssumptionResults, frozen: FrozenReading) -> str:
@@ -221,6 +236,7 @@ def detectors_table(results: AssumptionResults) -> Table:
         rows.append(
             (
                 combination.frozen.fitted.reading["where"],
+                combination.frozen.fitted.reading["losses"],
                 item.name,
                 reading.text,
                 reading.source,
@@ -233,6 +249,7 @@ def detectors_table(results: AssumptionResults) -> Table:
         )
     columns = (
         Column("where", "faults"),
+        Column("losses", "other losses"),
         Column("name", "detectors"),
         Column("text", "in words"),
         Column("source", "source"),
@@ -243,7 +260,7 @@ def detectors_table(results: AssumptionResults) -> Table:
         Column("holm", "p (Holm)", "number .2g"),
         Column("outside", "cells outside: paper - predicted, points"),
     )
-    frozen = "; ".join(f"{part.fitted.reading['where']}: {part.fitted.reading.text}" for part in results.frozen)
+    frozen = "; ".join(part.fitted.reading.text for part in results.frozen)
     notes = (
         f"frozen readings of the faults: {frozen}; {results.study.rounds.judged_missions} fresh missions per "
         "environment and stage",
@@ -391,11 +408,11 @@ def readings_table(results: AssumptionResults) -> Table:
         Column("freedom", "df", "number"),
         Column("p", "p", "number .2g"),
     )
-    accepted = sum(item.fit.p_value >= _REJECTED for item in results.fitted)
+    accepted = sum(item.fit.p_value >= NOT_REJECTED for item in results.fitted)
     notes = (
         f"environments: success lost to one fault, points, before a background; the best {_SHOWN} of "
         f"{len(results.fitted)} by deviance + 2 x fitted parameters, and the anchors; {accepted} have "
-        f"p >= {_REJECTED:g}",
+        f"p >= {NOT_REJECTED:g}",
         f"n: runs with a fault, in all; a reading is flown no further once p < {study.rounds.reject_below:g}, or "
         f"{study.rounds.behind:g} behind the best, however its flights are counted; "
         "deviance: [95 % interval: bootstrap of worlds] of the frozen readings",

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 FIT = "fit"
 JUDGED = "judged"
 MODELS = "models"
-"""Subfolders: rounds of the readings, flights of the frozen one, trained models."""
+"""Subfolders: rounds of the readings, flights of the frozen ones, trained models."""
+NOT_REJECTED = 0.05
+"""p from which on a reading is not rejected."""
 
 
 @dataclass
@@ -96,7 +98,7 @@ class AssumptionResults:
         flown: Readings that were flown.
         changes: The changes of anchors that lead to each single-change reading.
         fitted: All fitted readings, best criterion first.
-        frozen: The best of them, each of another kind.
+        frozen: The best of them, each of another kind, and the other accepted ways of counting their flights.
         ledgers: Digest of each ledger, by folder.
     """
 
@@ -132,8 +134,12 @@ def fly_assumptions(study: AssumptionStudy, folder: Path, workers: int, bar: "St
         # deviances of fewer flights are smaller: only readings that flew all rounds compete
         if len(flown[item.flown].ledgers) == study.rounds.number:
             best_of_kinds.setdefault(study.kind_of(item.reading), item)
-    chosen = list(best_of_kinds.values())[: study.rounds.frozen]
-    frozen = [_judge(study, item, folder, executor, workers, bar) for item in chosen]
+    frozen: list[FrozenReading] = []
+    for best_of_kind in list(best_of_kinds.values())[: study.rounds.frozen]:
+        judged = _fly_with_detectors(study, best_of_kind.flown, folder, executor, workers, bar)
+        # the fitted cells do not tell how its flights are to be counted, if they reject none of these ways
+        ways = [item for item in fitted if item.flown == best_of_kind.flown and item.fit.p_value >= NOT_REJECTED]
+        frozen += [_judge(study, item, judged) for item in ways or [best_of_kind]]
 
     paths = [path for part in flown.values() for path in part.ledgers]
     paths += sorted((folder / JUDGED).iterdir())
@@ -227,49 +233,62 @@ def _digest(path: Path) -> str:
     return str(Runs.read(path).campaign["digest"])
 
 
-# ---- the frozen reading with detectors -------------------------------------------------------------------------------
-def _judge(  # noqa: PLR0913 - what the study is flown with
+# ---- the frozen readings with detectors ------------------------------------------------------------------------------
+class JudgedFlights(NamedTuple):
+    """Fresh flights of a frozen reading.
+
+    Attributes:
+        flights: By environment of the paper; settings "fi" and those of all arms.
+        runs: The same runs, by worlds of the detectors' training.
+    """
+
+    flights: Mapping[str, EnvironmentFlights]
+    runs: Mapping[tuple[str, ...], Runs]
+
+
+def _fly_with_detectors(  # noqa: PLR0913 - what the study is flown with
     study: AssumptionStudy,
-    frozen: FittedReading,
+    reading: Reading,
     folder: Path,
     executor: LocalExecutor,
     workers: int,
     bar: "StudyBar",
-) -> FrozenReading:
-    """Train the detectors, fly a frozen reading with each reading of them, and compare with the paper's cells."""
-    trainings = dict.fromkeys(detectors.training for detectors in study.detectors.values())
-    everything: dict[str, EnvironmentFlights] = {}
+) -> JudgedFlights:
+    """Train the detectors, and fly a frozen reading with each reading of them."""
+    flights: dict[str, EnvironmentFlights] = {}
     runs_by_training: dict[tuple[str, ...], Runs] = {}
-    for training in trainings:
-        campaign = study.judged_campaign(frozen.flown, training)
+    for training in dict.fromkeys(detectors.training for detectors in study.detectors.values()):
+        campaign = study.judged_campaign(reading, training)
         name = "_".join(training) or "generated"
-        models = _trained(
-            study, campaign, training, folder / MODELS / f"{frozen.flown['difficulty']}-{name}", workers, bar
-        )
-        path = folder / JUDGED / f"{frozen.flown.folder}-{name}"
+        models = folder / MODELS / f"{reading['difficulty']}-{name}"
+        _train(study, campaign, training, models, workers, bar)
+        path = folder / JUDGED / f"{reading.folder}-{name}"
         with bar.timed(f"judged flights, detectors trained on {name} worlds"):
             run_campaigns({path: campaign}, executor=executor, models_dir=models, progress=bar.show_campaigns)
         runs_by_training[training] = _named_as_the_papers(Runs.read(path), campaign, study)
+        # the arms of all trainings together
         for environment, part in flights_in(path, campaign, study).items():
-            if environment in everything:
-                merged = {**everything[environment].faulty, **part.faulty}
-                part = EnvironmentFlights(part.golden, merged)
-            everything[environment] = part
+            arms = {**flights[environment].faulty, **part.faulty} if environment in flights else part.faulty
+            flights[environment] = EnvironmentFlights(part.golden, arms)
+    return JudgedFlights(flights, runs_by_training)
 
+
+def _judge(study: AssumptionStudy, frozen: FittedReading, judged: JudgedFlights) -> FrozenReading:
+    """Compare a frozen reading, with each reading of the detectors, with the paper's detector cells."""
     deaths = study.value("deaths", frozen.reading["deaths"])
     losses = study.value("losses", frozen.reading["losses"])
-    judged = []
-    for name, detectors in study.detectors.items():
+    detectors = []
+    for name, reading in study.detectors.items():
         settings = {f"dr_{kind}": f"dr_{study.arm_of(name, kind)}" for kind in DETECTORS}
-        judgement = judge(frozen.fit, everything, deaths, losses, settings)
-        judged.append(JudgedDetectors(name, judgement, _of_detectors(runs_by_training[detectors.training], settings)))
-    return FrozenReading(frozen, everything, judged)
+        judgement = judge(frozen.fit, judged.flights, deaths, losses, settings)
+        detectors.append(JudgedDetectors(name, judgement, _of_detectors(judged.runs[reading.training], settings)))
+    return FrozenReading(frozen, judged.flights, detectors)
 
 
-def _trained(  # noqa: PLR0913
+def _train(  # noqa: PLR0913
     study: AssumptionStudy, campaign: Campaign, training: tuple[str, ...], folder: Path, workers: int, bar: "StudyBar"
-) -> Path:
-    """Folder of models of both detectors; trained unless they are there."""
+) -> None:
+    """Train both detectors, unless their models are in the folder."""
     detectors = {(arm.detector, arm.profile) for arm in campaign.arms.values()}
     if not list(folder.glob("*.json")):
         mission: MissionSpec = campaign.spec(campaign.environments[0], campaign.first_seed)
@@ -286,7 +305,6 @@ def _trained(  # noqa: PLR0913
             )
         with bar.timed("fitting of detectors"):
             recorded.fit()
-    return folder
 
 
 def _named_as_the_papers(runs: Runs, campaign: Campaign, study: AssumptionStudy) -> Runs:
