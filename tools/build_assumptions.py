@@ -18,6 +18,7 @@ OUT = Path("out") / "assumptions"
 def copy(out: Path) -> None:
     """Copy the results in a folder to docs/results, in the place of the former ones."""
     text = (out / MARKDOWN).read_text(encoding="utf-8")
+    text = text.replace(f"({TABLES_FOLDER}/", f"({TABLES.name}/assumptions/")
     (RESULTS / MARKDOWN).write_text(banner("make results NAME=assumptions") + text, encoding="utf-8")
     shutil.copy(out / FIGURE, RESULTS / FIGURE)
     tables = TABLES / "assumptions"

@@ -56,7 +56,7 @@ def reproduce_assumptions(study: AssumptionStudy, scale: str, out: Path, workers
         results = fly_assumptions(study, out, workers, bar)
         with bar.timed("tables and figures"):
             shown = tables(results)
-            write_text(out / MARKDOWN, markdown(results, shown, FIGURE))
+            write_text(out / MARKDOWN, markdown(results, shown, FIGURE, TABLES_FOLDER))
             check_folder(out / TABLES_FOLDER)
             for table in shown:
                 write_text(out / TABLES_FOLDER / f"{table.name}.csv", table.to_csv())

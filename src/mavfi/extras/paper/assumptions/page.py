@@ -571,12 +571,14 @@ def _effect_label(results: AssumptionResults, effect: Effect) -> str:
     return f"{title}: {effect.value.replace('_', ' ')} (from {effect.anchor})"
 
 
-def markdown(results: AssumptionResults, shown: Sequence[Table], figure: str) -> str:
-    """The page."""
+def markdown(results: AssumptionResults, shown: Sequence[Table], figure: str, folder: str) -> str:
+    """The page, with links to its tables as CSV in a folder."""
     parts = ["# Which assumptions produce the paper's tables?", results.study.text.strip()]
     parts.append("\n".join(f"- {sentence}" for sentence in summary(results)))
     for table in shown:
         if table.name == "axes":
             parts.append(f"![Effect of each assumption]({figure})")
         parts.append(markdown_table(table))
+    links = ", ".join(f"[{table.name}]({folder}/{table.name}.csv)" for table in shown)
+    parts.append(f"The tables as CSV: {links}.")
     return "\n\n".join(part for part in parts if part) + "\n"
