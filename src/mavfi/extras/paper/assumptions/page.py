@@ -117,20 +117,28 @@ def summary(results: AssumptionResults) -> list[str]:
     best = best_combination(results)
     kinds = dict.fromkeys(results.study.kind_of(part.fitted.reading) for part in results.frozen)
     outside = _cells_outside(best.detectors)
-    where = "all eight detector cells lie in its prediction intervals"
+    where = "all eight cells lie in its prediction intervals"
     if outside:
-        where = f"outside its prediction intervals (paper - predicted, points): {outside}"
+        where = f"outside its prediction intervals (paper - predicted, points) {outside}"
     fit = best.frozen.fitted.fit
+    reading = results.study.detectors[best.detectors.name]
+    alike = [
+        combination.detectors.name
+        for combination in combinations
+        if combination.frozen is best.frozen and combination.detectors.judgement == best.detectors.judgement
+    ]
     return [
-        f"{len(results.fitted)} readings of the experiment were fitted to the paper's golden and injection cells "
+        f"{len(results.fitted)} readings of the experiment were fitted to the paper's eight cells without detectors "
         f"({len(results.flown)} of them flown, the others count the same flights in another way); {len(accepted)} are "
         "not rejected at 5 %: these cells alone do not tell where the faults lay.",
-        f"The best with faults in {' and in '.join(kinds)} were frozen, and judged on "
-        f"fresh seeds on the eight detector cells, with {len(results.study.detectors)} readings of the detectors each. "
-        f"{len(left)} of {len(combinations)} combinations are not rejected at 5 % (Holm).",
-        f"Best: {best.name} (p = {best.detectors.judgement.p_value:.2g}); {where}. Its faults: "
-        f"{reading_text(results, best.frozen.fitted.reading)} (golden and injection cells: deviance "
-        f"{fit.deviance:.1f}, {fit.freedom} degrees of freedom, p = {fit.p_value:.2g}).",
+        f"The best with faults in {' and in '.join(kinds)} were frozen, and judged on fresh seeds on the eight cells "
+        f"with detectors, with {len(results.study.detectors)} readings of the detectors each. {len(left)} of "
+        f"{len(combinations)} combinations are not rejected at 5 % (Holm).",
+        f"The best (p = {best.detectors.judgement.p_value:.2g}): {where}. Its faults: "
+        f"{reading_text(results, best.frozen.fitted.reading)} (cells without detectors: deviance {fit.deviance:.1f}, "
+        f"{fit.freedom} degrees of freedom, p = {fit.p_value:.2g}). Its detectors: {reading.text} "
+        f"(`{best.detectors.name}`; "
+        f"alike: {', '.join(name for name in alike if name != best.detectors.name) or 'none'}).",
     ]
 
 
@@ -173,7 +181,9 @@ def cells_table(results: AssumptionResults) -> Table:
         "fitted: what else loses golden runs is fitted to the paper's golden and injection cells, and to nothing else; "
         "predicted: where 300 runs of the paper should lie",
     )
-    return Table("cells", "The paper's Table I, and the best combination", columns, rows, keys=2, notes=notes)
+    return Table(
+        "cells", "The paper's Table I, with the fitted losses of golden runs", columns, rows, keys=2, notes=notes
+    )
 
 
 def differences_table(results: AssumptionResults) -> Table:
@@ -190,11 +200,12 @@ def differences_table(results: AssumptionResults) -> Table:
         rows.append(tuple(cells))
     columns = (Column("setting", ""), *(Column(name, name) for name in results.study.environments))
     notes = (
-        "success with the setting - success of golden runs, points, before what else loses golden runs; in brackets "
-        "the paper's",
+        "success with the setting - success of golden runs, points, as flown; in brackets the paper's",
         f"{best.name}, fresh seeds",
     )
-    return Table("differences", "What a fault costs, and what the detectors bring back", columns, rows, notes=notes)
+    return Table(
+        "differences", "What a fault costs, and what the detectors bring back: as flown", columns, rows, notes=notes
+    )
 
 
 def _setting_of(results: AssumptionResults, best: Combination, papers: str) -> str:
@@ -263,8 +274,9 @@ def detectors_table(results: AssumptionResults) -> Table:
         f"frozen readings of the faults: {frozen}; {results.study.rounds.judged_missions} fresh missions per "
         "environment and stage",
         f"detectors: {detectors}",
-        "deviance of the paper's eight detector cells from the predicted rates; p: simulated, with the uncertainty of "
-        "what else loses golden runs, of our rates and of the paper's samples",
+        "deviance of the paper's eight detector cells from the predicted rates; p: share of simulated tables of the "
+        "paper that deviate more, drawn with the uncertainty of what else loses golden runs, of our rates and of the "
+        "paper's samples: the wider the prediction, the larger a deviance may be",
         "brings back: lost missions that the detector saves, and those that it newly loses",
     )
     return Table("detectors", "Readings of the detectors, judged", columns, rows, keys=2, notes=notes)
@@ -291,6 +303,7 @@ class Effect(NamedTuple):
         axis: Name of the axis.
         value: Name of its value.
         points: Change of the success lost to a fault, by environment, in points.
+        golden: Success of golden runs, by environment, after the change.
         deviance: Change of the deviance, each reading with the background that fits it best.
     """
 
@@ -298,6 +311,7 @@ class Effect(NamedTuple):
     axis: str
     value: str
     points: Mapping[str, PointsDifference]
+    golden: Sequence[float]
     deviance: float
 
     @property
@@ -328,7 +342,9 @@ def effects(results: AssumptionResults) -> list[Effect]:
             after = lost_by(reading)
             points = {name: _change(before[name], after[name]) for name in before}
             deviance = _best_deviance(results, reading) - _best_deviance(results, anchor)
-            all_effects.append(Effect(change.anchor, change.axis, change.value, points, deviance))
+            flights = results.flown[study.flights_of(reading)].flights
+            golden = [part.golden.counts().rate for part in flights.values()]
+            all_effects.append(Effect(change.anchor, change.axis, change.value, points, golden, deviance))
     return sorted(all_effects, key=lambda effect: -effect.largest)
 
 
@@ -354,18 +370,21 @@ def axes_table(results: AssumptionResults) -> Table:
     for effect in effects(results):
         value = study.value(effect.axis, effect.value)
         cells = [_points_text(effect.points[name]) for name in study.environments]
-        rows.append((study.axes[effect.axis].title, value.text, value.source, effect.anchor, *cells, effect.deviance))
+        golden = " / ".join(f"{100 * rate:.0f}" for rate in effect.golden)
+        title = study.axes[effect.axis].title
+        rows.append((title, value.text, value.source, effect.anchor, golden, *cells, effect.deviance))
     columns = (
         Column("axis", "assumption"),
         Column("value", "changed to"),
         Column("source", "source"),
-        Column("anchor", "from"),
+        Column("anchor", "baseline"),
+        Column("golden", "golden, %"),
         *(Column(name, name) for name in study.environments),
         Column("deviance", "deviance", "number +.1f"),
     )
     anchors = "; ".join(f"{name}: {reading_text(results, study.anchor(name))}" for name in study.anchors)
     notes = (
-        f"anchors: {anchors}",
+        f"baselines: {anchors}",
         "environments: change of the success that one fault loses, points [95 % interval: bootstrap of worlds]; "
         "deviance: its change, each reading with the background that fits best; negative = closer to the paper",
     )
@@ -416,7 +435,13 @@ def readings_table(results: AssumptionResults) -> Table:
         f"{study.rounds.behind:g} behind the best, however its flights are counted; "
         "deviance: [95 % interval: bootstrap of worlds] of the frozen readings",
     )
-    return Table("readings", "Readings that the paper's golden and injection cells support", columns, rows, notes=notes)
+    return Table(
+        "readings",
+        "Readings: the best fits to the cells without detectors, the frozen ones, the anchors",
+        columns,
+        rows,
+        notes=notes,
+    )
 
 
 def _lost_text(part: EnvironmentFlights, deaths: str) -> str:
@@ -568,7 +593,7 @@ def axes_figure(results: AssumptionResults) -> Figure:
 
 def _effect_label(results: AssumptionResults, effect: Effect) -> str:
     title = results.study.axes[effect.axis].title
-    return f"{title}: {effect.value.replace('_', ' ')} (from {effect.anchor})"
+    return f"{title}: {effect.value.replace('_', ' ')} ({effect.anchor})"
 
 
 def markdown(results: AssumptionResults, shown: Sequence[Table], figure: str, folder: str) -> str:
