@@ -19,6 +19,11 @@ def test_the_time_limit_is_150_s_at_the_defaults():
     assert time_limit(50.0, 1.5, platform) == pytest.approx(150.0)
 
 
+def test_the_range_of_the_camera_is_the_missions_or_the_environments():
+    assert resolve(MissionSpec(environment="sparse")).camera.range == 20.0
+    assert resolve(MissionSpec(environment="sparse", camera_range=7.0, depth_noise=0.01)).camera.range == 7.0
+
+
 def test_a_scenario_survives_json_with_the_same_key():
     scenario = resolve(MissionSpec(environment="dense", seed=7, autopilot="hardened", start=(10.0, 0.0, 3.0)))
     text = json.dumps(scenario.to_json())

@@ -22,6 +22,7 @@ VALUES = {
     "platform": "cortex-a57",
     "map": "octree",
     "map_resolution": 0.4,
+    "camera_range": 15.0,
     "vehicle": "small_quad",
     "v_max": 2.0,
     "arrival_radius": 8.0,
