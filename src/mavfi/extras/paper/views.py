@@ -23,7 +23,7 @@ from mavfi.analysis.flight_views import (
 from mavfi.analysis.measures import Measure
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate, paired_difference
-from mavfi.analysis.table import PERCENT, PERCENT_TEST, POINTS, POINTS_TEST, SIGNED, TEXT, TIMES_TEST
+from mavfi.analysis.table import PERCENT, PERCENT_TEST, POINTS_TEST, RATE, SIGNED, TEXT, TIMES_TEST
 from mavfi.analysis.views import View, has
 from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.extras.paper.worlds import CONTRAST, contrast_measure
@@ -180,13 +180,13 @@ def _success_gained(runs: Runs) -> Rate | None:
     return Rate(len(runs), gain.estimate, gain.low, gain.high)
 
 
-def _papers_gain(environment: str, setting: str) -> Rate | None:
+def _papers_gain(environment: str, setting: str) -> float | None:
     """The same difference in the paper's table."""
     golden = paper.success(environment, GOLDEN)
     success = paper.success(environment, setting)
     if golden is None or success is None:
         return None
-    return Rate(0, success - golden, None, None)
+    return success - golden
 
 
 _COSTS = (
@@ -194,7 +194,7 @@ _COSTS = (
         "costs_as_in_the_paper",
         "Table I as differences: success with a fault - success without it",
         ("row",),
-        (Measure("here", "here", POINTS, _success_gained), paper.column(_papers_gain, form=POINTS)),
+        (Measure("here", "here", RATE, _success_gained), paper.column(_papers_gain)),
         where=_costed,
         across="environment",
         headings=("",),
