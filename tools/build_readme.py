@@ -91,10 +91,10 @@ def headline(fitted: str, letter: str) -> str:
             compact(fitted),
             "The paper's golden runs fail in sparse and dense, whatever the fault, ours do not: compare the "
             "differences to the first row. This is the reading of paper and published code that fits the paper best: "
-            "[which assumptions produce its tables](docs/results/assumptions.md). By the letter of its text, one bit of one "
-            f"executed instruction, a fault fails {lost(node_restarts)} if a dead node restarts, {lost(mission_ends)} "
-            f"if it ends the mission, and {lost(with_detector)} with restarts and the Gaussian detector ([both tables, "
-            "with intervals](docs/results.md)).",
+            "[which assumptions produce its tables](docs/results/assumptions.md). By the letter of its text, one bit "
+            f"of one executed instruction, a fault fails {lost(node_restarts)} if a dead node restarts, "
+            f"{lost(mission_ends)} if it ends the mission, and {lost(with_detector)} with restarts and the Gaussian "
+            "detector ([both tables, with intervals](docs/results.md)).",
         ]
     )
 
