@@ -30,7 +30,7 @@ def test_the_readme_has_the_digests_of_the_results():
 
 @pytest.mark.parametrize("scale", KNOWN)
 def test_the_digests_of_the_readme_are_those_of_what_this_program_flies(scale):
-    campaigns = load_study("paper").campaigns_at(scale)
+    campaigns = load_study("paper").at_scale(scale).campaigns_at(scale)
     assert [name for name, *_ in KNOWN[scale]["ledgers"]] == [campaign.name for campaign in campaigns.values()]
     assert KNOWN[scale]["fingerprint"] == published_digests.fingerprint(scale), (
         f"campaigns or golden flights have changed: `make reproduce readme SCALE={scale}` flies them again"
