@@ -689,7 +689,7 @@ class FastForward:
     ) -> Iterator[None]:
         """Call these in the place of functions of the kernels; results must be the same, bit for bit.
 
-        `listeners` are told of the steps of kernels.
+        `listeners` are called after each step of a kernel.
         """
         with ExitStack() as stack:
             for name, function in functions.items():

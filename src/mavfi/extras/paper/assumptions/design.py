@@ -116,26 +116,26 @@ class AssumptionStudy(Config):
         """A value of an axis."""
         return self.axes[axis].values[name]
 
-    def kind_of(self, reading: "Reading") -> str:
+    def kind_of(self, reading: "PaperReading") -> str:
         """Kinds of a reading's values, of those axes that have kinds."""
         kinds = [self.value(axis, name).kind for axis, name in reading.values]
         return " ".join(kind for kind in kinds if kind)
 
-    def anchor(self, name: str) -> "Reading":
+    def anchor(self, name: str) -> "PaperReading":
         """The reading of an anchor."""
-        return Reading(tuple((axis, self.anchors[name].values[axis]) for axis in self.axes))
+        return PaperReading(tuple((axis, self.anchors[name].values[axis]) for axis in self.axes))
 
-    def single_changes(self) -> "dict[Reading, list[Change]]":
+    def single_changes(self) -> "dict[PaperReading, list[AxisChange]]":
         """Readings that differ from an anchor in one axis, with the changes that lead to each; the anchors first.
 
         A reading whose changed value does not apply to its level of faults is left out.
         """
-        readings: dict[Reading, list[Change]] = {self.anchor(name): [] for name in self.anchors}
+        readings: dict[PaperReading, list[AxisChange]] = {self.anchor(name): [] for name in self.anchors}
         for name in self.anchors:
             for axis, value in self._changes(name):
                 changed = self.anchor(name).with_value(axis, value)
                 if self.applies(changed):
-                    readings.setdefault(changed, []).append(Change(name, axis, value))
+                    readings.setdefault(changed, []).append(AxisChange(name, axis, value))
         return readings
 
     def _changes(self, anchor: str) -> Iterator[tuple[str, str]]:
@@ -145,12 +145,12 @@ class AssumptionStudy(Config):
                 if value != self.anchor(anchor)[axis]:
                     yield axis, value
 
-    def applies(self, reading: "Reading") -> bool:
+    def applies(self, reading: "PaperReading") -> bool:
         """Whether all values apply to the level of faults that the reading chooses."""
         level = self.sampling_of(reading).get("level", STATE)
         return all(level in self.value(axis, name).levels for axis, name in reading.values)
 
-    def sampling_of(self, reading: "Reading") -> dict[str, Any]:
+    def sampling_of(self, reading: "PaperReading") -> dict[str, Any]:
         """Keys of the sampling: those for any level, then those of the level that they choose."""
         values = [self.value(axis, name) for axis, name in reading.values]
         sampling: dict[str, Any] = {}
@@ -163,7 +163,7 @@ class AssumptionStudy(Config):
                 sampling |= value.state
         return sampling
 
-    def flights_of(self, reading: "Reading") -> "Reading":
+    def flights_of(self, reading: "PaperReading") -> "PaperReading":
         """The reading whose flights it counts: values that only count are replaced by the first of their axis."""
         flown = reading
         for axis, name in reading.values:
@@ -172,7 +172,7 @@ class AssumptionStudy(Config):
                 flown = flown.with_value(axis, first)
         return flown
 
-    def counted_alike(self, flown: "Reading") -> "list[Reading]":
+    def counted_alike(self, flown: "PaperReading") -> "list[PaperReading]":
         """All readings that count the flights of one in another way, itself first."""
         readings = [flown]
         for axis, definition in self.axes.items():
@@ -185,7 +185,7 @@ class AssumptionStudy(Config):
                     ]
         return list(dict.fromkeys(readings))
 
-    def pairs(self, changes: "Mapping[str, list[Change]]") -> "dict[Reading, str]":
+    def pairs(self, changes: "Mapping[str, list[AxisChange]]") -> "dict[PaperReading, str]":
         """Readings with two changes of different axes of the same anchor, with the anchor's name."""
         pairs = {}
         for name, best in changes.items():
@@ -195,12 +195,12 @@ class AssumptionStudy(Config):
                     pairs[reading] = name
         return pairs
 
-    def campaign(self, reading: "Reading", round_number: int) -> Campaign:
+    def campaign(self, reading: "PaperReading", round_number: int) -> Campaign:
         """The campaign of a round: faults without a detector."""
         first_seed = self.rounds.first_seed + round_number * self.rounds.missions
         return self._campaign(reading, first_seed, self.rounds.missions, {})
 
-    def judged_campaign(self, reading: "Reading", training: tuple[str, ...]) -> Campaign:
+    def judged_campaign(self, reading: "PaperReading", training: tuple[str, ...]) -> Campaign:
         """The campaign on fresh seeds with the arms of all readings of the detectors that share their training."""
         arms = {}
         for name, detectors in self.detectors.items():
@@ -217,7 +217,7 @@ class AssumptionStudy(Config):
                 return f"{other}_{kind}"
         raise KeyError(name)
 
-    def _campaign(self, reading: "Reading", first_seed: int, missions: int, arms: Mapping[str, Any]) -> Campaign:
+    def _campaign(self, reading: "PaperReading", first_seed: int, missions: int, arms: Mapping[str, Any]) -> Campaign:
         environments = list(self.environments)
         mission: dict[str, Any] = {}
         for axis, name in reading.values:
@@ -239,7 +239,7 @@ class AssumptionStudy(Config):
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class PaperReading:
     """A value of each axis, in the order of the axes."""
 
     values: tuple[tuple[str, str], ...]
@@ -247,9 +247,9 @@ class Reading:
     def __getitem__(self, axis: str) -> str:
         return dict(self.values)[axis]
 
-    def with_value(self, axis: str, value: str) -> "Reading":
+    def with_value(self, axis: str, value: str) -> "PaperReading":
         """The reading with another value of an axis."""
-        return Reading(tuple((name, value if name == axis else old) for name, old in self.values))
+        return PaperReading(tuple((name, value if name == axis else old) for name, old in self.values))
 
     @property
     def text(self) -> str:
@@ -263,7 +263,7 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class AxisChange:
     """A change of one axis of an anchor."""
 
     anchor: str

@@ -16,7 +16,7 @@ from mavfi.analysis.rows import ALL_BITS
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import holm
 from mavfi.analysis.table import TEXT, Column, Table
-from mavfi.extras.paper.assumptions.design import INSTRUCTION, STATE, Reading
+from mavfi.extras.paper.assumptions.design import INSTRUCTION, STATE, PaperReading
 from mavfi.extras.paper.assumptions.fit import (
     Counts,
     EnvironmentFlights,
@@ -151,7 +151,7 @@ def _cells_outside(item: JudgedDetectors) -> str:
     return ", ".join(cells)
 
 
-def reading_text(results: AssumptionResults, reading: Reading) -> str:
+def reading_text(results: AssumptionResults, reading: PaperReading) -> str:
     """A reading in words."""
     return "; ".join(results.study.value(axis, name).text for axis, name in reading.values)
 
@@ -295,16 +295,16 @@ def _brought_back(item: JudgedDetectors, setting: str) -> str:
 
 
 # ---- axes and readings -----------------------------------------------------------------------------------------------
-class Effect(NamedTuple):
+class ChangeEffect(NamedTuple):
     """What a change of one axis of an anchor does.
 
     Attributes:
         anchor: Name of the anchor.
         axis: Name of the axis.
         value: Name of its value.
-        points: Change of the success lost to a fault, by environment, in points.
+        points: AxisChange of the success lost to a fault, by environment, in points.
         golden: Success of golden runs, by environment, after the change.
-        deviance: Change of the deviance, each reading with the background that fits it best.
+        deviance: AxisChange of the deviance, each reading with the background that fits it best.
     """
 
     anchor: str
@@ -320,12 +320,12 @@ class Effect(NamedTuple):
         return max(abs(change.points) for change in self.points.values())
 
 
-def effects(results: AssumptionResults) -> list[Effect]:
+def effects(results: AssumptionResults) -> list[ChangeEffect]:
     """Effects of all single changes of the anchors, the largest first."""
     study = results.study
     lost = {}
 
-    def lost_by(reading: Reading) -> Mapping[str, PointsDifference]:
+    def lost_by(reading: PaperReading) -> Mapping[str, PointsDifference]:
         if reading not in lost:
             flights = results.flown[study.flights_of(reading)].flights
             deaths = study.value("deaths", reading["deaths"]).deaths
@@ -344,7 +344,7 @@ def effects(results: AssumptionResults) -> list[Effect]:
             deviance = _best_deviance(results, reading) - _best_deviance(results, anchor)
             flights = results.flown[study.flights_of(reading)].flights
             golden = [part.golden.counts().rate for part in flights.values()]
-            all_effects.append(Effect(change.anchor, change.axis, change.value, points, golden, deviance))
+            all_effects.append(ChangeEffect(change.anchor, change.axis, change.value, points, golden, deviance))
     return sorted(all_effects, key=lambda effect: -effect.largest)
 
 
@@ -356,7 +356,7 @@ def _change(before: PointsDifference, after: PointsDifference) -> PointsDifferen
     return PointsDifference(points, float(points - below), float(points + above))
 
 
-def _best_deviance(results: AssumptionResults, reading: Reading) -> float:
+def _best_deviance(results: AssumptionResults, reading: PaperReading) -> float:
     """Deviance with the values of `losses` that fit best."""
     flights = results.flown[results.study.flights_of(reading)].flights
     values = results.study.axes["losses"].values
@@ -591,7 +591,7 @@ def axes_figure(results: AssumptionResults) -> Figure:
     return figure
 
 
-def _effect_label(results: AssumptionResults, effect: Effect) -> str:
+def _effect_label(results: AssumptionResults, effect: ChangeEffect) -> str:
     title = results.study.axes[effect.axis].title
     return f"{title}: {effect.value.replace('_', ' ')} ({effect.anchor})"
 

@@ -14,7 +14,7 @@ from mavfi.campaign.config import Campaign, label_of
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaigns
 from mavfi.campaign.training import record
-from mavfi.extras.paper.assumptions.design import DETECTORS, AssumptionStudy, Change, Reading
+from mavfi.extras.paper.assumptions.design import DETECTORS, AssumptionStudy, AxisChange, PaperReading
 from mavfi.extras.paper.assumptions.fit import EnvironmentFlights, Fit, Flights, Judgement, fit, judge
 from mavfi.mission import MissionSpec
 
@@ -54,8 +54,8 @@ class FlownReading:
 class FittedReading:
     """A reading, whose flights it counts, and its fit."""
 
-    reading: Reading
-    flown: Reading
+    reading: PaperReading
+    flown: PaperReading
     fit: Fit
 
 
@@ -103,8 +103,8 @@ class AssumptionResults:
     """
 
     study: AssumptionStudy
-    flown: Mapping[Reading, FlownReading]
-    changes: Mapping[Reading, Sequence[Change]]
+    flown: Mapping[PaperReading, FlownReading]
+    changes: Mapping[PaperReading, Sequence[AxisChange]]
     fitted: Sequence[FittedReading]
     frozen: Sequence[FrozenReading]
     ledgers: Mapping[str, str]
@@ -121,7 +121,7 @@ def fly_assumptions(study: AssumptionStudy, folder: Path, workers: int, bar: "St
     """
     executor = LocalExecutor(workers)
     changes = study.single_changes()
-    flown: dict[Reading, FlownReading] = {}
+    flown: dict[PaperReading, FlownReading] = {}
     _fly_rounds(study, dict.fromkeys(map(study.flights_of, changes)), folder, executor, bar, flown)
 
     best = _best_changes(study, changes, flown)
@@ -150,11 +150,11 @@ def fly_assumptions(study: AssumptionStudy, folder: Path, workers: int, bar: "St
 # ---- rounds ----------------------------------------------------------------------------------------------------------
 def _fly_rounds(  # noqa: PLR0913 - what the study is flown with
     study: AssumptionStudy,
-    readings: Mapping[Reading, None],
+    readings: Mapping[PaperReading, None],
     folder: Path,
     executor: LocalExecutor,
     bar: "StudyBar",
-    flown: dict[Reading, FlownReading],
+    flown: dict[PaperReading, FlownReading],
 ) -> None:
     """Fly readings in rounds; those that have been flown already, or are rejected, are left out."""
     active = [reading for reading in readings if reading not in flown]
@@ -167,7 +167,7 @@ def _fly_rounds(  # noqa: PLR0913 - what the study is flown with
         active = [reading for reading in active if _may_be_the_best(study, reading, flown)]
 
 
-def _may_be_the_best(study: AssumptionStudy, reading: Reading, flown: Mapping[Reading, FlownReading]) -> bool:
+def _may_be_the_best(study: AssumptionStudy, reading: PaperReading, flown: Mapping[PaperReading, FlownReading]) -> bool:
     """Whether some way of counting a reading's flights is not rejected, and not far behind the best reading."""
     best = min(item.fit.criterion for item in _all_fits(study, flown))
     fits = [item.fit for item in _fits(study, reading, flown[reading])]
@@ -175,27 +175,29 @@ def _may_be_the_best(study: AssumptionStudy, reading: Reading, flown: Mapping[Re
     return any(fit.p_value >= study.rounds.reject_below and fit.criterion <= limit for fit in fits)
 
 
-def _fits(study: AssumptionStudy, flown: Reading, part: FlownReading) -> list[FittedReading]:
+def _fits(study: AssumptionStudy, flown: PaperReading, part: FlownReading) -> list[FittedReading]:
     """Fits of all readings that count the flights of one."""
     return [
         FittedReading(reading, flown, fit_of(study, reading, part.flights)) for reading in study.counted_alike(flown)
     ]
 
 
-def fit_of(study: AssumptionStudy, reading: Reading, flights: Mapping[str, EnvironmentFlights]) -> Fit:
+def fit_of(study: AssumptionStudy, reading: PaperReading, flights: Mapping[str, EnvironmentFlights]) -> Fit:
     """Fit of a reading's flights, counted as it says."""
     return fit(flights, study.value("deaths", reading["deaths"]), study.value("losses", reading["losses"]))
 
 
-def _all_fits(study: AssumptionStudy, flown: Mapping[Reading, FlownReading]) -> list[FittedReading]:
+def _all_fits(study: AssumptionStudy, flown: Mapping[PaperReading, FlownReading]) -> list[FittedReading]:
     return [item for reading, part in flown.items() for item in _fits(study, reading, part)]
 
 
 def _best_changes(
-    study: AssumptionStudy, changes: Mapping[Reading, Sequence[Change]], flown: Mapping[Reading, FlownReading]
-) -> dict[str, list[Change]]:
+    study: AssumptionStudy,
+    changes: Mapping[PaperReading, Sequence[AxisChange]],
+    flown: Mapping[PaperReading, FlownReading],
+) -> dict[str, list[AxisChange]]:
     """Changes that alter flights, by anchor, the best first: each by the best way of counting its flights."""
-    ranked: dict[str, list[tuple[float, Change]]] = {name: [] for name in study.anchors}
+    ranked: dict[str, list[tuple[float, AxisChange]]] = {name: [] for name in study.anchors}
     for reading, leading in changes.items():
         part = study.flights_of(reading)
         criterion = min(item.fit.criterion for item in _fits(study, part, flown[part]))
@@ -248,7 +250,7 @@ class JudgedFlights(NamedTuple):
 
 def _fly_with_detectors(  # noqa: PLR0913 - what the study is flown with
     study: AssumptionStudy,
-    reading: Reading,
+    reading: PaperReading,
     folder: Path,
     executor: LocalExecutor,
     workers: int,
