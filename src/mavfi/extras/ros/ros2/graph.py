@@ -133,7 +133,7 @@ class RawMessage(NamedTuple):
     data: bytes
 
 
-class Instant(NamedTuple):
+class GraphTime(NamedTuple):
     """An instant by the wall (ns since 1970) and by /clock (ns); the latter is None if nobody publishes it."""
 
     wall_ns: int
@@ -280,10 +280,10 @@ class AgentClient:
         reply = self._request("rates", seconds, topics=names, seconds=seconds)
         return MeasuredRates(reply["rates"], reply["reasons"])
 
-    def now(self, limit_s: float = 1.0) -> Instant:
+    def now(self, limit_s: float = 1.0) -> GraphTime:
         """The instant by the wall and by /clock; waits up to a limit (s) for the first message on /clock."""
         reply = self._request("time", limit_s, limit_s=limit_s)
-        return Instant(reply["wall_ns"], reply["sim_ns"])
+        return GraphTime(reply["wall_ns"], reply["sim_ns"])
 
     def definition(self, kind: str) -> str:
         """Text of the `.msg` file of a message type in the agent's installation.
