@@ -99,7 +99,7 @@ class StoppedThread:
             self._tracee.detach(number)
 
     def call(self, address: int, *arguments: int | str) -> None:
-        """Call a function with at most six numbers or texts; what it returns is not known.
+        """Call a function, once, with at most six numbers or texts; what it returns is not known.
 
         Raises:
             MavfiError: It did not return in time.
@@ -172,13 +172,12 @@ class StoppedThread:
             registers = tracee.general()
             if registers["orig_rax"] == _SIGRETURN and registers["rsp"] == stack:
                 break
-        # The return itself is skipped: the registers are restored by `_restore`.
-        tracee.set_general({**tracee.general(), "orig_rax": _NO_CALL})
+        # Let it return: from now on its registers are right again, whatever becomes of the tracer.
         tracee.resume_to_system_call()
         tracee.wait(_CALL_LIMIT_S)
 
     def _restore(self) -> int:
-        """Give the thread its registers, at a stop from which the kernel restarts its system call.
+        """Restart the thread's system call, which otherwise reports an interruption, with all its registers.
 
         Returns the signal that is pending there; 0 = none.
         """
@@ -187,7 +186,6 @@ class StoppedThread:
             return 0
         if not tracee.is_stopped:  # leave it inside the function: its frame brings it back
             raise MavfiError(f"process {self.pid}: the called function did not return within {_CALL_LIMIT_S:g} s")
-        tracee.set_general({**self._registers, "rax": _EINTR & _WORD, "orig_rax": _NO_CALL})
         number = tracee.stop_again(_CALL_LIMIT_S)
         tracee.set_general(self._registers)
         tracee.set_extended_state(self._extended)
