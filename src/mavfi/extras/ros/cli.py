@@ -15,6 +15,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.registers.options import RegistersOption, SeedOption, instant, register_options
 from mavfi.extras.ros.cli_attach import corrupt, list_graph, watch
 from mavfi.extras.ros.cli_graph import setup
+from mavfi.extras.ros.cli_inject import inject, run
 from mavfi.mission import MissionSpec
 
 if TYPE_CHECKING:
@@ -42,6 +43,8 @@ app = typer.Typer(no_args_is_help=True)
 app.command("setup")(setup)
 app.command("list")(list_graph)
 app.command("corrupt")(corrupt)
+app.command("inject")(inject)
+app.command("run")(run)
 app.command("watch")(watch)
 
 
