@@ -256,6 +256,10 @@ class Schedule:
         self.changed += 1
         return True
 
+    def take_back(self) -> None:
+        """The message that was due cannot be changed: it does not count as a changed one."""
+        self.changed -= 1
+
     def copy(self) -> "Schedule":
         """An independent copy in the same state."""
         other = Schedule(self._when, self._seed)

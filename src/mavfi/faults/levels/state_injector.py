@@ -303,7 +303,7 @@ def schedule_of(when: When, time_us: int, seed: int) -> Schedule:
 class ValueInjector(RewindableInjector):
     """A tap that changes one number in the publications that a trigger selects; all others pass unchanged.
 
-    Publications whose list is empty have no such number, and are not counted.
+    Those whose list is empty have no such number, and pass unchanged as well.
 
     Args:
         fault: A fault with a change.
@@ -338,10 +338,11 @@ class ValueInjector(RewindableInjector):
         """The publication itself, or a copy with another value."""
         if state.spec is not self._spec or self.spent:
             return state
-        if self._in_elements and len(state.elements) == 0:
-            return state
         self._is_over = time_us > self._latest_us
         if self._is_over or not self._schedule.due(time_us / 1e6, lambda path: number_in(state, path)):
+            return state
+        if self._in_elements and len(state.elements) == 0:
+            self._schedule.take_back()
             return state
         return self._change(state, time_us)
 
