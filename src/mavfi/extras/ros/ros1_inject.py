@@ -1,13 +1,14 @@
 """`mavfi ros inject` in a running ROS 1 graph: the readers of a topic are redirected to mavfi, which relays it."""
 
 import time
+from dataclasses import replace
 from functools import partial
 
 from rich.markup import escape
 
 from mavfi.cli.console import console, write_json
 from mavfi.cli.stopping import stoppable
-from mavfi.errors import MavfiError
+from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.ros.node.injector import MessageInjector, check_fault
 from mavfi.extras.ros.node.master import Master
 from mavfi.extras.ros.node.relay import Relay
@@ -24,7 +25,11 @@ def inject_ros1(
     topic: str, field: str, change: Change, seed: int, node: str, duration: float, *, as_json: bool
 ) -> None:
     """Inject into a running ROS 1 graph, and report."""
-    fault = MessageFault(topic, field, seed=seed, operation=change.operation, when=change.when)
+    if change.when.sim_time:
+        raise BadInputError("--at: sim=: simulated time; allowed in ROS 1: seconds since the start, or n=NUMBER")
+    from_now_on = change._replace(when=replace(change.when, start_s=0.0))
+    start_us = round(1e6 * change.when.start_s)
+    fault = MessageFault(topic, field, seed=seed, time_us=start_us, change=from_now_on)
     tell = None
     if not as_json:
         tell = _tell

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from mavfi.errors import MavfiError
 from mavfi.extras.registers import inject
-from mavfi.extras.ros.ros1.remote import SILENT
+from mavfi.extras.ros.lockstep.ports import SILENT
 from mavfi.faults.fault import RegisterFault
 from mavfi.record import Event, Injection
 

@@ -8,21 +8,12 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
-from mavfi.extras.ros.ros1.folder import FLIGHT, PROFILE, TIMES, flight_folder, read_injections, write_file
-from mavfi.extras.ros.ros1.messages import NodeAction
-from mavfi.extras.ros.ros1.plan import DETECTOR, WORLD, FlightPlan
-from mavfi.extras.ros.ros1.ports import Inbox, Ports, is_alive, wait_for
-from mavfi.extras.ros.ros1.register_injector import PLANNED, RegisterInjector
-from mavfi.extras.ros.ros1.remote import (
-    SILENT,
-    Counter,
-    Link,
-    NodeLostError,
-    RemoteDetector,
-    RemoteKernel,
-    RemotePublication,
-    Watchdog,
-)
+from mavfi.extras.ros.lockstep.encoding import NodeAction
+from mavfi.extras.ros.lockstep.folder import FLIGHT, PROFILE, TIMES, flight_folder, read_injections, write_file
+from mavfi.extras.ros.lockstep.plan import DETECTOR, INJECTOR, WORLD
+from mavfi.extras.ros.lockstep.ports import Client, Inbox, Loss, NodeLostError, Ports
+from mavfi.extras.ros.lockstep.register_injector import PLANNED, RegisterInjector
+from mavfi.extras.ros.lockstep.remote import Counter, Link, RemoteDetector, RemoteKernel, RemotePublication
 from mavfi.faults.levels.state_injector import injector_of
 from mavfi.flight.compose import new_loop, watch
 from mavfi.flight.loop import Listener, Loop
@@ -34,13 +25,12 @@ from mavfi.states import State
 
 CAMERA_PATIENCE_US = 2_000_000
 """After a node loss: time without a response to an image after which the camera takes the next one (us)."""
-_LOOK_S = 0.5
 
 
-def fly(plan: FlightPlan) -> None:
+def fly(ports: Ports) -> None:
     """Fly the mission and write its record to the flight's folder."""
     started = time.time()
-    loop = Conductor(plan).loop
+    loop = Conductor(ports).loop
     ready = time.time()
     flight = loop.fly()
     times = {"world_started": started, "nodes_ready": ready, "flight_done": time.time()}
@@ -58,11 +48,12 @@ class Conductor(Listener):
     The constructor waits until every node is connected; its `loop` has not started.
     """
 
-    def __init__(self, plan: FlightPlan) -> None:
+    def __init__(self, ports: Ports) -> None:
+        plan = ports.plan
         self.plan = plan
+        self.ports = ports
         self.counter = Counter()
-        watchdog = Watchdog(plan.patience_s)
-        self.links = {node: Link(node, watchdog, self._lost) for node in plan.nodes}
+        self.links = {node: Link(node, self._lost) for node in plan.nodes}
         self.back_us: dict[str, int] = {}
         self.losses = 0
         self.kills = sorted(plan.kills, key=lambda kill: kill[1])
@@ -70,17 +61,13 @@ class Conductor(Listener):
         self.loop = self._compose()
         self.restarts = Restarts(self.loop, plan.scenario.dead_node)
         self.loop.renew = self._renew
-        pids = {node: wait_for(node, plan.patience_s) for node in plan.nodes}
-        self.ports.wait_until_connected()
-        for node, link in self.links.items():
-            link.connect(pids[node], self.counter.take(0))
+        self._connect()
         self._began = time.monotonic()
 
     def _compose(self) -> Loop:
         """The loop with the proxies, taps and callbacks of this flight."""
         plan = self.plan
         loop = new_loop(plan.scenario, profile=plan.profile, make_kernels=self._proxies)
-        self.ports = Ports(WORLD, plan)
         loop.taps.injector = TopicTap(self.ports, self.counter, self.links, self.registers, self._lost)
         inject_sensor_fault(loop, plan.fault)
         detector = None
@@ -89,6 +76,15 @@ class Conductor(Listener):
         watch(loop, detector, plan.recovery)
         loop.listeners.append(self)
         return loop
+
+    def _connect(self) -> None:
+        """Wait for all nodes; the injector's answers no calls."""
+        for node, link in self.links.items():
+            if node != INJECTOR:
+                link.advertise(Client(self.ports, node))
+        self.ports.wait_until_connected()
+        for node, link in self.links.items():
+            link.connect(self.ports.wait_for(node), self.counter.take(0))
 
     def _proxies(self, config: PipelineConfig) -> dict[str, Kernel]:
         graph = self.plan.graph
@@ -153,8 +149,7 @@ class Conductor(Listener):
         """Reconnect a node that the supervisor has restarted, with initialized memory."""
         link = self.links[node]
         try:
-            pid = wait_for(node, self.plan.patience_s, link.pid)
-            self.ports.wait_until_connected()
+            pid = self.ports.wait_for(node, link.pid)
         except Exception as error:  # noqa: BLE001 (any cause: the flight continues without the node)
             self._note("node_absent", {"node": node, "why": str(error)})
             return
@@ -184,13 +179,13 @@ class TopicTap:
         self._on_loss = on_loss
         self._plan = ports.plan
         self._routes = ports.routes
-        self._inbox = Inbox()
+        self._inbox = Inbox(ports)
         self._sensors = {
             name: ports.outlet(name, route.first) for name, route in self._routes.items() if route.writer == WORLD
         }
         for name, route in self._routes.items():
             if self._plan.world_listens(name):
-                ports.read(name, route.final, lambda state, number, time_us: self._inbox.put(number, state))
+                self._inbox.read(name, route.final)
 
     def __call__(self, state: State, time_us: int) -> State | None:
         """Publish a value; returns the output of the injector, None if the value was lost in transit."""
@@ -216,7 +211,7 @@ class TopicTap:
                 raise NodeLostError(state.link.node)
         else:
             number = self._counter.take()
-            self._sensors[state.spec.name].publish(state, number, time_us)
+            self._sensors[state.spec.name].publish_state(state, number, time_us)
         if self._plan.world_listens(state.spec.name):
             seen = self._await(number, state)
         else:
@@ -224,21 +219,15 @@ class TopicTap:
         return RemotePublication(seen.spec, seen.header, seen.elements, number)
 
     def _await(self, number: int, state: State) -> State:
-        """Wait until a value has passed its route; `NodeLostError` if a node on the route has died."""
-        end = time.monotonic() + self._plan.patience_s
-        nodes = self._routes[state.spec.name].nodes
-        while True:
-            try:
-                return self._inbox.take(number, _LOOK_S)
-            except TimeoutError:
-                is_late = time.monotonic() > end
-            for node in nodes:
-                link = self._links.get(node)
-                # the writer has confirmed its publication: a timeout is attributed to the last node on the route
-                is_slow = is_late and node == nodes[-1]
-                if link is not None and (link.is_lost or is_slow or not is_alive(link.pid)):
-                    self._on_loss(link, SILENT)
-                    raise NodeLostError(node)
+        """Wait until a value has passed its route; `NodeLostError` if a node on the route is lost."""
+        # The writer has confirmed its publication: if nothing comes, that is due to the last node on the route.
+        links = [self._links[node] for node in self._routes[state.spec.name].nodes if node in self._links]
+        seen = self._inbox.take_from(number, [link.pid for link in links])
+        if not isinstance(seen, Loss):
+            return seen
+        lost = next(link for link in links if link.pid == seen.pid)
+        self._on_loss(lost, seen.why)
+        raise NodeLostError(lost.node)
 
     def finish(self) -> list[Injection]:
         """State injections, as recorded by the injector's node, and register injections.

@@ -4,19 +4,17 @@ import fcntl
 import json
 import os
 import shutil
-import socket
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mavfi.errors import MachineError, MavfiError
-from mavfi.extras.ros.ros1 import finder
+from mavfi.extras.ros.lockstep.transport import Middleware
 from mavfi.record import Injection
 
 FOLDER_VARIABLE = "MAVFI_ROS_FLIGHT"
 """Environment variable: folder of the flight to which a node belongs."""
-MESSAGES = "messages"
 LOG = "log"
 JOIN = "join"
 PID = "pid"
@@ -27,9 +25,6 @@ TIMES = "times.json"
 INJECTIONS = "injections.json"
 _PREFIX = "mavfi-ros-"
 _OWNER = "owner"
-_PORT_VARIABLE = "MAVFI_ROS_PORT"
-_USUAL_PORT = "11311"
-_EXPORTED = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOME", "ROS_LOG_DIR", "ROS_PACKAGE_PATH", "PYTHONPATH", "LD_LIBRARY_PATH")
 
 
 def flight_folder() -> Path:
@@ -96,39 +91,11 @@ def read_injections() -> list[Injection]:
     return []
 
 
-def master_port() -> str:
-    """Port of the flight's master, on the loopback interface."""
-    return os.environ.get(_PORT_VARIABLE, _USUAL_PORT)
-
-
-def free_port() -> dict[str, str]:
-    """An unused port for a flight without a private network, as an environment variable."""
-    with socket.socket() as any_socket:
-        any_socket.bind(("127.0.0.1", 0))
-        return {_PORT_VARIABLE: str(any_socket.getsockname()[1])}
-
-
-def absolute_python_path() -> str:
-    """PYTHONPATH of this process with absolute folders, as nodes have other working directories."""
-    folders = os.environ.get("PYTHONPATH", "")
-    return os.pathsep.join(os.path.abspath(folder) for folder in folders.split(os.pathsep) if folder)
-
-
-def environment(folder: Path) -> dict[str, str]:
-    """Environment of all ROS programs of a flight."""
-    variables = finder.environment()
-    paths = [str(folder / MESSAGES)]
-    if "PYTHONPATH" in variables:
-        paths.append(variables["PYTHONPATH"])
+def environment(folder: Path, middleware: Middleware) -> dict[str, str]:
+    """Environment of all programs of a flight."""
     return {
         **os.environ,
-        **variables,
-        "PYTHONPATH": os.pathsep.join(paths),
-        "ROS_PACKAGE_PATH": f"{folder / MESSAGES}:{variables['ROS_PACKAGE_PATH']}",
-        "ROS_MASTER_URI": f"http://127.0.0.1:{master_port()}",
-        "ROS_IP": "127.0.0.1",
-        "ROS_HOME": str(folder),
-        "ROS_LOG_DIR": str(folder / LOG),
+        **middleware.variables(folder),
         FOLDER_VARIABLE: str(folder),
         "OMP_NUM_THREADS": "1",
         "OPENBLAS_NUM_THREADS": "1",
@@ -136,18 +103,15 @@ def environment(folder: Path) -> dict[str, str]:
     }
 
 
-def write_join(folder: Path, isolated: bool, own_users: bool) -> None:
-    """Write the script `join`, which enters the flight's network namespace and, if present, its user namespace."""
+def write_join(folder: Path, middleware: Middleware, command: list[str]) -> None:
+    """Write the script `join`, which enters the namespaces that a command of `private_network` made, if any."""
     prefix = ""
-    if isolated:
-        enter = "--net"
-        if own_users:
-            enter = "--user --preserve-credentials --net"
-        prefix = f"nsenter --target \"$(cat '{folder / PID}')\" {enter} "
-    variables = environment(folder)
-    exports = " ".join(f"{name}='{variables[name]}'" for name in _EXPORTED if name in variables)
+    if command:
+        enter = "--net --mount"
+        if "-Urnm" in command:
+            enter = "--user --preserve-credentials --net --mount"
+        prefix = f'nsenter --target "$(cat \'{folder / PID}\')" {enter} --wdns="$PWD" '
+    exports = " ".join(f"{name}='{value}'" for name, value in middleware.variables(folder).items())
     path = folder / JOIN
-    path.write_text(
-        f'#!/bin/sh\nexec {prefix}env {exports} PATH="{finder.find_file("usr/bin/rosmaster").parent}:$PATH" "$@"\n'
-    )
+    path.write_text(f'#!/bin/sh\nexec {prefix}env {exports} "$@"\n')
     path.chmod(0o755)

@@ -6,29 +6,25 @@ Values travel over the topics from node to node; an operation refers to them by 
 value that it has to receive.
 """
 
-import threading
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from mavfi.detectors.detector import Alarm, Detector
-from mavfi.extras.ros.ros1.kernels import alarm_of
-from mavfi.extras.ros.ros1.messages import NodeAction, message_type, serialized
-from mavfi.extras.ros.ros1.plan import FlightPlan, KernelInterface
+from mavfi.extras.ros.lockstep.encoding import (
+    HELD,
+    Answer,
+    NodeAction,
+    Operation,
+    answer_from_bytes,
+    operations_to_bytes,
+    to_bytes,
+)
+from mavfi.extras.ros.lockstep.plan import FlightPlan, KernelInterface
+from mavfi.extras.ros.lockstep.ports import Client, NodeLostError
 from mavfi.flight.loop import Latencies
 from mavfi.states import STATES, State
-
-HELD = -1
-SILENT = "does not answer"
-"""Cause of a lost node, as in events: it did not answer in time, and was killed."""
-_WATCH_S = 0.1
-
-
-class NodeLostError(Exception):
-    """A node does not respond: it has crashed or hangs."""
 
 
 @dataclass(slots=True)
@@ -53,45 +49,13 @@ class RemotePublication(State):
         return self.link is not None and (self.link.is_lost or self.link.life != self.life)
 
 
-class Watchdog:
-    """Shuts down the connection of a call that exceeds a time limit (s), which aborts the call."""
-
-    def __init__(self, patience_s: float) -> None:
-        self._patience_s = patience_s
-        self._lock = threading.Lock()
-        self._call: tuple[float, Any] | None = None
-        self._has_barked = False
-        threading.Thread(target=self._watch, daemon=True).start()
-
-    def begin(self, proxy: Any) -> None:
-        """Start the timer of a call."""
-        with self._lock:
-            self._call = (time.monotonic() + self._patience_s, proxy)
-            self._has_barked = False
-
-    def end(self) -> bool:
-        """Stop the timer; returns whether the call was aborted."""
-        with self._lock:
-            self._call = None
-            return self._has_barked
-
-    def _watch(self) -> None:
-        while True:
-            time.sleep(_WATCH_S)
-            with self._lock:
-                if self._call is None:
-                    continue
-                end, proxy = self._call
-                if time.monotonic() > end and proxy.transport is not None:
-                    self._has_barked = True
-                    proxy.transport.socket.shutdown(2)
-
-
 @dataclass(slots=True)
 class Link:
     """The connection to one node.
 
     Attributes:
+        on_loss: Called with the link and the cause when the node does not answer.
+        pid: Process id of the node.
         is_lost: Whether the node is down.
         life: Number of losses so far.
         since: Sequence number of the first publication that the current process can have received; the node must
@@ -99,23 +63,22 @@ class Link:
     """
 
     node: str
-    watchdog: Watchdog
     on_loss: Callable[["Link", str], None]
     pid: int = 0
     is_lost: bool = True
     life: int = 0
     since: int = 0
     _handed_over: set[int] = field(default_factory=set)
-    _pending: list[Any] = field(default_factory=list)
-    _proxy: Any = None
+    _pending: list[Operation] = field(default_factory=list)
+    _client: Client | None = None
+
+    def advertise(self, client: Client) -> None:
+        """Call the node by this client from now on."""
+        self._client = client
 
     def connect(self, pid: int, since: int) -> None:
-        """Connect to a (re)started node, which has received no publications before `since`."""
-        import rospy
-        from mavfi_msgs.srv import Drive
-
+        """Begin a life of the node, whose process has received no publications before `since`."""
         self._restart()
-        self._proxy = rospy.ServiceProxy(f"/{self.node}/drive", Drive, persistent=True)
         self.pid = pid
         self.since = since
         self.is_lost = False
@@ -144,17 +107,17 @@ class Link:
         time_us: int = 0,
         publish_us: int = HELD,
         state: str = "",
-        value: bytes = b"",
+        value: str = "",
     ) -> None:
-        """Append an operation to the next call; arguments are the fields of `mavfi_msgs/Operation`."""
+        """Append an operation to the next call; see `Operation`."""
         if not self.is_lost:
-            self._pending.append(message_type("Operation")(action, kernel, number, time_us, publish_us, state, value))
+            self._pending.append(Operation(action, kernel, number, time_us, publish_us, state, value))
 
     def note_input(self, kernel: str, state: RemotePublication) -> None:
         """Give the node a value that was published before the current process started."""
         if state.number < self.since and state.number not in self._handed_over:
             self._handed_over.add(state.number)
-            value = serialized(state, state.number)
+            value = to_bytes(state).hex()
             self.note(NodeAction.GIVE, kernel, state.number, state=state.spec.name, value=value)
 
     def flush(self) -> None:
@@ -162,36 +125,23 @@ class Link:
         if self._pending:
             self._try_to_send()
 
-    def call(self, action: NodeAction, kernel: str, number: int, time_us: int, publish_us: int = HELD) -> Any:
-        """Send all pending operations, then this one; returns the response, None = the node is down."""
+    def call(self, action: NodeAction, kernel: str, number: int, time_us: int, publish_us: int = HELD) -> Answer | None:
+        """Send all pending operations, then this one; returns the answer, None = the node is down."""
         if self.is_lost:
             return None
         self.note(action, kernel, number, time_us, publish_us)
         return self._try_to_send()
 
-    def _try_to_send(self) -> Any:
+    def _try_to_send(self) -> Answer | None:
+        """Send all pending operations; None = the node has been lost."""
+        assert self._client is not None
         try:
-            return self._send()
+            content = self._client.call(operations_to_bytes(self._pending), self.pid)
         except NodeLostError as loss:
             self.on_loss(self, str(loss))
             return None
-
-    def _send(self) -> Any:
-        """Send all pending operations; `NodeLostError` if the node does not answer."""
-        import rospy
-
-        cause = ""
-        response = None
-        self.watchdog.begin(self._proxy)
-        try:
-            response = self._proxy(self._pending)
-        except (rospy.ServiceException, rospy.ROSException, OSError) as error:
-            cause = str(error)
-        was_aborted = self.watchdog.end()
-        if response is None:
-            raise NodeLostError(SILENT if was_aborted else cause)
         self._pending = []
-        return response
+        return answer_from_bytes(content)
 
 
 class Counter:
@@ -230,7 +180,7 @@ class RemoteKernel:
             self._link.note(NodeAction.RECEIVE, self.name, state.number, time_us)
             return False
         response = self._link.call(NodeAction.RECEIVE, self.name, state.number, time_us)
-        return response is not None and bool(response.due)
+        return response is not None and response.due
 
     def step(self, time_us: int) -> list[State]:
         """Execute one step; returns placeholders for the results, whose payload stays in the node."""
@@ -295,9 +245,9 @@ class RemoteDetector(Detector):
         """The alarm of the node on a publication."""
         assert isinstance(state, RemotePublication)
         response = self._link.call(NodeAction.CHECK, state.spec.name, state.number, time_us)
-        if response is None or not response.alarms:
+        if response is None:
             return None
-        return alarm_of(response.alarms[0])
+        return response.alarm
 
     def accept(self, state: State, time_us: int) -> None:
         """Let the node record a publication; sent with the next check."""

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
-from mavfi.extras.ros.ros1.folder import flight_folder
+from mavfi.extras.ros.lockstep.folder import flight_folder
+from mavfi.extras.ros.lockstep.transport import Middleware
 from mavfi.faults.fault import RegisterFault, StateFault
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.decide import INLINE, RecoveryPolicy
@@ -21,7 +22,16 @@ WORLD = "world"
 INJECTOR = "injector"
 DETECTOR = "detector"
 PREFIX = "/mavfi"
-ALARM = f"{PREFIX}/alarm"
+
+
+def calls_topic(node: str) -> str:
+    """Topic of the world's calls to a node."""
+    return f"{PREFIX}/{node}/calls"
+
+
+def answers_topic(node: str) -> str:
+    """Topic of a node's answers to the world."""
+    return f"{PREFIX}/{node}/answers"
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +141,7 @@ class FlightPlan:
     """A flight on ROS.
 
     Attributes:
+        middleware: ROS 1 or ROS 2.
         scenario: The mission; `config`: configuration of its kernels.
         fault: Fault in a state, injected by a node, or failure of a sensor or motor, in the world; None = none.
         detector: The detector in its initial state; None = none.
@@ -148,6 +159,7 @@ class FlightPlan:
             or the detector acts on unpublished values.
     """
 
+    middleware: Middleware
     scenario: Scenario
     config: PipelineConfig
     fault: StateFault | SensorFault | None = None
@@ -204,14 +216,17 @@ class FlightPlan:
         """Whether the world subscribes to the values of a state: to all but its own."""
         return self.graph.routes[state].sender != WORLD
 
-    def listeners(self, state: str) -> int:
-        """Number of the flight's nodes that subscribe to the final topic of a state."""
-        count = len(self.graph.routes[state].readers)
+    def readers(self, state: str, topic: str) -> list[str]:
+        """Nodes of the flight that subscribe to one of the topics on the route of a state."""
+        route = self.graph.routes[state]
+        if topic != route.final:
+            return [INJECTOR]
+        nodes = list(route.readers)
         if self.world_listens(state):
-            count += 1
+            nodes.append(WORLD)
         if self.detector is not None:
-            count += 1
-        return count
+            nodes.append(DETECTOR)
+        return nodes
 
     def save(self, folder: Path) -> None:
         """Save the plan to the flight's folder, which only this user can access."""
