@@ -47,9 +47,9 @@ class RosNode:
         """See `mavfi.extras.registers.cli.PROCESSES`."""
         if values["ros_node"] is None:
             return None
-        from mavfi.extras.ros.node.master import Master
+        from mavfi.extras.ros.nodes import pid_of_node
 
-        return Master().node_pid(values["ros_node"])
+        return pid_of_node(values["ros_node"])
 
 
 def list_graph(

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import json
 import math
 import shutil
 import subprocess
@@ -244,3 +245,48 @@ def test_processes_without_ros_are_refused(page):
     finally:
         process.kill()
         process.wait()
+
+
+def test_calls_actions_and_six_faults_on_four_threads_are_changed_exactly(ros2, page):
+    """The graph is one process that publishes 200 numbers on each topic; flips change their sign."""
+    count = 200
+    flip = Operation("flip", bit=63)
+    faults = [
+        InterposedFault("/add", "int32_value", Operation("bias", 100.0), When(first=2), "take_request"),
+        InterposedFault("/add", "int32_value", Operation("set", -1.0), When(first=3), "send_response"),
+        InterposedFault("/add", "", Operation("drop"), When(first=5), "send_request"),
+        InterposedFault("/count/_action/send_goal", "goal.order", Operation("set", 7.0), When(first=2), "take_request"),
+        InterposedFault("/count/_action/feedback", "feedback.sequence[0]", Operation("set", 50.0), When(first=3)),
+        InterposedFault(
+            "/count/_action/get_result", "result.sequence[0]", Operation("set", 9.0), When(), "take_response"
+        ),
+        *(InterposedFault(f"/number{i}", "data", flip, When(first=2, times=0, every=i + 2)) for i in range(6)),
+    ]
+    page.arm(faults)
+    variables = {**page.environment(), "ROS_DOMAIN_ID": str(next(DOMAINS))}
+    command = [ros2.installation.python, str(NODES / "calls.py"), str(count)]
+    output = subprocess.run(
+        command, env=ros2.installation.environment(**variables), stdout=subprocess.PIPE, check=True, timeout=60
+    ).stdout
+    got = json.loads(output)
+    assert got["asked"] == [1, 102, 3, 4] and got["responses"] == [1, 102, -1, 4, None]
+    assert got["orders"] == [1, 7, 3] and got["results"] == [1, 7, 3] and got["feedback"] == [1, 7, 50]
+    expected = {index: 1 for index in range(6)}
+    for topic, numbers in enumerate(got["received"]):
+        assert sorted(map(abs, numbers)) == list(range(count))
+        changed = [n for n in range(count) if math.copysign(1.0, numbers[n]) < 0]
+        assert sorted(abs(numbers[n]) for n in changed) == list(range(1, count, topic + 2))
+        expected[6 + topic] = len(changed)
+    reports = page.reports()
+    assert {index: sum(report.fault == index for report in reports) for index in expected} == expected
+    assert page.lost_reports == 0
+
+
+@pytest.mark.parametrize("relay", ["c++ preloaded --announce"], indirect=True, scope="module")
+def test_messages_handed_over_as_pointers_are_changed_once(relay, page):
+    page.arm([InterposedFault("/out/Twist", "linear.x", Operation("bias", 1.0), When(first=2, times=2))])
+    received = relay.relayed("Twist", relay.messages.data["Twist"], 4)
+    assert [round(relay.messages.read("Twist", data).linear.x, 6) for data in received] == [0.1, 1.1, 1.1, 0.1]
+    page.arm([InterposedFault("/out/Twist", "", Operation("drop"), When())])
+    assert len(relay.relayed("Twist", relay.messages.data["Twist"], 1)) == 1
+    assert "handed over as a pointer" in page.reports()[-1].text

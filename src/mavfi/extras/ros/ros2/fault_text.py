@@ -12,6 +12,7 @@ in the words of `mavfi.faults.operations`.
 from typing import NamedTuple
 
 from mavfi.errors import BadInputError
+from mavfi.extras.ros.ros2.graph import absolute
 from mavfi.extras.ros.ros2.interposer.page import InterposedFault, Side
 from mavfi.faults.operations import OPERATIONS, parse_change
 
@@ -63,6 +64,7 @@ def site_of(kind: str, name: str, part: str, *, of_client: bool = False) -> Faul
     Raises:
         BadInputError: There is no such part.
     """
+    name = absolute(name)
     if kind == "topic":
         if part not in ("", "publish", "take"):
             raise BadInputError(f"{part!r}: allowed: publish (in the process that sends), take (in one that receives)")

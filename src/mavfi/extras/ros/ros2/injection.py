@@ -21,6 +21,8 @@ from mavfi.record import Injection
 _LIFECYCLE = "lifecycle_msgs/msg/TransitionEvent"
 """Type of the messages by which managed nodes announce their transitions."""
 _POLL_S = 0.01
+_DISCOVERY_S = 3.0
+"""How long a graph may take to show a topic or service (s)."""
 _CLOCK_PERIOD_S = 0.02
 """How often simulated time is passed on to the processes (s)."""
 _SECOND_READER_S = 2.0
@@ -121,7 +123,7 @@ class RunningGraphInjection:
         node: str = "",
     ) -> None:
         self._agent = agent
-        self._snapshot = agent.snapshot()
+        self._snapshot = _discover(agent, site, node)
         self._node = node
         targets = _targets(self._snapshot, site, node)
         kind = targets[0].kind
@@ -265,6 +267,19 @@ class RunningGraphInjection:
                         self._page.set_sim_time(1e-9 * sim_ns)
 
         threading.Thread(target=follow, daemon=True).start()
+
+
+def _discover(agent: AgentClient, site: FaultSite, node: str) -> GraphSnapshot:
+    """The graph, once it has what a fault needs; at the latest after a while, as it may lack it."""
+    end = time.monotonic() + _DISCOVERY_S
+    while True:
+        snapshot = agent.snapshot()
+        try:
+            _targets(snapshot, site, node)
+            return snapshot
+        except BadInputError:
+            if time.monotonic() > end:
+                return snapshot
 
 
 def _targets(snapshot: GraphSnapshot, site: FaultSite, node: str) -> Sequence[NodeProcess]:
