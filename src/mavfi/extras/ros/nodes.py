@@ -19,7 +19,7 @@ def pid_of_node(name: str) -> int:
     if master is not None:
         return master.node_pid(name)
     with AgentClient() as agent:
-        process = GraphProcesses(agent.snapshot()).pid_of_node(name)
+        process = agent.find(lambda snapshot: GraphProcesses(snapshot).pid_of_node(name))
     if process.pid is None:
         raise BadInputError(f"node {process.node}: {process.problem}")
     return process.pid

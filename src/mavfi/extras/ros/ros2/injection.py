@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from mavfi.errors import BadInputError, MavfiError
@@ -21,8 +21,6 @@ from mavfi.record import Injection
 _LIFECYCLE = "lifecycle_msgs/msg/TransitionEvent"
 """Type of the messages by which managed nodes announce their transitions."""
 _POLL_S = 0.01
-_DISCOVERY_S = 3.0
-"""How long a graph may take to show a topic or service (s)."""
 _CLOCK_PERIOD_S = 0.02
 """How often simulated time is passed on to the processes (s)."""
 _SECOND_READER_S = 2.0
@@ -123,11 +121,11 @@ class RunningGraphInjection:
         node: str = "",
     ) -> None:
         self._agent = agent
-        self._snapshot = _discover(agent, site, node)
         self._node = node
-        targets = _targets(self._snapshot, site, node)
+        self._fault = InterposedFault(site.name, field, operation, when, site.side, seed)
+        targets = agent.find(lambda snapshot: _targets(snapshot, site, node))
         kind = targets[0].kind
-        self._fault = InterposedFault(site.name, field, operation, when, site.side, seed, type=kind)
+        self._fault = replace(self._fault, type=kind)
         self._decoder: Decoder | None = None
         if not site.is_service:
             self._decoder = Decoder(kind, agent)
@@ -225,7 +223,7 @@ class RunningGraphInjection:
         """Read what others read: the changed topic, and the transitions of managed nodes."""
         if self._fault.side == "publish" and self._fault.field:
             self._agent.subscribe(self._fault.topic)
-        for topic in self._snapshot.topics:
+        for topic in self._agent.snapshot().topics:
             if _LIFECYCLE in topic.kinds:
                 with suppress(BadInputError):  # the installation lacks the type
                     self._agent.subscribe(topic.name)
@@ -267,19 +265,6 @@ class RunningGraphInjection:
                         self._page.set_sim_time(1e-9 * sim_ns)
 
         threading.Thread(target=follow, daemon=True).start()
-
-
-def _discover(agent: AgentClient, site: FaultSite, node: str) -> GraphSnapshot:
-    """The graph, once it has what a fault needs; at the latest after a while, as it may lack it."""
-    end = time.monotonic() + _DISCOVERY_S
-    while True:
-        snapshot = agent.snapshot()
-        try:
-            _targets(snapshot, site, node)
-            return snapshot
-        except BadInputError:
-            if time.monotonic() > end:
-                return snapshot
 
 
 def _targets(snapshot: GraphSnapshot, site: FaultSite, node: str) -> Sequence[NodeProcess]:
