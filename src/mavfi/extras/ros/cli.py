@@ -14,7 +14,9 @@ from mavfi.cli.fly import check_option_dependencies, watched
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 from mavfi.extras.registers.options import RegistersOption, SeedOption, instant, register_options
-from mavfi.extras.ros.cli_attach import corrupt, list_graph, watch
+from mavfi.extras.ros.cli_attach import corrupt, watch
+from mavfi.extras.ros.cli_graph import list_graphs, setup
+from mavfi.extras.ros.cli_inject import inject, run
 from mavfi.mission import MissionSpec
 
 if TYPE_CHECKING:
@@ -38,8 +40,11 @@ _FaultOption = Annotated[
 _NODE_EVENTS = {"node_lost": "lost", "node_back": "back", "node_absent": "still away"}
 
 app = typer.Typer(no_args_is_help=True)
-app.command("list")(list_graph)
+app.command("setup")(setup)
+app.command("list")(list_graphs)
 app.command("corrupt")(corrupt)
+app.command("inject")(inject)
+app.command("run")(run)
 app.command("watch")(watch)
 
 

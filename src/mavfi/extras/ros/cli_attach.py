@@ -1,4 +1,4 @@
-"""`mavfi ros list | corrupt | watch`: inspect, inject into and monitor any running ROS 1 application."""
+"""`mavfi ros corrupt | watch`: inject into and monitor any running ROS 1 application."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 from rich.markup import escape
-from rich.table import Table
 
 from mavfi.cli import options
-from mavfi.cli.console import check_name, check_number, check_seed, console, titled_table, write_json
+from mavfi.cli.console import check_name, check_number, check_seed, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, MavfiError
 
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
     from mavfi.extras.ros.node.injector import MessageInjector
     from mavfi.extras.ros.node.relay import Relay
-    from mavfi.extras.ros.node.survey import Survey
     from mavfi.extras.ros.node.watch import TopicListener
     from mavfi.faults.levels.message.definition import Definition
     from mavfi.flight.log_readers import Probe
@@ -47,59 +45,9 @@ class RosNode:
         """See `mavfi.extras.registers.cli.PROCESSES`."""
         if values["ros_node"] is None:
             return None
-        from mavfi.extras.ros.node.master import Master
+        from mavfi.extras.ros.nodes import pid_of_node
 
-        return Master().node_pid(values["ros_node"])
-
-
-def list_graph(
-    seconds: Annotated[float, typer.Option(help="How long to listen for rates, s; 0 = not at all.")] = 1.0,
-    as_json: options.AsJson = False,
-) -> None:
-    """Print nodes, processes, executables, topics, types and rates of the running ROS graph.
-
-    Example: [bold]mavfi ros list[/bold]
-    """
-    check_number("--seconds", seconds, 0.0, 3600.0)
-    from mavfi.extras.ros.node.master import Master
-    from mavfi.extras.ros.node.survey import survey
-
-    graph = survey(Master(), seconds)
-    if as_json:
-        write_json(graph.to_json())
-        return
-    out = console()
-    for table in _tables(graph):
-        out.print(table)
-
-
-def _table(title: str, *columns: str) -> Table:
-    table = titled_table(title)
-    for column in columns:
-        if column in ("pid", "Hz"):  # numbers
-            table.add_column(column, justify="right", overflow="fold")
-        else:
-            table.add_column(column, justify="left", overflow="fold")
-    return table
-
-
-def _tables(graph: Survey) -> tuple[Table, Table]:
-    """Tables of the nodes and of the topics of a graph."""
-    nodes = _table(f"Nodes at {graph.master}", "node", "pid", "executable", "publishes", "reads")
-    for node in graph.nodes:
-        pid = "[red]dead[/red]"
-        executable = "[dim]registered only; `rosnode cleanup` removes it[/dim]"
-        if node.is_alive:
-            pid = str(node.pid)
-            executable = node.executable
-        nodes.add_row(node.name, pid, executable, "\n".join(node.publishes), "\n".join(node.reads))
-    topics = _table("Topics", "topic", "type", "Hz", "publishers", "readers")
-    for topic in graph.topics:
-        rate = ""
-        if topic.rate is not None:
-            rate = f"{topic.rate:.1f}"
-        topics.add_row(topic.name, topic.kind, rate, "\n".join(topic.publishers), "\n".join(topic.readers))
-    return nodes, topics
+        return pid_of_node(values["ros_node"])
 
 
 def corrupt(  # noqa: PLR0913 - one parameter per option

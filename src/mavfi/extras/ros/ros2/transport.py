@@ -70,7 +70,9 @@ class Ros2(Middleware):
             **variables,
             "PATH": os.pathsep.join([programs, path]),
             "ROS_DOMAIN_ID": str(self.domain),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": os.environ.get("XR", "LOCALHOST"),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            # a node that was killed never empties its queues in shared memory, which then block those that send to it
+            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
             "ROS_LOG_DIR": str(folder / "log"),
         }
 
