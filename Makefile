@@ -81,7 +81,7 @@ clients: setup  ## install other people's programs that tests use: Betaflight, M
 	@build/clients/airsim/bin/python -m pip install -qq 'setuptools<70' wheel 'numpy<2.3' opencv-contrib-python-headless msgpack-rpc-python
 	@build/clients/airsim/bin/python -m pip install -qq --no-build-isolation airsim==1.8.1
 
-ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a folder), check them
+ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a folder), and environments with ROS 2
 	@$(BIN)/python -m tools.install_ros
 
 docs: setup  ## write the pages and tables that are derived from the code

@@ -1,4 +1,7 @@
-"""`make ros`: installs Debian's ROS packages, or unpacks them into a folder without root rights; verifies them."""
+"""`make ros`: installs Debian's ROS 1 packages, or unpacks them into a folder without root rights; verifies them.
+
+Then environments with ROS 2, where there is none.
+"""
 
 import os
 import subprocess
@@ -8,6 +11,8 @@ from pathlib import Path
 
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.ros.ros1 import finder
+from mavfi.extras.ros.ros2.environment import DISTRIBUTIONS
+from mavfi.extras.ros.ros2.setup import install as install_ros2
 
 _PYTHON = (
     "rosmaster",
@@ -32,7 +37,26 @@ PACKAGES = ("topic-tools", *map("python3-{}".format, _PYTHON), *map("ros-{}".for
 
 
 def main() -> int:
-    """Install missing packages, and report the result in one line."""
+    """Install what is missing of ROS 1 and ROS 2, each as far as possible, and report the results."""
+    return max(_install_ros1(), _install_ros2())
+
+
+def _install_ros2() -> int:
+    """Make an environment per distribution, and report each in one line."""
+    code = 0
+    for distribution in DISTRIBUTIONS:
+        try:
+            installation = install_ros2(distribution, lambda line: None)
+        except MavfiError as error:
+            sys.stderr.write(f"make ros: {error}\n")
+            code = 2
+        else:
+            sys.stdout.write(f"ROS 2 {installation.distribution} is here: {installation.prefix}\n")
+    return code
+
+
+def _install_ros1() -> int:
+    """Install missing packages of Debian, and report the result in one line."""
     try:
         missing = finder.missing()
         if missing:

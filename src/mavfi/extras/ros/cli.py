@@ -14,6 +14,7 @@ from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 from mavfi.extras.registers.options import RegistersOption, SeedOption, instant, register_options
 from mavfi.extras.ros.cli_attach import corrupt, list_graph, watch
+from mavfi.extras.ros.cli_graph import setup
 from mavfi.mission import MissionSpec
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ _FaultOption = Annotated[
 _NODE_EVENTS = {"node_lost": "lost", "node_back": "back", "node_absent": "still away"}
 
 app = typer.Typer(no_args_is_help=True)
+app.command("setup")(setup)
 app.command("list")(list_graph)
 app.command("corrupt")(corrupt)
 app.command("watch")(watch)

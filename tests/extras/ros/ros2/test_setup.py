@@ -1,0 +1,49 @@
+"""`mavfi ros setup`: where ROS 2 is, nothing is installed; an installation that fails leaves nothing."""
+
+import pytest
+
+from mavfi.cli import run
+from mavfi.extras.ros.ros2 import environment
+from mavfi.extras.ros.ros2.environment import ROOT_VARIABLE
+from mavfi.extras.ros.ros2.setup import requirements
+
+
+@pytest.fixture
+def no_ros(monkeypatch, tmp_path):
+    """A machine without ROS 2, and without a package index."""
+    for variable in ("AMENT_PREFIX_PATH", "ROS_DISTRO"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr(environment, "_SYSTEM", tmp_path / "opt")
+    monkeypatch.setenv(ROOT_VARIABLE, str(tmp_path / "root"))
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    return tmp_path
+
+
+@pytest.mark.ros
+def test_a_complete_environment_is_left_alone(ros2, monkeypatch, capsys):
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    name = ros2.installation.distribution
+    assert run(["ros", "setup", name]) == 0
+    out = capsys.readouterr().out
+    assert f"ROS 2 {name} is here: {ros2.installation.prefix}" in out and "mavfi ros list" in out
+
+
+def test_nothing_is_installed_beside_a_ros_of_the_system(no_ros, capsys):
+    (no_ros / "opt/humble").mkdir(parents=True)
+    (no_ros / "opt/humble/local_setup.sh").touch()
+    assert run(["ros", "setup"]) == 0
+    assert f"ROS 2 humble is here: {no_ros}/opt/humble" in capsys.readouterr().out
+    assert not (no_ros / "root").exists()
+
+
+@pytest.mark.slow
+def test_a_failed_installation_leaves_nothing(no_ros, capsys):
+    assert run(["ros", "setup"]) != 0
+    assert "mavfi: python -m pip: No matching distribution found for ros-jazzy-" in capsys.readouterr().err
+    assert list((no_ros / "root").iterdir()) == []
+
+
+def test_an_unknown_distribution_is_refused(no_ros, capsys):
+    assert run(["ros", "setup", "humble"]) == 2
+    assert capsys.readouterr().err == "mavfi: ROS 2 humble: allowed: jazzy, kilted\n"
+    assert all("==" in package for package in requirements("jazzy") + requirements("kilted"))
