@@ -86,6 +86,7 @@ SECTIONS: dict[str, tuple[str, tuple[type[BaseModel], ...]]] = {
         (
             campaigns.Campaign,
             *(find_level(name).sampling for name in level_names()),
+            *(level.sampling for host in extensions(GROUP).values() for level in host.samplings.values()),
             *(host.config for host in extensions(GROUP).values() if host.config is not None),
             Study,
         ),

@@ -13,7 +13,6 @@ from mavfi.campaign.config import ArmConfig, Campaign, label_of
 from mavfi.campaign.ledger import status, stored_campaign
 from mavfi.campaign.plan import FI
 from mavfi.campaign.store import Run, Store
-from mavfi.faults.fault import find_level
 from mavfi.mission import MissionSpec
 from mavfi.plugins import extensions
 from mavfi.record import FlightRecord
@@ -222,7 +221,7 @@ def describe(store: Store) -> dict[str, Any]:
 
 def drawn(campaign: Campaign) -> dict[str, Any]:
     """Describe the sampling of a campaign's faults and the flights or processes that they are injected into."""
-    about: dict[str, Any] = find_level(campaign.sampling.level).about(campaign)
+    about: dict[str, Any] = campaign.level.about(campaign)
     if "title" in about:  # of processes, not of flights
         return about
     how = about.pop("how")

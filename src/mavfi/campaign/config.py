@@ -157,7 +157,7 @@ class Campaign(Config):
         if isinstance(data.get("mission"), dict):
             data["mission"] = _mission_keys(data["mission"], "mission", info)
         if "sampling" in data:
-            data["sampling"] = _sampling(data["sampling"], info)
+            data["sampling"] = _sampling(data["sampling"], info, data.get("host", _LOCAL))
         return data
 
     @model_serializer(mode="wrap")
@@ -237,6 +237,14 @@ class Campaign(Config):
         """Whether its runs are flights, see `Host.flies`."""
         flown_by = _class_of_host(self.host)
         return flown_by is None or flown_by.flies
+
+    @property
+    def level(self) -> Any:  # noqa: ANN401 - a `mavfi.levels.level.Level`
+        """The level of the sampling, as its host draws it."""
+        host = _class_of_host(self.host)
+        if host is not None and self.sampling.level in host.samplings:
+            return host.samplings[self.sampling.level]()
+        return find_level(self.sampling.level)
 
     @property
     def seeds(self) -> range:
@@ -340,14 +348,19 @@ def _refuse_keys_of_other_hosts(data: Mapping[str, Any]) -> None:
                 )
 
 
-def _sampling(data: Any, info: ValidationInfo | None) -> Sampling:
-    """The sampling, as validated by its level."""
+def _sampling(data: Any, info: ValidationInfo | None, host_name: Any = _LOCAL) -> Sampling:
+    """The sampling, as validated by its level, or by that of the host if it draws these faults otherwise."""
     if isinstance(data, Mapping):
         level = data.get("level", "state")
     else:
         level = getattr(data, "level", "state")
     levels = level_names()
-    model = find_level(level).sampling if level in levels else None
+    model = None
+    host = _class_of_host(host_name)
+    if host is not None and level in host.samplings:
+        model = host.samplings[level].sampling
+    elif level in levels:
+        model = find_level(level).sampling
     if model is None:
         text = f"not known{hint(level, levels)}; allowed: {', '.join(levels)}"
         raise ValueError(f"key 'sampling.level': {level!r}: {text}")

@@ -170,6 +170,7 @@ class Host(ABC):
         single_levels: Levels whose faults single missions are flown with at this host, unless the host `local` can.
         config: Model of what is under test; None = our pipeline.
         config_key: Key of a campaign that has its values.
+        samplings: Levels whose faults campaigns draw otherwise than in flights, by name: subclasses of the level.
     """
 
     name: str
@@ -179,6 +180,7 @@ class Host(ABC):
     single_levels: frozenset[str] = frozenset()
     config: type[Config] | None = None
     config_key: str = ""
+    samplings: Mapping[str, Any] = {}
 
     @property
     @abstractmethod

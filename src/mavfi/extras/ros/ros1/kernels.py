@@ -11,7 +11,7 @@ from mavfi.extras.ros.ros1.folder import read_injections, write_injections
 from mavfi.extras.ros.ros1.messages import NodeAction, deserialized, message_type, to_stamp
 from mavfi.extras.ros.ros1.plan import ALARM, DETECTOR, INJECTOR, FlightPlan
 from mavfi.extras.ros.ros1.ports import Inbox, Ports
-from mavfi.faults.levels.state_injector import StateInjector
+from mavfi.faults.levels.state_injector import injector_of
 from mavfi.flight.compose import new_loop, watch
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.mission import Scenario
@@ -153,7 +153,7 @@ class InjectorNode:
     def __init__(self, plan: FlightPlan) -> None:
         fault = plan.state_fault
         assert fault is not None
-        self._inject = StateInjector(fault)
+        self._inject = injector_of(fault)
         self._is_spent = bool(read_injections())  # before a restart of this node
         self._ports = Ports(INJECTOR, plan)
         route = self._ports.routes[fault.where.state]

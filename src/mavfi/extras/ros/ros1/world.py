@@ -23,7 +23,7 @@ from mavfi.extras.ros.ros1.remote import (
     RemotePublication,
     Watchdog,
 )
-from mavfi.faults.levels.state_injector import StateInjector
+from mavfi.faults.levels.state_injector import injector_of
 from mavfi.flight.compose import new_loop, watch
 from mavfi.flight.loop import Listener, Loop
 from mavfi.flight.restarts import Restarts
@@ -247,5 +247,5 @@ class TopicTap:
         """
         injections: list[Injection] = []
         if self._plan.state_fault is not None:
-            injections = read_injections() or StateInjector(self._plan.state_fault).finish()
+            injections = read_injections() or injector_of(self._plan.state_fault).finish()
         return injections + self._registers.injections
