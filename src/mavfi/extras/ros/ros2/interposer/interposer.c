@@ -45,6 +45,7 @@ typedef struct {
   void *allocator;
 } sequence_t;
 
+static bool is_preloaded;
 static bool is_late;  // loaded into a running process: the type support was handed over before
 
 /* ---- the functions that rcl would have called -------------------------------------------------------------------- */
@@ -680,7 +681,10 @@ static bool open_page(const char *path) {
 
 __attribute__((constructor)) static void preloaded(void) {
   const char *path = getenv("MAVFI_ROS2_PAGE");
-  if (path) open_page(path);
+  if (path) {
+    is_preloaded = true;
+    open_page(path);
+  }
 }
 
 /* Sizes and offsets that mavfi compares with its own. */
@@ -776,23 +780,24 @@ static int redirect_library(struct dl_phdr_info *library, size_t size, void *unu
   return 0;
 }
 
-/* Redirects the calls of this process; returns their number, or -1 without the page. */
-int mavfi_attach(const char *page_path);
-int mavfi_attach(const char *page_path) {
-  is_late = true;
-  if (!open_page(page_path)) return -1;
-  dl_iterate_phdr(redirect_library, NULL);
-  return redirected_count;
+/* Redirects the calls of this process, and counts them on the page. */
+void mavfi_attach(const char *page_path);
+void mavfi_attach(const char *page_path) {
+  if (!open_page(page_path)) return;
+  if (!is_preloaded) {
+    is_late = true;
+    dl_iterate_phdr(redirect_library, NULL);
+  }
+  atomic_fetch_add(&control->redirected, (uint32_t)(is_preloaded ? 1 : redirected_count));
 }
 
-/* Undoes `mavfi_attach`; the library stays, since a thread may be inside it.  Returns the number of calls. */
-int mavfi_detach(void);
-int mavfi_detach(void) {
-  int count = 0;
+/* Undoes `mavfi_attach`; the library stays, since a thread may be inside it. */
+void mavfi_detach(void);
+void mavfi_detach(void) {
   if (atomic_load(&waiting)) release_all();
   while (redirected_count) {
     redirected_count--;
-    count += write_slot(redirected[redirected_count].slot, redirected[redirected_count].original);
+    write_slot(redirected[redirected_count].slot, redirected[redirected_count].original);
+    atomic_fetch_sub(&control->redirected, 1);
   }
-  return count;
 }

@@ -114,6 +114,8 @@ class _Control(ctypes.Structure):
         ("generation", ctypes.c_uint32),
         ("armed", ctypes.c_uint32),
         ("processes", ctypes.c_uint32),
+        ("redirected", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint32),
         ("armed_ns", ctypes.c_int64),
         ("sim_ns", ctypes.c_int64),
         ("reports_made", ctypes.c_uint64),
@@ -235,6 +237,10 @@ class ControlPage:
         """Processes that have loaded the interposer, the first first."""
         count = min(self._control.processes, _MAX_PROCESSES)
         return tuple(self._control.pids[:count])
+
+    def redirected_calls(self) -> int:
+        """Number of calls that are redirected in running processes."""
+        return int(self._control.redirected)
 
     # ---- faults -----------------------------------------------------------------------------------------------------
     def arm(self, faults: Sequence[InterposedFault]) -> None:
