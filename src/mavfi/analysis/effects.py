@@ -8,14 +8,14 @@ from mavfi.analysis import measures as m
 from mavfi.analysis.rows import WHOLE_WORD
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate
-from mavfi.mission import MissionStatus
+from mavfi.record import End
 
 HEADINGS = {"sdc": "SDC"}
 """Effects whose label is not their heading."""
 ALWAYS = ("masked", "sdc", "crash", "hang")
 """Effects that are shown even if none occurred."""
 LOST = "mission lost"
-_STATUSES = tuple(status.label for status in MissionStatus)
+_ENDS = tuple(str(end) for end in End)
 
 
 def judged_faults(runs: Runs) -> Runs:
@@ -25,7 +25,7 @@ def judged_faults(runs: Runs) -> Runs:
 
 def has_verdicts(runs: Runs) -> bool:
     """Whether runs end with the status of a mission, or a verdict in its place."""
-    return len(runs.where(pl.col("status").is_in(_STATUSES))) > 0
+    return len(runs.where(~pl.col("status").is_in(_ENDS))) > 0
 
 
 def effect_rate(faults: Runs, test: pl.Expr) -> Rate:

@@ -143,6 +143,11 @@ class Campaign(Config):
         None, description="what is under test instead of our pipeline; given under the key of its host"
     )
 
+    @classmethod
+    def has_key(cls, name: str) -> bool:
+        """See `Config.has_key`: also keys that hosts bring."""
+        return name in cls.model_fields or any(other.config_key == name for other in extensions("mavfi.hosts").values())
+
     @model_validator(mode="before")
     @classmethod
     def _complete(cls, data: Any, info: ValidationInfo) -> Any:

@@ -2,13 +2,13 @@
 
     python -m mavfi.extras.ros.ros2.stack.bench
 
-is a process in a private network that gets its orders as lines of JSON (`BenchClient` is its other end), so that the page
-of the interposer and the tracer of registers are in the same namespaces as the stack.
+is a process in a private network that gets its orders as lines of JSON (`BenchClient` is its other end), so that the
+page of the interposer and the tracer of registers are in the same user namespace as the stack.
 """
 
+import ctypes
 import json
 import os
-import re
 import signal
 import socket
 import subprocess
@@ -16,20 +16,22 @@ import sys
 import tempfile
 import threading
 import time
+import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from mavfi.config import STORED
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.registers import inject
 from mavfi.extras.ros.ros2.agent import Frames
 from mavfi.extras.ros.ros2.environment import Installation, find_installation
-from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault, Report
+from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault, Report, Side
 from mavfi.extras.ros.ros2.stack.config import StackConfig
 from mavfi.extras.ros.ros2.stack.outputs import Outputs, compare, digest_of, status_of
-from mavfi.faults.fault import RegisterFault
+from mavfi.faults.fault import Fault, MessageFault, RegisterFault, fault_from_json
 from mavfi.outcomes import Effect
 from mavfi.record import Injection
 
@@ -305,6 +307,17 @@ class StackBench:
             self._golden = runs[0]
         return self._golden
 
+    def golden_summary(self) -> dict[str, Any]:
+        """What a campaign needs of the error-free run, as plain data."""
+        golden = self.golden()
+        return {
+            "digest": digest_of(golden.outputs),
+            "status": status_of(self._stack, golden.outputs),
+            "outputs": sum(map(len, golden.outputs.values())),
+            "numbers": golden.numbers,
+            "start_s": golden.start_s,
+        }
+
     def trial(self, fault: InterposedFault | RegisterFault | None) -> StackTrial:
         """Run a trial; without a fault, as another error-free run."""
         golden = self.golden()
@@ -479,9 +492,7 @@ class StackBench:
         return ""
 
 
-def _injections(
-    fault: InterposedFault | RegisterFault | None, run: PlayedRun
-) -> tuple[tuple[Injection, ...], str]:
+def _injections(fault: InterposedFault | RegisterFault | None, run: PlayedRun) -> tuple[tuple[Injection, ...], str]:
     """What was changed, and why nothing was ("" = something was, or nothing was to be)."""
     if fault is None:
         return (), ""
@@ -557,3 +568,149 @@ def _recorded(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
                 yield connection.topic, connection.msgtype, time_ns - first_ns, bytes(content)
     except Exception as error:  # noqa: BLE001 - whatever the reader raises for a file that is none
         raise BadInputError(f"stack.inputs.bag: {path}: cannot be read ({error})") from None
+
+
+# ---- the process of the bench ----------------------------------------------------------------------------------------
+_PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
+
+
+class BenchClient:
+    """A bench in a process of its own, in a private network.
+
+    Raises:
+        BadInputError: No private network can be had, there is no such ROS 2 installation, or the stack cannot be run.
+        MavfiError: The bench has ended.
+    """
+
+    def __init__(self, stack: StackConfig) -> None:
+        command = [*private_namespaces(), sys.executable, "-m", "mavfi.extras.ros.ros2.stack.bench"]
+        python_path = os.pathsep.join(path for path in sys.path if path)
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": python_path},
+            start_new_session=True,
+        )
+        self._end = weakref.finalize(self, _end_process, self._process)
+        self._ask({"stack": stack.to_json()})
+
+    def golden(self) -> dict[str, Any]:
+        """Digest, status and numbers of the error-free run, as plain data."""
+        return self._ask({"do": "golden"})
+
+    def trial(self, fault: Fault | None, side: str) -> StackTrial:
+        """Run a trial; `side`: where the messages of the fault's topic are changed."""
+        fault_data = None
+        if fault is not None:
+            fault_data = fault.to_json()
+        trial = self._ask({"do": "trial", "fault": fault_data, "side": side})
+        injections = tuple(Injection.from_json(data) for data in trial.pop("injections"))
+        return StackTrial(**{**trial, "differences": tuple(trial["differences"])}, injections=injections)
+
+    def close(self) -> None:
+        """End it."""
+        self._end()
+
+    def _ask(self, order: dict[str, Any]) -> dict[str, Any]:
+        assert self._process.stdin is not None and self._process.stdout is not None  # pipes
+        with suppress(BrokenPipeError):  # the missing answer tells
+            self._process.stdin.write(json.dumps(order).encode() + b"\n")
+            self._process.stdin.flush()
+        line = self._process.stdout.readline()
+        if not line:
+            assert self._process.stderr is not None  # a pipe
+            lines = self._process.stderr.read().decode(errors="replace").strip().splitlines() or ["no message"]
+            raise MavfiError(f"bench of the stack: has ended ({lines[-1]})")
+        answer: dict[str, Any] = json.loads(line)
+        if "refused" in answer:
+            raise BadInputError(answer["refused"])
+        if "failed" in answer:
+            raise MavfiError(answer["failed"])
+        return answer
+
+
+def _end_process(process: "subprocess.Popen[bytes]") -> None:
+    """Let a bench end."""
+    for stream in (process.stdin, process.stdout, process.stderr):
+        if stream is not None:
+            with suppress(OSError):
+                stream.close()
+    try:
+        process.wait(_ANSWER_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def private_namespaces() -> list[str]:
+    """Command that runs a program in a network and mounts of its own.
+
+    Raises:
+        BadInputError: There can be none.
+    """
+    for command in (["unshare", "-n", "-m"], ["unshare", "-U", "-r", "-n", "-m"]):
+        try:
+            if subprocess.run([*command, "true"], capture_output=True, check=False).returncode == 0:
+                return command
+        except OSError:
+            break
+    raise BadInputError(
+        "no private network: neither `unshare -n -m` nor `unshare -Urnm` works here; allowed: as root, or with user "
+        "namespaces"
+    )
+
+
+def main() -> None:
+    """Meet the orders on stdin until it is closed; the first one has the stack."""
+    # It ends with its parent, and what it starts ends with it.
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a verdict prints is no answer
+
+    bench: StackBench | None = None
+    with tempfile.TemporaryDirectory(prefix="mavfi-stack-") as folder:
+        try:
+            for line in sys.stdin:
+                order = json.loads(line)
+                try:
+                    if bench is None:
+                        bench = StackBench(StackConfig.model_validate(order["stack"], context=STORED), Path(folder))
+                        answer: dict[str, Any] = {"forks": bench.forks}
+                    else:
+                        answer = _meet(bench, order)
+                except BadInputError as error:
+                    answer = {"refused": str(error)}
+                except MavfiError as error:
+                    answer = {"failed": str(error)}
+                answers.write(json.dumps(answer).encode() + b"\n")
+                answers.flush()
+        finally:
+            if bench is not None:
+                bench.close()
+
+
+def _meet(bench: StackBench, order: Mapping[str, Any]) -> dict[str, Any]:
+    """The answer to an order."""
+    if order["do"] == "golden":
+        return bench.golden_summary()
+    fault: InterposedFault | RegisterFault | None = None
+    if order["fault"] is not None:
+        fault = _injectable(fault_from_json(order["fault"]), order["side"])
+    trial = bench.trial(fault)
+    return {**asdict(trial), "injections": [injection.to_json() for injection in trial.injections]}
+
+
+def _injectable(fault: Fault, side: Side) -> InterposedFault | RegisterFault:
+    """A planned fault as the bench injects it."""
+    if isinstance(fault, RegisterFault):
+        return fault
+    assert isinstance(fault, MessageFault)  # by the levels of the host
+    operation, when = fault.planned
+    return InterposedFault(fault.topic, fault.field, operation, when, side, fault.seed)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,7 +1,7 @@
 """A hidden node that plays inputs to a stack and records its outputs; runs under the Python of a ROS 2 installation.
 
-It is the agent (`../agent.py`) with the requests that a trial needs, forked by `launcher.py`.  Messages become plain data
-here: a message is a dictionary, an array a list, or a digest if it is longer than `LONGEST_LIST`.
+It is the agent (`../agent.py`) with the requests that a trial needs, forked by `launcher.py`.  Messages become plain
+data here: a message is a dictionary, an array a list, or a digest if it is longer than `LONGEST_LIST`.
 """
 
 import contextlib
