@@ -41,6 +41,8 @@ _DOMAIN = "71"
 _ANSWER_S = 30.0
 """Time limit for an answer, in addition to what a request may wait for (s)."""
 _PYTHONS = ("python", "python3")
+_PROFILES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
+"""Environment variables of Fast DDS: the file with its settings, and its name before version 3."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,6 +213,12 @@ class StackProcesses:
             self._of_command.append(launcher)
         self.forks = [bool(launcher.ask("ready")["forks"]) for launcher in self._of_command]
 
+    def load(self, kinds: Sequence[str]) -> None:
+        """Load the libraries of message types where scripts are forked."""
+        for launcher, forks in zip(self._of_command, self.forks, strict=True):
+            if forks:
+                launcher.ask("load", kinds=list(kinds))
+
     def start(self, namespace: int, folder: Path) -> list[int]:
         """Start all commands in the namespaces of a process; returns their process ids, in the order of commands."""
         for index, launcher in enumerate(self._of_command):
@@ -257,7 +265,9 @@ class StackBench:
         self._inputs, self._content = inputs_of(stack, self._installation)
         self._golden: PlayedRun | None = None
         self._learned: dict[str, dict[str, Any]] = {}  # type and quality of service of recorded topics
+        discovery = {name: os.environ.get(name, str(_FOLDER / "discovery.xml")) for name in _PROFILES}
         plain = self._installation.environment(
+            **discovery,
             ROS_DOMAIN_ID=_DOMAIN,
             ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",
             ROS_LOCALHOST_ONLY="1",  # the same before Iron
@@ -417,6 +427,9 @@ class StackBench:
         matched = driver.ask("outputs", waits_s=len(topics) * limit_s, outputs=entries, with_numbers=False)["outputs"]
         for entry, found in zip(entries, matched, strict=True):
             self._learned[entry["topic"]] = {**entry, **found}
+        kinds = sorted({entry["kind"] for entry in (*self._inputs, *self._learned.values())})
+        self._drivers.ask("load", kinds=kinds)
+        self._processes.load(kinds)
 
     def _start_script(self, namespace: int) -> int:
         """Start the script of the inputs; returns its process id, 0 without one."""

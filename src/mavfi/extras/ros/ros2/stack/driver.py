@@ -14,6 +14,7 @@ import time
 
 sys.path.insert(0, os.path.join(os.path.dirname(os.path.abspath(__file__)), os.pardir))
 import agent  # noqa: E402
+from launcher import has_exited  # noqa: E402
 
 LONGEST_LIST = 4096
 """Longest array that is recorded number by number."""
@@ -139,15 +140,6 @@ def selected(data, fields):
     return parts
 
 
-def has_ended(pid):
-    """Whether a process has ended; it stays as a zombie until the launcher asks for it."""
-    try:
-        with open(f"/proc/{pid}/stat") as file:
-            return file.read().rpartition(")")[2].split()[0] in "ZX"
-    except OSError:
-        return True
-
-
 # ---- the node --------------------------------------------------------------------------------------------------------
 class Driver(agent.Agent):
     """Publishes the inputs of a trial, and records outputs."""
@@ -217,7 +209,7 @@ class Driver(agent.Agent):
         """Wait until all inputs are read and all outputs published, or a process has ended."""
 
         def is_connected():
-            if any(has_ended(pid) for pid in pids):
+            if any(has_exited(pid) for pid in pids):
                 return True
             return all(publisher.get_subscription_count() for publisher in self._publishers.values()) and all(
                 self.node.count_publishers(topic) for topic in self._subscriptions
@@ -253,7 +245,7 @@ class Driver(agent.Agent):
         begin = time.monotonic()
 
         def is_gone():
-            return any(has_ended(pid) for pid in pids)
+            return any(has_exited(pid) for pid in pids)
 
         for index in range(first, last):
             topic, message, offset_s = self._inputs[index]
@@ -268,7 +260,7 @@ class Driver(agent.Agent):
                 is_silent = not self._wait_for_all(before, limit_s, is_gone)
                 if is_silent:
                     missed.append(index)
-        while watched and not is_gone() and not has_ended(watched):
+        while watched and not is_gone() and not has_exited(watched):
             self._executor.spin_once(timeout_sec=0.01)
 
         # What was missed last may have been lost on its way: the stack is alive if it answers the same input once more.

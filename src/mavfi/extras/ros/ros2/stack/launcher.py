@@ -21,6 +21,7 @@ import ast
 import contextlib
 import ctypes
 import fcntl
+import importlib
 import importlib.util
 import json
 import os
@@ -104,6 +105,15 @@ def load_script(path):
     return module
 
 
+def has_exited(pid):
+    """Whether a process has ended, or its first thread has; it stays as a zombie until it is waited for."""
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rpartition(")")[2].split()[0] in "ZX"
+    except OSError:
+        return True
+
+
 # ---- processes -------------------------------------------------------------------------------------------------------
 class Launcher:
     """Starts processes on request.
@@ -158,6 +168,14 @@ class Launcher:
         """Say that all is imported, and whether the script is forked."""
         return {"forks": self._main is not None or self._drive is not None}
 
+    def do_load(self, kinds):
+        """Load the libraries of message types, once for all that is forked."""
+        for kind in kinds:
+            package, folder, name = kind.split("/")
+            message_class = getattr(importlib.import_module(f"{package}.{folder}"), name)
+            type(message_class).__import_type_support__()
+        return {}
+
     def do_drive(self, descriptor):
         """Fork a driver, with namespaces of its own, that talks over the socket beside the request."""
         pid = os.fork()
@@ -182,7 +200,9 @@ class Launcher:
         """End all processes that were started, and theirs; say how each ended (as `waitpid` does)."""
         for pid, status in list(self._started.items()):
             if status is None:
-                ended, status = os.waitpid(pid, os.WNOHANG)
+                # The first thread of a process that is ending may be gone before the others.
+                options = 0 if has_exited(pid) else os.WNOHANG
+                ended, status = os.waitpid(pid, options)
                 if ended:
                     self._started[pid] = status
                 with contextlib.suppress(ProcessLookupError):
