@@ -248,6 +248,10 @@ def _with_python(command: Sequence[str], installation: Installation) -> list[str
     return list(command)
 
 
+class StartError(BadInputError):
+    """The stack does not start: something is missing, or one of its processes has ended before it was tried."""
+
+
 # ---- the bench -------------------------------------------------------------------------------------------------------
 class StackBench:
     """Runs trials of a stack, in the namespaces of this process.
@@ -364,47 +368,41 @@ class StackBench:
 
     def _play(self, fault: InterposedFault | RegisterFault | None) -> PlayedRun:
         """Start the stack, play the inputs, and end it."""
-        stack = self._stack
         began = time.monotonic()
         faults = []
         if isinstance(fault, InterposedFault):
             faults = [fault]
         self._page.arm(faults)
         armed_s = time.time()
+        statuses: dict[int, int] = {}
         driver = DriverClient(self._drivers)
         try:
             # The driver's endpoints come first, so that those of the stack find them as soon as they are made.
             driver.wait()
-            has_learned = bool(self._learned)
-            with_numbers = self._golden is None
-            numbers = driver.ask("inputs", self._content, inputs=self._inputs)["numbers"]
-            if has_learned:
+            of_inputs = driver.ask("inputs", self._content, inputs=self._inputs)["numbers"]
+            if self._learned:
+                with_numbers = self._golden is None
                 driver.ask("outputs", outputs=list(self._learned.values()), with_numbers=with_numbers)
             pids = self._processes.start(driver.pid, self._folder)
-            if not has_learned:
-                self._learn(driver, pids)
-            script = self._start_script(driver.pid)
-            missing = driver.ask("await", waits_s=stack.start_s, pids=pids, limit_s=stack.start_s)["missing"]
+            script = self._connect(driver, pids)
             start_s = time.monotonic() - began
-
             played, register = self._play_inputs(driver, pids, script, fault)
-            if missing and not played["outputs"] and not played["is_gone"]:
-                raise MavfiError(f"stack: after {stack.start_s:g} s: {', '.join(missing)}")
         finally:
             driver.close()
             statuses = self._processes.end()
             self._drivers.ask("end")
-        ended = self._ended(statuses, pids)
+
+        # What it has published, and the numbers in all messages.
         outputs: dict[str, list[Any]] = {topic: [] for topic in self._learned}
         for topic, data in played["outputs"]:
             outputs[topic].append(data)
-        by_topic: dict[str, list[Any]] = {}
-        for entry, of_message in zip(self._inputs, numbers, strict=True):
-            by_topic.setdefault(entry["topic"], []).append(of_message)
-        by_topic |= played["numbers"]
+        numbers: dict[str, list[Any]] = {}
+        for entry, of_message in zip(self._inputs, of_inputs, strict=True):
+            numbers.setdefault(entry["topic"], []).append(of_message)
+        ended = self._ended(statuses, pids)
         return PlayedRun(
             outputs,
-            by_topic,
+            numbers | played["numbers"],
             ended,
             not ended and self._has_ceased(played, outputs),
             self._page.reports(),
@@ -414,22 +412,50 @@ class StackBench:
             start_s,
         )
 
-    def _learn(self, driver: DriverClient, pids: Sequence[int]) -> None:
-        """Subscribe to outputs as they are published, and remember how."""
-        del pids
-        limit_s = self._stack.start_s
-        fields = {output.topic: list(output.fields) for output in self._stack.outputs}
-        topics = [topic for topic in self._stack.topics if topic not in {entry["topic"] for entry in self._inputs}]
+    def _connect(self, driver: DriverClient, pids: Sequence[int]) -> int:
+        """Wait until the stack reads all inputs and publishes all topics, and start the script of the inputs.
+
+        Returns:
+            Process id of the script; 0 without one.
+
+        Raises:
+            StartError: The stack does not within its time limit.
+        """
+        stack = self._stack
+        of_driver = {entry["topic"] for entry in self._inputs}
+        of_stack = [topic for topic in stack.topics if topic not in {*of_driver, *stack.inputs.topics}]
+        of_script = [topic for topic in stack.inputs.topics if stack.inputs.script]
+        self._wait_for(driver, of_stack, pids)
+        script = self._start_script(driver.pid)
+        if self._learned:
+            return script
+
+        # Types and qualities of service are known now: the next runs have these subscriptions from the beginning.
+        self._wait_for(driver, of_script, pids)
+        fields = {output.topic: list(output.fields) for output in stack.outputs}
         entries = [
-            {"topic": topic, "kind": "", "reliable": None, "limit_s": limit_s, "fields": fields.get(topic, [])}
-            for topic in topics
+            {"topic": topic, "kind": "", "reliable": None, "fields": fields.get(topic, [])}
+            for topic in (*of_stack, *of_script)
         ]
-        matched = driver.ask("outputs", waits_s=len(topics) * limit_s, outputs=entries, with_numbers=False)["outputs"]
+        matched = driver.ask("outputs", outputs=entries, with_numbers=False)["outputs"]
         for entry, found in zip(entries, matched, strict=True):
             self._learned[entry["topic"]] = {**entry, **found}
         kinds = sorted({entry["kind"] for entry in (*self._inputs, *self._learned.values())})
         self._drivers.ask("load", kinds=kinds)
         self._processes.load(kinds)
+        return script
+
+    def _wait_for(self, driver: DriverClient, topics: Sequence[str], pids: Sequence[int]) -> None:
+        """Wait until topics are published and all inputs are read; a process that ends is not waited for.
+
+        Raises:
+            StartError: They are not within the time limit.
+        """
+        limit_s = self._stack.start_s
+        missing = driver.ask("await", waits_s=limit_s, topics=list(topics), pids=list(pids), limit_s=limit_s)["missing"]
+        if missing:
+            reason = self._ended(self._processes.end(), pids) or f"after {limit_s:g} s"
+            raise StartError(f"stack: {', '.join(missing)} ({reason})")
 
     def _start_script(self, namespace: int) -> int:
         """Start the script of the inputs; returns its process id, 0 without one."""

@@ -18,8 +18,10 @@ from launcher import has_exited  # noqa: E402
 
 LONGEST_LIST = 4096
 """Longest array that is recorded number by number."""
+SLOW_S = 0.5
+"""Wait for an output, before the next input is published without it (s)."""
 MISSED_S = 0.1
-"""Wait for an output, once one has been missed and until one comes again (s)."""
+"""The same, once one has been missed and until one comes again (s)."""
 LAST_S = 0.02
 """Wait for outputs that nobody expects, after the last one (s)."""
 WIDTHS = {
@@ -152,13 +154,13 @@ class Driver(agent.Agent):
         self._numbers = {}
 
     def do_outputs(self, outputs, with_numbers):
-        """Record topics from now on: each has `topic`, `kind` and `reliable`, None = as published, and `fields`.
+        """Record topics from now on: each has `topic`, `kind` ("" = as published), `reliable` (None) and `fields`.
 
         With `with_numbers`, the numbers of each message are recorded, too.
         """
         matched = []
         for output in outputs:
-            kind, qos = self._matching(output["topic"], output["kind"], output["reliable"], output["limit_s"])
+            kind, qos = self._matching(output["topic"], output["kind"], output["reliable"], 0.0)
             self._record(output["topic"], kind, qos, output["fields"], with_numbers)
             matched.append({"kind": kind, "reliable": qos.reliability.name == "RELIABLE"})
         return {"outputs": matched}
@@ -181,7 +183,7 @@ class Driver(agent.Agent):
             except Exception as error:  # noqa: BLE001 - a fault may have made it so
                 data = {"undecodable": f"{type(error).__name__}: {error}"}
             self._counts[topic] += 1
-            self._records.append((topic, data, time.monotonic()))
+            self._records.append((topic, data))
 
         self._subscriptions[topic] = self._subscribe(topic, kind, qos, arrived)
 
@@ -205,26 +207,18 @@ class Driver(agent.Agent):
             found.append(list(numbers(decoded)))
         return {"numbers": found}
 
-    def do_await(self, pids, limit_s):
-        """Wait until all inputs are read and all outputs published, or a process has ended."""
+    def do_await(self, topics, pids, limit_s):
+        """Wait until all inputs are read and all topics published, or a process has ended; says what is missing."""
 
-        def is_connected():
-            if any(has_exited(pid) for pid in pids):
-                return True
-            return all(publisher.get_subscription_count() for publisher in self._publishers.values()) and all(
-                self.node.count_publishers(topic) for topic in self._subscriptions
-            )
+        def missing():
+            unread = [topic for topic, publisher in self._publishers.items() if not publisher.get_subscription_count()]
+            unpublished = [topic for topic in topics if not self.node.count_publishers(topic)]
+            return [f"nobody reads {topic}" for topic in unread] + [
+                f"nobody publishes {topic}" for topic in unpublished
+            ]
 
-        self._spin_until(is_connected, limit_s)
-        missing = [
-            f"nobody reads {topic}"
-            for topic, publisher in self._publishers.items()
-            if not publisher.get_subscription_count()
-        ]
-        missing += [
-            f"nobody publishes {topic}" for topic in self._subscriptions if not self.node.count_publishers(topic)
-        ]
-        return {"missing": missing}
+        self._spin_until(lambda: not missing() or any(map(has_exited, pids)), limit_s)
+        return {"missing": missing()}
 
     def do_play(self, first, last, pids, watched, patience_s, expected):
         """Publish inputs and wait for outputs; returns what was recorded since the last call.
@@ -240,7 +234,7 @@ class Driver(agent.Agent):
             patience_s: Time limit of an output.
             expected: Number of outputs by topic; None = unknown.
         """
-        missed = []
+        missed = False
         is_silent = False
         begin = time.monotonic()
 
@@ -256,21 +250,32 @@ class Driver(agent.Agent):
             before = dict(self._counts)
             self._publishers[topic].publish(message)
             if offset_s is None:
-                limit_s = MISSED_S if is_silent else patience_s
+                limit_s = MISSED_S if is_silent else min(patience_s, SLOW_S)
                 is_silent = not self._wait_for_all(before, limit_s, is_gone)
-                if is_silent:
-                    missed.append(index)
+                missed = missed or is_silent
         while watched and not is_gone() and not has_exited(watched):
             self._executor.spin_once(timeout_sec=0.01)
 
-        # What was missed last may have been lost on its way: the stack is alive if it answers the same input once more.
-        played = self._take(expected if not missed else None, patience_s, is_gone)
+        # Late outputs; with some lost on their way, there is nothing to wait for.
+        if expected is not None and (is_silent or not missed):
+
+            def is_complete():
+                return is_gone() or all(self._counts[topic] >= count for topic, count in expected.items())
+
+            is_silent = not self._spin_until(is_complete, patience_s) and is_silent
+        self._spin_until(lambda: False, LAST_S)
+        played = {
+            "outputs": [[topic, data] for topic, data in self._records],
+            "numbers": self._numbers,
+        }
+        self._records = []
+
+        # What was missed last may have been lost, too: the stack is alive if it answers the same input once more.
         if is_silent and not is_gone():
             topic, message, _ = self._inputs[last - 1]
             before = dict(self._counts)
             self._publishers[topic].publish(message)
             is_silent = not self._wait_for_all(before, patience_s, is_gone)
-            self._records = []
         return {"is_silent": is_silent, "is_gone": is_gone(), **played}
 
     def _wait_for_all(self, before, limit_s, is_gone):
@@ -288,22 +293,6 @@ class Driver(agent.Agent):
             if now > end:
                 return False
             self._executor.spin_once(timeout_sec=0.005)
-
-    def _take(self, expected, patience_s, is_gone):
-        """What was recorded, once all expected outputs are there."""
-        if expected is not None:
-
-            def is_complete():
-                return is_gone() or all(self._counts[topic] >= count for topic, count in expected.items())
-
-            self._spin_until(is_complete, patience_s)
-            self._spin_until(lambda: False, LAST_S)
-        records = self._records
-        self._records = []
-        return {
-            "outputs": [[topic, data] for topic, data, _ in records],
-            "numbers": self._numbers,
-        }
 
 
 def main(descriptor):
