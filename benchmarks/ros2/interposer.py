@@ -108,7 +108,7 @@ def measure_publish(installation: Installation, peer: Path) -> None:
     """Time of rcl_publish with a reader: without the interposer, with it idle, and with every message changed."""
     with ControlPage() as page, Reader(installation, peer):
         for size in (100, 1_000_000):
-            command = [str(peer), "publish", str(PUBLISHED * 100 // size + 200), str(size)]
+            command = [str(peer), "publish", str(PUBLISHED * 10 // (size + 10) + 200), str(size)]
 
             def both(index: int, *, preloaded: bool, command: list[str] = command) -> tuple[float, float]:
                 """A pair of runs, in alternating order."""
