@@ -116,7 +116,8 @@ def _success(flights: Sequence[ReportedFlight]) -> str:
     """Share of missions that succeed (per cent), its 95 % Wilson interval, and the count."""
     successes = sum(flight.status is MissionStatus.SUCCESS for flight in flights)
     rate = wilson(successes, len(flights))
-    return f"{100 * rate.rate:.0f} [{100 * rate.low:.0f}, {100 * rate.high:.0f}] {successes}/{len(flights)}"
+    share = successes / len(flights)
+    return f"{100 * share:.0f} [{100 * rate.low:.0f}, {100 * rate.high:.0f}] {successes}/{len(flights)}"
 
 
 def _ends(flights: Sequence[ReportedFlight]) -> str:
