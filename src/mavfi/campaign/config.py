@@ -14,6 +14,7 @@ from pydantic import (
     model_validator,
 )
 
+from mavfi.campaign.requirement import Requirement
 from mavfi.config import SCAN_ENDINGS, STORED, Config, Name, names, parse, parse_part, shipped
 from mavfi.errors import BadInputError, hint
 from mavfi.faults.fault import find_level, level_names
@@ -135,9 +136,17 @@ class Campaign(Config):
     parts: dict[str, CampaignPart] = Field(
         default_factory=dict, description="by name in environments, e.g. one per platform"
     )
+    require: tuple[str, ...] = Field(
+        (), description="bounds on rates, judged by their intervals, e.g. `sdc < 5 %`; see docs/how-to/ci.md"
+    )
     under_test: SerializeAsAny[Config] | None = Field(
         None, description="what is under test instead of our pipeline; given under the key of its host"
     )
+
+    @classmethod
+    def has_key(cls, name: str) -> bool:
+        """See `Config.has_key`: also keys that hosts bring."""
+        return name in cls.model_fields or any(other.config_key == name for other in extensions("mavfi.hosts").values())
 
     @model_validator(mode="before")
     @classmethod
@@ -158,8 +167,13 @@ class Campaign(Config):
 
     @model_serializer(mode="wrap")
     def _stored(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """What is under test is stored under the key of its host; ledgers have two of these keys with every host."""
+        """What is under test is stored under the key of its host; ledgers have two of these keys with every host.
+
+        Requirements are omitted if there are none; ledgers never have them, see `without_requirements`.
+        """
         data: dict[str, Any] = serialize(self)
+        if not self.require:
+            del data["require"]
         under_test = data.pop("under_test")
         data |= {"node": None, "program": None}
         host = _class_of_host(self.host)
@@ -193,6 +207,11 @@ class Campaign(Config):
             sampler_for(self)
         except BadInputError as error:
             raise ValueError(str(error)) from None
+        for text in self.require:
+            try:
+                Requirement.parse(text).of(self)
+            except BadInputError as error:
+                raise ValueError(f"require: {error}") from None
         return self
 
     def at_scale(self, name: str) -> "Campaign":
@@ -211,6 +230,18 @@ class Campaign(Config):
     def resized(self, size: Scale) -> "Campaign":
         """The campaign with the missions and faults of a scale."""
         return self.model_copy(update=size.model_dump(exclude_none=True))
+
+    def without_requirements(self) -> "Campaign":
+        """The campaign as ledgers hold it: requirements judge its result, and are no part of it."""
+        if not self.require:
+            return self
+        return self.model_copy(update={"require": ()})
+
+    @property
+    def flies(self) -> bool:
+        """Whether its runs are flights, see `Host.flies`."""
+        flown_by = _class_of_host(self.host)
+        return flown_by is None or flown_by.flies
 
     @property
     def level(self) -> Any:  # noqa: ANN401 - a `mavfi.levels.level.Level`

@@ -13,6 +13,7 @@ from mavfi.extras.ros.survey import Survey, SurveyedNode, SurveyedService, Surve
 
 @pytest.mark.ros
 @pytest.mark.slow
+@pytest.mark.parametrize("ros2", ["jazzy"], indirect=True)
 def test_nodes_processes_topics_and_rates_are_listed(ros2, capsys):
     talkers = [ros2.start("talker.py", "--name", name) for name in ("one", "two")]
     with AgentClient(ros2.installation) as agent:

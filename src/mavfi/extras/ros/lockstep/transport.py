@@ -46,8 +46,8 @@ class Transport(ABC):
         """
 
     @abstractmethod
-    def view(self, topic: str, kind: str) -> View:
-        """Advertise a topic of a standard type, "package/Name"."""
+    def view(self, topic: str, kind: str) -> View | None:
+        """Advertise a topic of a standard type, "package/Name"; None = the type is not installed."""
 
     def reconnect(self, topics: Collection[str]) -> None:  # noqa: B027 - nothing to do, by default
         """Called once per second while no publisher of these topics is connected."""
@@ -59,13 +59,11 @@ class Middleware(ABC):
     Attributes:
         name: Of the host in campaigns, "ros1" or "ros2".
         title: For people, e.g. "ROS 2 jazzy".
-        ros1_serialization: Whether its messages are serialized as in ROS 1; False = CDR, as in ROS 2.
         join_example: Command that lists the topics of a flight, for the script `join`.
     """
 
     name: ClassVar[str]
     title: str
-    ros1_serialization: ClassVar[bool]
     join_example: ClassVar[str]
 
     @abstractmethod

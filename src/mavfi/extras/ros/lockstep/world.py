@@ -14,9 +14,10 @@ from mavfi.extras.ros.lockstep.plan import DETECTOR, INJECTOR, WORLD
 from mavfi.extras.ros.lockstep.ports import Client, Inbox, Loss, NodeLostError, Ports
 from mavfi.extras.ros.lockstep.register_injector import PLANNED, RegisterInjector
 from mavfi.extras.ros.lockstep.remote import Counter, Link, RemoteDetector, RemoteKernel, RemotePublication
+from mavfi.extras.ros.lockstep.views import Views
 from mavfi.faults.levels.state_injector import injector_of
 from mavfi.flight.compose import new_loop, watch
-from mavfi.flight.loop import Listener, Loop
+from mavfi.flight.loop import Listener, Loop, ObserverListener
 from mavfi.flight.restarts import Restarts
 from mavfi.flight.sensor_faults import inject_sensor_fault
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
@@ -75,6 +76,7 @@ class Conductor(Listener):
             detector = RemoteDetector(self.links[DETECTOR])
         watch(loop, detector, plan.recovery)
         loop.listeners.append(self)
+        loop.attach(ObserverListener(Views(self.ports.transport, plan)))
         return loop
 
     def _connect(self) -> None:

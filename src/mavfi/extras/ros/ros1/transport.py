@@ -36,7 +36,6 @@ class Ros1(Middleware):
     """ROS 1 of Debian's packages; `port`: of the flight's master."""
 
     name = "ros1"
-    ros1_serialization = True
     title = "ROS 1"
     join_example = "rostopic list"
     port: int = field(default_factory=free_port)
@@ -161,10 +160,10 @@ class Ros1View(View):
     """A topic whose type is known from its definition: the Python package of its messages need not be installed."""
 
     def __init__(self, rospy: Any, topic: str, kind: str) -> None:
-        from rosbags.typesys import Stores, get_typestore
+        from mavfi.extras.logs.files import Maker
 
         package, name = kind.split("/")
-        text, checksum = get_typestore(Stores.ROS1_NOETIC).generate_msgdef(f"{package}/msg/{name}")
+        text, checksum = Maker(is_ros1=True).store.generate_msgdef(f"{package}/msg/{name}")
         members = {"_type": kind, "_md5sum": checksum, "_full_text": text}
         self._type = type(name, (rospy.AnyMsg,), members)
         self._publisher = rospy.Publisher(topic, self._type, queue_size=None)

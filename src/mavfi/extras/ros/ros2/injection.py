@@ -14,7 +14,7 @@ from mavfi.extras.ros.ros2.graph import AgentClient, GraphSnapshot, RawMessage
 from mavfi.extras.ros.ros2.interposer.attach import Attachments
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault, Report
 from mavfi.extras.ros.ros2.processes import GraphProcesses, NodeProcess, program_of
-from mavfi.extras.ros.ros2.types import Decoder
+from mavfi.extras.ros.ros2.types import Decoder, TypeLibrary
 from mavfi.faults.operations import Operation, When
 from mavfi.record import Injection
 
@@ -126,9 +126,10 @@ class RunningGraphInjection:
         targets = agent.find(lambda snapshot: _targets(snapshot, site, node))
         kind = targets[0].kind
         self._fault = replace(self._fault, type=kind)
+        self._types = TypeLibrary(agent.installation.distribution, agent.definition)
         self._decoder: Decoder | None = None
         if not site.is_service:
-            self._decoder = Decoder(kind, agent)
+            self._decoder = Decoder(kind, self._types)
             self._decoder.check(field, operation, when)
         self.processes = [target for target in targets if target.pid is not None]
         self.unreachable = [f"{target.node}: {target.problem}" for target in targets if target.pid is None]
@@ -199,7 +200,7 @@ class RunningGraphInjection:
         self._drain()
         for message in self._messages:
             if message.topic.endswith("/transition_event") and message.wall_ns > 1e9 * self._last_injection_s:
-                state = Decoder(_LIFECYCLE, self._agent).text(message.data, "goal_state.label")
+                state = Decoder(_LIFECYCLE, self._types).text(message.data, "goal_state.label")
                 node = message.topic.removesuffix("/transition_event")
                 text = f"{node}: its life-cycle state became {state!r}"
                 if text not in self._aftermath_seen:

@@ -23,6 +23,8 @@ _DOMAINS = 100
 """Number of domain ids whose ports are free for use on every system."""
 _HEAD = struct.Struct("<4s3I")
 """Serialized start of `std_msgs/UInt8MultiArray`: encoding, no dimensions, offset 0, number of bytes."""
+_VIEW_DEPTH = 10
+"""Number of messages that a slow subscriber of a view may be behind, as usual in ROS 2."""
 _LITTLE_ENDIAN = b"\0\1\0\0"
 
 
@@ -36,7 +38,6 @@ class Ros2(Middleware):
     """ROS 2 of an installation; `domain`: of the flight."""
 
     name = "ros2"
-    ros1_serialization = False
     join_example = "ros2 topic list"
     installation: Installation
     domain: int
@@ -70,6 +71,8 @@ class Ros2(Middleware):
             "PATH": os.pathsep.join([programs, path]),
             "ROS_DOMAIN_ID": str(self.domain),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            # a node that was killed never empties its queues in shared memory, which then block those that send to it
+            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
             "ROS_LOG_DIR": str(folder / "log"),
         }
 
@@ -87,8 +90,13 @@ class Ros2(Middleware):
         return Ros2Transport(node)
 
     def _folders(self) -> list[Path]:
-        """Where its Python modules are."""
-        return sorted(self.installation.prefix.glob("lib/python3*/site-packages"))
+        """Where its Python modules are: in each of the prefixes that its setup files name."""
+        prefixes = self.installation.environment().get("AMENT_PREFIX_PATH", str(self.installation.prefix))
+        return [
+            folder
+            for prefix in prefixes.split(os.pathsep)
+            for folder in sorted(Path(prefix).glob("lib/python3*/site-packages"))
+        ]
 
 
 class Ros2Transport(Transport):
@@ -161,10 +169,14 @@ class Ros2Transport(Transport):
                     content = taken[0]
                     arrived(content[_HEAD.size : _HEAD.size + _HEAD.unpack_from(content)[-1]])
 
-    def view(self, topic: str, kind: str) -> "Ros2View":
+    def view(self, topic: str, kind: str) -> "Ros2View | None":
         """See `Transport`."""
         package, name = kind.split("/")
-        return Ros2View(self._node.create_publisher(getattr(import_module(f"{package}.msg"), name), topic, 10))
+        try:
+            types = import_module(f"{package}.msg")
+        except ModuleNotFoundError:
+            return None
+        return Ros2View(self._node.create_publisher(getattr(types, name), topic, _VIEW_DEPTH))
 
 
 class Ros2View(View):

@@ -8,11 +8,11 @@ import tempfile
 import pytest
 
 from mavfi.errors import MachineError, MavfiError
-from mavfi.extras.ros.ros1.folder import LOG, new_folder
+from mavfi.extras.ros.lockstep.folder import LOG, new_folder
 
 KILLED = """
 import os, signal
-from mavfi.extras.ros.ros1.folder import new_folder
+from mavfi.extras.ros.lockstep.folder import new_folder
 with new_folder() as folder:
     (folder / "log").mkdir()
     os.kill(os.getpid(), signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""Flights on real ROS: a master, and one process for each node.  They are those of one process."""
+"""Flights on real ROS, with one process for each node.  They are those of one process."""
 
 import json
 import os
@@ -15,22 +15,20 @@ import pytest
 from mavfi.cli import run
 from mavfi.errors import MachineError, MavfiError
 from mavfi.extras.ros.cli import effect
-from mavfi.extras.ros.ros1.folder import PID
-from mavfi.extras.ros.ros1.host import configure
-from mavfi.extras.ros.ros1.host import fly as fly_there
-from mavfi.extras.ros.ros1.plan import FlightPlan
-from mavfi.extras.ros.ros1.ports import is_alive
-from mavfi.extras.ros.ros1.register_injector import fault_in_node
+from mavfi.extras.ros.lockstep.folder import PID
+from mavfi.extras.ros.lockstep.host import fly as fly_there
+from mavfi.extras.ros.lockstep.register_injector import fault_in_node
+from mavfi.extras.ros.processes import is_alive
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.compose import detector_for
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly as fly_here
 from mavfi.record import FlightLog
 from tests.core.flights.missions import Scripted, fault
-from tests.extras.ros.ros1.flights import NODES, same, short, there
-from tests.extras.ros.ros1.needs import ros
+from tests.extras.ros.lockstep.flights import NODES, plan, same, short, there
+from tests.extras.ros.lockstep.needs import any_ros, flying, number
 
-pytestmark = [*ros, pytest.mark.slow]
+pytestmark = [*any_ros, pytest.mark.slow]
 
 
 def detector(name, scenario):
@@ -77,10 +75,11 @@ def test_a_sensor_or_motor_fails_as_in_one_process(failure, options):
     assert log.digest() != fly_here(scenario).log.digest()
 
 
-def test_a_flight_with_a_fault_and_a_detector():
+@pytest.mark.parametrize("ros", flying("jazzy", "kilted", "ros1"))
+def test_a_flight_with_a_fault_and_a_detector(ros):
     scenario, name = short(), "gaussian"
     wrong = fault("planning.waypoint", "x", 4.0, 62)
-    log = there(scenario, wrong, detector(name, scenario))
+    log = there(scenario, wrong, detector(name, scenario), ros=ros)
     same(log, fly_here(scenario, wrong, detector(name, scenario)).log)
     assert log.alarms
 
@@ -95,9 +94,11 @@ def test_an_injected_estimate_violates_its_rule():
     assert (log.alarms[0].fields, log.alarms[0].action) == (("perception.odometry.x",), "recompute")
 
 
-def test_a_killed_node_comes_back_and_the_flight_continues(capsys, tmp_path):
+@pytest.mark.parametrize("ros", flying("jazzy", "ros1"))
+def test_a_killed_node_comes_back_and_the_flight_continues(ros, capsys, tmp_path):
     saved = tmp_path / "flight.npz"
-    assert run(["ros", "fly", "--seed", "7", "--kill", "octomap@6", "--json", "--save", str(saved)]) == 0
+    options = ["--ros", number(ros), "--seed", "7", "--kill", "octomap@6", "--json", "--save", str(saved)]
+    assert run(["ros", "fly", *options]) == 0
     data = json.loads(capsys.readouterr().out)
     lost, back = data["ros"]["lives"]
     assert (lost["event"], lost["node"], lost["time_s"]) == ("node_lost", "octomap", 6.0)
@@ -149,7 +150,7 @@ def test_a_hung_node_is_ended_and_restarted():
 @pytest.mark.alone
 def test_time_passes_as_on_the_wall_if_wanted():
     scenario = short()
-    flight = fly_there(FlightPlan(scenario, configure(scenario), pace=2.0))
+    flight = fly_there(plan(scenario, pace=2.0))
     same(flight.flight.log, fly_here(scenario).log)
     assert flight.times["flight"] >= 0.45 * flight.flight.log.column("time")[-1]
 
@@ -159,8 +160,8 @@ def test_a_fault_in_a_register_of_a_node():
     scenario = short()
     # On a busy machine the tracer may attach only after a flight of five seconds; in a slow one the node mostly waits.
     for pace in (1.0, 0.3, 1.0, 0.3):
-        plan = FlightPlan(scenario, configure(scenario), register_faults=(fault_in_node("pid", 500_000),), pace=pace)
-        log = fly_there(plan).flight.log
+        planned = plan(scenario, register_faults=(fault_in_node("pid", 500_000),), pace=pace)
+        log = fly_there(planned).flight.log
         (injection,) = log.injections
         if injection.activated:
             break
@@ -169,7 +170,7 @@ def test_a_fault_in_a_register_of_a_node():
     expected = ("crash", "hang")
     if not lives(log):
         expected = ("masked",) if log.digest() == fly_here(scenario).log.digest() else ("sdc",)
-    assert effect(plan, log) in expected
+    assert effect(planned, log) in expected
 
 
 @pytest.mark.slow
@@ -180,14 +181,15 @@ def test_a_flight_whose_processes_are_killed_is_a_failure_of_the_machine():
     before = set(Path(tempfile.gettempdir()).glob("mavfi-ros-*"))
     scenario = short()
     with pytest.raises(MachineError, match="^ROS: the process that starts the nodes was killed$"):
-        fly_there(FlightPlan(scenario, configure(scenario)), tell=kill)
+        fly_there(plan(scenario), tell=kill)
     assert set(Path(tempfile.gettempdir()).glob("mavfi-ros-*")) <= before
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["ctrl-c", "kill -9"])
-def test_no_process_is_left_behind(number, tmp_path):
+@pytest.mark.parametrize("ros", flying("jazzy", "ros1"))
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL], ids=["ctrl-c", "kill -9"])
+def test_no_process_is_left_behind(sent, ros, tmp_path):
     process = subprocess.Popen(
-        [sys.executable, "-m", "mavfi", "ros", "fly", "--seed", "7"],
+        [sys.executable, "-m", "mavfi", "ros", "fly", "--ros", number(ros), "--seed", "7"],
         env={**os.environ, "TMPDIR": str(tmp_path)},
         stderr=subprocess.PIPE,
         text=True,
@@ -197,9 +199,9 @@ def test_no_process_is_left_behind(number, tmp_path):
         time.sleep(0.05)
     folder = logs[0].parents[1]
     assert len(left_behind(folder)) > 3
-    process.send_signal(number)
+    process.send_signal(sent)
     _, stderr = process.communicate(timeout=30)
-    assert number == signal.SIGKILL or (process.returncode, stderr.count("\n")) == (130, 1)
+    assert sent == signal.SIGKILL or (process.returncode, stderr.count("\n")) == (130, 1)
     until = time.monotonic() + 20
     while (left_behind(folder) or folder.exists()) and time.monotonic() < until:
         time.sleep(0.05)
@@ -208,7 +210,7 @@ def test_no_process_is_left_behind(number, tmp_path):
 
 
 def test_a_flight_that_fails_says_where_to_look(capsys, tmp_path, monkeypatch):
-    from mavfi.extras.ros.ros1 import host as session
+    from mavfi.extras.ros.lockstep import host as session
 
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)

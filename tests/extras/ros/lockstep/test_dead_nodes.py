@@ -9,10 +9,9 @@ from mavfi.flight.loop import Listener
 from mavfi.flight.restarts import Restarts
 from mavfi.mission import MissionSpec
 from tests.core.flights.missions import Scripted
-from tests.extras.ros.ros1.flights import same, short, there
-from tests.extras.ros.ros1.needs import ros
+from tests.extras.ros.lockstep.flights import same, short, there
+from tests.extras.ros.lockstep.needs import any_ros, flying
 
-flying = [*ros, pytest.mark.slow]
 ANSWERING_US = 2_920_000
 """The planner of this mission has begun to answer an alarm, and its path is not there yet."""
 AWAY_US = 1_000_000
@@ -34,8 +33,8 @@ def died_here(scenario, node, detector=None, recovery=INLINE):
     return loop.fly().log
 
 
-def died_there(scenario, node, detector=None, recovery=INLINE):
-    return there(scenario, None, detector, recovery=recovery, kills=((node, ANSWERING_US),))
+def died_there(scenario, node, **options):
+    return there(scenario, kills=((node, ANSWERING_US),), **options)
 
 
 def same_but_for_notes(log, other):
@@ -45,13 +44,14 @@ def same_but_for_notes(log, other):
 
 
 class TestFlights:
-    pytestmark = flying
+    pytestmark = [*any_ros, pytest.mark.slow]
 
-    def test_a_planner_that_is_killed_at_its_answer_reads_back_and_saves_the_mission(self):
+    @pytest.mark.parametrize("ros", flying("jazzy", "ros1"))
+    def test_a_planner_that_is_killed_at_its_answer_reads_back_and_saves_the_mission(self, ros):
         """What it has to know comes from the world: the alarm, the way-point in force, the trajectory, the map."""
         assert died_here(resolve(alarming("fresh")), "planner").status.label == "timeout"
         scenario = resolve(alarming("readback"))
-        log = died_there(scenario, "planner")
+        log = died_there(scenario, "planner", ros=ros)
         assert log.status.label == "success"
         lives = [(event.kind, event.time_us) for event in log.events if event.kind.startswith("node_")]
         assert lives == [("node_lost", ANSWERING_US), ("node_back", ANSWERING_US + AWAY_US)]

@@ -3,30 +3,28 @@
 import os
 import subprocess
 import sys
-import threading
 import time
 
 import pytest
 
-from mavfi.extras.ros.ros1.ports import Inbox, is_alive
-from mavfi.extras.ros.ros1.register_injector import end_of_nodes
-from mavfi.extras.ros.ros1.remote import Watchdog
+from mavfi.extras.ros.lockstep.register_injector import end_of_nodes
+from mavfi.extras.ros.processes import is_alive
 from mavfi.record import Event, Injection
 
 ORPHANS = """
 import ctypes, os, subprocess, sys, time
-from mavfi.extras.ros.ros1 import supervisor
+from mavfi.extras.ros import processes
 ctypes.CDLL(None).prctl(36, 1)
 shell = subprocess.Popen(["sh", "-c", "setsid sleep 600 & setsid sh -c 'trap \\"\\" TERM INT; sleep 601' & sleep 0.2"])
 shell.wait()
 time.sleep(0.2)
-print(*supervisor.children(os.getpid()), flush=True)
-supervisor.end_all()
-print(supervisor.reap(), flush=True)
+print(*processes.children(os.getpid()), flush=True)
+processes.end_all()
+print(processes.reap(), flush=True)
 """
 LOOPBACK = """
 import socket
-from mavfi.extras.ros.ros1.supervisor import loopback_up
+from mavfi.extras.ros.processes import loopback_up
 def reachable():
     with socket.socket() as server:
         try:
@@ -39,34 +37,6 @@ before = reachable()
 loopback_up()
 print(before, reachable())
 """
-
-
-def test_an_inbox_keeps_what_came_before_it_was_wanted():
-    inbox = Inbox()
-    inbox.put(3, "value")
-    assert inbox.take(3, 0.0) == "value"
-    with pytest.raises(TimeoutError):
-        inbox.take(3, 0.01)
-
-
-def test_the_watchdog_cuts_a_call_that_takes_too_long():
-    cut = threading.Event()
-
-    class Socket:
-        def shutdown(self, how):
-            cut.set()
-
-    class Proxy:
-        class transport:  # noqa: N801
-            socket = Socket()
-
-    dog = Watchdog(0.2)
-    dog.begin(Proxy())
-    assert not dog.end()
-    assert not cut.wait(0.5)
-    dog.begin(Proxy())
-    assert cut.wait(5.0)
-    assert dog.end()
 
 
 def test_who_is_alive():

@@ -1,4 +1,4 @@
-"""`host: ros1` is a key of a campaign: what its nodes fly in lock-step is what one process flies."""
+"""`host: ros2` and `host: ros1` are keys of a campaign: what nodes fly in lock-step is what one process flies."""
 
 import pytest
 
@@ -9,9 +9,9 @@ from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros1 import finder
 from mavfi.extras.ros.ros1.host import Ros1Host
 from mavfi.faults.fault import RegisterFault
-from mavfi.flight.host import ArmSetup
+from mavfi.flight.host import SHIPPED, ArmSetup
 from tests.core.flights.missions import mission
-from tests.extras.ros.ros1.needs import ros
+from tests.extras.ros.lockstep.needs import ANY, any_ros, number
 
 
 def records(campaign, directory):
@@ -21,11 +21,12 @@ def records(campaign, directory):
 
 
 class TestFlights:
-    pytestmark = [*ros, pytest.mark.slow]
+    pytestmark = [*any_ros, pytest.mark.slow]
 
-    def test_every_run_has_the_record_that_the_local_host_gives(self, tmp_path):
+    def test_every_run_has_the_record_that_the_local_host_gives(self, tmp_path, monkeypatch):
+        monkeypatch.setitem(SHIPPED, "ros2", "mavfi.extras.ros.ros2.host:Ros2Host")  # also before it is installed
         campaign = load_campaign("ros1_smoke").model_copy(update={"arms": {}})  # detectors: test_flights
-        there = records(campaign, tmp_path / "ros1")
+        there = records(campaign.model_copy(update={"host": f"ros{number(ANY)}"}), tmp_path / "ros")
         here = records(campaign.model_copy(update={"host": "local"}), tmp_path / "local")
         assert len(there) == 1 + 3 + 1
         assert {run_id: record.digest for run_id, record in there.items()} == {

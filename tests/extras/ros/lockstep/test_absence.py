@@ -1,36 +1,43 @@
-"""Without ROS everything else works, and the verbs for ROS say what to do; with it, nothing but ROS comes in."""
+"""Without ROS everything else works, and the verbs for ROS say what to do."""
 
 import re
 import shlex
-import subprocess
-import sys
+from pathlib import Path
 
 import pytest
 
 from mavfi.cli import run
 from mavfi.errors import BadInputError
-from mavfi.extras.ros.cli import mission_with
+from mavfi.extras.ros.cli import middleware_of, mission_with
 from mavfi.extras.ros.ros1 import finder
+from mavfi.extras.ros.ros1.transport import Ros1
+from mavfi.extras.ros.ros2 import environment
+from mavfi.extras.ros.ros2.transport import Ros2
 from mavfi.mission import MissionSpec
 from tests.core.architecture.source import ROOT
-from tests.extras.ros.ros1.needs import ros
-from tools import install_ros as install
 
 
-def python(code, **variables):
-    import os
-
-    return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False, env={**os.environ, **variables}
-    )
-
-
-def test_no_ros_is_one_line_and_exit_code_2(monkeypatch, capsys):
+@pytest.fixture
+def without_ros(monkeypatch):
+    """Neither ROS is installed."""
     monkeypatch.setattr(finder, "missing", lambda: ["rospy"])
-    assert run(["ros", "fly"]) == 2
+    monkeypatch.setattr(environment, "installations", lambda: iter(()))
+
+
+@pytest.mark.parametrize(("number", "remedy"), [("1", "make ros"), ("2", "mavfi ros setup")])
+def test_no_ros_is_one_line_and_exit_code_2(without_ros, capsys, number, remedy):
+    assert run(["ros", "fly", "--ros", number]) == 2
     text = capsys.readouterr().err
-    assert text.count("\n") == 1
-    assert "make ros" in text and finder.ROOT_VARIABLE in text
+    assert text.count("\n") == 1 and remedy in text
+
+
+def test_without_a_choice_it_is_ros_2_if_there_is_one(monkeypatch):
+    there = environment.Installation("jazzy", "python3", Path("/nowhere"), {})
+    monkeypatch.setattr(environment, "installations", lambda: iter([there]))
+    assert middleware_of("").title == "ROS 2 jazzy"
+    assert middleware_of("1").title == "ROS 1"
+    monkeypatch.setattr(environment, "installations", lambda: iter(()))
+    assert middleware_of("").title == "ROS 1"
 
 
 @pytest.mark.parametrize(
@@ -43,6 +50,7 @@ def test_no_ros_is_one_line_and_exit_code_2(monkeypatch, capsys):
         (["--free-running"], "--free-running: dropped; use --pace 1"),
         (["--point-cloud-node", "depth_image_proc"], "--point-cloud-node: dropped; no replacement: attach with"),
         (["--pace", "-1"], "--pace"),
+        (["--ros", "3"], "--ros: '3'; allowed: 2, 1"),
         (["--register-fault", "octomap@-1"], "NODE@SECONDS"),
         (["--register-fault", "rviz@5"], "allowed: point_cloud, octomap"),
         (["--register-fault", "octomap@5", "--registers", "xmm"], "allowed: all, general, fp"),
@@ -53,32 +61,10 @@ def test_no_ros_is_one_line_and_exit_code_2(monkeypatch, capsys):
 )
 def test_bad_input_is_one_line_and_exit_code_2(capsys, monkeypatch, arguments, message):
     monkeypatch.setattr(finder, "missing", list)
+    monkeypatch.setattr(environment, "installations", lambda: iter(()))
     assert run(["ros", "fly", *arguments]) == 2
     text = capsys.readouterr().err
     assert text.count("\n") == 1 and message in text
-
-
-class TestTheFinder:
-    pytestmark = ros
-
-    def test_ros_comes_from_debian_and_numpy_from_here(self):
-        code = (
-            "import warnings; warnings.simplefilter('ignore')\n"
-            "from mavfi.extras.ros.ros1 import finder; finder.enable()\n"
-            "import numpy, rospy, yaml\nprint(rospy.__file__, numpy.__file__, yaml.__file__)"
-        )
-        rospy, numpy, yaml = python(code).stdout.split()
-        assert "dist-packages" in rospy
-        assert "dist-packages" not in numpy and "dist-packages" not in yaml
-
-    def test_nothing_else_of_debian_comes_in(self):
-        code = "from mavfi.extras.ros.ros1 import finder; finder.enable(); import apt_pkg"
-        assert "ModuleNotFoundError" in python(code).stderr
-
-    def test_an_installation_that_is_there_is_left_as_it_is(self, capsys):
-        assert install.main() == 0
-        text = capsys.readouterr().out
-        assert text.startswith("ROS 1 1.") and text.count("\n") == 1
 
 
 COMMANDS = re.findall(r"^    (mavfi ros .+)$", (ROOT / "docs" / "ros.md").read_text(encoding="utf-8"), re.MULTILINE)
@@ -93,8 +79,10 @@ def test_every_command_of_the_page_is_accepted(monkeypatch, command):
         del options
         raise FlyingError(plan)
 
-    monkeypatch.setattr(finder, "missing", list)
-    monkeypatch.setattr("mavfi.extras.ros.ros1.host.fly", fly)
+    monkeypatch.setattr(Ros1, "require", lambda ros: None)
+    monkeypatch.setattr(Ros2, "require", lambda ros: None)
+    monkeypatch.setattr(environment, "installations", lambda: iter([environment.Installation("", "", Path(), {})]))
+    monkeypatch.setattr("mavfi.extras.ros.lockstep.host.fly", fly)
     with pytest.raises(FlyingError) as stopped:
         run(shlex.split(command)[1:])
     (plan,) = stopped.value.args
@@ -102,6 +90,7 @@ def test_every_command_of_the_page_is_accepted(monkeypatch, command):
     assert ("--kill" in command) == bool(plan.kills)
     assert ("observer" in command) == (plan.recovery.coupling == "observer")
     assert plan.pace == ("--pace 1" in command)
+    assert plan.middleware.name == ("ros1" if "--ros 1" in command else "ros2")
 
 
 def test_the_grain_of_a_detector_is_one_that_nodes_have():

@@ -2,10 +2,11 @@
 
 import json
 
-from mavfi.extras.ros.ros1.host import configure, fly
-from mavfi.extras.ros.ros1.plan import FlightPlan
+from mavfi.extras.ros.lockstep.host import configure, fly
+from mavfi.extras.ros.lockstep.plan import FlightPlan
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
+from tests.extras.ros.lockstep.needs import ANY, find
 
 NODES = ("point_cloud", "octomap", "collision_check", "planner", "waypoint", "pid")
 SHORT = (16.0, 0.0, 3.0)
@@ -15,8 +16,12 @@ def short(**changes):
     return resolve(MissionSpec(environment="sparse", seed=7, goal=SHORT, **changes))
 
 
+def plan(scenario, fault=None, detector=None, ros=ANY, **options):
+    return FlightPlan(find(ros), scenario, configure(scenario), fault, detector, **options)
+
+
 def there(scenario, fault=None, detector=None, **options):
-    return fly(FlightPlan(scenario, configure(scenario), fault, detector, **options)).flight.log
+    return fly(plan(scenario, fault, detector, **options)).flight.log
 
 
 def same(log, other):
