@@ -39,9 +39,9 @@ class RosNode:
         """See `mavfi.extras.registers.cli.PROCESSES`."""
         if values["ros_node"] is None:
             return None
-        from mavfi.extras.ros.node.master import Master
+        from mavfi.extras.ros.survey import pid_of_node
 
-        return Master().node_pid(values["ros_node"])
+        return pid_of_node(values["ros_node"])
 
 
 def corrupt(  # noqa: PLR0913 - one parameter per option
