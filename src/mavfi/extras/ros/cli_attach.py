@@ -39,7 +39,7 @@ class RosNode:
         """See `mavfi.extras.registers.cli.PROCESSES`."""
         if values["ros_node"] is None:
             return None
-        from mavfi.extras.ros.nodes import pid_of_node
+        from mavfi.extras.ros.survey import pid_of_node
 
         return pid_of_node(values["ros_node"])
 
