@@ -19,7 +19,7 @@ from mavfi.extras.ros.node.bench import MASTER_URI, NodeBench
 from mavfi.extras.ros.node.config import NodeConfig
 from mavfi.extras.ros.node.message import Composer
 from mavfi.extras.ros.node.peer import Outlet
-from mavfi.extras.ros.ros1.supervisor import loopback_up
+from mavfi.extras.ros.processes import loopback_up
 from mavfi.faults.fault import DEFAULT_WALK, RegisterFault
 from mavfi.record import Injection
 

@@ -202,8 +202,10 @@ class Change(NamedTuple):
 
     def __str__(self) -> str:
         when = str(self.when)
-        if self.operation.name == "freeze" and self.when.times == 1 and ":times=" not in when:
-            when = f":times=1{when}"  # without it, a text means for ever
+        if self.operation.name == "freeze":  # for ever, unless the text has a number of times
+            when = when.replace(":times=0", "")
+            if self.when.times == 1 and ":times=" not in when:
+                when = f":times=1{when}"
         return f"{self.operation}{when}"
 
     @property

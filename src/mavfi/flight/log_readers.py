@@ -19,6 +19,8 @@ GROUP = "mavfi.log_readers"
 """Entry points of this group are readers by file name extension: classes constructed with a path."""
 _OLD_GROUP = "mavfi.flight_logs"
 """Name of the group in earlier versions."""
+_FORMAT_OF_FOLDERS = "mcap"
+"""Folders are recordings of rosbag2, read by the reader of its files."""
 _MOST_FIELDS = 64
 """Largest number of monitored fields."""
 LONGEST_LIST = 16
@@ -130,12 +132,14 @@ class FlightLogReader(Protocol):
 
 
 def open_flight_log(path: Path) -> FlightLogReader:
-    """The reader of a file, by its extension; the file is opened when messages are asked for.
+    """The reader of a file, by its extension, or of a folder; it is opened when messages are asked for.
 
     Raises:
         BadInputError: Nothing reads files with this extension.
     """
     extension = path.suffix.removeprefix(".")
+    if path.is_dir():
+        extension = _FORMAT_OF_FOLDERS
     formats = known(GROUP, known(_OLD_GROUP, {}))
     if extension not in formats:
         endings = ", ".join(f".{name}" for name in sorted(formats))

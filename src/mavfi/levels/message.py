@@ -6,7 +6,7 @@ In campaigns: `faults` for each state; the publication is drawn from those of th
 of the sampling.  Hosts of other programs draw faults in the messages of these (see `Host.samplings`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -28,8 +28,8 @@ from mavfi.levels.level import (
     operation_of,
     planned_at,
 )
-from mavfi.levels.state import find_published, null_fault
-from mavfi.record import Profile
+from mavfi.levels.state import fewer_changes, find_published, null_fault
+from mavfi.record import Injection, Profile
 from mavfi.states import PPC_STAGES, STATES, states_with
 
 if TYPE_CHECKING:
@@ -133,6 +133,12 @@ class MessageSampler(Sampler):
         return null_fault(index, seed, environment, golden, self._spec.autopilot, self._spec.localization)
 
 
+def fewer_messages(fault: MessageFault, _: Injection | None) -> Iterator[Fault]:
+    """Faults that change fewer messages of a flight."""
+    if fault.change is not None and fault.change.when.times != 1:
+        yield from fewer_changes(fault, fault.change)
+
+
 class MessageLevel(Level):
     """Faults in messages: of states in flights; hosts inject them into the messages of other programs."""
 
@@ -141,6 +147,7 @@ class MessageLevel(Level):
     sampler: ClassVar[type[Sampler]] = MessageSampler
     local = True
     form = _FORM
+    reductions = {"publications": fewer_messages}
     absent = ("published", "no such publication came")
 
     def parse(self, text: str, localization: str) -> MessageRequest:

@@ -502,7 +502,7 @@ def shorter_faults(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
     if not fault.lasting:
         return
     if fault.change is not None:
-        yield from _fewer_changes(fault, fault.change)
+        yield from fewer_changes(fault, fault.change)
         return
     once = replace(fault, lasts_s=0.0, share=1.0, times=1)
     for times in _SHORTER_COUNTS:
@@ -513,8 +513,8 @@ def shorter_faults(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
             yield replace(fault, lasts_s=round(fault.lasts_s * part, 3))
 
 
-def _fewer_changes(fault: StateFault, change: Change) -> Iterator[Fault]:
-    """Faults that change fewer publications, by increasing number; one is more than none for a frozen value."""
+def fewer_changes(fault: Any, change: Change) -> Iterator[Fault]:
+    """Faults of levels state and message that change fewer publications than one that lasts, by increasing number."""
     for times in _SHORTER_COUNTS:
         if change.when.times == 0 or times < change.when.times:
             yield replace(fault, change=change._replace(when=replace(change.when, times=times)))

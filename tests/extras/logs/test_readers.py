@@ -1,10 +1,16 @@
 """Every format gives the numbers of the flight back; damaged files are refused in one line."""
 
+import sqlite3
+from contextlib import closing
+
 import numpy as np
 import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.airsim.calls import RecordedCall, read_calls
+from mavfi.extras.logs.table import RosReader
 from mavfi.flight.log_readers import open_flight_log
 from tests.extras.logs.conftest import make_log
 
@@ -124,3 +130,23 @@ def test_damaged_files_are_read_or_refused_in_one_line_and_nothing_is_printed(fi
             assert "\n" not in str(error)
     assert refused > 0 or ending == "tlog"  # whose damaged packets are skipped, by their checksums
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("is_humble", [False, True])
+def test_recordings_of_rosbag2_are_read_with_and_without_definitions_of_their_messages(tmp_path, is_humble):
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    kind = "std_msgs/msg/Float64"
+    folder = tmp_path / "recording"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection("/height", kind, typestore=types)
+        for number in range(3):
+            writer.write(connection, 1000 * number, types.serialize_cdr(types.types[kind](0.5 * number), kind))
+    (file,) = folder.glob("*.db3")
+    if is_humble:  # whose files have no definitions
+        with closing(sqlite3.connect(file)) as database, database:
+            database.execute("DROP TABLE message_definitions")
+            database.execute("DROP TABLE schema")
+    for reader in (open_flight_log(folder), RosReader(folder), RosReader(file)):
+        messages = list(reader.messages(["/height"]))
+        assert [message.time_us for message in messages] == [0, 1, 2]
+        assert [message.layout.locate(message.data, "data").value(message.data) for message in messages] == [0, 0.5, 1]

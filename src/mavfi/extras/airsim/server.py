@@ -152,7 +152,8 @@ class AirsimServer:
         self.clock = clock
         self.boundary = boundary or Boundary()
         if self.boundary.delays and isinstance(clock, RealClock):
-            raise BadInputError("--fault: delay: simulated time passes in real time; allowed: mavfi airsim run")
+            text = "simulated time passes in real time; allowed: with --clock steps, or mavfi airsim run"
+            raise BadInputError(f"--fault: delay: {text}")
         if self.boundary.failure is not None:
             api.vehicle.failures.active.append(self.boundary.failure)
         self._msgpack = msgpack()

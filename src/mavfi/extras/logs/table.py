@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
+from rosbags.typesys import Stores, get_typestore
 
 from mavfi.errors import BadInputError
 from mavfi.faults.levels.message.definition import Definition
@@ -124,13 +125,13 @@ def _column(lines: Sequence[Sequence[str]], index: int) -> np.ndarray | None:
         return None
 
 
-# ---- ROS 1 bags and mcap files ---------------------------------------------------------------------------------------
+# ---- recordings of ROS 1 and ROS 2 ----------------------------------------------------------------------------------
 
 _HEADER = "MSG: std_msgs/Header\n"
 
 
 class RosReader:
-    """Reads a bag or an mcap file; see `FlightLogReader`."""
+    """Reads a bag of ROS 1, or a recording of rosbag2: its folder, an mcap file or a db3 file; see `FlightLogReader`."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -140,8 +141,10 @@ class RosReader:
         if self._path.suffix == ".bag":
             kind = "a ROS 1 bag"
         else:
-            kind = "an mcap file of ROS 2"
-        with reading(self._path, kind), AnyReader([self._path]) as reader:
+            kind = "a recording of ROS 2"
+        # Files of Humble and earlier do not define their messages.
+        types = get_typestore(Stores.ROS2_HUMBLE)
+        with reading(self._path, kind), AnyReader([self._path], default_typestore=types) as reader:
             check_topics(self._path, topics, reader.topics)
             connections = [connection for connection in reader.connections if not topics or connection.topic in topics]
             layouts = {connection.id: _layout(reader, connection) for connection in connections}

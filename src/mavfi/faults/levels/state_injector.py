@@ -296,8 +296,9 @@ def number_in(state: State, path: str) -> float:
 
 
 def schedule_of(when: When, time_us: int, seed: int) -> Schedule:
-    """The schedule of a change of publications from an instant (us) on."""
-    return Schedule(replace(when, start_s=time_us / 1e6, end_s=max(when.end_s, time_us / 1e6)), seed)
+    """The schedule of a change of publications from an instant on (us; a negative one is that of no site)."""
+    start_s = max(time_us, 0) / 1e6
+    return Schedule(replace(when, start_s=start_s, end_s=max(when.end_s, start_s)), seed)
 
 
 class ValueInjector(RewindableInjector):

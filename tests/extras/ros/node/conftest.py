@@ -10,9 +10,9 @@ import pytest
 from mavfi.errors import MavfiError
 from mavfi.extras.ros.node.bench import MASTER_URI, NodeBench
 from mavfi.extras.ros.node.message import Composer
+from mavfi.extras.ros.processes import loopback_up
+from mavfi.extras.ros.processes import private_network as find_private_network
 from mavfi.extras.ros.ros1 import finder
-from mavfi.extras.ros.ros1.supervisor import loopback_up
-from mavfi.extras.ros.ros1.supervisor import private_network as find_private_network
 
 CLONE_NEWNET = 0x40000000  # of <linux/sched.h>
 TARGET = "/usr/lib/robot_state_publisher/robot_state_publisher"

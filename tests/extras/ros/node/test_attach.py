@@ -91,7 +91,7 @@ def run_json(capsys, *arguments):
 
 
 def test_list_names_nodes_processes_topics_and_rates(arm, capsys):
-    found = run_json(capsys, "ros", "list", "--seconds", "0.5")
+    found = run_json(capsys, "ros", "list", "--seconds", "0.5")["graphs"][0]
     node = next(node for node in found["nodes"] if node["name"] == arm.node)
     assert node["pid"] == arm.process.pid and node["executable"].endswith("/robot_state_publisher")
     assert "/tf" in node["publishes"] and node["reads"] == ["/joint_states"]

@@ -31,7 +31,7 @@ def agent(ros2, talker):
 
 
 def test_snapshot_names_what_is_in_the_graph_and_its_processes_but_not_the_agent(agent, talker):
-    graph = agent.snapshot()
+    graph = agent.snapshot(least_s=0.0)
     assert graph.nodes == ("/talker",)
     topic = graph.topic("joint_states")
     assert topic.kinds == ("sensor_msgs/msg/JointState",) and not topic.subscribers

@@ -23,9 +23,15 @@ from mavfi.extras.ros.node.config import NodeConfig
 from mavfi.extras.ros.node.master import URI_VARIABLE, Master, absolute
 from mavfi.extras.ros.node.message import Composer
 from mavfi.extras.ros.node.peer import Peer, TopicSource
+from mavfi.extras.ros.processes import (
+    absolute_python_path,
+    adopt_orphans,
+    end_all,
+    end_with_parent,
+    loopback_up,
+    private_network,
+)
 from mavfi.extras.ros.ros1 import finder
-from mavfi.extras.ros.ros1.folder import absolute_python_path
-from mavfi.extras.ros.ros1.supervisor import adopt_orphans, end_all, end_with_parent, loopback_up, private_network
 from mavfi.faults.fault import RegisterFault, fault_from_json
 from mavfi.faults.levels.message.definition import Definition
 from mavfi.flight.log_readers import LONGEST_LIST

@@ -13,8 +13,8 @@ from typing import Any, cast
 from mavfi.errors import BadInputError
 from mavfi.extras.ros.node.bench import NodeTrial, run_trial
 from mavfi.extras.ros.node.config import NodeConfig
+from mavfi.extras.ros.processes import private_network
 from mavfi.extras.ros.ros1 import finder
-from mavfi.extras.ros.ros1.supervisor import private_network
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.flight.host import ArmSetup, Host, Recorded, RunResult, one_by_one
 from mavfi.mission import MissionSpec

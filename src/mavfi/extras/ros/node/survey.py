@@ -1,92 +1,67 @@
-"""Survey of a ROS graph: nodes with their processes, topics with their types and rates."""
+"""Survey of a ROS 1 graph."""
 
 import os
 import threading
 import time
 from collections import Counter
 from contextlib import suppress
-from dataclasses import asdict, dataclass
-from typing import Any
 
 from mavfi.errors import MavfiError
 from mavfi.extras.ros.node.master import CALLER, Master, RosGraph, call, is_here
 from mavfi.extras.ros.node.peer import TopicSource
+from mavfi.extras.ros.survey import Survey, SurveyedNode, SurveyedService, SurveyedTopic
+
+_DEAD = "registered only; `rosnode cleanup` removes it"
 
 
-@dataclass(frozen=True, slots=True)
-class Node:
-    """A node; `pid` is None if only its registration is left, `executable` "" if unknown."""
-
-    name: str
-    uri: str
-    pid: int | None
-    executable: str
-    publishes: tuple[str, ...]
-    reads: tuple[str, ...]
-
-    @property
-    def is_alive(self) -> bool:
-        """Whether it responds."""
-        return self.pid is not None
-
-
-@dataclass(frozen=True, slots=True)
-class Topic:
-    """A topic; its type (`kind`) is "*" if unknown, its rate (1/s) None if not measured."""
-
-    name: str
-    kind: str
-    publishers: tuple[str, ...]
-    readers: tuple[str, ...]
-    rate: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class Survey:
-    """Nodes and topics of a graph, and the address of its master."""
-
-    master: str
-    nodes: tuple[Node, ...]
-    topics: tuple[Topic, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """The survey as plain data."""
-        return asdict(self)
-
-
-def survey(master: Master, seconds: float = 1.0) -> Survey:
+def survey_ros1(master: Master, seconds: float) -> Survey:
     """Survey the graph, and listen to every topic for a duration (s); 0 = rates are not measured."""
     graph = master.graph()
-    nodes = tuple(_node(master, graph, name) for name in graph.nodes)
+    nodes = []
+    uris = {}
+    for name in graph.nodes:
+        uri = ""
+        with suppress(MavfiError):
+            uri = master.node_uri(name)
+        node = _node(graph, name, uri)
+        nodes.append(node)
+        if node.problem != _DEAD:
+            uris[name] = uri
     rates = {}
     if seconds > 0:
-        rates = _rates(graph, {node.name: node.uri for node in nodes if node.is_alive}, seconds)
+        rates = _rates(graph, uris, seconds)
     topics = tuple(
-        Topic(
+        SurveyedTopic(
             name,
             graph.types.get(name, "*"),
+            "",
             tuple(graph.publishers.get(name, ())),
             tuple(graph.subscribers.get(name, ())),
             rates.get(name),
         )
         for name in graph.topics
     )
-    return Survey(master.uri, nodes, topics)
+    services = tuple(SurveyedService(name, "", tuple(servers)) for name, servers in sorted(graph.services.items()))
+    return Survey(1, master.uri, tuple(nodes), topics, services, ())
 
 
-def _node(master: Master, graph: RosGraph, name: str) -> Node:
-    uri = ""
+def _node(graph: RosGraph, name: str, uri: str) -> SurveyedNode:
+    """A node with its process, if it responds at its address."""
     pid = None
+    problem = ""
     executable = ""
-    with suppress(MavfiError):
-        uri = master.node_uri(name)
+    try:
         pid = int(call(uri, "getPid", CALLER))
-        if is_here(uri):
-            executable = os.readlink(f"/proc/{pid}/exe")
-    return Node(
+    except MavfiError:
+        problem = _DEAD
+    else:
+        with suppress(OSError):
+            if is_here(uri):
+                executable = os.readlink(f"/proc/{pid}/exe")
+    return SurveyedNode(
         name,
-        uri,
         pid,
+        problem,
         executable,
         tuple(topic for topic, nodes in graph.publishers.items() if name in nodes),
         tuple(topic for topic, nodes in graph.subscribers.items() if name in nodes),

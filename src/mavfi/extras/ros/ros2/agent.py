@@ -29,6 +29,12 @@ POLL_S = 0.25
 """How often a gone parent is noticed, if another process still holds the socket (s)."""
 END_S = 2.0
 """Time to leave the graph before the process ends anyway (s)."""
+MATCH_S = 0.2
+"""Time for a publisher to find a subscription that has found it (s)."""
+MATCH_LIMIT_S = 2.0
+"""Time limit for subscriptions to find publishers before messages are counted (s)."""
+QUIET_S = 0.5
+"""A graph that has not changed for this time is quiet (s)."""
 DEPTH = 1000
 """Messages that are kept for this node, or for a late reader of its topics."""
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
@@ -220,19 +226,22 @@ class Agent:
         return True
 
     # ---- the graph ---------------------------------------------------------------------------------------------------
-    def do_snapshot(self, quiet_s, limit_s):
-        """Nodes, topics, services and actions, once the graph has not changed for a while, at the latest at a limit.
+    def do_snapshot(self, least_s, limit_s):
+        """Nodes, topics, services and actions, once the graph is quiet.
 
-        Discovery by this node takes time: the limit counts from its start.
+        Not before `least_s` from the start of this node, as discovery takes time, and at the latest after `limit_s`.
         """
-        limit_s = self._began + limit_s - time.monotonic()
-        last = [self._fingerprint(), time.monotonic()]
+        last_fingerprint = self._fingerprint()
+        last_change = time.monotonic()
 
         def is_quiet():
+            nonlocal last_fingerprint, last_change
             fingerprint = self._fingerprint()
-            if fingerprint != last[0]:
-                last[:] = fingerprint, time.monotonic()
-            return time.monotonic() - max(last[1], self._began) >= quiet_s
+            if fingerprint != last_fingerprint:
+                last_fingerprint = fingerprint
+                last_change = time.monotonic()
+            now = time.monotonic()
+            return now >= self._began + least_s and now >= last_change + QUIET_S
 
         self._spin_until(is_quiet, limit_s)
         return self._snapshot()
@@ -360,6 +369,7 @@ class Agent:
 
     def do_rates(self, topics, seconds):
         """Messages per second of each topic; a topic that cannot be read has a reason instead."""
+        import rclpy.subscription
         from rclpy.qos import DurabilityPolicy
 
         counts = {}
@@ -379,8 +389,13 @@ class Agent:
                 reasons[topic] = str(error)
                 del counts[topic]
 
-        # Publishers need a moment to find the subscriptions.
-        self._spin_until(lambda: False, min(0.2, seconds))
+        # Count only when the publishers have found the subscriptions: soon after the subscriptions have found them.
+        def are_matched():
+            return all(len(self._endpoints(each.topic_name)[0]) <= each.get_publisher_count() for each in subscriptions)
+
+        if hasattr(rclpy.subscription.Subscription, "get_publisher_count"):  # since Jazzy
+            self._spin_until(are_matched, MATCH_LIMIT_S)
+        self._spin_until(lambda: False, MATCH_S)
         for topic in counts:
             counts[topic] = 0
         began = time.monotonic()

@@ -20,11 +20,11 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from mavfi.errors import BadInputError, MavfiError, allowed
 from mavfi.extras.ros.ros2.environment import Installation, find_installation
@@ -33,11 +33,12 @@ START_LIMIT_S = 30.0
 """Time limit for the agent to join the graph (s); it takes half a second on a quiet machine."""
 ANSWER_LIMIT_S = 10.0
 """Time limit for an answer, in addition to what a request may wait for (s)."""
-DISCOVERY_LIMIT_S = 5.0
-"""Time limit for a graph to be discovered, from the start of the agent (s)."""
-_QUIET_S = 0.6
-"""A graph that has not changed for this time is taken as discovered (s)."""
+DISCOVERY_S = 3.5
+"""Time from the start of the agent until all of the graph is discovered (s): Fast DDS announces itself every 3 s."""
+DISCOVERY_LIMIT_S = 10.0
+"""Time limit for what is awaited in the graph (s)."""
 _END_LIMIT_S = 3.0
+_Result = TypeVar("_Result")
 _AGENT = Path(__file__).with_name("agent.py")
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _RANGE_BEFORE_IRON = "ROS_LOCALHOST_ONLY"
@@ -239,9 +240,15 @@ class AgentClient:
         self._errors.close()
 
     # ---- the graph ---------------------------------------------------------------------------------------------------
-    def snapshot(self, quiet_s: float = _QUIET_S, limit_s: float = DISCOVERY_LIMIT_S) -> GraphSnapshot:
-        """The graph, once it has not changed for a while (s); at the latest at a limit (s) from the agent's start."""
-        reply = self._request("snapshot", limit_s, quiet_s=quiet_s, limit_s=limit_s)
+    def snapshot(self, least_s: float = DISCOVERY_S, limit_s: float = DISCOVERY_LIMIT_S) -> GraphSnapshot:
+        """The graph, once it is quiet, or after a limit (s).
+
+        Args:
+            least_s: Earliest instant, from the start of the agent (s). Before the default, parts may be missing; 0 is
+                enough for what `wait_for` has seen.
+            limit_s: Time limit (s).
+        """
+        reply = self._request("snapshot", limit_s, least_s=least_s, limit_s=limit_s)
         return GraphSnapshot(
             tuple(reply["nodes"]),
             tuple(
@@ -267,7 +274,23 @@ class AgentClient:
             reply["domain"],
         )
 
-    def wait_for(self, topic: str, publishers: int = 1, subscribers: int = 0, limit_s: float = 10.0) -> bool:
+    def find(self, search: Callable[[GraphSnapshot], _Result], limit_s: float = 3.0) -> _Result:
+        """What a search returns for the graph; repeated until it finds what it looks for, at the latest at a limit (s).
+
+        Raises:
+            BadInputError: That of the search.
+        """
+        end = time.monotonic() + limit_s
+        while True:
+            try:
+                return search(self.snapshot())
+            except BadInputError:
+                if time.monotonic() > end:
+                    raise
+
+    def wait_for(
+        self, topic: str, publishers: int = 1, subscribers: int = 0, limit_s: float = DISCOVERY_LIMIT_S
+    ) -> bool:
         """Wait until a topic has at least so many publishers and subscriptions of others; returns whether it has."""
         reply = self._request(
             "wait", limit_s, topic=absolute(topic), publishers=publishers, subscribers=subscribers, limit_s=limit_s
@@ -315,7 +338,7 @@ class AgentClient:
         return Matched(reply["kind"], reply["reliability"], reply["durability"])
 
     def unsubscribe(self, topic: str) -> None:
-        """Receive no further messages of a topic."""
+        """Receive no further messages of a topic but those that have arrived."""
         self._request("unsubscribe", topic=absolute(topic))
 
     def receive(self, limit_s: float) -> RawMessage | None:
@@ -347,7 +370,7 @@ class AgentClient:
         reliable: bool = True,
         latched: bool = False,
         subscribers: int = 0,
-        limit_s: float = 10.0,
+        limit_s: float = DISCOVERY_LIMIT_S,
     ) -> bool:
         """Be a publisher of a topic from now on; returns whether it has at least so many subscriptions.
 

@@ -1,0 +1,118 @@
+"""Survey of running ROS graphs, of ROS 1 and ROS 2: nodes with processes, topics with types and rates, services."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from mavfi.errors import BadInputError
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyedNode:
+    """A node.
+
+    Attributes:
+        name: Its full name.
+        pid: Its process id; None if unknown.
+        problem: Why it is unknown, in one line; "" otherwise.
+        executable: Its program; "" if unknown.
+        publishes: Its published topics.
+        reads: Its subscribed topics.
+    """
+
+    name: str
+    pid: int | None
+    problem: str
+    executable: str
+    publishes: tuple[str, ...]
+    reads: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyedTopic:
+    """A topic.
+
+    Attributes:
+        name: Its full name.
+        kind: Its message type; "*" if unknown.
+        qos: Quality of service of its publishers, e.g. "reliable, latched"; "" in ROS 1, or without a publisher.
+        publishers: Nodes that publish it.
+        readers: Nodes that subscribe to it.
+        rate: Messages per second; None if not measured.
+        problem: Why the rate could not be measured, in one line; "" otherwise.
+    """
+
+    name: str
+    kind: str
+    qos: str
+    publishers: tuple[str, ...]
+    readers: tuple[str, ...]
+    rate: float | None
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyedService:
+    """A service or an action; its type (`kind`) is "" if unknown, `servers` are nodes."""
+
+    name: str
+    kind: str
+    servers: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """A running graph.
+
+    Attributes:
+        ros: Its version: 1 or 2.
+        place: Address of the master of ROS 1; domain and middleware of ROS 2.
+    """
+
+    ros: int
+    place: str
+    nodes: tuple[SurveyedNode, ...]
+    topics: tuple[SurveyedTopic, ...]
+    services: tuple[SurveyedService, ...]
+    actions: tuple[SurveyedService, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """The survey as plain data."""
+        return asdict(self)
+
+
+def survey_all(seconds: float) -> list[Survey]:
+    """Survey the graph of ROS 1, if a master answers, and that of ROS 2, if it has a node.
+
+    Args:
+        seconds: How long to listen for rates (s); 0 = they are not measured.
+
+    Raises:
+        BadInputError: There is no graph; the message says where it was looked for.
+        MavfiError: ROS 2 is installed, but does not start.
+    """
+    from mavfi.extras.ros.node.master import Master
+    from mavfi.extras.ros.node.survey import survey_ros1
+    from mavfi.extras.ros.ros2.environment import find_installation
+    from mavfi.extras.ros.ros2.graph import AgentClient
+    from mavfi.extras.ros.ros2.survey import survey_ros2
+
+    surveys = []
+    absences = []
+    try:
+        surveys.append(survey_ros1(Master(), seconds))
+    except BadInputError as error:
+        absences.append(str(error))
+    try:
+        installation = find_installation()
+    except BadInputError as error:
+        absences.append(str(error))
+    else:
+        with AgentClient(installation) as agent:
+            survey = survey_ros2(agent, seconds)
+        if survey.nodes or survey.topics:
+            surveys.append(survey)
+        else:
+            absences.append(f"no ROS 2 node in {survey.place}")
+    if not surveys:
+        raise BadInputError("; ".join(absences))
+    return surveys
