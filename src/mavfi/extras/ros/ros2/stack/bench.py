@@ -6,7 +6,6 @@ is a process in a private network that gets its orders as lines of JSON (`BenchC
 page of the interposer and the tracer of registers are in the same user namespace as the stack.
 """
 
-import ctypes
 import json
 import os
 import signal
@@ -26,6 +25,7 @@ from typing import Any, NamedTuple
 from mavfi.config import STORED
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.registers import inject
+from mavfi.extras.ros.processes import end_with_parent
 from mavfi.extras.ros.ros2.agent import Frames
 from mavfi.extras.ros.ros2.environment import Installation, find_installation
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault, Report, Side
@@ -356,7 +356,6 @@ class StackBench:
             "status": status_of(self._stack, golden.outputs),
             "outputs": sum(map(len, golden.outputs.values())),
             "numbers": golden.numbers,
-            "start_s": golden.start_s,
         }
 
     def trial(self, fault: InterposedFault | RegisterFault | None) -> StackTrial:
@@ -367,7 +366,7 @@ class StackBench:
             expected = self._golden_cycles()
         run = self._play(fault)
         comparison = compare(joined(expected[: len(run.cycles)]), run.outputs, self._stack)
-        injections, problem = _injections(fault, run)
+        injections, problem = _injections(fault, run, has_times=not self._answers)
         digest = digest_of(golden.outputs)
         effect = Effect.MASKED
         reason = ""
@@ -468,7 +467,7 @@ class StackBench:
         # Types and qualities of service are known now: the next runs have these subscriptions from the beginning.
         self._wait_for(driver, of_script, pids)
         fields = {output.topic: list(output.fields) for output in stack.outputs}
-        entries = [
+        entries: list[dict[str, Any]] = [
             {"topic": topic, "kind": "", "reliable": None, "fields": fields.get(topic, [])}
             for topic in (*of_stack, *of_script)
         ]
@@ -629,7 +628,9 @@ class StackBench:
         return ""
 
 
-def _injections(fault: InterposedFault | RegisterFault | None, run: PlayedRun) -> tuple[tuple[Injection, ...], str]:
+def _injections(
+    fault: InterposedFault | RegisterFault | None, run: PlayedRun, *, has_times: bool
+) -> tuple[tuple[Injection, ...], str]:
     """What was changed, and why nothing was ("" = something was, or nothing was to be)."""
     if fault is None:
         return (), ""
@@ -643,7 +644,7 @@ def _injections(fault: InterposedFault | RegisterFault | None, run: PlayedRun) -
         Injection(
             "message",
             f"{fault.topic}.{fault.field}".rstrip("."),
-            max(0.0, report.wall_s - run.armed_s),
+            _seconds(report, run, has_times=has_times),
             report.bit,
             report.before,
             report.after,
@@ -658,6 +659,13 @@ def _injections(fault: InterposedFault | RegisterFault | None, run: PlayedRun) -
     if not changed:
         problem = next(iter(refused), "the message was not reached")
     return changed, problem
+
+
+def _seconds(report: Report, run: PlayedRun, *, has_times: bool) -> float:
+    """Time from the start of a run to a change (s); 0 if inputs wait for outputs, so that records can be compared."""
+    if not has_times:
+        return 0.0
+    return max(0.0, report.wall_s - run.armed_s)
 
 
 # ---- inputs ----------------------------------------------------------------------------------------------------------
@@ -708,7 +716,6 @@ def _recorded(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
 
 
 # ---- the process of the bench ----------------------------------------------------------------------------------------
-_PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 
 
 class BenchClient:
@@ -802,7 +809,7 @@ def private_namespaces() -> list[str]:
 def main() -> None:
     """Meet the orders on stdin until it is closed; the first one has the stack."""
     # It ends with its parent, and what it starts ends with it.
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a verdict prints is no answer
