@@ -203,7 +203,7 @@ def _follow(
             aftermath.append(line)
             if not as_json:
                 console().print(line, markup=False, soft_wrap=True)
-        if injection.is_over and not is_over:
+        if not is_over and (injection.is_over or not injection.has_target):
             is_over = True
             end = min(end, time.monotonic() + _AFTERWARDS_S)
         time.sleep(_POLL_S)

@@ -153,6 +153,11 @@ class RunningGraphInjection:
         return times > 0 and self._page.messages_changed(0) >= times
 
     @property
+    def has_target(self) -> bool:
+        """Whether one of the processes is still there."""
+        return any(process.pid is not None and program_of(process.pid) for process in self.processes)
+
+    @property
     def messages(self) -> int:
         """Number of messages that have passed."""
         return self._page.messages_seen(0)
