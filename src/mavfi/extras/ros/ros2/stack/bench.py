@@ -6,7 +6,6 @@ is a process in a private network that gets its orders as lines of JSON (`BenchC
 page of the interposer and the tracer of registers are in the same user namespace as the stack.
 """
 
-import ctypes
 import json
 import os
 import signal
@@ -26,6 +25,7 @@ from typing import Any, NamedTuple
 from mavfi.config import STORED
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.registers import inject
+from mavfi.extras.ros.processes import end_with_parent
 from mavfi.extras.ros.ros2.agent import Frames
 from mavfi.extras.ros.ros2.environment import Installation, find_installation
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault, Report, Side
@@ -40,6 +40,13 @@ _DOMAIN = "71"
 """ROS domain of a trial: its network is its own, so that every trial may have the same."""
 _ANSWER_S = 30.0
 """Time limit for an answer, in addition to what a request may wait for (s)."""
+_LONGEST_S = 600.0
+"""Time limit for inputs with times of their own, or of a script (s)."""
+_CYCLES_AFTER = 3
+"""How often the inputs are played after a register was injected."""
+_MOST_CYCLES = 200
+_MOST_INPUTS = 2000
+"""Limits of how often the inputs are played until one is, and of the number of inputs in all."""
 _PYTHONS = ("python", "python3")
 _PROFILES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 """Environment variables of Fast DDS: the file with its settings, and its name before version 3."""
@@ -78,7 +85,7 @@ class StackTrial:
 class PlayedRun(NamedTuple):
     """A run of the stack: its outputs, the numbers in each message by topic, how it ended, and what was changed."""
 
-    outputs: dict[str, list[Any]]
+    cycles: list[Outputs]  # outputs, each time that the inputs were played
     numbers: dict[str, list[list[tuple[str, str, int]]]]
     ended: str  # how a process of the stack ended; "" = all lived
     has_ceased: bool
@@ -87,6 +94,25 @@ class PlayedRun(NamedTuple):
     armed_s: float  # wall-clock time at which the fault was armed (s since 1970)
     seconds: float
     start_s: float
+
+    @property
+    def outputs(self) -> Outputs:
+        """All outputs."""
+        return joined(self.cycles)
+
+
+class PlayedInputs(NamedTuple):
+    """What the driver says of each time that the inputs were played, and the injection into a register."""
+
+    cycles: list[dict[str, Any]]
+    register: Injection | Exception | None = None
+
+
+def joined(cycles: Sequence[Outputs]) -> Outputs:
+    """Outputs of several cycles as one."""
+    if len(cycles) == 1:
+        return cycles[0]
+    return {topic: [message for outputs in cycles for message in outputs[topic]] for topic in cycles[0]}
 
 
 # ---- the processes ---------------------------------------------------------------------------------------------------
@@ -268,6 +294,7 @@ class StackBench:
         self._page = ControlPage()
         self._inputs, self._content = inputs_of(stack, self._installation)
         self._golden: PlayedRun | None = None
+        self._cycles: list[Outputs] = []  # error-free outputs for faults in registers
         self._learned: dict[str, dict[str, Any]] = {}  # type and quality of service of recorded topics
         discovery = {name: os.environ.get(name, str(_FOLDER / "discovery.xml")) for name in _PROFILES}
         plain = self._installation.environment(
@@ -329,15 +356,17 @@ class StackBench:
             "status": status_of(self._stack, golden.outputs),
             "outputs": sum(map(len, golden.outputs.values())),
             "numbers": golden.numbers,
-            "start_s": golden.start_s,
         }
 
     def trial(self, fault: InterposedFault | RegisterFault | None) -> StackTrial:
         """Run a trial; without a fault, as another error-free run."""
         golden = self.golden()
+        expected = golden.cycles
+        if isinstance(fault, RegisterFault):
+            expected = self._golden_cycles()
         run = self._play(fault)
-        comparison = compare(golden.outputs, run.outputs, self._stack)
-        injections, problem = _injections(fault, run)
+        comparison = compare(joined(expected[: len(run.cycles)]), run.outputs, self._stack)
+        injections, problem = _injections(fault, run, has_times=not self._answers)
         digest = digest_of(golden.outputs)
         effect = Effect.MASKED
         reason = ""
@@ -361,13 +390,13 @@ class StackBench:
             comparison.differing,
             tuple(asdict(difference) for difference in comparison.differences),
             injections,
-            status_of(self._stack, run.outputs),
+            status_of(self._stack, run.cycles[-1]),
             run.seconds,
             run.start_s,
         )
 
-    def _play(self, fault: InterposedFault | RegisterFault | None) -> PlayedRun:
-        """Start the stack, play the inputs, and end it."""
+    def _play(self, fault: InterposedFault | RegisterFault | None, count: int = 1) -> PlayedRun:
+        """Start the stack, play the inputs so many times, and end it."""
         began = time.monotonic()
         faults = []
         if isinstance(fault, InterposedFault):
@@ -386,27 +415,32 @@ class StackBench:
             pids = self._processes.start(driver.pid, self._folder)
             script = self._connect(driver, pids)
             start_s = time.monotonic() - began
-            played, register = self._play_inputs(driver, pids, script, fault)
+            played = self._play_inputs(driver, pids, script, fault, count)
         finally:
             driver.close()
             statuses = self._processes.end()
             self._drivers.ask("end")
 
         # What it has published, and the numbers in all messages.
-        outputs: dict[str, list[Any]] = {topic: [] for topic in self._learned}
-        for topic, data in played["outputs"]:
-            outputs[topic].append(data)
+        cycles: list[Outputs] = []
+        for cycle in played.cycles:
+            of_cycle: dict[str, list[Any]] = {topic: [] for topic in self._learned}
+            for topic, data in cycle["outputs"]:
+                of_cycle[topic].append(data)
+            cycles.append(of_cycle)
         numbers: dict[str, list[Any]] = {}
         for entry, of_message in zip(self._inputs, of_inputs, strict=True):
             numbers.setdefault(entry["topic"], []).append(of_message)
+        numbers |= played.cycles[-1]["numbers"]
         ended = self._ended(statuses, pids)
+        has_ceased = not ended and self._has_ceased(played.cycles[-1], cycles[-1])
         return PlayedRun(
-            outputs,
-            numbers | played["numbers"],
+            cycles,
+            numbers,
             ended,
-            not ended and self._has_ceased(played, outputs),
+            has_ceased,
             self._page.reports(),
-            register,
+            played.register,
             armed_s,
             time.monotonic() - began,
             start_s,
@@ -433,7 +467,7 @@ class StackBench:
         # Types and qualities of service are known now: the next runs have these subscriptions from the beginning.
         self._wait_for(driver, of_script, pids)
         fields = {output.topic: list(output.fields) for output in stack.outputs}
-        entries = [
+        entries: list[dict[str, Any]] = [
             {"topic": topic, "kind": "", "reliable": None, "fields": fields.get(topic, [])}
             for topic in (*of_stack, *of_script)
         ]
@@ -467,42 +501,105 @@ class StackBench:
         return int(self._drivers.ask("start", command=command, namespace=namespace, log=log)["pid"])
 
     def _play_inputs(
-        self, driver: DriverClient, pids: Sequence[int], script: int, fault: InterposedFault | RegisterFault | None
-    ) -> tuple[dict[str, Any], Injection | Exception | None]:
-        """Play the inputs; a register is injected while the stack computes, from a drawn input on."""
-        stack = self._stack
-        count = len(self._inputs)
-        expected = None
-        if self._golden is not None:
-            expected = {topic: len(self._golden.outputs[topic]) for topic in self._learned}
-        keys = {"pids": list(pids), "watched": script, "patience_s": stack.patience_s}
-        longest_s = 600.0 + count * stack.patience_s
-        if not isinstance(fault, RegisterFault):
-            played = driver.ask("play", waits_s=longest_s, first=0, last=count, expected=expected, **keys)
-            return played, None
+        self,
+        driver: DriverClient,
+        pids: Sequence[int],
+        script: int,
+        fault: InterposedFault | RegisterFault | None,
+        count: int,
+    ) -> PlayedInputs:
+        """Play the inputs so many times; for a register, while it is injected."""
+        golden = None
+        if self._golden is not None and count == 1:
+            golden = [self._golden.outputs]
+        if isinstance(fault, RegisterFault):
+            return self._play_while_injecting(driver, pids, script, fault)
+        cycles = [self._play_cycle(driver, pids, script, golden, last=count == 1) for _ in range(count)]
+        return PlayedInputs(cycles)
 
-        # Up to the drawn input, then with a tracer.
-        first = fault.seed % max(1, count // 2)
-        begun = driver.ask("play", waits_s=longest_s, first=0, last=first, expected=None, **{**keys, "watched": 0})
+    def _play_cycle(
+        self,
+        driver: DriverClient,
+        pids: Sequence[int],
+        script: int,
+        golden: Sequence[Outputs] | None,
+        *,
+        last: bool = True,
+    ) -> dict[str, Any]:
+        """Play all inputs; returns what the driver says.
+
+        Args:
+            driver: The driver.
+            pids: Processes of the stack.
+            script: Process of the script of the inputs; 0 = none.
+            golden: Error-free outputs of all cycles up to this one; None = unknown.
+            last: Whether outputs that nobody expects are waited for.
+        """
+        expected = None
+        if golden is not None:
+            expected = {topic: sum(len(outputs[topic]) for outputs in golden) for topic in self._learned}
+        patience_s = self._stack.patience_s
+        return driver.ask(
+            "play",
+            waits_s=_LONGEST_S + len(self._inputs) * patience_s,
+            pids=list(pids),
+            watched=script,
+            patience_s=patience_s,
+            expected=expected,
+            settle=last,
+        )
+
+    @property
+    def _answers(self) -> bool:
+        """Whether each input waits for an output."""
+        return bool(self._inputs) and all(entry["offset_s"] is None for entry in self._inputs)
+
+    def _play_while_injecting(
+        self, driver: DriverClient, pids: Sequence[int], script: int, fault: RegisterFault
+    ) -> PlayedInputs:
+        """Play the inputs again and again until a register is injected, and some times more.
+
+        A tracer finds no instruction in a process that waits for messages.  Inputs at their own times are played once.
+        """
+        golden = self._golden_cycles()
         done: list[Injection | Exception] = []
 
         def run() -> None:
             try:
                 done.append(inject(pids[fault.seed % len(pids)], fault)[0])
-            except Exception as error:  # noqa: BLE001 - evaluated below
+            except Exception as error:  # noqa: BLE001 - evaluated later
                 done.append(error)
 
         injecting = threading.Thread(target=run)
         injecting.start()
-        played = driver.ask("play", waits_s=longest_s, first=first, last=count, expected=expected, **keys)
+        cycles: list[dict[str, Any]] = []
+        left = _CYCLES_AFTER
+        while left > 0 and len(cycles) < len(golden):
+            if not injecting.is_alive():
+                left -= 1
+            is_last = left == 0 or len(cycles) + 1 == len(golden)
+            cycle = self._play_cycle(driver, pids, script, golden[: len(cycles) + 1], last=is_last)
+            cycles.append(cycle)
+            if cycle["is_silent"] or cycle["is_gone"]:
+                break
         injecting.join()
-        played["outputs"] = begun["outputs"] + played["outputs"]
-        return played, done[0]
+        return PlayedInputs(cycles, done[0])
+
+    def _golden_cycles(self) -> list[Outputs]:
+        """Error-free outputs of the inputs, played again and again; by cycle."""
+        if not self._cycles:
+            count = 1
+            if self._answers:
+                count = max(2, min(_MOST_CYCLES, _MOST_INPUTS // len(self._inputs)))
+            run = self._play(None, count)
+            if run.ended or run.has_ceased:
+                raise BadInputError(f"stack: without a fault, inputs played {count} times: {run.ended or 'no output'}")
+            self._cycles = run.cycles
+        return self._cycles
 
     def _has_ceased(self, played: Mapping[str, Any], outputs: Outputs) -> bool:
         """Whether outputs have ceased, rather than that some were lost."""
-        answers = all(entry["offset_s"] is None for entry in self._inputs)
-        if self._inputs and answers:
+        if self._answers:
             return bool(played["is_silent"])
         if self._golden is None:
             return False
@@ -531,7 +628,9 @@ class StackBench:
         return ""
 
 
-def _injections(fault: InterposedFault | RegisterFault | None, run: PlayedRun) -> tuple[tuple[Injection, ...], str]:
+def _injections(
+    fault: InterposedFault | RegisterFault | None, run: PlayedRun, *, has_times: bool
+) -> tuple[tuple[Injection, ...], str]:
     """What was changed, and why nothing was ("" = something was, or nothing was to be)."""
     if fault is None:
         return (), ""
@@ -545,7 +644,7 @@ def _injections(fault: InterposedFault | RegisterFault | None, run: PlayedRun) -
         Injection(
             "message",
             f"{fault.topic}.{fault.field}".rstrip("."),
-            max(0.0, report.wall_s - run.armed_s),
+            _seconds(report, run, has_times=has_times),
             report.bit,
             report.before,
             report.after,
@@ -560,6 +659,13 @@ def _injections(fault: InterposedFault | RegisterFault | None, run: PlayedRun) -
     if not changed:
         problem = next(iter(refused), "the message was not reached")
     return changed, problem
+
+
+def _seconds(report: Report, run: PlayedRun, *, has_times: bool) -> float:
+    """Time from the start of a run to a change (s); 0 if inputs wait for outputs, so that records can be compared."""
+    if not has_times:
+        return 0.0
+    return max(0.0, report.wall_s - run.armed_s)
 
 
 # ---- inputs ----------------------------------------------------------------------------------------------------------
@@ -610,7 +716,6 @@ def _recorded(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
 
 
 # ---- the process of the bench ----------------------------------------------------------------------------------------
-_PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 
 
 class BenchClient:
@@ -704,7 +809,7 @@ def private_namespaces() -> list[str]:
 def main() -> None:
     """Meet the orders on stdin until it is closed; the first one has the stack."""
     # It ends with its parent, and what it starts ends with it.
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a verdict prints is no answer

@@ -220,19 +220,18 @@ class Driver(agent.Agent):
         self._spin_until(lambda: not missing() or any(map(has_exited, pids)), limit_s)
         return {"missing": missing()}
 
-    def do_play(self, first, last, pids, watched, patience_s, expected):
+    def do_play(self, pids, watched, patience_s, expected, settle):
         """Publish inputs and wait for outputs; returns what was recorded since the last call.
 
         Inputs without an offset wait for an output on each topic; the others are published at their offset (s) from the
         first one.  With a script (`watched`: its process) the inputs are those of the script.
 
         Args:
-            first: Number of the first input.
-            last: Number behind the last one.
             pids: Processes of the stack; it is over when one has ended.
             watched: Process whose end is the end of the inputs; 0 = none.
             patience_s: Time limit of an output.
-            expected: Number of outputs by topic; None = unknown.
+            expected: Number of outputs by topic, since the start; None = unknown.
+            settle: Whether to wait for outputs that nobody expects.
         """
         missed = False
         is_silent = False
@@ -241,10 +240,9 @@ class Driver(agent.Agent):
         def is_gone():
             return any(has_exited(pid) for pid in pids)
 
-        for index in range(first, last):
-            topic, message, offset_s = self._inputs[index]
+        for topic, message, offset_s in self._inputs:
             if offset_s is not None:
-                self._spin_until(is_gone, max(0.0, begin + offset_s - self._inputs[first][2] - time.monotonic()))
+                self._spin_until(is_gone, max(0.0, begin + offset_s - time.monotonic()))
             if is_gone():
                 break
             before = dict(self._counts)
@@ -263,7 +261,8 @@ class Driver(agent.Agent):
                 return is_gone() or all(self._counts[topic] >= count for topic, count in expected.items())
 
             is_silent = not self._spin_until(is_complete, patience_s) and is_silent
-        self._spin_until(lambda: False, LAST_S)
+        if settle:
+            self._spin_until(lambda: False, LAST_S)
         played = {
             "outputs": [[topic, data] for topic, data in self._records],
             "numbers": self._numbers,
@@ -272,7 +271,7 @@ class Driver(agent.Agent):
 
         # What was missed last may have been lost, too: the stack is alive if it answers the same input once more.
         if is_silent and not is_gone():
-            topic, message, _ = self._inputs[last - 1]
+            topic, message, _ = self._inputs[-1]
             before = dict(self._counts)
             self._publishers[topic].publish(message)
             is_silent = not self._wait_for_all(before, patience_s, is_gone)

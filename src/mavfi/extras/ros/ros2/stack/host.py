@@ -139,7 +139,7 @@ class StackRuns:
             End.FLOWN,
             golden["status"],
             golden["digest"],
-            extra={"outputs": golden["outputs"], "start_s": golden["start_s"]},
+            extra={"outputs": golden["outputs"]},
         )
         messages = tuple(
             TopicMessages(topic, tuple(tuple(MessageNumbers(*numbers) for numbers in message) for message in messages))

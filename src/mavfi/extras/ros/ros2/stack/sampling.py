@@ -48,7 +48,7 @@ class MessageNumbers(NamedTuple):
     length: int
 
     @property
-    def count(self) -> int:
+    def size(self) -> int:
         """How many numbers."""
         return abs(self.length)
 
@@ -182,11 +182,11 @@ def _number_fault(
         return None
     index = indices[int(random.integers(len(indices)))]
     fields = possible[index]
-    drawn = int(random.integers(sum(numbers.count for numbers in fields)))
+    drawn = int(random.integers(sum(numbers.size for numbers in fields)))
     for numbers in fields:
-        if drawn < numbers.count:
+        if drawn < numbers.size:
             break
-        drawn -= numbers.count
+        drawn -= numbers.size
     if change.operation.name == "flip" and change.operation.bit is None:
         bit = int(random.integers(_width(numbers.dtype)))
         change = change._replace(operation=replace(change.operation, bit=bit))
