@@ -111,7 +111,7 @@ class Ros1Transport(Transport):
         """See `Transport`."""
         kind = self._type
 
-        class Greeter(self._rospy.SubscribeListener):  # type: ignore[misc, name-defined]
+        class Greeter(self._rospy.SubscribeListener):  # type: ignore[name-defined]
             def peer_subscribe(self, name: str, publish: Any, publish_to_peer: Any) -> None:
                 publish_to_peer(kind(data=greeting))
 
