@@ -13,15 +13,13 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from mavfi.campaign.config import load_campaign
 from mavfi.extras.registers import inject
-from mavfi.extras.ros.node.bench import MASTER_URI, NodeBench
-from mavfi.extras.ros.node.config import NodeConfig
 from mavfi.extras.ros.node.message import Composer
 from mavfi.extras.ros.node.peer import Outlet
 from mavfi.extras.ros.processes import loopback_up
 from mavfi.faults.fault import DEFAULT_WALK, RegisterFault
 from mavfi.record import Injection
+from tests.extras.ros.node.node_bench import MASTER_URI, POSITION, TARGET, URDF, NodeBench
 
 MESSAGES = 500
 ROUNDS = 3
@@ -94,15 +92,12 @@ def measure_relay(bench: NodeBench) -> None:
 
 def measure_stops(bench: NodeBench) -> None:
     """Stop time of robot_state_publisher for an injection at a symbol."""
-    node = load_campaign("ros_robot_state_publisher").under_test
-    assert isinstance(node, NodeConfig)
-    for name, value in node.parameters.items():
-        bench.master.call("setParam", name, value)
-    process = bench.start(list(node.command))
-    bench.wait_for_node(node.name, process)
-    composer = Composer(node.inputs.type)
-    outlet = bench.peer().advertise(node.inputs.topic, composer.header)
-    message = composer.pack(node.inputs.messages[0])
+    bench.master.call("setParam", "/robot_description", URDF)
+    process = bench.start([TARGET, "_publish_frequency:=10000.0"])
+    bench.wait_for_node("/robot_state_publisher", process)
+    composer = Composer("sensor_msgs/JointState")
+    outlet = bench.peer().advertise("/joint_states", composer.header)
+    message = composer.pack({"name": ["shoulder", "elbow"], "position": POSITION})
     for walk in (1, DEFAULT_WALK):
         fault = RegisterFault(symbol="SubscriptionQueue4call", walk=walk, null=True, timeout=20.0)
         done: list[Injection] = []

@@ -148,7 +148,6 @@ def sensor_table() -> str:
         "MAVLink": lambda unit: unit in MAVLINK_UNITS.values(),
         "`ros1`": lambda unit: _executed(unit, "ros1"),
         "`ros1`, estimator": lambda unit: _executed(unit, "ros1", localization="estimator"),
-        "`node`": lambda unit: _executed(unit, "node"),
     }
 
     # three tables below each other: what a unit is, what a type does, who executes it

@@ -6,6 +6,7 @@ KEYS: Mapping[str, str] = {
     "copies": "no replacement: one copy of a detector brings back as many missions as two or three",
     "until_halfwidth": "no replacement: a campaign flies the number of missions that it states; set missions",
     "stack": "use autopilot",
+    "node": "use stack, with host ros2_stack",
     "hull_radius": "use collision_radius",
     "scheme": "no replacement: instruction faults are drawn uniformly over dynamic instructions",
 }
@@ -53,6 +54,7 @@ NAMES: Mapping[tuple[str, str], str] = {
     ("views", "boundary_calls"): "use boundary_effects, or mavfi runs DIR --csv with its column state",
     ("figures", "sites"): "use kernels or states, the paper's Fig. 3 and 4, or the tables by_state and by_target",
     ("campaigns", "replicas"): "use detector_instructions: copies of a detector made no difference",
+    ("campaigns", "ros_robot_state_publisher"): "use examples/ros2/limiter.yaml with a stack of your own",
     ("campaigns", "recovery_memory"): "use detector_memory: no fault in the memory of recovery lost a mission",
     ("campaigns", "recovery_instructions"): "use detector_instructions: no fault in recovery lost a mission",
 }

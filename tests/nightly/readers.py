@@ -53,7 +53,7 @@ from mavfi.detectors.training import MONITORED_FIELDS, WATCHED, Recorder
 from mavfi.errors import BadInputError
 from mavfi.extras.logs.cli_export import ExportedFlight, _write
 from mavfi.extras.paper.study import load_study
-from mavfi.extras.ros.cli_attach import trained_on_file
+from mavfi.extras.ros.watch import train_on_file
 from mavfi.flight.compose import find_environment, find_planner, new_loop, resolve
 from mavfi.levels.level import parse
 from mavfi.levels.state import StateRequest
@@ -569,7 +569,7 @@ def mutate_bag(draw, seeds):
 
 def read_bag(path):
     """As `mavfi ros watch --train` does, up to the trained detector."""
-    trained_on_file(path, ["/a", "/b"], {}, ("gaussian", "tuned"), [])
+    train_on_file(path, ["/a", "/b"], {}, ("gaussian", "tuned"), [])
 
 
 # ---- MJCF ----------------------------------------------------------------------------------------------------------

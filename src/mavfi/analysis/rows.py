@@ -223,8 +223,8 @@ def _judged(
             "course_m": record.course_m,
             "alarms_total": record.alarms_total,
         }
-    # cost of the fault, if both missions succeed
-    if reference is not None and reference.flown:
+    # cost of the fault, if both missions succeed; a program without a mission takes no flight time
+    if reference is not None and reference.flown and reference.flight_time_s > 0:
         columns["golden_flight_time_s"] = reference.flight_time_s
         if success and _succeeded(reference):
             columns["inflation"] = record.flight_time_s / reference.flight_time_s - 1

@@ -200,6 +200,7 @@ def describe(store: Store) -> dict[str, Any]:
     progress = status(store.directory)
     return {
         "name": campaign.name,
+        "host": campaign.host,
         "environments": [label_of(name) for name in campaign.environments],
         "seeds": [campaign.seeds.start, campaign.seeds.stop - 1],
         "on_design_seeds": campaign.on_design_seeds,

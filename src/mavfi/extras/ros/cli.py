@@ -14,8 +14,8 @@ from mavfi.cli.fly import check_option_dependencies, watched
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 from mavfi.extras.registers.options import RegistersOption, SeedOption, instant, register_options
-from mavfi.extras.ros.cli_attach import corrupt, watch
-from mavfi.extras.ros.cli_graph import list_graphs, setup
+from mavfi.extras.ros.cli_attach import corrupt
+from mavfi.extras.ros.cli_graph import list_graphs, setup, watch
 from mavfi.extras.ros.cli_inject import inject, run
 from mavfi.mission import MissionSpec
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.markup import escape
 
 from mavfi.cli import options
-from mavfi.cli.console import check_number, console, counted, titled_table, write_json
+from mavfi.cli.console import check_name, check_number, console, counted, titled_table, write_json
+from mavfi.cli.stopping import stoppable
+from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,6 +22,7 @@ if TYPE_CHECKING:
 
 _OF_EVERY_NODE = ("rcl_interfaces/", "type_description_interfaces/")
 """Packages of the services that every node of ROS 2 has: of its parameters, of its types, of its logger."""
+_MAX_DURATION_S = 7 * 86_400.0
 _NUMBERS = ("pid", "Hz")
 """Columns with numbers."""
 
@@ -141,3 +145,76 @@ def _short(kind: str) -> str:
 def _is_hidden(name: str) -> bool:
     """Whether a name is for ROS itself: a part of it begins with an underscore."""
     return "/_" in name
+
+
+def watch(  # noqa: PLR0913 - one parameter per option
+    topics: Annotated[str, typer.Option(metavar="TOPIC,...", help="What is watched.")],
+    fields: Annotated[
+        str, typer.Option(metavar="FIELD,...", help="Numbers, e.g. position\\[0], or TOPIC:FIELD; all by default.")
+    ] = "",
+    detector: Annotated[str, typer.Option(help=f"{options.DETECTORS}, or package:Class.")] = "gaussian",
+    profile: options.WatchProfile = "tuned",
+    train: Annotated[
+        str, typer.Option(metavar="FILE|FOLDER|online", help="Normal messages: .bag, .mcap, .db3, or what comes first.")
+    ] = "online",
+    learn_s: Annotated[float, typer.Option("--learn", help="How long to learn online, s.")] = 10.0,
+    duration: options.Duration = None,
+    as_json: options.AsJson = False,
+) -> None:
+    r"""Monitor numeric fields of any topics, of ROS 2 or ROS 1, with one of the paper's detectors.
+
+    Alarms are printed, and published on /mavfi/alarm as JSON text.
+
+    Example: [bold]mavfi ros watch --topics /odom,/cmd_vel --train normal.mcap[/bold]
+    """
+    # refuse what cannot be watched, before anything is read
+    from mavfi.detectors.preprocess import PROFILES
+    from mavfi.detectors.registry import of_monitored_fields
+
+    check_number("--learn", learn_s, 0.1, _MAX_DURATION_S)
+    check_number("--duration", duration, 0.0, _MAX_DURATION_S)
+    check_name("--profile", profile, PROFILES)
+    check_name("--detector", detector, of_monitored_fields())
+    from mavfi.extras.ros.watch import TopicWatch, make_listener, train_on_file, train_online
+
+    names = options.listed(topics)
+    if not names:
+        raise BadInputError(f"--topics: {topics!r}: allowed: names, with commas between")
+    if duration is None:
+        duration = _MAX_DURATION_S
+    listener = make_listener(names)
+    out = console()
+    with stoppable("Stopped. The graph is as it was."), listener:
+        # learn what is normal
+        field_names = options.listed(fields)
+        if train == "online":
+            training = train_online(listener, (detector, profile), field_names, learn_s)
+        else:
+            training = train_on_file(
+                Path(train), listener.topics, listener.definitions, (detector, profile), field_names
+            )
+        watching = TopicWatch(listener, training.probes, training.detector)
+        if not as_json:
+            topic_names = ", ".join(sorted(training.probes))
+            out.print(f"learned from {training.messages} messages; watching {topic_names}", markup=False)
+
+        # judge each message
+        try:
+            for topic, message in listener.take(duration):
+                alarm = watching.judge(topic, message)
+                if alarm is not None and not as_json:
+                    fields_and_values = zip(alarm.fields, alarm.values, strict=False)
+                    values = ", ".join(f"{field} = {value}" for field, value in fields_and_values)
+                    out.print(f"{topic} message {alarm.message}: {values}, score {alarm.score:.3g}", markup=False)
+        finally:
+            if as_json:
+                write_json(
+                    {
+                        "learned_from": training.messages,
+                        "judged": dict(watching.judged),
+                        "skipped": dict(watching.skipped),
+                        "alarms": [alarm.to_json() for alarm in watching.alarms],
+                    }
+                )
+    if not as_json:
+        out.print(f"{watching.judged.total()} messages judged, {len(watching.alarms)} alarms")

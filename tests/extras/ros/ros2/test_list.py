@@ -13,6 +13,7 @@ from mavfi.extras.ros.survey import Survey, SurveyedNode, SurveyedService, Surve
 
 @pytest.mark.ros
 @pytest.mark.slow
+@pytest.mark.parametrize("ros2", ["jazzy"], indirect=True)
 def test_nodes_processes_topics_and_rates_are_listed(ros2, capsys):
     talkers = [ros2.start("talker.py", "--name", name) for name in ("one", "two")]
     with AgentClient(ros2.installation) as agent:
@@ -55,11 +56,9 @@ def test_the_text_has_the_answer_first_and_fits_a_terminal(capsys, monkeypatch):
     assert "_action" not in out and "describe_parameters" not in out
 
 
-def test_without_a_graph_it_is_said_where_one_was_looked_for(capsys, monkeypatch, tmp_path):
+def test_without_a_graph_it_is_said_where_one_was_looked_for(capsys, monkeypatch):
     monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:1/")
-    monkeypatch.setenv(environment.ROOT_VARIABLE, str(tmp_path))
-    monkeypatch.delenv("ROS_DISTRO", raising=False)
-    monkeypatch.setattr(environment, "_SYSTEM", tmp_path)
+    monkeypatch.setattr(environment, "installations", lambda: iter(()))
     assert run(["ros", "list"]) == 2
     message = capsys.readouterr().err
     assert (

@@ -338,7 +338,7 @@ class AgentClient:
         return Matched(reply["kind"], reply["reliability"], reply["durability"])
 
     def unsubscribe(self, topic: str) -> None:
-        """Receive no further messages of a topic."""
+        """Receive no further messages of a topic but those that have arrived."""
         self._request("unsubscribe", topic=absolute(topic))
 
     def receive(self, limit_s: float) -> RawMessage | None:

@@ -1,52 +1,104 @@
-"""Decodes ROS 2 messages of any type, with definitions of `rosbags` and of the machine's own `.msg` files."""
+"""Message types of a ROS 2 graph in mavfi's process: standard ones of `rosbags`, others from the machine."""
 
 import re
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mavfi.errors import BadInputError, allowed
+from mavfi.errors import BadInputError, MavfiError, allowed
+from mavfi.faults.levels.message.definition import Definition
 from mavfi.faults.operations import Operation, When, check_number_operation
+from mavfi.plugins import reason
 
 _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d+\])*)(?:\.|$)")
 """A part of a field's path: name and indices."""
 _DTYPES = {"bool": "?", "byte": "u1", "octet": "u1", "char": "u1", "float32": "f4", "float64": "f8"}
 _STRINGS = ("string", "wstring")
+_HEADER = "MSG: std_msgs/Header\n"
 
 
-class DefinesTypes(Protocol):
-    """Knows definitions of message types, as an agent does."""
+class TypeLibrary:
+    """Definitions of message types such as "nav_msgs/msg/Odometry".
 
-    def definition(self, kind: str) -> str:
-        """Text of the `.msg` file; a BadInputError if there is none."""
+    Args:
+        distribution: Whose standard types they are, e.g. "jazzy"; those of the latest one, if it is not known.
+        fetch: Returns the text of the `.msg` file of a type that is not standard, see `AgentClient.definition`.
+    """
+
+    def __init__(self, distribution: str, fetch: Callable[[str], str]) -> None:
+        name = f"ROS2_{distribution.upper()}"
+        self.store: Any = get_typestore(Stores.__members__.get(name, Stores.LATEST))
+        self._fetch = fetch
+
+    def require(self, kind: str) -> None:
+        """Make a type and its components known.
+
+        Raises:
+            BadInputError: A type is neither standard nor defined on the machine.
+        """
+        unknown = [kind]
+        types: dict[str, Any] = {}
+        while unknown:
+            name = unknown.pop()
+            if name in self.store.fielddefs or name in types:
+                continue
+            text = self._fetch(name)
+            try:
+                parsed = get_types_from_msg(text, name)
+            except Exception as error:  # noqa: BLE001 - whatever the parser raises
+                raise BadInputError(f"type {name}: its definition is not understood ({reason(error)})") from None
+            types.update(parsed)
+            for _, fields in parsed.values():
+                unknown += [component for _, field in fields for component in _components(field)]
+        if types:
+            self.store.register(types)
+
+    def definition(self, kind: str) -> Definition:
+        """Definition of a known type in ROS 1, whose headers have a sequence number in addition."""
+        text, _ = self.store.generate_msgdef(kind, ros_version=1)
+        return Definition(kind.replace("/msg/", "/"), text.replace(_HEADER, f"{_HEADER}uint32 seq\n"))
+
+    def to_ros1(self, kind: str, data: bytes) -> bytes:
+        """A message of a known type in the serialization of ROS 1, in which `definition` locates numbers.
+
+        Raises:
+            MavfiError: It is not of this type.
+        """
+        try:
+            return bytes(self.store.cdr_to_ros1(data, kind))
+        except Exception as error:  # noqa: BLE001 - whatever generated code raises at damaged bytes
+            raise MavfiError(f"a message of {len(data)} bytes is not a {kind} ({reason(error)})") from None
 
 
+def _components(field: Any) -> list[str]:
+    """Names of the message types in a field, as `rosbags` describes it."""
+    node, detail = field
+    if node == Nodetype.NAME:
+        return [detail]
+    if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        return _components(detail[0])
+    return []
+
+
+# ---- numbers in messages ---------------------------------------------------------------------------------------------
 class Decoder:
     """Reads serialized messages of one type.
 
     Args:
         kind: Its full name, e.g. "sensor_msgs/msg/JointState".
-        definitions: Where definitions are that `rosbags` lacks.
+        types: Where its definition is.
 
     Raises:
         BadInputError: The type is not known.
     """
 
-    def __init__(self, kind: str, definitions: DefinesTypes) -> None:
+    def __init__(self, kind: str, types: TypeLibrary) -> None:
+        types.require(kind)
         self.kind = kind
-        self._store = get_typestore(Stores.LATEST)
-        self._require(kind, definitions)
-
-    def _require(self, kind: str, definitions: DefinesTypes) -> None:
-        """Make sure that the store has a type and all types inside it."""
-        if kind not in self._store.fielddefs:
-            types = get_types_from_msg(definitions.definition(kind), kind)
-            for _, description in types[kind][1]:
-                for inner in _messages_in(description):
-                    self._require(inner, definitions)
-            self._store.register({name: types[name] for name in types if name not in self._store.fielddefs})
+        self._store = types.store
 
     def check(self, field: str, operation: Operation, when: When) -> None:
         """Check that a fault fits the type; a BadInputError says what is allowed."""
@@ -123,16 +175,6 @@ def _steps(path: str) -> list[tuple[str, list[int]]]:
         steps.append((name, [int(index) for index in re.findall(r"\d+", indices)]))
         position = match.end()
     return steps
-
-
-def _messages_in(description: Any) -> list[str]:
-    """Message types in the description of a member."""
-    node, details = description
-    if node == Nodetype.NAME:
-        return [details]
-    if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-        return _messages_in(details[0])
-    return []
 
 
 def _example(description: Any) -> str:

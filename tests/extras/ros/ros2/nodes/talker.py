@@ -1,6 +1,8 @@
 """Publishes joint states at 50 Hz on /joint_states (reliable) and a count on /count (best effort); serves /add.
 
-usage: talker.py [--name NAME] [--clock]    --clock: publishes /clock too, from 1000 s on
+usage: talker.py [--name NAME] [--clock] [--wild N]
+    --clock: publishes /clock too, from 1000 s on
+    --wild:  every N-th joint state has a position[1] of a million
 """
 
 import argparse
@@ -16,6 +18,7 @@ from std_srvs.srv import SetBool
 options = argparse.ArgumentParser()
 options.add_argument("--name", default="talker")
 options.add_argument("--clock", action="store_true")
+options.add_argument("--wild", type=int)
 arguments = options.parse_args()
 rclpy.init()
 node = rclpy.create_node(arguments.name)
@@ -34,6 +37,8 @@ def publish():
     tick += 1
     state = JointState(name=["shoulder", "elbow"], position=[math.sin(0.1 * tick), 0.25])
     state.header.stamp.sec = tick
+    if arguments.wild and tick % arguments.wild == 0:
+        state.position[1] = 1e6
     joints.publish(state)
     counts.publish(Int32(data=tick))
     if clock is not None:

@@ -1,0 +1,90 @@
+"""`mavfi ros watch` on ROS 2: trained on a recording, it raises alarms for wild values alone."""
+
+import json
+from collections import Counter
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from mavfi.cli import run
+from mavfi.errors import BadInputError
+from mavfi.extras.ros.ros2.graph import AgentClient
+from mavfi.extras.ros.ros2.types import TypeLibrary
+
+
+def record(agent, folder, plugin, seconds):
+    """What `ros2 bag record` writes of a topic."""
+    types = get_typestore(Stores.ROS2_JAZZY)
+    with Writer(folder, version=9, storage_plugin=plugin) as writer:
+        kind = agent.subscribe("/joint_states").kind
+        connection = writer.add_connection("/joint_states", kind, typestore=types)
+        for message in agent.messages(seconds):
+            writer.write(connection, message.wall_ns, message.data)
+    agent.unsubscribe("/joint_states")
+
+
+def text_of(message):
+    """The JSON of a serialized std_msgs/String."""
+    return json.loads(get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(message.data, "std_msgs/msg/String").data)
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_a_detector_trained_on_a_recording_raises_alarms_for_wild_values_and_publishes_them(ros2, tmp_path, capsys):
+    plugin = {"jazzy": StoragePlugin.MCAP, "kilted": StoragePlugin.SQLITE3}[ros2.installation.distribution]
+    talker = ros2.start("talker.py")
+    with AgentClient(ros2.installation) as agent:
+        record(agent, tmp_path / "normal", plugin, 3.0)
+        talker.kill()
+        ros2.start("talker.py", "--wild", "50")
+        agent.subscribe("/mavfi/alarm", "std_msgs/String", reliable=True)
+        arguments = ["--topics", "joint_states", "--train", str(tmp_path / "normal"), "--duration", "3", "--json"]
+        assert run(["ros", "watch", *arguments]) == 0
+        published = [text_of(message) for message in agent.messages(0.5) if message.topic == "/mavfi/alarm"]
+    result = json.loads(capsys.readouterr().out)
+    assert result["learned_from"] > 100 and result["judged"]["/joint_states"] > 100
+    assert published == result["alarms"]
+    wild = Counter(tuple(alarm["fields"]) for alarm in result["alarms"])
+    assert set(wild) == {("position[1]",)}
+    assert 2 <= wild["position[1]",] <= 8  # there and back, in each second
+    assert {alarm["values"][0] for alarm in result["alarms"]} == {"1000000.0", "0.25"}
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.parametrize("ros2", ["kilted"], indirect=True)
+def test_an_unknown_topic_is_refused(ros2, capsys):
+    ros2.start("talker.py")
+    assert run(["ros", "watch", "--topics", "/joint_state"]) == 2
+    assert "topic /joint_state: not in the graph; allowed: /joint_states" in capsys.readouterr().err
+
+
+def test_types_that_are_not_standard_are_fetched_with_their_components():
+    texts = {
+        "robot/msg/Arm": "std_msgs/Header header\nrobot/Joint[] joints\nfloat32[2] limits\n",
+        "robot/msg/Joint": "string name\nfloat64 angle\n",
+    }
+    types = TypeLibrary("jazzy", texts.__getitem__)
+    types.require("robot/msg/Arm")
+    made = types.store.types
+    stamp = made["builtin_interfaces/msg/Time"](3, 4)
+    joint = made["robot/msg/Joint"]("elbow", 0.25)
+    header = made["std_msgs/msg/Header"](stamp, "base")
+    message = made["robot/msg/Arm"](header, [joint], np.array([-1, 1], np.float32))
+    data = types.to_ros1("robot/msg/Arm", bytes(types.store.serialize_cdr(message, "robot/msg/Arm")))
+    definition = types.definition("robot/msg/Arm")
+    assert definition.kind == "robot/Arm"
+    assert definition.locate(data, "joints[0].angle").value(data) == 0.25
+    assert definition.locate(data, "limits[1]").value(data) == 1
+
+
+def test_a_type_that_nobody_defines_is_refused():
+    def fetch(kind):
+        raise BadInputError(f"type {kind}: no file")
+
+    with pytest.raises(BadInputError, match="type robot/msg/Arm: no file"):
+        TypeLibrary("humble", fetch).require("robot/msg/Arm")
+    with pytest.raises(BadInputError, match="type robot/msg/Arm: its definition is not understood"):
+        TypeLibrary("unheard_of", lambda kind: "[[[").require("robot/msg/Arm")
