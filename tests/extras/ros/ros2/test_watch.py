@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_typestore
 from mavfi.cli import run
 from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros2.graph import AgentClient
-from mavfi.extras.ros.ros2.types import TypeLibrary
+from mavfi.extras.ros.ros2.message_types import TypeLibrary
 
 
 def record(agent, folder, plugin, seconds):

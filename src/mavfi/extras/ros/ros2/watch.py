@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.ros.ros2.environment import Installation
 from mavfi.extras.ros.ros2.graph import DISCOVERY_S, AgentClient, absolute
-from mavfi.extras.ros.ros2.types import TypeLibrary
+from mavfi.extras.ros.ros2.message_types import TypeLibrary
 from mavfi.extras.ros.watch import ALARM_TOPIC, MessageListener
 
 _ALARM_TYPE = "std_msgs/msg/String"
