@@ -425,7 +425,10 @@ class Agent:
         return {"rates": {topic: count / spent for topic, count in counts.items()}, "reasons": reasons}
 
     def do_advertise(self, topic, kind, reliable, latched, subscribers, limit_s):
-        """Publish a topic from now on; waits until it has enough subscriptions, and says whether it has."""
+        """Publish a topic from now on; waits until it has enough subscriptions, and says whether it has.
+
+        Without their number: as many as the graph has now.
+        """
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
         if topic not in self._publishers:
@@ -436,6 +439,8 @@ class Agent:
                 qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
             self._publishers[topic] = self.node.create_publisher(message_class(kind), topic, qos)
         publisher = self._publishers[topic]
+        if subscribers is None:
+            subscribers = self.node.count_subscribers(topic)
         return {"holds": self._spin_until(lambda: publisher.get_subscription_count() >= subscribers, limit_s)}
 
     def do_publish(self, topic, count, period_s, content=b""):

@@ -355,7 +355,7 @@ class AgentClient:
         *,
         reliable: bool = True,
         latched: bool = False,
-        subscribers: int = 0,
+        subscribers: int | None = None,
         limit_s: float = DISCOVERY_LIMIT_S,
     ) -> bool:
         """Be a publisher of a topic from now on; returns whether it has at least so many subscriptions.
@@ -365,7 +365,7 @@ class AgentClient:
             kind: Its message type.
             reliable: Whether lost messages are sent again.
             latched: Whether subscriptions that come later get earlier messages.
-            subscribers: Number of subscriptions to wait for.
+            subscribers: Number of subscriptions to wait for; None = those that the agent has discovered.
             limit_s: Time limit for them (s).
 
         Raises:
