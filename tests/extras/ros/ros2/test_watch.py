@@ -48,7 +48,7 @@ def test_a_detector_trained_on_a_recording_raises_alarms_for_wild_values_and_pub
     result = json.loads(capsys.readouterr().out)
     judged = result["judged"]["/joint_states"]
     assert result["learned_from"] == 120 and judged > 50
-    assert published == result["alarms"]
+    assert published and published == result["alarms"][-len(published) :]  # the first may come before it is discovered
     wild = Counter(tuple(alarm["fields"]) for alarm in result["alarms"])
     assert set(wild) == {("position[1]",)}
     assert 2 <= wild["position[1]",] <= 2 * (judged / 25 + 1)  # there and back

@@ -60,7 +60,7 @@ class GraphListener(MessageListener):
 
     def open_alarms(self) -> None:
         """See `MessageListener`."""
-        self._agent.advertise(ALARM_TOPIC, _ALARM_TYPE, limit_s=_READERS_S)
+        self._agent.advertise(ALARM_TOPIC, _ALARM_TYPE, latched=True, limit_s=_READERS_S)
 
     def announce(self, text: str) -> None:
         """See `MessageListener`."""
