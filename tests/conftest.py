@@ -77,7 +77,7 @@ _ALONE = (
     "tests/extras/registers",
     "tests/extras/ros/node/test_attach",
     "tests/extras/ros/node/test_node_campaign",
-    "tests/extras/ros/ros1/test_processes.py",
+    "tests/extras/ros/lockstep/test_processes.py",
 )
 """Other processes take part in these tests, and keep the time of the wall: they want the processors for themselves.
 Most wait most of the time, so two files run at once."""
@@ -113,7 +113,7 @@ def pytest_collection_modifyitems(config, items):
 
 _ORDER = {  # that of the first prefix counts; files that take longest start first
     "tests/extras/registers/test_inject": 0,
-    "tests/extras/ros/ros1": 0,
+    "tests/extras/ros/lockstep": 0,
     "tests/core/flights": 1,
     "tests/extras/firmware": 1,
     "tests/extras/hardening": 2,

@@ -8,10 +8,8 @@ from typing import cast
 from mavfi.errors import BadInputError
 from mavfi.extras.mavlink.autopilot import TYPES as MAVLINK_TYPES
 from mavfi.extras.mavlink.autopilot import UNITS as MAVLINK_UNITS
-from mavfi.extras.ros.ros1.host import configure
-from mavfi.extras.ros.ros1.messages import PACKAGE as PACKAGE_OF_MESSAGES
-from mavfi.extras.ros.ros1.messages import type_name
-from mavfi.extras.ros.ros1.plan import WORLD, FlightGraph
+from mavfi.extras.ros.lockstep.host import configure
+from mavfi.extras.ros.lockstep.plan import WORLD, FlightGraph
 from mavfi.faults.levels.sensor.fault import NULL, TYPES, UNITS, Device, SensorFault, check_read
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight.compose import new_loop, resolve
@@ -93,10 +91,9 @@ def _word_names(names: Iterable[str]) -> str:
 
 def ros_topics() -> str:
     """The table of the loop's topics on ROS."""
-    lines = ["| topic | type | published by | read by |", "|---|---|---|---|"]
-    for state, route in _graph().routes.items():
-        kind = f"{PACKAGE_OF_MESSAGES}/{type_name(STATES[state])}"
-        lines.append(f"| `{route.final}` | `{kind}` | {route.writer} | {', '.join(route.readers)} |")
+    lines = ["| topic | published by | read by |", "|---|---|---|"]
+    for route in _graph().routes.values():
+        lines.append(f"| `{route.final}` | {route.writer} | {', '.join(route.readers)} |")
     return "\n".join(lines)
 
 
@@ -151,7 +148,6 @@ def sensor_table() -> str:
         "MAVLink": lambda unit: unit in MAVLINK_UNITS.values(),
         "`ros1`": lambda unit: _executed(unit, "ros1"),
         "`ros1`, estimator": lambda unit: _executed(unit, "ros1", localization="estimator"),
-        "`node`": lambda unit: _executed(unit, "node"),
     }
 
     # three tables below each other: what a unit is, what a type does, who executes it

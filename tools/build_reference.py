@@ -59,6 +59,11 @@ As text, for `--fault` of `mavfi fly` and `mavfi ros fly`; whatever is left out 
 | `state:planning.waypoint.x:lasts=10:share=0.2` | for 10 s, in 20 % of the publications |
 | `state:planning.waypoint.x:bit=62:also=y.60+z.3@5` | in the same publication bit 60 of y and bit 3 of z as well |
 | `state:planning.waypoint.x:width=4:times=2` | 4 adjacent bits, in two publications, recomputed ones included |
+| `state:control.command.vx:set=nan@10..12` | not a number in every publication from 10 to 12 s; \
+[all operations](../fault-model.md#values-messages-operations) |
+| `state:planning.trajectory.y[3]:bias=2@trajectory_seq>1` | 2 m added, at the first replan |
+| `message:planning.trajectory:drop@10..12` | whole publications are lost |
+| `message:control.command:delay=0.2:times=20` | 20 of them are late, from a drawn one on |
 | `memory:planner` | one bit of what the kernel remembers, at an instant of the golden flight |
 | `memory:planner.acted_seq` | of the words with this name, or the end or a part of it |
 | `memory:waypoint.points[33]:bit=62@20.0` | bit 62 of word 33 of an array, before the steps at 20 s |
@@ -86,6 +91,7 @@ SECTIONS: dict[str, tuple[str, tuple[type[BaseModel], ...]]] = {
         (
             campaigns.Campaign,
             *(find_level(name).sampling for name in level_names()),
+            *(level.sampling for host in extensions(GROUP).values() for level in host.samplings.values()),
             *(host.config for host in extensions(GROUP).values() if host.config is not None),
             Study,
         ),

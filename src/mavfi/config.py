@@ -54,6 +54,11 @@ class Config(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    @classmethod
+    def has_key(cls, name: str) -> bool:
+        """Whether a key of this name is allowed, also if an earlier version had another one of the same name."""
+        return name in cls.model_fields
+
     @field_validator("*", mode="before")
     @classmethod
     def _of_its_kind(cls, value: object, info: ValidationInfo) -> object:
@@ -341,7 +346,7 @@ def parse(model: type[ConfigType], data: dict[str, Any], source: str, *, stored:
         context = STORED
     else:
         for key in data:
-            if key in KEYS and key not in model.model_fields:
+            if key in KEYS and not model.has_key(key):
                 raise BadInputError(f"{source}: {dropped_key(key)}")
     try:
         return model.model_validate(data, context=context)

@@ -40,8 +40,8 @@ SCHEMA: dict[str, Any] = {
     "run_id": _TEXT, "kind": _TEXT, "setting": _TEXT, "arm": _TEXT, "detector": _TEXT, "detector_profile": _TEXT,
     "environment": _TEXT, "seed": _INT, "world": _TEXT, "target": _TEXT, "index": _INT,
     "level": _TEXT, "stage": _TEXT, "kernel": _TEXT, "state": _TEXT, "field": _TEXT, "element": _INT, "site": _TEXT,
-    "bit": _INT, "bit_class": _TEXT, "stratum": _TEXT, "population": _TEXT, "weight": _REAL, "has_site": _FLAG,
-    "monitored": _FLAG,
+    "operation": _TEXT, "bit": _INT, "bit_class": _TEXT, "stratum": _TEXT, "population": _TEXT, "weight": _REAL,
+    "has_site": _FLAG, "monitored": _FLAG,
     "function": _TEXT, "file": _TEXT, "line": _INT, "opcode": _TEXT, "value_class": _TEXT, "value_type": _TEXT,
     "variable": _TEXT, "replayable": _FLAG, "register": _TEXT, "symbol": _TEXT, "library": _TEXT,
     "end": _TEXT, "status": _TEXT, "success": _FLAG, "success_if_ended": _FLAG, "golden_success": _FLAG,
@@ -223,8 +223,8 @@ def _judged(
             "course_m": record.course_m,
             "alarms_total": record.alarms_total,
         }
-    # cost of the fault, if both missions succeed
-    if reference is not None and reference.flown:
+    # cost of the fault, if both missions succeed; a program without a mission takes no flight time
+    if reference is not None and reference.flown and reference.flight_time_s > 0:
         columns["golden_flight_time_s"] = reference.flight_time_s
         if success and _succeeded(reference):
             columns["inflation"] = record.flight_time_s / reference.flight_time_s - 1

@@ -13,7 +13,6 @@ from mavfi.campaign.config import ArmConfig, Campaign, label_of
 from mavfi.campaign.ledger import status, stored_campaign
 from mavfi.campaign.plan import FI
 from mavfi.campaign.store import Run, Store
-from mavfi.faults.fault import find_level
 from mavfi.mission import MissionSpec
 from mavfi.plugins import extensions
 from mavfi.record import FlightRecord
@@ -201,6 +200,7 @@ def describe(store: Store) -> dict[str, Any]:
     progress = status(store.directory)
     return {
         "name": campaign.name,
+        "host": campaign.host,
         "environments": [label_of(name) for name in campaign.environments],
         "seeds": [campaign.seeds.start, campaign.seeds.stop - 1],
         "on_design_seeds": campaign.on_design_seeds,
@@ -222,7 +222,7 @@ def describe(store: Store) -> dict[str, Any]:
 
 def drawn(campaign: Campaign) -> dict[str, Any]:
     """Describe the sampling of a campaign's faults and the flights or processes that they are injected into."""
-    about: dict[str, Any] = find_level(campaign.sampling.level).about(campaign)
+    about: dict[str, Any] = campaign.level.about(campaign)
     if "title" in about:  # of processes, not of flights
         return about
     how = about.pop("how")

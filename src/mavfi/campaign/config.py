@@ -14,6 +14,7 @@ from pydantic import (
     model_validator,
 )
 
+from mavfi.campaign.requirement import Requirement
 from mavfi.config import SCAN_ENDINGS, STORED, Config, Name, names, parse, parse_part, shipped
 from mavfi.errors import BadInputError, hint
 from mavfi.faults.fault import find_level, level_names
@@ -116,7 +117,7 @@ class Campaign(Config):
     name: Name
     host: str = Field(
         "local",
-        description="where missions are flown: local, ros1, node, firmware, airsim_program, or another entry point",
+        description="where: local, ros2, ros1, ros2_stack, firmware, airsim_program, or another entry point",
     )
     environments: tuple[str, ...] = Field(min_length=1)
     first_seed: int = Field(10_000, ge=0)
@@ -135,9 +136,17 @@ class Campaign(Config):
     parts: dict[str, CampaignPart] = Field(
         default_factory=dict, description="by name in environments, e.g. one per platform"
     )
+    require: tuple[str, ...] = Field(
+        (), description="bounds on rates, judged by their intervals, e.g. `sdc < 5 %`; see docs/how-to/ci.md"
+    )
     under_test: SerializeAsAny[Config] | None = Field(
         None, description="what is under test instead of our pipeline; given under the key of its host"
     )
+
+    @classmethod
+    def has_key(cls, name: str) -> bool:
+        """See `Config.has_key`: also keys that hosts bring."""
+        return name in cls.model_fields or any(other.config_key == name for other in extensions("mavfi.hosts").values())
 
     @model_validator(mode="before")
     @classmethod
@@ -153,13 +162,18 @@ class Campaign(Config):
         if isinstance(data.get("mission"), dict):
             data["mission"] = _mission_keys(data["mission"], "mission", info)
         if "sampling" in data:
-            data["sampling"] = _sampling(data["sampling"], info)
+            data["sampling"] = _sampling(data["sampling"], info, data.get("host", _LOCAL))
         return data
 
     @model_serializer(mode="wrap")
     def _stored(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """What is under test is stored under the key of its host; ledgers have two of these keys with every host."""
+        """What is under test is stored under the key of its host; ledgers have two of these keys with every host.
+
+        Requirements are omitted if there are none; ledgers never have them, see `without_requirements`.
+        """
         data: dict[str, Any] = serialize(self)
+        if not self.require:
+            del data["require"]
         under_test = data.pop("under_test")
         data |= {"node": None, "program": None}
         host = _class_of_host(self.host)
@@ -193,6 +207,11 @@ class Campaign(Config):
             sampler_for(self)
         except BadInputError as error:
             raise ValueError(str(error)) from None
+        for text in self.require:
+            try:
+                Requirement.parse(text).of(self)
+            except BadInputError as error:
+                raise ValueError(f"require: {error}") from None
         return self
 
     def at_scale(self, name: str) -> "Campaign":
@@ -211,6 +230,23 @@ class Campaign(Config):
     def resized(self, size: Scale) -> "Campaign":
         """The campaign with the missions and faults of a scale."""
         return self.model_copy(update=size.model_dump(exclude_none=True))
+
+    def without_requirements(self) -> "Campaign":
+        """The campaign as ledgers hold it: requirements judge its result, and are no part of it."""
+        if not self.require:
+            return self
+        return self.model_copy(update={"require": ()})
+
+    @property
+    def flies(self) -> bool:
+        """Whether its runs are flights, see `Host.flies`."""
+        flown_by = _class_of_host(self.host)
+        return flown_by is None or flown_by.flies
+
+    @property
+    def level(self) -> Any:  # noqa: ANN401 - a `mavfi.levels.level.Level`
+        """The level of the sampling, as its host draws it."""
+        return _level_at(self.host, self.sampling.level)
 
     @property
     def seeds(self) -> range:
@@ -314,14 +350,22 @@ def _refuse_keys_of_other_hosts(data: Mapping[str, Any]) -> None:
                 )
 
 
-def _sampling(data: Any, info: ValidationInfo | None) -> Sampling:
-    """The sampling, as validated by its level."""
+def _level_at(host_name: Any, level: str) -> Any:
+    """A level, as a host draws its faults; a BadInputError if there is no such level."""
+    host = _class_of_host(host_name)
+    if host is None:
+        return find_level(level)
+    return host.level_of(level)
+
+
+def _sampling(data: Any, info: ValidationInfo | None, host_name: Any = _LOCAL) -> Sampling:
+    """The sampling, as validated by its level, or by that of the host if it draws these faults otherwise."""
     if isinstance(data, Mapping):
         level = data.get("level", "state")
     else:
         level = getattr(data, "level", "state")
     levels = level_names()
-    model = find_level(level).sampling if level in levels else None
+    model = _level_at(host_name, level).sampling if level in levels else None
     if model is None:
         text = f"not known{hint(level, levels)}; allowed: {', '.join(levels)}"
         raise ValueError(f"key 'sampling.level': {level!r}: {text}")

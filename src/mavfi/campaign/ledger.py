@@ -46,6 +46,7 @@ class Status:
     """By setting: runs planned so far, done, successful."""
     unknown: int = 0  # done runs with status unknown
     shard: Shard = WHOLE  # shard in the ledger
+    flies: bool = True  # whether runs are flights, which succeed or not
 
     @property
     def complete(self) -> bool:
@@ -77,11 +78,12 @@ def status_of(store: Store) -> Status:
     done = sum(number for _, number, _ in counts.values())
     total = sum(planned for planned, _, _ in counts.values())
     shard = shard_of(store)
+    campaign = stored_campaign(store)
     if not store.complete:
         from mavfi.campaign.mission import plan_of  # knows what can fly: imported for what is not flown only
 
-        total = plan_of(stored_campaign(store), {}, {}).count(shard)
-    return Status(done, total, counts, store.unknown().total(), shard)
+        total = plan_of(campaign, {}, {}).count(shard)
+    return Status(done, total, counts, store.unknown().total(), shard, campaign.flies)
 
 
 def shard_of(store: Store) -> Shard:

@@ -163,7 +163,16 @@ class Session:
 
     def tell(self, *, compiling: bool = False) -> None:
         """Report the progress."""
-        self.report(Progress(self._runs_done, self.total, dict(self.counts), flown=self.flown, compiling=compiling))
+        self.report(
+            Progress(
+                self._runs_done,
+                self.total,
+                dict(self.counts),
+                flies=self.plan.campaign.flies,
+                flown=self.flown,
+                compiling=compiling,
+            )
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -368,7 +377,7 @@ def _session(  # noqa: PLR0913 - what `run_campaigns` is given
 ) -> Session:
     """The session of a campaign; its ledger is closed with `stack`."""
     # What determines the runs, refused before the ledger is created.
-    campaign = _as_begun(campaign, directory)
+    campaign = _as_begun(campaign.without_requirements(), directory)
     models_dir = models_dir or _models_dir(directory)
     require_level(host_of(campaign), campaign.sampling.level)
     scenarios = scenarios_of(campaign, arms_of(campaign))

@@ -1,20 +1,38 @@
 """`mavfi campaign run | status | verify | merge | repair | digest`: fly many missions, verify the results."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.cli import options
-from mavfi.cli.console import check_name, check_seed, console, write_json
+from mavfi.cli.console import check_name, check_seed, check_writable, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.plugins import known, load_object
 
 if TYPE_CHECKING:
+    from mavfi.analysis.requirements import Verdict
+    from mavfi.campaign.config import Campaign
     from mavfi.campaign.executors.executor import Executor
+    from mavfi.campaign.ledger import Status
+    from mavfi.campaign.requirement import Requirement
+
+EXIT_REQUIREMENT = 3
+"""Exit code if a requirement does not hold, or too few runs show that it does."""
+Require = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="TEXT",
+        help="Exit code 3 unless intervals show it: 'sdc < 5 %', 'recommended: success >= 95 %'; repeatable.",
+    ),
+]
+Junit = Annotated[
+    Path | None, typer.Option(metavar="FILE.xml", help="Write the requirements as test cases, in JUnit's format.")
+]
 
 app = typer.Typer(
     help="Fly a campaign, see how far it is, prove what came out.\n\n"
@@ -59,8 +77,12 @@ def run(  # noqa: PLR0913 - options
     allow_unknown: Annotated[
         bool, typer.Option("--allow-unknown", help="Exit with 0 even if runs have status unknown.")
     ] = False,
+    require: Require = None,
+    junit: Junit = None,
 ) -> None:
     """Fly a campaign, or its missing runs.  Ctrl-C stops it (exit code 130); the same command resumes.
+
+    Exit code 3: a requirement, of --require or of the key `require`, does not hold.
 
     Example: [bold]mavfi campaign run configs/campaigns/states.yaml --out out/states[/bold]
     """
@@ -68,14 +90,17 @@ def run(  # noqa: PLR0913 - options
     from mavfi.campaign.mission import check_names
     from mavfi.campaign.plan import WHOLE, Shard
     from mavfi.campaign.run import run_campaign
-    from mavfi.cli.progress import Bar, success_counts
+    from mavfi.cli.progress import Bar
 
     # check all options before the first flight
     campaign = load_campaign(config).at_scale(scale)
     check_names(campaign, config)
+    requirements = _requirements(campaign, [*campaign.require, *(require or ())], junit)
     ledger = out or Path("out") / campaign.name
     chosen_executor = _executor(executor, scheduler, workers)
     chosen_shard = Shard.parse(shard, "--shard")
+    if chosen_shard != WHOLE and (require or junit):
+        raise BadInputError(f"--shard {shard}: is a part; allowed: --require and --junit with `campaign status` of all")
     # fly what is missing
     stop_message = f"Stopped. What is done is kept in {ledger}; the same command resumes."
     with stoppable(stop_message), Bar(f"campaign {campaign.name}", "runs") as bar:
@@ -100,8 +125,67 @@ def run(  # noqa: PLR0913 - options
         )
         console().print(text, soft_wrap=True)
         return
-    console().print(success_counts(status.settings))
+    verdicts = _judge(ledger, campaign.name, requirements, junit)
+    _show_verdicts(verdicts)
+    _show_counts(ledger, status)
     console().print(f"Done. Tables and figures: [bold]mavfi report {ledger}[/bold]", soft_wrap=True)
+    _exit_unless_all_hold(verdicts)
+
+
+def _requirements(campaign: "Campaign", texts: Sequence[str], junit: Path | None) -> "list[Requirement]":
+    """Requirements on a campaign, checked before its first flight."""
+    from mavfi.campaign.requirement import Requirement
+
+    requirements = []
+    for text in texts:
+        try:
+            requirements.append(Requirement.parse(text).of(campaign))
+        except BadInputError as error:
+            raise BadInputError(f"--require: {error}") from None
+    if junit is not None and not requirements:
+        raise BadInputError(f"--junit: {junit}: there is no test case; allowed: with --require, or the key require")
+    check_writable(junit)
+    return requirements
+
+
+def _judge(directory: Path, name: str, requirements: "Sequence[Requirement]", junit: Path | None) -> "list[Verdict]":
+    """Judge requirements by the runs of a ledger, and write the verdicts if a file is given."""
+    from mavfi.analysis import Runs
+    from mavfi.analysis.requirements import judge, write_junit
+
+    if not requirements:
+        return []
+    verdicts = judge(Runs.read(directory), requirements)
+    if junit is not None:
+        write_junit(junit, name, verdicts)
+    return verdicts
+
+
+def _show_verdicts(verdicts: "Sequence[Verdict]") -> None:
+    """Print one line per requirement."""
+    for verdict in verdicts:
+        console().print(verdict.line, markup=False, soft_wrap=True)
+
+
+def _exit_unless_all_hold(verdicts: "Sequence[Verdict]") -> None:
+    from mavfi.analysis.requirements import Holds
+
+    if any(verdict.holds is not Holds.YES for verdict in verdicts):
+        raise typer.Exit(EXIT_REQUIREMENT)
+
+
+def _show_counts(directory: Path, status: "Status") -> None:
+    """Print how flights ended by setting; of runs that are no flights, the effects of their faults."""
+    from mavfi.analysis import Runs
+    from mavfi.analysis.effects import effect_rates
+    from mavfi.cli.progress import effect_counts, run_counts
+
+    if not status.flies:
+        effects = effect_rates(Runs.read(directory))
+        if effects:
+            console().print(effect_counts(effects))
+            return
+    console().print(run_counts(status.settings, flies=status.flies))
 
 
 def _executor(name: str, scheduler: str, workers: int) -> "Executor":
@@ -129,28 +213,58 @@ def _most_frequent_reason(ledger: Path) -> str:
 def status(
     directory: options.Ledger,
     as_json: options.AsJson = False,
+    require: Require = None,
+    junit: Junit = None,
 ) -> None:
-    """Print the progress of a campaign, and the number of successful missions in each setting.
+    """Print the progress of a campaign, and in each setting the number of successful missions, or effects of faults.
 
-    Example: [bold]mavfi campaign status out/states[/bold]
+    Exit code 3: a requirement does not hold.
+
+    Example: [bold]mavfi campaign status out/states --require 'success >= 90 %'[/bold]
     """
     from mavfi.campaign.ledger import status as status_of
+    from mavfi.campaign.ledger import stored_campaign
     from mavfi.campaign.plan import WHOLE
-    from mavfi.cli.progress import success_counts
+    from mavfi.campaign.store import Store
 
     progress = status_of(directory)
+    verdicts: list[Verdict] = []
+    if require or junit:
+        with Store.open(directory) as store:
+            campaign = stored_campaign(store)
+        verdicts = _judge(directory, campaign.name, _requirements(campaign, require or (), junit), junit)
     if as_json:
-        keys = ("planned", "flown", "succeeded")
-        settings = {name: dict(zip(keys, counts, strict=True)) for name, counts in progress.settings.items()}
-        write_json({**asdict(progress), "complete": progress.complete, "settings": settings})
+        data = {**asdict(progress), "complete": progress.complete, "settings": _settings(directory, progress)}
+        if verdicts:
+            data["requirements"] = [verdict.to_json() for verdict in verdicts]
+        write_json(data)
+        _exit_unless_all_hold(verdicts)
         return
+    _show_verdicts(verdicts)
     text = f"{progress.done} of {progress.total} runs"
     if progress.shard != WHOLE:
         text += f" of shard {progress.shard}"
     if progress.complete:
         text += ", complete"
     console().print(text)
-    console().print(success_counts(progress.settings))
+    _show_counts(directory, progress)
+    _exit_unless_all_hold(verdicts)
+
+
+def _settings(directory: Path, status: "Status") -> dict[str, dict[str, Any]]:
+    """Counts by setting as plain data: successful flights, or effects of faults where runs are no flights."""
+    from mavfi.analysis import Runs
+    from mavfi.analysis.effects import effect_rates
+
+    settings: dict[str, dict[str, Any]] = {}
+    for name, (planned, done, success) in status.settings.items():
+        settings[name] = {"planned": planned, "flown": done}
+        if status.flies:
+            settings[name]["succeeded"] = success
+    if not status.flies:
+        for name, rates in effect_rates(Runs.read(directory)).items():
+            settings[name]["effects"] = {effect: asdict(rate) for effect, rate in rates.items()}
+    return settings
 
 
 @app.command("verify")

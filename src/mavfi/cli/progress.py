@@ -18,6 +18,7 @@ from rich.text import Text
 from mavfi.cli.console import console
 
 if TYPE_CHECKING:
+    from mavfi.analysis.statistics import Rate
     from mavfi.campaign.ledger import Progress as CampaignProgress
 
 _LINE_EVERY = 15.0
@@ -92,7 +93,7 @@ class Bar:
                 self._console.print(line)
             return
         if progress.settings:
-            self._live.update(Group(self._bar, success_counts(progress.settings)))
+            self._live.update(Group(self._bar, run_counts(progress.settings, flies=progress.flies)))
         self.show(progress.done, progress.total)
 
     def show_campaigns(self, directory: Path, progress: CampaignProgress) -> None:
@@ -161,28 +162,60 @@ def compiling(*, instrumented: bool = False, flight: bool = False) -> Iterator[b
             (folder / f"flight-{packages_digest()}.warm").touch()
 
 
-def success_counts(settings: Mapping[str, tuple[int, int, int]]) -> Table:
-    """Flown, planned (where more are) and succeeded runs by setting; the share of successes with Wilson's interval."""
+def run_counts(settings: Mapping[str, tuple[int, int, int]], *, flies: bool = True) -> Table:
+    """Flown and planned (where more are) runs by setting; if they are flights, also those that succeeded.
+
+    The share of successes has Wilson's interval.
+    """
     from mavfi.analysis.statistics import score_bounds
 
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
+    table = _plain_table()
     is_incomplete = any(planned > done for planned, done, _ in settings.values())
     table.add_column("setting")
-    table.add_column("flown", justify="right")
+    table.add_column("flown" if flies else "runs", justify="right")
     if is_incomplete:
         table.add_column("planned so far", justify="right")
-    table.add_column("succeeded", justify="right")
-    table.add_column("")
+    if flies:
+        table.add_column("succeeded", justify="right")
+        table.add_column("")
     for setting, (planned, done, success) in settings.items():
-        counts = [str(done), str(success)]
+        cells: list[str | Text] = [setting, str(done)]
         if is_incomplete:
-            counts.insert(1, str(planned))
-        share = ""
-        if done:
-            low, high = score_bounds(success / done, done)
-            share = f"{100 * success / done:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
-        table.add_row(setting, *counts, Text(share, style="dim"))
+            cells.append(str(planned))
+        if flies:
+            share = ""
+            if done:
+                low, high = score_bounds(success / done, done)
+                share = f"{100 * success / done:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
+            cells += [str(success), Text(share, style="dim")]
+        table.add_row(*cells)
     return table
+
+
+def effect_counts(effects: Mapping[str, Mapping[str, Rate]]) -> Table:
+    """Number and share of each effect by setting, with the interval of the share, and the number of faults."""
+    from mavfi.analysis.effects import HEADINGS
+
+    table = _plain_table()
+    table.add_column("setting")
+    table.add_column("effect")
+    table.add_column("runs", justify="right")
+    table.add_column("n", justify="right")
+    table.add_column("")
+    for setting, rates in effects.items():
+        name = setting
+        for effect, rate in rates.items():
+            share = ""
+            if rate.rate is not None and rate.low is not None and rate.high is not None:
+                share = f"{100 * rate.rate:.1f} % [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
+            runs = "" if rate.successes is None else str(rate.successes)
+            table.add_row(name, HEADINGS.get(effect, effect), runs, str(rate.n), share)
+            name = ""
+    return table
+
+
+def _plain_table() -> Table:
+    return Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
 
 
 def speed(rate: float, unit: str) -> str:

@@ -11,7 +11,7 @@ from mavfi.cli import options
 from mavfi.cli.console import PAGES, PICTURES, check_file, console, write_json
 from mavfi.errors import MavfiError
 from mavfi.levels.level import text_of
-from mavfi.report.numbers import change
+from mavfi.report.numbers import outcome
 
 if TYPE_CHECKING:
     from mavfi.campaign.replay import Replay
@@ -203,5 +203,4 @@ def _trial(trial: CandidateFlight) -> str:
     end = f"{trial.status.replace('_', ' ')} after {trial.time_s:.2f} s"
     if trial.injection is None:
         return f"{text}: {end}"
-    before, after = change(trial.injection.before, trial.injection.after)
-    return f"{text}: {before} → {after}, {end}"
+    return f"{text}: {outcome(trial.injection)}, {end}"

@@ -4,8 +4,9 @@ Each has `level`, `site` (text), `stratum`, `weight`, `seed`, `bit`, `has_site` 
 all levels.  What a level means (how its faults are written, drawn, injected, made smaller) is in its `mavfi.levels`.
 """
 
+import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, get_args
 
@@ -13,8 +14,17 @@ from mavfi.config import checked
 from mavfi.errors import BadInputError
 from mavfi.faults import strata
 from mavfi.faults.levels.transit import is_length
+from mavfi.faults.operations import (
+    MESSAGE_OPERATIONS,
+    VALUE_OPERATIONS,
+    Change,
+    Operation,
+    When,
+    check_number_operation,
+    parse_text,
+)
 from mavfi.plugins import known, load_object
-from mavfi.states import KERNELS, STATES, WATCHING, find_state
+from mavfi.states import KERNELS, STATES, WATCHING, StateSpec, find_state
 
 GROUP = "mavfi.levels"
 """Entry-point group of fault levels: subclasses of `mavfi.levels.level.Level`."""
@@ -23,6 +33,7 @@ SHIPPED = {
     "memory": "mavfi.levels.memory:MemoryLevel",
     "sensor": "mavfi.levels.sensor:SensorLevel",
     "instruction": "mavfi.levels.instruction:InstructionLevel",
+    "message": "mavfi.levels.message:MessageLevel",
 }
 """Levels of the core, by name."""
 NO_SITE = -1
@@ -119,25 +130,30 @@ class FaultSite:
 
 @dataclass(frozen=True, slots=True)
 class StateFault(Fault):
-    """A bit of a field in one publication of an inter-kernel state, or in several publications.
+    """A bit of a field in one publication of an inter-kernel state, or in several; or another change of its value.
 
     Attributes:
         where: State, field, element.
         time_us: The first publication at or after this instant is changed (of those that consumers act on); `NO_SITE`
             = the golden run has no site for the drawn field, which is reported and never redrawn.
-        bit: Bit to flip; None = null fault: the whole path through the injector with an empty mask.
+        bit: Bit to flip; None = null fault: the whole path through the injector with an empty mask, unless there is a
+            `change`.
         stratum: Stratum of the draw, e.g. "sign_exponent" (see faults/strata.py), "" if the bit was given.
         weight: Probability that a bit drawn from the whole word falls in the stratum, for whole-word rates.
         seed: Seed of the draw.
-        lasts_s: Time for which the bit is stuck at its flipped value, in every publication (s); "inf" = for ever.
+        lasts_s: Time for which the bit is stuck at its flipped value, in every publication (s); "inf" = for ever.  Of a
+            `change`: time from the first changed publication on in which others are changed.
         share: Probability that a publication after the first one is changed, drawn by the seed; 1 = all.
         width: Number of adjacent bits to flip, starting at `bit`.
         times: Least number of publications, including recomputed ones, in which the bit is stuck.
         also: Further fields of the same publication, each with its flipped bit; only of a fault in one bit of one
             publication.
+        change: What is done to the value instead, and in which publications from `time_us` on; stored as text, e.g.
+            "set=nan:times=3@0"; None = the bit is flipped.
 
     Raises:
-        BadInputError: A number out of range, or a further field that cannot be changed with the first one.
+        BadInputError: A number out of range, a further field that cannot be changed with the first one, or a change
+            that the field does not allow.
     """
 
     level: ClassVar[Literal["state"]] = "state"
@@ -152,6 +168,7 @@ class StateFault(Fault):
     width: int = 1
     times: int = 1
     also: tuple[tuple[str, int], ...] = ()
+    change: Change | None = None
 
     def __post_init__(self) -> None:
         for key, is_allowed, allowed in (
@@ -164,6 +181,30 @@ class StateFault(Fault):
                 raise BadInputError(f"fault in {self.site}: {key}: {getattr(self, key)}: allowed: {allowed}")
         if self.also:
             self._check_also()
+        if self.change is not None:
+            self._check_change(self.change)
+
+    def _check_change(self, change: Change) -> None:
+        """Check that the field can be changed in this way; the error names the field."""
+        where = f"fault in {self.site}"
+        operation = change.operation
+        spec = find_state(self.where.state)
+        if operation.name not in VALUE_OPERATIONS:
+            raise BadInputError(f"{where}: {operation.name}: of whole publications; allowed: message:{spec.name}:...")
+        if self.of_length:
+            raise BadInputError(f"{where}: {operation.name}: is the length of a list; allowed: flips of a bit")
+        if self.times != 1 or self.share != 1.0 or self.width != 1 or self.also or change.when.start_s > 0.0:
+            raise BadInputError(f"{where}: times, share, width, also: allowed: those of the change {operation}")
+        if (self.bit is None) is (operation.name == "flip") or operation.bit is not None:
+            raise BadInputError(f"{where}: bit: {self.bit}: allowed: of a flip, and none of another operation")
+        if operation.name != "freeze":
+            dtype = spec.find(self.where.field).dtype
+            try:
+                check_number_operation(replace(operation, bit=self.bit), dtype)
+            except BadInputError as error:
+                raise BadInputError(f"{where}: {error}") from None
+        if change.when.condition is not None:
+            find_field(spec, change.when.condition.field)
 
     def _check_also(self) -> None:
         """Check that further fields are in the same list element or header, and changed once; see `StateFault`."""
@@ -188,7 +229,19 @@ class StateFault(Fault):
     @property
     def lasting(self) -> bool:
         """Whether more than one publication is changed."""
+        if self.change is not None:
+            return self.change.when.times != 1
         return self.times > 1 or self.lasts_s > 0.0
+
+    @property
+    def is_null(self) -> bool:
+        """Whether nothing is changed: a null fault."""
+        return self.bit is None and self.change is None
+
+    @property
+    def counts_publications(self) -> bool:
+        """Whether it depends on the number of publications since the start of the flight."""
+        return self.change is not None and (self.change.when.first > 1 or self.change.when.share < 1.0)
 
     @property
     def of_length(self) -> bool:
@@ -209,8 +262,10 @@ class StateFault(Fault):
         return strata.bit_class(field, self.bit)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; keys of `LIFETIME` with default values are omitted, and further fields if there are none."""
-        data = Fault.to_json(self)
+        """Plain data; keys of `LIFETIME` with default values are omitted, and further fields or a change if none."""
+        data = {**Fault.to_json(self), "change": str(self.change)}
+        if self.change is None:
+            del data["change"]
         data["also"] = [list(flipped) for flipped in self.also]
         if not self.also:
             del data["also"]
@@ -224,11 +279,28 @@ class StateFault(Fault):
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
         """Inverse of `to_json`, without the level; an unknown field or bit is a BadInputError."""
-        fault = checked(cls, data, "fault of level state")
+        fault = checked(cls, _with_change(data), "fault of level state")
         bits = strata.WORD_BITS[find_state(fault.where.state).find(fault.where.field).dtype]
         if fault.bit is not None and not 0 <= fault.bit <= bits - fault.width:
             raise BadInputError(f"fault in {fault.site}: bit {fault.bit}; allowed: 0 to {bits - fault.width}")
         return fault
+
+
+def find_field(spec: StateSpec, path: str) -> str:
+    """The name of a field in a path such as `vx` or `x[3]`; a BadInputError if the state has none of this name."""
+    name, bracket, element = path.partition("[")
+    spec.find(name)
+    if bracket and not (spec.in_elements(name) and re.fullmatch(r"\d+\]", element)):
+        raise BadInputError(f"state {spec.name}: {path!r}: allowed: {name}, or of lists {name}[NUMBER]")
+    return name
+
+
+def _with_change(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Stored data of a fault, with its change read from its text."""
+    change = data.get("change")
+    if not isinstance(change, str):
+        return data
+    return {**data, "change": parse_text(change)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -373,17 +445,20 @@ class InstructionFault(Fault):
 
 @dataclass(frozen=True, slots=True)
 class MessageFault(Fault):
-    """A number in messages of a ROS topic.
+    """Whole messages, or a number in them: of a state in a flight, a ROS topic, or the calls of a program.
 
     Attributes:
-        topic: Name of the topic.
-        field: Path of a number, e.g. `position[0]`.
+        topic: Name of the state, topic or call.
+        field: Path of a number, e.g. `position[0]`; "" = the whole message.
         bit: 0 = least significant; None = drawn for each injection.
         at: Number of the first message that may be changed, from 1.
         rate: Probability that a message is changed; None = one message, once.
         stratum: Always "": not drawn by stratum.
         weight: Always 1.
         seed: Seed of the choice of messages and bits.
+        time_us: Messages before this instant are not changed; `NO_SITE` = the golden run has no such message.
+        change: What is done, and to which messages from `time_us` on; stored as text, e.g. "drop:times=3@0"; None =
+            `bit` is flipped as `at` and `rate` say.
 
     Raises:
         BadInputError: A number out of range.
@@ -391,24 +466,72 @@ class MessageFault(Fault):
 
     level: ClassVar[Literal["message"]] = "message"
     topic: str
-    field: str
+    field: str = ""
     bit: int | None = None
     at: int = 1
     rate: float | None = None
     stratum: str = ""
     weight: float = 1.0
     seed: int = 0
+    time_us: int = 0
+    change: Change | None = None
 
     def __post_init__(self) -> None:
         if self.at < 1:
             raise BadInputError(f"at: {self.at}: allowed: 1 or more")
         if self.rate is not None and not 0.0 < self.rate <= 1.0:
             raise BadInputError(f"rate: {self.rate}: allowed: above 0, to 1")
+        if self.change is None:
+            return
+        operation = self.change.operation
+        allowed = MESSAGE_OPERATIONS
+        if self.field:
+            allowed = VALUE_OPERATIONS
+        if operation.name not in allowed:
+            raise BadInputError(f"fault in {self.site}: {operation.name}: allowed: {', '.join(allowed)}")
+        if self.bit is not None or self.at > 1 or self.rate is not None or self.change.when.start_s > 0.0:
+            raise BadInputError(f"fault in {self.site}: bit, at, rate: allowed: those of the change {operation}")
+
+    @property
+    def planned(self) -> Change:
+        """What is done and when, also of a fault without `change`; a flip without a bit draws one each time."""
+        if self.change is not None:
+            return self.change
+        if self.rate is None:
+            return Change(Operation("flip", bit=self.bit), When(first=self.at))
+        return Change(Operation("flip", bit=self.bit), When(first=self.at, times=0, share=self.rate))
+
+    @property
+    def counts_publications(self) -> bool:
+        """Whether it depends on the number of messages since the start."""
+        when = self.planned.when
+        return when.first > 1 or when.share < 1.0
+
+    @property
+    def is_of_flight(self) -> bool:
+        """Whether it is in whole messages, as those of flights are."""
+        return self.change is not None and not self.field
 
     @property
     def site(self) -> str:
         """Topic and field as text."""
-        return f"{self.topic}.{self.field}"
+        if self.field:
+            return f"{self.topic}.{self.field}"
+        return self.topic
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data; without an instant and a change, if there are none."""
+        data = {**Fault.to_json(self), "change": str(self.change)}
+        if self.change is None:
+            del data["change"]
+        if self.time_us == 0:
+            del data["time_us"]
+        return data
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Self:
+        """Inverse of `to_json`, without the level; invalid data is a BadInputError."""
+        return checked(cls, _with_change(data), "fault of level message")
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,6 @@
-"""Base of injectors."""
+"""Bases of injectors."""
+
+from typing import Self
 
 from mavfi.record import Injection, KernelEffect
 from mavfi.states import State
@@ -27,3 +29,11 @@ class Injector:
 
     def release(self) -> None:
         """Undo, after the flight, changes of what outlives it."""
+
+
+class RewindableInjector(Injector):
+    """An injector that checkpoints contain."""
+
+    def copy(self) -> Self:
+        """An independent copy in the same state."""
+        raise NotImplementedError

@@ -58,7 +58,7 @@ _MIX = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 _MASK = (1 << 64) - 1
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Operation:
     """What a fault does.
 
@@ -88,6 +88,13 @@ class Operation:
         if self.name in _DEFAULTS and self.value is not None and not 1 <= self.value <= 1000:
             raise BadInputError(f"{self.name}: {self.value:g}: allowed: 1 to 1000")
 
+    def __eq__(self, other: object) -> bool:
+        """Whether both do the same; two `set=nan` do, although NaN equals nothing."""
+        return isinstance(other, Operation) and str(self) == str(other)
+
+    def __hash__(self) -> int:
+        return hash(str(self))
+
     @property
     def count(self) -> int:
         """Number of additional copies (duplicate), or of messages (reorder)."""
@@ -100,7 +107,7 @@ class Operation:
             return "flip" if self.bit is None else f"bit={self.bit}"
         if self.value is None:
             return self.name
-        return f"{self.name}={self.value:g}"
+        return f"{self.name}={number_text(self.value)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,12 +118,16 @@ class Condition:
     comparison: str
     value: float
 
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.value):
+            raise BadInputError(f"{self.field}{self.comparison}{self.value}: allowed: finite numbers")
+
     def holds(self, value: float) -> bool:
         """Whether it holds for the value of the field; never for NaN."""
         return _COMPARISONS[self.comparison](value, self.value)
 
     def __str__(self) -> str:
-        return f"{self.field}{self.comparison}{self.value:g}"
+        return f"{self.field}{self.comparison}{number_text(self.value)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,13 +170,13 @@ class When:
                 raise BadInputError(f"{key}: {getattr(self, key)}: allowed: {allowed}")
 
     def __str__(self) -> str:
-        options = "".join(f":{key}={value:g}" for key, value, default in self._options() if value != default)
+        options = "".join(f":{key}={number_text(value)}" for key, value, default in self._options() if value != default)
         return f"{options}@{self._instant()}"
 
     def _options(self) -> tuple[tuple[str, float, float], ...]:
         """Key, value and default of what stands before the `@`."""
         default_times = 1
-        if math.isfinite(self.end_s):
+        if math.isfinite(self.end_s) and self.condition is None and self.first == 1:
             default_times = _TIMES_FOR_EVER
         return (("times", self.times, default_times), ("every", self.every, 1), ("share", self.share, 1.0))
 
@@ -175,19 +186,32 @@ class When:
             return str(self.condition)
         if self.first > 1:
             return f"{_MESSAGE}={self.first}"
-        text = f"{self.start_s:g}"
+        text = number_text(self.start_s)
         if math.isfinite(self.end_s):
-            text += f"..{self.end_s:g}"
+            text += f"..{number_text(self.end_s)}"
         if self.sim_time:
             text = f"{_SIM}={text}"
         return text
 
 
 class Change(NamedTuple):
-    """What is done, and when."""
+    """What is done, and when; as text it is what `parse_text` reads."""
 
     operation: Operation
     when: When
+
+    def __str__(self) -> str:
+        when = str(self.when)
+        if self.operation.name == "freeze":  # for ever, unless the text has a number of times
+            when = when.replace(":times=0", "")
+            if self.when.times == 1 and ":times=" not in when:
+                when = f":times=1{when}"
+        return f"{self.operation}{when}"
+
+    @property
+    def name(self) -> str:
+        """The text without the instant: one of the operations of a campaign."""
+        return str(self).partition("@")[0]
 
 
 class ReadsField(Protocol):
@@ -209,17 +233,19 @@ class Schedule:
         self._seed = seed
         self._messages = 0
         self._since_begin = -1  # messages since the first one that could be changed; -1 = it has not come
+        self._is_late = False  # whether a message came after the latest instant
 
     @property
     def is_over(self) -> bool:
         """Whether no further message will be changed, whatever comes."""
-        return self._when.times != _TIMES_FOR_EVER and self.changed >= self._when.times
+        return self._is_late or (self._when.times != _TIMES_FOR_EVER and self.changed >= self._when.times)
 
     def due(self, time_s: float, read: ReadsField) -> bool:
         """Whether the next message, at this instant (s), is changed; to be called for each message in order."""
         when = self._when
         self._messages += 1
-        if self.is_over or time_s > when.end_s:
+        self._is_late = self._is_late or time_s > when.end_s
+        if self.is_over:
             return False
         if self._since_begin < 0:
             if self._messages < when.first or time_s < when.start_s:
@@ -232,12 +258,17 @@ class Schedule:
         self.changed += 1
         return True
 
+    def take_back(self) -> None:
+        """The message that was due cannot be changed: it does not count as a changed one."""
+        self.changed -= 1
+
     def copy(self) -> "Schedule":
         """An independent copy in the same state."""
         other = Schedule(self._when, self._seed)
         other.changed = self.changed
         other._messages = self._messages
         other._since_begin = self._since_begin
+        other._is_late = self._is_late
         return other
 
 
@@ -352,7 +383,25 @@ def parse_change(parts: list[str], instant: str = "") -> Change:
             raise BadInputError(f"{part!r}: not known; allowed: {allowed}")
     if operation is None:
         raise BadInputError(f"no operation; allowed: bit=N, {', '.join(OPERATIONS)}")
+    if operation.name == "freeze" and "times" not in given:
+        options["times"] = _TIMES_FOR_EVER  # the first message, which is unchanged, is all that one time would be
     return Change(operation, When(**options))
+
+
+def parse_text(text: str) -> Change:
+    """Parse what is done and when, e.g. `set=nan:times=3@10`; see `parse_change`."""
+    body, _, instant = text.partition("@")
+    return parse_change(body.split(":"), instant)
+
+
+def is_trigger(instant: str) -> bool:
+    """Whether an instant in text form is more than a number of seconds."""
+    return ".." in instant or _CONDITION.fullmatch(instant) is not None
+
+
+def number_text(value: float) -> str:
+    """A number as short text that is read back as the same number."""
+    return repr(float(value)).removesuffix(".0")
 
 
 def _operation(name: str, text: str, *, has_number: bool) -> Operation:

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from mavfi.detectors.detector import Detector
-from mavfi.faults.levels.state_injector import CounterWatch, StateInjector
+from mavfi.faults.injector import RewindableInjector
+from mavfi.faults.levels.state_injector import CounterWatch
 from mavfi.flight.loop import Loop, LoopMemory
 from mavfi.pipeline.memory import OpaqueKeeper, Remembers, Saved, Scratch
 from mavfi.record import AlarmRecord
@@ -39,7 +40,7 @@ class Checkpoint:
     publications: int
     alarms: tuple[AlarmRecord, ...]
     counts: tuple[int, ...]
-    injector: CounterWatch | StateInjector
+    injector: CounterWatch | RewindableInjector
     detector: Any
 
     @property

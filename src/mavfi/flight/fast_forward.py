@@ -25,9 +25,11 @@ import numpy as np
 
 from mavfi.detectors.detector import Detector
 from mavfi.errors import MavfiError
-from mavfi.faults.fault import StateFault
+from mavfi.faults.fault import MessageFault, StateFault
+from mavfi.faults.injector import RewindableInjector
 from mavfi.faults.levels.instruction import Resolving
-from mavfi.faults.levels.state_injector import CounterWatch, StateInjector
+from mavfi.faults.levels.message.injector import PublicationInjector
+from mavfi.faults.levels.state_injector import CounterWatch, injector_of
 from mavfi.flight.checkpoints import (
     Checkpoint,
     Instant,
@@ -179,11 +181,22 @@ def takes_part(detector: Detector | None, recovery: RecoveryPolicy) -> bool:
     return detector.seals or bool(detector.duplicates)
 
 
-def checks_before(arm: FlownArm, fault: StateFault) -> bool:
+PublicationFault = StateFault | MessageFault
+"""A fault in publications of a state: of a value, or of whole ones."""
+
+
+def changed_state(fault: PublicationFault) -> str:
+    """Name of the state whose publications a fault changes."""
+    if isinstance(fault, StateFault):
+        return fault.where.state
+    return fault.topic
+
+
+def checks_before(arm: FlownArm, fault: PublicationFault) -> bool:
     """Whether an arm's detector checks the corrupted state before the fault: it does not see what flights publish."""
     if arm.detector is None:
         return False
-    return STATES[fault.where.state].stage in CHECKED_AT_PRODUCER[arm.recovery.detector_place]
+    return STATES[changed_state(fault)].stage in CHECKED_AT_PRODUCER[arm.recovery.detector_place]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -263,6 +276,8 @@ class FlightBranch:
         # Remove what the previous flight has left in the loop.
         self.loop.status = None
         self.loop.verify = None
+        self.loop.single_image = False
+        self.loop.taps.loses_unnoticed = False
         self.loop.taps.detector = None
         self.loop.taps.checked_at_producer = frozenset()
         self.loop.taps.seal = None
@@ -338,7 +353,7 @@ class FlightBranch:
         """A checkpoint of the record so far, with the state of the loop at it; None = the flight has ended."""
         record = self.loop.record
         injector = self.loop.taps.injector
-        assert isinstance(injector, (CounterWatch, StateInjector))  # installed in every flight of this class
+        assert isinstance(injector, (CounterWatch, RewindableInjector))  # installed in every flight of this class
         return Checkpoint(
             instant,
             len(record.rows),
@@ -543,12 +558,12 @@ class FastForward:
         self._take_off: Instant | None = None
         self._golden: dict[str, KnownFlight] = {}
         self._profile: Profile | None = None
-        self._latest_fault: StateFault | None = None
+        self._latest_fault: PublicationFault | None = None
         self._flights_with_fault: dict[str, KnownFlight] = {}
 
     def fly(
         self,
-        fault: StateFault | None = None,
+        fault: PublicationFault | None = None,
         detector: Detector | None = None,
         arm: str = "",
         recovery: RecoveryPolicy = INLINE,
@@ -615,37 +630,35 @@ class FastForward:
         branch.follow(plain, 0)
         return branch.fly()
 
-    # ---- flights with faults in states ------------------------------------------------------------------------------
-    def _with_fault(self, fault: StateFault, arm: FlownArm) -> KnownFlight:
+    # ---- flights with faults in publications -------------------------------------------------------------------------
+    def _with_fault(self, fault: PublicationFault, arm: FlownArm) -> KnownFlight:
         """The injected run; the one without a detector is kept for the other arms."""
         if arm.detector is None and "" in self._known_flights(fault):
             return self._known_flights(fault)[""]
         return self._fly_injected(fault, arm)
 
-    def _known_flights(self, fault: StateFault) -> dict[str, KnownFlight]:
+    def _known_flights(self, fault: PublicationFault) -> dict[str, KnownFlight]:
         """The injected runs that others may follow, by arm; those of the latest fault are kept."""
         if self._latest_fault != fault:
             self._latest_fault = fault
             self._flights_with_fault = {}
         return self._flights_with_fault
 
-    def _fly_injected(self, fault: StateFault, arm: FlownArm) -> KnownFlight:
+    def _fly_injected(self, fault: PublicationFault, arm: FlownArm) -> KnownFlight:
         """The injected run of an arm, flown with as much of the known flights as possible."""
         # Start from the golden flight of the arm at its last checkpoint before the fault.
         own_golden = self.golden(arm)
         rows = own_golden.before(fault.time_us)
         start = own_golden.checkpoints[rows]
-        assert isinstance(start.injector, CounterWatch)  # a golden flight's tap
-        injector = StateInjector(fault, start.injector)
         if takes_part(arm.detector, arm.recovery) or checks_before(arm, fault):
             branch = FlightBranch(self, arm, own_golden=own_golden)
-            return self._fly_on(branch, own_golden, rows, injector)
+            return self._fly_on(branch, own_golden, rows, fault)
 
         # If nothing has happened so far, the run without a detector is identical up to the first alarm.
         plain_golden = self.golden()
         without_detector = None
         is_plain_start = rows in plain_golden.checkpoints and start.instant is plain_golden.checkpoints[rows].instant
-        if arm.detector is not None and is_plain_start and not injector.spent:
+        if arm.detector is not None and is_plain_start and fault.has_site:
             without_detector = self._with_fault(fault, NO_DETECTOR)
         others = [plain_golden]
         if arm.detector is not None:
@@ -655,7 +668,7 @@ class FastForward:
                 if known_flight.checkpoints
             ]
         branch = FlightBranch(self, arm, others, own_golden, keeps_checkpoints=self.watched)
-        known_flight = self._fly_on(branch, own_golden, rows, injector, without_detector)
+        known_flight = self._fly_on(branch, own_golden, rows, fault, without_detector)
         self._known_flights(fault)[arm.name] = known_flight
         return known_flight
 
@@ -664,13 +677,13 @@ class FastForward:
         branch: FlightBranch,
         own_golden: KnownFlight,
         rows: int,
-        injector: StateInjector,
+        fault: PublicationFault,
         without_detector: KnownFlight | None = None,
     ) -> KnownFlight:
         """Fly from a golden checkpoint, along the run without a detector as far as that is the same."""
         start = own_golden.checkpoints[rows]
         branch.begin(own_golden, start)
-        self.loop.taps.injector = injector
+        injector = self._inject(fault, start)
         branch.restore_detector(start.detector)
         if injector.spent:  # the fault has no site
             branch.append_rest(own_golden, rows)
@@ -681,6 +694,19 @@ class FastForward:
             if branch.keeps_checkpoints:
                 branch.store_checkpoint(start.here)
         return branch.fly()
+
+    def _inject(self, fault: PublicationFault, start: Checkpoint) -> RewindableInjector:
+        """Attach a fault to the loop, which is about to continue from a golden checkpoint."""
+        loop = self.loop
+        injector: RewindableInjector
+        if isinstance(fault, StateFault):
+            assert isinstance(start.injector, CounterWatch)  # a golden flight's tap
+            injector = injector_of(fault, start.injector)
+        else:
+            injector = PublicationInjector(fault, loop)
+            loop.watch_transit()
+        loop.taps.injector = injector
+        return injector
 
     # ---- counting and resolving of instructions ---------------------------------------------------------------------
     @contextmanager

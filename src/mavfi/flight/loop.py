@@ -364,6 +364,8 @@ class Loop:
         failed_plans: Number of consecutive plans without a path.
         command: The command in force: velocity (m/s) and yaw rate (rad/s). Shape (4,).
         reference: Position of the way-point in force (m). Shape (3,).
+        single_image: Whether an image is requested only if none is scheduled: scans that arrive twice or out of order
+            would otherwise multiply.
         status: The final status; None = the mission continues.
     """
 
@@ -411,6 +413,7 @@ class Loop:
         self.down: set[str] = set()
         self.repeating = False
         self.forked = False
+        self.single_image = False
         self.mapped = False
         self.captured_us = 0
         self.failed_plans = 0
@@ -586,6 +589,15 @@ class Loop:
         loop = proxy(self)  # no cycle, so that maps are freed at once
         self.taps.note_loss = lambda state, now: loop.lost(state, now)
 
+    def watch_transit(self) -> None:
+        """From now on, the injector may lose whole messages, or let them arrive late or repeatedly.
+
+        Nobody notices that a message did not arrive, except perception, which takes the next image.
+        """
+        self.watch_losses()
+        self.taps.loses_unnoticed = True
+        self.single_image = True
+
     def lost(self, state: State, now: int) -> None:
         """A message is lost in transit: without this scan, perception is ready for the next image."""
         if state.spec.name == "sensor.depth" or state.spec.writer in SCANNING:
@@ -593,7 +605,15 @@ class Loop:
 
     def _next_image(self, now: int) -> None:
         """Schedule the next image: now, but not before the camera has one."""
+        if self.single_image and any(action == "capture" for _, _, action, _ in self.queue):
+            return
         self.at(max(now, self.captured_us + self.scenario.camera.period_us), "capture")
+
+    def transmit(self, now: int, state: State) -> None:
+        """A value arrives that the injector has held back, or sends once more."""
+        seen = self.taps.arrive(state, now)
+        if seen is not None:
+            self.publish(seen, now)
 
     def resend(self, now: int, state: State) -> None:
         """Retransmit the producer's copy of a value."""

@@ -14,12 +14,19 @@ import numpy as np
 
 from mavfi.detectors.detector import Detector, is_custom, part_of
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault, InstructionFault, StateFault, find_level, level_names
+from mavfi.faults.fault import Fault, InstructionFault, MessageFault, StateFault, find_level, level_names
 from mavfi.faults.levels.instruction import Resolving
 from mavfi.flight.checkpoints import can_save_detector
 from mavfi.flight.compose import new_loop, resolve, watch
 from mavfi.flight.decide import INLINE, RecoveryPolicy
-from mavfi.flight.fast_forward import FastForward, FlownArm, check_prefix, fly_until, takes_part
+from mavfi.flight.fast_forward import (
+    FastForward,
+    FlownArm,
+    PublicationFault,
+    check_prefix,
+    fly_until,
+    takes_part,
+)
 from mavfi.flight.fly import fly
 from mavfi.flight.forks import (
     InjectedRuns,
@@ -126,8 +133,9 @@ class LocalFlights(ArmFlights):
     def _fly(self, arm: str, fault: Fault | None, *, profile: bool = False) -> Flight:
         """Fly one run, fast-forwarded if possible.
 
-        Excluded are null faults, whose purpose is to exercise the injector; faults in memory, sensors and motors, which
-        checkpoints do not contain; and golden flights whose checkpoints nothing would start from.
+        Excluded are null faults, whose purpose is to exercise the injector; faults that count publications from
+        take-off; faults in memory, sensors and motors, which checkpoints do not contain; and golden flights whose
+        checkpoints nothing would start from.
         """
         setup = self._arms[arm]
         detector = self._detector(arm)
@@ -135,8 +143,8 @@ class LocalFlights(ArmFlights):
             # Faults in instructions follow, from take-off if the detector takes part.
             may_forward = not (self._expects_instruction_faults and takes_part(detector, setup.recovery))
         else:
-            may_forward = isinstance(fault, StateFault) and fault.bit is not None
-        if may_forward and isinstance(fault, StateFault | None):
+            may_forward = _starts_at_its_instant(fault)
+        if may_forward and isinstance(fault, PublicationFault | None):
             with self._forwarding(arm) as forward:
                 if forward is not None:
                     return forward.fly(fault, detector, _name_of(arm, detector), setup.recovery)
@@ -281,6 +289,15 @@ class LocalFlights(ArmFlights):
             if setup.scenario.key() == self._arms[plain].scenario.key() and self._saves_detector(arm):
                 watched.append(FlownArm(arm, detector, setup.recovery))
         return watched
+
+
+def _starts_at_its_instant(fault: Fault) -> bool:
+    """Whether a fault in publications has no effect before its instant, and does not depend on anything before it."""
+    if isinstance(fault, StateFault):
+        return not fault.is_null and not fault.counts_publications
+    if isinstance(fault, MessageFault):
+        return fault.is_of_flight and not fault.counts_publications
+    return False
 
 
 def _name_of(arm: str, detector: Detector | None) -> str:

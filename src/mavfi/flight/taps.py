@@ -95,6 +95,7 @@ class Taps:
         answer_loss: Receives each value that the injector loses, and returns whether there is a response; it belongs to
             the detector's tap, is down with it, and is where that is.  None = unused.
         note_loss: Receives each such value without a response; None = unused.
+        loses_unnoticed: Whether nothing arrives of a value that the injector loses, so that there is no response.
     """
 
     injector: InjectorTap | None = None
@@ -105,6 +106,7 @@ class Taps:
     seal: Recorder | None = None
     answer_loss: Callable[[State, int], bool] | None = None
     note_loss: Recorder | None = None
+    loses_unnoticed: bool = False
 
     def __call__(self, state: State, time_us: int) -> State | None:
         """The value that consumers receive; None = none."""
@@ -119,6 +121,17 @@ class Taps:
             seen = self._inject(state, time_us)
             if seen is not None:
                 seen = self._check(seen, time_us)
+        return self._record(seen, time_us)
+
+    def arrive(self, state: State, time_us: int) -> State | None:
+        """The value that consumers receive of one that the injector has sent late, or once more; None = none."""
+        seen: State | None = state
+        if state.spec.stage not in self.checked_at_producer:
+            seen = self._check(state, time_us)
+        return self._record(seen, time_us)
+
+    def _record(self, seen: State | None, time_us: int) -> State | None:
+        """Pass what consumers receive to the recorders, and return it."""
         if seen is not None:
             for record in self.recorders:
                 record(seen, time_us)
@@ -142,7 +155,12 @@ class Taps:
         return changed
 
     def _answers_loss(self, state: State, time_us: int) -> bool:
-        """Whether there is a response to a lost value; a detector at the producer does not know of the loss."""
-        if self.detector is None or self.answer_loss is None or state.spec.stage in self.checked_at_producer:
+        """Whether there is a response to a lost value.
+
+        A detector at the producer does not know of the loss, nor does any if nothing arrives.
+        """
+        if self.detector is None or self.answer_loss is None or self.loses_unnoticed:
+            return False
+        if state.spec.stage in self.checked_at_producer:
             return False
         return self.answer_loss(state, time_us)

@@ -8,7 +8,7 @@ of levels in the core, `faults.fault.SHIPPED`.
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Protocol
 
 from pydantic import Field
@@ -18,6 +18,7 @@ from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, hint
 from mavfi.faults.fault import Fault, find_level, level_names
 from mavfi.faults.injector import Injector
+from mavfi.faults.operations import Change, parse_text
 from mavfi.faults.sampling import share_out
 from mavfi.faults.strata import EACH_CLASS, STRATA
 from mavfi.record import Injection
@@ -301,7 +302,7 @@ def sampler_for(campaign: Any) -> Sampler:
     Raises:
         BadInputError: The sampling names unknown sites, or conflicts with the rest of the campaign.
     """
-    sampler: Sampler = find_level(campaign.sampling.level).sampler(campaign)
+    sampler: Sampler = campaign.level.sampler(campaign)
     return sampler
 
 
@@ -400,6 +401,31 @@ def instant_us(seconds: str) -> int | None:
     if not float(seconds) <= _LATEST_S:
         raise BadInputError(f"instant {seconds} s; allowed: 0 to {_LATEST_S:g}")
     return round(float(seconds) * 1e6)
+
+
+def planned_at(change: Change, *, is_given: bool) -> tuple[Change, int | None]:
+    """A change without its earliest instant, and that instant (us); None = it `is_given` nowhere, and so drawn.
+
+    A flight has one time: instants in simulated time are instants of the flight.
+    """
+    start_s = change.when.start_s
+    if not start_s <= _LATEST_S:
+        raise BadInputError(f"instant {start_s:g} s; allowed: 0 to {_LATEST_S:g}")
+    planned = change._replace(when=replace(change.when, start_s=0.0, sim_time=False))
+    if not is_given:
+        return planned, None
+    return planned, round(1e6 * start_s)
+
+
+def operation_of(text: str) -> Change:
+    """A change in the sampling of a campaign, which draws its instant.
+
+    Raises:
+        BadInputError: It has an instant, or is no operation.
+    """
+    if "@" in text:
+        raise BadInputError(f"{text!r}: the instant is drawn; allowed: without @")
+    return parse_text(text)
 
 
 # ---- checks that the models of `sampling` share ----------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """Faults in inter-kernel states: one bit of one field of one publication, or of several.
 
-As text: `null`, `state:planning.waypoint.x`, `state:planning.trajectory.x[3]:bit=62@5.0`.
+As text: `null`, `state:planning.waypoint.x`, `state:planning.trajectory.x[3]:bit=62@5.0`,
+`state:control.command.vx:set=nan@10..12` (see `faults.operations`).
 
 In campaigns: `stage_balanced`, the paper's equal number per stage, groups of fields, or messages.  The shares of the
 bit strata are exact, their order is drawn from the seed; each fault has a separate random stream.
@@ -11,7 +12,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field as Key
@@ -20,7 +21,18 @@ from pydantic import model_validator
 from mavfi.config import Config
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import LIFETIME, Fault, FaultSite, StateFault
-from mavfi.faults.levels.state_injector import StateInjector
+from mavfi.faults.injector import Injector
+from mavfi.faults.levels.state_injector import injector_of
+from mavfi.faults.operations import (
+    OPERATIONS,
+    VALUE_OPERATIONS,
+    Change,
+    Operation,
+    check_number_operation,
+    is_trigger,
+    parse_change,
+    parse_text,
+)
 from mavfi.faults.sampling import (
     Target,
     When,
@@ -47,6 +59,8 @@ from mavfi.levels.level import (
     check_distinct,
     check_known,
     check_strata,
+    operation_of,
+    planned_at,
 )
 from mavfi.record import Injection, Profile
 from mavfi.states import PPC_STAGES, STATES, Field, StateSpec, states_with
@@ -62,11 +76,20 @@ _SHORTER_COUNTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 """Numbers of corrupted publications that `shorter_faults` tries."""
 
 
+class ParsedSite(NamedTuple):
+    """A state, the name of a field, and the index of an element, as given in a text; None = not given."""
+
+    state: StateSpec
+    field: str | None
+    element: int | None
+
+
 @dataclass(frozen=True, slots=True)
 class StateRequest:
     """A fault in a state as requested by the user: field, list element, bit, earliest instant; None is drawn.
 
-    A null fault flips nothing; `lifetime` has the given keys of `fault.LIFETIME`; `also` as in `StateFault`.
+    A null fault flips nothing; `lifetime` has the given keys of `fault.LIFETIME`; `also` and `change` as in
+    `StateFault`.
     """
 
     state: StateSpec
@@ -77,6 +100,7 @@ class StateRequest:
     null: bool = False
     lifetime: Mapping[str, Any] = dataclasses.field(default_factory=dict, hash=False)
     also: tuple[tuple[str, int], ...] = ()
+    change: Change | None = None
 
     @property
     def needs_profile(self) -> bool:
@@ -117,9 +141,9 @@ class StateRequest:
         bit = self.bit
         if bit is None:
             bit = int(random.integers(WORD_BITS[field.dtype] - width + 1))
-        if self.null:
+        if self.null or (self.change is not None and self.change.operation.name != "flip"):
             bit = None
-        return StateFault(site, time_us, bit, seed=seed, also=self.also, **self.lifetime)
+        return StateFault(site, time_us, bit, seed=seed, also=self.also, change=self.change, **self.lifetime)
 
     def _field(self, random: np.random.Generator, autopilot: str) -> Field:
         """The requested field, or one that has the requested element and bits."""
@@ -130,6 +154,10 @@ class StateRequest:
             fields = [field for field in fields if self.state.in_elements(field.name)]
         bits = (self.bit or 0) + self.lifetime.get("width", 1)
         fields = [field for field in fields if bits <= WORD_BITS[field.dtype]]
+        if self.change is not None:
+            fields = [field for field in fields if accepts(field, self.change.operation)]
+            if not fields:
+                raise BadInputError(f"{self.change.operation}: no field of {self.state.name} can be changed so")
         return fields[int(random.integers(len(fields)))]
 
     def _publications_for_element(self, profile: Profile) -> Profile:
@@ -141,6 +169,17 @@ class StateRequest:
         counts = profile.counts[name]
         first = np.flatnonzero((times_us >= self.time_us) & (counts > 0))[:1]
         return Profile({name: times_us[first]}, {name: counts[first]})
+
+
+def accepts(field: Field, operation: Operation) -> bool:
+    """Whether a number of this type can be changed in this way."""
+    if operation.name == "freeze":
+        return True
+    try:
+        check_number_operation(operation, field.dtype)
+    except BadInputError:
+        return False
+    return True
 
 
 class Lifetime(Config):
@@ -204,6 +243,12 @@ class StateSampling(Sampling):
         "bit of its own of the same stratum",
     )
 
+    operations: tuple[str, ...] = Key(
+        (),
+        description="what happens to the drawn field from the drawn publication on, each with the same probability: "
+        "flip, set=VALUE, bias=, scale=, freeze, with times=, every=, share=, e.g. set=nan:times=3; by default flips",
+    )
+
     @model_validator(mode="after")
     def _consistent(self) -> "StateSampling":
         """Check that the keys belong to the scheme, and that names are known and distinct."""
@@ -222,6 +267,14 @@ class StateSampling(Sampling):
             raise ValueError(
                 "sampling.together: true: allowed with scheme stage_balanced or groups, and without a lifetime"
             )
+        if self.operations and (
+            self.together or self.scheme == "messages" or any(lifetime != Lifetime() for lifetime in lifetimes)
+        ):
+            raise ValueError(
+                "sampling.operations: allowed with scheme stage_balanced or groups, without together and a lifetime"
+            )
+        for text in self.operations:
+            _check_operation(text)
         for strata in (self.strata, *(group.strata for group in self.groups if group.strata is not None)):
             check_strata(strata, by_class=self.scheme != "messages")
         return self
@@ -237,6 +290,8 @@ class StateSampling(Sampling):
             del data["when"]
         if not self.together:
             del data["together"]
+        if not self.operations:
+            del data["operations"]
         return data
 
 
@@ -268,7 +323,12 @@ class StateSampler(Sampler):
                 target.within(stratum)
 
     def _find_targets(self) -> list[tuple[Target, Mapping[str, float]]]:
-        """The targets in the order of the plan, each with the shares of its strata."""
+        """The targets in the order of the plan, each with the shares of its strata; fields allow all operations."""
+        operations = [operation_of(text).operation for text in self.sampling.operations]
+        return [(_accepting(target, operations), shares) for target, shares in self._find_scheme_targets()]
+
+    def _find_scheme_targets(self) -> list[tuple[Target, Mapping[str, float]]]:
+        """The targets of the scheme in the order of the plan, each with the shares of its strata."""
         sampling = self.sampling
         if sampling.scheme == "groups":
             return [(self._group(i), group.strata or sampling.strata) for i, group in enumerate(sampling.groups)]
@@ -349,6 +409,10 @@ class StateSampler(Sampler):
             target = self._fields[self.orders[requested.target]]
             together = self.sampling.together
             fault = draw(target, stratum, profile, seed, seed_environment, repetition, when=when, together=together)
+        if self.sampling.operations:
+            random = stream(seed, "operation", requested.target, seed_environment, repetition)
+            operations = self.sampling.operations
+            return _with_operation(fault, operation_of(operations[int(random.integers(len(operations)))]))
         return self._with_lifetime(requested.target, fault)
 
     def _with_lifetime(self, target: str, fault: StateFault) -> StateFault:
@@ -363,10 +427,51 @@ class StateSampler(Sampler):
 
     def null(self, index: int, seed: int, environment: str, golden: Golden) -> Fault:
         """A fault with an empty mask; stages alternate."""
-        stage = PPC_STAGES[index % len(PPC_STAGES)]
-        target = stage_target(stage, self._autopilot, localization=self._localization)
-        fault = draw(target, HEADLINE, _profile(golden), seed, self.campaign.environment_of(environment), index)
-        return replace(fault, bit=None, stratum="", weight=1.0)
+        environment = self.campaign.environment_of(environment)
+        return null_fault(index, seed, environment, golden, self._autopilot, self._localization)
+
+
+def null_fault(
+    index: int, seed: int, environment: str, golden: Golden, autopilot: str, localization: str
+) -> StateFault:
+    """A fault in a state with an empty mask; stages alternate by `index`."""
+    stage = PPC_STAGES[index % len(PPC_STAGES)]
+    target = stage_target(stage, autopilot, localization=localization)
+    fault = draw(target, HEADLINE, _profile(golden), seed, environment, index)
+    return replace(fault, bit=None, stratum="", weight=1.0)
+
+
+def _check_operation(text: str) -> None:
+    """Raise a ValueError for an operation that changes no value, or names a bit: bits are drawn."""
+    try:
+        change = operation_of(text)
+    except BadInputError as error:
+        raise ValueError(f"sampling.operations: {error}") from None
+    if change.operation.name not in VALUE_OPERATIONS or change.operation.bit is not None:
+        allowed = ", ".join(VALUE_OPERATIONS)
+        raise ValueError(f"sampling.operations: {text!r}: changes no drawn value; allowed: {allowed}")
+
+
+def _accepting(target: Target, operations: Sequence[Operation]) -> Target:
+    """The fields of a target that allow all operations; raises a BadInputError if there are none."""
+    fields = {}
+    for state, names in target.fields.items():
+        spec = STATES[state]
+        allowed = tuple(name for name in names if all(accepts(spec.find(name), operation) for operation in operations))
+        if allowed:
+            fields[state] = allowed
+    if not fields:
+        raise BadInputError(f"sampling.operations: {target.name}: has no field that allows all of them")
+    return Target(target.name, fields)
+
+
+def _with_operation(fault: StateFault, change: Change) -> StateFault:
+    """A drawn fault with another change than the flip of its bit in one publication."""
+    if change == parse_text("flip"):
+        return fault
+    if change.operation.name == "flip":
+        return replace(fault, change=change)
+    return replace(fault, bit=None, stratum="", weight=1.0, change=change)
 
 
 def _profile(golden: Golden) -> Profile:
@@ -396,6 +501,9 @@ def shorter_faults(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
     """Shorter faults for a lasting one: by increasing number of publications, then fractions of its duration."""
     if not fault.lasting:
         return
+    if fault.change is not None:
+        yield from fewer_changes(fault, fault.change)
+        return
     once = replace(fault, lasts_s=0.0, share=1.0, times=1)
     for times in _SHORTER_COUNTS:
         if fault.lasts_s > 0 or times < fault.times:
@@ -403,6 +511,13 @@ def shorter_faults(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
     if 0 < fault.lasts_s < float("inf"):
         for part in _SHORTER_PARTS:
             yield replace(fault, lasts_s=round(fault.lasts_s * part, 3))
+
+
+def fewer_changes(fault: Any, change: Change) -> Iterator[Fault]:
+    """Faults of levels state and message that change fewer publications than one that lasts, by increasing number."""
+    for times in _SHORTER_COUNTS:
+        if change.when.times == 0 or times < change.when.times:
+            yield replace(fault, change=change._replace(when=replace(change.when, times=times)))
 
 
 def single_bit_faults(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
@@ -453,6 +568,7 @@ class StateLevel(Level):
     local = True
     form = (
         "state:STATE[.FIELD][[ELEMENT]][:bit=N][:also=FIELD.N[+...]][:width=N][:times=N][:lasts=S][:share=P][@SECONDS]"
+        " or state:STATE[.FIELD][[ELEMENT]]:OPERATION[:times=N][:every=N][:share=P][:lasts=S][@INSTANT]"
     )
     options = {
         "bit": WHOLE,
@@ -476,24 +592,15 @@ class StateLevel(Level):
 
     def parse(self, text: str, localization: str) -> StateRequest:
         """See `Level.parse`."""
-        # The site: a state or a field of it, and an element.
+        if _is_operation(text):
+            return self._parse_operation(text, localization)
         parts = self.parts_of(text)
-        match = _SITE.fullmatch(parts.site)
-        if match is None:
-            self.not_understood()
-        spec, field = _find_state(match["path"], localization)
-        element = None
-        if match["element"] is not None:
-            element = int(match["element"])
+        spec, field, element = self._parse_site(parts.site, localization)
         site_name = spec.name
         fields = spec.fields
-        has_elements = bool(spec.elements)
         if field is not None:
             site_name = f"{spec.name}.{field}"
             fields = (spec.find(field),)
-            has_elements = spec.in_elements(field)
-        if element is not None and not has_elements:
-            raise BadInputError(f"element [{element}]: {site_name} is no list; allowed: no element")
         # Bits and duration.
         bits = max(WORD_BITS[candidate.dtype] for candidate in fields)
         lifetime = dict(parts.options)
@@ -509,8 +616,73 @@ class StateLevel(Level):
         StateFault(FaultSite(spec.name, field or spec.fields[0].name), bit=bit, also=also, **lifetime)  # checks them
         return StateRequest(spec, field, element, bit, parts.time_us, lifetime=lifetime, also=also)
 
+    def _parse_site(self, text: str, localization: str) -> ParsedSite:
+        """A state or a field of it, and an element."""
+        match = _SITE.fullmatch(text)
+        if match is None:
+            self.not_understood()
+        spec, field = _find_state(match["path"], localization)
+        if match["element"] is None:
+            return ParsedSite(spec, field, None)
+        site_name = spec.name
+        has_elements = bool(spec.elements)
+        if field is not None:
+            site_name = f"{spec.name}.{field}"
+            has_elements = spec.in_elements(field)
+        element = int(match["element"])
+        if not has_elements:
+            raise BadInputError(f"element [{element}]: {site_name} is no list; allowed: no element")
+        return ParsedSite(spec, field, element)
+
+    def _parse_operation(self, text: str, localization: str) -> StateRequest:
+        """A fault that changes a value by an operation, or in publications that a trigger selects."""
+        body, at, instant = text.partition("@")
+        site, *parts = body.split(":")
+        spec, field, element = self._parse_site(site, localization)
+
+        # A duration is that of the fault; all else is the change.
+        lifetime: dict[str, Any] = {}
+        rest = []
+        for part in parts:
+            name, _, value = part.partition("=")
+            if name == "lasts":
+                pattern, description, kind = SECONDS
+                if not re.fullmatch(pattern, value):
+                    raise BadInputError(f"lasts: {value!r}: allowed: {description}")
+                lifetime["lasts_s"] = kind(value)
+            else:
+                rest.append(part)
+        names = [part.partition("=")[0] for part in rest]
+        if not {*OPERATIONS, "bit"} & set(names):
+            rest.insert(0, "flip")
+        change, time_us = planned_at(parse_change(rest, instant), is_given=bool(at))
+        if lifetime and "times" not in names:
+            change = change._replace(when=replace(change.when, times=0))
+
+        # The bit of a flip is that of the fault; one that is not given is drawn.
+        bit = change.operation.bit
+        change = change._replace(operation=replace(change.operation, bit=None))
+        checked_bit = bit
+        if change.operation.name == "flip" and bit is None:
+            checked_bit = 0
+        # Without a field, one that allows the operation is drawn.
+        checked_field = field
+        if field is None:
+            checked_field = next((each.name for each in spec.fields if accepts(each, change.operation)), None)
+        checked_site = FaultSite(spec.name, checked_field or spec.fields[0].name)
+        StateFault(checked_site, bit=checked_bit, change=change, **lifetime)  # checks all of it
+        return StateRequest(spec, field, element, bit, time_us, lifetime=lifetime, change=change)
+
     def text_of(self, fault: StateFault) -> str:
         """See `Level.text_of`."""
+        if fault.change is not None:
+            operation, when = fault.change
+            change = Change(replace(operation, bit=fault.bit), replace(when, start_s=fault.time_us / 1e6))
+            body, at, instant = str(change).partition("@")
+            lasts = ""
+            if fault.lasts_s > 0.0:
+                lasts = f":lasts={fault.lasts_s}"
+            return f"state:{fault.where}:{body}{lasts}{at}{instant}"
         options = ""
         if fault.bit is not None:
             options = f":bit={fault.bit}"
@@ -524,13 +696,13 @@ class StateLevel(Level):
 
     def seed_of(self, fault: StateFault) -> int | None:
         """See `Level.seed_of`: an intermittent fault draws its publications."""
-        if fault.share < 1.0:
+        if fault.share < 1.0 or (fault.change is not None and fault.change.when.share < 1.0):
             return fault.seed
         return None
 
-    def inject(self, loop: Any, fault: StateFault, detector: Any) -> StateInjector:
+    def inject(self, loop: Any, fault: StateFault, detector: Any) -> Injector:
         """See `Level.inject`."""
-        injector = loop.taps.injector = StateInjector(fault)
+        injector = loop.taps.injector = injector_of(fault)
         loop.watch_losses()
         return injector
 
@@ -538,13 +710,17 @@ class StateLevel(Level):
         """See `Level.columns`."""
         site = fault.where
         spec = STATES[fault.where.state]
-        columns = {
+        columns: dict[str, Any] = {
             "stage": str(spec.stage),
             "kernel": spec.writer,
             "state": site.state,
             "field": site.field,
             "element": site.element,
         }
+        if fault.change is not None:
+            columns["operation"] = fault.change.name
+        elif fault.bit is not None:
+            columns["operation"] = "flip"
         # what is drawn from all bits is the population of faults without strata
         if fault.stratum not in (WHOLE_WORD, EACH_CLASS):
             columns["population"] = fault.stratum
@@ -573,19 +749,33 @@ def _further_fields(text: str) -> tuple[tuple[str, int], ...]:
     return tuple(flips)
 
 
+def _is_operation(text: str) -> bool:
+    """Whether a text has more than the flip of bits from an instant on."""
+    body, _, instant = text.partition("@")
+    names = {part.partition("=")[0] for part in body.split(":")[1:]}
+    return bool(names & {*OPERATIONS, "every"}) or is_trigger(instant)
+
+
+def find_published(name: str, localization: str) -> StateSpec:
+    """A state that is published with this localization, or a BadInputError."""
+    published = states_with(localization)
+    if name not in STATES:
+        raise BadInputError(f"no state {name!r}; allowed: {', '.join(published)}")
+    if name not in published:
+        only = STATES[name].only_with
+        raise BadInputError(f"{name} is published with localization {only} only, not {localization}")
+    return published[name]
+
+
 def _find_state(path: str, localization: str) -> tuple[StateSpec, str | None]:
     """State and field of a path "STATE.FIELD", or "STATE" alone; names contain dots."""
     state = path
     field = ""
     if path not in STATES:
         state, _, field = path.rpartition(".")
-    published = states_with(localization)
     if state not in STATES:
-        raise BadInputError(f"no state {path!r}; allowed: {', '.join(published)}")
-    if state not in published:
-        only = STATES[state].only_with
-        raise BadInputError(f"{state} is published with localization {only} only, not {localization}")
-    spec = published[state]
+        raise BadInputError(f"no state {path!r}; allowed: {', '.join(states_with(localization))}")
+    spec = find_published(state, localization)
     if not field:
         return spec, None
     return spec, spec.find(field).name

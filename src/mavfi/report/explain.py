@@ -22,7 +22,7 @@ from mavfi.record import (
     Injection,
     KernelEffect,
 )
-from mavfi.report.numbers import change, lost, signed_percent
+from mavfi.report.numbers import change, corruption, outcome, signed_percent
 
 if TYPE_CHECKING:
     from mavfi.campaign.divergence import Departure, FirstDifference, StateSpread
@@ -223,11 +223,14 @@ def _fault(injection: Injection, fault: Fault | None) -> str:
     if not injection.activated:
         return f"{injection.site}: not activated, {reason}"
     if injection.bit is None:
-        corruption = injection.details.get("model", "empty mask")
+        what = corruption(injection) or injection.details.get("model", "empty mask")
     else:
-        corruption = _bit(injection.bit, fault)
-    before, after = change(injection.before, injection.after)
-    return f"{injection.site}, {corruption}, at {injection.time_s:.3f} s: {before} → {after}{lost(injection)}"
+        what = _bit(injection.bit, fault)
+    text = f"{injection.site}, {what}, at {injection.time_s:.3f} s: {outcome(injection)}"
+    count = injection.details.get("publications", 1)
+    if "operation" in injection.details and injection.before is not None and count > 1:
+        text += f", {count} publications"
+    return text
 
 
 def _bit(bit: int, fault: Fault | None) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 
 from mavfi.mission import MissionStatus
 from mavfi.record import AlarmRecord, Event, FlightLog, Injection
+from mavfi.report.numbers import corruption
 
 INFO = "info"
 WARN = "warn"
@@ -68,11 +69,13 @@ def line_of(item: Event | AlarmRecord | Injection) -> LogLine | None:
         return LogLine(
             time_us, WARN, "alarm", f"alarm: {item.source} {item.state}, {item.action}, {item.outcome}", data
         )
-    if item.activated:
+    if item.activated and item.before is None:
+        change = "activated"
+    elif item.activated:
         change = f"{_short(item.before)} -> {_short(item.after)}"
     else:
         change = "not activated"
-    site = item.site if item.bit is None else f"{item.site} bit {item.bit}"
+    site = f"{item.site} {corruption(item)}".strip()
     return LogLine(time_us, ERROR, "injection", f"fault: {site}: {change}", data)
 
 

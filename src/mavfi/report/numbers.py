@@ -28,6 +28,25 @@ def lost(injection: Injection) -> str:
     return ""
 
 
+def corruption(injection: Injection) -> str:
+    """What a fault did to a value or a message: "bit 62", "set=nan", "drop"; "" = nothing, or nothing so short."""
+    operation = injection.details.get("operation", "")
+    if injection.bit is not None:
+        return f"bit {injection.bit}"
+    return str(operation)
+
+
+def outcome(injection: Injection, digits: int = 6) -> str:
+    """The value before and after an activated injection, or the number of changed messages, if it is in whole ones."""
+    if injection.before is None and "publications" in injection.details:
+        count = injection.details["publications"]
+        if count == 1:
+            return "1 publication"
+        return f"{count} publications"
+    before, after = change(injection.before, injection.after, digits)
+    return f"{before} → {after}{lost(injection)}"
+
+
 def change(before: object, after: object, digits: int = 6) -> tuple[str, str]:
     """Format two values so that they differ: with `digits` digits, else in full, else with their bits."""
     pairs = list(zip(_forms(before, digits), _forms(after, digits), strict=True))

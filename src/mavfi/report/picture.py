@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from mavfi.mission import FLY_AWAY_MARGIN, MissionStatus
 from mavfi.report import style
 from mavfi.report.explain import around
-from mavfi.report.numbers import change, lost
+from mavfi.report.numbers import corruption, outcome
 
 if TYPE_CHECKING:
     from mavfi.flight.host import Flight
@@ -334,10 +334,10 @@ def _label(figure: Figure, views: Views, flight: Flight, title: str) -> None:
     figure.text(0.6 / _WIDTH, 1 - 0.24 / height, title, fontsize=size, fontweight="bold", va="center")
     below = f"{scenario['environment']['name']} · seed {scenario['seed']} · autopilot {scenario['stack']['name']}"
     for injection in flight.log.injections:
-        if injection.activated and injection.bit is not None:
-            before, after = change(injection.before, injection.after, digits=4)
-            fault = f"{injection.site}, bit {injection.bit} at {injection.time_s:.2f} s: {before} → {after}"
-            below = f"{below}   ·   {fault}{lost(injection)}"
+        what = corruption(injection)
+        if injection.activated and what:
+            fault = f"{injection.site}, {what} at {injection.time_s:.2f} s: {outcome(injection, digits=4)}"
+            below = f"{below}   ·   {fault}"
     figure.text(0.6 / _WIDTH, 1 - 0.49 / height, below, va="center", color=style.GREY)
     # axes, and what each view shows
     above.set_ylabel("y (m)")

@@ -5,7 +5,13 @@ import ast
 from tests.core.architecture.source import dotted, functions, imports, modules
 
 COMPILERS = {"njit", "jit", "vectorize", "guvectorize", "jitclass", "cfunc", "stencil", "prange", "generated_jit"}
-ROS = ("rospy", "genpy", "rosgraph", "std_srvs", "mavfi_msgs", "nav_msgs")
+ROS = {
+    "rospy": ("extras/ros/ros1/",),
+    "genpy": ("extras/ros/ros1/",),
+    "rosgraph": ("extras/ros/ros1/",),
+    "rclpy": ("extras/ros/ros2/",),
+    "std_msgs": ("extras/ros/ros1/", "extras/ros/ros2/"),
+}
 
 
 def kernels():
@@ -121,7 +127,7 @@ def test_the_library_does_not_print():
 
 
 def test_only_sim_imports_mujoco_and_only_the_ros_host_imports_ros():
-    homes = {"mujoco": "sim/", **dict.fromkeys(ROS, "extras/ros/ros1/")}
+    homes = {"mujoco": ("sim/",), **ROS}
     found = [
         f"{name}: {imported}"
         for name, tree in modules().items()

@@ -20,6 +20,7 @@ from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.loop import SensorMemory
 from mavfi.flight.mission_flights import LocalHost
+from mavfi.levels.level import parse
 from mavfi.record import End, canonical
 from tests.core.flights.missions import AUTOPILOTS, Scripted, fault, golden, mission
 from tests.core.flights.test_checkpoints import Nervous, content, detector_of
@@ -46,9 +47,16 @@ FAULTS = [
     replace(fault("control.command", "vy", 6.0, 50), lasts_s=float("inf"), share=0.3, seed=7),
     fault("perception.point_cloud", "length_x", 4.0, 31),
     fault("perception.map_update", "length_log_odds", 6.5, 31),
+    parse("state:control.command.vx:set=nan:every=3@4..5").resolve(0, "published"),
+    parse("message:control.command:delay=0.3:times=30@4").resolve(0),
+    parse("state:planning.trajectory.y[3]:bias=2@trajectory_seq>1").resolve(0, "published"),
+    parse("message:perception.point_cloud:duplicate@3").resolve(0),
+    parse("state:planning.waypoint.vy:freeze:times=3@5").resolve(0, "published"),
+    parse("message:sensor.depth:reorder=2@5").resolve(0),
+    parse("message:planning.path:drop@0").resolve(0),
 ]
 """They break the mission, or are masked at once or late; at the very start, without a site, never striking, null; they
-last; or they lose a message."""
+last; they lose a message; or they are other operations on values and messages."""
 
 ARMS = {
     "published": {

@@ -11,7 +11,7 @@ from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.replay import explain
 from mavfi.campaign.run import run_campaign
 from mavfi.errors import BadInputError
-from mavfi.extras.ros.node.host import NodeHost
+from mavfi.extras.ros.ros2.stack.host import Ros2StackHost
 from mavfi.faults.levels.sensor.fault import UNITS, SensorFault
 from mavfi.flight.compose import new_loop
 from mavfi.flight.fly import fly
@@ -71,8 +71,8 @@ def test_motors_of_a_server_are_refused():
 
 
 def test_a_host_without_the_signals_refuses():
-    with pytest.raises(BadInputError, match="host node: faults of level 'sensor': allowed: register"):
-        require_level(NodeHost, "sensor")
+    with pytest.raises(BadInputError, match="host ros2_stack: faults of level 'sensor': allowed: message"):
+        require_level(Ros2StackHost, "sensor")
 
 
 def test_on_the_command_line_the_instant_is_drawn_from_the_golden_run():

@@ -71,11 +71,40 @@ def test_a_number_that_is_not_there_leaves_the_fault_not_activated(text):
         ("moveByVelocity.vx:bit=1#0", "allowed: CALL.PATH"),
         ("moveByVelocity.arguments:bit=1", "'arguments': not known; allowed: vx"),
         ("moveByVelocity.arguments#:bit=1", "allowed: CALL.PATH"),
+        ("moveByVelocity:reorder", "reorder: calls are answered in order; allowed: drop, delay, duplicate, freeze"),
+        ("moveByVelocity:set=nan", "set: allowed: drop, delay, duplicate, freeze, reorder"),
+        ("moveByVelocity.vx:drop", "drop: allowed: flip, set, bias, scale, freeze"),
+        ("moveByVelocity.speed:set=nan", "'speed': not known; allowed: vx"),
     ],
 )
 def test_what_cannot_be_is_refused(text, message):
     with pytest.raises(BadInputError, match=message):
         parse_fault(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("moveByVelocity.vx:set=nan:times=2@2", [0, 1, np.nan, np.nan, 4]),
+        ("moveByVelocity.vx:bias=0.5:every=2@1..4", [0, 1.5, 2, 3.5, 4]),
+        ("moveByVelocity.vx:scale=-1@n=4", [0, 1, 2, -3, 4]),
+        ("moveByVelocity.vx:freeze@vx>1", [0, 1, 2, 2, 2]),
+        ("moveByVelocity.arguments#0:bit=63:times=0@n=4", [0, 1, 2, -3, -4]),
+    ],
+)
+def test_operations_change_a_number_in_the_calls_that_their_trigger_selects(text, expected):
+    boundary = Boundary(parse_fault(text))
+    calls = [call(boundary, "moveByVelocity", [x, *VELOCITY[1:]], True, 1_000_000 * x)[0] for x in range(5)]
+    np.testing.assert_array_equal([arguments[0] for arguments in calls], expected)
+    changed = ~np.equal(expected, range(5)) | np.array(["freeze" in text and x == 2 for x in range(5)])
+    assert boundary.injection.details["calls"] == changed.sum()
+    assert boundary.injection.details["number"] == 1 + np.flatnonzero(changed)[0]
+    assert boundary.injection.details["path"] == "vx"
+
+
+def test_an_operation_that_the_number_does_not_allow_leaves_the_fault_not_activated():
+    boundary = Boundary(parse_fault("moveByVelocity.yaw_mode.is_rate:bias=1"))
+    assert call(boundary, "moveByVelocity", list(VELOCITY), True)[0] == VELOCITY and boundary.injection is None
 
 
 def test_the_seed_draws_the_bit_that_is_not_named():

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mavfi.extras.airsim.boundary import Boundary
+from mavfi.errors import BadInputError
+from mavfi.extras.airsim.boundary import Boundary, parse_fault
 from mavfi.extras.airsim.frames import LEVEL, to_geo_point, to_pose, to_vector3r
 from mavfi.extras.airsim.host import make_api
 from mavfi.extras.airsim.scene import REFUSED
-from mavfi.extras.airsim.server import AirsimServer, StepClock
+from mavfi.extras.airsim.server import AirsimServer, RealClock, StepClock
 from mavfi.extras.airsim.table import CALLS
 from mavfi.mission import MissionSpec
 from mavfi.report.text import percent
@@ -30,8 +31,8 @@ SPEC = MissionSpec(environment="sparse", seed=7)
 class Client:
     """Calls a server as its own protocol does; `wait` lets its task end first."""
 
-    def __init__(self, *, clock=None, **options):
-        self.server = AirsimServer(make_api(SPEC, **options), clock or StepClock(limit_us=10**9), Boundary())
+    def __init__(self, *, clock=None, fault=None, **options):
+        self.server = AirsimServer(make_api(SPEC, **options), clock or StepClock(limit_us=10**9), Boundary(fault))
         self.vehicle = self.server.api.vehicle
         self.answers = {}
 
@@ -65,6 +66,51 @@ def flying():
     client = Client().ready()
     assert client("takeoff", 20.0, "")
     return client
+
+
+def test_whole_calls_are_lost_late_repeated_and_frozen():
+    def client(fault):
+        made = Client(fault=parse_fault(fault)).ready()
+        assert made("takeoff", 20.0, "") is True
+        return made
+
+    # lost: the second reading is the first one's answer
+    lost = client("getMultirotorState:drop@n=2")
+    first = lost("getMultirotorState", "")
+    lost("mavfiSleep", 1.0)
+    assert lost("getMultirotorState", "") == first != lost("getMultirotorState", "")
+    assert lost.server.boundary.injection.details["calls"] == 1
+
+    # late: simulated time passes first
+    late = client("simGetVehiclePose:delay=0.5")
+    before_us = late.vehicle.now_us
+    late("simGetVehiclePose", "")
+    assert 500_000 <= late.vehicle.now_us - before_us < 600_000
+
+    # frozen: later readings are the first one, and later commands have its arguments
+    frozen = client("simGetVehiclePose:freeze@n=2")
+    poses = []
+    for _ in range(4):
+        poses.append(frozen("simGetVehiclePose", "")["position"]["z_val"])
+        frozen("moveByVelocity", 0.0, 0.0, -1.0, 1.0, 0, STILL, "")
+    assert poses[1] == poses[2] == poses[3] != poses[0]
+    up = client("moveByVelocity:freeze")
+    for speed in (-1.0, 1.0):
+        height = up.at[2]
+        up("moveByVelocity", 0.0, 0.0, speed, 1.0, 0, STILL, "")
+        assert up.at[2] < height
+
+    # repeated: two tasks are started, the later one is answered
+    twice = client("moveByVelocity:duplicate")
+    started = []
+    start = twice.vehicle.start
+    twice.vehicle.start = lambda task: started.append(task) or start(task)
+    assert twice("moveByVelocity", 1.0, 0.0, 0.0, 1.0, 0, STILL, "") is True and len(started) == 2
+
+
+def test_a_server_in_real_time_refuses_late_calls():
+    with pytest.raises(BadInputError, match="delay: simulated time passes in real time"):
+        Client(clock=RealClock(), fault=parse_fault("hover:delay=1"))
 
 
 def test_take_off_land_and_what_the_state_says():

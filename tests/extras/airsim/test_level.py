@@ -5,7 +5,7 @@ from collections import Counter
 from mavfi.campaign.config import Campaign
 from mavfi.config import parse
 from mavfi.extras.airsim.boundary import PassedCall
-from mavfi.extras.airsim.level import MessageLevel
+from mavfi.extras.airsim.level import CallLevel
 from mavfi.faults.fault import MessageFault
 from mavfi.flight.host import RunResult
 from mavfi.levels.level import Sampled, draws_of, sampler_for
@@ -55,7 +55,7 @@ def test_without_a_call_there_is_no_fault_and_a_null_run_flips_nothing():
 
 
 class TestMessage(LevelContract):
-    level = MessageLevel
+    level = CallLevel
     faults = [MessageFault("moveToZ", "arguments#2", 5, 3, seed=1)]
     campaign = {"host": "airsim_program", "program": {"script": "p.py"}}
     golden = {"": Sampled(RunResult(FlightRecord(End.FLOWN), tuple(CALLS)))}

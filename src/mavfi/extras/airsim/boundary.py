@@ -6,14 +6,20 @@ name at or after an instant, or in its N-th.  PATH leads through the arguments b
 `arguments#K` and `return#K` are the K-th number of all.  A bit is one of the type in AirSim's signature: an argument
 that the program gives as 2 is flipped as the double 2.0.
 
+Other operations follow the site, `CALL.PATH:set=nan@10..12`, or the call alone, `CALL:drop:times=3@10` (see
+`mavfi.faults.operations`).  A dropped call is not executed and has the answer of the last one; a delayed one is
+executed later in simulated time; a duplicated one is executed again; a frozen one has the arguments of the first one,
+and its answer, unless it is a task.  Calls are answered in the order in which they come, so none is reordered.
+
 A failure of the vehicle's sensors or motors, `sensor:UNIT:TYPE@SECONDS`, changes what calls measure and do.
 """
 
 import random
 import re
 import struct
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TextIO
 
 from mavfi.detectors.detector import Detector
@@ -24,6 +30,8 @@ from mavfi.extras.airsim.table import CALLS
 from mavfi.faults.fault import MessageFault
 from mavfi.faults.levels.sensor.failures import Failure
 from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.faults.levels.state_injector import schedule_of
+from mavfi.faults.operations import Change, Operation, Schedule, changed_number, parse_text
 from mavfi.levels.sensor import parse_sensor
 from mavfi.record import AlarmRecord, Injection
 
@@ -104,11 +112,17 @@ def make_double(holder: Any, path: Path) -> None:
         pass
 
 
-def bits_of(value: Any) -> int:
-    """Number of bits of a number; 8 for one of bytes."""
+_WIDTHS = {"?": 1, "i8": _WORD, "f8": _WORD, "u1": 8}
+"""Number of bits by NumPy's name of a type."""
+
+
+def dtype_of(value: Any) -> str:
+    """NumPy's name of the type of a number; a number of bytes is "u1"."""
     if isinstance(value, bool):
-        return 1
-    return _WORD
+        return "?"
+    if isinstance(value, int):
+        return "i8"
+    return "f8"
 
 
 def flipped(value: Any, bit: int) -> Any:
@@ -120,6 +134,49 @@ def flipped(value: Any, bit: int) -> Any:
         return word
     (raw,) = struct.unpack("<Q", struct.pack("<d", value))
     return struct.unpack("<d", struct.pack("<Q", raw ^ (1 << bit)))[0]
+
+
+class ReplacedNumber(NamedTuple):
+    """A value in which one number was replaced.
+
+    Attributes:
+        holder: The value that holds the number, changed; lists and maps are changed in place.
+        before: The number before.
+        after: The number after.
+    """
+
+    holder: Any
+    before: Any
+    after: Any
+
+
+Replace = Callable[[Any, str], Any]
+"""The number in the place of another one, given that and NumPy's name of its type."""
+
+
+def replace_number(holder: Any, path: Path, replacement: Replace) -> ReplacedNumber:
+    """Replace the number at a path.
+
+    Raises:
+        BadInputError: There is no number at this path, or it cannot be replaced so.
+    """
+    if not path:
+        if not isinstance(holder, (bool, int, float)):
+            raise BadInputError("not a number")
+        after = replacement(holder, dtype_of(holder))
+        return ReplacedNumber(after, holder, after)
+    key, *rest = path
+    if isinstance(holder, bytes) and isinstance(key, int) and key < len(holder):
+        changed = bytearray(holder)
+        changed[key] = replacement(holder[key], "u1")
+        return ReplacedNumber(bytes(changed), holder[key], changed[key])
+    try:
+        inner = holder[key]
+    except (KeyError, IndexError, TypeError):
+        raise BadInputError(f"no number at {key!r}") from None
+    replaced = replace_number(inner, tuple(rest), replacement)
+    holder[key] = replaced.holder
+    return replaced._replace(holder=holder)
 
 
 class BoundaryFlip(NamedTuple):
@@ -144,25 +201,16 @@ def flip(holder: Any, path: Path, bit: int) -> BoundaryFlip:
     Raises:
         BadInputError: There is no number at this path.
     """
-    if not path:
-        if not isinstance(holder, (bool, int, float)):
-            raise BadInputError("not a number")
-        bit %= bits_of(holder)
-        after = flipped(holder, bit)
-        return BoundaryFlip(after, holder, after, bit)
-    key, *rest = path
-    if isinstance(holder, bytes) and isinstance(key, int) and key < len(holder):
-        bit %= 8
-        changed = bytearray(holder)
-        changed[key] ^= 1 << bit
-        return BoundaryFlip(bytes(changed), holder[key], changed[key], bit)
-    try:
-        inner = holder[key]
-    except (KeyError, IndexError, TypeError):
-        raise BadInputError(f"no number at {key!r}") from None
-    inner_flip = flip(inner, tuple(rest), bit)
-    holder[key] = inner_flip.holder
-    return inner_flip._replace(holder=holder)
+    bits: list[int] = []
+
+    def flip_one(number: Any, dtype: str) -> Any:
+        bits.append(bit % _WIDTHS[dtype])
+        if dtype == "u1":
+            return number ^ (1 << bits[0])
+        return flipped(number, bits[0])
+
+    replaced = replace_number(holder, path, flip_one)
+    return BoundaryFlip(*replaced, bits[0])
 
 
 # ---- the boundary ----------------------------------------------------------------------------------------------------
@@ -172,22 +220,26 @@ _PATH = rf"(?:{ARGUMENTS}|{RETURN})#\d+|\w+(?:\.\w+)*"
 _TEXT = re.compile(
     rf"(?P<call>\w+)\.(?P<path>{_PATH})(?::bit=(?P<bit>\d+))?(?:@(?P<at>[\d.eE+-]+)|#(?P<nth>[1-9]\d*))?"
 )
+_CHANGE = re.compile(rf"(?P<call>\w+)(?:\.(?P<path>{_PATH}))?:(?P<change>[a-z][^#]*)")
+"""Another operation than the flip of one bit, or another trigger."""
 _BITS = 64
-_FORM = "CALL.PATH[:bit=B][@SECONDS], e.g. moveByVelocity.vx:bit=62@10 or simGetVehiclePose.return.position.z_val"
+_FORM = (
+    "CALL.PATH[:bit=B][@SECONDS] or CALL[.PATH]:OPERATION[@INSTANT], e.g. moveByVelocity.vx:bit=62@10, "
+    "simGetVehiclePose.return.position.z_val, moveByVelocity.vx:set=nan@10..12 or moveByVelocity:drop:times=3@10"
+)
 _MAX_OBSERVED_NUMBERS = 16
 """Values with more numbers (images, point clouds) are not observed."""
 
 
 @dataclass(frozen=True, slots=True)
 class BoundaryFault:
-    """A fault and the instant (us) from which it may act."""
+    """A fault in calls, or in a number that passes in them."""
 
     fault: MessageFault
-    since_us: int = 0
 
     @property
     def in_return(self) -> bool:
-        """Whether it is in a returned value, not in an argument."""
+        """Whether it is in a returned value, not in an argument or in the whole call."""
         return re.match(rf"{RETURN}\b", self.fault.field) is not None
 
     def path_in(self, value: Any) -> Path | None:
@@ -200,6 +252,14 @@ class BoundaryFault:
             return keys_of(rest)
         return (CALLS[self.fault.topic].arguments.index(side), *keys_of(rest))
 
+    def named(self, path: Path) -> str:
+        """A path as text, which names the argument, not its number."""
+        if self.in_return:
+            names: tuple[str | int, ...] = (RETURN, *path)
+        else:
+            names = (CALLS[self.fault.topic].arguments[int(path[0])], *path[1:])
+        return ".".join(map(str, names))
+
 
 def parse_fault(text: str, seed: int = 0) -> BoundaryFault | SensorFault:
     """Read a fault; a bit that is not given is drawn from the seed.
@@ -211,25 +271,20 @@ def parse_fault(text: str, seed: int = 0) -> BoundaryFault | SensorFault:
         return parse_sensor(text, seed)
     match = _TEXT.fullmatch(text)
     if match is None:
-        raise BadInputError(f"--fault: {text!r}: allowed: {_FORM}")
+        return _parse_change(text, seed)
 
     # check each part
     name = match["call"]
     path = match["path"]
     bit = match["bit"]
     at = match["at"]
-    if name not in CALLS:
-        raise BadInputError(f"--fault: {text!r}: call {name!r}: not known; allowed: calls of docs/airsim.md")
+    _check_site(text, name, path)
     try:
         since_s = float(at or 0.0)
     except ValueError:
         since_s = -1.0
     if not 0.0 <= since_s < 1e6:
         raise BadInputError(f"--fault: {text!r}: @{at}: allowed: 0 to 1e6 s")
-    head = path.partition(".")[0]
-    arguments = CALLS[name].arguments
-    if "#" not in head and head not in (*arguments, RETURN):
-        raise BadInputError(f"--fault: {text!r}: {head!r}: not known; allowed: {', '.join([*arguments, RETURN])}")
     if bit is not None and int(bit) >= _BITS:
         raise BadInputError(f"--fault: {text!r}: bit {bit}: allowed: 0 to {_BITS - 1}")
 
@@ -239,7 +294,40 @@ def parse_fault(text: str, seed: int = 0) -> BoundaryFault | SensorFault:
     else:
         bit_number = int(bit)
     nth = int(match["nth"] or 1)
-    return BoundaryFault(MessageFault(name, path, bit_number, nth, seed=seed), round(1e6 * since_s))
+    return BoundaryFault(MessageFault(name, path, bit_number, nth, seed=seed, time_us=round(1e6 * since_s)))
+
+
+def _check_site(text: str, name: str, path: str) -> None:
+    """Refuse a call or argument that does not exist; `path`: "" = the whole call."""
+    if name not in CALLS:
+        raise BadInputError(f"--fault: {text!r}: call {name!r}: not known; allowed: calls of docs/airsim.md")
+    head = path.partition(".")[0]
+    arguments = CALLS[name].arguments
+    if head and "#" not in head and head not in (*arguments, RETURN):
+        raise BadInputError(f"--fault: {text!r}: {head!r}: not known; allowed: {', '.join([*arguments, RETURN])}")
+
+
+def _parse_change(text: str, seed: int) -> BoundaryFault:
+    """Read a fault with another operation than one flip of a bit, or with another trigger."""
+    match = _CHANGE.fullmatch(text)
+    if match is None:
+        raise BadInputError(f"--fault: {text!r}: allowed: {_FORM}")
+    path = match["path"] or ""
+    _check_site(text, match["call"], path)
+    try:
+        change = parse_text(match["change"])
+        operation, when = change
+        if operation.name == "reorder":
+            raise BadInputError("reorder: calls are answered in order; allowed: drop, delay, duplicate, freeze")
+        if operation.name == "flip" and operation.bit is None:
+            operation = replace(operation, bit=random.Random(seed).randrange(_BITS))
+        if operation.bit is not None and operation.bit >= _BITS:
+            raise BadInputError(f"bit {operation.bit}: allowed: 0 to {_BITS - 1}")
+        planned = Change(operation, replace(when, start_s=0.0))
+        fault = MessageFault(match["call"], path, seed=seed, time_us=round(1e6 * when.start_s), change=planned)
+    except BadInputError as error:
+        raise BadInputError(f"--fault: {text!r}: {error}") from None
+    return BoundaryFault(fault)
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,6 +361,20 @@ class Boundary:
     injection: Injection | None = None
     passed: list[PassedCall] = field(default_factory=list)
     _count: int = 0
+    _schedule: Schedule | None = field(init=False, default=None)
+    _frozen: dict[str, Any] = field(init=False, default_factory=dict)  # first value of what is frozen, by side
+    _last_answer: Any = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        planned = self.planned
+        if planned is not None and planned.fault.change is not None:
+            fault = planned.fault
+            self._schedule = schedule_of(fault.planned.when, fault.time_us, fault.seed)
+
+    @property
+    def delays(self) -> bool:
+        """Whether calls are delayed, for which simulated time must be able to pass."""
+        return self.planned is not None and self.planned.fault.planned.operation.name == "delay"
 
     @classmethod
     def of(
@@ -311,8 +413,39 @@ class Boundary:
         if self.keeps:
             self.passed.append(PassedCall(name, sum(map(count, arguments)), count(value)))
         value = self._inject(name, value, now_us, in_return=True)
+        if self.planned is not None and name == self.planned.fault.topic:
+            self._last_answer = value
         self._observe(f"{name}({RETURN})", value, now_us)
         return value
+
+    # ---- whole calls ------------------------------------------------------------------------------------------------
+    def operation_on(self, name: str, arguments: Sequence[Any], now_us: int) -> Operation | None:
+        """What happens to a call as a whole; None = it is served as usual."""
+        planned = self.planned
+        if planned is None or planned.fault.field or self._schedule is None or name != planned.fault.topic:
+            return None
+        values = dict(zip(CALLS[name].arguments, arguments, strict=False))
+        if not self._is_due(values, now_us):
+            return None
+        operation = planned.fault.planned.operation
+        self._record(now_us, None, None, None, operation, {})
+        return operation
+
+    @property
+    def last_answer(self) -> Any:
+        """What the last call with the name of the fault was answered; None = there was none."""
+        return self._last_answer
+
+    def freeze(self, side: str, value: Any) -> Any:
+        """What a frozen call has in the place of its arguments or its answer: those of the first one.
+
+        Args:
+            side: `ARGUMENTS` or `RETURN`.
+            value: Those of this call.
+        """
+        return deepcopy(self._frozen.setdefault(side, deepcopy(value)))
+
+    # ---- numbers in calls -------------------------------------------------------------------------------------------
 
     def _observe(self, source: str, value: Any, now_us: int) -> None:
         for observer in (self.recording, self.watch):
@@ -323,10 +456,14 @@ class Boundary:
         """Flip the planned bit (a null fault: twice) in its call; without such a number the fault is not activated."""
         # whether this is the call of the fault, and has its number
         planned = self.planned
-        if planned is None or self.injection is not None or in_return != planned.in_return:
+        if planned is None or in_return != planned.in_return:
+            return value
+        if self._schedule is not None:
+            return self._change(planned, name, value, now_us)
+        if self.injection is not None:
             return value
         fault = planned.fault
-        if name != fault.topic or now_us < planned.since_us:
+        if name != fault.topic or now_us < fault.time_us or not fault.field:
             return value
         self._count += 1
         if self._count < fault.at:
@@ -349,11 +486,7 @@ class Boundary:
         except BadInputError:
             return value
 
-        # the injection names the argument, not its number; that of a null fault has no bit
-        if in_return:
-            names = (RETURN, *path)
-        else:
-            names = (CALLS[name].arguments[int(path[0])], *path[1:])
+        # the injection of a null fault has no bit
         bit = None
         if fault.bit is not None:
             bit = flipped_once.bit
@@ -365,9 +498,65 @@ class Boundary:
             flipped_once.before,
             after,
             True,
-            details={"call": fault.topic, "number": self._count, "path": ".".join(map(str, names))},
+            details={"call": fault.topic, "number": self._count, "path": planned.named(path)},
         )
         return value
+
+    def _change(self, planned: BoundaryFault, name: str, value: Any, now_us: int) -> Any:
+        """The value with another number where the fault is due; without such a number it is as it was."""
+        fault = planned.fault
+        assert self._schedule is not None  # precondition
+        if name != fault.topic or not fault.field:
+            return value
+        values = value
+        if not planned.in_return:
+            values = dict(zip(CALLS[name].arguments, value, strict=False))
+        if not self._is_due(values, now_us):
+            return value
+        path = planned.path_in(value)
+        if path is None:
+            self._schedule.take_back()
+            return value
+        if not planned.in_return and CALLS[name].is_double(path):
+            make_double(value, path)
+        operation = fault.planned.operation
+
+        def replacement(number: Any, dtype: str) -> Any:
+            if operation.name == "freeze":
+                return self._frozen.setdefault(fault.field, number)
+            if operation.name == "flip":
+                assert operation.bit is not None  # drawn before
+                return changed_number(replace(operation, bit=operation.bit % _WIDTHS[dtype]), number, dtype)
+            return changed_number(operation, number, dtype)
+
+        try:
+            replaced = replace_number(value, path, replacement)
+        except BadInputError:
+            self._schedule.take_back()
+            return value
+        details = {"path": planned.named(path)}
+        self._record(now_us, operation.bit, replaced.before, replaced.after, operation, details)
+        return replaced.holder
+
+    def _is_due(self, values: Any, now_us: int) -> bool:
+        """Whether the fault changes this call, whose numbers a condition may read."""
+        assert self._schedule is not None  # precondition
+        self._count += 1
+        return self._schedule.due(now_us / 1e6, lambda path: dict(leaves(values)).get(path, float("nan")))
+
+    def _record(
+        self, now_us: int, bit: int | None, before: Any, after: Any, operation: Operation, details: dict[str, Any]
+    ) -> None:
+        """Record the first changed call, and the number of changed ones."""
+        assert self.planned is not None and self._schedule is not None  # precondition
+        fault = self.planned.fault
+        if self.injection is None:
+            details = {"call": fault.topic, "number": self._count, "operation": str(operation), **details}
+            self.injection = Injection(
+                "message", fault.site, 1e-6 * now_us, bit, before, after, activated=True, details=details
+            )
+        changed = {**self.injection.details, "calls": self._schedule.changed}
+        self.injection = replace(self.injection, details=changed)
 
 
 class BoundaryWatch:

@@ -368,5 +368,11 @@ def _line(boundary: Boundary) -> str:
         return f"fault: not activated: {reason}"
     if boundary.failure is not None:
         return f"{injection.time_s:8.3f} s  fault: {injection.site}: {injection.before} → {injection.after}"
+    operation = injection.details.get("operation")
+    if operation is not None:
+        calls = f"{operation} in {injection.details['calls']} calls, from number {injection.details['number']} on"
+        if injection.before is None:
+            return f"{injection.time_s:8.3f} s  fault in {injection.site}: {calls}"
+        return f"{injection.time_s:8.3f} s  fault in {injection.site}: {calls}: {injection.before} → {injection.after}"
     where = f"{injection.details['call']}.{injection.details['path']}"
     return f"{injection.time_s:8.3f} s  fault in {where} bit {injection.bit}: {injection.before} → {injection.after}"

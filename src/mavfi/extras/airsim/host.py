@@ -21,6 +21,7 @@ from typing import Any, cast
 from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.extras.airsim.boundary import Boundary
 from mavfi.extras.airsim.config import IMAGE, VEHICLE, ProgramConfig, pixels
+from mavfi.extras.airsim.level import CallLevel
 from mavfi.extras.airsim.runner import EXIT_CRASH, EXIT_TIME_IS_UP
 from mavfi.extras.airsim.server import HOST, AirsimServer, StepClock, msgpack
 from mavfi.extras.airsim.table import Api
@@ -359,6 +360,7 @@ class AirsimProgramHost(Host):
     flies = False
     config = ProgramConfig
     config_key = "program"
+    samplings: Mapping[str, type[CallLevel]] = {"message": CallLevel}
 
     def __init__(self, program: ProgramConfig | None = None) -> None:
         if program is None:

@@ -13,7 +13,8 @@ from pydantic import Field, model_validator
 
 from mavfi.campaign.config import label_of
 from mavfi.faults.fault import Fault, MessageFault
-from mavfi.levels.level import Draw, Golden, Level, Sampler, Sampling, check_distinct
+from mavfi.levels.level import Draw, Golden, Sampler, Sampling, check_distinct
+from mavfi.levels.message import MessageLevel
 
 _BITS = 64
 _PURPOSE = 11
@@ -21,7 +22,7 @@ NO_CALL = "none"
 """Call of a draw for which the golden run has none."""
 
 
-class MessageSampling(Sampling):
+class CallSampling(Sampling):
     """Faults in the calls of a program (host airsim_program): one bit of one number of one call."""
 
     level: Literal["message"]
@@ -31,12 +32,12 @@ class MessageSampling(Sampling):
     calls: tuple[str, ...] = Field((), description="names of the calls; all that the golden run makes by default")
 
     @model_validator(mode="after")
-    def _consistent(self) -> "MessageSampling":
+    def _consistent(self) -> "CallSampling":
         check_distinct("sampling.sides", self.sides)
         return self
 
 
-class MessageSampler(Sampler):
+class CallSampler(Sampler):
     """Draws one bit of one number of one call."""
 
     alternates = True
@@ -84,16 +85,11 @@ class MessageSampler(Sampler):
         return MessageFault(name, f"{side}#{number}", bit, at, seed=seed)
 
 
-class MessageLevel(Level):
-    """Faults in numbers of messages and calls."""
+class CallLevel(MessageLevel):
+    """Faults in the numbers of calls, as the host draws them."""
 
-    fault = MessageFault
-    sampling = MessageSampling
-    sampler = MessageSampler
-
-    def columns(self, fault: MessageFault) -> dict[str, Any]:
-        """See `Level.columns`."""
-        return {"state": fault.topic, "field": fault.field}
+    sampling = CallSampling
+    sampler = CallSampler
 
     def about(self, campaign: Any) -> dict[str, Any]:
         """See `Level.about`: the program under test."""

@@ -14,7 +14,7 @@ from typing import Any
 
 from mavfi.errors import BadInputError
 from mavfi.extras.airsim import cameras, flying, scene, sensing
-from mavfi.extras.airsim.boundary import Boundary
+from mavfi.extras.airsim.boundary import ARGUMENTS, RETURN, Boundary
 from mavfi.extras.airsim.config import CALL_US
 from mavfi.extras.airsim.runner import TIME_IS_UP
 from mavfi.extras.airsim.table import Api, find_call, require_ready
@@ -83,6 +83,10 @@ class RealClock:
     def after_call(self, api: Api) -> None:
         """See `StepClock.after_call`; `tick` lets time pass."""
 
+    def sleep(self, api: Api, seconds: float) -> None:
+        """See `StepClock.sleep`; time cannot pass at will, and servers refuse what would need it."""
+        raise NotImplementedError
+
     def tick(self, api: Api) -> None:
         """Let the time since the last tick pass."""
         now = time.perf_counter()
@@ -147,6 +151,9 @@ class AirsimServer:
         self.api = api
         self.clock = clock
         self.boundary = boundary or Boundary()
+        if self.boundary.delays and isinstance(clock, RealClock):
+            text = "simulated time passes in real time; allowed: with --clock steps, or mavfi airsim run"
+            raise BadInputError(f"--fault: delay: {text}")
         if self.boundary.failure is not None:
             api.vehicle.failures.active.append(self.boundary.failure)
         self._msgpack = msgpack()
@@ -189,13 +196,33 @@ class AirsimServer:
         self.clock.before_call(api)
         self._check_time()
         call.check(api, arguments)
+
+        # A fault in the whole call: it is not executed, later, repeatedly, or with what the first one had.
+        operation = self.boundary.operation_on(name, arguments, api.vehicle.now_us)
+        executions = 1
+        if operation is not None and operation.name == "drop":
+            reply(None, self.boundary.last_answer)
+            return
+        if operation is not None and operation.name == "delay":
+            self.clock.sleep(api, operation.value or 0.0)
+            self._check_time()
+        if operation is not None and operation.name == "duplicate":
+            executions += operation.count
+        is_frozen = operation is not None and operation.name == "freeze"
+        if is_frozen:
+            arguments = self.boundary.freeze(ARGUMENTS, arguments)
+
         arguments = self.boundary.arguments(name, arguments, api.vehicle.now_us)
         if call.is_task:
             require_ready(api, name)
-            number = api.vehicle.start(call.run(api, arguments))
+            for _ in range(executions):
+                number = api.vehicle.start(call.run(api, arguments))
             self._waiting[number] = (reply, name, arguments)
             return
-        result = call.run(api, arguments)
+        for _ in range(executions):
+            result = call.run(api, arguments)
+        if is_frozen:
+            result = self.boundary.freeze(RETURN, result)
         self.clock.after_call(api)
         reply(None, self.boundary.returned(name, arguments, result, api.vehicle.now_us))
 

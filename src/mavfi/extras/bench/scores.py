@@ -24,7 +24,7 @@ from mavfi.campaign.store import Store
 from mavfi.config import STORED
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import StateFault
-from mavfi.faults.levels.state_injector import StateInjector
+from mavfi.faults.levels.state_injector import injector_of
 from mavfi.flight.compose import detector_for, resolve
 from mavfi.flight.fly import fly
 from mavfi.mission import OF_A_DETECTOR, MissionSpec
@@ -154,7 +154,7 @@ class _ScoreRecorder:
 
     def __init__(self, detectors: Mapping[str, Detector], faults: Sequence[StateFault]) -> None:
         self._detectors: Mapping[str, Any] = detectors  # those that have `score`
-        self._injectors = {number: StateInjector(fault) for number, fault in enumerate(faults)}
+        self._injectors = {number: injector_of(fault) for number, fault in enumerate(faults)}
         self.scores = {name: _FlightScores() for name in detectors}
         for detector in detectors.values():
             detector.start()

@@ -15,6 +15,7 @@ from mavfi.errors import BadInputError
 
 _SYMBOL = struct.Struct("<IBBHQQ")  # Elf64_Sym: name, info, other, section, value, size
 _FUNCTIONS = (2, 10)  # STT_FUNC, STT_GNU_IFUNC
+_NAMELESS = "/memfd:"
 _MAX_NAMES = 5
 """Largest number of names in an error."""
 
@@ -118,9 +119,13 @@ def _symbols(path: str, identity: tuple[int, int]) -> _Symbols:
 class AddressSpace:
     """The target's memory map as last read; it remains usable after the target has ended."""
 
-    def __init__(self, pid: int) -> None:
-        """Read the map; an OSError if the target has ended or may not be inspected.  Must be closed."""
+    def __init__(self, pid: int, nameless: str = "") -> None:
+        """Read the map; an OSError if the target has ended or may not be inspected.  Must be closed.
+
+        `nameless`: file with the content of a library that the target has loaded from memory without a name.
+        """
         self._pid = pid
+        self._nameless = nameless
         self._root = os.open(f"/proc/{pid}/root", os.O_PATH | os.O_DIRECTORY)
         self.read()
 
@@ -138,6 +143,8 @@ class AddressSpace:
             return None
         # as seen by the target, which may run in a container
         path = f"/proc/self/fd/{self._root}{mapping.name}"
+        if mapping.name.startswith(_NAMELESS):
+            path = self._nameless
         try:
             status = os.stat(path)
         except OSError:
@@ -171,10 +178,17 @@ class AddressSpace:
         some = ", ".join(sorted(set(functions.values()))[:_MAX_NAMES])
         raise BadInputError(f"symbol {text!r}: {len(functions)} functions of process {self._pid} match; some: {some}")
 
-    def _matches(self, text: str) -> Iterator[tuple[int, str]]:
+    def function_in(self, name: str, file: str) -> int:
+        """Address of a function by its exact name, in a file whose name contains a text; 0 = there is none."""
+        for address, candidate in self._matches(name, file):
+            if candidate == name:
+                return address
+        return 0
+
+    def _matches(self, text: str, file: str = "") -> Iterator[tuple[int, str]]:
         """Functions whose names contain a text: load address, and name without a version."""
         for mapping in _mappings(self._text):
-            if not mapping.executable:
+            if not mapping.executable or file not in os.path.basename(mapping.name):
                 continue
             symbols = self._symbols_of(mapping)
             if symbols is None:
@@ -187,3 +201,9 @@ class AddressSpace:
                 offset = symbols.offset_of(address)
                 if offset is not None and mapping.offset <= offset < end:
                     yield mapping.start + offset - mapping.offset, name
+
+    def code_of(self, file: str) -> Iterator[tuple[int, int, int, str]]:
+        """Executable mappings of files whose names contain a text: start, end, offset in the file, and a path to it."""
+        for mapping in _mappings(self._text):
+            if mapping.executable and file in os.path.basename(mapping.name):
+                yield mapping.start, mapping.end, mapping.offset, f"/proc/{self._pid}/root{mapping.name}"

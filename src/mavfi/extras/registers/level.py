@@ -20,7 +20,7 @@ PATIENCE_S = 20.0
 
 
 class RegisterSampling(Sampling):
-    """Faults in registers of a live process (hosts node and firmware)."""
+    """Faults in registers of a live process (hosts ros2_stack and firmware)."""
 
     level: Literal["register"]
     registers: tuple[Literal["general", "fp", "all"], ...] = Field(
@@ -101,16 +101,5 @@ class RegisterLevel(Level):
         return {"register": fault.registers, "symbol": fault.symbol, "kernel": fault.node}
 
     def about(self, campaign: Any) -> dict[str, Any]:
-        """See `Level.about`; of a node under test, its command."""
-        unit = "kind of registers"
-        sampling = campaign.sampling
-        node = campaign.under_test
-        if node is None:
-            return {"each": unit, "how": "uniform over the firmware's instructions"}
-        if sampling.symbol:
-            start = f"from the next call of {sampling.symbol!r} on"
-        else:
-            start = "from a random instant on"
-        line = f"{node.command[0]} · one bit per trial, {start}, after up to {sampling.walk} instructions"
-        title = f"campaign {campaign.name} · node {', '.join(campaign.environments)}"
-        return {"each": unit, "profile": "", "title": title, "lines": [line]}
+        """See `Level.about`."""
+        return {"each": "kind of registers", "how": "uniform over the firmware's instructions"}

@@ -19,6 +19,7 @@ _SINGLESTEP = 9
 _GETREGS = 12
 _SETREGS = 13
 _DETACH = 17
+_SYSCALL = 24
 _PEEKUSER = 3
 _POKEUSER = 6
 _SETOPTIONS = 0x4200
@@ -27,6 +28,9 @@ _GETREGSET = 0x4204
 _SETREGSET = 0x4205
 _SEIZE = 0x4206
 _INTERRUPT = 0x4207
+_TRACE_SYSTEM_CALLS = 1 << 0
+"""Option that tells stops at system calls from those by SIGTRAP: by this bit in the signal's number."""
+_SYSTEM_CALL_BIT = 0x80
 _TRACE_CLONE = 1 << 3
 """Option that traces the threads that a thread creates."""
 _EVENT_STOP = 128
@@ -149,6 +153,8 @@ class Stop:
     """Pending signal, to be passed on to the target; 0 = none."""
     interrupted: bool = False
     """Stopped by `interrupt`, or with the whole process by SIGSTOP."""
+    system_call: bool = False
+    """Stopped at the beginning or the end of a system call, see `resume_to_system_call`."""
 
 
 class Tracee:
@@ -208,6 +214,15 @@ class Tracee:
         _ptrace(_CONT, self.thread, 0, number)
         self.is_stopped = False
 
+    def trace_system_calls(self) -> None:
+        """Make stops at system calls recognizable; the thread must be stopped."""
+        _ptrace(_SETOPTIONS, self.thread, 0, _TRACE_SYSTEM_CALLS)
+
+    def resume_to_system_call(self, number: int = 0) -> None:
+        """Continue the thread to the beginning or end of its next system call, and deliver a signal."""
+        _ptrace(_SYSCALL, self.thread, 0, number)
+        self.is_stopped = False
+
     def wait(self, timeout: float) -> Stop:
         """Wait until the thread stops."""
         deadline = time.monotonic() + timeout
@@ -237,6 +252,8 @@ class Tracee:
         number = os.WSTOPSIG(status)
         if event == _EVENT_STOP:
             return Stop(0, interrupted=True)
+        if number == signal.SIGTRAP | _SYSTEM_CALL_BIT:
+            return Stop(0, system_call=True)
         if event or (number == signal.SIGTRAP and self._is_trap()):
             return Stop()
         return Stop(number)
@@ -246,11 +263,19 @@ class Tracee:
         _ptrace(_GETSIGINFO, self.thread, 0, self._info_at)
         return self._info[2] > 0  # si_code
 
-    def detach(self) -> None:
+    def stop_again(self, timeout: float) -> int:
+        """Move a stopped thread on to a stop from which an interrupted system call is restarted.
+
+        Returns the signal that is pending there, to be passed to `detach`; 0 = none.
+        """
+        _ptrace(_INTERRUPT, self.thread)
+        self.resume()
+        return self.wait(timeout).signal
+
+    def detach(self, number: int = 0) -> None:
         """Remove the breakpoint, and release the thread with its pending signal."""
         if self.has_ended:
             return
-        number = 0
         try:
             if not self.is_stopped:
                 self.cancelled = bool  # never cancelled: a breakpoint would be left behind
@@ -313,6 +338,17 @@ class Tracee:
         if has_high:
             area[high : high + 16] = list(raw[16:])
         note = _Vector(ctypes.addressof(area), length)
+        _ptrace(_SETREGSET, self.thread, _XSTATE_NOTE, ctypes.addressof(note))
+
+    def extended_state(self) -> bytes:
+        """Vector and floating-point registers of a stopped thread, for `set_extended_state`."""
+        area, length = self._extended()
+        return bytes(area[:length])
+
+    def set_extended_state(self, state: bytes) -> None:
+        """Restore what `extended_state` returned."""
+        area = (ctypes.c_uint8 * len(state)).from_buffer_copy(state)
+        note = _Vector(ctypes.addressof(area), len(state))
         _ptrace(_SETREGSET, self.thread, _XSTATE_NOTE, ctypes.addressof(note))
 
     def _extended(self) -> tuple["ctypes.Array[ctypes.c_uint8]", int]:

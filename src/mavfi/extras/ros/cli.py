@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,15 +14,16 @@ from mavfi.cli.fly import check_option_dependencies, watched
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 from mavfi.extras.registers.options import RegistersOption, SeedOption, instant, register_options
-from mavfi.extras.ros.cli_attach import corrupt
 from mavfi.extras.ros.cli_graph import list_graphs, setup, watch
+from mavfi.extras.ros.cli_inject import inject, run
 from mavfi.mission import MissionSpec
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mavfi.extras.ros.ros1.host import RosFlight
-    from mavfi.extras.ros.ros1.plan import FlightPlan
+    from mavfi.extras.ros.lockstep.host import RosFlight
+    from mavfi.extras.ros.lockstep.plan import FlightPlan
+    from mavfi.extras.ros.lockstep.transport import Middleware
     from mavfi.faults.fault import RegisterFault
     from mavfi.flight.host import Flight
     from mavfi.levels.level import Request
@@ -29,9 +31,7 @@ if TYPE_CHECKING:
     from mavfi.record import FlightLog, Injection
     from mavfi.report.flight_result import FlightResult
 
-_KillOption = Annotated[
-    list[str] | None, typer.Option(metavar="NODE@SECONDS", help="Kill a node; roslaunch restarts it.")
-]
+_KillOption = Annotated[list[str] | None, typer.Option(metavar="NODE@SECONDS", help="Kill a node; it is restarted.")]
 _FaultOption = Annotated[
     list[str] | None,
     typer.Option(metavar="NODE@SECONDS", help="Flip a bit in a register of a node's process, e.g. octomap@5."),
@@ -41,13 +41,14 @@ _NODE_EVENTS = {"node_lost": "lost", "node_back": "back", "node_absent": "still 
 app = typer.Typer(no_args_is_help=True)
 app.command("setup")(setup)
 app.command("list")(list_graphs)
-app.command("corrupt")(corrupt)
+app.command("inject")(inject)
+app.command("run")(run)
 app.command("watch")(watch)
 
 
 @app.callback()
 def _ros() -> None:
-    """The pipeline as real ROS 1 nodes (Debian's packages: `make ros`), and tools for any ROS application.
+    """The pipeline as real nodes of ROS 2 or ROS 1, and tools for any ROS application.
 
     Example: [bold]mavfi ros fly --environment sparse --seed 7 --kill octomap@20[/bold]
     """
@@ -64,6 +65,10 @@ def fly(  # noqa: PLR0913 - one parameter per option
     detector: options.Detector = "none",
     profile: options.Profile = None,
     models: options.Models = None,
+    ros: Annotated[
+        str,
+        typer.Option(metavar="2|1", help="ROS 2 or ROS 1; by default ROS 2 if it is installed.", show_default=False),
+    ] = "",
     pace: Annotated[
         float, typer.Option(help="Flight time per wall time, to look at it; 0 = as fast as possible.")
     ] = 0.0,
@@ -91,15 +96,15 @@ def fly(  # noqa: PLR0913 - one parameter per option
     request = request_of(fault, mission)
     kills = tuple(instant("--kill", text) for text in kill or ())
     faults = register_faults(register_fault or (), registers, register_seed)
-    from mavfi.extras.ros.ros1 import finder
-
-    finder.require()
-    from mavfi.extras.ros.ros1.host import configure
-    from mavfi.extras.ros.ros1.plan import FlightPlan
+    middleware = middleware_of(ros)
+    middleware.require()
+    from mavfi.extras.ros.lockstep.host import configure
+    from mavfi.extras.ros.lockstep.plan import FlightPlan
 
     # plan the flight, and check that its nodes exist
     setup, label, _ = watched(mission, detector, profile, models)
     plan = FlightPlan(
+        middleware,
         setup.scenario,
         configure(setup.scenario),
         draw_fault(setup.scenario, request, fault_seed),
@@ -119,12 +124,12 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
 def _fly(plan: FlightPlan, label: str, allow_bind_all: bool, *, quiet: bool) -> tuple[FlightResult, RosFlight]:
     """Fly the plan; the result includes the golden run if there is a fault."""
-    from mavfi.extras.ros.ros1.host import fly as fly_there
+    from mavfi.extras.ros.lockstep.host import fly as fly_there
     from mavfi.report.flight_result import FlightResult
 
     tell = None
     if plan.pace > 0 and not quiet:
-        tell = _invite
+        tell = partial(_invite, plan.middleware)
     flight = fly_there(plan, allow_bind_all=allow_bind_all, tell=tell)
     golden = None
     if plan.fault is not None:
@@ -132,10 +137,11 @@ def _fly(plan: FlightPlan, label: str, allow_bind_all: bool, *, quiet: bool) -> 
     return FlightResult(plan.scenario, flight.flight, golden, plan.fault, label), flight
 
 
-def _invite(folder: Path) -> None:
-    from mavfi.extras.ros.ros1.folder import JOIN
+def _invite(middleware: Middleware, folder: Path) -> None:
+    from mavfi.extras.ros.lockstep.folder import JOIN
 
-    console(error=True).print(f"[dim]join the flight:[/dim] {folder / JOIN} rostopic list", soft_wrap=True)
+    text = f"[dim]join the flight:[/dim] {folder / JOIN} {middleware.join_example}"
+    console(error=True).print(text, soft_wrap=True)
 
 
 def _show(plan: FlightPlan, result: FlightResult, flight: RosFlight, as_json: bool, written: Path | None) -> None:
@@ -151,6 +157,7 @@ def _show(plan: FlightPlan, result: FlightResult, flight: RosFlight, as_json: bo
         if plan.detector is not None:
             coupling = plan.recovery.coupling
         ros = {
+            "host": plan.middleware.name,
             "nodes": list(plan.nodes),
             "coupling": coupling,
             "wall_s": flight.times,
@@ -176,9 +183,29 @@ def _show(plan: FlightPlan, result: FlightResult, flight: RosFlight, as_json: bo
     if register_effect is not None:
         out.print(f"           effect: {register_effect}")
     spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in flight.times.items())
-    out.print(f"[dim]{1 + len(plan.nodes)} nodes · wall clock: {spent}[/dim]")
+    out.print(f"[dim]{1 + len(plan.nodes)} nodes of {plan.middleware.title} · wall clock: {spent}[/dim]")
     if written is not None:
         out.print(f"[dim]wrote[/dim] {written}")
+
+
+def middleware_of(ros: str) -> Middleware:
+    """ROS 2 or ROS 1, as requested by `--ros`; by default ROS 2 if it is installed.
+
+    Raises:
+        BadInputError: Another one is requested, or ROS 2 is not installed.
+    """
+    from mavfi.extras.ros.ros1.transport import Ros1
+    from mavfi.extras.ros.ros2.environment import installations
+    from mavfi.extras.ros.ros2.transport import Ros2
+
+    if ros not in ("", "1", "2"):
+        raise BadInputError(f"--ros: {ros!r}; allowed: 2, 1")
+    is_ros2 = ros == "2"
+    if ros == "":
+        is_ros2 = any(installations())
+    if is_ros2:
+        return Ros2.installed()
+    return Ros1()
 
 
 # ---- killed nodes and register faults --------------------------------------------------------------------------------
@@ -189,7 +216,7 @@ def mission_with(mission: MissionSpec, detector: str) -> MissionSpec:
 
     A detector's grain `message` becomes `kernel`, since nodes keep no copy of sent messages.
     """
-    from mavfi.extras.ros.ros1.plan import check_supported
+    from mavfi.extras.ros.lockstep.plan import check_supported
     from mavfi.flight.compose import with_keys_of
 
     resolved = with_keys_of(mission, detector)
@@ -201,12 +228,12 @@ def mission_with(mission: MissionSpec, detector: str) -> MissionSpec:
 
 def request_of(text: str | None, mission: MissionSpec) -> Request | None:
     """The requested fault, of a level that the nodes or their world inject; raises `BadInputError` for another one."""
-    from mavfi.extras.ros.ros1.host import Ros1Host
+    from mavfi.extras.ros.lockstep.host import LockstepHost
     from mavfi.levels.level import parse
 
     if text is None:
         return None
-    return parse(text, mission.localization, Ros1Host.levels)
+    return parse(text, mission.localization, LockstepHost.levels)
 
 
 def draw_fault(scenario: Scenario, request: Request | None, seed: int | None) -> Any:  # noqa: ANN401 - a fault of these levels
@@ -220,7 +247,7 @@ def draw_fault(scenario: Scenario, request: Request | None, seed: int | None) ->
 
 def register_faults(texts: Sequence[str], registers: str | None, seed: int | None) -> tuple[RegisterFault, ...]:
     """Faults in registers of nodes, each "NODE@SECONDS", with consecutive seeds starting at `--register-seed`."""
-    from mavfi.extras.ros.ros1.register_injector import fault_in_node
+    from mavfi.extras.ros.lockstep.register_injector import fault_in_node
 
     kind, first_seed = register_options(registers, seed, has_fault=bool(texts))
     faults = []
@@ -258,7 +285,7 @@ def effect(plan: FlightPlan, log: FlightLog) -> str | None:
     "crash" or "hang": an injected node died, or was killed because it did not respond; "masked" or "sdc": the flight is
     bit-identical to that without the injection, or not; "unknown": no reference flight (nodes were killed).
     """
-    from mavfi.extras.ros.ros1.register_injector import end_of_nodes
+    from mavfi.extras.ros.lockstep.register_injector import end_of_nodes
 
     end = end_of_nodes(log.injections, log.events)
     if end != "alive":

@@ -1,47 +1,73 @@
-"""View of a foreign node: what faults in its registers do."""
+"""Views of a ROS 2 stack: what faults in its messages and registers do."""
+
+from collections.abc import Iterable
 
 import polars as pl
 
 from mavfi.analysis import measures as m
+from mavfi.analysis.effects import HEADINGS, has_verdicts
+from mavfi.analysis.measures import Measure
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.views import View, has
 from mavfi.plugins import Chapter
 
-_EFFECTS = {"masked": "masked", "sdc": "SDC", "crash": "crash", "hang": "hang"}
+HOST = "ros2_stack"
+_EFFECTS = ("masked", "sdc", "crash", "hang")
 _INTERVALS = (
     "per cent, [95 % interval: Wilson, n reduced by the design effect of worlds], count; a crash or a hang is a "
     "detected error (DUE)"
 )
 _REPEAT = (
-    "the instant of an injection is the machine's, not the seed's: a trial cannot be repeated bit for bit, and the "
+    "the instant of an injection is the machine's, not the seed's: a run cannot be repeated bit for bit, and the "
     "digest is that of this ledger"
 )
 _JUDGED = pl.col("effect") != "unknown"
+
+
+def _of_messages(runs: Runs) -> bool:
+    return runs.campaign.get("host") == HOST and has(runs.injected, level="message")
 
 
 def _of_registers(runs: Runs) -> bool:
     return has(runs.injected, level="register", kernel="")
 
 
-def _trials(runs: Runs) -> Runs:
+def _messages(runs: Runs) -> Runs:
+    """Runs with a fault in a message; its field without indices, its operation without the number of the bit."""
+    return runs.injected.where(level="message").adding(
+        topic=pl.col("state"),
+        field=pl.col("field").str.replace_all(r"\[\d+\]", "[]").replace("", "message"),
+        operation=pl.col("operation").str.replace(r"^bit=\d+", "flip"),
+    )
+
+
+def _registers(runs: Runs) -> Runs:
     names = {"general": "general + flags", "fp": "XMM, YMM"}
     return runs.injected.where(level="register").adding(registers=pl.col("target").replace(names))
 
 
+def _effects(runs: Runs, _: tuple[str, ...]) -> Iterable[Measure]:
+    """Number of faults and share of each effect; with a verdict, also of lost missions."""
+    yield m.count("n", "runs", _JUDGED)
+    for effect in _EFFECTS:
+        yield m.rate(effect, HEADINGS.get(effect, effect), pl.col("effect") == effect, _JUDGED)
+    if has_verdicts(runs):
+        yield m.rate("lost", "mission lost", ~pl.col("success"), _JUDGED)
+    yield m.count("unknown", "not judged", effect="unknown")
+
+
 def _endings_note(runs: Runs) -> list[str]:
-    crashed = (
-        _trials(runs).where(effect="crash").frame["kernel_effect_detail"].value_counts().sort("kernel_effect_detail")
-    )
-    signals = ", ".join(f"{name} {count}" for name, count in crashed.rows())
-    if signals:
-        return [f"crashes: {signals}"]
+    crashed = runs.injected.where(effect="crash").frame["kernel_effect_detail"].value_counts()
+    endings = ", ".join(f"{name} {count}" for name, count in crashed.sort("kernel_effect_detail").rows())
+    if endings:
+        return [f"crashes: {endings}"]
     return []
 
 
 def _stopped_note(runs: Runs) -> list[str]:
     held = sorted(
         injection.details["stopped_us"]
-        for record in _trials(runs).recorded()
+        for record in _registers(runs).recorded()
         for injection in record.injections
         if "stopped_us" in injection.details
     )
@@ -50,19 +76,31 @@ def _stopped_note(runs: Runs) -> list[str]:
     return []
 
 
+def _of_stack(name: str, title: str, by: tuple[str, ...]) -> View:
+    """A table of the effects of faults in messages."""
+    return View(
+        name,
+        title,
+        by,
+        (_effects,),
+        where=_messages,
+        total=(by[0], "in all"),
+        notes=lambda runs: (_INTERVALS, *_endings_note(runs)),
+        applies=_of_messages,
+    )
+
+
 CHAPTER = Chapter(
     40,
     (
+        _of_stack("message_effects", "What a fault in a message does to the stack", ("topic", "operation")),
+        _of_stack("field_effects", "What a fault does, by field", ("topic", "field")),
         View(
             "register_effects",
             "What one bit in a register does",
             ("registers",),
-            (
-                m.count("n", "trials", _JUDGED),
-                *(m.rate(key, heading, pl.col("effect") == key, _JUDGED) for key, heading in _EFFECTS.items()),
-                m.count("unknown", "not judged", effect="unknown"),
-            ),
-            where=_trials,
+            (_effects,),
+            where=_registers,
             total=("registers", "in all"),
             notes=lambda runs: (_INTERVALS, *_endings_note(runs), *_stopped_note(runs), _REPEAT),
             applies=_of_registers,

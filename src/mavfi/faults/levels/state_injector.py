@@ -1,4 +1,7 @@
-"""State-level faults: one bit of one field of a published inter-kernel state, once or for a limited time.
+"""State-level faults: one field of a published inter-kernel state, once or for a limited time.
+
+A bit is flipped, and stuck in further publications (`StateInjector`); or the value is changed by another operation, in
+publications that a trigger selects (`ValueInjector`).
 
 A field may also be the length of a list in the serialized state: a message with a wrong length can be lost.
 """
@@ -10,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import FaultSite, StateFault
-from mavfi.faults.injector import Injector
+from mavfi.faults.fault import FaultSite, StateFault, find_field
+from mavfi.faults.injector import RewindableInjector
 from mavfi.faults.levels.transit import ChangedPublication, changed_bits, is_length, with_length
+from mavfi.faults.operations import Schedule, When, changed_number
 from mavfi.faults.sampling import stream
 from mavfi.faults.strata import WORD_BITS
 from mavfi.record import Injection, plain
@@ -135,7 +139,7 @@ class CounterWatch:
         return []
 
 
-class StateInjector(Injector):
+class StateInjector(RewindableInjector):
     """A tap that injects one fault, once or while it lasts; all other publications pass unchanged."""
 
     def __init__(self, fault: StateFault, watch: CounterWatch | None = None) -> None:
@@ -275,3 +279,126 @@ class StateInjector(Injector):
                 time_s = fault.time_us / 1e6
             self.injections.append(Injection(fault.level, fault.site, time_s, fault.bit, None, None, activated=False))
         return self.injections
+
+
+# ---- other changes of a value ----------------------------------------------------------------------------------------
+def number_in(state: State, path: str) -> float:
+    """The number at a path such as `vx` or `x[3]` (`x`: that of the first element); NaN if there is no such element."""
+    name = find_field(state.spec, path)
+    container = state.header
+    row = 0
+    if state.spec.in_elements(name):
+        container = state.elements
+        row = int(path[len(name) :].strip("[]") or 0)
+    if row >= len(container):
+        return float("nan")
+    return float(container[name][row])
+
+
+def schedule_of(when: When, time_us: int, seed: int) -> Schedule:
+    """The schedule of a change of publications from an instant on (us; a negative one is that of no site)."""
+    start_s = max(time_us, 0) / 1e6
+    return Schedule(replace(when, start_s=start_s, end_s=max(when.end_s, start_s)), seed)
+
+
+class ValueInjector(RewindableInjector):
+    """A tap that changes one number in the publications that a trigger selects; all others pass unchanged.
+
+    Those whose list is empty have no such number, and pass unchanged as well.
+
+    Args:
+        fault: A fault with a change.
+    """
+
+    def __init__(self, fault: StateFault) -> None:
+        assert fault.change is not None  # precondition
+        self.injections: list[Injection] = []
+        self._fault = fault
+        self._spec = find_state(fault.where.state)
+        self._in_elements = self._spec.in_elements(fault.where.field)
+        self._dtype = self._spec.find(fault.where.field).dtype
+        self._operation = replace(fault.change.operation, bit=fault.bit)
+        self._schedule = schedule_of(fault.change.when, fault.time_us, fault.seed)
+        self._latest_us = float("inf")  # a fault that lasts for some time ends then
+        self._frozen: Number | None = None  # value at which a frozen field is stuck
+        self._is_over = not fault.has_site
+
+    def copy(self) -> "ValueInjector":
+        """See `RewindableInjector`."""
+        other = copy(self)
+        other.injections = list(self.injections)
+        other._schedule = self._schedule.copy()
+        return other
+
+    @property
+    def spent(self) -> bool:  # type: ignore[override] # known at any time
+        """See `Injector.spent`."""
+        return self._is_over or self._schedule.is_over
+
+    def __call__(self, state: State, time_us: int) -> State:
+        """The publication itself, or a copy with another value."""
+        if state.spec is not self._spec or self.spent:
+            return state
+        self._is_over = time_us > self._latest_us
+        if self._is_over or not self._schedule.due(time_us / 1e6, lambda path: number_in(state, path)):
+            return state
+        if self._in_elements and len(state.elements) == 0:
+            self._schedule.take_back()
+            return state
+        return self._change(state, time_us)
+
+    def _change(self, state: State, time_us: int) -> State:
+        """Change a publication; the first change is recorded."""
+        # Where the number is; the list may be shorter than in the golden run.
+        site = self._fault.where
+        changed = state.copy()
+        container = changed.header
+        row = 0
+        if self._in_elements:
+            row = min(site.element or 0, len(state.elements) - 1)
+            site = replace(site, element=row)
+            container = changed.elements
+        before: Number = container[site.field][row].item()
+
+        # Its new value.
+        if self._operation.name == "freeze":
+            if self._frozen is None:
+                self._frozen = before
+            after = self._frozen
+        else:
+            after = changed_number(self._operation, before, self._dtype)
+        container[site.field][row] = after
+
+        if not self.injections:
+            fault = self._fault
+            if fault.lasts_s > 0.0:
+                self._latest_us = time_us + 1e6 * fault.lasts_s
+            details = {"operation": str(self._operation)}
+            self.injections.append(
+                Injection(
+                    fault.level, str(site), time_us / 1e6, fault.bit, before, after, activated=True, details=details
+                )
+            )
+        return changed
+
+    def finish(self) -> list[Injection]:
+        """The injection; a lasting one with its number of publications; not activated if none was changed."""
+        fault = self._fault
+        if not self.injections:
+            time_s = 0.0
+            if fault.has_site:
+                time_s = fault.time_us / 1e6
+            details = {"operation": str(self._operation)}
+            never = Injection(fault.level, fault.site, time_s, fault.bit, None, None, activated=False, details=details)
+            return [never]
+        (first,) = self.injections
+        if fault.lasting:
+            return [replace(first, details={**first.details, "publications": self._schedule.changed})]
+        return [first]
+
+
+def injector_of(fault: StateFault, watch: CounterWatch | None = None) -> "StateInjector | ValueInjector":
+    """The injector of a fault; `watch` has tracked all earlier publications, None = there were none."""
+    if fault.change is None:
+        return StateInjector(fault, watch)
+    return ValueInjector(fault)

@@ -1,9 +1,8 @@
 """Inter-kernel messages in serialized form, and faults in the lengths of their lists.
 
-The layout is that of ROS for the message definitions of `extras.ros.ros1.messages` (little-endian, packed; a uint32
-length precedes each list; http://wiki.ros.org/msg), without the standard header and the number: the header fields in
-table order, then one list per element field.  A bit of a number is thus a bit of a field of the state.  A flipped
-length moves everything behind it.
+The layout is that of ROS 1 (little-endian, packed; a uint32 length precedes each list; http://wiki.ros.org/msg) for
+messages with the header fields in table order, then one list per element field.  A bit of a number is thus a bit of a
+field of the state.  A flipped length moves everything behind it.
 """
 
 from typing import NamedTuple
@@ -32,8 +31,7 @@ def serialize(state: State) -> bytearray:
 def parse(spec: StateSpec, data: bytes | bytearray) -> State | None:
     """The state that a subscriber reads from a message; None = a list exceeds the message, which is then dropped.
 
-    As ROS does, it ignores bytes that are left over; as `extras.ros.ros1.messages.from_msg` does, it cuts lists of
-    unequal length to the shortest.
+    As ROS does, it ignores bytes that are left over; it cuts lists of unequal length to the shortest.
     """
     start = spec.header_dtype.itemsize
     header = np.frombuffer(bytearray(data[:start]), spec.header_dtype)

@@ -9,7 +9,7 @@ import pytest
 from mavfi.campaign import divergence
 from mavfi.campaign.divergence import TimedState
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import MessageFault
+from mavfi.faults.fault import RegisterFault
 from mavfi.faults.levels import instruction
 from mavfi.faults.levels.instruction import MismatchError
 from mavfi.faults.levels.instruction.plan import stratum_of
@@ -121,8 +121,8 @@ def test_publications_of_an_injected_flight_are_recorded_without_a_change_of_it(
 
 
 def test_publications_are_recorded_for_levels_of_this_host_only():
-    with pytest.raises(BadInputError, match="host local: faults of level 'message'"):
-        fly_recorded(scenario(), MessageFault("/topic", "x"))
+    with pytest.raises(BadInputError, match="host local: faults of level 'register'"):
+        fly_recorded(scenario(), RegisterFault())
 
 
 @pytest.mark.slow

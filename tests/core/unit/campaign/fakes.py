@@ -11,7 +11,7 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +23,9 @@ from mavfi.detectors import Detector
 from mavfi.faults.fault import Fault, InstructionFault, StateFault
 from mavfi.faults.levels.state_injector import StateInjector
 from mavfi.flight.compose import resolve
-from mavfi.flight.host import ArmSetup, Flight, Host
+from mavfi.flight.host import ArmSetup, Flight, Host, RunResult
 from mavfi.mission import MissionSpec, MissionStatus, Scenario
-from mavfi.record import COLUMNS, AlarmRecord, Event, FlightLog, Injection, Profile
+from mavfi.record import COLUMNS, AlarmRecord, Event, FlightLog, FlightRecord, Injection, Profile
 from mavfi.states import Stage, new_state, states_with
 
 HOST = "tests.core.unit.campaign.fakes:FakeHost"
@@ -154,6 +154,31 @@ class SlowHost(FakeHost):
 
     def mission(self, arms: dict[str, ArmSetup], *, fast_forward: bool = True) -> FakeFlights:
         return SlowFlights(arms, fast_forward)
+
+
+class ProgramRuns(FakeFlights):
+    """Runs of a program without a mission, and so without a status."""
+
+    def golden(self, arm: str, *, profile: bool = False) -> RunResult:
+        flight = super().golden(arm, profile=profile)
+        return RunResult(_without_status(flight), profile=flight.profile)
+
+    def injected(self, runs: list[tuple[str, Fault]]) -> Iterator[tuple[int, RunResult]]:
+        for index, flight in super().injected(runs):
+            yield index, RunResult(_without_status(flight))
+
+
+def _without_status(flight: Flight) -> FlightRecord:
+    return replace(flight.record(), status="", flight_time_s=0.0)
+
+
+class ProgramHost(FakeHost):
+    """One whose runs are no flights."""
+
+    flies = False
+
+    def mission(self, arms: dict[str, ArmSetup], *, fast_forward: bool = True) -> ProgramRuns:
+        return ProgramRuns(arms, fast_forward)
 
 
 def fly(setup: ArmSetup, detector: Any, fault: Fault | None) -> Flight:

@@ -131,7 +131,7 @@ def test_the_instruction_level_has_the_size_of_the_papers_table():
             for name in ("golden", "fi", "null", "a/b", "a\n")
         ),
         # hosts
-        ({"node": {"name": "/x"}}, "the key node goes with host node"),
+        ({"stack": {"nodes": [["x"]]}}, "the key stack goes with host ros2_stack"),
     ],
 )
 def test_mistakes_are_named_when_the_file_is_read(changes, message):

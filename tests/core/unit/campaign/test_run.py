@@ -74,7 +74,7 @@ def test_everything_is_flown_and_reported(flown):
     assert sorted({report.done for report in reports}) == list(range(end.total + 1))
     assert reports[-1].flown == end.total
     assert status(directory) == end
-    assert set(asdict(end)) == {"done", "total", "settings", "unknown", "shard"}, (
+    assert set(asdict(end)) == {"done", "total", "settings", "unknown", "shard", "flies"}, (
         "the session is over: nothing to say of its speed"
     )
     with Store.open(directory) as store:

@@ -66,6 +66,39 @@ def test_status_counts_by_setting(capsys, flown):
     assert text.startswith("5 of 5 runs, complete") and "golden" in text
 
 
+def test_runs_that_are_no_flights_have_effects_in_place_of_success(capsys, tmp_path):
+    (tmp_path / "programs.yaml").write_text(FAKE.format(missions=2).replace(":FakeHost", ":ProgramHost"))
+    command = ["campaign", "run", str(tmp_path / "programs.yaml"), "--out", str(tmp_path / "out"), "--workers", "1"]
+    assert run(command) == 0
+    printed = capsys.readouterr().out
+    assert run(["campaign", "status", str(tmp_path / "out")]) == 0
+    status = capsys.readouterr().out
+    for text in (printed, status):
+        assert "succe" not in text and max(map(len, text.splitlines()[:-1])) <= 80
+        shares = [line.removeprefix("fi").split() for line in text.splitlines() if "%" in line]
+        assert [effect for effect, *_ in shares] == ["masked", "SDC", "crash", "hang"]
+    fi = _json(capsys, "campaign", "status", str(tmp_path / "out"))["settings"]["fi"]
+    assert "succeeded" not in fi and fi["effects"]["sdc"]["n"] == fi["flown"] == 3
+    assert fi["effects"]["sdc"]["successes"] == 3 and fi["effects"]["hang"]["high"] < 1
+
+
+def test_a_requirement_that_is_not_shown_is_exit_code_3_and_no_part_of_the_campaign(capsys, config, flown, tmp_path):
+    digest = _json(capsys, "campaign", "digest", str(flown))["digest"]
+    path = tmp_path / "tiny.yaml"
+    path.write_text(FAKE.format(missions=1) + "require: [success >= 1 %, success >= 99 %]\n")
+    command = ["campaign", "run", str(path), "--out", str(flown), "--workers", "1"]
+    assert run([*command, "--junit", str(tmp_path / "junit.xml")]) == 3
+    first, second, *_ = capsys.readouterr().out.splitlines()
+    assert first.startswith("holds      success >= 1 %: ") and second.endswith(", n = 3: n too small")
+    assert (tmp_path / "junit.xml").read_text().count("<testcase ") == 2
+    assert _json(capsys, "campaign", "digest", str(flown))["digest"] == digest
+    assert run(["campaign", "run", str(config), "--out", str(flown), "--workers", "1", "--require", "sdc > 1 %"]) == 0
+    assert run(["campaign", "status", str(flown), "--require", "sdc < 1 %"]) == 3
+    capsys.readouterr()
+    assert run([*command, "--require", "cheap: sdc < 5 %"]) == 2
+    assert "--require: 'cheap: sdc < 5 %': arm 'cheap': not known" in capsys.readouterr().err
+
+
 def test_runs_that_could_not_be_judged_are_no_success(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(TROUBLE, "raises", True)
     path = tmp_path / "tiny.yaml"

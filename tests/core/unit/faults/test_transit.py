@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from rosbags.serde.errors import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mavfi.extras.ros.ros1.messages import element_slots, header_slots, message_text
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault, fault_from_json
 from mavfi.faults.levels.state_injector import StateInjector
 from mavfi.faults.levels.transit import parse, serialize, with_length
@@ -32,9 +31,29 @@ def random_state(name, count, seed=0):
     return state
 
 
+TYPES = {"f8": "float64", "f4": "float32", "i4": "int32", "?": "bool"}
+
+
+def header_slots(spec):
+    """Member of each field of the header."""
+    return [f"header_{field.name}" for field in spec.header]
+
+
+def element_slots(spec):
+    """Member of each field of the elements."""
+    return [field.name for field in spec.elements]
+
+
+def message_text(spec):
+    """Message definition of a state, as in a `.msg` file."""
+    numbers = [f"{TYPES[field.dtype]} {slot}" for slot, field in zip(header_slots(spec), spec.header, strict=True)]
+    lists = [f"{TYPES[field.dtype]}[] {slot}" for slot, field in zip(element_slots(spec), spec.elements, strict=True)]
+    return "\n".join(numbers + lists) + "\n"
+
+
 def decoded(spec, data):
-    """The message as rosbags reads it, without the two leading members that `transit` leaves out; None = it cannot."""
-    text = "\n".join(message_text(spec).splitlines()[3:])
+    """The message as rosbags reads it; None = it cannot."""
+    text = message_text(spec)
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register(get_types_from_msg(text, "mavfi_msgs/msg/Own"))
     own = store.get_msgdef("mavfi_msgs/msg/Own")

@@ -7,7 +7,7 @@ import pytest
 
 from mavfi.detectors.detector import NoDetector
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import FaultSite, InstructionFault, MessageFault, StateFault
+from mavfi.faults.fault import FaultSite, InstructionFault, RegisterFault, StateFault
 from mavfi.flight import mission_flights
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.forks import InjectedRuns
@@ -205,7 +205,7 @@ def test_instruction_faults_are_flown_from_take_off_where_checkpoints_cannot_be_
 
 def test_a_fault_that_cannot_be_flown_ends_its_own_flight_only(calls, arms):
     flights = LocalHost().mission(arms)
-    found = dict(flights.injected([("", DATA), ("", WRONG), ("", MessageFault("t", "f")), ("", DATA), ("", FAULT)]))
+    found = dict(flights.injected([("", DATA), ("", WRONG), ("", RegisterFault()), ("", DATA), ("", FAULT)]))
     assert {place for place, flight in found.items() if isinstance(flight, Exception)} == {1, 2}
     assert "other machine code" in str(found[1])
-    assert "level 'message': allowed: instruction, memory, sensor, state" in str(found[2])
+    assert "level 'register': allowed: instruction, memory, message, sensor, state" in str(found[2])

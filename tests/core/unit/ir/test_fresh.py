@@ -14,7 +14,7 @@ import numba
 import pytest
 
 from mavfi.errors import MachineError
-from mavfi.extras.ros.ros1.ports import is_alive
+from mavfi.extras.ros.processes import is_alive
 from mavfi.ir import fresh
 from mavfi.ir.build import BuildError, run_in_fresh_process
 from mavfi.ir.forked import run_in_child

@@ -2,12 +2,14 @@
 
 import numpy as np
 
-from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, RegisterFault, StateFault
+from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, MessageFault, RegisterFault, StateFault
 from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.faults.operations import parse_text
 from mavfi.flight.host import Flight, RunResult
 from mavfi.levels.instruction import InstructionLevel
 from mavfi.levels.level import Sampled
 from mavfi.levels.memory import MemoryLevel
+from mavfi.levels.message import MessageLevel
 from mavfi.levels.sensor import SensorLevel
 from mavfi.levels.state import StateLevel
 from mavfi.record import End, FlightRecord, Profile
@@ -26,6 +28,17 @@ class TestState(LevelContract):
         StateFault(FaultSite("planning.waypoint", "x"), 20_000_000, 62),
         StateFault(FaultSite("planning.trajectory", "x", 3), 5, 60, lasts_s=1.5, share=0.2, width=4, times=3, seed=7),
         StateFault(FaultSite("control.command", "vx"), bit=None, lasts_s=float("inf")),
+        StateFault(FaultSite("control.command", "vx"), 5, change=parse_text("set=nan:times=3:every=2@0..9")),
+        StateFault(FaultSite("planning.waypoint", "y"), 7, 62, seed=7, change=parse_text("flip:share=0.5@index>3")),
+    ]
+    golden = {"": Sampled(Flight(None, PROFILE))}
+
+
+class TestMessage(LevelContract):
+    level = MessageLevel
+    faults = [
+        MessageFault("planning.path", time_us=3_000_000, change=parse_text("drop:times=4")),
+        MessageFault("control.command", seed=5, change=parse_text("delay=0.2:times=0:share=0.1")),
     ]
     golden = {"": Sampled(Flight(None, PROFILE))}
 

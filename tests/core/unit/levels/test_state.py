@@ -128,3 +128,64 @@ def test_the_published_sites_are_three_states_of_the_table():
     assert [{state for state, _ in sites} for sites in fields.values()] == [{state} for state in PUBLISHED_SITES]
     with pytest.raises(ValueError, match="sampling.sites: 'published': allowed with scheme stage_balanced"):
         messages(("planning.waypoint",), sites="published")
+
+
+# ---- operations ------------------------------------------------------------------------------------------------------
+OPERATIONS = ["flip", "set=nan", "bias=0.5:times=3", "freeze"]
+
+
+def test_operations_are_drawn_at_the_sites_of_flips_each_with_the_same_probability():
+    sites = ["control.command.vx", "planning.waypoint.index"]
+    groups = [{"name": "all", "sites": sites}]
+    drawn = {}
+    for operations in ((), OPERATIONS):
+        sampling = {"scheme": "groups", "groups": groups, "operations": operations}
+        campaign = Campaign(name="c", environments=("sparse",), missions=400, faults=400, sampling=sampling)
+        sampler = StateSampler(campaign)
+        profile = Profile({"control.command": np.arange(50)}, {"control.command": np.zeros(50, np.int32)})
+        (block,) = sampler.blocks("sparse")
+        draws = [block.draw(index) for index in range(block.count)]
+        drawn[operations == OPERATIONS] = sampler.draw(draws, "sparse", {"": Sampled(Flight(None, profile))})
+    names = [StateLevel().columns(fault)["operation"] for fault in drawn[True]]
+    assert set(names) == set(OPERATIONS) and min(names.count(name) for name in set(names)) > 60
+    for fault, name in zip(drawn[True], names, strict=True):
+        assert fault.where.field == "vx"  # a counter cannot be NaN
+        assert (fault.bit is None, fault.change is None) == ((False, True) if name == "flip" else (True, False))
+    flips = {(fault.where.field, fault.time_us) for fault in drawn[False]}
+    assert len({fault.time_us for fault in drawn[True]}) > 40 and {field for field, _ in flips} == {"vx", "index"}
+    assert {StateLevel().columns(fault)["operation"] for fault in drawn[False]} == {"flip"}
+
+
+def test_operations_do_not_change_where_and_when_floats_are_hit():
+    sampling = {"scheme": "groups", "groups": [{"name": "g", "sites": ["planning.waypoint.x"]}]}
+    places = []
+    for operations in ((), ("set=1",), ("freeze:times=9", "scale=2")):
+        campaign = Campaign(
+            name="c", environments=("sparse",), missions=9, faults=40, sampling={**sampling, "operations": operations}
+        )
+        sampler = StateSampler(campaign)
+        draws = [sampler.blocks("sparse")[0].draw(index) for index in range(40)]
+        found = sampler.draw(draws, "sparse", {"": Sampled(Flight(None, PROFILE))})
+        places.append([(fault.where, fault.time_us, fault.seed) for fault in found])
+    assert places[0] == places[1] == places[2]
+    assert "operations" not in Campaign(name="c", environments=("sparse",), sampling=sampling).sampling.to_json()
+
+
+@pytest.mark.parametrize(
+    ("sampling", "message"),
+    [
+        ({"operations": ["drop"]}, "'drop': changes no drawn value; allowed: flip, set, bias"),
+        ({"operations": ["bit=3"]}, "'bit=3': changes no drawn value"),
+        ({"operations": ["set=nan@3"]}, "'set=nan@3': the instant is drawn; allowed: without @"),
+        ({"operations": ["fly"]}, "sampling.operations: 'fly': not known"),
+        ({"operations": ["flip"], "together": True}, "allowed with scheme stage_balanced or groups, without together"),
+        ({"operations": ["flip"], "lifetime": {"times": 2}}, "without together and a lifetime"),
+        (
+            {"operations": ["set=nan"], "scheme": "groups", "groups": [{"name": "g", "sites": [SITES[1]]}]},
+            "sampling.operations: g: has no field that allows all of them",
+        ),
+    ],
+)
+def test_operations_that_cannot_be_drawn_are_refused(sampling, message):
+    with pytest.raises(ValueError, match=message):
+        Campaign(name="c", environments=("sparse",), sampling={"level": "state", **sampling})

@@ -8,20 +8,13 @@ import time
 import pytest
 
 from mavfi.errors import MavfiError
-from mavfi.extras.ros.node.bench import MASTER_URI, NodeBench
 from mavfi.extras.ros.node.message import Composer
+from mavfi.extras.ros.processes import loopback_up
+from mavfi.extras.ros.processes import private_network as find_private_network
 from mavfi.extras.ros.ros1 import finder
-from mavfi.extras.ros.ros1.supervisor import loopback_up
-from mavfi.extras.ros.ros1.supervisor import private_network as find_private_network
+from tests.extras.ros.node.node_bench import MASTER_URI, POSITION, TARGET, URDF, NodeBench
 
 CLONE_NEWNET = 0x40000000  # of <linux/sched.h>
-TARGET = "/usr/lib/robot_state_publisher/robot_state_publisher"
-URDF = """<robot name="arm"><link name="base"/><link name="upper"/><link name="lower"/>
-<joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><origin xyz="0 0 0.5"/>
-<axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
-<joint name="elbow" type="revolute"><parent link="upper"/><child link="lower"/><origin xyz="0.3 0 0"/>
-<axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>"""
-POSITION = [0.5, 0.25]
 PERIOD_S = 0.01
 
 

@@ -17,11 +17,3 @@ def environment():
     """Variables of a shell in which ROS's own tools are found."""
     tools = finder.find_file("usr/bin/rosmaster").parent
     return {**os.environ, **finder.environment(), "PATH": f"{tools}{os.pathsep}{os.environ['PATH']}"}
-
-
-def generated(folder):
-    """Message classes in a folder, importable from now on."""
-    from mavfi.extras.ros.ros1.messages import generate
-
-    finder.enable(folder)
-    generate(folder)

@@ -22,7 +22,7 @@ _LOOK_EVERY = 10
 """Watch rounds between two queries of the graph."""
 _POLL_S = 0.001
 Change = Callable[[bytes, "Relay"], bytes]
-"""Sends the replacement of a message through the relay, and returns it."""
+"""Sends what replaces a message through the relay, and returns what was sent now."""
 
 
 def sources_of(master: Master, graph: RosGraph, topic: str, skipped: Sequence[str] = ()) -> list[TopicSource]:

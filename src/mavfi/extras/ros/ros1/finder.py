@@ -1,26 +1,18 @@
-"""Import finder for Debian's ROS modules that excludes all other Python packages of Debian.
-
-`PYTHONPATH=/usr/lib/python3/dist-packages` would put Debian's NumPy before this project's.  This import finder is at
-the end of `sys.meta_path`, after all packages installed in this environment, and finds only listed names.
-"""
+"""Where ROS 1 is: Debian's packages, installed or unpacked into a folder.  Only listed modules are imported from it."""
 
 import os
-import sys
-from collections.abc import Iterable, Sequence
-from importlib.abc import MetaPathFinder
-from importlib.machinery import ModuleSpec, PathFinder
+from collections.abc import Iterable
+from importlib.machinery import PathFinder
 from pathlib import Path
-from types import ModuleType
 
 from mavfi.errors import BadInputError
+from mavfi.extras.ros.imports import Finder
 
 ROOT_VARIABLE = "MAVFI_ROS_ROOT"
 """Environment variable: folder of unpacked Debian packages, for systems on which they are not installed."""
 DIST_PACKAGES = Path("usr/lib/python3/dist-packages")
 WORKSPACE_MARK = Path("usr/.catkin")
 """Marker file by which catkin recognizes an installation prefix."""
-GENERATED = ("mavfi_msgs",)
-"""Packages generated for each flight."""
 _ROS = (
     "rospy",
     "rosgraph",
@@ -32,35 +24,14 @@ _ROS = (
     "genmsg",
     "catkin",
     "std_msgs",
-    "std_srvs",
 )
 _HELPERS = ("rospkg", "catkin_pkg", "yaml", "defusedxml", "netifaces", "Cryptodome", "gnupg", "distro")
 ALLOWED = frozenset((*_ROS, *_HELPERS))
 """Top-level names imported from Debian unless installed in this environment."""
-NEEDED_MODULES = ("rospy", "genpy", "genmsg", "std_msgs", "std_srvs", "yaml")
-NEEDED_FILES = ("usr/bin/rosmaster", "usr/share/std_msgs/msg/Header.msg")
+NEEDED_MODULES = ("rospy", "genpy", "std_msgs", "yaml")
+NEEDED_FILES = ("usr/bin/rosmaster",)
 _SYSTEM = Path("/")
 _LIBRARIES = ("usr/lib/x86_64-linux-gnu", "usr/lib", "lib/x86_64-linux-gnu")
-
-
-class Finder(MetaPathFinder):
-    """Finds the listed modules in Debian's folders, and generated message packages in their own folder."""
-
-    def __init__(self, dist_packages: Sequence[Path], generated: Path | None = None) -> None:
-        self.dist_packages = [str(folder) for folder in dist_packages]
-        self.generated = generated
-
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
-        """The spec of a listed top-level module, otherwise None."""
-        if path is not None:
-            return None
-        if fullname in GENERATED and self.generated is not None:
-            return PathFinder.find_spec(fullname, [str(self.generated)])
-        if fullname in ALLOWED:
-            return PathFinder.find_spec(fullname, self.dist_packages)
-        return None
 
 
 def own_root() -> Path:
@@ -88,21 +59,21 @@ def find_file(name: str) -> Path:
     return _SYSTEM / name
 
 
-def enable(generated: Path | None = None) -> None:
-    """Make ROS importable in this process, and optionally a folder of generated message packages."""
-    here = [finder for finder in sys.meta_path if isinstance(finder, Finder)]
-    if here:
-        here[0].generated = generated or here[0].generated
-    else:
-        sys.meta_path.append(Finder([root / DIST_PACKAGES for root in roots()], generated))
+def enable() -> None:
+    """Make ROS importable in this process."""
+    _finder().enable()
     os.environ.setdefault("ROS_PACKAGE_PATH", environment()["ROS_PACKAGE_PATH"])
 
 
 def missing() -> list[str]:
     """Missing parts of ROS, determined without importing."""
-    finder = Finder([root / DIST_PACKAGES for root in roots()])
+    finder = _finder()
     modules = [name for name in NEEDED_MODULES if PathFinder.find_spec(name) is None and finder.find_spec(name) is None]
     return modules + [name for name in NEEDED_FILES if not find_file(name).is_file()]
+
+
+def _finder() -> Finder:
+    return Finder([root / DIST_PACKAGES for root in roots()], ALLOWED.__contains__)
 
 
 def require() -> None:

@@ -20,11 +20,11 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from mavfi.errors import BadInputError, MavfiError, allowed
 from mavfi.extras.ros.ros2.environment import Installation, find_installation
@@ -39,6 +39,7 @@ DISCOVERY_LIMIT_S = 10.0
 """Time limit for what is awaited in the graph (s)."""
 _END_LIMIT_S = 12.0
 """Time limit for the agent to end by itself (s); it takes 20 ms on a quiet machine."""
+_Result = TypeVar("_Result")
 _AGENT = Path(__file__).with_name("agent.py")
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _RANGE_BEFORE_IRON = "ROS_LOCALHOST_ONLY"
@@ -273,6 +274,20 @@ class AgentClient:
             reply["rmw"],
             reply["domain"],
         )
+
+    def find(self, search: Callable[[GraphSnapshot], _Result], limit_s: float = 3.0) -> _Result:
+        """What a search returns for the graph; repeated until it finds what it looks for, at the latest at a limit (s).
+
+        Raises:
+            BadInputError: That of the search.
+        """
+        end = time.monotonic() + limit_s
+        while True:
+            try:
+                return search(self.snapshot())
+            except BadInputError:
+                if time.monotonic() > end:
+                    raise
 
     def wait_for(
         self, topic: str, publishers: int = 1, subscribers: int = 0, limit_s: float = DISCOVERY_LIMIT_S

@@ -1,0 +1,153 @@
+"""Judges requirements on a campaign by the bounds of its rates, and writes the verdicts as JUnit XML."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import polars as pl
+
+from mavfi.analysis import measures as m
+from mavfi.analysis.effects import effect_rate, has_verdicts, judged_faults
+from mavfi.analysis.rows import KERNEL_DUE
+from mavfi.analysis.runs import Runs
+from mavfi.analysis.statistics import Rate, wilson
+from mavfi.campaign.plan import FI
+from mavfi.campaign.requirement import EFFECTS, Requirement
+from mavfi.errors import writing
+
+
+class Holds(Enum):
+    """Whether a requirement holds; the value is the word for people."""
+
+    YES = "holds"
+    NO = "violated"
+    NOT_SHOWN = "not shown"
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """A judged requirement."""
+
+    requirement: Requirement
+    rate: Rate
+
+    @property
+    def holds(self) -> Holds:
+        """By the bound of the interval that is farther from meeting the requirement."""
+        rate = self.rate
+        if rate.low is None or rate.high is None:
+            return Holds.NOT_SHOWN
+        limit = self.requirement.limit
+        meets: Mapping[str, Callable[[float], bool]] = {
+            "<": lambda bound: bound < limit,
+            "<=": lambda bound: bound <= limit,
+            ">": lambda bound: bound > limit,
+            ">=": lambda bound: bound >= limit,
+        }
+        bounds = (rate.low, rate.high)
+        met = [meets[self.requirement.comparison](bound) for bound in bounds]
+        if all(met):
+            return Holds.YES
+        if not any(met):
+            return Holds.NO
+        return Holds.NOT_SHOWN
+
+    @property
+    def line(self) -> str:
+        """Verdict, requirement, rate with its interval, and n, in one line."""
+        rate = self.rate
+        text = f"{self.holds.value:9}  {self.requirement.text}"
+        if rate.rate is None or rate.low is None or rate.high is None:
+            return f"{text}: n = {rate.n}, no rate"
+        text = f"{text}: {100 * rate.rate:.1f} % [{100 * rate.low:.1f}, {100 * rate.high:.1f}], n = {rate.n}"
+        if self.holds is Holds.NOT_SHOWN:
+            return f"{text}: n too small"
+        return text
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        rate = self.rate
+        return {
+            "requirement": self.requirement.text,
+            "verdict": self.holds.value,
+            "n": rate.n,
+            "rate": rate.rate,
+            "low": rate.low,
+            "high": rate.high,
+        }
+
+
+def judge(runs: Runs, requirements: Sequence[Requirement]) -> list[Verdict]:
+    """Judge requirements, whose arms are known, by the runs of a campaign."""
+    return [Verdict(requirement, _rate(runs, requirement)) for requirement in requirements]
+
+
+def _rate(runs: Runs, requirement: Requirement) -> Rate:
+    """The rate that a requirement bounds."""
+    measure = requirement.measure
+    if measure == "false alarms":
+        watched = runs.golden.where("judged", arm=requirement.arm)
+        return m.rate_of(watched, pl.col("alarms_total") > 0)
+    if measure == "recovered":
+        return _recovered(runs, requirement.arm)
+
+    # Shares of the faults in the arm, over whole words if their bits were drawn by strata.
+    faults = judged_faults(runs).where(arm=requirement.arm)
+    if not requirement.arm:
+        faults = faults.where(setting=FI)
+    if measure in EFFECTS:
+        effects: tuple[str, ...] = (measure,)
+        if measure == "due":
+            effects = KERNEL_DUE
+        return effect_rate(faults, pl.col("effect").is_in(effects))
+    if measure == "detected":
+        return effect_rate(faults, pl.col("detected_at_site") | pl.col("alarm_after_s").is_not_null())
+    if not has_verdicts(runs):
+        return wilson(0, 0)
+    succeeded = pl.col("success")
+    if measure == "mission lost":
+        succeeded = ~succeeded
+    return effect_rate(faults, succeeded)
+
+
+def _recovered(runs: Runs, arm: str) -> Rate:
+    """Recovery rate of an arm, of the missions that its faults lose without a detector."""
+    leading = m.leading_faults(runs).values("population")
+    pairs = m.against_fi(runs).where(pl.col("population").is_in(leading), arm=arm)
+    recovery = m.recovery_of(pairs)
+    if recovery is None:
+        return wilson(0, 0)
+    return Rate(recovery.lost, recovery.rate, recovery.low, recovery.high)
+
+
+# ---- for programs that read test results -----------------------------------------------------------------------------
+def write_junit(path: Path, name: str, verdicts: Sequence[Verdict]) -> None:
+    """Write verdicts as JUnit XML, one test case per requirement.
+
+    Args:
+        path: The file.
+        name: Name of the campaign.
+        verdicts: Its judged requirements.
+
+    Raises:
+        BadInputError: The file cannot be written.
+    """
+    failed = [verdict for verdict in verdicts if verdict.holds is not Holds.YES]
+    counts = {"tests": str(len(verdicts)), "failures": str(len(failed)), "errors": "0", "skipped": "0"}
+    suite = ElementTree.Element("testsuite", {"name": f"mavfi {name}", **counts})
+    for verdict in verdicts:
+        case = ElementTree.SubElement(
+            suite, "testcase", {"classname": f"mavfi.{name}", "name": verdict.requirement.text, "time": "0"}
+        )
+        if verdict.holds is not Holds.YES:
+            ElementTree.SubElement(case, "failure", {"message": verdict.line, "type": verdict.holds.value})
+        else:
+            ElementTree.SubElement(case, "system-out").text = verdict.line
+    suites = ElementTree.Element("testsuites", counts)
+    suites.append(suite)
+    ElementTree.indent(suites)
+    with writing(path):
+        ElementTree.ElementTree(suites).write(path, encoding="utf-8", xml_declaration=True)

@@ -1,0 +1,83 @@
+"""A requirement on a campaign's result, as text: "sdc < 5 %", "recommended: success >= 95 %"."""
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mavfi.errors import BadInputError, allowed
+
+if TYPE_CHECKING:
+    from mavfi.campaign.config import Campaign
+
+EFFECTS = ("masked", "sdc", "crash", "hang", "exception", "due")
+"""Measures of what a fault does to the computation; due = a crash, a hang or an exception."""
+MISSION = ("success", "mission lost")
+"""Measures of what a fault does to the mission; of programs without a mission or a verdict there is none."""
+WATCHED = ("detected", "recovered", "false alarms")
+"""Measures of an arm with a detector: of faults, of missions lost without the detector, of golden runs."""
+MEASURES = (*EFFECTS, *MISSION, *WATCHED)
+_FORM = "MEASURE < 5 % or MEASURE >= 95 %, with ARM: before it for an arm"
+_REQUIREMENT = re.compile(r"(?:([^:]+):)?\s*([a-zA-Z ]+?)\s*(<=|>=|<|>)\s*(\d+(?:\.\d*)?)\s*%")
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """A bound on a rate.
+
+    Attributes:
+        text: As the user wrote it, in plain spaces.
+        arm: The arm whose runs count; "" = the campaign's own mission, without a detector.
+        measure: One of `MEASURES`.
+        comparison: "<", "<=", ">" or ">=".
+        limit: The bound, 0 to 1.
+    """
+
+    text: str
+    arm: str
+    measure: str
+    comparison: str
+    limit: float
+
+    @staticmethod
+    def parse(text: str) -> "Requirement":
+        """The requirement in a text.
+
+        Raises:
+            BadInputError: It is not in the form, or the measure is not known.
+        """
+        match = _REQUIREMENT.fullmatch(text.strip())
+        if match is None:
+            raise BadInputError(f"{text!r}: not understood; allowed: {_FORM}")
+        arm, measure, comparison, number = match.groups()
+        name = " ".join(measure.lower().split())
+        if name not in MEASURES:
+            raise BadInputError(f"{text!r}: measure {measure!r}: not known; allowed: {allowed(MEASURES, name)}")
+        percent = float(number)
+        if percent > 100.0:
+            raise BadInputError(f"{text!r}: {number} %: allowed: 0 to 100")
+        return Requirement(" ".join(text.split()), (arm or "").strip(), name, comparison, percent / 100.0)
+
+    @property
+    def is_upper(self) -> bool:
+        """Whether the rate must lie below the limit."""
+        return self.comparison in ("<", "<=")
+
+    def of(self, campaign: "Campaign") -> "Requirement":
+        """The requirement with its arm; a measure of detectors is that of the only arm with one, unless it names one.
+
+        Raises:
+            BadInputError: The campaign has no such arm, or the measure needs one.
+        """
+        if self.arm and self.arm not in campaign.arms:
+            arms = ", ".join(campaign.arms) or "none, as the campaign has no arms"
+            raise BadInputError(f"{self.text!r}: arm {self.arm!r}: not known; allowed: {arms}")
+        if self.measure not in WATCHED:
+            return self
+        watched = [name for name, arm in campaign.arms.items() if arm.detector]
+        arm = self.arm
+        if not arm and len(watched) == 1:
+            arm = watched[0]
+        if arm not in watched:
+            names = ", ".join(watched) or "none here"
+            raise BadInputError(f"{self.text!r}: is about one arm with a detector; allowed: ARM: with {names}")
+        return Requirement(self.text, arm, self.measure, self.comparison, self.limit)

@@ -1,0 +1,119 @@
+"""What people and their tools see of a flight: messages of standard types beside those of the lock-step.
+
+Topics, types and frames are those of exported mcap files.  A topic without subscribers is not converted.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mavfi.extras.ros.lockstep.plan import FlightPlan
+from mavfi.extras.ros.lockstep.transport import Transport, View
+from mavfi.flight.loop import FlightItem, Loop
+from mavfi.mission import MissionStatus
+from mavfi.pipeline.kernel import map_grid
+from mavfi.report.lines import lines_at
+from mavfi.states import State
+
+if TYPE_CHECKING:
+    from mavfi.extras.logs.timeline import Message
+
+TICKS: Mapping[str, str] = {
+    "/clock": "rosgraph_msgs/Clock",
+    "/tf": "tf2_msgs/TFMessage",
+    "/odometry": "nav_msgs/Odometry",
+    "/command": "geometry_msgs/TwistStamped",
+    "/reference": "geometry_msgs/PointStamped",
+}
+"""Topics of each control period, with their types."""
+PUBLICATIONS: Mapping[str, tuple[str, str]] = {
+    "perception.point_cloud": ("/points", "sensor_msgs/PointCloud2"),
+    "perception.map_update": ("/map", "sensor_msgs/PointCloud2"),
+    "planning.path": ("/path", "nav_msgs/Path"),
+    "planning.trajectory": ("/trajectory", "nav_msgs/Path"),
+}
+"""Topics of publications of states, with their types."""
+SCENERY: Mapping[str, str] = {"/obstacles": "visualization_msgs/MarkerArray", "/goal": "visualization_msgs/Marker"}
+"""Topics that are repeated once per second of flight, for new viewers."""
+_SCENERY_PERIOD = 50
+"""The same in control periods."""
+LOG = "/log"
+"""Topic of events, alarms, injections and the end of the mission."""
+_LOG_TYPES = {True: "rosgraph_msgs/Log", False: "rcl_interfaces/Log"}
+"""Its type, by whether the middleware is ROS 1."""
+
+
+class Views:
+    """Shows the world's flight on topics; an observer.
+
+    Args:
+        transport: Of the world's node.
+        plan: The flight.
+    """
+
+    def __init__(self, transport: Transport, plan: FlightPlan) -> None:
+        self._plan = plan
+        self._is_ros1 = plan.middleware.name == "ros1"
+        kinds = {**TICKS, **dict(PUBLICATIONS.values()), **SCENERY, LOG: _LOG_TYPES[self._is_ros1]}
+        advertised = {topic: transport.view(topic, kind) for topic, kind in kinds.items()}
+        self._views: dict[str, View] = {topic: view for topic, view in advertised.items() if view is not None}
+        self._map_updates: list[tuple[State, int]] = []
+        self._maker: Any = None
+        self._ticks = 0
+
+    def begin(self, loop: Loop) -> None:
+        """See `Observer`."""
+        self._world = loop.world
+
+    def published(self, state: State, time_us: int) -> None:
+        """See `Observer`."""
+        topic, _ = PUBLICATIONS.get(state.spec.name, ("", ""))
+        if topic == "/map":
+            self._map_updates.append((state, time_us))  # a map consists of all updates
+        if not self._has_readers([topic]):
+            return
+        self._load()
+        if topic != "/map":
+            self._send(self._convert(state, time_us))
+            return
+        for update, instant_us in self._map_updates:
+            messages = list(self._convert(update, instant_us))
+        self._map_updates.clear()
+        self._send(messages)
+
+    def tick(self, row: np.ndarray, items: list[FlightItem], status: MissionStatus | None) -> None:
+        """See `Observer`."""
+        if (items or status is not None) and self._has_readers([LOG]):
+            self._load()
+            self._send(map(self._log_message, lines_at(float(row[0]), items, status)))
+        if self._has_readers(TICKS):
+            self._load()
+            self._send(self._tick_messages(row))
+        if self._ticks % _SCENERY_PERIOD == 0 and self._has_readers(SCENERY):
+            self._load()
+            self._send(self._scenery)
+        self._ticks += 1
+
+    def _has_readers(self, topics: Iterable[str]) -> bool:
+        return any(topic in self._views and self._views[topic].has_readers() for topic in topics)
+
+    def _load(self) -> None:
+        """Import what converts and serializes, at the first message that somebody reads."""
+        if self._maker is not None:
+            return
+        from mavfi.extras.logs.files import Maker
+        from mavfi.extras.logs.timeline import Converter, log_message, scenery, tick_messages
+
+        self._maker = Maker(is_ros1=self._is_ros1)
+        self._convert = Converter(map_grid(self._plan.config))
+        self._log_message = log_message
+        self._tick_messages = tick_messages
+        self._scenery = list(scenery(self._world))
+
+    def _send(self, messages: "Iterable[Message]") -> None:
+        """Publish messages to the topics that somebody reads."""
+        for message in messages:
+            view = self._views.get(message.topic)
+            if view is not None and view.has_readers():
+                view.publish(bytes(self._maker.serialize(self._maker.make(message), self._maker.name(message.kind))))

@@ -1,0 +1,860 @@
+"""Test bench for a stack: runs its trials, each in a network, mounts and processes of its own.
+
+    python -m mavfi.extras.ros.ros2.stack.bench
+
+is a process in a private network that gets its orders as lines of JSON (`BenchClient` is its other end), so that the
+page of the interposer and the tracer of registers are in the same user namespace as the stack.
+"""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import weakref
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mavfi.config import STORED
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.extras.registers import inject
+from mavfi.extras.ros.processes import end_with_parent
+from mavfi.extras.ros.ros2.agent import Frames
+from mavfi.extras.ros.ros2.environment import Installation, find_installation
+from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault, Report, Side
+from mavfi.extras.ros.ros2.stack.config import StackConfig
+from mavfi.extras.ros.ros2.stack.outputs import Outputs, compare, digest_of, status_of
+from mavfi.faults.fault import Fault, MessageFault, RegisterFault, fault_from_json
+from mavfi.outcomes import Effect
+from mavfi.record import Injection
+
+_FOLDER = Path(__file__).parent
+_DOMAIN = "71"
+"""ROS domain of a trial: its network is its own, so that every trial may have the same."""
+_ANSWER_S = 30.0
+"""Time limit for an answer, in addition to what a request may wait for (s)."""
+_LONGEST_S = 600.0
+"""Time limit for inputs with times of their own, or of a script (s)."""
+_CYCLES_AFTER = 3
+"""How often the inputs are played after a register was injected."""
+_MOST_CYCLES = 200
+_MOST_INPUTS = 2000
+"""Limits of how often the inputs are played until one is, and of the number of inputs in all."""
+_PYTHONS = ("python", "python3")
+_PROFILES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
+"""Environment variables of Fast DDS: the file with its settings, and its name before version 3."""
+
+
+@dataclass(frozen=True, slots=True)
+class StackTrial:
+    """The result of a trial.
+
+    Attributes:
+        effect: Label of an `Effect`: "masked" = no output differs, "sdc" = some do, "crash" = a process has ended,
+            "hang" = outputs have ceased, "unknown" = nothing was injected; `reason` explains the last three.
+        reason: In words; "" = none.
+        digest: Hash of the outputs; of those of the error-free run, if they do not differ from it.
+        messages: Number of outputs.
+        differing: Number of differing outputs.
+        differences: The first values that differ, as plain data.
+        injections: What was changed.
+        status: Status of the mission by the user's verdict; "" without one.
+        seconds: Duration of the trial (s).
+        start_s: Of this, until all topics were connected (s).
+    """
+
+    effect: str
+    reason: str
+    digest: str
+    messages: int
+    differing: int
+    differences: tuple[dict[str, Any], ...]
+    injections: tuple[Injection, ...]
+    status: str
+    seconds: float
+    start_s: float
+
+
+class PlayedRun(NamedTuple):
+    """A run of the stack: its outputs, the numbers in each message by topic, how it ended, and what was changed."""
+
+    cycles: list[Outputs]  # outputs, each time that the inputs were played
+    numbers: dict[str, list[list[tuple[str, str, int]]]]
+    ended: str  # how a process of the stack ended; "" = all lived
+    has_ceased: bool
+    reports: list[Report]
+    register: Injection | Exception | None
+    armed_s: float  # wall-clock time at which the fault was armed (s since 1970)
+    seconds: float
+    start_s: float
+
+    @property
+    def outputs(self) -> Outputs:
+        """All outputs."""
+        return joined(self.cycles)
+
+
+class PlayedInputs(NamedTuple):
+    """What the driver says of each time that the inputs were played, and the injection into a register."""
+
+    cycles: list[dict[str, Any]]
+    register: Injection | Exception | None = None
+
+
+def joined(cycles: Sequence[Outputs]) -> Outputs:
+    """Outputs of several cycles as one."""
+    if len(cycles) == 1:
+        return cycles[0]
+    return {topic: [message for outputs in cycles for message in outputs[topic]] for topic in cycles[0]}
+
+
+# ---- the processes ---------------------------------------------------------------------------------------------------
+class LauncherClient:
+    """A process that starts others, see `launcher.py`."""
+
+    def __init__(self, python: str, variables: Mapping[str, str], *role: str) -> None:
+        self._socket, theirs = socket.socketpair()
+        self.process = subprocess.Popen(
+            [python, str(_FOLDER / "launcher.py"), str(theirs.fileno()), *role],
+            env=dict(variables),
+            pass_fds=[theirs.fileno()],
+            stdin=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+        )
+        theirs.close()
+        self._stream = self._socket.makefile("rb")
+
+    def ask(self, action: str, descriptor: int | None = None, **keys: Any) -> dict[str, Any]:
+        """Send a request, with a file descriptor if there is one; return the reply."""
+        self.send(action, descriptor, **keys)
+        return self.answer()
+
+    def send(self, action: str, descriptor: int | None = None, **keys: Any) -> None:
+        """Send a request; `answer` must follow."""
+        line = json.dumps({"do": action, **keys}).encode() + b"\n"
+        descriptors = []
+        if descriptor is not None:
+            descriptors = [descriptor]
+        with suppress(OSError):  # the missing answer tells
+            socket.send_fds(self._socket, [line], descriptors)
+
+    def answer(self) -> dict[str, Any]:
+        """The reply to the last request."""
+        line = self._stream.readline()
+        if not line:
+            self.process.wait(_ANSWER_S)
+            assert self.process.stderr is not None  # a pipe
+            lines = self.process.stderr.read().decode(errors="replace").strip().splitlines() or ["no message"]
+            raise MavfiError(f"launcher of the stack: has ended ({lines[-1]})")
+        reply: dict[str, Any] = json.loads(line)
+        if "error" in reply:
+            raise MavfiError(f"launcher of the stack: {reply['error']}")
+        return reply
+
+    def close(self) -> None:
+        """End it, and all that it has started."""
+        self._stream.close()
+        self._socket.close()
+        try:
+            self.process.wait(_ANSWER_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        assert self.process.stderr is not None  # a pipe
+        self.process.stderr.close()
+
+
+class DriverClient:
+    """The driver of a trial, see `driver.py`."""
+
+    def __init__(self, launcher: LauncherClient) -> None:
+        self._socket, theirs = socket.socketpair()
+        with theirs:
+            self.pid = int(launcher.ask("drive", theirs.fileno())["pid"])
+        self._frames = Frames(self._socket)
+        self._number = 0
+
+    def wait(self) -> None:
+        """Wait until it is a node."""
+        self._socket.settimeout(_ANSWER_S)
+        event = self._receive()
+        if event.get("event") != "ready":
+            raise MavfiError(f"driver of the stack: {event.get('text', 'has ended')}")
+
+    def ask(self, action: str, content: bytes = b"", waits_s: float = 0.0, **keys: Any) -> dict[str, Any]:
+        """Send a request; return the reply.
+
+        Raises:
+            BadInputError: It cannot be met; the message says why.
+        """
+        self._number += 1
+        self._socket.settimeout(waits_s + _ANSWER_S)
+        with suppress(OSError):  # the missing answer tells
+            self._frames.send({"id": self._number, "do": action, **keys}, content)
+        while True:
+            reply = self._receive()
+            if reply.get("id") == self._number:
+                break
+        if "error" in reply:
+            raise BadInputError(f"stack: {reply['error']}")
+        return reply
+
+    def _receive(self) -> dict[str, Any]:
+        frame = self._frames.receive()
+        if frame is None:
+            raise MavfiError("driver of the stack: has ended, or does not answer")
+        header: dict[str, Any] = frame[0]
+        return header
+
+    def close(self) -> None:
+        """Let it end."""
+        self._socket.close()
+
+
+class StackProcesses:
+    """Starts the commands of a stack, each from the launcher that is the quickest."""
+
+    def __init__(self, stack: StackConfig, installation: Installation, variables: Mapping[str, str]) -> None:
+        self._commands = [_with_python(command, installation) for command in stack.commands]
+        self._launchers: list[LauncherClient] = []
+        self._of_command: list[LauncherClient] = []
+        plain: LauncherClient | None = None
+        for command in self._commands:
+            is_script = command[0] == installation.python and len(command) > 1 and command[1].endswith(".py")
+            if is_script and stack.fork:
+                launcher = LauncherClient(installation.python, variables, "node", command[1])
+                self._launchers.append(launcher)
+            else:
+                if plain is None:
+                    plain = LauncherClient(installation.python, variables, "plain")
+                    self._launchers.append(plain)
+                launcher = plain
+            self._of_command.append(launcher)
+        self.forks = [bool(launcher.ask("ready")["forks"]) for launcher in self._of_command]
+
+    def load(self, kinds: Sequence[str]) -> None:
+        """Load the libraries of message types where scripts are forked."""
+        for launcher, forks in zip(self._of_command, self.forks, strict=True):
+            if forks:
+                launcher.ask("load", kinds=list(kinds))
+
+    def start(self, namespace: int, folder: Path) -> list[int]:
+        """Start all commands in the namespaces of a process; returns their process ids, in the order of commands."""
+        for index, launcher in enumerate(self._of_command):
+            log = str(folder / f"{index}.log")
+            launcher.send("start", command=self._commands[index], namespace=namespace, log=log)
+        return [int(launcher.answer()["pid"]) for launcher in self._of_command]
+
+    def end(self) -> dict[int, int]:
+        """End all processes; returns how those ended that had ended before, by process id (as `waitpid` does)."""
+        for launcher in self._launchers:
+            launcher.send("end")
+        statuses: dict[int, int] = {}
+        for launcher in self._launchers:
+            statuses |= {int(pid): status for pid, status in launcher.answer()["statuses"].items()}
+        return statuses
+
+    def close(self) -> None:
+        """End the launchers."""
+        for launcher in self._launchers:
+            launcher.close()
+
+
+def _with_python(command: Sequence[str], installation: Installation) -> list[str]:
+    """A command whose interpreter is that of the installation."""
+    if command[0] in _PYTHONS:
+        return [installation.python, *command[1:]]
+    return list(command)
+
+
+class StartError(BadInputError):
+    """The stack does not start: something is missing, or one of its processes has ended before it was tried."""
+
+
+# ---- the bench -------------------------------------------------------------------------------------------------------
+class StackBench:
+    """Runs trials of a stack, in the namespaces of this process.
+
+    Args:
+        stack: The stack.
+        folder: For logs of its processes.
+    """
+
+    def __init__(self, stack: StackConfig, folder: Path) -> None:
+        self._stack = stack
+        self._folder = folder
+        self._installation = find_installation(stack.distribution)
+        self._page = ControlPage()
+        self._inputs, self._content = inputs_of(stack, self._installation)
+        self._golden: PlayedRun | None = None
+        self._cycles: list[Outputs] = []  # error-free outputs for faults in registers
+        self._learned: dict[str, dict[str, Any]] = {}  # type and quality of service of recorded topics
+        discovery = {name: os.environ.get(name, str(_FOLDER / "discovery.xml")) for name in _PROFILES}
+        plain = self._installation.environment(
+            **discovery,
+            ROS_DOMAIN_ID=_DOMAIN,
+            ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",
+            ROS_LOCALHOST_ONLY="1",  # the same before Iron
+            ROS_LOG_DIR=str(folder),
+            OMP_NUM_THREADS="1",
+            OPENBLAS_NUM_THREADS="1",
+            PYTHONHASHSEED="0",
+            PYTHONUNBUFFERED="1",
+        )
+        self._drivers = LauncherClient(self._installation.python, plain, "driver")
+        variables = {**plain, **stack.variables, **self._page.environment()}
+        self._processes = StackProcesses(stack, self._installation, variables)
+        self._drivers.ask("ready")
+
+    @property
+    def forks(self) -> list[bool]:
+        """Whether each command of the stack is forked."""
+        return self._processes.forks
+
+    def close(self) -> None:
+        """End all processes."""
+        self._page.disarm()
+        self._processes.close()
+        self._drivers.close()
+
+    def golden(self) -> PlayedRun:
+        """The error-free run, after several equal ones.
+
+        Raises:
+            BadInputError: Their outputs differ, or are missing.
+        """
+        if self._golden is None:
+            self._play(None)  # learns types and qualities of service
+            runs = [self._play(None) for _ in range(self._stack.golden_runs)]
+            for run in runs:
+                if run.ended or run.has_ceased or not all(run.outputs.values()):
+                    reason = run.ended or f"no output within {self._stack.patience_s:g} s"
+                    raise BadInputError(f"stack: without a fault: {reason}; allowed: a stack that answers all inputs")
+                comparison = compare(runs[0].outputs, run.outputs, self._stack)
+                if comparison.differing:
+                    first = comparison.differences[0]
+                    raise BadInputError(
+                        f"stack: {comparison.differing} outputs differ between error-free runs, first {first.topic} "
+                        f"message {first.message} {first.field}: {first.golden}, {first.value}; allowed: fields that "
+                        "do not change by themselves (outputs.fields), or a tolerance"
+                    )
+            self._golden = runs[0]
+        return self._golden
+
+    def golden_summary(self) -> dict[str, Any]:
+        """What a campaign needs of the error-free run, as plain data."""
+        golden = self.golden()
+        return {
+            "digest": digest_of(golden.outputs),
+            "status": status_of(self._stack, golden.outputs),
+            "outputs": sum(map(len, golden.outputs.values())),
+            "numbers": golden.numbers,
+        }
+
+    def trial(self, fault: InterposedFault | RegisterFault | None) -> StackTrial:
+        """Run a trial; without a fault, as another error-free run."""
+        golden = self.golden()
+        expected = golden.cycles
+        if isinstance(fault, RegisterFault):
+            expected = self._golden_cycles()
+        run = self._play(fault)
+        comparison = compare(joined(expected[: len(run.cycles)]), run.outputs, self._stack)
+        injections, problem = _injections(fault, run, has_times=not self._answers)
+        digest = digest_of(golden.outputs)
+        effect = Effect.MASKED
+        reason = ""
+        if comparison.differing:
+            digest = digest_of(run.outputs)
+            effect = Effect.SDC
+        if run.ended:
+            effect = Effect.CRASH
+            reason = run.ended
+        elif run.has_ceased:
+            effect = Effect.HANG
+            reason = f"no output within {self._stack.patience_s:g} s"
+        if problem and effect is Effect.MASKED:
+            effect = Effect.UNKNOWN
+            reason = problem
+        return StackTrial(
+            effect.label,
+            reason,
+            digest,
+            sum(map(len, run.outputs.values())),
+            comparison.differing,
+            tuple(asdict(difference) for difference in comparison.differences),
+            injections,
+            status_of(self._stack, run.cycles[-1]),
+            run.seconds,
+            run.start_s,
+        )
+
+    def _play(self, fault: InterposedFault | RegisterFault | None, count: int = 1) -> PlayedRun:
+        """Start the stack, play the inputs so many times, and end it."""
+        began = time.monotonic()
+        faults = []
+        if isinstance(fault, InterposedFault):
+            faults = [fault]
+        self._page.arm(faults)
+        armed_s = time.time()
+        statuses: dict[int, int] = {}
+        driver = DriverClient(self._drivers)
+        try:
+            # The driver's endpoints come first, so that those of the stack find them as soon as they are made.
+            driver.wait()
+            of_inputs = driver.ask("inputs", self._content, inputs=self._inputs)["numbers"]
+            if self._learned:
+                with_numbers = self._golden is None
+                driver.ask("outputs", outputs=list(self._learned.values()), with_numbers=with_numbers)
+            pids = self._processes.start(driver.pid, self._folder)
+            script = self._connect(driver, pids)
+            start_s = time.monotonic() - began
+            played = self._play_inputs(driver, pids, script, fault, count)
+        finally:
+            driver.close()
+            statuses = self._processes.end()
+            self._drivers.ask("end")
+
+        # What it has published, and the numbers in all messages.
+        cycles: list[Outputs] = []
+        for cycle in played.cycles:
+            of_cycle: dict[str, list[Any]] = {topic: [] for topic in self._learned}
+            for topic, data in cycle["outputs"]:
+                of_cycle[topic].append(data)
+            cycles.append(of_cycle)
+        numbers: dict[str, list[Any]] = {}
+        for entry, of_message in zip(self._inputs, of_inputs, strict=True):
+            numbers.setdefault(entry["topic"], []).append(of_message)
+        numbers |= played.cycles[-1]["numbers"]
+        ended = self._ended(statuses, pids)
+        has_ceased = not ended and self._has_ceased(played.cycles[-1], cycles[-1])
+        return PlayedRun(
+            cycles,
+            numbers,
+            ended,
+            has_ceased,
+            self._page.reports(),
+            played.register,
+            armed_s,
+            time.monotonic() - began,
+            start_s,
+        )
+
+    def _connect(self, driver: DriverClient, pids: Sequence[int]) -> int:
+        """Wait until the stack reads all inputs and publishes all topics, and start the script of the inputs.
+
+        Returns:
+            Process id of the script; 0 without one.
+
+        Raises:
+            StartError: The stack does not within its time limit.
+        """
+        stack = self._stack
+        of_driver = {entry["topic"] for entry in self._inputs}
+        of_stack = [topic for topic in stack.topics if topic not in {*of_driver, *stack.inputs.topics}]
+        of_script = [topic for topic in stack.inputs.topics if stack.inputs.script]
+        self._wait_for(driver, of_stack, pids)
+        script = self._start_script(driver.pid)
+        if self._learned:
+            return script
+
+        # Types and qualities of service are known now: the next runs have these subscriptions from the beginning.
+        self._wait_for(driver, of_script, pids)
+        fields = {output.topic: list(output.fields) for output in stack.outputs}
+        entries: list[dict[str, Any]] = [
+            {"topic": topic, "kind": "", "reliable": None, "fields": fields.get(topic, [])}
+            for topic in (*of_stack, *of_script)
+        ]
+        matched = driver.ask("outputs", outputs=entries, with_numbers=False)["outputs"]
+        for entry, found in zip(entries, matched, strict=True):
+            self._learned[entry["topic"]] = {**entry, **found}
+        kinds = sorted({entry["kind"] for entry in (*self._inputs, *self._learned.values())})
+        self._drivers.ask("load", kinds=kinds)
+        self._processes.load(kinds)
+        return script
+
+    def _wait_for(self, driver: DriverClient, topics: Sequence[str], pids: Sequence[int]) -> None:
+        """Wait until topics are published and all inputs are read; a process that ends is not waited for.
+
+        Raises:
+            StartError: They are not within the time limit.
+        """
+        limit_s = self._stack.start_s
+        missing = driver.ask("await", waits_s=limit_s, topics=list(topics), pids=list(pids), limit_s=limit_s)["missing"]
+        if missing:
+            reason = self._ended(self._processes.end(), pids) or f"after {limit_s:g} s"
+            raise StartError(f"stack: {', '.join(missing)} ({reason})")
+
+    def _start_script(self, namespace: int) -> int:
+        """Start the script of the inputs; returns its process id, 0 without one."""
+        script = self._stack.inputs.script
+        if not script:
+            return 0
+        command = _with_python(script, self._installation)
+        log = str(self._folder / "script.log")
+        return int(self._drivers.ask("start", command=command, namespace=namespace, log=log)["pid"])
+
+    def _play_inputs(
+        self,
+        driver: DriverClient,
+        pids: Sequence[int],
+        script: int,
+        fault: InterposedFault | RegisterFault | None,
+        count: int,
+    ) -> PlayedInputs:
+        """Play the inputs so many times; for a register, while it is injected."""
+        golden = None
+        if self._golden is not None and count == 1:
+            golden = [self._golden.outputs]
+        if isinstance(fault, RegisterFault):
+            return self._play_while_injecting(driver, pids, script, fault)
+        cycles = [self._play_cycle(driver, pids, script, golden, last=count == 1) for _ in range(count)]
+        return PlayedInputs(cycles)
+
+    def _play_cycle(
+        self,
+        driver: DriverClient,
+        pids: Sequence[int],
+        script: int,
+        golden: Sequence[Outputs] | None,
+        *,
+        last: bool = True,
+    ) -> dict[str, Any]:
+        """Play all inputs; returns what the driver says.
+
+        Args:
+            driver: The driver.
+            pids: Processes of the stack.
+            script: Process of the script of the inputs; 0 = none.
+            golden: Error-free outputs of all cycles up to this one; None = unknown.
+            last: Whether outputs that nobody expects are waited for.
+        """
+        expected = None
+        if golden is not None:
+            expected = {topic: sum(len(outputs[topic]) for outputs in golden) for topic in self._learned}
+        patience_s = self._stack.patience_s
+        return driver.ask(
+            "play",
+            waits_s=_LONGEST_S + len(self._inputs) * patience_s,
+            pids=list(pids),
+            watched=script,
+            patience_s=patience_s,
+            expected=expected,
+            settle=last,
+        )
+
+    @property
+    def _answers(self) -> bool:
+        """Whether each input waits for an output."""
+        return bool(self._inputs) and all(entry["offset_s"] is None for entry in self._inputs)
+
+    def _play_while_injecting(
+        self, driver: DriverClient, pids: Sequence[int], script: int, fault: RegisterFault
+    ) -> PlayedInputs:
+        """Play the inputs again and again until a register is injected, and some times more.
+
+        A tracer finds no instruction in a process that waits for messages.  Inputs at their own times are played once.
+        """
+        golden = self._golden_cycles()
+        done: list[Injection | Exception] = []
+
+        def run() -> None:
+            try:
+                done.append(inject(pids[fault.seed % len(pids)], fault)[0])
+            except Exception as error:  # noqa: BLE001 - evaluated later
+                done.append(error)
+
+        injecting = threading.Thread(target=run)
+        injecting.start()
+        cycles: list[dict[str, Any]] = []
+        left = _CYCLES_AFTER
+        while left > 0 and len(cycles) < len(golden):
+            if not injecting.is_alive():
+                left -= 1
+            is_last = left == 0 or len(cycles) + 1 == len(golden)
+            cycle = self._play_cycle(driver, pids, script, golden[: len(cycles) + 1], last=is_last)
+            cycles.append(cycle)
+            if cycle["is_silent"] or cycle["is_gone"]:
+                break
+        injecting.join()
+        return PlayedInputs(cycles, done[0])
+
+    def _golden_cycles(self) -> list[Outputs]:
+        """Error-free outputs of the inputs, played again and again; by cycle."""
+        if not self._cycles:
+            count = 1
+            if self._answers:
+                count = max(2, min(_MOST_CYCLES, _MOST_INPUTS // len(self._inputs)))
+            run = self._play(None, count)
+            if run.ended or run.has_ceased:
+                raise BadInputError(f"stack: without a fault, inputs played {count} times: {run.ended or 'no output'}")
+            self._cycles = run.cycles
+        return self._cycles
+
+    def _has_ceased(self, played: Mapping[str, Any], outputs: Outputs) -> bool:
+        """Whether outputs have ceased, rather than that some were lost."""
+        if self._answers:
+            return bool(played["is_silent"])
+        if self._golden is None:
+            return False
+        # Without answers to wait for, one missing message is taken as lost.
+        missing = [len(self._golden.outputs[topic]) - len(messages) for topic, messages in outputs.items()]
+        is_empty = not any(map(bool, outputs.values()))
+        return all(count >= 2 for count in missing) or (is_empty and any(missing))
+
+    def _ended(self, statuses: Mapping[int, int], pids: Sequence[int]) -> str:
+        """How the first process of the stack that has ended by itself ended; "" = none has."""
+        for index, pid in enumerate(pids):
+            if pid not in statuses:
+                continue
+            code = os.waitstatus_to_exitcode(statuses[pid])
+            if code < 0:
+                return signal.Signals(-code).name
+            return f"exit code {code}{self._last_line(index)}"
+        return ""
+
+    def _last_line(self, index: int) -> str:
+        """The last line that a process wrote, in brackets."""
+        with suppress(OSError):
+            lines = (self._folder / f"{index}.log").read_text(errors="replace").strip().splitlines()
+            if lines:
+                return f" ({lines[-1][:200]})"
+        return ""
+
+
+def _injections(
+    fault: InterposedFault | RegisterFault | None, run: PlayedRun, *, has_times: bool
+) -> tuple[tuple[Injection, ...], str]:
+    """What was changed, and why nothing was ("" = something was, or nothing was to be)."""
+    if fault is None:
+        return (), ""
+    if isinstance(fault, RegisterFault):
+        if isinstance(run.register, BadInputError):
+            raise run.register
+        if not isinstance(run.register, Injection):
+            return (), str(run.register)
+        return (run.register,), "" if run.register.activated else "the register was not injected"
+    changed = tuple(
+        Injection(
+            "message",
+            f"{fault.topic}.{fault.field}".rstrip("."),
+            _seconds(report, run, has_times=has_times),
+            report.bit,
+            report.before,
+            report.after,
+            activated=True,
+            details={"message": report.message, "operation": str(fault.operation), "type": report.dtype},
+        )
+        for report in run.reports
+        if report.kind == "changed"
+    )
+    refused = [report.text for report in run.reports if report.kind == "refused"]
+    problem = ""
+    if not changed:
+        problem = next(iter(refused), "the message was not reached")
+    return changed, problem
+
+
+def _seconds(report: Report, run: PlayedRun, *, has_times: bool) -> float:
+    """Time from the start of a run to a change (s); 0 if inputs wait for outputs, so that records can be compared."""
+    if not has_times:
+        return 0.0
+    return max(0.0, report.wall_s - run.armed_s)
+
+
+# ---- inputs ----------------------------------------------------------------------------------------------------------
+def inputs_of(stack: StackConfig, installation: Installation) -> tuple[list[dict[str, Any]], bytes]:
+    """The inputs as the driver takes them, and the bytes of serialized ones.
+
+    Raises:
+        BadInputError: The recording cannot be read.
+    """
+    inputs = stack.inputs
+    if inputs.messages:
+        entries = []
+        for index, data in enumerate(inputs.messages):
+            offset_s = None
+            if inputs.period_s is not None:
+                offset_s = index * inputs.period_s
+            entries.append({"topic": inputs.topic, "kind": inputs.type, "offset_s": offset_s, "data": data})
+        return entries, b""
+    if not inputs.bag:
+        return [], b""
+    outputs = {output.topic for output in stack.outputs}
+    entries = []
+    contents = []
+    for topic, kind, time_ns, content in _recorded(Path(inputs.bag)):
+        if topic in outputs or (inputs.topics and topic not in inputs.topics):
+            continue
+        entries.append({"topic": topic, "kind": kind, "offset_s": 1e-9 * time_ns, "size": len(content)})
+        contents.append(content)
+    if not entries:
+        raise BadInputError(f"stack.inputs.bag: {inputs.bag}: holds no message of these topics")
+    return entries, b"".join(contents)
+
+
+def _recorded(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
+    """Messages of a recording: topic, type, time since the first (ns), and serialized bytes."""
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise BadInputError(f"stack.inputs.bag: {path}: needs rosbags: pip install 'mavfi[logs]'") from None
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+            first_ns = reader.start_time
+            for connection, time_ns, content in reader.messages():
+                yield connection.topic, connection.msgtype, time_ns - first_ns, bytes(content)
+    except Exception as error:  # noqa: BLE001 - whatever the reader raises for a file that is none
+        raise BadInputError(f"stack.inputs.bag: {path}: cannot be read ({error})") from None
+
+
+# ---- the process of the bench ----------------------------------------------------------------------------------------
+
+
+class BenchClient:
+    """A bench in a process of its own, in a private network.
+
+    Raises:
+        BadInputError: No private network can be had, there is no such ROS 2 installation, or the stack cannot be run.
+        MavfiError: The bench has ended.
+    """
+
+    def __init__(self, stack: StackConfig) -> None:
+        command = [*private_namespaces(), sys.executable, "-m", "mavfi.extras.ros.ros2.stack.bench"]
+        python_path = os.pathsep.join(path for path in sys.path if path)
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": python_path},
+            start_new_session=True,
+        )
+        self._end = weakref.finalize(self, _end_process, self._process)
+        self._ask({"stack": stack.to_json()})
+
+    def golden(self) -> dict[str, Any]:
+        """Digest, status and numbers of the error-free run, as plain data."""
+        return self._ask({"do": "golden"})
+
+    def trial(self, fault: Fault | None, side: str) -> StackTrial:
+        """Run a trial; `side`: where the messages of the fault's topic are changed."""
+        fault_data = None
+        if fault is not None:
+            fault_data = fault.to_json()
+        trial = self._ask({"do": "trial", "fault": fault_data, "side": side})
+        injections = tuple(Injection.from_json(data) for data in trial.pop("injections"))
+        return StackTrial(**{**trial, "differences": tuple(trial["differences"])}, injections=injections)
+
+    def close(self) -> None:
+        """End it."""
+        self._end()
+
+    def _ask(self, order: dict[str, Any]) -> dict[str, Any]:
+        assert self._process.stdin is not None and self._process.stdout is not None  # pipes
+        with suppress(BrokenPipeError):  # the missing answer tells
+            self._process.stdin.write(json.dumps(order).encode() + b"\n")
+            self._process.stdin.flush()
+        line = self._process.stdout.readline()
+        if not line:
+            assert self._process.stderr is not None  # a pipe
+            lines = self._process.stderr.read().decode(errors="replace").strip().splitlines() or ["no message"]
+            raise MavfiError(f"bench of the stack: has ended ({lines[-1]})")
+        answer: dict[str, Any] = json.loads(line)
+        if "refused" in answer:
+            raise BadInputError(answer["refused"])
+        if "failed" in answer:
+            raise MavfiError(answer["failed"])
+        return answer
+
+
+def _end_process(process: "subprocess.Popen[bytes]") -> None:
+    """Let a bench end."""
+    for stream in (process.stdin, process.stdout, process.stderr):
+        if stream is not None:
+            with suppress(OSError):
+                stream.close()
+    try:
+        process.wait(_ANSWER_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def private_namespaces() -> list[str]:
+    """Command that runs a program in a network and mounts of its own.
+
+    Raises:
+        BadInputError: There can be none.
+    """
+    for command in (["unshare", "-n", "-m"], ["unshare", "-U", "-r", "-n", "-m"]):
+        try:
+            if subprocess.run([*command, "true"], capture_output=True, check=False).returncode == 0:
+                return command
+        except OSError:
+            break
+    raise BadInputError(
+        "no private network: neither `unshare -n -m` nor `unshare -Urnm` works here; allowed: as root, or with user "
+        "namespaces"
+    )
+
+
+def main() -> None:
+    """Meet the orders on stdin until it is closed; the first one has the stack."""
+    # It ends with its parent, and what it starts ends with it.
+    end_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a verdict prints is no answer
+
+    bench: StackBench | None = None
+    with tempfile.TemporaryDirectory(prefix="mavfi-stack-") as folder:
+        try:
+            for line in sys.stdin:
+                order = json.loads(line)
+                try:
+                    if bench is None:
+                        bench = StackBench(StackConfig.model_validate(order["stack"], context=STORED), Path(folder))
+                        answer: dict[str, Any] = {"forks": bench.forks}
+                    else:
+                        answer = _meet(bench, order)
+                except BadInputError as error:
+                    answer = {"refused": str(error)}
+                except MavfiError as error:
+                    answer = {"failed": str(error)}
+                answers.write(json.dumps(answer).encode() + b"\n")
+                answers.flush()
+        finally:
+            if bench is not None:
+                bench.close()
+
+
+def _meet(bench: StackBench, order: Mapping[str, Any]) -> dict[str, Any]:
+    """The answer to an order."""
+    if order["do"] == "golden":
+        return bench.golden_summary()
+    fault: InterposedFault | RegisterFault | None = None
+    if order["fault"] is not None:
+        fault = _injectable(fault_from_json(order["fault"]), order["side"])
+    trial = bench.trial(fault)
+    return {**asdict(trial), "injections": [injection.to_json() for injection in trial.injections]}
+
+
+def _injectable(fault: Fault, side: Side) -> InterposedFault | RegisterFault:
+    """A planned fault as the bench injects it."""
+    if isinstance(fault, RegisterFault):
+        return fault
+    assert isinstance(fault, MessageFault)  # by the levels of the host
+    operation, when = fault.planned
+    return InterposedFault(fault.topic, fault.field, operation, when, side, fault.seed)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,314 @@
+"""Operations on values and on whole publications: a stream of commands, what arrives of it, and wrong injectors."""
+
+import heapq
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import NO_SITE, FaultSite, MessageFault, StateFault, fault_from_json
+from mavfi.faults.levels.message.injector import PublicationInjector
+from mavfi.faults.levels.state_injector import StateInjector, ValueInjector, injector_of, number_in
+from mavfi.faults.operations import Operation, parse_text
+from mavfi.states import new_state
+
+COMMAND = "control.command"
+PERIOD_US = 20_000
+
+
+def command(number):
+    state = new_state(COMMAND)
+    state.header["vx"] = float(number)
+    state.header["vy"] = -7.0
+    return state
+
+
+class Queue:
+    """The event queue of a flight whose producer publishes every 20 ms."""
+
+    def __init__(self):
+        self.entries = []
+        self.order = 0
+
+    def at(self, time_us, action, state):
+        assert action == "transmit"
+        self.order += 1
+        heapq.heappush(self.entries, (time_us, self.order, state))
+
+    def until(self, time_us):
+        while self.entries and self.entries[0][0] <= time_us:
+            yield heapq.heappop(self.entries)[2]
+
+
+def value_fault(text, field="vx", **changes):
+    change = parse_text(text)
+    bit = change.operation.bit
+    time_us = round(1e6 * change.when.start_s)
+    when = replace(change.when, start_s=0.0)
+    planned = change._replace(operation=replace(change.operation, bit=None), when=when)
+    return StateFault(FaultSite(COMMAND, field), time_us, bit, change=planned, **changes)
+
+
+def message_fault(text):
+    change = parse_text(text)
+    return MessageFault(
+        COMMAND,
+        time_us=round(1e6 * change.when.start_s),
+        change=change._replace(when=replace(change.when, start_s=0.0)),
+    )
+
+
+# ---- values ----------------------------------------------------------------------------------------------------------
+VALUES = {
+    "set=nan:times=2@0.04": [0, 1, np.nan, np.nan, 4, 5],
+    "set=2.5@vx>2": [0, 1, 2, 2.5, 4, 5],
+    "bias=0.5@0.02..0.06": [0, 1.5, 2.5, 3.5, 4, 5],
+    "scale=-1:every=2@0.02..": [0, -1, 2, -3, 4, -5],
+    "freeze@n=3": [0, 1, 2, 2, 2, 2],
+    "freeze:times=2@0.02": [0, 1, 1, 3, 4, 5],
+    "bit=63:times=3@0.02": [0, -1, -2, -3, 4, 5],
+}
+"""First field of six commands 0, 1, 2, ..., by the change."""
+
+
+def arriving_values(make, text):
+    """What consumers receive of commands; all other fields must be as they were, and so must the producer's copies."""
+    injector = make(value_fault(text))
+    values = []
+    for number in range(6):
+        sent = command(number)
+        seen = injector(sent, PERIOD_US * number)
+        assert sent.same_bits(command(number)) and seen.value("vy") == -7.0
+        values.append(seen.value("vx"))
+    return values, injector
+
+
+@pytest.mark.parametrize("text", VALUES)
+def test_values_change_as_their_operation_says(text):
+    values, injector = arriving_values(injector_of, text)
+    np.testing.assert_array_equal(values, VALUES[text])
+    injection = injector.finish()[0]
+    first = parse_text(text).operation.name
+    assert injection.activated and injection.details["operation"].startswith(first.replace("flip", "bit"))
+    assert injection.bit == parse_text(text).operation.bit
+    assert json.loads(json.dumps(injection.to_json(), allow_nan=False))["site"] == f"{COMMAND}.vx"
+
+
+class Late(ValueInjector):
+    def __call__(self, state, time_us):
+        return super().__call__(state, time_us - PERIOD_US)
+
+
+class ForEver(ValueInjector):
+    def __init__(self, fault):
+        super().__init__(replace(fault, change=fault.change._replace(when=replace(fault.change.when, times=0))))
+
+
+class EveryOne(ValueInjector):
+    def __init__(self, fault):
+        super().__init__(replace(fault, change=fault.change._replace(when=replace(fault.change.when, every=1))))
+
+
+class NeverFrozen(ValueInjector):
+    def _change(self, state, time_us):
+        self._frozen = None
+        return super()._change(state, time_us)
+
+
+class Twice(ValueInjector):
+    def _change(self, state, time_us):
+        return super()._change(super()._change(state, time_us), time_us)
+
+
+class WrongField(ValueInjector):
+    def __init__(self, fault):
+        super().__init__(replace(fault, where=FaultSite(COMMAND, "vz")))
+
+
+@pytest.mark.parametrize("wrong", [Late, ForEver, EveryOne, NeverFrozen, Twice, WrongField])
+def test_wrong_injectors_of_values_are_found(wrong):
+    found = [not np.array_equal(arriving_values(wrong, text)[0], VALUES[text], equal_nan=True) for text in VALUES]
+    assert any(found)
+
+
+def test_a_duration_begins_with_the_first_change():
+    injector = injector_of(value_fault("set=9:times=0@vx>1", lasts_s=0.04))
+    assert [injector(command(n), PERIOD_US * n).value("vx") for n in range(7)] == [0, 1, 9, 9, 9, 5, 6]
+    assert injector.spent and injector.finish()[0].details["publications"] == 3
+
+
+def test_a_list_that_is_empty_is_passed_over_and_a_short_one_is_struck_at_its_end():
+    change = parse_text("set=5")
+    injector = injector_of(StateFault(FaultSite("planning.path", "x", 7), change=change))
+    empty = new_state("planning.path")
+    assert injector(empty, 0) is empty and not injector.spent
+    assert injector(new_state("planning.path", 3), 1).elements["x"].tolist() == [0, 0, 5]
+    assert injector.finish()[0].site == "planning.path.x[2]"
+
+
+def test_what_never_comes_is_not_activated():
+    for fault in (value_fault("set=1@9"), replace(value_fault("set=1"), time_us=NO_SITE)):
+        injector = injector_of(fault)
+        assert injector(command(3), 0).value("vx") == 3
+        (injection,) = injector.finish()
+        assert not injection.activated and injection.before is None
+    assert injector.spent
+
+
+def test_a_condition_reads_header_and_elements():
+    state = new_state("planning.path", 2)
+    state.header["junction"] = 4
+    state.elements["y"] = [1.5, 2.5]
+    assert [number_in(state, path) for path in ("junction", "y", "y[1]")] == [4, 1.5, 2.5]
+    assert np.isnan(number_in(state, "y[2]"))
+
+
+# ---- whole publications ----------------------------------------------------------------------------------------------
+MESSAGES = {
+    "drop:times=2@0.02": [0, 3, 4, 5],
+    "drop@0.02..0.06": [0, 4, 5],
+    "delay=0.05@0.02": [0, 2, 3, 1, 4, 5],
+    "delay=0.04:times=2@0.02": [0, 1, 3, 2, 4, 5],
+    "duplicate=2@n=2": [0, 1, 1, 1, 2, 3, 4, 5],
+    "freeze@0.04": [0, 1, 2, 2, 2, 2],
+    "freeze:times=2:every=2@0.04": [0, 1, 2, 3, 2, 5],
+    "reorder@vx>0": [0, 2, 1, 3, 4, 5],
+    "reorder=3@n=2": [0, 2, 3, 4, 1, 5],
+    "reorder:times=2@n=2": [0, 1, 3, 2, 4, 5],
+}
+"""First field of what arrives of six commands 0, 1, 2, ..., by the change; at equal instants, what is late is first."""
+
+
+def arriving_messages(make, text):
+    """What arrives of commands; what is in the queue comes before a publication of the same instant."""
+    queue = Queue()
+    injector = make(message_fault(text), queue)
+    arrived = []
+    for number in range(6):
+        now = PERIOD_US * number
+        arrived += [state.value("vx") for state in queue.until(now)]
+        sent = command(number)
+        seen = injector(sent, now)
+        assert sent.same_bits(command(number))
+        if seen is not None:
+            arrived.append(seen.value("vx"))
+        arrived += [state.value("vx") for state in queue.until(now)]
+    return arrived, injector
+
+
+@pytest.mark.parametrize("text", MESSAGES)
+def test_publications_arrive_as_their_operation_says(text):
+    arrived, injector = arriving_messages(PublicationInjector, text)
+    assert arrived == MESSAGES[text]
+    (injection,) = injector.finish()
+    operation = parse_text(text).operation
+    assert injection.activated and injection.details["operation"] == str(operation)
+
+
+class LateMessages(PublicationInjector):
+    def __call__(self, state, time_us):
+        return super().__call__(state, time_us - PERIOD_US)
+
+
+class Keeps(PublicationInjector):
+    def _drop(self, state, time_us):
+        return state
+
+
+class Hurries(PublicationInjector):
+    def _delay(self, state, time_us):
+        self._queue.at(time_us, "transmit", state)
+
+
+class SendsBoth(PublicationInjector):
+    def _delay(self, state, time_us):
+        super()._delay(state, time_us)
+        return state
+
+
+class OnceMore(PublicationInjector):
+    def _duplicate(self, state, time_us):
+        self._queue.at(time_us, "transmit", state)
+        return super()._duplicate(state, time_us)
+
+
+class Thaws(PublicationInjector):
+    def _freeze(self, state, time_us):
+        self._frozen = None
+        return super()._freeze(state, time_us)
+
+
+class Forgets(PublicationInjector):
+    def _release(self, time_us):
+        self._held = ()
+
+
+class KeepsOrder(PublicationInjector):
+    def _reorder(self, state, time_us):
+        return state
+
+
+@pytest.mark.parametrize(
+    "wrong", [LateMessages, Keeps, Hurries, SendsBoth, OnceMore, Thaws, Forgets, KeepsOrder], ids=lambda c: c.__name__
+)
+def test_wrong_injectors_of_messages_are_found(wrong):
+    assert any(arriving_messages(wrong, text)[0] != MESSAGES[text] for text in MESSAGES)
+
+
+class Copied(PublicationInjector):
+    """Goes on as a copy of itself; another copy, which is discarded, sees other publications."""
+
+    def __call__(self, state, time_us):
+        discarded = self.copy()
+        discarded._queue = Queue()
+        PublicationInjector.__call__(discarded, command(99), time_us)
+        copy = self.copy()
+        seen = PublicationInjector.__call__(copy, state, time_us)
+        self.__dict__.update(copy.__dict__)
+        return seen
+
+
+@pytest.mark.parametrize("text", MESSAGES)
+def test_a_copy_goes_on_as_the_original(text):
+    assert arriving_messages(Copied, text)[0] == MESSAGES[text]
+
+
+# ---- data ------------------------------------------------------------------------------------------------------------
+def test_stored_faults_have_a_change_as_text_and_published_ones_none():
+    fault = value_fault("set=nan:times=3@2..4")
+    data = fault.to_json()
+    assert data["change"] == "set=nan:times=3@0..4" and fault_from_json(json.loads(json.dumps(data))) == fault
+    assert "change" not in StateFault(FaultSite(COMMAND, "vx"), 0, 3).to_json()
+    published = {"topic": "t", "field": "f", "bit": 3, "at": 2, "rate": None, "stratum": "", "weight": 1.0, "seed": 5}
+    fault = fault_from_json({"level": "message", **published})
+    assert fault.to_json() == {"level": "message", **published}
+    assert fault.planned == (Operation("flip", bit=3), replace(fault.planned.when, first=2))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: value_fault("drop"), "control.command.vx: drop: of whole publications; allowed: message:control.comm"),
+        (lambda: value_fault("set=1", times=2), "times, share, width, also: allowed: those of the change"),
+        (lambda: replace(value_fault("bit=3"), bit=None), "bit: None: allowed: of a flip"),
+        (lambda: replace(value_fault("set=1"), bit=3), "bit: 3: allowed: of a flip, and none of another"),
+        (lambda: value_fault("bit=64"), "control.command.vx: bit 64: allowed: 0 to 63"),
+        (lambda: value_fault("set=1@speed>1"), "no field 'speed'; allowed: vx"),
+        (
+            lambda: StateFault(FaultSite("planning.path", "length_x"), change=parse_text("set=1")),
+            "set: is the length of a list; allowed: flips of a bit",
+        ),
+        (lambda: message_fault("set=1"), "control.command: set: allowed: drop, delay, duplicate, freeze, reorder"),
+        (lambda: MessageFault("t", change=parse_text("drop"), at=3), "t: bit, at, rate: allowed: those of the change"),
+        (lambda: fault_from_json({"level": "message", "topic": "t", "change": "lose"}), "'lose': not known"),
+    ],
+)
+def test_changes_that_cannot_be_are_refused(make, message):
+    with pytest.raises(BadInputError, match=message):
+        make()
+
+
+def test_a_fault_without_a_change_has_the_injector_of_bits():
+    assert type(injector_of(StateFault(FaultSite(COMMAND, "vx"), 0, 3))) is StateInjector

@@ -1,0 +1,89 @@
+"""Faults in whole messages are drawn from the publications of golden runs; hosts may draw them otherwise."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from mavfi.campaign.config import Campaign
+from mavfi.extras.airsim.level import CallLevel, CallSampling
+from mavfi.faults.fault import NO_SITE, StateFault
+from mavfi.flight.host import Flight
+from mavfi.levels.level import Sampled, parse, sampler_for
+from mavfi.levels.message import MessageLevel, MessageSampling
+from mavfi.record import Profile
+from mavfi.states import PPC_STAGES, STATES
+
+PATH = "planning.path"
+PROFILE = Profile({PATH: np.arange(100, 150)}, {PATH: np.zeros(50, np.int32)})
+
+
+def campaign(**sampling):
+    content = {"name": "c", "environments": ("sparse",), "missions": 300, "faults": 300}
+    return Campaign(**content, sampling={"level": "message", **sampling})
+
+
+def drawn(of, profile=PROFILE):
+    sampler = sampler_for(of)
+    found = []
+    for block in sampler.blocks("sparse"):
+        draws = [block.draw(index) for index in range(block.count)]
+        found.append(sampler.draw(draws, "sparse", {"": Sampled(Flight(None, profile))}))
+    return found
+
+
+def test_publications_and_operations_are_uniform():
+    operations = ["drop:times=2", "delay=0.2", "duplicate=3"]
+    (faults,) = drawn(campaign(states=[PATH], operations=operations))
+    counts = Counter(MessageLevel().columns(fault)["operation"] for fault in faults)
+    assert set(counts) == set(operations) and min(counts.values()) > 70
+    assert {fault.time_us for fault in faults} <= set(range(100, 150)) and len({f.time_us for f in faults}) > 40
+    assert {(fault.topic, fault.field, fault.stratum) for fault in faults} == {(PATH, "", "")}
+    assert faults == drawn(campaign(states=[PATH], operations=operations))[0]
+
+
+def test_each_state_of_the_pipeline_has_its_faults_by_default_or_none_without_a_publication():
+    found = drawn(campaign())
+    states = [spec.name for spec in STATES.values() if spec.stage in PPC_STAGES and not spec.only_with]
+    assert [faults[0].topic for faults in found] == states
+    for state, faults in zip(states, found, strict=True):
+        assert {fault.has_site for fault in faults} == {state == PATH}
+    assert {fault.time_us for fault in found[0]} == {NO_SITE}
+
+
+def test_null_runs_have_an_empty_mask():
+    null = sampler_for(campaign()).null(1, 5, "sparse", {"": Sampled(Flight(None, PROFILE))})
+    assert isinstance(null, StateFault) and null.is_null and null.where.state.startswith("planning.")
+
+
+def test_the_host_of_programs_draws_calls():
+    sampling = {"level": "message"}
+    programs = Campaign(
+        name="c", host="airsim_program", program={"script": "p.py"}, environments=("sparse",), sampling=sampling
+    )
+    assert type(programs.sampling) is CallSampling and type(programs.level) is CallLevel
+    assert Campaign.model_validate(programs.to_json()) == programs
+    assert programs.sampling.to_json() == {"level": "message", "sides": ["arguments", "return"], "calls": []}
+    assert type(campaign().sampling) is MessageSampling and type(campaign().level) is MessageLevel
+
+
+@pytest.mark.parametrize(
+    ("sampling", "message"),
+    [
+        ({"states": ["planning.pth"]}, "sampling.states: 'planning.pth': not known; allowed: sensor.depth"),
+        ({"states": [PATH, PATH]}, "named 2 times; allowed: once"),
+        ({"states": ["sensor.imu"]}, "sensor.imu is published with localization estimator only, not truth"),
+        ({"operations": ["set=1"]}, "sampling.operations: 'set=1': .*set: allowed: drop, delay"),
+        ({"operations": ["drop@3"]}, "sampling.operations: .*the instant is drawn; allowed: without @"),
+        ({"calls": ["hover"]}, "calls"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(sampling, message):
+    with pytest.raises(ValueError, match=message):
+        campaign(**sampling)
+
+
+def test_the_instant_that_is_not_given_is_that_of_a_publication():
+    request = parse("message:planning.path:drop")
+    instants = {request.resolve(seed, PROFILE).time_us for seed in range(200)}
+    assert instants <= set(range(100, 150)) and len(instants) > 40

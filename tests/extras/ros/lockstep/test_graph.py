@@ -1,0 +1,99 @@
+"""Who publishes what to whom: derived from the kernels, with and without nodes in the way."""
+
+from functools import cache
+
+import pytest
+
+from mavfi.errors import BadInputError
+from mavfi.extras.bench.sealed import Checksum, Duplicate
+from mavfi.extras.ros.lockstep.host import configure, isolation
+from mavfi.extras.ros.lockstep.plan import INJECTOR, WORLD, FlightGraph, FlightPlan
+from mavfi.extras.ros.ros1.transport import Ros1
+from mavfi.flight.compose import new_loop
+from mavfi.pipeline.ppc import build_pipeline
+from mavfi.states import PERIODIC, STATES
+from tests.core.flights.missions import AUTOPILOTS, mission
+
+
+@cache
+def pipeline():
+    return build_pipeline(configure(mission()))
+
+
+def routes(injected):
+    return FlightGraph(pipeline(), injected).routes
+
+
+def test_every_kernel_is_run_by_one_node():
+    nodes = FlightGraph(pipeline()).nodes
+    assert sorted(kernel for kernels in nodes.values() for kernel in kernels) == sorted(pipeline())
+    assert nodes["planner"] == ("planner", "trajectory")
+
+
+def test_without_taps_values_go_straight_to_their_readers():
+    found = routes(None)
+    written = {state for kernel in pipeline().values() for state in kernel.writes}
+    assert set(found) == written | {"sensor.depth", "sensor.odometry"} <= set(STATES)
+    for name, way in found.items():
+        assert way.first == way.final == "/mavfi/" + name.replace(".", "/")
+        assert way.nodes == (way.writer,)
+    assert found["sensor.odometry"].readers == ("collision_check", "planner", "waypoint", "pid")
+    assert found["planning.path"].readers == ("planner",)
+
+
+@pytest.mark.parametrize("detector", [Checksum(), Duplicate()])
+def test_detectors_that_take_part_in_what_is_not_published_are_refused(detector):
+    with pytest.raises(
+        BadInputError, match=rf"{type(detector).__name__}: takes part in what is not published; allowed"
+    ):
+        FlightPlan(Ros1(), scenario := mission(), configure(scenario), detector=detector)
+
+
+def test_with_an_estimator_its_kernel_is_a_node_and_the_world_reads_what_it_says():
+    plan = FlightPlan(Ros1(), scenario := mission(localization="estimator"), configure(scenario))
+    found = plan.graph.routes
+    assert plan.nodes[0] == "state_estimation" and "sensor.odometry" not in found
+    for sensor in ("sensor.imu", "sensor.position"):
+        assert (found[sensor].writer, found[sensor].readers) == (WORLD, ("state_estimation",))
+    estimate = found["perception.odometry"]
+    assert estimate.writer == "state_estimation"
+    assert estimate.readers == ("collision_check", "planner", "waypoint", "pid")
+    assert plan.world_listens("perception.odometry")
+
+
+def test_an_injector_sits_at_one_state():
+    found = routes("planning.waypoint")
+    way = found["planning.waypoint"]
+    assert (way.first, way.nodes, way.sender) == (f"{way.final}/raw", ("waypoint", INJECTOR), INJECTOR)
+    assert [name for name, other in found.items() if INJECTOR in other.nodes] == ["planning.waypoint"]
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_only_triggers_make_steps_due(autopilot):
+    seen = set()
+
+    def watch_inputs(kernel):
+        receive = kernel.receive
+
+        def watched(state, time_us):
+            due = receive(state, time_us)
+            if due and kernel.name not in PERIODIC:
+                seen.add((kernel.name, state.spec.name))
+            return due
+
+        kernel.receive = watched
+
+    loop = new_loop(mission(autopilot))
+    for kernel in loop.kernels.values():
+        watch_inputs(kernel)
+    loop.fly()
+    interfaces = FlightGraph(pipeline()).interfaces.values()
+    assert seen and seen <= {(interface.name, state) for interface in interfaces for state in interface.triggers}
+    assert not any(interface.triggers for interface in interfaces if interface.name in PERIODIC)
+
+
+def test_without_a_private_network_there_is_no_flight(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(BadInputError, match=r"no private network.*--allow-bind-all"):
+        isolation()
+    assert isolation(allow_bind_all=True) == []

@@ -1,0 +1,66 @@
+"""`mavfi ros inject | run` and `mavfi inject --ros-node` on real nodes."""
+
+import json
+
+import pytest
+
+from mavfi.cli import run
+from mavfi.extras.ros.ros2.graph import AgentClient
+from tests.extras.ros.ros2.conftest import NODES
+
+pytestmark = [pytest.mark.ros, pytest.mark.alone]
+
+
+@pytest.fixture(scope="module")
+def talker(ros2):
+    process = ros2.start("talker.py", "--clock")
+    with AgentClient(ros2.installation) as client:
+        assert client.wait_for("/joint_states", limit_s=20)
+        yield process
+    assert process.poll() is None
+
+
+def test_a_number_in_a_running_node_is_changed_and_a_second_reader_sees_it(talker, capsys):
+    assert run("ros inject --topic joint_states --field position[1] --set nan --at sim=0.1 --json".split()) == 0
+    (injection,) = json.loads(capsys.readouterr().out)["injections"]
+    assert injection["site"] == "/joint_states.position[1]" and injection["activated"]
+    assert (injection["before"], injection["after"]) == (0.25, "nan")
+    details = injection["details"]
+    assert details["verified"] is True and details["node"] == "/talker" and details["pid"] == talker.pid
+    assert details["sim_s"] > 1000
+
+
+def test_what_is_wrong_is_one_line_before_anything_is_touched(talker, capsys):
+    for arguments, message in (
+        (["--topic", "/joint_state", "--field", "x"], "topic /joint_state: not in the graph; allowed:"),
+        (
+            ["--topic", "/joint_states", "--field", "positions[0]"],
+            "no member 'positions' in sensor_msgs/msg/JointState",
+        ),
+        (["--topic", "/joint_states", "--field", "position[0]", "--bit", "64"], "bit 64: allowed: 0 to 63"),
+        (["--topic", "/joint_states", "--set", "1"], "set=1: changes a number; allowed: with a field"),
+        (["--topic", "/joint_states", "--side", "take", "--drop"], "/joint_states: no node reads it"),
+        (["--service", "/switch", "--side", "request", "--delay", "1"], "not possible on side take_request"),
+        (["--topic", "/joint_states", "--service", "/switch"], "--topic NAME or --service NAME, one of them"),
+    ):
+        assert run(["ros", "inject", *arguments]) == 2
+        captured = capsys.readouterr()
+        assert message in captured.err and captured.err.count("\n") == 1 and captured.out == ""
+
+
+def test_a_register_of_a_node_is_injected_by_its_name(talker, capsys):
+    assert run(["inject", "--ros-node", "talker", "--symbol", "rmw_publish", "--null", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["injections"][0]["activated"]
+
+
+def test_nodes_are_started_with_faults_and_missing_ones_are_explained(ros2, capfd, monkeypatch):
+    for name, value in ros2.installation.environment(ROS_DOMAIN_ID="48").items():
+        monkeypatch.setenv(name, value)
+    faults = ["--fault", "topic:/number1 data set=-5 times=2 @n=2", "--fault", "topic:/nothing drop"]
+    assert run(["ros", "run", *faults, "--", ros2.installation.python, str(NODES / "calls.py"), "5"]) == 0
+    captured = capfd.readouterr()
+    assert json.loads(captured.out)["received"][1] == [0.0, -5.0, -5.0, 3.0, 4.0]
+    lines = captured.err.splitlines()
+    assert lines[0].startswith("/number1 message 2: data (f8) 1.0 → -5.0 (") and len(lines) == 4
+    assert lines[2] == "/number1: 2 of 5 messages changed"
+    assert lines[3].startswith("/nothing: NOT injected: none of 1 processes had a message of it")
