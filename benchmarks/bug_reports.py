@@ -13,7 +13,7 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-from mavfi.analysis.statistics import wilson
+from mavfi.analysis.statistics import score_bounds
 from mavfi.faults.fault import Fault
 from mavfi.flight.compose import watched
 from mavfi.flight.fly import fly
@@ -115,8 +115,9 @@ def table(environment: str, missions: Sequence[dict[str, list[ReportedFlight]]])
 def _success(flights: Sequence[ReportedFlight]) -> str:
     """Share of missions that succeed (per cent), its 95 % Wilson interval, and the count."""
     successes = sum(flight.status is MissionStatus.SUCCESS for flight in flights)
-    rate = wilson(successes, len(flights))
-    return f"{100 * rate.rate:.0f} [{100 * rate.low:.0f}, {100 * rate.high:.0f}] {successes}/{len(flights)}"
+    share = successes / len(flights)
+    low, high = score_bounds(share, len(flights))
+    return f"{100 * share:.0f} [{100 * low:.0f}, {100 * high:.0f}] {successes}/{len(flights)}"
 
 
 def _ends(flights: Sequence[ReportedFlight]) -> str:
@@ -167,9 +168,9 @@ def main() -> None:
         for seed in range(FIRST_SEED, FIRST_SEED + count):
             missions[environment].append(fly_mission(environment, seed))
             sys.stderr.write(f"\r{environment} {len(missions[environment])} missions")
-    block = page_block(missions)
-    sys.stdout.write(f"\n{block}\n")
-    PAGE.write_text(between(PAGE.read_text(encoding="utf-8"), "bug-reports", block), encoding="utf-8")
+        page = between(PAGE.read_text(encoding="utf-8"), "bug-reports", page_block(missions))
+        PAGE.write_text(page, encoding="utf-8")
+    sys.stdout.write(f"\n{page_block(missions)}\n")
 
 
 if __name__ == "__main__":

@@ -59,8 +59,8 @@ int main(int argc, char **argv) {
       for (size_t i = 0; i < count / 20; i++) check(rcl_publish(&publisher, &message, nullptr), "publish");
       blocks.push_back(std::chrono::duration<double, std::nano>(Clock::now() - begin).count() / (count / 20));
     }
-    std::nth_element(blocks.begin(), blocks.begin() + 10, blocks.end());
-    printf("%f\n", blocks[10]);
+    std::sort(blocks.begin(), blocks.end());
+    printf("%f\n", blocks[2]);  // of 20, undisturbed by others
     return 0;
   }
 

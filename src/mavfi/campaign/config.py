@@ -117,7 +117,7 @@ class Campaign(Config):
     name: Name
     host: str = Field(
         "local",
-        description="where missions are flown: local, ros2, ros1, ros2_stack, firmware, airsim_program, or an entry point",
+        description="where: local, ros2, ros1, ros2_stack, firmware, airsim_program, or another entry point",
     )
     environments: tuple[str, ...] = Field(min_length=1)
     first_seed: int = Field(10_000, ge=0)
@@ -246,10 +246,7 @@ class Campaign(Config):
     @property
     def level(self) -> Any:  # noqa: ANN401 - a `mavfi.levels.level.Level`
         """The level of the sampling, as its host draws it."""
-        host = _class_of_host(self.host)
-        if host is not None and self.sampling.level in host.samplings:
-            return host.samplings[self.sampling.level]()
-        return find_level(self.sampling.level)
+        return _level_at(self.host, self.sampling.level)
 
     @property
     def seeds(self) -> range:
@@ -353,6 +350,14 @@ def _refuse_keys_of_other_hosts(data: Mapping[str, Any]) -> None:
                 )
 
 
+def _level_at(host_name: Any, level: str) -> Any:
+    """A level, as a host draws its faults; a BadInputError if there is no such level."""
+    host = _class_of_host(host_name)
+    if host is None:
+        return find_level(level)
+    return host.level_of(level)
+
+
 def _sampling(data: Any, info: ValidationInfo | None, host_name: Any = _LOCAL) -> Sampling:
     """The sampling, as validated by its level, or by that of the host if it draws these faults otherwise."""
     if isinstance(data, Mapping):
@@ -360,12 +365,7 @@ def _sampling(data: Any, info: ValidationInfo | None, host_name: Any = _LOCAL) -
     else:
         level = getattr(data, "level", "state")
     levels = level_names()
-    model = None
-    host = _class_of_host(host_name)
-    if host is not None and level in host.samplings:
-        model = host.samplings[level].sampling
-    elif level in levels:
-        model = find_level(level).sampling
+    model = _level_at(host_name, level).sampling if level in levels else None
     if model is None:
         text = f"not known{hint(level, levels)}; allowed: {', '.join(levels)}"
         raise ValueError(f"key 'sampling.level': {level!r}: {text}")

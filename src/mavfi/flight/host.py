@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from mavfi.config import Config
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault
+from mavfi.faults.fault import Fault, find_level
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import extensions, load_object
@@ -208,6 +208,13 @@ class Host(ABC):
 
     def check_stored(self, scenario: Mapping[str, Any]) -> None:  # noqa: B027 - most fly what the ledger stores
         """Raise a SpecMismatchError if what is under test is not that of a ledger's scenario, given as plain data."""
+
+    @classmethod
+    def level_of(cls, name: str) -> Any:
+        """A level, as campaigns of this host draw its faults; a BadInputError if there is no such level."""
+        if name in cls.samplings:
+            return cls.samplings[name]()
+        return find_level(name)
 
     @classmethod
     def campaign_defaults(cls, under_test: Any) -> dict[str, Any]:

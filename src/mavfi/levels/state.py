@@ -710,16 +710,17 @@ class StateLevel(Level):
         """See `Level.columns`."""
         site = fault.where
         spec = STATES[fault.where.state]
-        columns = {
+        columns: dict[str, Any] = {
             "stage": str(spec.stage),
             "kernel": spec.writer,
             "state": site.state,
             "field": site.field,
             "element": site.element,
-            "operation": "flip",
         }
         if fault.change is not None:
             columns["operation"] = fault.change.name
+        elif fault.bit is not None:
+            columns["operation"] = "flip"
         # what is drawn from all bits is the population of faults without strata
         if fault.stratum not in (WHOLE_WORD, EACH_CLASS):
             columns["population"] = fault.stratum

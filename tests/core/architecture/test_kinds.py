@@ -7,16 +7,20 @@ from types import NoneType
 import pytest
 
 from mavfi.faults.fault import find_level, level_names
+from mavfi.flight.host import GROUP
+from mavfi.plugins import extensions
 from tests.core.architecture.source import dotted, modules
 
 HOMES = ("levels/", "flight/", "analysis/", "extras/", "testing.py")
 """Levels draw faults and describe them, hosts inject them, views show them, contract suites ask all of it."""
-KINDS = {f"{level.capitalize()}{what}" for level in level_names() for what in ("Fault", "Request", "Sampling")}
+OWN = {level.sampling.__name__ for host in extensions(GROUP).values() for level in host.samplings.values()}
+"""Classes of draws that hosts have in the place of those of a level."""
+KINDS = OWN | {f"{level.capitalize()}{what}" for level in level_names() for what in ("Fault", "Request", "Sampling")}
 """Classes of a fault, of the request for one, and of a campaign's draws."""
 ASKED = {"level", "scheme", "host", "kernels"}
 """Attributes and names which say what kind of experiment this is."""
 ALLOWED = {
-    "campaign/config.py": 3,  # a host may bring keys and rules of its own
+    "campaign/config.py": 4,  # a host may bring keys and rules of its own
     "cli/fly.py": 3,  # options before the slow imports: instrumented code, nodes that can die, flights that fork
     "cli/observing.py": 1,  # a forked flight has no observer
 }
@@ -71,7 +75,7 @@ def test_a_question_is_recognised(code):
 def test_every_class_of_a_fault_and_of_a_draw_is_known():
     classes = {node.name for tree in modules().values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef)}
     draws = {name for name in classes if name.endswith("Sampling")} - {"Sampling"}
-    assert draws == {f"{level.capitalize()}Sampling" for level in level_names()}
+    assert draws == OWN | {f"{level.capitalize()}Sampling" for level in level_names()}
     assert {kind.__name__ for kind in (find_level(name).fault for name in level_names())} | draws <= KINDS
 
 

@@ -233,10 +233,9 @@ _MAX_OBSERVED_NUMBERS = 16
 
 @dataclass(frozen=True, slots=True)
 class BoundaryFault:
-    """A fault and the instant (us) from which it may act."""
+    """A fault in calls, or in a number that passes in them."""
 
     fault: MessageFault
-    since_us: int = 0
 
     @property
     def in_return(self) -> bool:
@@ -295,7 +294,7 @@ def parse_fault(text: str, seed: int = 0) -> BoundaryFault | SensorFault:
     else:
         bit_number = int(bit)
     nth = int(match["nth"] or 1)
-    return BoundaryFault(MessageFault(name, path, bit_number, nth, seed=seed), round(1e6 * since_s))
+    return BoundaryFault(MessageFault(name, path, bit_number, nth, seed=seed, time_us=round(1e6 * since_s)))
 
 
 def _check_site(text: str, name: str, path: str) -> None:
@@ -324,12 +323,11 @@ def _parse_change(text: str, seed: int) -> BoundaryFault:
             operation = replace(operation, bit=random.Random(seed).randrange(_BITS))
         if operation.bit is not None and operation.bit >= _BITS:
             raise BadInputError(f"bit {operation.bit}: allowed: 0 to {_BITS - 1}")
-        since_us = round(1e6 * when.start_s)
         planned = Change(operation, replace(when, start_s=0.0))
-        fault = MessageFault(match["call"], path, seed=seed, change=planned)
+        fault = MessageFault(match["call"], path, seed=seed, time_us=round(1e6 * when.start_s), change=planned)
     except BadInputError as error:
         raise BadInputError(f"--fault: {text!r}: {error}") from None
-    return BoundaryFault(fault, since_us)
+    return BoundaryFault(fault)
 
 
 @dataclass(frozen=True, slots=True)
@@ -371,7 +369,7 @@ class Boundary:
         planned = self.planned
         if planned is not None and planned.fault.change is not None:
             fault = planned.fault
-            self._schedule = schedule_of(fault.planned.when, planned.since_us, fault.seed)
+            self._schedule = schedule_of(fault.planned.when, fault.time_us, fault.seed)
 
     @property
     def delays(self) -> bool:
@@ -465,7 +463,7 @@ class Boundary:
         if self.injection is not None:
             return value
         fault = planned.fault
-        if name != fault.topic or now_us < planned.since_us or not fault.field:
+        if name != fault.topic or now_us < fault.time_us or not fault.field:
             return value
         self._count += 1
         if self._count < fault.at:

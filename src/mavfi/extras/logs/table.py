@@ -131,7 +131,7 @@ _HEADER = "MSG: std_msgs/Header\n"
 
 
 class RosReader:
-    """Reads a bag of ROS 1, or a recording of rosbag2: its folder, an mcap file or a db3 file; see `FlightLogReader`."""
+    """Reads a bag of ROS 1, or a recording of rosbag2 (folder, mcap or db3 file); see `FlightLogReader`."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

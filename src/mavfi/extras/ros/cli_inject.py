@@ -1,4 +1,7 @@
-"""`mavfi ros inject | run`: faults in the messages of a running ROS graph, or of one that is started."""
+"""`mavfi ros inject | run`: faults in the messages of a running ROS graph, or of one that is started.
+
+Also the option of `mavfi inject` that names a node.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +16,33 @@ from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
-    from mavfi.extras.ros.ros2.fault_text import FaultSite
     from mavfi.extras.ros.ros2.injection import InjectionReport, RunningGraphInjection
+    from mavfi.extras.ros.ros2.interposer.page import InterposedFault
     from mavfi.faults.operations import Change
 
 _MAX_DURATION_S = 7 * 86_400.0
 _POLL_S = 0.02
 _AFTERWARDS_S = 1.0
 """How long the graph is watched after the last injection (s)."""
+
+
+class RosNode:
+    """The option of `mavfi inject` that names a ROS node instead of a process."""
+
+    options = {
+        "ros_node": Annotated[
+            str | None, typer.Option(metavar="NAME", help="The ROS node to inject, instead of --pid.")
+        ]
+    }
+
+    @staticmethod
+    def pid_of(values: dict[str, Any]) -> int | None:
+        """See `mavfi.extras.registers.cli.PROCESSES`."""
+        if values["ros_node"] is None:
+            return None
+        from mavfi.extras.ros.survey import pid_of_node
+
+        return pid_of_node(values["ros_node"])
 
 
 def inject(  # noqa: PLR0913 - one parameter per option
@@ -95,7 +117,10 @@ def inject(  # noqa: PLR0913 - one parameter per option
 
         inject_ros1(topic, field, change, seed, node, duration, as_json=as_json)
         return
-    _inject_ros2(site, field, change, seed, node, duration, as_json=as_json)
+    from mavfi.extras.ros.ros2.interposer.page import InterposedFault
+
+    fault = InterposedFault(site.name, field, change.operation, change.when, site.side, seed)
+    _inject_ros2(fault, node, duration, as_json=as_json)
 
 
 def _change(field: str, at: str, given: dict[str, Any]) -> Change:
@@ -114,19 +139,18 @@ def _change(field: str, at: str, given: dict[str, Any]) -> Change:
 
 
 def _is_ros1(topic: str) -> bool:
-    """Whether a ROS 1 graph has a topic."""
+    """Whether a topic is that of a ROS 1 graph: if its master knows it, or if there is no ROS 2 here."""
     from mavfi.extras.ros.node.master import Master, absolute
+    from mavfi.extras.ros.ros2.environment import installations
 
     try:
         graph = Master().graph()
     except BadInputError:  # there is no master
         return False
-    return absolute(topic) in graph.types
+    return absolute(topic) in graph.types or not any(installations())
 
 
-def _inject_ros2(
-    site: FaultSite, field: str, change: Change, seed: int, node: str, duration: float, *, as_json: bool
-) -> None:
+def _inject_ros2(fault: InterposedFault, node: str, duration: float, *, as_json: bool) -> None:
     """Inject into a running ROS 2 graph, and report."""
     from mavfi.extras.ros.ros2.graph import AgentClient
     from mavfi.extras.ros.ros2.injection import RunningGraphInjection
@@ -134,7 +158,7 @@ def _inject_ros2(
     reports: list[InjectionReport] = []
     aftermath: list[str] = []
     with stoppable("Stopped. The graph is as it was."), AgentClient() as agent:
-        injection = RunningGraphInjection(agent, site, field, change.operation, change.when, seed, node)
+        injection = RunningGraphInjection(agent, fault, node)
         try:
             with injection:
                 for line in injection.unreachable:
@@ -144,7 +168,7 @@ def _inject_ros2(
             if as_json:
                 write_json(
                     {
-                        "topic": site.name,
+                        "topic": fault.topic,
                         "passed": injection.messages,
                         "injections": [report.to_injection().to_json() for report in reports],
                         "aftermath": aftermath,
@@ -179,7 +203,7 @@ def _follow(
             aftermath.append(line)
             if not as_json:
                 console().print(line, markup=False, soft_wrap=True)
-        if injection.is_over and not is_over:
+        if not is_over and (injection.is_over or not injection.has_target):
             is_over = True
             end = min(end, time.monotonic() + _AFTERWARDS_S)
         time.sleep(_POLL_S)

@@ -116,3 +116,30 @@ def survey_all(seconds: float) -> list[Survey]:
     if not surveys:
         raise BadInputError("; ".join(absences))
     return surveys
+
+
+def pid_of_node(name: str) -> int:
+    """Process id of a node on this machine, of ROS 1 if a master answers, else of ROS 2.
+
+    Raises:
+        BadInputError: There is no graph, it has no such node, or the node's process is unknown.
+        MavfiError: ROS 2 is installed, but does not start.
+    """
+    from mavfi.extras.ros.node.master import Master
+    from mavfi.extras.ros.ros2.environment import find_installation
+    from mavfi.extras.ros.ros2.graph import AgentClient
+    from mavfi.extras.ros.ros2.processes import GraphProcesses
+
+    try:
+        master = Master()
+    except BadInputError as absence:
+        try:
+            installation = find_installation()
+        except BadInputError as error:
+            raise BadInputError(f"{absence}; {error}") from None
+        with AgentClient(installation) as agent:
+            process = agent.find(lambda snapshot: GraphProcesses(snapshot).pid_of_node(name))
+        if process.pid is None:
+            raise BadInputError(f"node {process.node}: {process.problem}") from None
+        return process.pid
+    return master.node_pid(name)

@@ -77,7 +77,7 @@ class MessageListener(ABC):
 
 
 def make_listener(topics: Sequence[str]) -> MessageListener:
-    """The listener for topics of a running graph: of ROS 1 if a master answers and has them, else of ROS 2.
+    """The listener for topics of a running graph: of ROS 1 if a master answers, unless only ROS 2 has the topics.
 
     Raises:
         BadInputError: There is neither, or a topic is unknown.
@@ -87,20 +87,30 @@ def make_listener(topics: Sequence[str]) -> MessageListener:
     from mavfi.extras.ros.ros2.environment import find_installation
     from mavfi.extras.ros.ros2.watch import GraphListener
 
-    master = None
-    absence = ""
     try:
         master = Master()
-    except BadInputError as error:
-        absence = str(error)
-    if master is not None and {absolute(topic) for topic in topics} <= set(master.graph().topics):
-        return TopicListener(master, topics)
+    except BadInputError as absence:
+        try:
+            return GraphListener(find_installation(), topics)
+        except BadInputError as error:
+            raise BadInputError(f"{absence}; {error}") from None
+    names = {absolute(topic) for topic in topics}
+    if names <= set(master.graph().topics) or not names <= _topics_of_ros2():
+        return TopicListener(master, topics)  # raises if a topic is unknown
+    return GraphListener(find_installation(), topics)
+
+
+def _topics_of_ros2() -> set[str]:
+    """Names of the topics in the graph of ROS 2; empty if it is not installed."""
+    from mavfi.extras.ros.ros2.environment import find_installation
+    from mavfi.extras.ros.ros2.graph import AgentClient
+
     try:
-        return GraphListener(find_installation(), topics)
-    except BadInputError as error:
-        if master is not None:
-            return TopicListener(master, topics)  # raises: names the unknown topic
-        raise BadInputError(f"{absence}; {error}") from None
+        installation = find_installation()
+    except BadInputError:
+        return set()
+    with AgentClient(installation) as agent:
+        return {topic.name for topic in agent.snapshot().topics}
 
 
 @dataclass(frozen=True, slots=True)

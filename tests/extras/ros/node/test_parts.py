@@ -9,6 +9,7 @@ from mavfi.cli import run
 from mavfi.errors import MavfiError
 from mavfi.extras.ros.node.message import Composer
 from mavfi.extras.ros.node.peer import Peer, TopicSource, decode_header, encode_header
+from mavfi.extras.ros.ros2 import environment
 
 COMPOSER = Composer("sensor_msgs/JointState")
 MESSAGE = COMPOSER.pack({"name": ["a"], "position": [0.5]})
@@ -79,6 +80,7 @@ def test_a_reader_follows_the_publishers_of_an_update(peer):
 @pytest.mark.parametrize("arguments", [["ros", "list"], ["inject", "--ros-node", "/a"]])
 def test_without_a_master_one_line_says_what_to_do(monkeypatch, capsys, arguments):
     monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:9")
+    monkeypatch.setattr(environment, "installations", lambda: iter(()))
     assert run(arguments) == 2
     message = capsys.readouterr().err
     assert message.startswith("mavfi: no ROS master at http://127.0.0.1:9: ") and message.count("\n") == 1

@@ -45,7 +45,8 @@ def to_frame(number: int, time_us: int, content: bytes = b"") -> bytes:
 
 def from_frame(frame: bytes) -> Frame:
     """The publication with these bytes."""
-    return Frame(*_HEAD.unpack_from(frame), frame[_HEAD.size :])
+    number, time_us = _HEAD.unpack_from(frame)
+    return Frame(number, time_us, frame[_HEAD.size :])
 
 
 # ---- values ----------------------------------------------------------------------------------------------------------

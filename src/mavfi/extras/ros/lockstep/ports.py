@@ -259,8 +259,8 @@ class Client:
         loss = self._ports.wait_with(lambda: self._answer is not None, [pid])
         if loss is not None:
             raise NodeLostError(loss.why)
-        assert self._answer is not None
-        return self._answer.content
+        answer: Frame = self._answer  # type: ignore[assignment] # set by `_arrived` meanwhile
+        return answer.content
 
     def _arrived(self, frame: Frame) -> None:
         if frame.number == self._number:  # not the answer to a call that was given up

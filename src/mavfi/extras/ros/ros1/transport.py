@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -99,6 +100,7 @@ class Ros1Transport(Transport):
         from std_msgs.msg import UInt8MultiArray
 
         # values are published without a queue: the order of transmission is that of the calls
+        warnings.filterwarnings("ignore", "The publisher should be created", SyntaxWarning)
         rospy.init_node(node, argv=[], disable_signals=True, disable_rostime=True, disable_rosout=True)
         self._rospy: Any = rospy
         self._type: Any = UInt8MultiArray
@@ -109,7 +111,7 @@ class Ros1Transport(Transport):
         """See `Transport`."""
         kind = self._type
 
-        class Greeter(self._rospy.SubscribeListener):  # type: ignore[misc, name-defined]
+        class Greeter(self._rospy.SubscribeListener):  # type: ignore[name-defined]
             def peer_subscribe(self, name: str, publish: Any, publish_to_peer: Any) -> None:
                 publish_to_peer(kind(data=greeting))
 

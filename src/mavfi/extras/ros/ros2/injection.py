@@ -9,13 +9,11 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.extras.ros.ros2.fault_text import FaultSite
 from mavfi.extras.ros.ros2.graph import AgentClient, GraphSnapshot, RawMessage
 from mavfi.extras.ros.ros2.interposer.attach import Attachments
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault, Report
 from mavfi.extras.ros.ros2.processes import GraphProcesses, NodeProcess, program_of
 from mavfi.extras.ros.ros2.types import Decoder, TypeLibrary
-from mavfi.faults.operations import Operation, When
 from mavfi.record import Injection
 
 _LIFECYCLE = "lifecycle_msgs/msg/TransitionEvent"
@@ -95,12 +93,8 @@ class RunningGraphInjection:
 
     Args:
         agent: In the graph.
-        site: Topic or service, and side.
-        field: Path of a number; "" = whole messages.
-        operation: What is done.
-        when: To which messages.
-        seed: Draws bits and messages.
-        node: Only in the process of this node; "" = of all on this side.
+        fault: Without its type.
+        node: Only in the process of this node; "" = of all on its side.
 
     Attributes:
         processes: Into which the interposer was loaded.
@@ -110,27 +104,17 @@ class RunningGraphInjection:
         BadInputError: There is no such topic, service, node, member or type, or none of the processes can be reached.
     """
 
-    def __init__(
-        self,
-        agent: AgentClient,
-        site: FaultSite,
-        field: str,
-        operation: Operation,
-        when: When,
-        seed: int = 0,
-        node: str = "",
-    ) -> None:
+    def __init__(self, agent: AgentClient, fault: InterposedFault, node: str = "") -> None:
         self._agent = agent
         self._node = node
-        self._fault = InterposedFault(site.name, field, operation, when, site.side, seed)
-        targets = agent.find(lambda snapshot: _targets(snapshot, site, node))
+        targets = agent.find(lambda snapshot: _targets(snapshot, fault, node))
         kind = targets[0].kind
-        self._fault = replace(self._fault, type=kind)
+        self._fault = replace(fault, type=kind)
         self._types = TypeLibrary(agent.installation.distribution, agent.definition)
         self._decoder: Decoder | None = None
-        if not site.is_service:
+        if fault.side in ("publish", "take"):
             self._decoder = Decoder(kind, self._types)
-            self._decoder.check(field, operation, when)
+            self._decoder.check(fault.field, fault.operation, fault.when)
         self.processes = [target for target in targets if target.pid is not None]
         self.unreachable = [f"{target.node}: {target.problem}" for target in targets if target.pid is None]
         self._messages: list[RawMessage] = []
@@ -167,6 +151,11 @@ class RunningGraphInjection:
         """Whether the fault changes no more messages."""
         times = self._fault.when.times
         return times > 0 and self._page.messages_changed(0) >= times
+
+    @property
+    def has_target(self) -> bool:
+        """Whether one of the processes is still there."""
+        return any(process.pid is not None and program_of(process.pid) for process in self.processes)
 
     @property
     def messages(self) -> int:
@@ -212,8 +201,7 @@ class RunningGraphInjection:
         if not any("has ended" in text for text in self._aftermath_seen):
             return ""
         with suppress(MavfiError):
-            site = FaultSite(self._fault.topic, self._fault.side, self._decoder is None)
-            now = {target.pid for target in _targets(self._agent.snapshot(), site, self._node)}
+            now = {target.pid for target in _targets(self._agent.snapshot(), self._fault, self._node)}
             new = sorted(pid for pid in now - {process.pid for process in self.processes} if pid is not None)
             if new:
                 return f"{', '.join(f'process {pid} ({program_of(pid)})' for pid in new)} has taken its place"
@@ -268,8 +256,8 @@ class RunningGraphInjection:
         threading.Thread(target=follow, daemon=True).start()
 
 
-def _targets(snapshot: GraphSnapshot, site: FaultSite, node: str) -> Sequence[NodeProcess]:
-    """The processes on a side of a topic or service, or that of one of its nodes."""
+def _targets(snapshot: GraphSnapshot, fault: InterposedFault, node: str) -> Sequence[NodeProcess]:
+    """The processes on the side of a fault, or that of one of its nodes."""
     processes = GraphProcesses(snapshot)
     find: Callable[[str], tuple[NodeProcess, ...]] = {
         "publish": processes.pids_of_publishers,
@@ -278,17 +266,17 @@ def _targets(snapshot: GraphSnapshot, site: FaultSite, node: str) -> Sequence[No
         "send_response": processes.pids_of_service,
         "send_request": processes.pids_of_clients,
         "take_response": processes.pids_of_clients,
-    }[site.side]
-    targets = find(site.name)
+    }[fault.side]
+    targets = find(fault.topic)
     if node:
         full_name = "/" + node.removeprefix("/")
         names = ", ".join(sorted({target.node for target in targets})) or "none"
         targets = tuple(target for target in targets if target.node == full_name)
         if not targets:
-            raise BadInputError(f"--node: {node!r}: not on this side of {site.name}; allowed: {names}")
+            raise BadInputError(f"--node: {node!r}: not on this side of {fault.topic}; allowed: {names}")
     if not targets:
-        what = {"publish": "publishes", "take": "reads"}.get(site.side, "has")
-        raise BadInputError(f"{site.name}: no node {what} it")
+        what = {"publish": "publishes", "take": "reads"}.get(fault.side, "has")
+        raise BadInputError(f"{fault.topic}: no node {what} it")
     return targets
 
 

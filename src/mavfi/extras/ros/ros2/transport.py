@@ -70,9 +70,10 @@ class Ros2(Middleware):
             **variables,
             "PATH": os.pathsep.join([programs, path]),
             "ROS_DOMAIN_ID": str(self.domain),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            # a node that was killed never empties its queues in shared memory, which then block those that send to it
+            # No shared memory: a node that was killed never empties its queues there, and those that send to it wait.
+            # With the range LOCALHOST shared memory cannot be switched off; the private network has no other hosts.
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
             "ROS_LOG_DIR": str(folder / "log"),
         }
 

@@ -66,6 +66,7 @@ typedef struct {
 } control_t;
 
 static control_t *control;
+static uint32_t process_id;  // of this process; a fork renews it
 static int owner_fd = -1;  // becomes readable when mavfi ends; -1: not available
 
 static inline int64_t now_ns(clockid_t clock) {
@@ -91,7 +92,7 @@ static report_t *begin_report(int kind, uint32_t fault, uint64_t message) {
   atomic_store(&report->ready, 0);
   memset((char *)report + sizeof report->ready, 0, sizeof *report - sizeof report->ready);
   report->kind = (uint8_t)kind;
-  report->pid = (uint32_t)getpid();
+  report->pid = process_id;
   report->fault = fault;
   report->message = message;
   report->bit = -1;

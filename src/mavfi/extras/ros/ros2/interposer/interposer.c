@@ -278,6 +278,8 @@ typedef struct {
 
 /* Forgets what earlier faults have held. */
 static void renew_held(uint32_t generation) {
+  static _Atomic uint32_t latest;
+  if (atomic_exchange(&latest, generation) == generation) return;
   for (int i = 0; i < MAX_FAULTS; i++) {
     if (held[i].generation == generation) continue;
     pthread_mutex_lock(&held_lock);
@@ -300,7 +302,7 @@ static verdict_t examine(int side, const entity_t *entity, int part, const void 
   for (uint32_t i = 0; i < count && i < MAX_FAULTS; i++) {
     fault_t *fault = &control->faults[i];
     if (fault->side != side || strcmp(fault->topic, entity->name)) continue;
-    if (fault->pid && fault->pid != (uint32_t)getpid()) continue;
+    if (fault->pid && fault->pid != process_id) continue;
     char why[TEXT] = "";
     number_t number;
     bool is_typed = types_of(entity, fault, &verdict.known, why);
@@ -663,6 +665,8 @@ DESTROY_FUNCTION(rmw_destroy_client)
 DESTROY_FUNCTION(rmw_destroy_service)
 
 /* ---- loading ------------------------------------------------------------------------------------------------------- */
+static void note_process(void) { process_id = (uint32_t)getpid(); }
+
 static bool open_page(const char *path) {
   int file = open(path, O_RDWR | O_CLOEXEC);
   if (file < 0) return false;
@@ -673,9 +677,13 @@ static bool open_page(const char *path) {
   if (owner_fd >= 0) close(owner_fd);
   owner_fd = (int)syscall(SYS_pidfd_open, page->owner, 0);
   if (owner_fd >= 0) fcntl(owner_fd, F_SETFD, FD_CLOEXEC);
+  note_process();
+  static bool is_registered;
+  if (!is_registered) pthread_atfork(NULL, NULL, note_process);
+  is_registered = true;
   control = page;
   uint32_t index = atomic_fetch_add(&page->processes, 1);
-  if (index < MAX_PROCESSES) page->pids[index] = (uint32_t)getpid();
+  if (index < MAX_PROCESSES) page->pids[index] = process_id;
   return true;
 }
 
