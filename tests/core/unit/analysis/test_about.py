@@ -36,16 +36,15 @@ def test_arms_say_what_differs():
     )
 
 
-def test_trials_on_a_node():
-    node = {
-        "name": "/n",
-        "command": ["/bin/n"],
-        "inputs": {"topic": "/i", "type": "std_msgs/Float64", "messages": [{}]},
-        "outputs": {"topic": "/o"},
+def test_trials_on_a_stack():
+    stack = {
+        "nodes": [["/bin/n"]],
+        "inputs": {"topic": "/i", "type": "std_msgs/msg/Float64", "messages": [{}]},
+        "outputs": [{"topic": "/o"}],
     }
     found = described(
-        host="node",
-        node=node,
+        host="ros2_stack",
+        stack=stack,
         environments=["n"],
         missions=1,
         sampling={"level": "register", "symbol": "f", "walk": 64},
