@@ -222,28 +222,39 @@ def measure_attach() -> None:
 
 
 def measure_kill() -> None:
-    """Kill mavfi at random instants while it attaches, injects and detaches."""
-    seen = set(os.listdir("/dev/shm"))
+    """Kill mavfi, the node, or both at random instants while mavfi attaches, injects and detaches."""
     changed_before = changed_after = silent = 0
     with Pumps() as pumps:
         targets = [pumps.start(number, "pump") for number in range(4)]
         watchers = [pumps.start(number, "watch") for number in range(4)]
         time.sleep(5.0)
-        shared_memory = set(os.listdir("/dev/shm"))
+        shared_memory = _files()
         for number in range(KILLS):
+            what = ("mavfi", "mavfi", "node", "both")[number // 4 % 4]
             target = targets[number % 4]
             watcher = watchers[number % 4]
             _drain(watcher)
             command = [sys.executable, "-c", VICTIM, str(target.pid), f"/pump_{number % 4}"]
-            victim = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+            victim = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
             assert victim.stdout is not None
             victim.stdout.readline()
-            time.sleep(0.25 * random.random())
-            victim.kill()
-            victim.wait()
+            time.sleep(0.6 * random.random())
+            if what != "mavfi":
+                target.kill()
+            if what != "node":
+                victim.kill()
+            victim.wait()  # without a node it ends by itself
             ended = time.time()
+            if what != "mavfi":
+                target.wait()
+                targets[number % 4] = pumps.start(number % 4, "pump")
+                time.sleep(1.0)
+            elif target.poll() is not None:
+                raise SystemExit(f"kill {number}: the node died")
+
+            # until messages come that were published after the end
             rows: list[list[str]] = []
-            for _ in range(20):  # until messages come that were published after the end
+            for _ in range(40):
                 time.sleep(0.15)
                 rows += _drain(watcher)
                 if any(float(row[0]) > ended + 0.005 for row in rows):
@@ -252,13 +263,16 @@ def measure_kill() -> None:
                 silent += 1
             changed_before += any(row[1] == "1" for row in rows if float(row[0]) <= ended)
             changed_after += any(row[1] == "1" for row in rows if float(row[0]) > ended + 0.005)
-            if target.poll() is not None:
-                raise SystemExit(f"kill {number}: the node died")
-        left = set(os.listdir("/dev/shm")) - shared_memory - seen
+        left = _files() - shared_memory
     print(
-        f"kill -9 of mavfi: {KILLS} times, {changed_before} after injections; nodes dead: 0; graph silent: {silent}; "
-        f"messages changed afterwards: {changed_after}; files left: {len(left)}"
+        f"kill -9 of mavfi, of the node, of both: {KILLS} times, {changed_before} after injections; graph silent: "
+        f"{silent}; messages changed afterwards: {changed_after}; files left by mavfi: {len(left)}"
     )
+
+
+def _files() -> set[str]:
+    """Files in shared memory, without those of Fast DDS, which a killed node leaves behind."""
+    return {name for name in os.listdir("/dev/shm") if "fastrtps" not in name and "fastdds" not in name}
 
 
 def _drain(watcher: "subprocess.Popen[str]") -> list[list[str]]:

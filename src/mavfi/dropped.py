@@ -64,7 +64,7 @@ OPTIONS: Mapping[str, str] = {
     "--copies": KEYS["copies"],
     "--free-running": "use --pace 1: the flight in lock-step, paced by the wall clock",
     "--new-interpreters": "no replacement: nodes are processes forked from their supervisor",
-    "--point-cloud-node": "no replacement: attach with mavfi ros corrupt or mavfi inject --ros-node",
+    "--point-cloud-node": "no replacement: attach with mavfi ros inject or mavfi inject --ros-node",
     "--stack": "use --autopilot",
     "--strike": "use --register-fault",
     "--strike-seed": "use --register-seed",
@@ -86,8 +86,6 @@ OPTIONS: Mapping[str, str] = {
     "failures --csv": "use mavfi report DIR --view failures_per_hour --csv",
     "--watch": "use watch -n 2 mavfi campaign status DIR",
     "--every": "use watch -n 2 mavfi campaign status DIR",
-    "ros corrupt --to": "no replacement: readers are redirected, also those that were started with a remapping",
-    "ros corrupt --once": "no replacement: one message is changed unless there is --rate",
     "ros watch --alarm-topic": "no replacement: alarms are published on /mavfi/alarm",
     "inject --thread": "no replacement: the busiest thread is injected, or the first to call --symbol",
     "inject --interval": "no replacement: injections follow each other",
@@ -103,7 +101,11 @@ OPTIONS: Mapping[str, str] = {
 """Options of the command line, alone or of one command ("states --json"), with what to do instead."""
 
 _A_FOLDER = "copy the campaign's folder: its ledger is one file, which mavfi campaign verify checks"
-COMMANDS: Mapping[str, str] = {"campaign pack": _A_FOLDER, "campaign unpack": _A_FOLDER}
+COMMANDS: Mapping[str, str] = {
+    "campaign pack": _A_FOLDER,
+    "campaign unpack": _A_FOLDER,
+    "ros corrupt": "use mavfi ros inject; --at n=10 means message 10, --times 0 --share 0.01 means --rate 0.01",
+}
 """Commands, with what to do instead."""
 
 

@@ -14,7 +14,6 @@ from mavfi.cli.fly import check_option_dependencies, watched
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 from mavfi.extras.registers.options import RegistersOption, SeedOption, instant, register_options
-from mavfi.extras.ros.cli_attach import corrupt
 from mavfi.extras.ros.cli_graph import list_graphs, setup, watch
 from mavfi.extras.ros.cli_inject import inject, run
 from mavfi.mission import MissionSpec
@@ -42,7 +41,6 @@ _NODE_EVENTS = {"node_lost": "lost", "node_back": "back", "node_absent": "still 
 app = typer.Typer(no_args_is_help=True)
 app.command("setup")(setup)
 app.command("list")(list_graphs)
-app.command("corrupt")(corrupt)
 app.command("inject")(inject)
 app.command("run")(run)
 app.command("watch")(watch)

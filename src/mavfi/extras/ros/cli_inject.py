@@ -1,4 +1,7 @@
-"""`mavfi ros inject | run`: faults in the messages of a running ROS graph, or of one that is started."""
+"""`mavfi ros inject | run`: faults in the messages of a running ROS graph, or of one that is started.
+
+Also the option of `mavfi inject` that names a node.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +24,25 @@ _MAX_DURATION_S = 7 * 86_400.0
 _POLL_S = 0.02
 _AFTERWARDS_S = 1.0
 """How long the graph is watched after the last injection (s)."""
+
+
+class RosNode:
+    """The option of `mavfi inject` that names a ROS node instead of a process."""
+
+    options = {
+        "ros_node": Annotated[
+            str | None, typer.Option(metavar="NAME", help="The ROS node to inject, instead of --pid.")
+        ]
+    }
+
+    @staticmethod
+    def pid_of(values: dict[str, Any]) -> int | None:
+        """See `mavfi.extras.registers.cli.PROCESSES`."""
+        if values["ros_node"] is None:
+            return None
+        from mavfi.extras.ros.survey import pid_of_node
+
+        return pid_of_node(values["ros_node"])
 
 
 def inject(  # noqa: PLR0913 - one parameter per option
@@ -181,7 +203,7 @@ def _follow(
             aftermath.append(line)
             if not as_json:
                 console().print(line, markup=False, soft_wrap=True)
-        if injection.is_over and not is_over:
+        if not is_over and (injection.is_over or not injection.has_target):
             is_over = True
             end = min(end, time.monotonic() + _AFTERWARDS_S)
         time.sleep(_POLL_S)

@@ -138,7 +138,7 @@ def pid_of_node(name: str) -> int:
         except BadInputError as error:
             raise BadInputError(f"{absence}; {error}") from None
         with AgentClient(installation) as agent:
-            process = GraphProcesses(agent.snapshot()).pid_of_node(name)
+            process = agent.find(lambda snapshot: GraphProcesses(snapshot).pid_of_node(name))
         if process.pid is None:
             raise BadInputError(f"node {process.node}: {process.problem}") from None
         return process.pid

@@ -103,7 +103,7 @@ def test_list_names_nodes_processes_topics_and_rates(arm, capsys):
 
 def test_one_changed_message_changes_exactly_the_expected_transform(arm, transforms, capsys):
     before = graph_of(arm)
-    arguments = ["ros", "corrupt", *FIELD, "--bit", "51", "--at", "10"]
+    arguments = ["ros", "inject", *FIELD, "--bit", "51", "--at", "n=10"]
     (injection,) = unless_lost(transforms, lambda: run_json(capsys, *arguments)["injections"])
     assert injection["before"] == 0.5 and injection["after"] == CHANGED and injection["activated"]
     details = injection["details"]
@@ -117,7 +117,7 @@ def test_one_changed_message_changes_exactly_the_expected_transform(arm, transfo
 @pytest.mark.slow
 def test_the_graph_is_as_before_when_the_tool_is_killed(arm, transforms):
     before = graph_of(arm)
-    command = [sys.executable, "-m", "mavfi", "ros", "corrupt", *FIELD, "--bit", "51", "--rate", "1"]
+    command = [sys.executable, "-m", "mavfi", "ros", "inject", *FIELD, "--bit", "51", "--times", "0"]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as tool:
         try:
             until(lambda: expected(CHANGED) in transforms.found)
@@ -145,7 +145,7 @@ def test_the_graph_is_as_before_when_the_tool_is_killed(arm, transforms):
     ],
 )
 def test_bad_input_is_one_line_with_what_is_allowed(arm, capsys, arguments, message):
-    assert run(["ros", "corrupt", *arguments]) == 2
+    assert run(["ros", "inject", *arguments]) == 2
     err = capsys.readouterr().err
     assert message in err and err.count("\n") == 1
 

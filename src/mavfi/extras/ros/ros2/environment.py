@@ -101,6 +101,7 @@ def _of_wheels(prefix: Path) -> Installation:
         "ROS_DISTRO": prefix.name,
         "ROS_VERSION": "2",
         "LD_LIBRARY_PATH": _joined(*map(str, libraries), os.environ.get("LD_LIBRARY_PATH", "")),
+        "PATH": _joined(str(prefix / "bin"), os.environ.get("PATH", os.defpath)),
         _BOOTSTRAPPED: "1",
     }
     return Installation(prefix.name, str(prefix / "bin/python"), prefix, variables)

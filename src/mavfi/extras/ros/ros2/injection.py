@@ -12,8 +12,8 @@ from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.ros.ros2.graph import AgentClient, GraphSnapshot, RawMessage
 from mavfi.extras.ros.ros2.interposer.attach import Attachments
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault, Report
+from mavfi.extras.ros.ros2.message_types import Decoder, TypeLibrary
 from mavfi.extras.ros.ros2.processes import GraphProcesses, NodeProcess, program_of
-from mavfi.extras.ros.ros2.types import Decoder, TypeLibrary
 from mavfi.record import Injection
 
 _LIFECYCLE = "lifecycle_msgs/msg/TransitionEvent"
@@ -151,6 +151,11 @@ class RunningGraphInjection:
         """Whether the fault changes no more messages."""
         times = self._fault.when.times
         return times > 0 and self._page.messages_changed(0) >= times
+
+    @property
+    def has_target(self) -> bool:
+        """Whether one of the processes is still there."""
+        return any(process.pid is not None and program_of(process.pid) for process in self.processes)
 
     @property
     def messages(self) -> int:

@@ -1,6 +1,5 @@
 """ROS 2 programs that are started with the interposer: faults in their messages, and why some never came about."""
 
-import os
 import signal
 import subprocess
 import time
@@ -10,6 +9,7 @@ from pathlib import Path
 from types import FrameType
 
 from mavfi.errors import BadInputError
+from mavfi.extras.ros.ros2.environment import find_installation
 from mavfi.extras.ros.ros2.fault_text import parse_fault
 from mavfi.extras.ros.ros2.injection import InjectionReport
 from mavfi.extras.ros.ros2.interposer.attach import is_loaded
@@ -22,7 +22,9 @@ _LOOK_S = 1.0
 
 
 class StartedGraph:
-    """A command that is run with faults; a context manager that ends it.
+    """A command that is run with faults, in the ROS 2 of this shell or the first that is installed.
+
+    A context manager that ends it.
 
     Args:
         command: Program and arguments.
@@ -38,6 +40,7 @@ class StartedGraph:
 
     def __init__(self, command: Sequence[str], texts: Sequence[str], seed: int = 0) -> None:
         self._command = list(command)
+        self._installation = find_installation()
         self._faults = [parse_fault(text, seed + index) for index, text in enumerate(texts)]
         self._unreached: dict[int, str] = {}
         self._next_look = 0.0
@@ -50,8 +53,9 @@ class StartedGraph:
         self._earlier_handlers = {
             number: signal.signal(number, self._pass_on) for number in (signal.SIGINT, signal.SIGTERM)
         }
+        variables = self._installation.environment(**self._page.environment())
         try:
-            self._process = subprocess.Popen(self._command, env={**os.environ, **self._page.environment()})
+            self._process = subprocess.Popen(self._command, env=variables)
         except OSError as error:
             raise BadInputError(f"{self._command[0]}: cannot be started ({error.strerror})") from None
         return self

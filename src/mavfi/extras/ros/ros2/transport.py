@@ -134,7 +134,8 @@ class Ros2Transport(Transport):
             end = time.monotonic() + _FORGOTTEN_S
             while True:
                 try:
-                    return handle.publish_raw(message)
+                    handle.publish_raw(message)
+                    return
                 except self._rclpy.RCLError:
                     # Its memory is full of messages to a node that was killed, until that is forgotten.
                     if time.monotonic() > end:

@@ -58,7 +58,22 @@ class Attachments:
                 f"process {pid}: does not see /proc/{os.getpid()}; allowed: processes of this container"
             )
         calls_before = self._page.redirected_calls()
-        # All addresses are looked up before a thread is stopped, or while none is.
+        try:
+            self._load(pid, path)
+        except (FileNotFoundError, ProcessLookupError):
+            raise BadInputError(f"process {pid}: has ended") from None
+        redirected = self._page.redirected_calls() - calls_before
+        self.redirected[pid] = redirected
+        if redirected == 0:
+            raise BadInputError(
+                f"process {pid}: calls no function of rmw that could be redirected; is it linked statically?"
+            )
+
+    def _load(self, pid: int, path: str) -> None:
+        """Load the library from a path, and redirect the calls of a process.
+
+        All addresses are looked up before a thread is stopped, or while none is.
+        """
         if not is_loaded(pid):
             load = function_address(pid, "dlopen", "libc.so")
             with StoppedThread(pid) as thread:
@@ -68,12 +83,6 @@ class Attachments:
         redirect = function_address(pid, "mavfi_attach", _NAME, str(library()))
         with StoppedThread(pid) as thread:
             thread.call(redirect, self._page.path)
-        redirected = self._page.redirected_calls() - calls_before
-        self.redirected[pid] = redirected
-        if redirected == 0:
-            raise BadInputError(
-                f"process {pid}: calls no function of rmw that could be redirected; is it linked statically?"
-            )
 
     def detach(self, pid: int) -> None:
         """Restore the calls of a process."""

@@ -42,6 +42,7 @@ _ANSWER_S = 30.0
 """Time limit for an answer, in addition to what a request may wait for (s)."""
 _LONGEST_S = 600.0
 """Time limit for inputs with times of their own, or of a script (s)."""
+_POLL_S = 0.002
 _CYCLES_AFTER = 3
 """How often the inputs are played after a register was injected."""
 _MOST_CYCLES = 200
@@ -324,6 +325,17 @@ class StackBench:
         self._processes.close()
         self._drivers.close()
 
+    def injectable(self, fault: Fault) -> InterposedFault | RegisterFault:
+        """A planned fault as `trial` takes it: inputs are changed where they are received, others when published."""
+        if isinstance(fault, RegisterFault):
+            return fault
+        assert isinstance(fault, MessageFault)  # by the levels of the host
+        side: Side = "publish"
+        if fault.topic in (*self._stack.input_topics, *(entry["topic"] for entry in self._inputs)):
+            side = "take"
+        operation, when = fault.planned
+        return InterposedFault(fault.topic, fault.field, operation, when, side, fault.seed)
+
     def golden(self) -> PlayedRun:
         """The error-free run, after several equal ones.
 
@@ -337,6 +349,7 @@ class StackBench:
                 if run.ended or run.has_ceased or not all(run.outputs.values()):
                     reason = run.ended or f"no output within {self._stack.patience_s:g} s"
                     raise BadInputError(f"stack: without a fault: {reason}; allowed: a stack that answers all inputs")
+                self._check_readable(run.outputs)
                 comparison = compare(runs[0].outputs, run.outputs, self._stack)
                 if comparison.differing:
                     first = comparison.differences[0]
@@ -347,6 +360,13 @@ class StackBench:
                     )
             self._golden = runs[0]
         return self._golden
+
+    def _check_readable(self, outputs: Outputs) -> None:
+        """Raise a BadInputError if a message lacks a field that is compared."""
+        for output in self._stack.outputs:
+            for message in outputs[output.topic]:
+                if set(message) == {"error"}:
+                    raise BadInputError(f"stack.outputs: {output.topic}: {message['error']}")
 
     def golden_summary(self) -> dict[str, Any]:
         """What a campaign needs of the error-free run, as plain data."""
@@ -562,16 +582,20 @@ class StackBench:
         A tracer finds no instruction in a process that waits for messages.  Inputs at their own times are played once.
         """
         golden = self._golden_cycles()
+        pid = pids[fault.seed % len(pids)]
         done: list[Injection | Exception] = []
 
         def run() -> None:
             try:
-                done.append(inject(pids[fault.seed % len(pids)], fault)[0])
+                done.append(inject(pid, fault)[0])
             except Exception as error:  # noqa: BLE001 - evaluated later
                 done.append(error)
 
+        # The inputs wait for the tracer, which takes longer to start than a stack to answer all of them.
         injecting = threading.Thread(target=run)
         injecting.start()
+        while injecting.is_alive() and not _is_traced(pid):
+            time.sleep(_POLL_S)
         cycles: list[dict[str, Any]] = []
         left = _CYCLES_AFTER
         while left > 0 and len(cycles) < len(golden):
@@ -626,6 +650,15 @@ class StackBench:
             if lines:
                 return f" ({lines[-1][:200]})"
         return ""
+
+
+def _is_traced(pid: int) -> bool:
+    """Whether a tracer is attached to a thread of a process."""
+    for path in Path(f"/proc/{pid}/task").glob("*/status"):
+        with suppress(OSError):
+            if "\nTracerPid:\t0\n" not in path.read_text():
+                return True
+    return False
 
 
 def _injections(
@@ -738,18 +771,18 @@ class BenchClient:
             start_new_session=True,
         )
         self._end = weakref.finalize(self, _end_process, self._process)
-        self._ask({"stack": stack.to_json()})
+        self.forks: list[bool] = self._ask({"stack": stack.to_json()})["forks"]
 
     def golden(self) -> dict[str, Any]:
         """Digest, status and numbers of the error-free run, as plain data."""
         return self._ask({"do": "golden"})
 
-    def trial(self, fault: Fault | None, side: str) -> StackTrial:
-        """Run a trial; `side`: where the messages of the fault's topic are changed."""
+    def trial(self, fault: Fault | None) -> StackTrial:
+        """Run a trial."""
         fault_data = None
         if fault is not None:
             fault_data = fault.to_json()
-        trial = self._ask({"do": "trial", "fault": fault_data, "side": side})
+        trial = self._ask({"do": "trial", "fault": fault_data})
         injections = tuple(Injection.from_json(data) for data in trial.pop("injections"))
         return StackTrial(**{**trial, "differences": tuple(trial["differences"])}, injections=injections)
 
@@ -842,18 +875,9 @@ def _meet(bench: StackBench, order: Mapping[str, Any]) -> dict[str, Any]:
         return bench.golden_summary()
     fault: InterposedFault | RegisterFault | None = None
     if order["fault"] is not None:
-        fault = _injectable(fault_from_json(order["fault"]), order["side"])
+        fault = bench.injectable(fault_from_json(order["fault"]))
     trial = bench.trial(fault)
     return {**asdict(trial), "injections": [injection.to_json() for injection in trial.injections]}
-
-
-def _injectable(fault: Fault, side: Side) -> InterposedFault | RegisterFault:
-    """A planned fault as the bench injects it."""
-    if isinstance(fault, RegisterFault):
-        return fault
-    assert isinstance(fault, MessageFault)  # by the levels of the host
-    operation, when = fault.planned
-    return InterposedFault(fault.topic, fault.field, operation, when, side, fault.seed)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from mavfi.extras.ros.ros2.stack.sampling import (
     StackRegisterLevel,
     TopicMessages,
 )
-from mavfi.faults.fault import Fault, MessageFault
+from mavfi.faults.fault import Fault
 from mavfi.flight.host import ArmSetup, Host, Recorded, RunResult, one_by_one
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import DUE, Effect
@@ -154,10 +154,7 @@ class StackRuns:
         """See `one_by_one`."""
 
         def run(_: str, fault: Fault) -> RunResult:
-            side = "publish"
-            if isinstance(fault, MessageFault) and fault.topic in self._stack.input_topics:
-                side = "take"
-            return RunResult(record_of_trial(self._running_bench().trial(fault, side)))
+            return RunResult(record_of_trial(self._running_bench().trial(fault)))
 
         return one_by_one(runs, run)
 

@@ -239,7 +239,10 @@ class Launcher:
                 sys.argv = command[1:]
                 code = self._main() or 0
             else:
-                os.execvp(command[0], command)
+                try:
+                    os.execvp(command[0], command)
+                except OSError as error:
+                    sys.stderr.write(f"{command[0]}: {error.strerror}\n")
         except SystemExit as error:
             code = error.code or 0
         except BaseException:  # noqa: BLE001 - as the interpreter does
