@@ -49,5 +49,5 @@ def test_trials_on_a_stack():
         missions=1,
         sampling={"level": "register", "symbol": "f", "walk": 64},
     )
-    assert found["title"] == "campaign tiny · node n" and found["profile"] == ""
+    assert found["title"] == "campaign tiny · ROS 2 stack n" and found["profile"] == ""
     assert found["lines"] == ["/bin/n · one bit per trial, from the next call of 'f' on, after up to 64 instructions"]
