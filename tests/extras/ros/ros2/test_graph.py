@@ -1,5 +1,6 @@
 """The agent in a graph of real nodes, of both distributions."""
 
+import ast
 import os
 import re
 import signal
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from mavfi.errors import BadInputError, MavfiError
+from mavfi.extras.ros.ros2 import agent as agent_module
 from mavfi.extras.ros.ros2.graph import AgentClient
 from mavfi.extras.ros.ros2.processes import GraphProcesses
 from tests.extras.ros.ros2.conftest import has_ended, until
@@ -122,3 +124,7 @@ def test_a_python_without_ros_is_told_in_one_line(ros2):
     without = ros2.installation._replace(python=sys.executable, variables={"PYTHONPATH": ""})
     with pytest.raises(MavfiError, match="No module named 'rclpy'"), AgentClient(without):
         pass
+
+
+def test_the_agent_is_valid_for_the_oldest_python_of_a_ros_that_is_still_in_use():
+    ast.parse(Path(agent_module.__file__).read_text(), feature_version=(3, 10))
