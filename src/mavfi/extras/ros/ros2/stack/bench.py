@@ -31,9 +31,10 @@ from mavfi.extras.ros.ros2.environment import Installation, find_installation
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault, Report, Side
 from mavfi.extras.ros.ros2.stack.config import StackConfig
 from mavfi.extras.ros.ros2.stack.outputs import Outputs, compare, digest_of, status_of
+from mavfi.extras.ros.ros2.stack.watching import Publication, StackWatcher, train
 from mavfi.faults.fault import Fault, MessageFault, RegisterFault, fault_from_json
 from mavfi.outcomes import Effect
-from mavfi.record import Injection
+from mavfi.record import AlarmRecord, Injection
 
 _FOLDER = Path(__file__).parent
 _DOMAIN = "71"
@@ -67,6 +68,7 @@ class StackTrial:
         differences: The first values that differ, as plain data.
         injections: What was changed.
         status: Status of the mission by the user's verdict; "" without one.
+        alarms: Alarms of the detector of each arm.
         seconds: Duration of the trial (s).
         start_s: Of this, until all topics were connected (s).
     """
@@ -79,6 +81,7 @@ class StackTrial:
     differences: tuple[dict[str, Any], ...]
     injections: tuple[Injection, ...]
     status: str
+    alarms: dict[str, tuple[AlarmRecord, ...]]
     seconds: float
     start_s: float
 
@@ -87,6 +90,7 @@ class PlayedRun(NamedTuple):
     """A run of the stack: its outputs, the numbers in each message by topic, how it ended, and what was changed."""
 
     cycles: list[Outputs]  # outputs, each time that the inputs were played
+    publications: list[Publication]  # the same in the order of their arrival
     numbers: dict[str, list[list[tuple[str, str, int]]]]
     ended: str  # how a process of the stack ended; "" = all lived
     has_ceased: bool
@@ -286,10 +290,13 @@ class StackBench:
     Args:
         stack: The stack.
         folder: For logs of its processes.
+        detectors: Name and profile of the detector of each arm that has one.
     """
 
-    def __init__(self, stack: StackConfig, folder: Path) -> None:
+    def __init__(self, stack: StackConfig, folder: Path, detectors: Mapping[str, Sequence[str]] | None = None) -> None:
         self._stack = stack
+        self._detectors = dict(detectors or {})
+        self._watchers: dict[str, StackWatcher] = {}
         self._folder = folder
         self._installation = find_installation(stack.distribution)
         self._page = ControlPage()
@@ -359,6 +366,7 @@ class StackBench:
                         "do not change by themselves (outputs.fields), or a tolerance"
                     )
             self._golden = runs[0]
+            self._watchers = train(self._detectors, [run.publications for run in runs])
         return self._golden
 
     def _check_readable(self, outputs: Outputs) -> None:
@@ -376,6 +384,10 @@ class StackBench:
             "status": status_of(self._stack, golden.outputs),
             "outputs": sum(map(len, golden.outputs.values())),
             "numbers": golden.numbers,
+            "alarms": {
+                arm: [alarm.to_json() for alarm in watcher.alarms(golden.publications)]
+                for arm, watcher in self._watchers.items()
+            },
         }
 
     def trial(self, fault: InterposedFault | RegisterFault | None) -> StackTrial:
@@ -411,6 +423,7 @@ class StackBench:
             tuple(asdict(difference) for difference in comparison.differences),
             injections,
             status_of(self._stack, run.cycles[-1]),
+            {arm: watcher.alarms(run.publications) for arm, watcher in self._watchers.items()},
             run.seconds,
             run.start_s,
         )
@@ -443,10 +456,17 @@ class StackBench:
 
         # What it has published, and the numbers in all messages.
         cycles: list[Outputs] = []
+        publications: list[Publication] = []
+        counts = dict.fromkeys(self._learned, 0)
         for cycle in played.cycles:
             of_cycle: dict[str, list[Any]] = {topic: [] for topic in self._learned}
-            for topic, data in cycle["outputs"]:
+            for topic, data, wall_s in cycle["outputs"]:
                 of_cycle[topic].append(data)
+                counts[topic] += 1
+                time_s = wall_s - armed_s
+                if self._answers:
+                    time_s = float(counts[topic])
+                publications.append(Publication(topic, data, time_s))
             cycles.append(of_cycle)
         numbers: dict[str, list[Any]] = {}
         for entry, of_message in zip(self._inputs, of_inputs, strict=True):
@@ -456,6 +476,7 @@ class StackBench:
         has_ceased = not ended and self._has_ceased(played.cycles[-1], cycles[-1])
         return PlayedRun(
             cycles,
+            publications,
             numbers,
             ended,
             has_ceased,
@@ -677,7 +698,7 @@ def _injections(
         Injection(
             "message",
             f"{fault.topic}.{fault.field}".rstrip("."),
-            _seconds(report, run, has_times=has_times),
+            _time_of(report, run, has_times=has_times),
             report.bit,
             report.before,
             report.after,
@@ -694,10 +715,10 @@ def _injections(
     return changed, problem
 
 
-def _seconds(report: Report, run: PlayedRun, *, has_times: bool) -> float:
-    """Time from the start of a run to a change (s); 0 if inputs wait for outputs, so that records can be compared."""
+def _time_of(report: Report, run: PlayedRun, *, has_times: bool) -> float:
+    """Time from the start of a run to a change (s); the number of the message, if inputs wait for outputs."""
     if not has_times:
-        return 0.0
+        return float(report.message)
     return max(0.0, report.wall_s - run.armed_s)
 
 
@@ -759,7 +780,7 @@ class BenchClient:
         MavfiError: The bench has ended.
     """
 
-    def __init__(self, stack: StackConfig) -> None:
+    def __init__(self, stack: StackConfig, detectors: Mapping[str, Sequence[str]] | None = None) -> None:
         command = [*private_namespaces(), sys.executable, "-m", "mavfi.extras.ros.ros2.stack.bench"]
         python_path = os.pathsep.join(path for path in sys.path if path)
         self._process = subprocess.Popen(
@@ -771,7 +792,7 @@ class BenchClient:
             start_new_session=True,
         )
         self._end = weakref.finalize(self, _end_process, self._process)
-        self.forks: list[bool] = self._ask({"stack": stack.to_json()})["forks"]
+        self.forks: list[bool] = self._ask({"stack": stack.to_json(), "detectors": detectors or {}})["forks"]
 
     def golden(self) -> dict[str, Any]:
         """Digest, status and numbers of the error-free run, as plain data."""
@@ -783,8 +804,10 @@ class BenchClient:
         if fault is not None:
             fault_data = fault.to_json()
         trial = self._ask({"do": "trial", "fault": fault_data})
-        injections = tuple(Injection.from_json(data) for data in trial.pop("injections"))
-        return StackTrial(**{**trial, "differences": tuple(trial["differences"])}, injections=injections)
+        trial["injections"] = tuple(Injection.from_json(data) for data in trial["injections"])
+        trial["differences"] = tuple(trial["differences"])
+        trial["alarms"] = {arm: alarms_from(alarms) for arm, alarms in trial["alarms"].items()}
+        return StackTrial(**trial)
 
     def close(self) -> None:
         """End it."""
@@ -806,6 +829,11 @@ class BenchClient:
         if "failed" in answer:
             raise MavfiError(answer["failed"])
         return answer
+
+
+def alarms_from(data: Sequence[Mapping[str, Any]]) -> tuple[AlarmRecord, ...]:
+    """Alarms from plain data."""
+    return tuple(AlarmRecord.from_json(dict(alarm)) for alarm in data)
 
 
 def _end_process(process: "subprocess.Popen[bytes]") -> None:
@@ -854,7 +882,8 @@ def main() -> None:
                 order = json.loads(line)
                 try:
                     if bench is None:
-                        bench = StackBench(StackConfig.model_validate(order["stack"], context=STORED), Path(folder))
+                        stack = StackConfig.model_validate(order["stack"], context=STORED)
+                        bench = StackBench(stack, Path(folder), order["detectors"])
                         answer: dict[str, Any] = {"forks": bench.forks}
                     else:
                         answer = _meet(bench, order)
@@ -877,7 +906,9 @@ def _meet(bench: StackBench, order: Mapping[str, Any]) -> dict[str, Any]:
     if order["fault"] is not None:
         fault = bench.injectable(fault_from_json(order["fault"]))
     trial = bench.trial(fault)
-    return {**asdict(trial), "injections": [injection.to_json() for injection in trial.injections]}
+    alarms = {arm: [alarm.to_json() for alarm in alarms] for arm, alarms in trial.alarms.items()}
+    injections = [injection.to_json() for injection in trial.injections]
+    return {**asdict(trial), "injections": injections, "alarms": alarms}
 
 
 if __name__ == "__main__":
