@@ -7,6 +7,7 @@ page of the interposer and the tracer of registers are in the same user namespac
 """
 
 import json
+import math
 import os
 import signal
 import socket
@@ -16,16 +17,19 @@ import tempfile
 import threading
 import time
 import weakref
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from functools import reduce
+from operator import and_
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from mavfi.config import STORED
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.registers import inject
-from mavfi.extras.ros.processes import end_with_parent
+from mavfi.extras.ros.processes import children, end_with_parent
 from mavfi.extras.ros.ros2.agent import Frames
 from mavfi.extras.ros.ros2.environment import Installation, find_installation
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault, Report, Side
@@ -44,6 +48,10 @@ _ANSWER_S = 30.0
 _LONGEST_S = 600.0
 """Time limit for inputs with times of their own, or of a script (s)."""
 _POLL_S = 0.002
+_ATTEMPTS = 3
+"""How often a run is tried whose outputs differ before the fault."""
+_SETTLE_S = 0.1
+"""Time in which nodes of one stack find each other, after the driver has found them (s)."""
 _CYCLES_AFTER = 3
 """How often the inputs are played after a register was injected."""
 _MOST_CYCLES = 200
@@ -92,6 +100,7 @@ class PlayedRun(NamedTuple):
     cycles: list[Outputs]  # outputs, each time that the inputs were played
     publications: list[Publication]  # the same in the order of their arrival
     numbers: dict[str, list[list[tuple[str, str, int]]]]
+    lasting: Counter[str]  # programs that the stack's commands had started and that lived at the end
     ended: str  # how a process of the stack ended; "" = all lived
     has_ceased: bool
     reports: list[Report]
@@ -302,6 +311,7 @@ class StackBench:
         self._page = ControlPage()
         self._inputs, self._content = inputs_of(stack, self._installation)
         self._golden: PlayedRun | None = None
+        self._lasting: Counter[str] = Counter()  # programs that live at the end of all error-free runs
         self._cycles: list[Outputs] = []  # error-free outputs for faults in registers
         self._learned: dict[str, dict[str, Any]] = {}  # type and quality of service of recorded topics
         discovery = {name: os.environ.get(name, str(_FOLDER / "discovery.xml")) for name in _PROFILES}
@@ -366,6 +376,7 @@ class StackBench:
                         "do not change by themselves (outputs.fields), or a tolerance"
                     )
             self._golden = runs[0]
+            self._lasting = reduce(and_, (run.lasting for run in runs))
             self._watchers = train(self._detectors, [run.publications for run in runs])
         return self._golden
 
@@ -396,7 +407,11 @@ class StackBench:
         expected = golden.cycles
         if isinstance(fault, RegisterFault):
             expected = self._golden_cycles()
-        run = self._play(fault)
+        for _ in range(_ATTEMPTS):
+            run = self._play(fault)
+            started_well = self._started_well(run, golden)
+            if started_well:
+                break
         comparison = compare(joined(expected[: len(run.cycles)]), run.outputs, self._stack)
         injections, problem = _injections(fault, run, has_times=not self._answers)
         digest = digest_of(golden.outputs)
@@ -414,6 +429,9 @@ class StackBench:
         if problem and effect is Effect.MASKED:
             effect = Effect.UNKNOWN
             reason = problem
+        if not started_well:
+            effect = Effect.UNKNOWN
+            reason = f"outputs differed before the fault, in {_ATTEMPTS} attempts"
         return StackTrial(
             effect.label,
             reason,
@@ -427,6 +445,23 @@ class StackBench:
             run.seconds,
             run.start_s,
         )
+
+    def _started_well(self, run: PlayedRun, golden: PlayedRun) -> bool:
+        """Whether outputs were those of the error-free run until the fault came, or to the end if it did not.
+
+        Nodes that find each other too late lose messages.  Of a register the instant is not known to the bench.
+        """
+        if isinstance(run.register, Injection) or run.ended:
+            return True
+        first_s = min((report.wall_s for report in run.reports if report.kind == "changed"), default=math.inf)
+        before: dict[str, list[Any]] = {topic: [] for topic in golden.outputs}
+        for publication in run.publications:
+            if publication.wall_s < first_s:
+                before[publication.topic].append(publication.data)
+        expected = golden.outputs
+        if first_s < math.inf:
+            expected = {topic: messages[: len(before[topic])] for topic, messages in golden.outputs.items()}
+        return compare(expected, before, self._stack).differing == 0
 
     def _play(self, fault: InterposedFault | RegisterFault | None, count: int = 1) -> PlayedRun:
         """Start the stack, play the inputs so many times, and end it."""
@@ -449,6 +484,7 @@ class StackBench:
             script = self._connect(driver, pids)
             start_s = time.monotonic() - began
             played = self._play_inputs(driver, pids, script, fault, count)
+            lasting = Counter(name for pid in pids for name in descendants(pid))
         finally:
             driver.close()
             statuses = self._processes.end()
@@ -466,18 +502,22 @@ class StackBench:
                 time_s = wall_s - armed_s
                 if self._answers:
                     time_s = float(counts[topic])
-                publications.append(Publication(topic, data, time_s))
+                publications.append(Publication(topic, data, time_s, wall_s))
             cycles.append(of_cycle)
         numbers: dict[str, list[Any]] = {}
         for entry, of_message in zip(self._inputs, of_inputs, strict=True):
             numbers.setdefault(entry["topic"], []).append(of_message)
         numbers |= played.cycles[-1]["numbers"]
         ended = self._ended(statuses, pids)
+        absent = self._lasting - lasting
+        if not ended and absent:
+            ended = f"{next(iter(absent))} has ended"
         has_ceased = not ended and self._has_ceased(played.cycles[-1], cycles[-1])
         return PlayedRun(
             cycles,
             publications,
             numbers,
+            lasting,
             ended,
             has_ceased,
             self._page.reports(),
@@ -501,6 +541,8 @@ class StackBench:
         of_stack = [topic for topic in stack.topics if topic not in {*of_driver, *stack.inputs.topics}]
         of_script = [topic for topic in stack.inputs.topics if stack.inputs.script]
         self._wait_for(driver, of_stack, pids)
+        if self._stack.launch or len(pids) > 1:
+            time.sleep(_SETTLE_S)
         script = self._start_script(driver.pid)
         if self._learned:
             return script
@@ -649,8 +691,9 @@ class StackBench:
         if self._golden is None:
             return False
         # Without answers to wait for, one missing message is taken as lost.
-        missing = [len(self._golden.outputs[topic]) - len(messages) for topic, messages in outputs.items()]
-        is_empty = not any(map(bool, outputs.values()))
+        topics = [output.topic for output in self._stack.outputs]
+        missing = [len(self._golden.outputs[topic]) - len(outputs[topic]) for topic in topics]
+        is_empty = not any(outputs[topic] for topic in topics)
         return all(count >= 2 for count in missing) or (is_empty and any(missing))
 
     def _ended(self, statuses: Mapping[int, int], pids: Sequence[int]) -> str:
@@ -671,6 +714,16 @@ class StackBench:
             if lines:
                 return f" ({lines[-1][:200]})"
         return ""
+
+
+def descendants(pid: int) -> Iterator[str]:
+    """Command lines of the processes that a process has started, and of theirs."""
+    for child in children(pid):
+        with suppress(OSError):
+            words = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
+            if any(words):  # a process that has ended has none
+                yield " ".join(word.decode(errors="replace") for word in words).strip()
+        yield from descendants(child)
 
 
 def _is_traced(pid: int) -> bool:

@@ -28,11 +28,13 @@ class Publication(NamedTuple):
         topic: Its topic.
         data: Its compared fields, as plain data.
         time_s: Since the start of the run (s); if inputs wait for outputs, the number of the message of its topic.
+        wall_s: Instant of its arrival (s since 1970).
     """
 
     topic: str
     data: Any
     time_s: float
+    wall_s: float = 0.0
 
 
 class StackWatcher:
