@@ -8,6 +8,7 @@ from typing import cast
 from mavfi.errors import BadInputError
 from mavfi.extras.mavlink.autopilot import TYPES as MAVLINK_TYPES
 from mavfi.extras.mavlink.autopilot import UNITS as MAVLINK_UNITS
+from mavfi.extras.ros.lockstep import views
 from mavfi.extras.ros.lockstep.host import configure
 from mavfi.extras.ros.lockstep.plan import WORLD, FlightGraph
 from mavfi.faults.levels.sensor.fault import NULL, TYPES, UNITS, Device, SensorFault, check_read
@@ -97,6 +98,18 @@ def ros_topics() -> str:
     return "\n".join(lines)
 
 
+def ros_views() -> str:
+    """The table of topics with standard messages."""
+    rows = [
+        *((topic, kind, "each control period") for topic, kind in views.TICKS.items()),
+        *((topic, kind, f"`{state}`") for state, (topic, kind) in views.PUBLICATIONS.items()),
+        *((topic, kind, "once per second") for topic, kind in views.SCENERY.items()),
+        (views.LOG, " or ".join(views.LOG_TYPES.values()), "events, alarms, injections, end"),
+    ]
+    lines = [f"| `{topic}` | {kind} | {what} |" for topic, kind, what in rows]
+    return "\n".join(["| topic | type | of |", "|---|---|---|", *lines])
+
+
 def ros_graph() -> str:
     """Nodes and topics of a flight as a diagram."""
     arrows: dict[tuple[str, str], list[str]] = {}
@@ -146,8 +159,8 @@ def sensor_table() -> str:
         "`firmware`": lambda unit: _executed(unit, "firmware", "betaflight"),
         "`airsim_program`": lambda unit: _executed(unit, "airsim_program", ""),
         "MAVLink": lambda unit: unit in MAVLINK_UNITS.values(),
-        "`ros1`": lambda unit: _executed(unit, "ros1"),
-        "`ros1`, estimator": lambda unit: _executed(unit, "ros1", localization="estimator"),
+        "`ros2`, `ros1`": lambda unit: _executed(unit, "ros1"),
+        "the same, estimator": lambda unit: _executed(unit, "ros1", localization="estimator"),
     }
 
     # three tables below each other: what a unit is, what a type does, who executes it
@@ -176,7 +189,7 @@ def sensor_table() -> str:
 def ros_page() -> str:
     """The ROS page with its generated parts."""
     page = (DOCS / "ros.md").read_text(encoding="utf-8")
-    for name, block in (("graph", ros_graph()), ("topics", ros_topics())):
+    for name, block in (("graph", ros_graph()), ("topics", ros_topics()), ("views", ros_views())):
         page = between(page, name, block)
     return page
 

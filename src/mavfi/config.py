@@ -345,8 +345,8 @@ def parse(model: type[ConfigType], data: dict[str, Any], source: str, *, stored:
     if stored:
         context = STORED
     else:
-        for key in data:
-            if key in KEYS and not model.has_key(key):
+        for key, value in data.items():
+            if key in KEYS and value is not None and not model.has_key(key):
                 raise BadInputError(f"{source}: {dropped_key(key)}")
     try:
         return model.model_validate(data, context=context)

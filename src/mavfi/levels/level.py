@@ -317,6 +317,7 @@ class Level:
         local: Whether flights in this process have its faults: whether `inject` can attach one to the loop.
         form: Form of its text, for messages; "" = it has none.
         options: Options of the text in their order, by name: pattern, description and type of their values.
+        operations: What its text may have instead of options, for messages: operations that it parses itself.
         reductions: How a fault is made smaller, in steps: by name of what is reduced, a function of a fault and its
             injection (None = not known) that yields candidates from the smallest on.
         absent: Words for an injection that did not happen: X in "the golden run never X it", and why nothing changed.
@@ -328,6 +329,7 @@ class Level:
     local: ClassVar[bool] = False
     form: ClassVar[str] = ""
     options: ClassVar[Mapping[str, tuple[str, str, type]]] = {}
+    operations: ClassVar[tuple[str, ...]] = ()
     reductions: ClassVar[Mapping[str, Callable[[Any, Injection | None], Iterator[Fault]]]] = {}
     absent: ClassVar[tuple[str, str]] = ("reached", "the site was not reached")
 
@@ -381,8 +383,9 @@ class Level:
         # Check names and values, then the order.
         for name, value in options.items():
             if name not in self.options:
-                allowed = ", ".join(f"{option}=" for option in self.options)
-                raise BadInputError(f"{name!r}: not known{hint(name, self.options)}; allowed: {allowed}")
+                allowed = ", ".join([*(f"{option}=" for option in self.options), *self.operations])
+                known = [*self.options, *self.operations]
+                raise BadInputError(f"{name!r}: not known{hint(name, known)}; allowed: {allowed}")
             pattern, description, kind = self.options[name]
             if not re.fullmatch(pattern, value):
                 raise BadInputError(f"{name}: {value!r}: allowed: {description}")

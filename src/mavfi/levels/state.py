@@ -578,6 +578,7 @@ class StateLevel(Level):
         "lasts": SECONDS,
         "share": (DECIMAL, "a number above 0, to 1", float),
     }
+    operations = VALUE_OPERATIONS
     reductions = {
         "fields": fewer_fields,
         "publications": shorter_faults,

@@ -49,13 +49,18 @@ def test_the_wheel_has_what_html_pages_inline():
     assert len(wanted) > 10 and wanted <= packed
 
 
+ELSEWHERE = ("extras/airsim/runner.py", "extras/ros/ros2/stack/driver.py", "extras/ros/ros2/stack/launcher.py")
+"""Modules that run in the Python of a client program, or of ROS."""
+
+
 def test_whatever_is_imported_is_asked_for():
     extras = PROJECT["optional-dependencies"]
     used = ("airsim", "cluster", "bench", "live", "logs", "mavlink")
     wanted_for_all = [*PROJECT["dependencies"], *(wanted for name in used for wanted in extras[name])]
     asked = {canonicalize_name(Requirement(wanted).name) for wanted in wanted_for_all}
-    of_clients = "extras/airsim/runner.py"  # runs in the Python of a client program
-    imported = {name.split(".")[0] for path, tree in modules().items() if path != of_clients for name in imports(tree)}
+    imported = {
+        name.split(".")[0] for path, tree in modules().items() if path not in ELSEWHERE for name in imports(tree)
+    }
     homes = {"foxglove": ["foxglove-sdk"], **packages_distributions()}  # of extras that may not be installed here
     of_ros = finder.ALLOWED | {"rclpy"}  # wanted by two packages alone: see test_code.py
     foreign = imported - set(sys.stdlib_module_names) - {"mavfi"} - (of_ros - {"yaml"})

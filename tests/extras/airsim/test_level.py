@@ -5,10 +5,11 @@ from collections import Counter
 from mavfi.campaign.config import Campaign
 from mavfi.config import parse
 from mavfi.extras.airsim.boundary import PassedCall
-from mavfi.extras.airsim.level import CallLevel
+from mavfi.extras.airsim.level import CallLevel, CallSampling
 from mavfi.faults.fault import MessageFault
 from mavfi.flight.host import RunResult
 from mavfi.levels.level import Sampled, draws_of, sampler_for
+from mavfi.levels.message import MessageLevel, MessageSampling
 from mavfi.record import End, FlightRecord
 from mavfi.testing import HostContract, LevelContract
 
@@ -64,3 +65,12 @@ class TestMessage(LevelContract):
 class TestProgramHost(HostContract):
     host = "airsim_program"
     under_test = {"script": "p.py"}
+
+
+def test_the_host_of_programs_draws_calls():
+    programs = campaign()
+    assert type(programs.sampling) is CallSampling and type(programs.level) is CallLevel
+    assert Campaign.model_validate(programs.to_json()) == programs
+    assert programs.sampling.to_json() == {"level": "message", "sides": ["arguments", "return"], "calls": []}
+    flights = Campaign(name="c", environments=("sparse",), sampling={"level": "message"})
+    assert type(flights.sampling) is MessageSampling and type(flights.level) is MessageLevel

@@ -151,7 +151,6 @@ def test_mistakes_are_named_when_the_file_is_read(changes, message):
         ({"strata": {"mantissa": 1}}, "'strata': is now 'sampling.strata'"),
         ({"kernels": {"names": ["pid"]}}, "'kernels': is now 'sampling.kernels (with level: instruction)'"),
         ({"flights": 3}, "'flights': is now 'missions'"),
-        ({"stack": "hardened"}, "'stack': dropped; use autopilot"),
         ({"v_max": 3.0}, "'v_max': is now 'mission.v_max'"),
     ],
 )

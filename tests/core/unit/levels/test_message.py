@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.config import Campaign
-from mavfi.extras.airsim.level import CallLevel, CallSampling
 from mavfi.faults.fault import NO_SITE, StateFault
 from mavfi.flight.host import Flight
 from mavfi.levels.level import Sampled, parse, sampler_for
-from mavfi.levels.message import MessageLevel, MessageSampling
+from mavfi.levels.message import MessageLevel
 from mavfi.record import Profile
 from mavfi.states import PPC_STAGES, STATES
 
@@ -54,17 +53,6 @@ def test_each_state_of_the_pipeline_has_its_faults_by_default_or_none_without_a_
 def test_null_runs_have_an_empty_mask():
     null = sampler_for(campaign()).null(1, 5, "sparse", {"": Sampled(Flight(None, PROFILE))})
     assert isinstance(null, StateFault) and null.is_null and null.where.state.startswith("planning.")
-
-
-def test_the_host_of_programs_draws_calls():
-    sampling = {"level": "message"}
-    programs = Campaign(
-        name="c", host="airsim_program", program={"script": "p.py"}, environments=("sparse",), sampling=sampling
-    )
-    assert type(programs.sampling) is CallSampling and type(programs.level) is CallLevel
-    assert Campaign.model_validate(programs.to_json()) == programs
-    assert programs.sampling.to_json() == {"level": "message", "sides": ["arguments", "return"], "calls": []}
-    assert type(campaign().sampling) is MessageSampling and type(campaign().level) is MessageLevel
 
 
 @pytest.mark.parametrize(

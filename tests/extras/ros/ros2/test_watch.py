@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -10,17 +11,18 @@ from rosbags.typesys import Stores, get_typestore
 
 from mavfi.cli import run
 from mavfi.errors import BadInputError
+from mavfi.extras.ros.ros2 import watch
 from mavfi.extras.ros.ros2.graph import AgentClient
-from mavfi.extras.ros.ros2.types import TypeLibrary
+from mavfi.extras.ros.ros2.message_types import TypeLibrary
 
 
-def record(agent, folder, plugin, seconds):
+def record(agent, folder, plugin, count):
     """What `ros2 bag record` writes of a topic."""
     types = get_typestore(Stores.ROS2_JAZZY)
     with Writer(folder, version=9, storage_plugin=plugin) as writer:
         kind = agent.subscribe("/joint_states").kind
         connection = writer.add_connection("/joint_states", kind, typestore=types)
-        for message in agent.messages(seconds):
+        for message in islice(agent.messages(20.0), count):
             writer.write(connection, message.wall_ns, message.data)
     agent.unsubscribe("/joint_states")
 
@@ -36,26 +38,28 @@ def test_a_detector_trained_on_a_recording_raises_alarms_for_wild_values_and_pub
     plugin = {"jazzy": StoragePlugin.MCAP, "kilted": StoragePlugin.SQLITE3}[ros2.installation.distribution]
     talker = ros2.start("talker.py")
     with AgentClient(ros2.installation) as agent:
-        record(agent, tmp_path / "normal", plugin, 3.0)
+        record(agent, tmp_path / "normal", plugin, 120)
         talker.kill()
-        ros2.start("talker.py", "--wild", "50")
+        ros2.start("talker.py", "--wild", "25")
         agent.subscribe("/mavfi/alarm", "std_msgs/String", reliable=True)
         arguments = ["--topics", "joint_states", "--train", str(tmp_path / "normal"), "--duration", "3", "--json"]
         assert run(["ros", "watch", *arguments]) == 0
         published = [text_of(message) for message in agent.messages(0.5) if message.topic == "/mavfi/alarm"]
     result = json.loads(capsys.readouterr().out)
-    assert result["learned_from"] > 100 and result["judged"]["/joint_states"] > 100
-    assert published == result["alarms"]
+    judged = result["judged"]["/joint_states"]
+    assert result["learned_from"] == 120 and judged > 50
+    assert published and published == result["alarms"][-len(published) :]  # the first may come before it is discovered
     wild = Counter(tuple(alarm["fields"]) for alarm in result["alarms"])
     assert set(wild) == {("position[1]",)}
-    assert 2 <= wild["position[1]",] <= 8  # there and back, in each second
+    assert 2 <= wild["position[1]",] <= 2 * (judged / 25 + 1)  # there and back
     assert {alarm["values"][0] for alarm in result["alarms"]} == {"1000000.0", "0.25"}
 
 
 @pytest.mark.ros
 @pytest.mark.slow
 @pytest.mark.parametrize("ros2", ["kilted"], indirect=True)
-def test_an_unknown_topic_is_refused(ros2, capsys):
+def test_an_unknown_topic_is_refused(ros2, capsys, monkeypatch):
+    monkeypatch.setattr(watch, "_PATIENCE_S", 0.5)
     ros2.start("talker.py")
     assert run(["ros", "watch", "--topics", "/joint_state"]) == 2
     assert "topic /joint_state: not in the graph; allowed: /joint_states" in capsys.readouterr().err

@@ -244,7 +244,7 @@ class Client:
         self._ports = ports
         self._calls = ports.publisher(calls_topic(node), [node])
         self._number = 0
-        self._answer: Frame | None = None
+        self._answers: dict[int, bytes] = {}
         ports.subscribe(answers_topic(node), self._arrived)
 
     def call(self, content: bytes, pid: int) -> bytes:
@@ -254,14 +254,13 @@ class Client:
             NodeLostError: The process has ended, or does not answer in time.
         """
         self._number += 1
-        self._answer = None
-        self._calls.publish(self._number, 0, content)
-        loss = self._ports.wait_with(lambda: self._answer is not None, [pid])
+        number = self._number
+        self._calls.publish(number, 0, content)
+        loss = self._ports.wait_with(lambda: number in self._answers, [pid])
         if loss is not None:
             raise NodeLostError(loss.why)
-        answer: Frame = self._answer  # type: ignore[assignment] # set by `_arrived` meanwhile
-        return answer.content
+        return self._answers.pop(number)
 
     def _arrived(self, frame: Frame) -> None:
         if frame.number == self._number:  # not the answer to a call that was given up
-            self._answer = frame
+            self._answers[frame.number] = frame.content

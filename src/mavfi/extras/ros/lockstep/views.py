@@ -40,7 +40,7 @@ _SCENERY_PERIOD = 50
 """The same in control periods."""
 LOG = "/log"
 """Topic of events, alarms, injections and the end of the mission."""
-_LOG_TYPES = {True: "rosgraph_msgs/Log", False: "rcl_interfaces/Log"}
+LOG_TYPES = {True: "rosgraph_msgs/Log", False: "rcl_interfaces/Log"}
 """Its type, by whether the middleware is ROS 1."""
 
 
@@ -55,7 +55,7 @@ class Views:
     def __init__(self, transport: Transport, plan: FlightPlan) -> None:
         self._plan = plan
         self._is_ros1 = plan.middleware.name == "ros1"
-        kinds = {**TICKS, **dict(PUBLICATIONS.values()), **SCENERY, LOG: _LOG_TYPES[self._is_ros1]}
+        kinds = {**TICKS, **dict(PUBLICATIONS.values()), **SCENERY, LOG: LOG_TYPES[self._is_ros1]}
         advertised = {topic: transport.view(topic, kind) for topic, kind in kinds.items()}
         self._views: dict[str, View] = {topic: view for topic, view in advertised.items() if view is not None}
         self._map_updates: list[tuple[State, int]] = []

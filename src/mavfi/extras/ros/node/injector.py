@@ -137,7 +137,7 @@ class MessageInjector:
         is_as_planned = self._is_as_planned(message, changed, leaf, operation)
         details = {"field": self.fault.field, "kind": leaf.kind}
         activated = is_same_elsewhere and is_as_planned and readers > 0
-        self._record(outlet, operation, readers, activated, before, leaf.value(changed), details)
+        self._record(outlet, operation, readers, before, leaf.value(changed), details, is_activated=activated)
         return changed
 
     def _is_as_planned(self, message: bytes, changed: bytes, leaf: Leaf, operation: Operation) -> bool:
@@ -171,7 +171,7 @@ class MessageInjector:
         self._release(outlet)
         if operation.name == "reorder":
             self._held.append(HeldBytes(message, operation.count))
-        self._record(outlet, operation, readers, True, None, None, {"field": ""})
+        self._record(outlet, operation, readers, None, None, {"field": ""}, is_activated=True)
         return sent
 
     def _release(self, outlet: MessageSink) -> None:
@@ -188,10 +188,11 @@ class MessageInjector:
         outlet: MessageSink,
         operation: Operation,
         readers: int,
-        activated: bool,  # noqa: FBT001
         before: float | None,
         after: float | None,
         details: dict[str, str],
+        *,
+        is_activated: bool,
     ) -> None:
         """Record the injection, and tell of it."""
         site = outlet.topic
@@ -204,7 +205,7 @@ class MessageInjector:
             operation.bit,
             before,
             after,
-            activated,
+            is_activated,
             details={
                 "topic": outlet.topic,
                 "message": self._message_count,

@@ -13,13 +13,17 @@ The process ends when the socket is closed, or when its parent is gone. It needs
 library; rclpy is imported after the check of arguments, so that its absence is said in one line.
 """
 
+import sys
+
+if __name__ == "__main__":
+    sys.path.pop(0)  # this file's folder: its other modules must not stand in for modules of this Python
+
 import importlib
 import json
 import os
 import queue
 import signal
 import socket
-import sys
 import threading
 import time
 
@@ -27,7 +31,7 @@ NODE_PREFIX = "_mavfi_agent_"
 """Begin of the node's name; ROS hides names that begin with an underscore."""
 POLL_S = 0.25
 """How often a gone parent is noticed, if another process still holds the socket (s)."""
-END_S = 2.0
+END_S = 10.0
 """Time to leave the graph before the process ends anyway (s)."""
 MATCH_S = 0.2
 """Time for a publisher to find a subscription that has found it (s)."""
@@ -421,7 +425,10 @@ class Agent:
         return {"rates": {topic: count / spent for topic, count in counts.items()}, "reasons": reasons}
 
     def do_advertise(self, topic, kind, reliable, latched, subscribers, limit_s):
-        """Publish a topic from now on; waits until it has enough subscriptions, and says whether it has."""
+        """Publish a topic from now on; waits until it has enough subscriptions, and says whether it has.
+
+        Without their number: as many as the graph has now.
+        """
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
         if topic not in self._publishers:
@@ -432,6 +439,8 @@ class Agent:
                 qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
             self._publishers[topic] = self.node.create_publisher(message_class(kind), topic, qos)
         publisher = self._publishers[topic]
+        if subscribers is None:
+            subscribers = self.node.count_subscribers(topic)
         return {"holds": self._spin_until(lambda: publisher.get_subscription_count() >= subscribers, limit_s)}
 
     def do_publish(self, topic, count, period_s, content=b""):

@@ -8,7 +8,7 @@ The agent (`agent.py`) is a process under the Python of a ROS 2 installation; ma
         for message in agent.messages(5.0):
             print(message.topic, message.wall_ns, len(message.data))
 
-Messages are serialized ones, as on the wire (CDR with its header of 4 bytes); see `mavfi.extras.ros.ros2.types`.
+Messages are serialized ones, as on the wire: CDR with its header of 4 bytes; see `TypeLibrary` in `message_types`.
 All calls block, with a limit of time. A client may be used by several threads; requests are met one after the other.
 """
 
@@ -37,7 +37,8 @@ DISCOVERY_S = 3.5
 """Time from the start of the agent until all of the graph is discovered (s): Fast DDS announces itself every 3 s."""
 DISCOVERY_LIMIT_S = 10.0
 """Time limit for what is awaited in the graph (s)."""
-_END_LIMIT_S = 3.0
+_END_LIMIT_S = 12.0
+"""Time limit for the agent to end by itself (s); it takes 20 ms on a quiet machine."""
 _Result = TypeVar("_Result")
 _AGENT = Path(__file__).with_name("agent.py")
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -369,7 +370,7 @@ class AgentClient:
         *,
         reliable: bool = True,
         latched: bool = False,
-        subscribers: int = 0,
+        subscribers: int | None = None,
         limit_s: float = DISCOVERY_LIMIT_S,
     ) -> bool:
         """Be a publisher of a topic from now on; returns whether it has at least so many subscriptions.
@@ -379,7 +380,7 @@ class AgentClient:
             kind: Its message type.
             reliable: Whether lost messages are sent again.
             latched: Whether subscriptions that come later get earlier messages.
-            subscribers: Number of subscriptions to wait for.
+            subscribers: Number of subscriptions to wait for; None = those that the agent has discovered.
             limit_s: Time limit for them (s).
 
         Raises:

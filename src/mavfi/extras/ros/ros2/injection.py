@@ -12,8 +12,8 @@ from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.ros.ros2.graph import AgentClient, GraphSnapshot, RawMessage
 from mavfi.extras.ros.ros2.interposer.attach import Attachments
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault, Report
+from mavfi.extras.ros.ros2.message_types import Decoder, TypeLibrary
 from mavfi.extras.ros.ros2.processes import GraphProcesses, NodeProcess, program_of
-from mavfi.extras.ros.ros2.types import Decoder, TypeLibrary
 from mavfi.record import Injection
 
 _LIFECYCLE = "lifecycle_msgs/msg/TransitionEvent"

@@ -23,6 +23,8 @@ _DOMAINS = 100
 """Number of domain ids whose ports are free for use on every system."""
 _HEAD = struct.Struct("<4s3I")
 """Serialized start of `std_msgs/UInt8MultiArray`: encoding, no dimensions, offset 0, number of bytes."""
+_FORGOTTEN_S = 40.0
+"""Time after which a node that was killed is certainly forgotten (s); the usual lease is 20 s."""
 _VIEW_DEPTH = 10
 """Number of messages that a slow subscriber of a view may be behind, as usual in ROS 2."""
 _LITTLE_ENDIAN = b"\0\1\0\0"
@@ -126,7 +128,16 @@ class Ros2Transport(Transport):
         handle = self._node.create_publisher(self._type, topic, self._lossless).handle
 
         def send(content: bytes) -> None:
-            handle.publish_raw(_HEAD.pack(_LITTLE_ENDIAN, 0, 0, len(content)) + content)
+            message = _HEAD.pack(_LITTLE_ENDIAN, 0, 0, len(content)) + content
+            end = time.monotonic() + _FORGOTTEN_S
+            while True:
+                try:
+                    handle.publish_raw(message)
+                    return
+                except self._rclpy.RCLError:
+                    # Its memory is full of messages to a node that was killed, until that is forgotten.
+                    if time.monotonic() > end:
+                        raise
 
         event = self._rclpy.rcl_publisher_event_type_t.RCL_PUBLISHER_MATCHED
         self._matches.append((self._rclpy.EventHandle(handle, event), lambda: send(greeting)))

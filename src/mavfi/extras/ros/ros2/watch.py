@@ -5,10 +5,14 @@ from collections.abc import Sequence
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.ros.ros2.environment import Installation
 from mavfi.extras.ros.ros2.graph import DISCOVERY_S, AgentClient, absolute
-from mavfi.extras.ros.ros2.types import TypeLibrary
+from mavfi.extras.ros.ros2.message_types import TypeLibrary
 from mavfi.extras.ros.watch import ALARM_TOPIC, MessageListener
 
 _ALARM_TYPE = "std_msgs/msg/String"
+_READERS_S = 2.0
+"""Time limit for readers of alarms to be there before the first alarm (s)."""
+_PATIENCE_S = 2 * DISCOVERY_S
+"""Time limit for the publisher of a topic to be discovered (s)."""
 
 
 class GraphListener(MessageListener):
@@ -36,7 +40,7 @@ class GraphListener(MessageListener):
 
     def _subscribe(self, topic: str) -> None:
         try:
-            kind = self._agent.subscribe(topic, limit_s=DISCOVERY_S).kind
+            kind = self._agent.subscribe(topic, limit_s=_PATIENCE_S).kind
         except BadInputError:
             self._agent.snapshot().topic(topic)  # if there is no such topic, raises: names those that there are
             raise
@@ -56,7 +60,7 @@ class GraphListener(MessageListener):
 
     def open_alarms(self) -> None:
         """See `MessageListener`."""
-        self._agent.advertise(ALARM_TOPIC, _ALARM_TYPE)
+        self._agent.advertise(ALARM_TOPIC, _ALARM_TYPE, latched=True, limit_s=_READERS_S)
 
     def announce(self, text: str) -> None:
         """See `MessageListener`."""
