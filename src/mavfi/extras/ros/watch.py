@@ -32,10 +32,12 @@ class MessageListener(ABC):
     Attributes:
         topics: The topics, each once.
         definitions: Definition of the messages by topic, from `__enter__` on.
+        notices: What could not be read, and why, one line each.
     """
 
     topics: Sequence[str]
     definitions: dict[str, Definition]
+    notices: list[str]
 
     @abstractmethod
     def __enter__(self) -> "MessageListener":
