@@ -103,6 +103,7 @@ def ros_views() -> str:
     rows = [
         *((topic, kind, "each control period") for topic, kind in views.TICKS.items()),
         *((topic, kind, f"`{state}`") for state, (topic, kind) in views.PUBLICATIONS.items()),
+        (views.TRAJECTORY, views.TRAJECTORY_TYPE, "`planning.trajectory`"),
         *((topic, kind, "once per second") for topic, kind in views.SCENERY.items()),
         (views.LOG, " or ".join(views.LOG_TYPES.values()), "events, alarms, injections, end"),
     ]

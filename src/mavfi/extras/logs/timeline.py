@@ -37,6 +37,8 @@ _MAP_PERIOD_US = 1_000_000
 """Shortest time between two messages with the whole map (us)."""
 _FLOAT32 = 7  # sensor_msgs/PointField.FLOAT32
 _POINT_SIZE = 12
+_MAX_DURATION_S = 1000.0
+"""Longest duration of a point of a trajectory that counts (s)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,6 +238,36 @@ def _polyline(topic: str, points: np.ndarray, time_ns: int) -> Message:
     in_map = _in_map(time_ns)
     poses = [{"header": in_map, "pose": _at(point)} for point in points.reshape(-1, 3)]
     return Message(topic, "nav_msgs/Path", time_ns, {"header": in_map, "poses": poses})
+
+
+def trajectory_message(state: State, time_us: int) -> Message:
+    """A trajectory (`planning.trajectory`) with yaw, velocities and accelerations, in the world's frame."""
+    time_ns = stamp_ns(1e-6 * time_us)
+    points = []
+    passed_s = 0.0
+    for point in state.elements:
+        half_yaw = 0.5 * float(point["yaw"])
+        rotation = np.array([np.cos(half_yaw), 0.0, 0.0, np.sin(half_yaw)])
+        points.append(
+            {
+                "transforms": [
+                    {"translation": _components(point, ""), "rotation": _orientation(rotation)},
+                ],
+                "velocities": [{"linear": _components(point, "v")}],
+                "accelerations": [{"linear": _components(point, "a")}],
+                "time_from_start": _time(round(1e9 * passed_s)),
+            }
+        )
+        # a duration may have been corrupted
+        if 0.0 < point["duration"] < _MAX_DURATION_S:
+            passed_s += float(point["duration"])
+    fields = {"header": _in_map(time_ns), "joint_names": [VEHICLE], "points": points}
+    return Message("/trajectory_points", "trajectory_msgs/MultiDOFJointTrajectory", time_ns, fields)
+
+
+def _components(point: np.void, prefix: str) -> dict[str, float]:
+    """A vector of a trajectory's point: its position, or with a prefix its velocity "v" or acceleration "a"."""
+    return {axis: float(point[f"{prefix}{axis}"]) for axis in "xyz"}
 
 
 def scenery(world: World) -> Iterator[Message]:

@@ -50,4 +50,5 @@ def test_trials_on_a_stack():
         sampling={"level": "register", "symbol": "f", "walk": 64},
     )
     assert found["title"] == "campaign tiny · ROS 2 stack n" and found["profile"] == ""
-    assert found["lines"] == ["/bin/n · one bit per trial, from the next call of 'f' on, after up to 64 instructions"]
+    what = "one bit per run, from the next call of 'f' on, after up to 64 instructions; processes in turn"
+    assert found["lines"] == ["/bin/n", what]

@@ -45,10 +45,11 @@ from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry, Path
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
+from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 kinds = {"/clock": Clock, "/odometry": Odometry, "/command": TwistStamped, "/points": PointCloud2, "/map": PointCloud2,
-         "/path": Path, "/trajectory": Path, "/obstacles": MarkerArray}
+         "/path": Path, "/trajectory": Path, "/trajectory_points": MultiDOFJointTrajectory, "/obstacles": MarkerArray}
 rclpy.init()
 node = rclpy.create_node("listener")
 got = {}
@@ -56,8 +57,8 @@ for topic, kind in kinds.items():
     node.create_subscription(kind, topic, lambda message, topic=topic: got.setdefault(topic, message), 10)
 while len(got) < len(kinds):
     rclpy.spin_once(node)
-odometry, path = got["/odometry"], got["/path"]
-sizes = len(path.poses) > 1, got["/map"].width > 10, len(got["/obstacles"].markers) > 3
+odometry, path = got["/odometry"], got["/trajectory_points"].points
+sizes = path[-1].time_from_start.sec > 0, got["/map"].width > 10, len(got["/obstacles"].markers) > 3
 print(odometry.header.frame_id, odometry.child_frame_id, *sizes)
 """
 

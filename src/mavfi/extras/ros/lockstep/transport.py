@@ -58,13 +58,16 @@ class Middleware(ABC):
 
     Attributes:
         name: Of the host in campaigns, "ros1" or "ros2".
-        title: For people, e.g. "ROS 2 jazzy".
         join_example: Command that lists the topics of a flight, for the script `join`.
     """
 
     name: ClassVar[str]
-    title: str
     join_example: ClassVar[str]
+
+    @property
+    @abstractmethod
+    def title(self) -> str:
+        """For people, e.g. "ROS 2 jazzy"."""
 
     @abstractmethod
     def require(self) -> None:

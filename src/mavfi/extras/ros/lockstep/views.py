@@ -34,6 +34,9 @@ PUBLICATIONS: Mapping[str, tuple[str, str]] = {
     "planning.trajectory": ("/trajectory", "nav_msgs/Path"),
 }
 """Topics of publications of states, with their types."""
+TRAJECTORY = "/trajectory_points"
+"""Topic of trajectories with yaw, velocities and accelerations, of the type `TRAJECTORY_TYPE`."""
+TRAJECTORY_TYPE = "trajectory_msgs/MultiDOFJointTrajectory"
 SCENERY: Mapping[str, str] = {"/obstacles": "visualization_msgs/MarkerArray", "/goal": "visualization_msgs/Marker"}
 """Topics that are repeated once per second of flight, for new viewers."""
 _SCENERY_PERIOD = 50
@@ -55,7 +58,13 @@ class Views:
     def __init__(self, transport: Transport, plan: FlightPlan) -> None:
         self._plan = plan
         self._is_ros1 = plan.middleware.name == "ros1"
-        kinds = {**TICKS, **dict(PUBLICATIONS.values()), **SCENERY, LOG: LOG_TYPES[self._is_ros1]}
+        kinds = {
+            **TICKS,
+            **dict(PUBLICATIONS.values()),
+            TRAJECTORY: TRAJECTORY_TYPE,
+            **SCENERY,
+            LOG: LOG_TYPES[self._is_ros1],
+        }
         advertised = {topic: transport.view(topic, kind) for topic, kind in kinds.items()}
         self._views: dict[str, View] = {topic: view for topic, view in advertised.items() if view is not None}
         self._map_updates: list[tuple[State, int]] = []
@@ -68,6 +77,9 @@ class Views:
 
     def published(self, state: State, time_us: int) -> None:
         """See `Observer`."""
+        if state.spec.name == "planning.trajectory" and self._has_readers([TRAJECTORY]):
+            self._load()
+            self._send([self._trajectory(state, time_us)])
         topic, _ = PUBLICATIONS.get(state.spec.name, ("", ""))
         if topic == "/map":
             self._map_updates.append((state, time_us))  # a map consists of all updates
@@ -103,10 +115,11 @@ class Views:
         if self._maker is not None:
             return
         from mavfi.extras.logs.files import Maker
-        from mavfi.extras.logs.timeline import Converter, log_message, scenery, tick_messages
+        from mavfi.extras.logs.timeline import Converter, log_message, scenery, tick_messages, trajectory_message
 
         self._maker = Maker(is_ros1=self._is_ros1)
         self._convert = Converter(map_grid(self._plan.config))
+        self._trajectory = trajectory_message
         self._log_message = log_message
         self._tick_messages = tick_messages
         self._scenery = list(scenery(self._world))

@@ -37,9 +37,13 @@ class Ros1(Middleware):
     """ROS 1 of Debian's packages; `port`: of the flight's master."""
 
     name = "ros1"
-    title = "ROS 1"
     join_example = "rostopic list"
     port: int = field(default_factory=free_port)
+
+    @property
+    def title(self) -> str:
+        """See `Middleware`."""
+        return "ROS 1"
 
     def require(self) -> None:
         """See `Middleware`."""

@@ -50,7 +50,7 @@ class Ros2(Middleware):
         return cls(find_installation(distribution), 1 + os.getpid() % _DOMAINS)
 
     @property
-    def title(self) -> str:  # type: ignore[override]
+    def title(self) -> str:
         """See `Middleware`."""
         return f"ROS 2 {self.installation.distribution}"
 
@@ -66,11 +66,13 @@ class Ros2(Middleware):
     def variables(self, folder: Path) -> dict[str, str]:
         """See `Middleware`."""
         variables = self.installation.variables
-        programs = str(Path(self.installation.python).parent)
         path = variables.get("PATH", os.environ.get("PATH", os.defpath))
+        if Path(self.installation.python).is_absolute():
+            path = os.pathsep.join([str(Path(self.installation.python).parent), path])
         return {
             **variables,
-            "PATH": os.pathsep.join([programs, path]),
+            "PATH": path,
+            "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
             "ROS_DOMAIN_ID": str(self.domain),
             # No shared memory: a node that was killed never empties its queues there, and those that send to it wait.
             # With the range LOCALHOST shared memory cannot be switched off; the private network has no other hosts.
