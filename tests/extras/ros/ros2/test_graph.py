@@ -64,6 +64,19 @@ def test_messages_come_with_instants_by_wall_and_clock_whatever_the_quality_of_s
     assert all(abs(message.wall_ns - began) < 2 * 10**9 and message.sim_ns > 1000 * 10**9 for message in messages)
 
 
+def test_a_publisher_whose_quality_of_service_does_not_match_is_told(agent):
+    agent.subscribe("/count", "std_msgs/Int32", reliable=True)
+    until(lambda: agent.notices)
+    agent.unsubscribe("/count")
+    assert agent.notices == ["topic /count: the reliability of a publisher does not match: it is not read"]
+
+
+def test_definitions_of_types_come_from_the_installation(agent):
+    assert "string data" in agent.definition("std_msgs/String")
+    with pytest.raises(BadInputError, match="type my_robot/State: no file my_robot/msg/State.msg"):
+        agent.definition("my_robot/State")
+
+
 def test_rates_are_counted_and_an_absent_topic_has_a_reason(agent):
     measured = agent.rates(["/joint_states", "/count", "/nothing"], 0.5)
     assert 30 < measured.rates["/count"] < 70 and 30 < measured.rates["/joint_states"] < 70
