@@ -178,10 +178,6 @@ def test_operations_do_not_change_where_and_when_floats_are_hit():
         ({"operations": ["bit=3"]}, "'bit=3': changes no drawn value"),
         ({"operations": ["set=nan@3"]}, "'set=nan@3': the instant is drawn; allowed: without @"),
         ({"operations": ["fly"]}, "sampling.operations: 'fly': not known"),
-        (
-            {"operations": ["freeze"], "host": "ros1"},
-            "sampling.operations: 'freeze': allowed on ROS: in one publication",
-        ),
         ({"operations": ["flip"], "together": True}, "allowed with scheme stage_balanced or groups, without together"),
         ({"operations": ["flip"], "lifetime": {"times": 2}}, "without together and a lifetime"),
         (
@@ -192,5 +188,4 @@ def test_operations_do_not_change_where_and_when_floats_are_hit():
 )
 def test_operations_that_cannot_be_drawn_are_refused(sampling, message):
     with pytest.raises(ValueError, match=message):
-        host = sampling.pop("host", "local")
-        Campaign(name="c", host=host, environments=("sparse",), sampling={"level": "state", **sampling})
+        Campaign(name="c", environments=("sparse",), sampling={"level": "state", **sampling})

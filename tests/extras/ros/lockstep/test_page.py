@@ -54,11 +54,11 @@ rclpy.init()
 node = rclpy.create_node("listener")
 got = {}
 for topic, kind in kinds.items():
-    node.create_subscription(kind, topic, lambda message, topic=topic: got.setdefault(topic, message), 10)
-while len(got) < len(kinds):
+    node.create_subscription(kind, topic, lambda message, topic=topic: got.update({topic: message}), 10)
+while len(got) < len(kinds) or got["/map"].width < 10:
     rclpy.spin_once(node)
 odometry, path = got["/odometry"], got["/trajectory_points"].points
-sizes = path[-1].time_from_start.sec > 0, got["/map"].width > 10, len(got["/obstacles"].markers) > 3
+sizes = path[-1].time_from_start.sec > 0, got["/points"].width > 10, len(got["/obstacles"].markers) > 3
 print(odometry.header.frame_id, odometry.child_frame_id, *sizes)
 """
 

@@ -29,7 +29,6 @@ TICKS: Mapping[str, str] = {
 """Topics of each control period, with their types."""
 PUBLICATIONS: Mapping[str, tuple[str, str]] = {
     "perception.point_cloud": ("/points", "sensor_msgs/PointCloud2"),
-    "perception.map_update": ("/map", "sensor_msgs/PointCloud2"),
     "planning.path": ("/path", "nav_msgs/Path"),
     "planning.trajectory": ("/trajectory", "nav_msgs/Path"),
 }
@@ -37,8 +36,13 @@ PUBLICATIONS: Mapping[str, tuple[str, str]] = {
 TRAJECTORY = "/trajectory_points"
 """Topic of trajectories with yaw, velocities and accelerations, of the type `TRAJECTORY_TYPE`."""
 TRAJECTORY_TYPE = "trajectory_msgs/MultiDOFJointTrajectory"
-SCENERY: Mapping[str, str] = {"/obstacles": "visualization_msgs/MarkerArray", "/goal": "visualization_msgs/Marker"}
-"""Topics that are repeated once per second of flight, for new viewers."""
+MAP = "/map"
+SCENERY: Mapping[str, str] = {
+    MAP: "sensor_msgs/PointCloud2",
+    "/obstacles": "visualization_msgs/MarkerArray",
+    "/goal": "visualization_msgs/Marker",
+}
+"""Topics that are repeated once per second of flight, for new viewers: occupied voxels of the map, and the world."""
 _SCENERY_PERIOD = 50
 """The same in control periods."""
 LOG = "/log"
@@ -56,7 +60,6 @@ class Views:
     """
 
     def __init__(self, transport: Transport, plan: FlightPlan) -> None:
-        self._plan = plan
         self._is_ros1 = plan.middleware.name == "ros1"
         kinds = {
             **TICKS,
@@ -67,7 +70,8 @@ class Views:
         }
         advertised = {topic: transport.view(topic, kind) for topic, kind in kinds.items()}
         self._views: dict[str, View] = {topic: view for topic, view in advertised.items() if view is not None}
-        self._map_updates: list[tuple[State, int]] = []
+        self._grid = map_grid(plan.config)
+        self._log_odds = np.zeros(self._grid.size, np.float32)
         self._maker: Any = None
         self._ticks = 0
 
@@ -79,32 +83,32 @@ class Views:
         """See `Observer`."""
         if state.spec.name == "planning.trajectory" and self._has_readers([TRAJECTORY]):
             self._load()
-            self._send([self._trajectory(state, time_us)])
+            self._send([self._timeline.trajectory_message(state, time_us)])
+        if state.spec.name == "perception.map_update":
+            self._update_map(state)  # read or not: a map consists of all updates
         topic, _ = PUBLICATIONS.get(state.spec.name, ("", ""))
-        if topic == "/map":
-            self._map_updates.append((state, time_us))  # a map consists of all updates
-        if not self._has_readers([topic]):
-            return
-        self._load()
-        if topic != "/map":
+        if self._has_readers([topic]):
+            self._load()
             self._send(self._convert(state, time_us))
-            return
-        for update, instant_us in self._map_updates:
-            messages = list(self._convert(update, instant_us))
-        self._map_updates.clear()
-        self._send(messages)
+
+    def _update_map(self, state: State) -> None:
+        """Apply an update; voxels outside the map are ignored, as an index may have been corrupted."""
+        voxels = state.elements["voxel"]
+        inside = (voxels >= 0) & (voxels < self._grid.size)
+        self._log_odds[voxels[inside]] = state.elements["log_odds"][inside]
 
     def tick(self, row: np.ndarray, items: list[FlightItem], status: MissionStatus | None) -> None:
         """See `Observer`."""
         if (items or status is not None) and self._has_readers([LOG]):
             self._load()
-            self._send(map(self._log_message, lines_at(float(row[0]), items, status)))
+            self._send(map(self._timeline.log_message, lines_at(float(row[0]), items, status)))
         if self._has_readers(TICKS):
             self._load()
-            self._send(self._tick_messages(row))
+            self._send(self._timeline.tick_messages(row))
         if self._ticks % _SCENERY_PERIOD == 0 and self._has_readers(SCENERY):
             self._load()
             self._send(self._scenery)
+            self._send([self._timeline.map_message(self._grid, self._log_odds, self._timeline.stamp_ns(row[0]))])
         self._ticks += 1
 
     def _has_readers(self, topics: Iterable[str]) -> bool:
@@ -114,15 +118,13 @@ class Views:
         """Import what converts and serializes, at the first message that somebody reads."""
         if self._maker is not None:
             return
+        from mavfi.extras.logs import timeline
         from mavfi.extras.logs.files import Maker
-        from mavfi.extras.logs.timeline import Converter, log_message, scenery, tick_messages, trajectory_message
 
         self._maker = Maker(is_ros1=self._is_ros1)
-        self._convert = Converter(map_grid(self._plan.config))
-        self._trajectory = trajectory_message
-        self._log_message = log_message
-        self._tick_messages = tick_messages
-        self._scenery = list(scenery(self._world))
+        self._convert = timeline.Converter(self._grid)
+        self._scenery = list(timeline.scenery(self._world))
+        self._timeline = timeline
 
     def _send(self, messages: "Iterable[Message]") -> None:
         """Publish messages to the topics that somebody reads."""

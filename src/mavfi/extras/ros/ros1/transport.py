@@ -21,6 +21,8 @@ from mavfi.extras.ros.processes import end_with_parent
 from mavfi.extras.ros.ros1 import finder
 
 _BUFFER = 1 << 22
+_VIEW_DEPTH = 10
+"""Number of messages that a slow subscriber of a view may be behind; the flight does not wait for it."""
 _POLL_S = 0.005
 _MASTER_PATIENCE_S = 60.0
 
@@ -172,7 +174,7 @@ class Ros1View(View):
         text, checksum = Maker(is_ros1=True).store.generate_msgdef(f"{package}/msg/{name}")
         members = {"_type": kind, "_md5sum": checksum, "_full_text": text}
         self._type = type(name, (rospy.AnyMsg,), members)
-        self._publisher = rospy.Publisher(topic, self._type, queue_size=None)
+        self._publisher = rospy.Publisher(topic, self._type, queue_size=_VIEW_DEPTH)
 
     def has_readers(self) -> bool:
         """See `View`."""
