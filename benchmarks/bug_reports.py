@@ -79,7 +79,10 @@ class ReportedFlight(NamedTuple):
 
 def fly_arm(mission: MissionSpec, faults: Sequence[Fault], arm: str) -> list[ReportedFlight]:
     """A mission without a fault and with each of some, under a detector or `none`."""
-    setup = watched(mission, None if arm == "none" else arm).setup
+    detector = None
+    if arm != "none":
+        detector = arm
+    setup = watched(mission, detector).setup
     logs = [fly(setup.scenario, fault, setup.detector(), recovery=setup.recovery).log for fault in (None, *faults)]
     golden = logs[0]
     return [

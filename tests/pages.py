@@ -18,9 +18,13 @@ _FILE = re.compile(r"^```(?:python|yaml|xml)\n(?:# |<!-- )(\S+)(?: -->)?\n(.*?)^
 _COMMENT = re.compile(r"\s+# .*$")
 
 
-def commands(page):
-    """Indented lines that begin with a program, without comments, and lines of a terminal behind its prompt."""
-    lines = (DOCS / page).read_text(encoding="utf-8").splitlines()
+def commands(page, section=""):
+    """Indented lines that begin with a program, without comments, and lines of a terminal behind its prompt.
+
+    `section`: heading of the section from which on they count; "" = all.
+    """
+    text = (DOCS / page).read_text(encoding="utf-8")
+    lines = text[text.index(section) :].splitlines()
     found = [_COMMENT.sub("", line.strip()) for line in lines if line.startswith("    ")]
     found += [line[2:] for line in lines if line.startswith("$ ")]
     return [line for line in found if line and line.split()[0] in _PROGRAMS]

@@ -15,6 +15,10 @@ HEADINGS = {"sdc": "SDC"}
 ALWAYS = ("masked", "sdc", "crash", "hang")
 """Effects that are shown even if none occurred."""
 LOST = "mission lost"
+DETECTED = "detected"
+FALSE_ALARMS = "false alarms"
+ALARMED = pl.col("detected_at_site") | pl.col("alarm_after_s").is_not_null()
+"""Whether an alarm that the golden run has not follows the fault."""
 _ENDS = tuple(str(end) for end in End)
 
 
@@ -37,13 +41,17 @@ def effect_rate(faults: Runs, test: pl.Expr) -> Rate:
 
 
 def effect_rates(runs: Runs) -> dict[str, Mapping[str, Rate]]:
-    """Share of each effect by setting, and of lost missions if there are verdicts."""
+    """Share of each effect by setting; of lost missions if there are verdicts; of alarms where a detector watches."""
     judged = judged_faults(runs)
     rates: dict[str, Mapping[str, Rate]] = {}
+    for (setting,), golden in runs.golden.where("judged", pl.col("detector") != "").groups("setting").items():
+        rates[setting] = {FALSE_ALARMS: m.rate_of(golden, pl.col("alarms_total") > 0)}
     for (setting,), faults in judged.groups("setting").items():
         labels = dict.fromkeys((*ALWAYS, *faults.values("effect")))
         of_setting = {label: effect_rate(faults, pl.col("effect") == label) for label in labels}
         if has_verdicts(runs):
             of_setting[LOST] = effect_rate(faults, ~pl.col("success"))
+        if faults.first("detector"):
+            of_setting[DETECTED] = effect_rate(faults, ALARMED)
         rates[setting] = of_setting
     return rates

@@ -105,7 +105,7 @@ def _worst_stage(runs: Runs) -> list[str]:
 def _recovery(runs: Runs) -> list[str]:
     """Missions that each detector with its recovery brings back, and newly loses."""
     paired = m.against_fi(runs)
-    if not len(paired):
+    if not len(paired) or not runs.has_missions:
         return []
     leads = m.leads(m.population_names(runs.injected, ()))
     arms = runs.campaign.get("arms", {})

@@ -67,12 +67,12 @@ def _by_groups(runs: Runs) -> bool:
 
 
 def _compared(runs: Runs) -> bool:
-    return len(runs.settings()) > 1
+    return len(runs.settings()) > 1 and runs.has_missions
 
 
 def watched(runs: Runs) -> bool:
-    """Whether any run has a detector."""
-    return len(runs.where(pl.col("detector") != "")) > 0
+    """Whether any flight has a detector."""
+    return len(runs.where(pl.col("detector") != "")) > 0 and runs.has_missions
 
 
 # ---- success -----------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import polars as pl
 
 from mavfi.analysis import measures as m
-from mavfi.analysis.effects import effect_rate, has_verdicts, judged_faults
+from mavfi.analysis.effects import ALARMED, effect_rate, has_verdicts, judged_faults
 from mavfi.analysis.rows import KERNEL_DUE
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate, wilson
@@ -104,7 +104,7 @@ def _rate(runs: Runs, requirement: Requirement) -> Rate:
             effects = KERNEL_DUE
         return effect_rate(faults, pl.col("effect").is_in(effects))
     if measure == "detected":
-        return effect_rate(faults, pl.col("detected_at_site") | pl.col("alarm_after_s").is_not_null())
+        return effect_rate(faults, ALARMED)
     if not has_verdicts(runs):
         return wilson(0, 0)
     succeeded = pl.col("success")

@@ -23,7 +23,7 @@ from mavfi.errors import BadInputError, MachineError, MavfiError, SpecMismatchEr
 from mavfi.faults.fault import Fault
 from mavfi.flight.compose import detector_for, with_keys_of
 from mavfi.flight.decide import RecoveryPolicy
-from mavfi.flight.host import ArmSetup, Host, MissionFlights, Recorded, find_host
+from mavfi.flight.host import ArmSetup, DetectorChoice, Host, MissionFlights, Recorded, find_host
 from mavfi.levels.level import NULL, Sampled, Sampler, sampler_for
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import plugin_failure, reason
@@ -88,12 +88,15 @@ def model_hashes(
 ) -> dict[str, str]:
     """Load every arm's detector for every environment, and return the sha256 of its model, by arm.
 
-    Campaigns with parts, which may differ in what detectors are trained for, have keys "environment/arm".
+    A host that trains detectors itself has no models.  Campaigns with parts, which may differ in what detectors are
+    trained for, have keys "environment/arm".
 
     Raises:
         BadInputError: A detector is unknown, or a model is absent or does not match.
     """
-    hashes = {}
+    hashes: dict[str, str] = {}
+    if host_of(campaign).trains:
+        return hashes
     for arm in arms_of(campaign):
         if not arm.detector:
             continue
@@ -172,6 +175,8 @@ def setup_of(plan: MissionPlan, arm: Arm, host: Host, scenario: Scenario | None 
     recovery = RecoveryPolicy.of(spec)
     if not arm.detector:
         return ArmSetup(scenario, None, recovery)
+    if host.trains:
+        return ArmSetup(scenario, None, recovery, choice=DetectorChoice(arm.detector, arm.profile))
     return ArmSetup(scenario, make, recovery)
 
 

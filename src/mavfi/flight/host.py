@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from mavfi.config import Config
 from mavfi.detectors.detector import Detector
@@ -72,9 +72,18 @@ class RunResult:
         return self.flight_record
 
 
+class DetectorChoice(NamedTuple):
+    """Name and profile of an arm's detector."""
+
+    name: str
+    profile: str
+
+
 @dataclass(frozen=True, slots=True)
 class ArmSetup:
     """Configuration of one arm: scenario, detector factory (None = no detector), recovery policy, and observers.
+
+    Hosts that train detectors themselves (`Host.trains`) get the `choice` in place of a factory.
 
     Observers (`flight.loop.Listener`) take part in flights of the host `firmware`, and of the host `local` without
     fast-forward, except for faults in instructions.
@@ -84,6 +93,7 @@ class ArmSetup:
     make_detector: Callable[[], Detector] | None = None
     recovery: RecoveryPolicy = INLINE
     observers: tuple[Any, ...] = ()
+    choice: DetectorChoice | None = None
 
     def detector(self) -> Detector | None:
         """A detector for flights of the arm; None = no detector."""
@@ -166,6 +176,7 @@ class Host(ABC):
         name: Name in configuration files.
         deterministic: Whether a flight is a pure function of its spec; if not, no run is classified as `masked`.
         flies: Whether the results of runs are of type `Flight`, which can be drawn.
+        trains: Whether it trains the detectors of arms itself, on its runs without a fault.
         in_process: Whether flights compile and load code in this process, so that forked workers inherit it.
         single_levels: Levels whose faults single missions are flown with at this host, unless the host `local` can.
         config: Model of what is under test; None = our pipeline.
@@ -176,6 +187,7 @@ class Host(ABC):
     name: str
     deterministic: bool = True
     flies: bool = True
+    trains: bool = False
     in_process: bool = False
     single_levels: frozenset[str] = frozenset()
     config: type[Config] | None = None

@@ -207,6 +207,8 @@ def watch(  # noqa: PLR0913 - one parameter per option
                     values = ", ".join(f"{field} = {value}" for field, value in fields_and_values)
                     out.print(f"{topic} message {alarm.message}: {values}, score {alarm.score:.3g}", markup=False)
         finally:
+            for notice in listener.notices:
+                console(error=True).print(notice, markup=False, soft_wrap=True)
             if as_json:
                 write_json(
                     {

@@ -112,7 +112,9 @@ def inject(  # noqa: PLR0913 - one parameter per option
         site = site_of("topic", topic, side)
     if duration is None:
         duration = _MAX_DURATION_S
-    if not service and _is_ros1(topic):
+    from mavfi.extras.ros.survey import master_of
+
+    if not service and master_of([topic]) is not None:
         from mavfi.extras.ros.ros1_inject import inject_ros1
 
         inject_ros1(topic, field, change, seed, node, duration, as_json=as_json)
@@ -136,18 +138,6 @@ def _change(field: str, at: str, given: dict[str, Any]) -> Change:
     if field and not any(part.partition("=")[0] not in ("times", "every", "share") for part in parts):
         parts.append("flip")
     return parse_change(parts, at)
-
-
-def _is_ros1(topic: str) -> bool:
-    """Whether a topic is that of a ROS 1 graph: if its master knows it, or if there is no ROS 2 here."""
-    from mavfi.extras.ros.node.master import Master, absolute
-    from mavfi.extras.ros.ros2.environment import installations
-
-    try:
-        graph = Master().graph()
-    except BadInputError:  # there is no master
-        return False
-    return absolute(topic) in graph.types or not any(installations())
 
 
 def _inject_ros2(fault: InterposedFault, node: str, duration: float, *, as_json: bool) -> None:

@@ -1,9 +1,13 @@
 """Survey of running ROS graphs, of ROS 1 and ROS 2: nodes with processes, topics with types and rates, services."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mavfi.errors import BadInputError
+
+if TYPE_CHECKING:
+    from mavfi.extras.ros.node.master import Master
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +120,37 @@ def survey_all(seconds: float) -> list[Survey]:
     if not surveys:
         raise BadInputError("; ".join(absences))
     return surveys
+
+
+def master_of(topics: Sequence[str]) -> "Master | None":
+    """The master of ROS 1, if one answers; None if the topics are those of ROS 2, or no master answers.
+
+    Raises:
+        MavfiError: ROS 2 is installed, but does not start.
+    """
+    from mavfi.extras.ros.node.master import Master, absolute
+
+    try:
+        master = Master()
+    except BadInputError:
+        return None
+    names = {absolute(topic) for topic in topics}
+    if names <= set(master.graph().topics) or not names <= _topics_of_ros2():
+        return master
+    return None
+
+
+def _topics_of_ros2() -> set[str]:
+    """Names of the topics in the graph of ROS 2; empty if it is not installed."""
+    from mavfi.extras.ros.ros2.environment import find_installation
+    from mavfi.extras.ros.ros2.graph import AgentClient
+
+    try:
+        installation = find_installation()
+    except BadInputError:
+        return set()
+    with AgentClient(installation) as agent:
+        return {topic.name for topic in agent.snapshot().topics}
 
 
 def pid_of_node(name: str) -> int:

@@ -5,10 +5,11 @@ from collections.abc import Iterable
 import polars as pl
 
 from mavfi.analysis import measures as m
-from mavfi.analysis.effects import HEADINGS, has_verdicts
+from mavfi.analysis.effects import ALARMED, HEADINGS, has_verdicts
 from mavfi.analysis.measures import Measure
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.views import View, has
+from mavfi.campaign.plan import FI
 from mavfi.plugins import Chapter
 
 HOST = "ros2_stack"
@@ -22,6 +23,8 @@ _REPEAT = (
     "digest is that of this ledger"
 )
 _JUDGED = pl.col("effect") != "unknown"
+_FAULTS = (pl.col("kind") == "injected") & _JUDGED
+_GOLDEN = pl.col("kind") == "golden"
 
 
 def _of_messages(runs: Runs) -> bool:
@@ -34,7 +37,7 @@ def _of_registers(runs: Runs) -> bool:
 
 def _messages(runs: Runs) -> Runs:
     """Runs with a fault in a message; its field without indices, its operation without the number of the bit."""
-    return runs.injected.where(level="message").adding(
+    return runs.injected.where(level="message", setting=FI).adding(
         topic=pl.col("state"),
         field=pl.col("field").str.replace_all(r"\[\d+\]", "[]").replace("", "message"),
         operation=pl.col("operation").str.replace(r"^bit=\d+", "flip"),
@@ -56,8 +59,13 @@ def _effects(runs: Runs, _: tuple[str, ...]) -> Iterable[Measure]:
     yield m.count("unknown", "not judged", effect="unknown")
 
 
+def _watched(runs: Runs) -> Runs:
+    """Runs in the arms with a detector."""
+    return runs.where(pl.col("detector") != "")
+
+
 def _endings_note(runs: Runs) -> list[str]:
-    crashed = runs.injected.where(effect="crash").frame["kernel_effect_detail"].value_counts()
+    crashed = runs.injected.where(effect="crash", setting=FI).frame["kernel_effect_detail"].value_counts()
     endings = ", ".join(f"{name} {count}" for name, count in crashed.sort("kernel_effect_detail").rows())
     if endings:
         return [f"crashes: {endings}"]
@@ -95,6 +103,20 @@ CHAPTER = Chapter(
     (
         _of_stack("message_effects", "What a fault in a message does to the stack", ("topic", "operation")),
         _of_stack("field_effects", "What a fault does, by field", ("topic", "field")),
+        View(
+            "stack_alarms",
+            "What detectors of the stack's messages notice",
+            ("arm", "detector"),
+            (
+                m.count("n", "faults", _JUDGED, kind="injected"),
+                m.rate("detected", "detected", ALARMED, _FAULTS),
+                m.rate("detected_sdc", "of SDC", ALARMED, _FAULTS, pl.col("effect") == "sdc"),
+                m.rate("false_alarms", "runs without a fault, with an alarm", pl.col("alarms_total") > 0, _GOLDEN),
+            ),
+            where=_watched,
+            notes=lambda _: (_INTERVALS, "detected: an alarm follows the fault that the run without a fault has not"),
+            applies=lambda runs: runs.campaign.get("host") == HOST and len(_watched(runs)) > 0,
+        ),
         View(
             "register_effects",
             "What one bit in a register does",

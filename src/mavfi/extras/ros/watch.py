@@ -32,10 +32,12 @@ class MessageListener(ABC):
     Attributes:
         topics: The topics, each once.
         definitions: Definition of the messages by topic, from `__enter__` on.
+        notices: What could not be read, and why, one line each.
     """
 
     topics: Sequence[str]
     definitions: dict[str, Definition]
+    notices: list[str]
 
     @abstractmethod
     def __enter__(self) -> "MessageListener":
@@ -77,40 +79,23 @@ class MessageListener(ABC):
 
 
 def make_listener(topics: Sequence[str]) -> MessageListener:
-    """The listener for topics of a running graph: of ROS 1 if a master answers, unless only ROS 2 has the topics.
+    """The listener for topics of a running graph, see `master_of`.
 
     Raises:
-        BadInputError: There is neither, or a topic is unknown.
+        BadInputError: There is no ROS, or a topic is unknown.
     """
-    from mavfi.extras.ros.node.master import Master, absolute
     from mavfi.extras.ros.node.watch import TopicListener
     from mavfi.extras.ros.ros2.environment import find_installation
     from mavfi.extras.ros.ros2.watch import GraphListener
+    from mavfi.extras.ros.survey import master_of
 
+    master = master_of(topics)
+    if master is not None:
+        return TopicListener(master, topics)
     try:
-        master = Master()
-    except BadInputError as absence:
-        try:
-            return GraphListener(find_installation(), topics)
-        except BadInputError as error:
-            raise BadInputError(f"{absence}; {error}") from None
-    names = {absolute(topic) for topic in topics}
-    if names <= set(master.graph().topics) or not names <= _topics_of_ros2():
-        return TopicListener(master, topics)  # raises if a topic is unknown
-    return GraphListener(find_installation(), topics)
-
-
-def _topics_of_ros2() -> set[str]:
-    """Names of the topics in the graph of ROS 2; empty if it is not installed."""
-    from mavfi.extras.ros.ros2.environment import find_installation
-    from mavfi.extras.ros.ros2.graph import AgentClient
-
-    try:
-        installation = find_installation()
-    except BadInputError:
-        return set()
-    with AgentClient(installation) as agent:
-        return {topic.name for topic in agent.snapshot().topics}
+        return GraphListener(find_installation(), topics)
+    except BadInputError as error:
+        raise BadInputError(f"no master of ROS 1 answers; {error}") from None
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,20 +34,3 @@ def test_arms_say_what_differs():
     assert described(arms=arms)["lines"][1] == (
         "arms: gaussian (paper), own = a:B (tuned), star with planner rrt_star; coupling inline; monitored set paper-13"
     )
-
-
-def test_trials_on_a_stack():
-    stack = {
-        "nodes": [["/bin/n"]],
-        "inputs": {"topic": "/i", "type": "std_msgs/msg/Float64", "messages": [{}]},
-        "outputs": [{"topic": "/o"}],
-    }
-    found = described(
-        host="ros2_stack",
-        stack=stack,
-        environments=["n"],
-        missions=1,
-        sampling={"level": "register", "symbol": "f", "walk": 64},
-    )
-    assert found["title"] == "campaign tiny · ROS 2 stack n" and found["profile"] == ""
-    assert found["lines"] == ["/bin/n · one bit per trial, from the next call of 'f' on, after up to 64 instructions"]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from mavfi.campaign.config import load_campaign
+from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
@@ -47,3 +47,9 @@ def test_faults_of_other_levels_end_their_flight_alone():
     flights = Ros1Host().mission({"": ArmSetup(mission())})
     ((place, error),) = flights.injected([("", RegisterFault())])
     assert place == 0 and "faults of level 'register': allowed: sensor, state" in str(error)
+
+
+def test_operations_on_several_publications_are_refused():
+    content = {"name": "c", "host": "ros2", "environments": ["sparse"]}
+    with pytest.raises(ValueError, match="sampling.operations: 'freeze': allowed on ROS: in one publication"):
+        Campaign.model_validate({**content, "sampling": {"level": "state", "operations": ["freeze"]}})

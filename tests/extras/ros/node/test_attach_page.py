@@ -1,4 +1,4 @@
-"""Every command of docs/ros-attach.md, run as it stands there against robot_state_publisher."""
+"""Every command on ROS 1 of docs/how-to/ros2.md, run as it stands there against robot_state_publisher."""
 
 import re
 import signal
@@ -11,24 +11,22 @@ from tests.extras.ros.ros1.needs import environment
 from tests.pages import arguments, commands
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
-ALL = commands("ros-attach.md")
+ALL = commands("how-to/ros2.md", "## ROS 1")
 SAYS = {
     "mavfi ros list": r"/robot_state_publisher",
-    "--at 10": r"message 10: position\[0\] \(float64\) bit 51: 0.5 → 0.75, \d readers, verified",
-    "--rate 0.01": r"[Tt]he graph is as it was",
+    "--at n=10": r"message 10: position\[0\] \(float64\): 0.5 → 0.75, \d readers, verified",
+    "--share 0.01": r"[Tt]he graph is as it was",
     "mavfi inject": r"mm\d+",
     "rosbag record": r"",
     "--train normal.bag": r"",
-    "--learn 10": r"",
 }
 """What each command must say; the last two are silent while nothing is wrong."""
 WORKS = {
-    "--rate 0.01": r"message \d+: .*position\[0\]",
+    "--share 0.01": r"message \d+: .*position\[0\]",
     "--train": r"learned from \d+",
-    "--learn": r"learned from \d+",
 }
 """Output of the commands that run until Ctrl-C, once they work."""
-READING = ("mavfi ros list", "rosbag record", "--learn")
+READING = ("mavfi ros list", "rosbag record")
 """These change nothing: they run at the same time."""
 LONGEST_S = 90.0
 

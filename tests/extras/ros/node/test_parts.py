@@ -84,3 +84,6 @@ def test_without_a_master_one_line_says_what_to_do(monkeypatch, capsys, argument
     assert run(arguments) == 2
     message = capsys.readouterr().err
     assert message.startswith("mavfi: no ROS master at http://127.0.0.1:9: ") and message.count("\n") == 1
+    assert run(["ros", "watch", "--topics", "/a"]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith("mavfi: no master of ROS 1 answers; ROS 2 is not installed") and message.count("\n") == 1

@@ -26,7 +26,8 @@ from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros2.environment import DISTRIBUTIONS, ROOT_VARIABLE, find_installation
 
 NODES = Path(__file__).with_name("nodes")
-_CLONE_NEWNS = 0x00020000  # of <linux/sched.h>
+_CLONE_FS = 0x00000200  # of <linux/sched.h>
+_CLONE_NEWNS = 0x00020000
 _CLONE_NEWNET = 0x40000000
 _MS_REC_PRIVATE = 0x4000 | 0x40000  # of <linux/mount.h>
 _SET_FLAGS = 0x8914  # of <linux/sockios.h>
@@ -49,6 +50,7 @@ def private_network():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         fcntl.ioctl(any_socket, _SET_FLAGS, struct.pack("16sh14x", b"lo", _UP_AND_MULTICAST))
     yield
+    assert libc.unshare(_CLONE_FS) == 0  # threads that still run share the folder and the root of this one
     for kind, flag in (("net", _CLONE_NEWNET), ("mnt", _CLONE_NEWNS)):
         assert libc.setns(before[kind], flag) == 0
         os.close(before[kind])

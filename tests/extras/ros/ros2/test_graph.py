@@ -1,5 +1,6 @@
 """The agent in a graph of real nodes, of both distributions."""
 
+import ast
 import os
 import re
 import signal
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from mavfi.errors import BadInputError, MavfiError
+from mavfi.extras.ros.ros2 import agent as agent_module
 from mavfi.extras.ros.ros2.graph import AgentClient
 from mavfi.extras.ros.ros2.processes import GraphProcesses
 from tests.extras.ros.ros2.conftest import has_ended, until
@@ -60,6 +62,19 @@ def test_messages_come_with_instants_by_wall_and_clock_whatever_the_quality_of_s
     counts = [struct.unpack("<4xi", message.data)[0] for message in messages if message.topic == "/count"]
     assert len(counts) > 10 and counts == list(range(counts[0], counts[0] + len(counts)))
     assert all(abs(message.wall_ns - began) < 2 * 10**9 and message.sim_ns > 1000 * 10**9 for message in messages)
+
+
+def test_a_publisher_whose_quality_of_service_does_not_match_is_told(agent):
+    agent.subscribe("/count", "std_msgs/Int32", reliable=True)
+    until(lambda: agent.notices)
+    agent.unsubscribe("/count")
+    assert agent.notices == ["topic /count: the reliability of a publisher does not match: it is not read"]
+
+
+def test_definitions_of_types_come_from_the_installation(agent):
+    assert "string data" in agent.definition("std_msgs/String")
+    with pytest.raises(BadInputError, match="type my_robot/State: no file my_robot/msg/State.msg"):
+        agent.definition("my_robot/State")
 
 
 def test_rates_are_counted_and_an_absent_topic_has_a_reason(agent):
@@ -122,3 +137,7 @@ def test_a_python_without_ros_is_told_in_one_line(ros2):
     without = ros2.installation._replace(python=sys.executable, variables={"PYTHONPATH": ""})
     with pytest.raises(MavfiError, match="No module named 'rclpy'"), AgentClient(without):
         pass
+
+
+def test_the_agent_is_valid_for_the_oldest_python_of_a_ros_that_is_still_in_use():
+    ast.parse(Path(agent_module.__file__).read_text(), feature_version=(3, 10))

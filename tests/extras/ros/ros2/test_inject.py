@@ -1,12 +1,19 @@
 """`mavfi ros inject | run` and `mavfi inject --ros-node` on real nodes."""
 
 import json
+import os
+import re
+import signal
+import subprocess
+import threading
 
 import pytest
 
 from mavfi.cli import run
 from mavfi.extras.ros.ros2.graph import AgentClient
+from tests.core.architecture.source import ROOT
 from tests.extras.ros.ros2.conftest import NODES
+from tests.extras.ros.ros2.messages import Messages
 
 pytestmark = [pytest.mark.ros, pytest.mark.alone]
 
@@ -30,6 +37,11 @@ def test_a_number_in_a_running_node_is_changed_and_a_second_reader_sees_it(talke
     assert details["sim_s"] > 1000
 
 
+once = pytest.mark.parametrize("ros2", ["jazzy"], indirect=True, scope="module")
+"""Not with every distribution."""
+
+
+@once
 def test_what_is_wrong_is_one_line_before_anything_is_touched(talker, capsys):
     for arguments, message in (
         (["--topic", "/joint_state", "--field", "x"], "topic /joint_state: not in the graph; allowed:"),
@@ -48,11 +60,13 @@ def test_what_is_wrong_is_one_line_before_anything_is_touched(talker, capsys):
         assert message in captured.err and captured.err.count("\n") == 1 and captured.out == ""
 
 
+@once
 def test_a_register_of_a_node_is_injected_by_its_name(talker, capsys):
     assert run(["inject", "--ros-node", "talker", "--symbol", "rmw_publish", "--null", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["injections"][0]["activated"]
 
 
+@once
 def test_nodes_are_started_with_faults_and_missing_ones_are_explained(ros2, capfd, monkeypatch):
     for name, value in ros2.installation.environment(ROS_DOMAIN_ID="48").items():
         monkeypatch.setenv(name, value)
@@ -64,3 +78,36 @@ def test_nodes_are_started_with_faults_and_missing_ones_are_explained(ros2, capf
     assert lines[0].startswith("/number1 message 2: data (f8) 1.0 → -5.0 (") and len(lines) == 4
     assert lines[2] == "/number1: 2 of 5 messages changed"
     assert lines[3].startswith("/nothing: NOT injected: none of 1 processes had a message of it")
+
+
+SUPERVISOR = """
+import subprocess, sys
+while True:
+    subprocess.run([sys.executable, sys.argv[1]], stderr=subprocess.DEVNULL)
+"""
+
+
+def test_the_report_says_that_a_supervisor_brought_the_node_back(ros2, capfd):
+    """The node raises an exception at a NaN, which ends it; its supervisor starts another one."""
+    installation = ros2.installation
+    supervisor = subprocess.Popen(
+        [installation.python, "-c", SUPERVISOR, str(ROOT / "examples/ros2/limiter.py")],
+        env=installation.environment(),
+        start_new_session=True,
+    )
+    try:
+        with AgentClient(installation) as client:
+            joints = Messages(client.definition("test_msgs/msg/BasicTypes")).data["JointState"]
+            assert client.advertise("/in", "sensor_msgs/msg/JointState", subscribers=1)
+            pump = threading.Thread(target=client.publish, args=("/in", joints, 100, 0.05))
+            pump.start()
+            arguments = ["--topic", "/in", "--side", "take", "--field", "position[0]", "--set", "nan"]
+            assert run(["ros", "inject", *arguments]) == 0
+            pump.join()
+    finally:
+        os.killpg(supervisor.pid, signal.SIGKILL)
+        supervisor.wait()
+    lines = capfd.readouterr().out.splitlines()
+    assert "position[0] (f8) 1.0 → nan (/limiter" in lines[0]
+    assert re.search(r"s after the injection: process \d+ of /limiter has ended", lines[1])
+    assert re.search(r"process \d+ \(.*limiter.py\) has taken its place", lines[2])

@@ -56,3 +56,15 @@ def test_an_unknown_distribution_is_refused(no_ros, capsys):
     assert run(["ros", "setup", "humble"]) == 2
     assert capsys.readouterr().err == "mavfi: ROS 2 humble: allowed: jazzy, kilted\n"
     assert all("==" in package for package in requirements("jazzy") + requirements("kilted"))
+
+
+def test_the_python_of_a_sourced_shell_is_not_that_of_our_environment(monkeypatch, tmp_path):
+    for folder in ("venv/bin", "bin"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "python3").touch(mode=0o755)
+    monkeypatch.setattr(environment.sys, "prefix", str(tmp_path / "venv"))
+    monkeypatch.setenv("PATH", f"{tmp_path}/venv/bin:{tmp_path}/bin")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "/opt/ros/rolling")
+    monkeypatch.setenv("ROS_DISTRO", "rolling")
+    installation = environment.find_installation()
+    assert installation.distribution == "rolling" and installation.python == f"{tmp_path}/bin/python3"

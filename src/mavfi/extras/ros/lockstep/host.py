@@ -20,6 +20,7 @@ from mavfi.extras.ros.lockstep.transport import Middleware
 from mavfi.extras.ros.processes import absolute_python_path, private_network
 from mavfi.faults.fault import StateFault
 from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.faults.operations import parse_text
 from mavfi.flight.compose import pipeline_config, resolve
 from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host
 from mavfi.mission import MissionSpec, Scenario
@@ -53,6 +54,9 @@ class LockstepHost(Host):
         """See `Host.check_sampling`."""
         if getattr(sampling, "messages", ()) and "length" in sampling.strata:
             raise BadInputError("sampling.strata: 'length': may lose a message; allowed on ROS: bits of numbers")
+        for text in getattr(sampling, "operations", ()):
+            if parse_text(text).when.times != 1:
+                raise BadInputError(f"sampling.operations: {text!r}: allowed on ROS: in one publication")
 
     def check(self) -> None:
         """See `Host.check`.

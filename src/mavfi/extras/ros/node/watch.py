@@ -29,6 +29,7 @@ class TopicListener(MessageListener):
         self._messages: queue.Queue[tuple[str, bytes]] = queue.Queue()
         self._master = master
         self.definitions = {}
+        self.notices = []
         for topic in self.topics:
             sources = sources_of(master, graph, topic)
             self.definitions[topic] = sources[0].definition()

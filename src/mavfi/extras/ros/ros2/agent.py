@@ -295,6 +295,10 @@ class Agent:
             pair.append([endpoint for endpoint in endpoints if f"/{NODE_PREFIX}" not in endpoint["node"]])
         return pair
 
+    def _writers(self, topic):
+        """Publishers of a topic, also those of other agents."""
+        return [endpoint_data(info) for info in self.node.get_publishers_info_by_topic(topic)]
+
     def do_wait(self, topic, publishers, subscribers, limit_s):
         """Wait until a topic has enough publishers and subscriptions of others, by name known to ROS."""
 
@@ -332,11 +336,10 @@ class Agent:
 
         writers = []
         if not kind or reliable is None:
-            is_there = self._spin_until(lambda: self._endpoints(topic)[0], limit_s)
+            is_there = self._spin_until(lambda: self._writers(topic), limit_s)
             if not is_there:
                 raise RequestError(f"topic {topic}: nobody publishes it")
-            # Settle: a second publisher may ask for another quality of service.
-            writers = self._endpoints(topic)[0]
+            writers = self._writers(topic)
         kinds = sorted({writer["kind"] for writer in writers})
         if not kind and len(kinds) > 1:
             raise RequestError(f"topic {topic}: published with types {', '.join(kinds)}; allowed: one")
@@ -355,8 +358,10 @@ class Agent:
         """A subscription to serialized messages; publishers that do not match it are told to the client."""
 
         def mismatch(event):
-            policy = getattr(event.last_policy_kind, "name", event.last_policy_kind)
-            self._send({"event": "notice", "text": f"topic {topic}: a publisher's {policy} does not match; not read"})
+            name = getattr(event.last_policy_kind, "name", "quality of service")
+            policy = name.removeprefix("RMW_QOS_POLICY_").lower()
+            text = f"topic {topic}: the {policy} of a publisher does not match: it is not read"
+            self._send({"event": "notice", "text": text})
 
         try:
             from rclpy.event_handler import SubscriptionEventCallbacks
@@ -410,7 +415,7 @@ class Agent:
 
         # Count only when the publishers have found the subscriptions: soon after the subscriptions have found them.
         def are_matched():
-            return all(len(self._endpoints(each.topic_name)[0]) <= each.get_publisher_count() for each in subscriptions)
+            return all(len(self._writers(each.topic_name)) <= each.get_publisher_count() for each in subscriptions)
 
         if hasattr(rclpy.subscription.Subscription, "get_publisher_count"):  # since Jazzy
             self._spin_until(are_matched, MATCH_LIMIT_S)
@@ -479,7 +484,7 @@ class Agent:
         def ticked(message):
             self._sim_time = message.clock.sec * 10**9 + message.clock.nanosec
 
-        if self._clock is None and self._endpoints("/clock")[0]:
+        if self._clock is None and self._writers("/clock"):
             qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
             self._clock = self.node.create_subscription(Clock, "/clock", ticked, qos)
 

@@ -1,6 +1,7 @@
 """ROS 2 installations: which there are, their Python, and the environment in which their programs run."""
 
 import os
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -51,7 +52,7 @@ def installations() -> Iterator[Installation]:
     sourced = os.environ.get("AMENT_PREFIX_PATH")
     distribution = os.environ.get("ROS_DISTRO", "")
     if sourced and distribution:
-        yield Installation(distribution, "python3", _SYSTEM / distribution, {})
+        yield Installation(distribution, _python_of_shell(), _SYSTEM / distribution, {})
     for setup in sorted(_SYSTEM.glob("*/local_setup.sh")):
         if setup.parent.name != distribution:
             yield _of_system(setup.parent)
@@ -74,6 +75,14 @@ def find_installation(distribution: str = "") -> Installation:
     if names:
         raise BadInputError(f"ROS 2 {distribution}: not installed; allowed: {', '.join(names)}")
     raise BadInputError("ROS 2 is not installed: run `mavfi ros setup`, or source the setup file of an installation")
+
+
+def _python_of_shell() -> str:
+    """The Python of this shell; not that of mavfi's virtual environment, if that is active."""
+    folders = os.environ.get("PATH", os.defpath).split(os.pathsep)
+    if sys.prefix != sys.base_prefix:
+        folders = [folder for folder in folders if Path(folder) != Path(sys.prefix) / "bin"]
+    return shutil.which("python3", path=os.pathsep.join(folders)) or "python3"
 
 
 def _of_system(prefix: Path) -> Installation:

@@ -42,7 +42,6 @@ _END_LIMIT_S = 12.0
 _Result = TypeVar("_Result")
 _AGENT = Path(__file__).with_name("agent.py")
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-_RANGE_BEFORE_IRON = "ROS_LOCALHOST_ONLY"
 
 
 class Endpoint(NamedTuple):
@@ -160,8 +159,8 @@ class Matched(NamedTuple):
 class AgentClient:
     """Starts an agent and talks to it, from `__enter__` to `__exit__`.
 
-    The agent is in the domain and uses the middleware that the environment variables say, and stays on this machine
-    unless they say otherwise. It ends when this process ends, also if it is killed.
+    The agent is in the domain and uses the middleware that the environment variables say. Since Iron it stays on this
+    machine unless they say otherwise. It ends when this process ends, also if it is killed.
 
     Args:
         installation: Whose Python runs the agent; None = the first that is found.
@@ -417,9 +416,8 @@ class AgentClient:
     # ---- frames ------------------------------------------------------------------------------------------------------
     def _environment(self) -> dict[str, str]:
         variables = self.installation.environment(**self._variables)
-        if _RANGE not in variables and _RANGE_BEFORE_IRON not in variables:
-            variables[_RANGE] = "LOCALHOST"
-            variables[_RANGE_BEFORE_IRON] = "1"
+        # A node of Humble that is restricted so (ROS_LOCALHOST_ONLY) would not see others that are not.
+        variables.setdefault(_RANGE, "LOCALHOST")
         return variables
 
     def _request(self, action: str, waits_s: float = 0.0, content: bytes = b"", **keys: Any) -> dict[str, Any]:

@@ -19,6 +19,8 @@ from mavfi.record import Injection
 _LIFECYCLE = "lifecycle_msgs/msg/TransitionEvent"
 """Type of the messages by which managed nodes announce their transitions."""
 _POLL_S = 0.01
+_REPLACEMENT_S = 5.0
+"""How long a supervisor may take to start a node again (s)."""
 _CLOCK_PERIOD_S = 0.02
 """How often simulated time is passed on to the processes (s)."""
 _SECOND_READER_S = 2.0
@@ -200,11 +202,14 @@ class RunningGraphInjection:
         """Who has taken the place of processes that have ended since the injection; "" = nobody, or none has."""
         if not any("has ended" in text for text in self._aftermath_seen):
             return ""
-        with suppress(MavfiError):
-            now = {target.pid for target in _targets(self._agent.snapshot(), self._fault, self._node)}
-            new = sorted(pid for pid in now - {process.pid for process in self.processes} if pid is not None)
-            if new:
-                return f"{', '.join(f'process {pid} ({program_of(pid)})' for pid in new)} has taken its place"
+        earlier = {process.pid for process in self.processes}
+        end = time.monotonic() + _REPLACEMENT_S
+        while time.monotonic() < end:
+            with suppress(MavfiError):
+                targets = _targets(self._agent.snapshot(), self._fault, self._node)
+                for target in targets:
+                    if target.pid is not None and target.pid not in earlier:
+                        return f"process {target.pid} ({program_of(target.pid)}) has taken its place"
         return ""
 
     # ---- the second reader ------------------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ class GraphListener(MessageListener):
         self.topics = list(dict.fromkeys(absolute(topic) for topic in topics))
         self.definitions = {}
         self._agent = AgentClient(installation)
+        self.notices = self._agent.notices
         self._types = TypeLibrary(installation.distribution, self._agent.definition)
         self._kinds: dict[str, str] = {}
 

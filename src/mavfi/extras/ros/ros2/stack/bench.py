@@ -7,6 +7,7 @@ page of the interposer and the tracer of registers are in the same user namespac
 """
 
 import json
+import math
 import os
 import signal
 import socket
@@ -16,24 +17,28 @@ import tempfile
 import threading
 import time
 import weakref
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from functools import reduce
+from operator import and_
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from mavfi.config import STORED
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.registers import inject
-from mavfi.extras.ros.processes import end_with_parent
+from mavfi.extras.ros.processes import children, end_with_parent
 from mavfi.extras.ros.ros2.agent import Frames
 from mavfi.extras.ros.ros2.environment import Installation, find_installation
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault, Report, Side
 from mavfi.extras.ros.ros2.stack.config import StackConfig
-from mavfi.extras.ros.ros2.stack.outputs import Outputs, compare, digest_of, status_of
+from mavfi.extras.ros.ros2.stack.outputs import LOST, Outputs, compare, digest_of, status_of
+from mavfi.extras.ros.ros2.stack.watching import Publication, StackWatcher, train
 from mavfi.faults.fault import Fault, MessageFault, RegisterFault, fault_from_json
 from mavfi.outcomes import Effect
-from mavfi.record import Injection
+from mavfi.record import AlarmRecord, Injection
 
 _FOLDER = Path(__file__).parent
 _DOMAIN = "71"
@@ -43,6 +48,10 @@ _ANSWER_S = 30.0
 _LONGEST_S = 600.0
 """Time limit for inputs with times of their own, or of a script (s)."""
 _POLL_S = 0.002
+_ATTEMPTS = 3
+"""How often a run is tried whose outputs differ before the fault."""
+_SETTLE_S = 0.1
+"""Time in which nodes of one stack find each other, after the driver has found them (s)."""
 _CYCLES_AFTER = 3
 """How often the inputs are played after a register was injected."""
 _MOST_CYCLES = 200
@@ -67,6 +76,7 @@ class StackTrial:
         differences: The first values that differ, as plain data.
         injections: What was changed.
         status: Status of the mission by the user's verdict; "" without one.
+        alarms: Alarms of the detector of each arm.
         seconds: Duration of the trial (s).
         start_s: Of this, until all topics were connected (s).
     """
@@ -79,6 +89,7 @@ class StackTrial:
     differences: tuple[dict[str, Any], ...]
     injections: tuple[Injection, ...]
     status: str
+    alarms: dict[str, tuple[AlarmRecord, ...]]
     seconds: float
     start_s: float
 
@@ -87,7 +98,9 @@ class PlayedRun(NamedTuple):
     """A run of the stack: its outputs, the numbers in each message by topic, how it ended, and what was changed."""
 
     cycles: list[Outputs]  # outputs, each time that the inputs were played
+    publications: list[Publication]  # the same in the order of their arrival
     numbers: dict[str, list[list[tuple[str, str, int]]]]
+    lasting: Counter[str]  # programs that the stack's commands had started and that lived at the end
     ended: str  # how a process of the stack ended; "" = all lived
     has_ceased: bool
     reports: list[Report]
@@ -286,15 +299,19 @@ class StackBench:
     Args:
         stack: The stack.
         folder: For logs of its processes.
+        detectors: Name and profile of the detector of each arm that has one.
     """
 
-    def __init__(self, stack: StackConfig, folder: Path) -> None:
+    def __init__(self, stack: StackConfig, folder: Path, detectors: Mapping[str, Sequence[str]] | None = None) -> None:
         self._stack = stack
+        self._detectors = dict(detectors or {})
+        self._watchers: dict[str, StackWatcher] = {}
         self._folder = folder
         self._installation = find_installation(stack.distribution)
         self._page = ControlPage()
         self._inputs, self._content = inputs_of(stack, self._installation)
         self._golden: PlayedRun | None = None
+        self._lasting: Counter[str] = Counter()  # programs that live at the end of all error-free runs
         self._cycles: list[Outputs] = []  # error-free outputs for faults in registers
         self._learned: dict[str, dict[str, Any]] = {}  # type and quality of service of recorded topics
         discovery = {name: os.environ.get(name, str(_FOLDER / "discovery.xml")) for name in _PROFILES}
@@ -344,7 +361,7 @@ class StackBench:
         """
         if self._golden is None:
             self._play(None)  # learns types and qualities of service
-            runs = [self._play(None) for _ in range(self._stack.golden_runs)]
+            runs = self._error_free_runs()
             for run in runs:
                 if run.ended or run.has_ceased or not all(run.outputs.values()):
                     reason = run.ended or f"no output within {self._stack.patience_s:g} s"
@@ -359,7 +376,19 @@ class StackBench:
                         "do not change by themselves (outputs.fields), or a tolerance"
                     )
             self._golden = runs[0]
+            self._lasting = reduce(and_, (run.lasting for run in runs))
+            self._watchers = train(self._detectors, [run.publications for run in runs])
         return self._golden
+
+    def _error_free_runs(self) -> list[PlayedRun]:
+        """The runs without a fault; one that lost messages since its nodes found each other too late is repeated."""
+        runs = [self._play(None) for _ in range(self._stack.golden_runs)]
+        for _ in range(_ATTEMPTS - 1):
+            counts = [sum(map(len, run.outputs.values())) for run in runs]
+            if min(counts) == max(counts):
+                break
+            runs[counts.index(min(counts))] = self._play(None)
+        return runs
 
     def _check_readable(self, outputs: Outputs) -> None:
         """Raise a BadInputError if a message lacks a field that is compared."""
@@ -376,6 +405,10 @@ class StackBench:
             "status": status_of(self._stack, golden.outputs),
             "outputs": sum(map(len, golden.outputs.values())),
             "numbers": golden.numbers,
+            "alarms": {
+                arm: [alarm.to_json() for alarm in watcher.alarms(golden.publications)]
+                for arm, watcher in self._watchers.items()
+            },
         }
 
     def trial(self, fault: InterposedFault | RegisterFault | None) -> StackTrial:
@@ -384,7 +417,11 @@ class StackBench:
         expected = golden.cycles
         if isinstance(fault, RegisterFault):
             expected = self._golden_cycles()
-        run = self._play(fault)
+        for _ in range(_ATTEMPTS):
+            run = self._play(fault)
+            started_well = self._started_well(run, golden)
+            if started_well:
+                break
         comparison = compare(joined(expected[: len(run.cycles)]), run.outputs, self._stack)
         injections, problem = _injections(fault, run, has_times=not self._answers)
         digest = digest_of(golden.outputs)
@@ -402,6 +439,9 @@ class StackBench:
         if problem and effect is Effect.MASKED:
             effect = Effect.UNKNOWN
             reason = problem
+        if not started_well:
+            effect = Effect.UNKNOWN
+            reason = f"outputs differed before the fault, in {_ATTEMPTS} attempts"
         return StackTrial(
             effect.label,
             reason,
@@ -410,10 +450,35 @@ class StackBench:
             comparison.differing,
             tuple(asdict(difference) for difference in comparison.differences),
             injections,
-            status_of(self._stack, run.cycles[-1]),
+            self._status(run),
+            {arm: watcher.alarms(run.publications) for arm, watcher in self._watchers.items()},
             run.seconds,
             run.start_s,
         )
+
+    def _status(self, run: PlayedRun) -> str:
+        """The status of a run with a fault: its outputs may be such that the user's verdict fails."""
+        try:
+            return status_of(self._stack, run.cycles[-1])
+        except BadInputError:
+            return LOST
+
+    def _started_well(self, run: PlayedRun, golden: PlayedRun) -> bool:
+        """Whether outputs were those of the error-free run until the fault came, or to the end if it did not.
+
+        Nodes that find each other too late lose messages.  Of a register the instant is not known to the bench.
+        """
+        if isinstance(run.register, Injection) or run.ended:
+            return True
+        first_s = min((report.wall_s for report in run.reports if report.kind == "changed"), default=math.inf)
+        before: dict[str, list[Any]] = {topic: [] for topic in golden.outputs}
+        for publication in run.publications:
+            if publication.wall_s < first_s:
+                before[publication.topic].append(publication.data)
+        expected = golden.outputs
+        if first_s < math.inf:
+            expected = {topic: messages[: len(before[topic])] for topic, messages in golden.outputs.items()}
+        return compare(expected, before, self._stack).differing == 0
 
     def _play(self, fault: InterposedFault | RegisterFault | None, count: int = 1) -> PlayedRun:
         """Start the stack, play the inputs so many times, and end it."""
@@ -436,6 +501,7 @@ class StackBench:
             script = self._connect(driver, pids)
             start_s = time.monotonic() - began
             played = self._play_inputs(driver, pids, script, fault, count)
+            lasting = Counter(name for pid in pids for name in descendants(pid))
         finally:
             driver.close()
             statuses = self._processes.end()
@@ -443,20 +509,32 @@ class StackBench:
 
         # What it has published, and the numbers in all messages.
         cycles: list[Outputs] = []
+        publications: list[Publication] = []
+        counts = dict.fromkeys(self._learned, 0)
         for cycle in played.cycles:
             of_cycle: dict[str, list[Any]] = {topic: [] for topic in self._learned}
-            for topic, data in cycle["outputs"]:
+            for topic, data, wall_s in cycle["outputs"]:
                 of_cycle[topic].append(data)
+                counts[topic] += 1
+                time_s = wall_s - armed_s
+                if self._answers:
+                    time_s = float(counts[topic])
+                publications.append(Publication(topic, data, time_s, wall_s))
             cycles.append(of_cycle)
         numbers: dict[str, list[Any]] = {}
         for entry, of_message in zip(self._inputs, of_inputs, strict=True):
             numbers.setdefault(entry["topic"], []).append(of_message)
         numbers |= played.cycles[-1]["numbers"]
         ended = self._ended(statuses, pids)
+        absent = self._lasting - lasting
+        if not ended and absent:
+            ended = f"{next(iter(absent))} has ended"
         has_ceased = not ended and self._has_ceased(played.cycles[-1], cycles[-1])
         return PlayedRun(
             cycles,
+            publications,
             numbers,
+            lasting,
             ended,
             has_ceased,
             self._page.reports(),
@@ -480,6 +558,8 @@ class StackBench:
         of_stack = [topic for topic in stack.topics if topic not in {*of_driver, *stack.inputs.topics}]
         of_script = [topic for topic in stack.inputs.topics if stack.inputs.script]
         self._wait_for(driver, of_stack, pids)
+        if self._stack.launch or len(pids) > 1:
+            time.sleep(_SETTLE_S)
         script = self._start_script(driver.pid)
         if self._learned:
             return script
@@ -529,12 +609,14 @@ class StackBench:
         count: int,
     ) -> PlayedInputs:
         """Play the inputs so many times; for a register, while it is injected."""
-        golden = None
-        if self._golden is not None and count == 1:
-            golden = [self._golden.outputs]
         if isinstance(fault, RegisterFault):
             return self._play_while_injecting(driver, pids, script, fault)
-        cycles = [self._play_cycle(driver, pids, script, golden, last=count == 1) for _ in range(count)]
+        cycles = []
+        for number in range(1, count + 1):
+            golden = None
+            if self._golden is not None:
+                golden = [self._golden.outputs] * number
+            cycles.append(self._play_cycle(driver, pids, script, golden, last=number == count))
         return PlayedInputs(cycles)
 
     def _play_cycle(
@@ -628,8 +710,9 @@ class StackBench:
         if self._golden is None:
             return False
         # Without answers to wait for, one missing message is taken as lost.
-        missing = [len(self._golden.outputs[topic]) - len(messages) for topic, messages in outputs.items()]
-        is_empty = not any(map(bool, outputs.values()))
+        topics = [output.topic for output in self._stack.outputs]
+        missing = [len(self._golden.outputs[topic]) - len(outputs[topic]) for topic in topics]
+        is_empty = not any(outputs[topic] for topic in topics)
         return all(count >= 2 for count in missing) or (is_empty and any(missing))
 
     def _ended(self, statuses: Mapping[int, int], pids: Sequence[int]) -> str:
@@ -650,6 +733,16 @@ class StackBench:
             if lines:
                 return f" ({lines[-1][:200]})"
         return ""
+
+
+def descendants(pid: int) -> Iterator[str]:
+    """Command lines of the processes that a process has started, and of theirs."""
+    for child in children(pid):
+        with suppress(OSError):
+            words = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
+            if any(words):  # a process that has ended has none
+                yield " ".join(word.decode(errors="replace") for word in words).strip()
+        yield from descendants(child)
 
 
 def _is_traced(pid: int) -> bool:
@@ -677,7 +770,7 @@ def _injections(
         Injection(
             "message",
             f"{fault.topic}.{fault.field}".rstrip("."),
-            _seconds(report, run, has_times=has_times),
+            _time_of(report, run, has_times=has_times),
             report.bit,
             report.before,
             report.after,
@@ -694,10 +787,10 @@ def _injections(
     return changed, problem
 
 
-def _seconds(report: Report, run: PlayedRun, *, has_times: bool) -> float:
-    """Time from the start of a run to a change (s); 0 if inputs wait for outputs, so that records can be compared."""
+def _time_of(report: Report, run: PlayedRun, *, has_times: bool) -> float:
+    """Time from the start of a run to a change (s); the number of the message, if inputs wait for outputs."""
     if not has_times:
-        return 0.0
+        return float(report.message)
     return max(0.0, report.wall_s - run.armed_s)
 
 
@@ -759,7 +852,7 @@ class BenchClient:
         MavfiError: The bench has ended.
     """
 
-    def __init__(self, stack: StackConfig) -> None:
+    def __init__(self, stack: StackConfig, detectors: Mapping[str, Sequence[str]] | None = None) -> None:
         command = [*private_namespaces(), sys.executable, "-m", "mavfi.extras.ros.ros2.stack.bench"]
         python_path = os.pathsep.join(path for path in sys.path if path)
         self._process = subprocess.Popen(
@@ -771,7 +864,7 @@ class BenchClient:
             start_new_session=True,
         )
         self._end = weakref.finalize(self, _end_process, self._process)
-        self.forks: list[bool] = self._ask({"stack": stack.to_json()})["forks"]
+        self.forks: list[bool] = self._ask({"stack": stack.to_json(), "detectors": detectors or {}})["forks"]
 
     def golden(self) -> dict[str, Any]:
         """Digest, status and numbers of the error-free run, as plain data."""
@@ -783,8 +876,10 @@ class BenchClient:
         if fault is not None:
             fault_data = fault.to_json()
         trial = self._ask({"do": "trial", "fault": fault_data})
-        injections = tuple(Injection.from_json(data) for data in trial.pop("injections"))
-        return StackTrial(**{**trial, "differences": tuple(trial["differences"])}, injections=injections)
+        trial["injections"] = tuple(Injection.from_json(data) for data in trial["injections"])
+        trial["differences"] = tuple(trial["differences"])
+        trial["alarms"] = {arm: alarms_from(alarms) for arm, alarms in trial["alarms"].items()}
+        return StackTrial(**trial)
 
     def close(self) -> None:
         """End it."""
@@ -806,6 +901,11 @@ class BenchClient:
         if "failed" in answer:
             raise MavfiError(answer["failed"])
         return answer
+
+
+def alarms_from(data: Sequence[Mapping[str, Any]]) -> tuple[AlarmRecord, ...]:
+    """Alarms from plain data."""
+    return tuple(AlarmRecord.from_json(dict(alarm)) for alarm in data)
 
 
 def _end_process(process: "subprocess.Popen[bytes]") -> None:
@@ -854,7 +954,8 @@ def main() -> None:
                 order = json.loads(line)
                 try:
                     if bench is None:
-                        bench = StackBench(StackConfig.model_validate(order["stack"], context=STORED), Path(folder))
+                        stack = StackConfig.model_validate(order["stack"], context=STORED)
+                        bench = StackBench(stack, Path(folder), order["detectors"])
                         answer: dict[str, Any] = {"forks": bench.forks}
                     else:
                         answer = _meet(bench, order)
@@ -877,7 +978,9 @@ def _meet(bench: StackBench, order: Mapping[str, Any]) -> dict[str, Any]:
     if order["fault"] is not None:
         fault = bench.injectable(fault_from_json(order["fault"]))
     trial = bench.trial(fault)
-    return {**asdict(trial), "injections": [injection.to_json() for injection in trial.injections]}
+    alarms = {arm: [alarm.to_json() for alarm in alarms] for arm, alarms in trial.alarms.items()}
+    injections = [injection.to_json() for injection in trial.injections]
+    return {**asdict(trial), "injections": injections, "alarms": alarms}
 
 
 if __name__ == "__main__":

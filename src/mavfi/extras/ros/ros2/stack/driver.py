@@ -183,7 +183,7 @@ class Driver(agent.Agent):
             except Exception as error:  # noqa: BLE001 - a fault may have made it so
                 data = {"undecodable": f"{type(error).__name__}: {error}"}
             self._counts[topic] += 1
-            self._records.append((topic, data))
+            self._records.append([topic, data, time.time()])
 
         self._subscriptions[topic] = self._subscribe(topic, kind, qos, arrived)
 
@@ -264,7 +264,7 @@ class Driver(agent.Agent):
         if settle:
             self._spin_until(lambda: False, LAST_S)
         played = {
-            "outputs": [[topic, data] for topic, data in self._records],
+            "outputs": self._records,
             "numbers": self._numbers,
         }
         self._records = []

@@ -9,13 +9,13 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.extras.ros.ros2.environment import find_installation
-from mavfi.extras.ros.ros2.stack.bench import BenchClient, StackTrial
+from mavfi.extras.ros.ros2.stack.bench import BenchClient, StackTrial, alarms_from
 from mavfi.extras.ros.ros2.stack.config import StackConfig
 from mavfi.extras.ros.ros2.stack.sampling import (
     MessageNumbers,
@@ -24,7 +24,7 @@ from mavfi.extras.ros.ros2.stack.sampling import (
     TopicMessages,
 )
 from mavfi.faults.fault import Fault
-from mavfi.flight.host import ArmSetup, Host, Recorded, RunResult, one_by_one
+from mavfi.flight.host import ArmSetup, DetectorChoice, Host, Recorded, RunResult, one_by_one
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import DUE, Effect
 from mavfi.plugins import require_allowed
@@ -73,6 +73,7 @@ class Ros2StackHost(Host):
     levels = frozenset({"message", "register"})
     deterministic = False
     flies = False
+    trains = True
     config = StackConfig
     config_key = "stack"
     samplings: Mapping[str, Any] = {"message": StackMessageLevel, "register": StackRegisterLevel}
@@ -113,7 +114,8 @@ class Ros2StackHost(Host):
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "StackRuns":
         """The runs of a mission, without fast-forward."""
         self._check_allowed()
-        return StackRuns(self._stack)
+        detectors = {arm: setup.choice for arm, setup in arms.items() if setup.choice is not None}
+        return StackRuns(self._stack, detectors)
 
     def _check_allowed(self) -> None:
         """Check that the programs, which a file names, may be run."""
@@ -122,11 +124,16 @@ class Ros2StackHost(Host):
 
 
 class StackRuns:
-    """The runs of one mission, all by one bench."""
+    """The runs of one mission, all by one bench.
 
-    def __init__(self, stack: StackConfig) -> None:
+    The arms watch the same runs: a detector is an observer, and cannot change what the stack does.
+    """
+
+    def __init__(self, stack: StackConfig, detectors: Mapping[str, DetectorChoice]) -> None:
         self._stack = stack
+        self._detectors = detectors
         self._bench: BenchClient | None = None
+        self._last: tuple[Fault, StackTrial] | None = None
 
     def golden(self, arm: str, *, profile: bool = False) -> RunResult:
         """The error-free run, with the messages in it.
@@ -135,10 +142,13 @@ class StackRuns:
             BadInputError: Its outputs are not the same each time.
         """
         golden = self._running_bench().golden()
+        alarms = alarms_from(golden["alarms"].get(arm, ()))
         record = FlightRecord(
             End.FLOWN,
             golden["status"],
             golden["digest"],
+            alarms=alarms,
+            alarms_total=len(alarms),
             extra={"outputs": golden["outputs"]},
         )
         messages = tuple(
@@ -153,35 +163,40 @@ class StackRuns:
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
         """See `one_by_one`."""
 
-        def run(_: str, fault: Fault) -> RunResult:
-            return RunResult(record_of_trial(self._running_bench().trial(fault)))
+        def run(arm: str, fault: Fault) -> RunResult:
+            if self._last is None or self._last[0] != fault:
+                self._last = fault, self._running_bench().trial(fault)
+            return RunResult(record_of_trial(self._last[1], arm))
 
         return one_by_one(runs, run)
 
     def _running_bench(self) -> BenchClient:
         """The bench, which is started when it is needed first."""
         if self._bench is None:
-            self._bench = BenchClient(self._stack)
+            self._bench = BenchClient(self._stack, self._detectors)
         return self._bench
 
 
-def record_of_trial(trial: StackTrial) -> FlightRecord:
-    """The record of a run; its digest is that of its outputs, so that error-free outputs count as masked."""
-    extra = {
-        "outputs": trial.messages,
-        "differing": trial.differing,
-        "differences": list(trial.differences),
-        "reason": trial.reason,
-    }
+def record_of_trial(trial: StackTrial, arm: str) -> FlightRecord:
+    """The record of a run in an arm; its digest is that of its outputs, so that error-free outputs count as masked."""
+    alarms = trial.alarms.get(arm, ())
+    record = FlightRecord(
+        End.FLOWN,
+        trial.status,
+        trial.digest,
+        injections=trial.injections,
+        alarms=alarms,
+        alarms_total=len(alarms),
+        extra={
+            "outputs": trial.messages,
+            "differing": trial.differing,
+            "differences": list(trial.differences),
+            "reason": trial.reason,
+        },
+    )
     if trial.effect == Effect.UNKNOWN.label:
-        return FlightRecord(End.UNKNOWN, injections=trial.injections, extra=extra, error=trial.reason)
+        return replace(record, end=End.UNKNOWN, status="", digest="", error=trial.reason)
     if trial.effect in _DIED:
-        return FlightRecord(
-            End.DUE,
-            trial.status,
-            injections=trial.injections,
-            kernel=KernelEffect(trial.effect, trial.reason),
-            extra=extra,
-            error=trial.reason,
-        )
-    return FlightRecord(End.FLOWN, trial.status, trial.digest, injections=trial.injections, extra=extra)
+        kernel = KernelEffect(trial.effect, trial.reason)
+        return replace(record, end=End.DUE, digest="", kernel=kernel, error=trial.reason)
+    return record

@@ -259,7 +259,6 @@ class Launcher:
 def main():
     """Serve one bench over an inherited socket."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     libc.prctl(PR_SET_CHILD_SUBREAPER, 1)
     connection = socket.socket(fileno=int(sys.argv[1]))
     script = ""

@@ -5,12 +5,14 @@ import sys
 
 import pytest
 
+from mavfi.analysis.runs import drawn as describe_draws
 from mavfi.campaign.config import Campaign
 from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros2.stack import launcher
 from mavfi.extras.ros.ros2.stack.config import StackConfig
 from mavfi.extras.ros.ros2.stack.outputs import compare, status_of
 from mavfi.extras.ros.ros2.stack.sampling import MessageNumbers, TopicMessages
+from mavfi.extras.ros.ros2.stack.watching import Publication, train
 from mavfi.flight.host import RunResult
 from mavfi.levels.level import Sampled, sampler_for
 from mavfi.record import End, FlightRecord
@@ -35,6 +37,11 @@ def campaign(**sampling):
     return Campaign.model_validate({**content, "sampling": {"level": "message", **sampling}})
 
 
+def drawn_text(**sampling):
+    content = {"name": "c", "host": "ros2_stack", "stack": STACK, "sampling": sampling}
+    return describe_draws(Campaign.model_validate(content))
+
+
 def golden():
     numbers = (MessageNumbers("x", "f8", -1), MessageNumbers("ranges", "f4", 3), MessageNumbers("mode", "u1", -1))
     recorded = (TopicMessages("/in", ((),) * 5), TopicMessages("/out", ((), numbers, numbers)))
@@ -52,6 +59,16 @@ def test_defaults_follow_from_the_stack_and_its_ledger_keeps_it():
     made = campaign()
     assert made.environments == ("node",) and made.missions == 2 and not made.flies
     assert Campaign.model_validate(json.loads(made.model_dump_json())) == made
+
+
+def test_a_report_says_what_is_under_test():
+    messages = drawn_text(level="message", operations=["drop"])
+    assert messages["title"] == "campaign c · ROS 2 stack node" and messages["profile"] == ""
+    assert messages["lines"] == ["python3 node.py", "one fault per run, drop; uniform over messages and numbers"]
+    registers = drawn_text(level="register", symbol="f", walk=64)
+    assert registers["lines"][1].startswith(
+        "one bit per run, from the next call of 'f' on, after up to 64 instructions"
+    )
 
 
 def test_numbers_are_drawn_uniformly_and_only_where_the_operation_is_possible():
@@ -137,3 +154,21 @@ def test_a_verdict_is_a_function_or_a_command(tmp_path):
 def test_scripts_are_forked_only_if_their_import_does_nothing(text, forkable, tmp_path):
     (tmp_path / "node.py").write_text(text)
     assert launcher.is_forkable(str(tmp_path / "node.py")) == forkable
+
+
+def test_detectors_learn_error_free_runs_and_notice_values_that_are_far_away():
+    def publications(**changed):
+        runs = [{"x": 0.1 * number, "names": ["a"]} for number in range(1, 31)]
+        for number, value in changed.items():
+            runs[int(number.removeprefix("n")) - 1]["x"] = value
+        return [Publication("/out", data, float(number)) for number, data in enumerate(runs, start=1)]
+
+    watcher = train({"gad": ("gaussian", "tuned")}, [publications()] * 2)["gad"]
+    golden = {alarm.time_s for alarm in watcher.alarms(publications())}
+    for value in (1e200, float("nan")):
+        (alarm, *_) = [alarm for alarm in watcher.alarms(publications(n12=value)) if alarm.time_s not in golden]
+        assert (alarm.state, alarm.time_s) == ("/out", 12.0)
+    with pytest.raises(BadInputError, match="no number to watch"):
+        train({"gad": ("gaussian", "tuned")}, [[Publication("/out", {"names": ["a"]}, 1.0)]])
+    with pytest.raises(BadInputError, match="detector 'checksum': not known; allowed: "):
+        train({"gad": ("checksum", "tuned")}, [publications()])
