@@ -96,19 +96,19 @@ def test_an_injected_estimate_violates_its_rule():
 
 def test_a_killed_node_comes_back_and_the_flight_continues(capsys, tmp_path):
     saved = tmp_path / "flight.npz"
-    options = ["--seed", "7", "--kill", "octomap@6", "--json", "--save", str(saved)]
+    options = ["--seed", "7", "--goal", "16", "0", "3", "--kill", "octomap@2", "--json", "--save", str(saved)]
     assert run(["ros", "fly", "--ros", number(ANY), *options]) == 0
     data = json.loads(capsys.readouterr().out)
     lost, back = data["ros"]["lives"]
-    assert (lost["event"], lost["node"], lost["time_s"]) == ("node_lost", "octomap", 6.0)
-    assert (back["event"], back["node"], back["time_s"]) == ("node_back", "octomap", 7.0)
+    assert (lost["event"], lost["node"], lost["time_s"]) == ("node_lost", "octomap", 2.0)
+    assert (back["event"], back["node"], back["time_s"]) == ("node_back", "octomap", 3.0)
     assert data["status"] == "success"
     assert data["ros"]["nodes"] == list(NODES)
     log = FlightLog.load(saved)
     assert log.digest() == data["digest"]
     # between its death and its return no map was made
     gap = [event.time_us for event in log.events if event.kind.startswith("node")]
-    assert gap == [6_000_000, 7_000_000]
+    assert gap == [2_000_000, 3_000_000]
 
 
 LIVES = [("node_lost", "detector"), ("node_back", "detector")]

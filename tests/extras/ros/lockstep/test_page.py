@@ -26,7 +26,7 @@ OTHERWISE = (
     "--localization estimator",
     "--json",
     "--pace",
-    "--registers",
+    "--register-fault",
 )
 """Other tests fly these too, in shorter missions."""
 JOINED = [command for command in ALL if command.startswith("$FLIGHT/join ")]

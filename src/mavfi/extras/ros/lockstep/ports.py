@@ -4,7 +4,7 @@ import json
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple, NoReturn
 
 from mavfi.errors import MavfiError
@@ -179,18 +179,16 @@ class Ports:
         notes = Notes(os.getpid(), self._is_ready, self._greeted_by)
         write_file(_notes_file(self.node), json.dumps(notes._asdict()).encode())
 
-    def wait_with(self, until: Callable[[], bool], pids: Iterable[int]) -> Loss | None:
-        """Wait for something that processes do, the last one last; returns the loss if it cannot come any more."""
+    def wait_with(self, until: Callable[[], bool], pids: Sequence[int]) -> Loss | None:
+        """Wait for what processes do one after the other; returns the loss if it cannot come any more."""
         end = time.monotonic() + self.plan.patience_s
-        pid = 0
         while not self.transport.wait(until, _LOOK_S):
-            is_late = time.monotonic() > end
             for pid in pids:
                 # look once more: a process may have ended after it did what it is waited for
                 if not is_alive(pid) and not self.transport.wait(until, 0.0):
                     return Loss(pid, ENDED)
-            if is_late:
-                return Loss(pid, SILENT)
+            if time.monotonic() > end:
+                return Loss(pids[-1], SILENT)
         return None
 
     # ---- calls -------------------------------------------------------------------------------------------------------
@@ -226,7 +224,7 @@ class Inbox:
             raise TimeoutError(f"publication {number} did not come within {patience_s:g} s")
         return self._values.pop(number)
 
-    def take_from(self, number: int, pids: Iterable[int]) -> State | Loss:
+    def take_from(self, number: int, pids: Sequence[int]) -> State | Loss:
         """As `take`, or the loss of one of the processes through which the value passes."""
         loss = self._ports.wait_with(lambda: number in self._values, pids)
         if loss is not None:

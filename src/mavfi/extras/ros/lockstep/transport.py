@@ -32,11 +32,14 @@ class Transport(ABC):
 
     @abstractmethod
     def publisher(self, topic: str, greeting: bytes) -> Send:
-        """Advertise a topic; each subscriber that connects is sent a greeting first, and nothing before it is lost."""
+        """Advertise a topic.
+
+        A subscriber that connects is sent a greeting; what is published after the greeting reaches it.
+        """
 
     @abstractmethod
     def subscribe(self, topic: str, arrived: OnBytes) -> None:
-        """Subscribe to a topic; an exception of `arrived` ends this process, see `die`."""
+        """Subscribe to a topic; this process ends if `arrived` raises an exception."""
 
     @abstractmethod
     def wait(self, until: Callable[[], bool], timeout_s: float) -> bool:

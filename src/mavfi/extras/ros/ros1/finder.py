@@ -24,6 +24,12 @@ _ROS = (
     "genmsg",
     "catkin",
     "std_msgs",
+    "geometry_msgs",
+    "nav_msgs",
+    "sensor_msgs",
+    "tf2_msgs",
+    "trajectory_msgs",
+    "visualization_msgs",
 )
 _HELPERS = ("rospkg", "catkin_pkg", "yaml", "defusedxml", "netifaces", "Cryptodome", "gnupg", "distro")
 ALLOWED = frozenset((*_ROS, *_HELPERS))

@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 from xmlrpc.client import ServerProxy
@@ -159,21 +160,22 @@ class Ros1Transport(Transport):
                     uris = [master.lookupNode(node) for node in nodes]
                     ServerProxy(self._rospy.get_node_uri()).publisherUpdate(self._rospy.get_name(), topic, uris)
 
-    def view(self, topic: str, kind: str) -> "Ros1View":
+    def view(self, topic: str, kind: str) -> "Ros1View | None":
         """See `Transport`."""
-        return Ros1View(self._rospy, topic, kind)
+        package, name = kind.split("/")
+        try:
+            types = import_module(f"{package}.msg")
+        except ModuleNotFoundError:
+            return None
+        return Ros1View(self._rospy, topic, getattr(types, name))
 
 
 class Ros1View(View):
-    """A topic whose type is known from its definition: the Python package of its messages need not be installed."""
+    """A topic of a standard type, with messages that are serialized already."""
 
-    def __init__(self, rospy: Any, topic: str, kind: str) -> None:
-        from mavfi.extras.logs.files import Maker
-
-        package, name = kind.split("/")
-        text, checksum = Maker(is_ros1=True).store.generate_msgdef(f"{package}/msg/{name}")
-        members = {"_type": kind, "_md5sum": checksum, "_full_text": text}
-        self._type = type(name, (rospy.AnyMsg,), members)
+    def __init__(self, rospy: Any, topic: str, kind: Any) -> None:
+        members = {name: getattr(kind, name) for name in ("_type", "_md5sum", "_full_text")}
+        self._type = type(kind.__name__, (rospy.AnyMsg,), members)
         self._publisher = rospy.Publisher(topic, self._type, queue_size=_VIEW_DEPTH)
 
     def has_readers(self) -> bool:
