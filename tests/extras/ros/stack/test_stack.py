@@ -32,7 +32,7 @@ FAULTS = {
 def stack(**changes):
     """The limiter of the example, at its place in the repository."""
     content = json.loads(json.dumps(SHIPPED["stack"]).replace("examples/ros2", str(EXAMPLE)))
-    return {**content, "golden_runs": 2, "patience_s": 0.5, **changes}
+    return {**content, "golden_runs": 2, "patience_s": 1.0, **changes}
 
 
 @pytest.fixture(params=DISTRIBUTIONS)
@@ -100,7 +100,7 @@ def jazzy(distribution, tmp_path, monkeypatch):
     shutil.copytree(EXAMPLE, tmp_path / "examples" / "ros2")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MAVFI_ALLOW_PLUGINS", "all")
-    content = {**SHIPPED, "stack": {**SHIPPED["stack"], "golden_runs": 1, "patience_s": 0.5}, "faults": 2}
+    content = {**SHIPPED, "stack": {**SHIPPED["stack"], "golden_runs": 1, "patience_s": 1.0}, "faults": 2}
     (tmp_path / "limiter.yaml").write_text(yaml.safe_dump(content))
     return tmp_path
 
