@@ -36,8 +36,10 @@ _MEANING = {
     "delay": "seconds",
     "duplicate": "how many copies more",
     "reorder": "how many messages later",
+    "instant": "10, 10..12, 10.. (s), sim=10, n=100, or a condition such as linear.x>0.5",
 }
 """Meaning of the number behind the name of an operation; the others take none."""
+_FLAGS = {"true": "1", "false": "0"}
 _DEFAULTS = {"duplicate": 1.0, "reorder": 1.0}
 """Numbers of operations that need not be written."""
 _COMPARISONS: Mapping[str, Callable[[float, float], bool]] = {
@@ -444,14 +446,18 @@ def parse_instant(text: str) -> dict[str, Any]:
         options["times"] = _TIMES_FOR_EVER
         if end:
             options["end_s"] = _number("instant", end)
+            if options["end_s"] < options["start_s"]:
+                raise BadInputError(f"instant {text!r}: ends before it starts; allowed: {_MEANING['instant']}")
     return options
 
 
 def _number(name: str, text: str, *, whole: bool = False) -> float:
     """A number in a text; a BadInputError names its key."""
-    allowed = "a whole number" if whole else _MEANING.get(name, "a number")
+    allowed = _MEANING.get(name, "a number")
+    if whole:
+        allowed = "a whole number from 0"
     try:
-        value = float(text)
+        value = float(_FLAGS.get(text.lower(), text))
     except ValueError:
         raise BadInputError(f"{name}: {text!r}: allowed: {allowed}") from None
     if whole and not (value.is_integer() and value >= 0):

@@ -18,10 +18,8 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
-    from mavfi.extras.ros.survey import Survey, SurveyedNode, SurveyedTopic
+    from mavfi.extras.ros.survey import Survey, SurveyedNode, SurveyedService, SurveyedTopic
 
-_OF_EVERY_NODE = ("rcl_interfaces/", "type_description_interfaces/")
-"""Packages of the services that every node of ROS 2 has: of its parameters, of its types, of its logger."""
 _MAX_DURATION_S = 7 * 86_400.0
 _NUMBERS = ("pid", "Hz")
 """Columns with numbers."""
@@ -75,10 +73,18 @@ def _summary(survey: Survey) -> str:
     parts = [
         counted(len(survey.nodes), "node"),
         counted(len(survey.topics), "topic"),
-        counted(len(survey.services), "service"),
+        counted(len(_shown_services(survey)), "service"),
         counted(len(survey.actions), "action"),
     ]
     return f"[bold]ROS {survey.ros}[/bold] ({escape(survey.place)}): {', '.join(parts)}"
+
+
+def _shown_services(survey: Survey) -> list[SurveyedService]:
+    """Services without those of actions, and those that every node has."""
+    from mavfi.extras.ros.ros2.graph import OF_EVERY_NODE
+
+    services = [service for service in survey.services if not _is_hidden(service.name)]
+    return [service for service in services if not service.kind.startswith(OF_EVERY_NODE)]
 
 
 def _tables(survey: Survey) -> Iterator[Table]:
@@ -99,8 +105,7 @@ def _tables(survey: Survey) -> Iterator[Table]:
         for action in survey.actions:
             actions.add_row(action.name, _short(action.kind), "\n".join(action.servers))
         yield actions
-    shown = [service for service in survey.services if not _is_hidden(service.name)]
-    shown = [service for service in shown if not service.kind.startswith(_OF_EVERY_NODE)]
+    shown = _shown_services(survey)
     if shown:
         services = _table("Services", "service", "type", "servers")
         for service in shown:

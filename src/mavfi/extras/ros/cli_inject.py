@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 _MAX_DURATION_S = 7 * 86_400.0
 _POLL_S = 0.02
+_SHOWN_REFUSALS = 3
+"""As many as a process reports of a fault."""
 _AFTERWARDS_S = 1.0
 """How long the graph is watched after the last injection (s)."""
 
@@ -106,6 +108,8 @@ def inject(  # noqa: PLR0913 - one parameter per option
     )
     from mavfi.extras.ros.ros2.fault_text import site_of
 
+    if service and not side:
+        raise BadInputError("--side: allowed with --service: request, response")
     if service:
         site = site_of("service", service, side)
     else:
@@ -140,68 +144,96 @@ def _change(field: str, at: str, given: dict[str, Any]) -> Change:
     return parse_change(parts, at)
 
 
+class _Account:
+    """What an injection has led to so far: printed as it comes, or written as JSON at the end."""
+
+    def __init__(self, topic: str, *, as_json: bool) -> None:
+        self._topic = topic
+        self._as_json = as_json
+        self._injections: list[InjectionReport] = []
+        self._refusals = 0
+        self._events: list[str] = []
+        self.has_lost_target = False
+
+    def add_report(self, report: InjectionReport) -> None:
+        """Note a change of a message, or why it was refused."""
+        self._say(report_line(report))
+        if report.report.kind == "changed":
+            self._injections.append(report)
+            return
+        self._refusals += 1
+        if self._refusals == _SHOWN_REFUSALS:
+            self._say("further refusals are not shown; Ctrl-C ends the wait for a message that can be changed")
+
+    def add_event(self, text: str) -> None:
+        """Note what became of a process or node."""
+        self._events.append(text)
+        self._say(text)
+
+    @property
+    def has_injected(self) -> bool:
+        """Whether a message was changed."""
+        return bool(self._injections)
+
+    def close(self, injection: RunningGraphInjection) -> None:
+        """Print the sum, or all of it as JSON."""
+        if self._as_json:
+            write_json(
+                {
+                    "topic": self._topic,
+                    "passed": injection.messages,
+                    "injections": [report.to_injection().to_json() for report in self._injections],
+                    "aftermath": self._events,
+                    "unreachable": injection.unreachable,
+                }
+            )
+            return
+        end = "the graph is as it was"
+        if self.has_lost_target:
+            end = "the process that was to be injected has ended"
+        self._say(f"{counted(injection.messages, 'message')} passed, {len(self._injections)} changed; {end}")
+
+    def _say(self, line: str) -> None:
+        if not self._as_json:
+            console().print(line, markup=False, soft_wrap=True)
+
+
 def _inject_ros2(fault: InterposedFault, node: str, duration: float, *, as_json: bool) -> None:
-    """Inject into a running ROS 2 graph, and report."""
+    """Inject into a running ROS 2 graph, and report; exit code 1 if the target ended before an injection."""
     from mavfi.extras.ros.ros2.graph import AgentClient
     from mavfi.extras.ros.ros2.injection import RunningGraphInjection
 
-    reports: list[InjectionReport] = []
-    aftermath: list[str] = []
-    with stoppable("Stopped. The graph is as it was."), AgentClient() as agent:
+    account = _Account(fault.topic, as_json=as_json)
+    with stoppable("Stopped."), AgentClient() as agent:
         injection = RunningGraphInjection(agent, fault, node)
         try:
             with injection:
                 for line in injection.unreachable:
                     console(error=True).print(f"not reached: {line}", markup=False)
-                _follow(injection, duration, reports, aftermath, as_json=as_json)
+                _follow(injection, duration, account)
         finally:
-            if as_json:
-                write_json(
-                    {
-                        "topic": fault.topic,
-                        "passed": injection.messages,
-                        "injections": [report.to_injection().to_json() for report in reports],
-                        "aftermath": aftermath,
-                        "unreachable": injection.unreachable,
-                    }
-                )
-    if not as_json:
-        changed = sum(report.report.kind == "changed" for report in reports)
-        console().print(
-            f"{counted(injection.messages, 'message')} passed, {changed} changed; the graph is as it was", markup=False
-        )
+            account.close(injection)
+    if account.has_lost_target and not account.has_injected:
+        raise typer.Exit(1)
 
 
-def _follow(
-    injection: RunningGraphInjection,
-    duration: float,
-    reports: list[InjectionReport],
-    aftermath: list[str],
-    *,
-    as_json: bool,
-) -> None:
+def _follow(injection: RunningGraphInjection, duration: float, account: _Account) -> None:
     """Report injections and what comes of them until the fault is over, and for a moment after it."""
     end = time.monotonic() + duration
     is_over = False
     while time.monotonic() < end:
         for report in injection.new_reports():
-            reports.append(report)
-            if not as_json:
-                console().print(report_line(report), markup=False, soft_wrap=True)
+            account.add_report(report)
         for event in injection.aftermath():
-            line = f"{event.seconds:.1f} s after the injection: {event.text}"
-            aftermath.append(line)
-            if not as_json:
-                console().print(line, markup=False, soft_wrap=True)
-        if not is_over and (injection.is_over or not injection.has_target):
+            account.add_event(event)
+        account.has_lost_target = not injection.has_target
+        if not is_over and (injection.is_over or account.has_lost_target):
             is_over = True
             end = min(end, time.monotonic() + _AFTERWARDS_S)
         time.sleep(_POLL_S)
     replacement = injection.replacement()
     if replacement:
-        aftermath.append(replacement)
-        if not as_json:
-            console().print(replacement, markup=False, soft_wrap=True)
+        account.add_event(replacement)
 
 
 def report_line(injected: InjectionReport) -> str:

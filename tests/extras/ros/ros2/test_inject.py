@@ -51,8 +51,13 @@ def test_what_is_wrong_is_one_line_before_anything_is_touched(talker, capsys):
         ),
         (["--topic", "/joint_states", "--field", "position[0]", "--bit", "64"], "bit 64: allowed: 0 to 63"),
         (["--topic", "/joint_states", "--set", "1"], "set=1: changes a number; allowed: with a field"),
+        (["--topic", "/joint_states", "--drop", "--at", "5..2"], "'5..2': ends before it starts; allowed: 10, 10..12"),
+        (["--service", "/switch", "--drop"], "--side: allowed with --service: request, response"),
         (["--topic", "/joint_states", "--side", "take", "--drop"], "/joint_states: no node reads it"),
-        (["--service", "/switch", "--side", "request", "--delay", "1"], "not possible on side take_request"),
+        (
+            ["--service", "/switch", "--side", "request", "--delay", "1"],
+            "not possible in a call of a service; allowed: drop",
+        ),
         (["--topic", "/joint_states", "--service", "/switch"], "--topic NAME or --service NAME, one of them"),
     ):
         assert run(["ros", "inject", *arguments]) == 2
@@ -99,11 +104,19 @@ def test_the_report_says_that_a_supervisor_brought_the_node_back(ros2, capfd):
         with AgentClient(installation) as client:
             joints = Messages(client.definition("test_msgs/msg/BasicTypes")).data["JointState"]
             assert client.advertise("/in", "sensor_msgs/msg/JointState", subscribers=1)
-            pump = threading.Thread(target=client.publish, args=("/in", joints, 100, 0.05))
+            is_over = threading.Event()
+
+            def publish():
+                while not is_over.wait(0.05):
+                    client.publish("/in", joints)
+
+            pump = threading.Thread(target=publish)
             pump.start()
             arguments = ["--topic", "/in", "--side", "take", "--field", "position[0]", "--set", "nan"]
-            assert run(["ros", "inject", *arguments]) == 0
+            code = run(["ros", "inject", *arguments, "--duration", "60"])
+            is_over.set()
             pump.join()
+            assert code == 0
     finally:
         os.killpg(supervisor.pid, signal.SIGKILL)
         supervisor.wait()

@@ -67,13 +67,15 @@ def site_of(kind: str, name: str, part: str, *, of_client: bool = False) -> Faul
     name = absolute(name)
     if kind == "topic":
         if part not in ("", "publish", "take"):
-            raise BadInputError(f"{part!r}: allowed: publish (in the process that sends), take (in one that receives)")
+            raise BadInputError(
+                f"side {part!r}: allowed: publish (in the process that sends), take (in one that receives)"
+            )
         side: Side = "publish"
         if part == "take":
             side = "take"
         return FaultSite(name, side, is_service=False)
     if part not in _PARTS:
-        raise BadInputError(f"{part!r}: allowed: request, response")
+        raise BadInputError(f"side {part!r} of a service: allowed: request, response")
     return FaultSite(name, _PARTS[part][int(of_client)], is_service=True)
 
 

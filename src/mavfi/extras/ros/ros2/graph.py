@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from mavfi.errors import BadInputError, MavfiError, allowed
+from mavfi.errors import BadInputError, MavfiError, allowed, hint
 from mavfi.extras.ros.ros2.environment import Installation, find_installation
 
 START_LIMIT_S = 30.0
@@ -40,6 +40,8 @@ DISCOVERY_LIMIT_S = 10.0
 _END_LIMIT_S = 12.0
 """Time limit for the agent to end by itself (s); it takes 20 ms on a quiet machine."""
 _Result = TypeVar("_Result")
+OF_EVERY_NODE = ("rcl_interfaces/", "type_description_interfaces/")
+"""Packages of the services that every node has: of its parameters, of its types, of its logger."""
 _AGENT = Path(__file__).with_name("agent.py")
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
@@ -79,6 +81,11 @@ class ServiceInfo(NamedTuple):
     servers: tuple[Endpoint, ...]
     clients: tuple[Endpoint, ...]
 
+    @property
+    def is_of_every_node(self) -> bool:
+        """Whether every node has such a service: for its parameters, its types, its logger."""
+        return all(kind.startswith(OF_EVERY_NODE) for kind in self.kinds)
+
 
 class ActionInfo(NamedTuple):
     """An action."""
@@ -116,7 +123,8 @@ class GraphSnapshot:
         for service in self.services:
             if service.name == absolute(name):
                 return service
-        raise _absent("service", name, [service.name for service in self.services])
+        names = [service.name for service in self.services if not service.is_of_every_node]
+        raise _absent("service", name, names)
 
 
 class RawMessage(NamedTuple):
@@ -497,4 +505,6 @@ def _endpoints(rows: list[dict[str, str]]) -> tuple[Endpoint, ...]:
 
 
 def _absent(what: str, name: str, names: Sequence[str]) -> BadInputError:
-    return BadInputError(f"{what} {absolute(name)}: not in the graph; allowed: {allowed(names, absolute(name))}")
+    question = hint(absolute(name), names)
+    known = allowed(names, absolute(name))
+    return BadInputError(f"{what} {absolute(name)}: not in the graph{question}; allowed: {known}")

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.ros.ros2.graph import AgentClient, GraphSnapshot, RawMessage
@@ -78,18 +78,6 @@ class InjectionReport:
         )
 
 
-class Aftermath(NamedTuple):
-    """What became of a node after an injection: its process, or a managed node's state.
-
-    Attributes:
-        seconds: Time since the last injection (s).
-        text: What happened.
-    """
-
-    seconds: float
-    text: str
-
-
 class RunningGraphInjection:
     """A fault in a running graph; a context manager that leaves the graph as it was.
 
@@ -122,7 +110,8 @@ class RunningGraphInjection:
         self._messages: list[RawMessage] = []
         self._armed_s = 0.0
         self._last_injection_s: float | None = None
-        self._aftermath_seen: set[str] = set()
+        self._told: set[str] = set()
+        self._sim_s = 0.0
 
     def __enter__(self) -> "RunningGraphInjection":
         with ExitStack() as stack:
@@ -151,8 +140,12 @@ class RunningGraphInjection:
     @property
     def is_over(self) -> bool:
         """Whether the fault changes no more messages."""
-        times = self._fault.when.times
-        return times > 0 and self._page.messages_changed(0) >= times
+        when = self._fault.when
+        if 0 < when.times <= self._page.messages_changed(0):
+            return True
+        if when.sim_time:
+            return self._sim_s > when.end_s
+        return time.time() - self._armed_s > when.end_s
 
     @property
     def has_target(self) -> bool:
@@ -177,30 +170,33 @@ class RunningGraphInjection:
                 verified = self._is_verified(report)
             yield InjectionReport(self._fault, report, self._armed_s, node, verified)
 
-    def aftermath(self) -> Iterator[Aftermath]:
-        """What became of the injected processes and of managed nodes since the last call."""
-        if self._last_injection_s is None:
-            return
-        since_s = time.time() - self._last_injection_s
+    def aftermath(self) -> Iterator[str]:
+        """What became of the processes and of managed nodes since the last call, in one line each."""
         for process in self.processes:
             if process.pid is not None and not program_of(process.pid):
-                text = f"process {process.pid} of {process.node} has ended"
-                if text not in self._aftermath_seen:
-                    self._aftermath_seen.add(text)
-                    yield Aftermath(since_s, text)
+                yield from self._news(f"process {process.pid} of {process.node} has ended", time.time())
         self._drain()
+        if self._last_injection_s is None:
+            return
         for message in self._messages:
             if message.topic.endswith("/transition_event") and message.wall_ns > 1e9 * self._last_injection_s:
                 state = Decoder(_LIFECYCLE, self._types).text(message.data, "goal_state.label")
                 node = message.topic.removesuffix("/transition_event")
-                text = f"{node}: its life-cycle state became {state!r}"
-                if text not in self._aftermath_seen:
-                    self._aftermath_seen.add(text)
-                    yield Aftermath(1e-9 * message.wall_ns - self._last_injection_s, text)
+                yield from self._news(f"{node}: its life-cycle state became {state!r}", 1e-9 * message.wall_ns)
+
+    def _news(self, text: str, wall_s: float) -> Iterator[str]:
+        """A line, unless it has been told, with the time since the last injection if there was one."""
+        if text in self._told:
+            return
+        self._told.add(text)
+        if self._last_injection_s is None:
+            yield text
+        else:
+            yield f"{wall_s - self._last_injection_s:.1f} s after the injection: {text}"
 
     def replacement(self) -> str:
         """Who has taken the place of processes that have ended since the injection; "" = nobody, or none has."""
-        if not any("has ended" in text for text in self._aftermath_seen):
+        if not any("has ended" in text for text in self._told):
             return ""
         earlier = {process.pid for process in self.processes}
         end = time.monotonic() + _REPLACEMENT_S
@@ -256,7 +252,8 @@ class RunningGraphInjection:
                 with suppress(MavfiError):
                     sim_ns = self._agent.now(0.0).sim_ns
                     if sim_ns is not None:
-                        self._page.set_sim_time(1e-9 * sim_ns)
+                        self._sim_s = 1e-9 * sim_ns
+                        self._page.set_sim_time(self._sim_s)
 
         threading.Thread(target=follow, daemon=True).start()
 

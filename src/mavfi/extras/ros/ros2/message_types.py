@@ -123,10 +123,12 @@ class Decoder:
                     f"field {path}: no member {name!r} in {details}; allowed: {allowed(list(members), name)}"
                 )
             description = members[name]
-            for _ in indices:
+            for index in indices:
                 node, details = description
                 if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-                    description = details[0]
+                    description, length = details
+                    if node == Nodetype.ARRAY and index >= length:
+                        raise BadInputError(f"field {path}: {name} has {length} elements; allowed: 0 to {length - 1}")
                 elif node == Nodetype.BASE and details[0] in _STRINGS:
                     description = (Nodetype.BASE, ("uint8", 0))
                 else:

@@ -21,6 +21,11 @@ from mavfi.faults.operations import MESSAGE_OPERATIONS, Operation, When
 Side = Literal["publish", "take", "send_request", "take_request", "send_response", "take_response"]
 SIDES: tuple[Side, ...] = ("publish", "take", "send_request", "take_request", "send_response", "take_response")
 """Where a message is changed: in the process that sends it, or in one that receives it."""
+_WHERE: dict[Side, str] = {
+    "publish": "where a message is sent",
+    "take": "where a message is received",
+    **dict.fromkeys(("send_request", "take_request", "send_response", "take_response"), "in a call of a service"),
+}
 _OPERATIONS = ("flip", "set", "bias", "scale", "freeze", "drop", "delay", "duplicate", "reorder")
 _COMPARISONS = ("", ">=", "<=", ">", "<", "=")
 _KINDS = ("changed", "refused", "loaded", "unloaded")
@@ -162,7 +167,7 @@ class InterposedFault:
             raise BadInputError(f"{where}: changes a number; allowed: with a field")
         possible = {"publish": MESSAGE_OPERATIONS, "take": ("drop", "freeze")}.get(self.side, ("drop",))
         if not self.field and name not in possible:
-            raise BadInputError(f"{where}: not possible on side {self.side}; allowed: {', '.join(possible)}")
+            raise BadInputError(f"{where}: not possible {_WHERE[self.side]}; allowed: {', '.join(possible)}")
         for text, size in ((self.topic, 255), (self.field, 255), (self.type, 127)):
             if len(text.encode()) > size:
                 raise BadInputError(f"{where}: {text[:40]!r}...: allowed: at most {size} bytes")
