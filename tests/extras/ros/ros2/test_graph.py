@@ -85,13 +85,13 @@ def test_rates_are_counted_and_an_absent_topic_has_a_reason(agent):
 
 def test_published_bytes_reach_a_reader_as_they_are(ros2, agent):
     with AgentClient(ros2.installation) as reader:
-        reader.subscribe("/numbers", "std_msgs/Int32", reliable=True)
-        agent.advertise("/numbers", "std_msgs/Int32")
+        agent.advertise("/numbers", "std_msgs/Int32", latched=True)
+        assert reader.subscribe("/numbers").durability == "transient_local"
         with AgentClient(ros2.installation):  # a third one disturbs nobody
             assert agent.advertise("/numbers", "std_msgs/Int32", subscribers=1)
             data = b"\x00\x01\x00\x00" + struct.pack("<i", -7)
             agent.publish("/numbers", data, count=3)
-            assert [reader.receive(5.0).data for _ in range(3)] == [data] * 3
+            assert [reader.receive(10.0).data for _ in range(3)] == [data] * 3
         assert reader.receive(0.1) is None
 
 

@@ -109,6 +109,7 @@ def test_a_sampling_that_is_not_possible_is_refused(sampling, message):
     ("changes", "message"),
     [
         ({"launch": ["ros2"]}, "either nodes, or launch"),
+        ({"watch": ["plan"]}, "topic 'plan': allowed: full names, e.g. /plan"),
         ({"inputs": {"messages": [{}]}}, "messages: allowed: with topic and type"),
         ({"inputs": {"bag": "in.bag"}}, "allowed endings: .mcap, .db3"),
         ({"inputs": {"script": ["a"]}}, "allowed: with topics"),

@@ -363,7 +363,8 @@ class StackBench:
             self._play(None)  # learns types and qualities of service
             runs = self._error_free_runs()
             for run in runs:
-                if run.ended or run.has_ceased or not all(run.outputs.values()):
+                is_silent = not all(run.outputs[output.topic] for output in self._stack.outputs)
+                if run.ended or run.has_ceased or is_silent:
                     reason = run.ended or f"no output within {self._stack.patience_s:g} s"
                     raise BadInputError(f"stack: without a fault: {reason}; allowed: a stack that answers all inputs")
                 self._check_readable(run.outputs)
@@ -568,7 +569,7 @@ class StackBench:
         self._wait_for(driver, of_script, pids)
         fields = {output.topic: list(output.fields) for output in stack.outputs}
         entries: list[dict[str, Any]] = [
-            {"topic": topic, "kind": "", "reliable": None, "fields": fields.get(topic, [])}
+            {"topic": topic, "kind": "", "reliable": None, "latched": False, "fields": fields.get(topic, [])}
             for topic in (*of_stack, *of_script)
         ]
         matched = driver.ask("outputs", outputs=entries, with_numbers=False)["outputs"]
@@ -644,6 +645,7 @@ class StackBench:
         return driver.ask(
             "play",
             waits_s=_LONGEST_S + len(self._inputs) * patience_s,
+            answers=[output.topic for output in self._stack.outputs if output.topic in self._learned],
             pids=list(pids),
             watched=script,
             patience_s=patience_s,

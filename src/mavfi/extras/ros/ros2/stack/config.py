@@ -71,6 +71,9 @@ class StackConfig(Config):
             raise ValueError("stack: allowed: either nodes, or launch")
         if not all(self.nodes):
             raise ValueError("stack.nodes: an empty command; allowed: a program and its arguments")
+        for topic in self.topics:
+            if not topic.startswith("/"):
+                raise ValueError(f"stack: topic {topic!r}: allowed: full names, e.g. /{topic}")
         topics = [output.topic for output in self.outputs]
         if len(set(topics)) < len(topics):
             raise ValueError(f"stack.outputs: {', '.join(topics)}: allowed: each topic once")

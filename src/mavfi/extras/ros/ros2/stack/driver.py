@@ -22,6 +22,8 @@ SLOW_S = 0.5
 """Wait for an output, before the next input is published without it (s)."""
 MISSED_S = 0.1
 """The same, once one has been missed and until one comes again (s)."""
+LATE_S = 0.3
+"""Time in which a reader finds a publisher, after the publisher has found the reader (s)."""
 LAST_S = 0.02
 """Wait for outputs that nobody expects, after the last one (s)."""
 WIDTHS = {
@@ -154,15 +156,23 @@ class Driver(agent.Agent):
         self._numbers = {}
 
     def do_outputs(self, outputs, with_numbers):
-        """Record topics from now on: each has `topic`, `kind` ("" = as published), `reliable` (None) and `fields`.
+        """Record topics from now on: each has `topic` and `fields`, type (`kind`) and quality of service.
+
+        The latter are `reliable` and `latched`; if not known ("", None), they are those of the publishers.
 
         With `with_numbers`, the numbers of each message are recorded, too.
         """
+        from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+
         matched = []
         for output in outputs:
             kind, qos = self._matching(output["topic"], output["kind"], output["reliable"], 0.0)
+            if output["latched"]:
+                qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
             self._record(output["topic"], kind, qos, output["fields"], with_numbers)
-            matched.append({"kind": kind, "reliable": qos.reliability.name == "RELIABLE"})
+            is_reliable = qos.reliability == ReliabilityPolicy.RELIABLE
+            is_latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+            matched.append({"kind": kind, "reliable": is_reliable, "latched": is_latched})
         return {"outputs": matched}
 
     def _record(self, topic, kind, qos, fields, with_numbers):
@@ -189,6 +199,7 @@ class Driver(agent.Agent):
 
     def do_inputs(self, inputs, content=b""):
         """Prepare the inputs: each has `topic`, `kind`, `offset_s`, and `data`, or as many bytes as `size` says."""
+        from rclpy.qos import DurabilityPolicy, QoSProfile
         from rclpy.serialization import deserialize_message
 
         found = []
@@ -196,7 +207,9 @@ class Driver(agent.Agent):
             topic = entry["topic"]
             message_class = agent.message_class(entry["kind"])
             if topic not in self._publishers:
-                self._publishers[topic] = self.node.create_publisher(message_class, topic, agent.DEPTH)
+                # Readers of latched topics match only publishers that keep messages; the others match them, too.
+                qos = QoSProfile(depth=agent.DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+                self._publishers[topic] = self.node.create_publisher(message_class, topic, qos)
             if entry.get("size"):
                 message = content[: entry["size"]]
                 content = content[entry["size"] :]
@@ -218,15 +231,26 @@ class Driver(agent.Agent):
             ]
 
         self._spin_until(lambda: not missing() or any(map(has_exited, pids)), limit_s)
+        if self._has_careless_reader():
+            self._spin_until(lambda: False, LATE_S)
         return {"missing": missing()}
 
-    def do_play(self, pids, watched, patience_s, expected, settle):
+    def _has_careless_reader(self):
+        """Whether a reader of an input may lose messages that come before it has found their publisher."""
+        return any(
+            reader["reliability"] != "reliable" or reader["durability"] == "transient_local"
+            for topic in self._publishers
+            for reader in self._endpoints(topic)[1]
+        )
+
+    def do_play(self, answers, pids, watched, patience_s, expected, settle):
         """Publish inputs and wait for outputs; returns what was recorded since the last call.
 
-        Inputs without an offset wait for an output on each topic; the others are published at their offset (s) from the
-        first one.  With a script (`watched`: its process) the inputs are those of the script.
+        Inputs without an offset wait for an output on some topics; the others are published at their offset (s) from
+        the first one.  With a script (`watched`: its process) the inputs are those of the script.
 
         Args:
+            answers: These topics.
             pids: Processes of the stack; it is over when one has ended.
             watched: Process whose end is the end of the inputs; 0 = none.
             patience_s: Time limit of an output.
@@ -245,7 +269,7 @@ class Driver(agent.Agent):
                 self._spin_until(is_gone, max(0.0, begin + offset_s - time.monotonic()))
             if is_gone():
                 break
-            before = dict(self._counts)
+            before = {answer: self._counts[answer] for answer in answers}
             self._publishers[topic].publish(message)
             if offset_s is None:
                 limit_s = MISSED_S if is_silent else min(patience_s, SLOW_S)
@@ -272,7 +296,7 @@ class Driver(agent.Agent):
         # What was missed last may have been lost, too: the stack is alive if it answers the same input once more.
         if is_silent and not is_gone():
             topic, message, _ = self._inputs[-1]
-            before = dict(self._counts)
+            before = {answer: self._counts[answer] for answer in answers}
             self._publishers[topic].publish(message)
             is_silent = not self._wait_for_all(before, patience_s, is_gone)
         return {"is_silent": is_silent, "is_gone": is_gone(), **played}
