@@ -82,7 +82,7 @@ class Middleware(ABC):
 
     @abstractmethod
     def start(self, folder: Path) -> "subprocess.Popen[bytes] | None":
-        """Start the program without which nodes cannot connect; None = there is no such program."""
+        """Prepare a flight; returns the program without which nodes cannot connect, None = there is none."""
 
     @abstractmethod
     def load(self) -> None:

@@ -23,8 +23,20 @@ _DOMAINS = 100
 """Number of domain ids whose ports are free for use on every system."""
 _HEAD = struct.Struct("<4s3I")
 """Serialized start of `std_msgs/UInt8MultiArray`: encoding, no dimensions, offset 0, number of bytes."""
-_FORGOTTEN_S = 40.0
-"""Time after which a node that was killed is certainly forgotten (s); the usual lease is 20 s."""
+_LEASE_S = 20
+"""Time after which a node that was killed is forgotten (s), as usual in ROS 2."""
+_ANNOUNCEMENT_NS = 200_000_000
+"""Period at which a node announces itself (ns); as usual, every 3 s, a restarted node would wait for that."""
+_PROFILE_FILE = "fastdds.xml"
+_PROFILE = f"""<?xml version="1.0" encoding="UTF-8"?>
+<dds><profiles xmlns="http://www.eprosima.com">
+<participant profile_name="mavfi" is_default_profile="true"><rtps><builtin><discovery_config>
+<leaseDuration><sec>{_LEASE_S}</sec></leaseDuration>
+<leaseAnnouncement><sec>0</sec><nanosec>{_ANNOUNCEMENT_NS}</nanosec></leaseAnnouncement>
+</discovery_config></builtin></rtps></participant>
+</profiles></dds>
+"""
+"""Settings of Fast DDS, for all nodes of a flight."""
 _VIEW_DEPTH = 10
 """Number of messages that a slow subscriber of a view may be behind, as usual in ROS 2."""
 _LITTLE_ENDIAN = b"\0\1\0\0"
@@ -78,11 +90,14 @@ class Ros2(Middleware):
             # With the range LOCALHOST shared memory cannot be switched off; the private network has no other hosts.
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(folder / _PROFILE_FILE),  # until Jazzy
+            "FASTDDS_DEFAULT_PROFILES_FILE": str(folder / _PROFILE_FILE),
             "ROS_LOG_DIR": str(folder / "log"),
         }
 
     def start(self, folder: Path) -> None:
-        """See `Middleware`."""
+        """See `Middleware`: there is no program, but a file with settings."""
+        (folder / _PROFILE_FILE).write_text(_PROFILE)
 
     def load(self) -> None:
         """See `Middleware`."""
@@ -131,7 +146,7 @@ class Ros2Transport(Transport):
 
         def send(content: bytes) -> None:
             message = _HEAD.pack(_LITTLE_ENDIAN, 0, 0, len(content)) + content
-            end = time.monotonic() + _FORGOTTEN_S
+            end = time.monotonic() + 2 * _LEASE_S
             while True:
                 try:
                     handle.publish_raw(message)
