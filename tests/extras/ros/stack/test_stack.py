@@ -13,7 +13,7 @@ from mavfi.campaign.store import Store
 from mavfi.cli import run
 from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros2.environment import DISTRIBUTIONS, find_installation
-from mavfi.extras.ros.ros2.stack.bench import BenchClient, private_namespaces
+from mavfi.extras.ros.ros2.stack.bench_process import BenchClient, private_namespaces
 from mavfi.extras.ros.ros2.stack.config import StackConfig
 from mavfi.faults.fault import MessageFault, RegisterFault
 from mavfi.faults.operations import parse_text

@@ -1,22 +1,10 @@
-"""Test bench for a stack: runs its trials, each in a network, mounts and processes of its own.
+"""Test bench for a stack: runs its trials, each in a network, mounts and processes of its own."""
 
-    python -m mavfi.extras.ros.ros2.stack.bench
-
-is a process in a private network that gets its orders as lines of JSON (`BenchClient` is its other end), so that the
-page of the interposer and the tracer of registers are in the same user namespace as the stack.
-"""
-
-import json
 import math
 import os
 import signal
-import socket
-import subprocess
-import sys
-import tempfile
 import threading
 import time
-import weakref
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -26,25 +14,29 @@ from operator import and_
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mavfi.config import STORED
-from mavfi.errors import BadInputError, MavfiError
+from mavfi.errors import BadInputError
 from mavfi.extras.registers import inject
-from mavfi.extras.ros.processes import children, end_with_parent
-from mavfi.extras.ros.ros2.agent import Frames
-from mavfi.extras.ros.ros2.environment import Installation, find_installation
+from mavfi.extras.ros.processes import children
+from mavfi.extras.ros.ros2.environment import find_installation
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault, Report, Side
+from mavfi.extras.ros.ros2.stack.clients import (
+    DriverClient,
+    LauncherClient,
+    StackProcesses,
+    StartError,
+    with_python,
+)
 from mavfi.extras.ros.ros2.stack.config import StackConfig
+from mavfi.extras.ros.ros2.stack.inputs import inputs_of
 from mavfi.extras.ros.ros2.stack.outputs import LOST, Outputs, compare, digest_of, status_of
 from mavfi.extras.ros.ros2.stack.watching import Publication, StackWatcher, train
-from mavfi.faults.fault import Fault, MessageFault, RegisterFault, fault_from_json
+from mavfi.faults.fault import Fault, MessageFault, RegisterFault
 from mavfi.outcomes import Effect
 from mavfi.record import AlarmRecord, Injection
 
 _FOLDER = Path(__file__).parent
 _DOMAIN = "71"
 """ROS domain of a trial: its network is its own, so that every trial may have the same."""
-_ANSWER_S = 30.0
-"""Time limit for an answer, in addition to what a request may wait for (s)."""
 _LONGEST_S = 600.0
 """Time limit for inputs with times of their own, or of a script (s)."""
 _POLL_S = 0.002
@@ -57,7 +49,6 @@ _CYCLES_AFTER = 3
 _MOST_CYCLES = 200
 _MOST_INPUTS = 2000
 """Limits of how often the inputs are played until one is, and of the number of inputs in all."""
-_PYTHONS = ("python", "python3")
 _PROFILES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 """Environment variables of Fast DDS: the file with its settings, and its name before version 3."""
 
@@ -129,169 +120,6 @@ def joined(cycles: Sequence[Outputs]) -> Outputs:
     return {topic: [message for outputs in cycles for message in outputs[topic]] for topic in cycles[0]}
 
 
-# ---- the processes ---------------------------------------------------------------------------------------------------
-class LauncherClient:
-    """A process that starts others, see `launcher.py`."""
-
-    def __init__(self, python: str, variables: Mapping[str, str], *role: str) -> None:
-        self._socket, theirs = socket.socketpair()
-        self.process = subprocess.Popen(
-            [python, str(_FOLDER / "launcher.py"), str(theirs.fileno()), *role],
-            env=dict(variables),
-            pass_fds=[theirs.fileno()],
-            stdin=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-        )
-        theirs.close()
-        self._stream = self._socket.makefile("rb")
-
-    def ask(self, action: str, descriptor: int | None = None, **keys: Any) -> dict[str, Any]:
-        """Send a request, with a file descriptor if there is one; return the reply."""
-        self.send(action, descriptor, **keys)
-        return self.answer()
-
-    def send(self, action: str, descriptor: int | None = None, **keys: Any) -> None:
-        """Send a request; `answer` must follow."""
-        line = json.dumps({"do": action, **keys}).encode() + b"\n"
-        descriptors = []
-        if descriptor is not None:
-            descriptors = [descriptor]
-        with suppress(OSError):  # the missing answer tells
-            socket.send_fds(self._socket, [line], descriptors)
-
-    def answer(self) -> dict[str, Any]:
-        """The reply to the last request."""
-        line = self._stream.readline()
-        if not line:
-            self.process.wait(_ANSWER_S)
-            assert self.process.stderr is not None  # a pipe
-            lines = self.process.stderr.read().decode(errors="replace").strip().splitlines() or ["no message"]
-            raise MavfiError(f"launcher of the stack: has ended ({lines[-1]})")
-        reply: dict[str, Any] = json.loads(line)
-        if "error" in reply:
-            raise MavfiError(f"launcher of the stack: {reply['error']}")
-        return reply
-
-    def close(self) -> None:
-        """End it, and all that it has started."""
-        self._stream.close()
-        self._socket.close()
-        try:
-            self.process.wait(_ANSWER_S)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
-        assert self.process.stderr is not None  # a pipe
-        self.process.stderr.close()
-
-
-class DriverClient:
-    """The driver of a trial, see `driver.py`."""
-
-    def __init__(self, launcher: LauncherClient) -> None:
-        self._socket, theirs = socket.socketpair()
-        with theirs:
-            self.pid = int(launcher.ask("drive", theirs.fileno())["pid"])
-        self._frames = Frames(self._socket)
-        self._number = 0
-
-    def wait(self) -> None:
-        """Wait until it is a node."""
-        self._socket.settimeout(_ANSWER_S)
-        event = self._receive()
-        if event.get("event") != "ready":
-            raise MavfiError(f"driver of the stack: {event.get('text', 'has ended')}")
-
-    def ask(self, action: str, content: bytes = b"", waits_s: float = 0.0, **keys: Any) -> dict[str, Any]:
-        """Send a request; return the reply.
-
-        Raises:
-            BadInputError: It cannot be met; the message says why.
-        """
-        self._number += 1
-        self._socket.settimeout(waits_s + _ANSWER_S)
-        with suppress(OSError):  # the missing answer tells
-            self._frames.send({"id": self._number, "do": action, **keys}, content)
-        while True:
-            reply = self._receive()
-            if reply.get("id") == self._number:
-                break
-        if "error" in reply:
-            raise BadInputError(f"stack: {reply['error']}")
-        return reply
-
-    def _receive(self) -> dict[str, Any]:
-        frame = self._frames.receive()
-        if frame is None:
-            raise MavfiError("driver of the stack: has ended, or does not answer")
-        header: dict[str, Any] = frame[0]
-        return header
-
-    def close(self) -> None:
-        """Let it end."""
-        self._socket.close()
-
-
-class StackProcesses:
-    """Starts the commands of a stack, each from the launcher that is the quickest."""
-
-    def __init__(self, stack: StackConfig, installation: Installation, variables: Mapping[str, str]) -> None:
-        self._commands = [_with_python(command, installation) for command in stack.commands]
-        self._launchers: list[LauncherClient] = []
-        self._of_command: list[LauncherClient] = []
-        plain: LauncherClient | None = None
-        for command in self._commands:
-            is_script = command[0] == installation.python and len(command) > 1 and command[1].endswith(".py")
-            if is_script and stack.fork:
-                launcher = LauncherClient(installation.python, variables, "node", command[1])
-                self._launchers.append(launcher)
-            else:
-                if plain is None:
-                    plain = LauncherClient(installation.python, variables, "plain")
-                    self._launchers.append(plain)
-                launcher = plain
-            self._of_command.append(launcher)
-        self.forks = [bool(launcher.ask("ready")["forks"]) for launcher in self._of_command]
-
-    def load(self, kinds: Sequence[str]) -> None:
-        """Load the libraries of message types where scripts are forked."""
-        for launcher, forks in zip(self._of_command, self.forks, strict=True):
-            if forks:
-                launcher.ask("load", kinds=list(kinds))
-
-    def start(self, namespace: int, folder: Path) -> list[int]:
-        """Start all commands in the namespaces of a process; returns their process ids, in the order of commands."""
-        for index, launcher in enumerate(self._of_command):
-            log = str(folder / f"{index}.log")
-            launcher.send("start", command=self._commands[index], namespace=namespace, log=log)
-        return [int(launcher.answer()["pid"]) for launcher in self._of_command]
-
-    def end(self) -> dict[int, int]:
-        """End all processes; returns how those ended that had ended before, by process id (as `waitpid` does)."""
-        for launcher in self._launchers:
-            launcher.send("end")
-        statuses: dict[int, int] = {}
-        for launcher in self._launchers:
-            statuses |= {int(pid): status for pid, status in launcher.answer()["statuses"].items()}
-        return statuses
-
-    def close(self) -> None:
-        """End the launchers."""
-        for launcher in self._launchers:
-            launcher.close()
-
-
-def _with_python(command: Sequence[str], installation: Installation) -> list[str]:
-    """A command whose interpreter is that of the installation."""
-    if command[0] in _PYTHONS:
-        return [installation.python, *command[1:]]
-    return list(command)
-
-
-class StartError(BadInputError):
-    """The stack does not start: something is missing, or one of its processes has ended before it was tried."""
-
-
 # ---- the bench -------------------------------------------------------------------------------------------------------
 class StackBench:
     """Runs trials of a stack, in the namespaces of this process.
@@ -309,7 +137,7 @@ class StackBench:
         self._folder = folder
         self._installation = find_installation(stack.distribution)
         self._page = ControlPage()
-        self._inputs, self._content = inputs_of(stack, self._installation)
+        self._inputs, self._content = inputs_of(stack)
         self._golden: PlayedRun | None = None
         self._lasting: Counter[str] = Counter()  # programs that live at the end of all error-free runs
         self._cycles: list[Outputs] = []  # error-free outputs for faults in registers
@@ -573,8 +401,8 @@ class StackBench:
             for topic in (*of_stack, *of_script)
         ]
         matched = driver.ask("outputs", outputs=entries, with_numbers=False)["outputs"]
-        for entry, found in zip(entries, matched, strict=True):
-            self._learned[entry["topic"]] = {**entry, **found}
+        for entry, quality in zip(entries, matched, strict=True):
+            self._learned[entry["topic"]] = {**entry, **quality}
         kinds = sorted({entry["kind"] for entry in (*self._inputs, *self._learned.values())})
         self._drivers.ask("load", kinds=kinds)
         self._processes.load(kinds)
@@ -597,7 +425,7 @@ class StackBench:
         script = self._stack.inputs.script
         if not script:
             return 0
-        command = _with_python(script, self._installation)
+        command = with_python(script, self._installation)
         log = str(self._folder / "script.log")
         return int(self._drivers.ask("start", command=command, namespace=namespace, log=log)["pid"])
 
@@ -794,196 +622,3 @@ def _time_of(report: Report, run: PlayedRun, *, has_times: bool) -> float:
     if not has_times:
         return float(report.message)
     return max(0.0, report.wall_s - run.armed_s)
-
-
-# ---- inputs ----------------------------------------------------------------------------------------------------------
-def inputs_of(stack: StackConfig, installation: Installation) -> tuple[list[dict[str, Any]], bytes]:
-    """The inputs as the driver takes them, and the bytes of serialized ones.
-
-    Raises:
-        BadInputError: The recording cannot be read.
-    """
-    inputs = stack.inputs
-    if inputs.messages:
-        entries = []
-        for index, data in enumerate(inputs.messages):
-            offset_s = None
-            if inputs.period_s is not None:
-                offset_s = index * inputs.period_s
-            entries.append({"topic": inputs.topic, "kind": inputs.type, "offset_s": offset_s, "data": data})
-        return entries, b""
-    if not inputs.bag:
-        return [], b""
-    outputs = {output.topic for output in stack.outputs}
-    entries = []
-    contents = []
-    for topic, kind, time_ns, content in _recorded(Path(inputs.bag)):
-        if topic in outputs or (inputs.topics and topic not in inputs.topics):
-            continue
-        entries.append({"topic": topic, "kind": kind, "offset_s": 1e-9 * time_ns, "size": len(content)})
-        contents.append(content)
-    if not entries:
-        raise BadInputError(f"stack.inputs.bag: {inputs.bag}: holds no message of these topics")
-    return entries, b"".join(contents)
-
-
-def _recorded(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
-    """Messages of a recording: topic, type, time since the first (ns), and serialized bytes."""
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise BadInputError(f"stack.inputs.bag: {path}: needs rosbags: pip install 'mavfi[logs]'") from None
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-            first_ns = reader.start_time
-            for connection, time_ns, content in reader.messages():
-                yield connection.topic, connection.msgtype, time_ns - first_ns, bytes(content)
-    except Exception as error:  # noqa: BLE001 - whatever the reader raises for a file that is none
-        raise BadInputError(f"stack.inputs.bag: {path}: cannot be read ({error})") from None
-
-
-# ---- the process of the bench ----------------------------------------------------------------------------------------
-
-
-class BenchClient:
-    """A bench in a process of its own, in a private network.
-
-    Raises:
-        BadInputError: No private network can be had, there is no such ROS 2 installation, or the stack cannot be run.
-        MavfiError: The bench has ended.
-    """
-
-    def __init__(self, stack: StackConfig, detectors: Mapping[str, Sequence[str]] | None = None) -> None:
-        command = [*private_namespaces(), sys.executable, "-m", "mavfi.extras.ros.ros2.stack.bench"]
-        python_path = os.pathsep.join(path for path in sys.path if path)
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": python_path},
-            start_new_session=True,
-        )
-        self._end = weakref.finalize(self, _end_process, self._process)
-        self.forks: list[bool] = self._ask({"stack": stack.to_json(), "detectors": detectors or {}})["forks"]
-
-    def golden(self) -> dict[str, Any]:
-        """Digest, status and numbers of the error-free run, as plain data."""
-        return self._ask({"do": "golden"})
-
-    def trial(self, fault: Fault | None) -> StackTrial:
-        """Run a trial."""
-        fault_data = None
-        if fault is not None:
-            fault_data = fault.to_json()
-        trial = self._ask({"do": "trial", "fault": fault_data})
-        trial["injections"] = tuple(Injection.from_json(data) for data in trial["injections"])
-        trial["differences"] = tuple(trial["differences"])
-        trial["alarms"] = {arm: alarms_from(alarms) for arm, alarms in trial["alarms"].items()}
-        return StackTrial(**trial)
-
-    def close(self) -> None:
-        """End it."""
-        self._end()
-
-    def _ask(self, order: dict[str, Any]) -> dict[str, Any]:
-        assert self._process.stdin is not None and self._process.stdout is not None  # pipes
-        with suppress(BrokenPipeError):  # the missing answer tells
-            self._process.stdin.write(json.dumps(order).encode() + b"\n")
-            self._process.stdin.flush()
-        line = self._process.stdout.readline()
-        if not line:
-            assert self._process.stderr is not None  # a pipe
-            lines = self._process.stderr.read().decode(errors="replace").strip().splitlines() or ["no message"]
-            raise MavfiError(f"bench of the stack: has ended ({lines[-1]})")
-        answer: dict[str, Any] = json.loads(line)
-        if "refused" in answer:
-            raise BadInputError(answer["refused"])
-        if "failed" in answer:
-            raise MavfiError(answer["failed"])
-        return answer
-
-
-def alarms_from(data: Sequence[Mapping[str, Any]]) -> tuple[AlarmRecord, ...]:
-    """Alarms from plain data."""
-    return tuple(AlarmRecord.from_json(dict(alarm)) for alarm in data)
-
-
-def _end_process(process: "subprocess.Popen[bytes]") -> None:
-    """Let a bench end."""
-    for stream in (process.stdin, process.stdout, process.stderr):
-        if stream is not None:
-            with suppress(OSError):
-                stream.close()
-    try:
-        process.wait(_ANSWER_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-
-
-def private_namespaces() -> list[str]:
-    """Command that runs a program in a network and mounts of its own.
-
-    Raises:
-        BadInputError: There can be none.
-    """
-    for command in (["unshare", "-n", "-m"], ["unshare", "-U", "-r", "-n", "-m"]):
-        try:
-            if subprocess.run([*command, "true"], capture_output=True, check=False).returncode == 0:
-                return command
-        except OSError:
-            break
-    raise BadInputError(
-        "no private network: neither `unshare -n -m` nor `unshare -Urnm` works here; allowed: as root, or with user "
-        "namespaces"
-    )
-
-
-def main() -> None:
-    """Meet the orders on stdin until it is closed; the first one has the stack."""
-    # It ends with its parent, and what it starts ends with it.
-    end_with_parent()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what a verdict prints is no answer
-
-    bench: StackBench | None = None
-    with tempfile.TemporaryDirectory(prefix="mavfi-stack-") as folder:
-        try:
-            for line in sys.stdin:
-                order = json.loads(line)
-                try:
-                    if bench is None:
-                        stack = StackConfig.model_validate(order["stack"], context=STORED)
-                        bench = StackBench(stack, Path(folder), order["detectors"])
-                        answer: dict[str, Any] = {"forks": bench.forks}
-                    else:
-                        answer = _meet(bench, order)
-                except BadInputError as error:
-                    answer = {"refused": str(error)}
-                except MavfiError as error:
-                    answer = {"failed": str(error)}
-                answers.write(json.dumps(answer).encode() + b"\n")
-                answers.flush()
-        finally:
-            if bench is not None:
-                bench.close()
-
-
-def _meet(bench: StackBench, order: Mapping[str, Any]) -> dict[str, Any]:
-    """The answer to an order."""
-    if order["do"] == "golden":
-        return bench.golden_summary()
-    fault: InterposedFault | RegisterFault | None = None
-    if order["fault"] is not None:
-        fault = bench.injectable(fault_from_json(order["fault"]))
-    trial = bench.trial(fault)
-    alarms = {arm: [alarm.to_json() for alarm in alarms] for arm, alarms in trial.alarms.items()}
-    injections = [injection.to_json() for injection in trial.injections]
-    return {**asdict(trial), "injections": injections, "alarms": alarms}
-
-
-if __name__ == "__main__":
-    main()

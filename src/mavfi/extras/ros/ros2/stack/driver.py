@@ -202,7 +202,7 @@ class Driver(agent.Agent):
         from rclpy.qos import DurabilityPolicy, QoSProfile
         from rclpy.serialization import deserialize_message
 
-        found = []
+        of_messages = []
         for entry in inputs:
             topic = entry["topic"]
             message_class = agent.message_class(entry["kind"])
@@ -217,8 +217,8 @@ class Driver(agent.Agent):
             else:
                 message = decoded = fill(message_class(), entry["data"])
             self._inputs.append((topic, message, entry["offset_s"]))
-            found.append(list(numbers(decoded)))
-        return {"numbers": found}
+            of_messages.append(list(numbers(decoded)))
+        return {"numbers": of_messages}
 
     def do_await(self, topics, pids, limit_s):
         """Wait until all inputs are read and all topics published, or a process has ended; says what is missing."""

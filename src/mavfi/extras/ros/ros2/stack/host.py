@@ -15,7 +15,8 @@ from typing import Any
 
 from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.extras.ros.ros2.environment import find_installation
-from mavfi.extras.ros.ros2.stack.bench import BenchClient, StackTrial, alarms_from
+from mavfi.extras.ros.ros2.stack.bench import StackTrial
+from mavfi.extras.ros.ros2.stack.bench_process import BenchClient, alarms_from
 from mavfi.extras.ros.ros2.stack.config import StackConfig
 from mavfi.extras.ros.ros2.stack.sampling import (
     MessageNumbers,

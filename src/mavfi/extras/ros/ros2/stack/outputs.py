@@ -75,13 +75,13 @@ def compare(golden: Outputs, outputs: Outputs, stack: StackConfig) -> Comparison
         received = outputs.get(output.topic, ())
         for index in range(max(len(expected), len(received))):
             if index >= len(received):
-                found = [("", "a message", "none")]
+                unequal = [("", "a message", "none")]
             elif index >= len(expected):
-                found = [("", "none", "a message")]
+                unequal = [("", "none", "a message")]
             else:
-                found = list(_unequal(expected[index], received[index], output.tolerance))
-            differing += bool(found)
-            first += [Difference(output.topic, index + 1, *values) for values in found]
+                unequal = list(_unequal(expected[index], received[index], output.tolerance))
+            differing += bool(unequal)
+            first += [Difference(output.topic, index + 1, *values) for values in unequal]
     return Comparison(differing, tuple(first[:_MAX_DIFFERENCES]))
 
 
