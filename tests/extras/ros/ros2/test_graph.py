@@ -47,7 +47,10 @@ def test_snapshot_names_what_is_in_the_graph_and_its_processes_but_not_the_agent
         *processes.pids_of_service("/switch"),
     ):
         assert answer.pid == talker.pid and answer.problem == ""
-    with pytest.raises(BadInputError, match=r"topic /joint_state: not in the graph; allowed: .*/joint_states"):
+    with pytest.raises(
+        BadInputError,
+        match=r"topic /joint_state: not in the graph \(did you mean '/joint_states'\?\); allowed: .*/clock",
+    ):
         graph.topic("/joint_state")
 
 

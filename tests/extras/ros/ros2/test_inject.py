@@ -44,7 +44,10 @@ once = pytest.mark.parametrize("ros2", ["jazzy"], indirect=True, scope="module")
 @once
 def test_what_is_wrong_is_one_line_before_anything_is_touched(talker, capsys):
     for arguments, message in (
-        (["--topic", "/joint_state", "--field", "x"], "topic /joint_state: not in the graph; allowed:"),
+        (
+            ["--topic", "/joint_state", "--field", "x"],
+            "topic /joint_state: not in the graph (did you mean '/joint_states'?); allowed:",
+        ),
         (
             ["--topic", "/joint_states", "--field", "positions[0]"],
             "no member 'positions' in sensor_msgs/msg/JointState",

@@ -63,7 +63,10 @@ def test_an_unknown_topic_is_refused(ros2, capsys, monkeypatch):
     monkeypatch.setattr(watch, "_PATIENCE_S", 0.5)
     ros2.start("talker.py")
     assert run(["ros", "watch", "--topics", "/joint_state"]) == 2
-    assert "topic /joint_state: not in the graph; allowed: /joint_states" in capsys.readouterr().err
+    assert (
+        "topic /joint_state: not in the graph (did you mean '/joint_states'?); allowed: /joint_states"
+        in capsys.readouterr().err
+    )
 
 
 def test_types_that_are_not_standard_are_fetched_with_their_components():
