@@ -22,7 +22,7 @@ from mavfi.faults.operations import Operation, When
 
 PAIRS = 10
 PUBLISHED = 200_000
-ROUND_TRIPS = 4000
+ROUND_TRIPS = 20_000
 ATTACHES = 100
 KILLS = 200
 KIND = "std_msgs/msg/Float64MultiArray"
@@ -160,7 +160,7 @@ def measure_latency(installation: Installation, peer: Path) -> None:
             page.arm([InterposedFault(topic, "data[1]", FLIP, when) for topic in ("/ping", "/pong")])
 
             def both(index: int) -> tuple[float, float]:
-                domain = 60 + index % 20
+                domain = 10 + index
                 direct = {"ROS_DOMAIN_ID": str(2 * domain)}
                 armed = {"ROS_DOMAIN_ID": str(2 * domain + 1), **page.environment()}
                 if index % 2 == 0:
