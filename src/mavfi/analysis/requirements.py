@@ -28,7 +28,7 @@ class Holds(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class RequirementVerdict:
     """A judged requirement."""
 
     requirement: Requirement
@@ -80,9 +80,9 @@ class Verdict:
         }
 
 
-def judge(runs: Runs, requirements: Sequence[Requirement]) -> list[Verdict]:
+def judge(runs: Runs, requirements: Sequence[Requirement]) -> list[RequirementVerdict]:
     """Judge requirements, whose arms are known, by the runs of a campaign."""
-    return [Verdict(requirement, _rate(runs, requirement)) for requirement in requirements]
+    return [RequirementVerdict(requirement, _rate(runs, requirement)) for requirement in requirements]
 
 
 def _rate(runs: Runs, requirement: Requirement) -> Rate:
@@ -124,7 +124,7 @@ def _recovered(runs: Runs, arm: str) -> Rate:
 
 
 # ---- for programs that read test results -----------------------------------------------------------------------------
-def write_junit(path: Path, name: str, verdicts: Sequence[Verdict]) -> None:
+def write_junit(path: Path, name: str, verdicts: Sequence[RequirementVerdict]) -> None:
     """Write verdicts as JUnit XML, one test case per requirement.
 
     Args:

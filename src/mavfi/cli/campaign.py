@@ -15,7 +15,7 @@ from mavfi.errors import BadInputError, MavfiError
 from mavfi.plugins import known, load_object
 
 if TYPE_CHECKING:
-    from mavfi.analysis.requirements import Verdict
+    from mavfi.analysis.requirements import RequirementVerdict
     from mavfi.campaign.config import Campaign
     from mavfi.campaign.executors.executor import Executor
     from mavfi.campaign.ledger import Status
@@ -148,7 +148,9 @@ def _requirements(campaign: "Campaign", texts: Sequence[str], junit: Path | None
     return requirements
 
 
-def _judge(directory: Path, name: str, requirements: "Sequence[Requirement]", junit: Path | None) -> "list[Verdict]":
+def _judge(
+    directory: Path, name: str, requirements: "Sequence[Requirement]", junit: Path | None
+) -> "list[RequirementVerdict]":
     """Judge requirements by the runs of a ledger, and write the verdicts if a file is given."""
     from mavfi.analysis import Runs
     from mavfi.analysis.requirements import judge, write_junit
@@ -161,13 +163,13 @@ def _judge(directory: Path, name: str, requirements: "Sequence[Requirement]", ju
     return verdicts
 
 
-def _show_verdicts(verdicts: "Sequence[Verdict]") -> None:
+def _show_verdicts(verdicts: "Sequence[RequirementVerdict]") -> None:
     """Print one line per requirement."""
     for verdict in verdicts:
         console().print(verdict.line, markup=False, soft_wrap=True)
 
 
-def _exit_unless_all_hold(verdicts: "Sequence[Verdict]") -> None:
+def _exit_unless_all_hold(verdicts: "Sequence[RequirementVerdict]") -> None:
     from mavfi.analysis.requirements import Holds
 
     if any(verdict.holds is not Holds.YES for verdict in verdicts):
@@ -228,7 +230,7 @@ def status(
     from mavfi.campaign.store import Store
 
     progress = status_of(directory)
-    verdicts: list[Verdict] = []
+    verdicts: list[RequirementVerdict] = []
     if require or junit:
         with Store.open(directory) as store:
             campaign = stored_campaign(store)

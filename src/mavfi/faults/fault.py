@@ -17,8 +17,8 @@ from mavfi.faults.levels.transit import is_length
 from mavfi.faults.operations import (
     MESSAGE_OPERATIONS,
     VALUE_OPERATIONS,
-    Change,
     Operation,
+    PlannedChange,
     When,
     check_number_operation,
     parse_text,
@@ -168,7 +168,7 @@ class StateFault(Fault):
     width: int = 1
     times: int = 1
     also: tuple[tuple[str, int], ...] = ()
-    change: Change | None = None
+    change: PlannedChange | None = None
 
     def __post_init__(self) -> None:
         for key, is_allowed, allowed in (
@@ -184,7 +184,7 @@ class StateFault(Fault):
         if self.change is not None:
             self._check_change(self.change)
 
-    def _check_change(self, change: Change) -> None:
+    def _check_change(self, change: PlannedChange) -> None:
         """Check that the field can be changed in this way; the error names the field."""
         where = f"fault in {self.site}"
         operation = change.operation
@@ -474,7 +474,7 @@ class MessageFault(Fault):
     weight: float = 1.0
     seed: int = 0
     time_us: int = 0
-    change: Change | None = None
+    change: PlannedChange | None = None
 
     def __post_init__(self) -> None:
         if self.at < 1:
@@ -493,13 +493,13 @@ class MessageFault(Fault):
             raise BadInputError(f"fault in {self.site}: bit, at, rate: allowed: those of the change {operation}")
 
     @property
-    def planned(self) -> Change:
+    def planned(self) -> PlannedChange:
         """What is done and when, also of a fault without `change`; a flip without a bit draws one each time."""
         if self.change is not None:
             return self.change
         if self.rate is None:
-            return Change(Operation("flip", bit=self.bit), When(first=self.at))
-        return Change(Operation("flip", bit=self.bit), When(first=self.at, times=0, share=self.rate))
+            return PlannedChange(Operation("flip", bit=self.bit), When(first=self.at))
+        return PlannedChange(Operation("flip", bit=self.bit), When(first=self.at, times=0, share=self.rate))
 
     @property
     def counts_publications(self) -> bool:

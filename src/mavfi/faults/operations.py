@@ -196,7 +196,7 @@ class When:
         return text
 
 
-class Change(NamedTuple):
+class PlannedChange(NamedTuple):
     """What is done, and when; as text it is what `parse_text` reads."""
 
     operation: Operation
@@ -223,7 +223,7 @@ class ReadsField(Protocol):
         """Value of the field; NaN if the message lacks it."""
 
 
-class Schedule:
+class MessageSchedule:
     """Decides, message by message, which ones a fault changes.
 
     A C program makes the same decisions inside ROS nodes (`extras/ros/ros2/interposer`).
@@ -264,9 +264,9 @@ class Schedule:
         """The message that was due cannot be changed: it does not count as a changed one."""
         self.changed -= 1
 
-    def copy(self) -> "Schedule":
+    def copy(self) -> "MessageSchedule":
         """An independent copy in the same state."""
-        other = Schedule(self._when, self._seed)
+        other = MessageSchedule(self._when, self._seed)
         other.changed = self.changed
         other._messages = self._messages
         other._since_begin = self._since_begin
@@ -354,7 +354,7 @@ def flipped(value: float | int | bool, bit: int, dtype: str) -> float | int | bo
 
 
 # ---- text ------------------------------------------------------------------------------------------------------------
-def parse_change(parts: list[str], instant: str = "") -> Change:
+def parse_change(parts: list[str], instant: str = "") -> PlannedChange:
     """Parse what is done and when.
 
     Args:
@@ -387,10 +387,10 @@ def parse_change(parts: list[str], instant: str = "") -> Change:
         raise BadInputError(f"no operation; allowed: bit=N, {', '.join(OPERATIONS)}")
     if operation.name == "freeze" and "times" not in given:
         options["times"] = _TIMES_FOR_EVER  # the first message, which is unchanged, is all that one time would be
-    return Change(operation, When(**options))
+    return PlannedChange(operation, When(**options))
 
 
-def parse_text(text: str) -> Change:
+def parse_text(text: str) -> PlannedChange:
     """Parse what is done and when, e.g. `set=nan:times=3@10`; see `parse_change`."""
     body, _, instant = text.partition("@")
     return parse_change(body.split(":"), instant)

@@ -18,7 +18,7 @@ from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, hint
 from mavfi.faults.fault import Fault, find_level, level_names
 from mavfi.faults.injector import Injector
-from mavfi.faults.operations import Change, parse_text
+from mavfi.faults.operations import PlannedChange, parse_text
 from mavfi.faults.sampling import share_out
 from mavfi.faults.strata import EACH_CLASS, STRATA
 from mavfi.record import Injection
@@ -406,7 +406,7 @@ def instant_us(seconds: str) -> int | None:
     return round(float(seconds) * 1e6)
 
 
-def planned_at(change: Change, *, is_given: bool) -> tuple[Change, int | None]:
+def planned_at(change: PlannedChange, *, is_given: bool) -> tuple[PlannedChange, int | None]:
     """A change without its earliest instant, and that instant (us); None = it `is_given` nowhere, and so drawn.
 
     A flight has one time: instants in simulated time are instants of the flight.
@@ -420,7 +420,7 @@ def planned_at(change: Change, *, is_given: bool) -> tuple[Change, int | None]:
     return planned, round(1e6 * start_s)
 
 
-def operation_of(text: str) -> Change:
+def operation_of(text: str) -> PlannedChange:
     """A change in the sampling of a campaign, which draws its instant.
 
     Raises:

@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, Fault, FaultSite, MessageFault, find_field
 from mavfi.faults.levels.message.injector import PublicationInjector
-from mavfi.faults.operations import MESSAGE_OPERATIONS, Change, parse_text
+from mavfi.faults.operations import MESSAGE_OPERATIONS, PlannedChange, parse_text
 from mavfi.faults.sampling import draw_publication, stream
 from mavfi.levels.level import (
     Draw,
@@ -43,7 +43,7 @@ class MessageRequest:
     """A fault in publications as requested by the user: state, change, earliest instant (us); None is drawn."""
 
     state: str
-    change: Change
+    change: PlannedChange
     time_us: int | None
 
     def draw(self, setup: "ArmSetup", seed: int) -> "tuple[MessageFault, Flight | None]":
@@ -168,7 +168,7 @@ class MessageLevel(Level):
         if fault.topic not in STATES or not fault.is_of_flight or fault.time_us == NO_SITE:
             return None
         operation, when = fault.planned
-        return f"message:{fault.topic}:{Change(operation, replace(when, start_s=fault.time_us / 1e6))}"
+        return f"message:{fault.topic}:{PlannedChange(operation, replace(when, start_s=fault.time_us / 1e6))}"
 
     def seed_of(self, fault: MessageFault) -> int | None:
         """See `Level.seed_of`: an intermittent fault draws its publications."""

@@ -26,8 +26,8 @@ from mavfi.faults.levels.state_injector import injector_of
 from mavfi.faults.operations import (
     OPERATIONS,
     VALUE_OPERATIONS,
-    Change,
     Operation,
+    PlannedChange,
     check_number_operation,
     is_trigger,
     parse_change,
@@ -100,7 +100,7 @@ class StateRequest:
     null: bool = False
     lifetime: Mapping[str, Any] = dataclasses.field(default_factory=dict, hash=False)
     also: tuple[tuple[str, int], ...] = ()
-    change: Change | None = None
+    change: PlannedChange | None = None
 
     @property
     def needs_profile(self) -> bool:
@@ -465,7 +465,7 @@ def _accepting(target: Target, operations: Sequence[Operation]) -> Target:
     return Target(target.name, fields)
 
 
-def _with_operation(fault: StateFault, change: Change) -> StateFault:
+def _with_operation(fault: StateFault, change: PlannedChange) -> StateFault:
     """A drawn fault with another change than the flip of its bit in one publication."""
     if change == parse_text("flip"):
         return fault
@@ -513,7 +513,7 @@ def shorter_faults(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
             yield replace(fault, lasts_s=round(fault.lasts_s * part, 3))
 
 
-def fewer_changes(fault: Any, change: Change) -> Iterator[Fault]:
+def fewer_changes(fault: Any, change: PlannedChange) -> Iterator[Fault]:
     """Faults of levels state and message that change fewer publications than one that lasts, by increasing number."""
     for times in _SHORTER_COUNTS:
         if change.when.times == 0 or times < change.when.times:
@@ -678,7 +678,7 @@ class StateLevel(Level):
         """See `Level.text_of`."""
         if fault.change is not None:
             operation, when = fault.change
-            change = Change(replace(operation, bit=fault.bit), replace(when, start_s=fault.time_us / 1e6))
+            change = PlannedChange(replace(operation, bit=fault.bit), replace(when, start_s=fault.time_us / 1e6))
             body, at, instant = str(change).partition("@")
             lasts = ""
             if fault.lasts_s > 0.0:

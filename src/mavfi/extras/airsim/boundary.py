@@ -31,7 +31,7 @@ from mavfi.faults.fault import MessageFault
 from mavfi.faults.levels.sensor.failures import Failure
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.faults.levels.state_injector import schedule_of
-from mavfi.faults.operations import Change, Operation, Schedule, changed_number, parse_text
+from mavfi.faults.operations import MessageSchedule, Operation, PlannedChange, changed_number, parse_text
 from mavfi.levels.sensor import parse_sensor
 from mavfi.record import AlarmRecord, Injection
 
@@ -323,7 +323,7 @@ def _parse_change(text: str, seed: int) -> BoundaryFault:
             operation = replace(operation, bit=random.Random(seed).randrange(_BITS))
         if operation.bit is not None and operation.bit >= _BITS:
             raise BadInputError(f"bit {operation.bit}: allowed: 0 to {_BITS - 1}")
-        planned = Change(operation, replace(when, start_s=0.0))
+        planned = PlannedChange(operation, replace(when, start_s=0.0))
         fault = MessageFault(match["call"], path, seed=seed, time_us=round(1e6 * when.start_s), change=planned)
     except BadInputError as error:
         raise BadInputError(f"--fault: {text!r}: {error}") from None
@@ -361,7 +361,7 @@ class Boundary:
     injection: Injection | None = None
     passed: list[PassedCall] = field(default_factory=list)
     _count: int = 0
-    _schedule: Schedule | None = field(init=False, default=None)
+    _schedule: MessageSchedule | None = field(init=False, default=None)
     _frozen: dict[str, Any] = field(init=False, default_factory=dict)  # first value of what is frozen, by side
     _last_answer: Any = field(init=False, default=None)
 

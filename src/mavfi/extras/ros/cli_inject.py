@@ -16,9 +16,9 @@ from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
-    from mavfi.extras.ros.ros2.injection import InjectionReport, RunningGraphInjection
+    from mavfi.extras.ros.ros2.injection import GraphInjection, RunningGraphInjection
     from mavfi.extras.ros.ros2.interposer.page import InterposedFault
-    from mavfi.faults.operations import Change
+    from mavfi.faults.operations import PlannedChange
 
 _MAX_DURATION_S = 7 * 86_400.0
 _POLL_S = 0.02
@@ -129,7 +129,7 @@ def inject(  # noqa: PLR0913 - one parameter per option
     _inject_ros2(fault, node, duration, as_json=as_json)
 
 
-def _change(field: str, at: str, given: dict[str, Any]) -> Change:
+def _change(field: str, at: str, given: dict[str, Any]) -> PlannedChange:
     """What is done and when, from options; a flip of a drawn bit by default."""
     from mavfi.faults.operations import parse_change
 
@@ -150,12 +150,12 @@ class _Account:
     def __init__(self, topic: str, *, as_json: bool) -> None:
         self._topic = topic
         self._as_json = as_json
-        self._injections: list[InjectionReport] = []
+        self._injections: list[GraphInjection] = []
         self._refusals = 0
         self._events: list[str] = []
         self.has_lost_target = False
 
-    def add_report(self, report: InjectionReport) -> None:
+    def add_report(self, report: GraphInjection) -> None:
         """Note a change of a message, or why it was refused."""
         self._say(report_line(report))
         if report.report.kind == "changed":
@@ -236,7 +236,7 @@ def _follow(injection: RunningGraphInjection, duration: float, account: _Account
         account.add_event(replacement)
 
 
-def report_line(injected: InjectionReport) -> str:
+def report_line(injected: GraphInjection) -> str:
     """An injection, or why there was none, in one line."""
     report = injected.report
     fault = injected.fault
@@ -281,7 +281,7 @@ def run(
     from mavfi.extras.ros.ros2.started_graph import StartedGraph
 
     started = StartedGraph(command, fault, seed)
-    reports: list[InjectionReport] = []
+    reports: list[GraphInjection] = []
     with started:
         while True:
             is_over = started.has_ended

@@ -13,7 +13,7 @@ from mavfi.extras.ros.node.injector import MessageInjector, check_fault
 from mavfi.extras.ros.node.master import Master
 from mavfi.extras.ros.node.relay import Relay
 from mavfi.faults.fault import MessageFault
-from mavfi.faults.operations import Change
+from mavfi.faults.operations import PlannedChange
 from mavfi.record import Injection
 
 _AFTERWARDS_S = 0.2
@@ -22,7 +22,7 @@ _POLL_S = 0.01
 
 
 def inject_ros1(
-    topic: str, field: str, change: Change, seed: int, node: str, duration: float, *, as_json: bool
+    topic: str, field: str, change: PlannedChange, seed: int, node: str, duration: float, *, as_json: bool
 ) -> None:
     """Inject into a running ROS 1 graph, and report."""
     if change.when.sim_time:

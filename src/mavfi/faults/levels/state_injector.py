@@ -16,7 +16,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, StateFault, find_field
 from mavfi.faults.injector import RewindableInjector
 from mavfi.faults.levels.transit import ChangedPublication, changed_bits, is_length, with_length
-from mavfi.faults.operations import Schedule, When, changed_number
+from mavfi.faults.operations import MessageSchedule, When, changed_number
 from mavfi.faults.sampling import stream
 from mavfi.faults.strata import WORD_BITS
 from mavfi.record import Injection, plain
@@ -295,10 +295,10 @@ def number_in(state: State, path: str) -> float:
     return float(container[name][row])
 
 
-def schedule_of(when: When, time_us: int, seed: int) -> Schedule:
+def schedule_of(when: When, time_us: int, seed: int) -> MessageSchedule:
     """The schedule of a change of publications from an instant on (us; a negative one is that of no site)."""
     start_s = max(time_us, 0) / 1e6
-    return Schedule(replace(when, start_s=start_s, end_s=max(when.end_s, start_s)), seed)
+    return MessageSchedule(replace(when, start_s=start_s, end_s=max(when.end_s, start_s)), seed)
 
 
 class ValueInjector(RewindableInjector):

@@ -11,10 +11,10 @@ import pytest
 from mavfi.errors import BadInputError
 from mavfi.faults.operations import (
     OPERATIONS,
-    Change,
     Condition,
+    MessageSchedule,
     Operation,
-    Schedule,
+    PlannedChange,
     When,
     changed_number,
     happens,
@@ -27,7 +27,7 @@ VALUES = [0, 0, 3, 0, 3, 3, 0, 3, 0, 0]
 
 
 def due(when, seed=0, schedule=None):
-    schedule = schedule or Schedule(when, seed)
+    schedule = schedule or MessageSchedule(when, seed)
     return [schedule.due(time, lambda _, value=value: value) for time, value in zip(TIMES, VALUES, strict=True)]
 
 
@@ -68,7 +68,7 @@ def test_a_schedule_selects_what_its_definition_says(seed):
 def test_a_copy_of_a_schedule_goes_on_as_the_original():
     when = When(2, 0.5, 3.0, times=4, every=2)
     for split in range(len(TIMES)):
-        schedule = Schedule(when)
+        schedule = MessageSchedule(when)
         before = [schedule.due(time, lambda _: 0.0) for time in TIMES[:split]]
         copy = schedule.copy()
         for other in (copy, schedule):
@@ -77,7 +77,7 @@ def test_a_copy_of_a_schedule_goes_on_as_the_original():
 
 
 def test_a_schedule_is_over_when_nothing_can_follow():
-    schedule = Schedule(When(times=0, end_s=2.0))
+    schedule = MessageSchedule(When(times=0, end_s=2.0))
     assert [(schedule.due(time, lambda _: 0.0), schedule.is_over) for time in (1.0, 2.0, 2.5, 3.0)] == [
         (True, False),
         (True, False),
@@ -171,12 +171,12 @@ def test_a_text_is_written_as_it_was_read(text):
 
 
 def test_texts_may_leave_out_what_is_usual():
-    assert parse_text("set=1") == Change(Operation("set", 1.0), When())
-    assert parse_text("drop@3") == Change(Operation("drop"), When(start_s=3.0))
-    assert parse_text("drop@3..") == Change(Operation("drop"), When(start_s=3.0, times=0))
-    assert parse_text("drop@3..5") == Change(Operation("drop"), When(start_s=3.0, end_s=5.0, times=0))
-    assert parse_text("freeze@3") == Change(Operation("freeze"), When(start_s=3.0, times=0))
-    assert parse_text("duplicate") == Change(Operation("duplicate", 1.0), When())
+    assert parse_text("set=1") == PlannedChange(Operation("set", 1.0), When())
+    assert parse_text("drop@3") == PlannedChange(Operation("drop"), When(start_s=3.0))
+    assert parse_text("drop@3..") == PlannedChange(Operation("drop"), When(start_s=3.0, times=0))
+    assert parse_text("drop@3..5") == PlannedChange(Operation("drop"), When(start_s=3.0, end_s=5.0, times=0))
+    assert parse_text("freeze@3") == PlannedChange(Operation("freeze"), When(start_s=3.0, times=0))
+    assert parse_text("duplicate") == PlannedChange(Operation("duplicate", 1.0), When())
 
 
 @pytest.mark.parametrize(

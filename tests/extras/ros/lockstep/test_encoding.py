@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from mavfi.detectors.detector import Alarm
 from mavfi.extras.ros.lockstep.encoding import (
     Answer,
-    Frame,
     NodeAction,
-    Operation,
+    NodeOrder,
+    TopicFrame,
     answer_from_bytes,
     answer_to_bytes,
     from_bytes,
@@ -45,13 +45,13 @@ def test_a_value_becomes_bytes_and_a_value_again(value):
 
 @given(st.integers(-1, 2**63 - 1), st.integers(0, 10**12), st.binary(max_size=8))
 def test_a_frame_is_what_was_framed(number, time_us, content):
-    assert from_frame(to_frame(number, time_us, content)) == Frame(number, time_us, content)
+    assert from_frame(to_frame(number, time_us, content)) == TopicFrame(number, time_us, content)
 
 
 def test_operations_and_answers_survive():
     operations = [
-        Operation(NodeAction.STEP, "planner", 7, 20_000, 60_000),
-        Operation(NodeAction.GIVE, "pid", 3, state="planning.waypoint", value="00ff"),
+        NodeOrder(NodeAction.STEP, "planner", 7, 20_000, 60_000),
+        NodeOrder(NodeAction.GIVE, "pid", 3, state="planning.waypoint", value="00ff"),
     ]
     assert operations_from_bytes(operations_to_bytes(operations)) == operations
     for score in (0.1 + 0.2, np.inf, 5e-324):

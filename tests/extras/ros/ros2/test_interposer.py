@@ -14,7 +14,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros2.graph import AgentClient
 from mavfi.extras.ros.ros2.interposer.attach import Attachments
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault
-from mavfi.faults.operations import Operation, Schedule, When, changed_number, parse_change
+from mavfi.faults.operations import MessageSchedule, Operation, When, changed_number, parse_change
 from tests.extras.ros.ros2.conftest import NODES, until
 from tests.extras.ros.ros2.messages import BASIC, Messages
 
@@ -157,7 +157,7 @@ def test_messages_are_chosen_as_by_the_schedule(relay, page):
     page.reports()
     ranges = np.arange(40.0)
     for i, when in enumerate(whens):
-        schedule = Schedule(when, seed=i)
+        schedule = MessageSchedule(when, seed=i)
         expected = [schedule.due(0.5, lambda path: ranges[int(path[7:-1])]) for _ in received]
         actual = [relay.messages.read("LaserScan", data).ranges[10 + i] == -1.0 for data in received]
         assert actual == expected, when

@@ -20,7 +20,7 @@ HELD = -1
 """Instant of publication of a result that its node holds until it is told to publish it."""
 
 
-class Frame(NamedTuple):
+class TopicFrame(NamedTuple):
     """One publication of any topic.
 
     Attributes:
@@ -43,10 +43,10 @@ def to_frame(number: int, time_us: int, content: bytes = b"") -> bytes:
     return _HEAD.pack(number, time_us) + content
 
 
-def from_frame(frame: bytes) -> Frame:
+def from_frame(frame: bytes) -> TopicFrame:
     """The publication with these bytes."""
     number, time_us = _HEAD.unpack_from(frame)
-    return Frame(number, time_us, frame[_HEAD.size :])
+    return TopicFrame(number, time_us, frame[_HEAD.size :])
 
 
 # ---- values ----------------------------------------------------------------------------------------------------------
@@ -67,7 +67,7 @@ def from_bytes(spec: StateSpec, content: bytes) -> State:
 
 # ---- operations and answers ------------------------------------------------------------------------------------------
 class NodeAction(IntEnum):
-    """What the world asks of a node, one `Operation` each."""
+    """What the world asks of a node, one `NodeOrder` each."""
 
     RECEIVE = 0  # the kernel receives the publication `number`
     STEP = 1  # the kernel computes; its results get the numbers from `number` on
@@ -84,7 +84,7 @@ class NodeAction(IntEnum):
     ACCEPT = 12  # the detector records the publication `number`
 
 
-class Operation(NamedTuple):
+class NodeOrder(NamedTuple):
     """One operation of a kernel or of the detector.
 
     Attributes:
@@ -123,14 +123,14 @@ class Answer:
     alarm: Alarm | None = None
 
 
-def operations_to_bytes(operations: list[Operation]) -> bytes:
+def operations_to_bytes(operations: list[NodeOrder]) -> bytes:
     """A call."""
     return json.dumps(operations).encode()
 
 
-def operations_from_bytes(content: bytes) -> list[Operation]:
+def operations_from_bytes(content: bytes) -> list[NodeOrder]:
     """The operations of a call, in order."""
-    return [Operation(*values) for values in json.loads(content)]
+    return [NodeOrder(*values) for values in json.loads(content)]
 
 
 def answer_to_bytes(answer: Answer) -> bytes:

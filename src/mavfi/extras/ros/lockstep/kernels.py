@@ -10,7 +10,7 @@ from mavfi.extras.ros.lockstep.encoding import (
     HELD,
     Answer,
     NodeAction,
-    Operation,
+    NodeOrder,
     answer_to_bytes,
     from_bytes,
     operations_from_bytes,
@@ -43,7 +43,7 @@ class KernelNode:
         self._immediate = ports.plan.immediate_states()
         written = [state for kernel in self._kernels.values() for state in kernel.writes]
         self._outlets = {state: ports.outlet(state, ports.routes[state].first) for state in written}
-        self._actions: dict[NodeAction, Callable[[Kernel, Operation], Any]] = {
+        self._actions: dict[NodeAction, Callable[[Kernel, NodeOrder], Any]] = {
             NodeAction.STEP: lambda kernel, order: kernel.step(order.time_us),
             NodeAction.MARK: lambda kernel, order: kernel.mark(),
             NodeAction.ROLLBACK: lambda kernel, order: kernel.rollback(),
@@ -98,7 +98,7 @@ class KernelNode:
             else:
                 self._results[number] = state
 
-    def _receive(self, kernel: Kernel, order: Operation) -> bool:
+    def _receive(self, kernel: Kernel, order: NodeOrder) -> bool:
         number = order.number
         waiting, state = self._due.get(kernel.name, (-1, None))
         if waiting != number or state is None:
@@ -120,20 +120,20 @@ class KernelNode:
             self._states_in_use[number] = state, left - 1
         return state
 
-    def _publish(self, kernel: Kernel, order: Operation) -> None:
+    def _publish(self, kernel: Kernel, order: NodeOrder) -> None:
         state = self._results.pop(order.number)
         self._outlets[state.spec.name].publish_state(state, order.number, order.time_us)
 
     # ---- after a restart --------------------------------------------------------------------------------------------
-    def _restore(self, kernel: Kernel, order: Operation) -> None:
+    def _restore(self, kernel: Kernel, order: NodeOrder) -> None:
         """Keep a value of before the restart."""
         self._restored[order.number] = from_bytes(STATES[order.state], bytes.fromhex(order.value))
 
-    def _resume(self, kernel: Kernel, order: Operation) -> tuple[str, ...]:
+    def _resume(self, kernel: Kernel, order: NodeOrder) -> tuple[str, ...]:
         latest = {self._restored[number].spec.name: self._restored[number] for number in sorted(self._restored)}
         return kernel.resume(latest, order.time_us)
 
-    def _reset(self, kernel: Kernel, order: Operation) -> None:
+    def _reset(self, kernel: Kernel, order: NodeOrder) -> None:
         """Initialize the memory; results already computed remain scheduled for publication."""
         self._build()
         self._due.clear()

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple, NoReturn
 
 from mavfi.errors import MavfiError
-from mavfi.extras.ros.lockstep.encoding import GREETING, Frame, from_bytes, from_frame, to_bytes, to_frame
+from mavfi.extras.ros.lockstep.encoding import GREETING, TopicFrame, from_bytes, from_frame, to_bytes, to_frame
 from mavfi.extras.ros.lockstep.folder import flight_folder, write_file
 from mavfi.extras.ros.lockstep.plan import WORLD, FlightPlan, answers_topic, calls_topic
 from mavfi.extras.ros.lockstep.transport import Transport
@@ -109,7 +109,7 @@ class Ports:
         """Advertise one of the topics on the route of a state."""
         return self.publisher(topic, self.plan.readers(state, topic))
 
-    def subscribe(self, topic: str, arrived: Callable[[Frame], None]) -> None:
+    def subscribe(self, topic: str, arrived: Callable[[TopicFrame], None]) -> None:
         """Subscribe to a topic of the flight."""
         self._greeted_by[topic] = None
 
@@ -194,7 +194,7 @@ class Ports:
     # ---- calls -------------------------------------------------------------------------------------------------------
     def serve(self, answer: Callable[[bytes], bytes] | None = None) -> NoReturn:
         """Answer the world's calls one after the other, until this process is ended; None = it makes none."""
-        calls: deque[Frame] = deque()
+        calls: deque[TopicFrame] = deque()
         if answer is not None:
             answers = self.publisher(answers_topic(self.node), [WORLD])
             self.subscribe(calls_topic(self.node), calls.append)
@@ -259,6 +259,6 @@ class Client:
             raise NodeLostError(loss.why)
         return self._answers.pop(number)
 
-    def _arrived(self, frame: Frame) -> None:
+    def _arrived(self, frame: TopicFrame) -> None:
         if frame.number == self._number:  # not the answer to a call that was given up
             self._answers[frame.number] = frame.content

@@ -16,7 +16,7 @@ from mavfi.extras.ros.lockstep.encoding import (
     HELD,
     Answer,
     NodeAction,
-    Operation,
+    NodeOrder,
     answer_from_bytes,
     operations_to_bytes,
     to_bytes,
@@ -69,7 +69,7 @@ class Link:
     life: int = 0
     since: int = 0
     _handed_over: set[int] = field(default_factory=set)
-    _pending: list[Operation] = field(default_factory=list)
+    _pending: list[NodeOrder] = field(default_factory=list)
     _client: Client | None = None
 
     def advertise(self, client: Client) -> None:
@@ -109,9 +109,9 @@ class Link:
         state: str = "",
         value: str = "",
     ) -> None:
-        """Append an operation to the next call; see `Operation`."""
+        """Append an operation to the next call; see `NodeOrder`."""
         if not self.is_lost:
-            self._pending.append(Operation(action, kernel, number, time_us, publish_us, state, value))
+            self._pending.append(NodeOrder(action, kernel, number, time_us, publish_us, state, value))
 
     def note_input(self, kernel: str, state: RemotePublication) -> None:
         """Give the node a value that was published before the current process started."""

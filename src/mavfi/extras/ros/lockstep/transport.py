@@ -12,7 +12,7 @@ OnBytes = Callable[[bytes], None]
 """Receives the bytes of one publication."""
 
 
-class View(ABC):
+class StandardView(ABC):
     """A topic with messages of a standard type, for people and their tools."""
 
     @abstractmethod
@@ -49,7 +49,7 @@ class Transport(ABC):
         """
 
     @abstractmethod
-    def view(self, topic: str, kind: str) -> View | None:
+    def view(self, topic: str, kind: str) -> StandardView | None:
         """Advertise a topic of a standard type, "package/Name"; None = the type is not installed."""
 
     def reconnect(self, topics: Collection[str]) -> None:  # noqa: B027 - nothing to do, by default

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mavfi.extras.ros.lockstep.plan import FlightPlan
-from mavfi.extras.ros.lockstep.transport import Transport, View
+from mavfi.extras.ros.lockstep.transport import StandardView, Transport
 from mavfi.flight.loop import FlightItem, Loop
 from mavfi.mission import MissionStatus
 from mavfi.pipeline.kernel import map_grid
@@ -69,7 +69,7 @@ class Views:
             LOG: LOG_TYPES[self._is_ros1],
         }
         advertised = {topic: transport.view(topic, kind) for topic, kind in kinds.items()}
-        self._views: dict[str, View] = {topic: view for topic, view in advertised.items() if view is not None}
+        self._views: dict[str, StandardView] = {topic: view for topic, view in advertised.items() if view is not None}
         self._grid = map_grid(plan.config)
         self._log_odds = np.zeros(self._grid.size, np.float32)
         self._maker: Any = None

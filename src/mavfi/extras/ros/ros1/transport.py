@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 from xmlrpc.client import ServerProxy
 
 from mavfi.errors import MavfiError
-from mavfi.extras.ros.lockstep.transport import Middleware, OnBytes, Send, Transport, View
+from mavfi.extras.ros.lockstep.transport import Middleware, OnBytes, Send, StandardView, Transport
 from mavfi.extras.ros.processes import end_with_parent
 from mavfi.extras.ros.ros1 import finder
 
@@ -170,7 +170,7 @@ class Ros1Transport(Transport):
         return Ros1View(self._rospy, topic, getattr(types, name))
 
 
-class Ros1View(View):
+class Ros1View(StandardView):
     """A topic of a standard type, with messages that are serialized already."""
 
     def __init__(self, rospy: Any, topic: str, kind: Any) -> None:
@@ -179,11 +179,11 @@ class Ros1View(View):
         self._publisher = rospy.Publisher(topic, self._type, queue_size=_VIEW_DEPTH)
 
     def has_readers(self) -> bool:
-        """See `View`."""
+        """See `StandardView`."""
         return bool(self._publisher.get_num_connections() > 0)
 
     def publish(self, content: bytes) -> None:
-        """See `View`."""
+        """See `StandardView`."""
         message = self._type()
         message._buff = content
         self._publisher.publish(message)

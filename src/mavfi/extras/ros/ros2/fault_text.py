@@ -26,7 +26,7 @@ _PARTS: dict[str, tuple[Side, Side]] = {
 _OPTIONS = ("bit", "times", "every", "share", *OPERATIONS)
 
 
-class FaultSite(NamedTuple):
+class MessageSite(NamedTuple):
     """Where a fault is.
 
     Attributes:
@@ -52,7 +52,7 @@ def parse_fault(text: str, seed: int = 0) -> InterposedFault:
         raise BadInputError(f"fault {text!r}: {error}") from None
 
 
-def site_of(kind: str, name: str, part: str, *, of_client: bool = False) -> FaultSite:
+def site_of(kind: str, name: str, part: str, *, of_client: bool = False) -> MessageSite:
     """The site of a fault.
 
     Args:
@@ -73,10 +73,10 @@ def site_of(kind: str, name: str, part: str, *, of_client: bool = False) -> Faul
         side: Side = "publish"
         if part == "take":
             side = "take"
-        return FaultSite(name, side, is_service=False)
+        return MessageSite(name, side, is_service=False)
     if part not in _PARTS:
         raise BadInputError(f"side {part!r} of a service: allowed: request, response")
-    return FaultSite(name, _PARTS[part][int(of_client)], is_service=True)
+    return MessageSite(name, _PARTS[part][int(of_client)], is_service=True)
 
 
 def _parse(words: list[str], seed: int) -> InterposedFault:

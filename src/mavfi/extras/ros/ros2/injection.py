@@ -30,7 +30,7 @@ _MAX_MESSAGES = 20_000
 
 
 @dataclass(frozen=True, slots=True)
-class InjectionReport:
+class GraphInjection:
     """An injection into a message, as reported by the process in which it happened.
 
     Attributes:
@@ -157,7 +157,7 @@ class RunningGraphInjection:
         """Number of messages that have passed."""
         return self._page.messages_seen(0)
 
-    def new_reports(self) -> Iterator[InjectionReport]:
+    def new_reports(self) -> Iterator[GraphInjection]:
         """Injections and refusals since the last call, each verified by a second reader where that is possible."""
         for report in self._page.reports():
             process = next((process for process in self.processes if process.pid == report.pid), None)
@@ -168,7 +168,7 @@ class RunningGraphInjection:
             if report.kind == "changed":
                 self._last_injection_s = report.wall_s
                 verified = self._is_verified(report)
-            yield InjectionReport(self._fault, report, self._armed_s, node, verified)
+            yield GraphInjection(self._fault, report, self._armed_s, node, verified)
 
     def aftermath(self) -> Iterator[str]:
         """What became of the processes and of managed nodes since the last call, in one line each."""

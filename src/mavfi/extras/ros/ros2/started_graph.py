@@ -11,7 +11,7 @@ from types import FrameType
 from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros2.environment import find_installation
 from mavfi.extras.ros.ros2.fault_text import parse_fault
-from mavfi.extras.ros.ros2.injection import InjectionReport
+from mavfi.extras.ros.ros2.injection import GraphInjection
 from mavfi.extras.ros.ros2.interposer.attach import is_loaded
 from mavfi.extras.ros.ros2.interposer.page import ControlPage
 from mavfi.extras.ros.ros2.processes import program_of
@@ -85,10 +85,10 @@ class StartedGraph:
             self.exit_code = 128 - code
         return True
 
-    def new_reports(self) -> Iterator[InjectionReport]:
+    def new_reports(self) -> Iterator[GraphInjection]:
         """Injections and refusals since the last call."""
         for report in self._page.reports():
-            yield InjectionReport(self._faults[report.fault], report, self._armed_s, program_of(report.pid))
+            yield GraphInjection(self._faults[report.fault], report, self._armed_s, program_of(report.pid))
 
     def summary(self) -> list[str]:
         """For each fault, how many messages passed and were changed; if none passed, why not."""

@@ -12,7 +12,7 @@ from typing import Any
 
 from mavfi.errors import BadInputError
 from mavfi.extras.ros.imports import Finder
-from mavfi.extras.ros.lockstep.transport import Middleware, OnBytes, Send, Transport, View
+from mavfi.extras.ros.lockstep.transport import Middleware, OnBytes, Send, StandardView, Transport
 from mavfi.extras.ros.ros2.environment import Installation, find_installation
 
 _EXTENSION = "rclpy/_rclpy_pybind11"
@@ -208,16 +208,16 @@ class Ros2Transport(Transport):
         return Ros2View(self._node.create_publisher(getattr(types, name), topic, _VIEW_DEPTH))
 
 
-class Ros2View(View):
+class Ros2View(StandardView):
     """A topic of a standard type."""
 
     def __init__(self, publisher: Any) -> None:
         self._publisher = publisher
 
     def has_readers(self) -> bool:
-        """See `View`."""
+        """See `StandardView`."""
         return bool(self._publisher.get_subscription_count() > 0)
 
     def publish(self, content: bytes) -> None:
-        """See `View`."""
+        """See `StandardView`."""
         self._publisher.publish(content)

@@ -15,7 +15,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.registers.level import RegisterLevel
 from mavfi.extras.ros.ros2.stack.config import StackConfig
 from mavfi.faults.fault import Fault, MessageFault
-from mavfi.faults.operations import MESSAGE_OPERATIONS, Change, Operation, When, check_number_operation
+from mavfi.faults.operations import MESSAGE_OPERATIONS, Operation, PlannedChange, When, check_number_operation
 from mavfi.faults.sampling import stream
 from mavfi.levels.level import (
     Draw,
@@ -106,7 +106,7 @@ class StackSampler(Sampler):
             check_known("sampling.topics", topics, stack.topics)
         except ValueError as error:
             raise BadInputError(str(error)) from None
-        self._changes: dict[str, list[Change]] = {}
+        self._changes: dict[str, list[PlannedChange]] = {}
         for topic in topics:
             changes = [operation_of(text) for text in self.sampling.operations]
             if topic in stack.input_topics:
@@ -128,10 +128,10 @@ class StackSampler(Sampler):
         topics = list(self.targets)
         topic = topics[index % len(topics)]
         random = stream(seed, "null message", topic, environment, index)
-        unchanged = Change(Operation("scale", 1.0), When())
+        unchanged = PlannedChange(Operation("scale", 1.0), When())
         fault = _number_fault(topic, unchanged, _messages(golden, topic), random, seed)
         if fault is None:
-            return MessageFault(topic, seed=seed, change=Change(Operation("drop"), When(first=_NEVER)))
+            return MessageFault(topic, seed=seed, change=PlannedChange(Operation("drop"), When(first=_NEVER)))
         return fault
 
     def _fault(self, requested: Draw, environment: str, golden: Golden) -> MessageFault | None:
@@ -170,7 +170,7 @@ def _messages(golden: Golden, topic: str) -> tuple[tuple[MessageNumbers, ...], .
 
 def _number_fault(
     topic: str,
-    change: Change,
+    change: PlannedChange,
     messages: Sequence[Sequence[MessageNumbers]],
     random: np.random.Generator,
     seed: int,
@@ -214,7 +214,7 @@ def _width(dtype: str) -> int:
     return 8 * np.dtype(dtype).itemsize
 
 
-def _at(change: Change, index: int) -> Change:
+def _at(change: PlannedChange, index: int) -> PlannedChange:
     """The change from a message on, whose number counts from 0 here."""
     return change._replace(when=replace(change.when, first=index + 1))
 

@@ -2,7 +2,7 @@
 
 Needs ROS 2 (`mavfi ros setup`), g++, and a private network with its own /dev/shm; it makes these by itself:
 
-    make bench NAME=ros2/interposer        # all; or `publish`, `latency`, `attach`, `kill` behind it
+    make bench NAME=ros2_interposer        # all, and writes them to the page; ARGS="publish latency attach kill": parts
 """
 
 import os
@@ -19,7 +19,9 @@ from mavfi.extras.ros.ros2.environment import Installation, find_installation
 from mavfi.extras.ros.ros2.interposer.attach import Attachments
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault
 from mavfi.faults.operations import Operation, When
+from tools.markers import between
 
+PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "ros2.md"
 PAIRS = 10
 PUBLISHED = 200_000
 ROUND_TRIPS = 20_000
@@ -59,7 +61,7 @@ executor.spin()
 """A node that publishes 1,000 messages a second from four threads while another one allocates; or one that watches."""
 VICTIM = """
 import sys, time
-from benchmarks.ros2.interposer import FLIP, ALWAYS, KIND
+from benchmarks.ros2_interposer import FLIP, ALWAYS, KIND
 from mavfi.extras.ros.ros2.interposer.attach import Attachments
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault
 print("ready", flush=True)
@@ -76,11 +78,20 @@ while True:
 def compiled(installation: Installation, folder: Path) -> Path:
     """The peer in C++."""
     includes = [f"-I{path}" for path in sorted((installation.prefix / "include").iterdir())]
-    source = Path(__file__).with_name("peer.cpp")
+    source = Path(__file__).with_name("ros2_peer.cpp")
     command = ["g++", "-O2", "-std=c++17", "-rdynamic", *includes, str(source), "-o", str(folder / "peer")]
     command += [f"-L{installation.prefix}/lib", "-lrcl", "-lrcutils", "-lrmw", "-lrosidl_typesupport_cpp"]
     subprocess.run([*command, "-lstd_msgs__rosidl_typesupport_cpp", "-Wl,--allow-shlib-undefined"], check=True)
     return folder / "peer"
+
+
+RESULTS: list[str] = []
+
+
+def show(line: str) -> None:
+    """Print a result, and keep it for the page."""
+    print(line, flush=True)
+    RESULTS.append(line)
 
 
 def paired(name: str, measure: Callable[[int], tuple[float, float]]) -> None:
@@ -91,10 +102,9 @@ def paired(name: str, measure: Callable[[int], tuple[float, float]]) -> None:
     half = 2.262 * statistics.stdev(ratios) / PAIRS**0.5  # Student's t with 9 degrees of freedom
     firsts = statistics.median(first for first, _ in pairs)
     seconds = statistics.median(second for _, second in pairs)
-    print(
+    show(
         f"{name}: {firsts:.2f} → {seconds:.2f}; ratio {statistics.median(ratios):.3f} (median), "
-        f"{mean:.3f} [{mean - half:.3f}, {mean + half:.3f}] (mean, 95 %) of {PAIRS} pairs",
-        flush=True,
+        f"{mean:.3f} [{mean - half:.3f}, {mean + half:.3f}] (mean, 95 %) of {PAIRS} pairs"
     )
 
 
@@ -218,7 +228,7 @@ def measure_attach() -> None:
                 if process.poll() is not None:
                     raise SystemExit(f"a node died in round {round_number}")
             page.reports()
-    print(f"attach: {len(times)} times, {failures} without an injection, {statistics.median(times):.0f} ms (median)")
+    show(f"attach: {len(times)} times, {failures} without an injection, {statistics.median(times):.0f} ms (median)")
 
 
 def measure_kill() -> None:
@@ -264,7 +274,7 @@ def measure_kill() -> None:
             changed_before += any(row[1] == "1" for row in rows if float(row[0]) <= ended)
             changed_after += any(row[1] == "1" for row in rows if float(row[0]) > ended + 0.005)
         left = _files() - shared_memory
-    print(
+    show(
         f"kill -9 of mavfi, of the node, of both: {KILLS} times, {changed_before} after injections; graph silent: "
         f"{silent}; messages changed afterwards: {changed_after}; files left by mavfi: {len(left)}"
     )
@@ -303,6 +313,9 @@ def main(parts: Sequence[str]) -> None:
         measure_attach()
     if not parts or "kill" in parts:
         measure_kill()
+    if not parts:
+        load = f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}; without the interposer → with it"
+        PAGE.write_text(between(PAGE.read_text(), "cost", "\n".join(["```text", *RESULTS, "```", "", load])))
 
 
 if __name__ == "__main__":
