@@ -453,11 +453,13 @@ static int publish_as(const verdict_t *verdict, const entity_t *publisher, const
   return next(publisher, message, allocation);
 }
 
-static __thread const void *announced;  // message whose hand-over within the process has been examined
+// The message whose hand-over within the process has been examined, and its publisher.
+static __thread const void *announced;
+static __thread const entity_t *announced_by;
 
 int rmw_publish(const entity_t *publisher, const void *message, void *allocation) {
   NEXT(rmw_publish);
-  bool is_examined = announced == message && message;
+  bool is_examined = message && announced == message && announced_by == publisher;
   announced = NULL;
   if (is_examined || (!is_armed() && !atomic_load(&waiting))) return next(publisher, message, allocation);
   if (!is_armed()) {
@@ -538,6 +540,7 @@ void ros_trace_rclcpp_intra_publish(const void *rcl_publisher, const void *messa
       refuse((uint32_t)verdict.fault, verdict.number, "handed over as a pointer: only its numbers change");
     }
     announced = message;
+    announced_by = publisher;
   }
   if (next) next(rcl_publisher, message);
 }
