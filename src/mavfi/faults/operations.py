@@ -106,7 +106,9 @@ class Operation:
 
     def __str__(self) -> str:
         if self.name == "flip":
-            return "flip" if self.bit is None else f"bit={self.bit}"
+            if self.bit is None:
+                return "flip"
+            return f"bit={self.bit}"
         if self.value is None:
             return self.name
         return f"{self.name}={number_text(self.value)}"
@@ -367,13 +369,15 @@ def parse_change(parts: list[str], instant: str = "") -> PlannedChange:
     """
     operation: Operation | None = None
     options: dict[str, Any] = parse_instant(instant)
-    given: set[str] = set()
+    keys: set[str] = set()
     for part in parts:
         name, equals, text = part.partition("=")
-        key = "operation" if name == "bit" or name in OPERATIONS else name
-        if key in given:
+        key = name
+        if name == "bit" or name in OPERATIONS:
+            key = "operation"
+        if key in keys:
             raise BadInputError(f"{part!r}: allowed: one operation, each option once")
-        given.add(key)
+        keys.add(key)
         if key == "operation":
             operation = _operation(name, text, has_number=bool(equals))
         elif name in ("times", "every"):
@@ -385,7 +389,7 @@ def parse_change(parts: list[str], instant: str = "") -> PlannedChange:
             raise BadInputError(f"{part!r}: not known; allowed: {allowed}")
     if operation is None:
         raise BadInputError(f"no operation; allowed: bit=N, {', '.join(OPERATIONS)}")
-    if operation.name == "freeze" and "times" not in given:
+    if operation.name == "freeze" and "times" not in keys:
         options["times"] = _TIMES_FOR_EVER  # the first message, which is unchanged, is all that one time would be
     return PlannedChange(operation, When(**options))
 

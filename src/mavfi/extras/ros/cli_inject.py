@@ -129,12 +129,12 @@ def inject(  # noqa: PLR0913 - one parameter per option
     _inject_ros2(fault, node, duration, as_json=as_json)
 
 
-def _change(field: str, at: str, given: dict[str, Any]) -> PlannedChange:
+def _change(field: str, at: str, options_by_name: dict[str, Any]) -> PlannedChange:
     """What is done and when, from options; a flip of a drawn bit by default."""
     from mavfi.faults.operations import parse_change
 
     parts = []
-    for name, value in given.items():
+    for name, value in options_by_name.items():
         if value is True:
             parts.append(name)
         elif value is not None and value is not False:

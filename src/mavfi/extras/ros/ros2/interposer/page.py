@@ -399,7 +399,9 @@ def _number(data: bytes, dtype: str) -> float | int | bool:
         mantissa, exponent = struct.unpack_from("<QH", data)
         if exponent & 0x7FFF == 0x7FFF:
             return math.nan
-        sign = -1.0 if exponent >> 15 else 1.0
-        return sign * math.ldexp(mantissa, (exponent & 0x7FFF) - 16383 - 63)
+        magnitude = math.ldexp(mantissa, (exponent & 0x7FFF) - 16383 - 63)
+        if exponent >> 15:
+            return -magnitude
+        return magnitude
     number: float | int = struct.unpack_from("<" + _FORMATS[dtype], data)[0]
     return number
