@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi.extras.airsim import boundary as values
+from mavfi.faults.strata import WORD_BITS
 
 LEAF = st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats() | st.text(max_size=3) | st.binary(max_size=4)
 DATA = st.recursive(
@@ -27,7 +28,7 @@ def test_every_number_has_a_path_and_there_are_no_others(data):
 
 @given(st.floats() | st.integers(-(2**63), 2**63 - 1) | st.booleans(), st.integers(0, 63))
 def test_a_flip_changes_one_bit_and_is_its_own_inverse(value, bit):
-    bit %= values.bits_of(value)
+    bit %= WORD_BITS[values.dtype_of(value)]
     changed = values.flipped(value, bit)
     assert type(changed) is type(value) and bits(changed) != bits(value)
     assert bits(values.flipped(changed, bit)) == bits(value)

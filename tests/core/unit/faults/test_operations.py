@@ -193,8 +193,8 @@ def test_texts_may_leave_out_what_is_usual():
         ("drop:times=x", "times: 'x': allowed: a whole number"),
         ("drop:share=2", "share: 2.0: allowed: above 0, to 1"),
         ("drop@n=0", "first: 0: allowed: 1 or more"),
-        ("drop@5..3", "end_s: 3.0: allowed: 5 or more"),
-        ("drop@soon", "instant: 'soon': allowed: a number"),
+        ("drop@5..3", "instant '5..3': ends before it starts; allowed: 10, 10..12"),
+        ("drop@soon", "instant: 'soon': allowed: 10, 10..12, 10.. "),
         ("drop@x>nan", "x>nan: allowed: finite numbers"),
     ],
 )

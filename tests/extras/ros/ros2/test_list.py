@@ -49,7 +49,7 @@ def test_the_text_has_the_answer_first_and_fits_a_terminal(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     assert run(["ros", "list"]) == 0
     out = capsys.readouterr().out
-    assert out.startswith("ROS 2 (domain 0): 2 nodes, 2 topics, 2 services, 1 action\n")
+    assert out.startswith("ROS 2 (domain 0): 2 nodes, 2 topics, 1 service, 1 action\n")
     assert max(map(len, out.splitlines())) <= 80
     for text in ("4711", "no process on this machine", "50.0", "latched", "std_srvs/SetBool", "test_msgs/Fibonacci"):
         assert text in out
