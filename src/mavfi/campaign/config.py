@@ -365,7 +365,9 @@ def _sampling(data: Any, info: ValidationInfo | None, host_name: Any = _LOCAL) -
     else:
         level = getattr(data, "level", "state")
     levels = level_names()
-    model = _level_at(host_name, level).sampling if level in levels else None
+    model = None
+    if level in levels:
+        model = _level_at(host_name, level).sampling
     if model is None:
         text = f"not known{hint(level, levels)}; allowed: {', '.join(levels)}"
         raise ValueError(f"key 'sampling.level': {level!r}: {text}")

@@ -172,7 +172,10 @@ def run_counts(settings: Mapping[str, tuple[int, int, int]], *, flies: bool = Tr
     table = _plain_table()
     is_incomplete = any(planned > done for planned, done, _ in settings.values())
     table.add_column("setting")
-    table.add_column("flown" if flies else "runs", justify="right")
+    heading = "runs"
+    if flies:
+        heading = "flown"
+    table.add_column(heading, justify="right")
     if is_incomplete:
         table.add_column("planned so far", justify="right")
     if flies:
@@ -208,7 +211,9 @@ def effect_counts(effects: Mapping[str, Mapping[str, Rate]]) -> Table:
             share = ""
             if rate.rate is not None and rate.low is not None and rate.high is not None:
                 share = f"{100 * rate.rate:.1f} % [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
-            runs = "" if rate.successes is None else str(rate.successes)
+            runs = ""
+            if rate.successes is not None:
+                runs = str(rate.successes)
             table.add_row(name, HEADINGS.get(effect, effect), runs, str(rate.n), share)
             name = ""
     return table

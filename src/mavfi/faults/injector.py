@@ -1,5 +1,6 @@
 """Bases of injectors."""
 
+from copy import copy
 from typing import Self
 
 from mavfi.record import Injection, KernelEffect
@@ -34,6 +35,10 @@ class Injector:
 class RewindableInjector(Injector):
     """An injector that checkpoints contain."""
 
+    injections: list[Injection]
+
     def copy(self) -> Self:
-        """An independent copy in the same state."""
-        raise NotImplementedError
+        """An independent copy in the same state; subclasses copy what else changes."""
+        other = copy(self)
+        other.injections = list(self.injections)
+        return other

@@ -76,7 +76,7 @@ def _summary(survey: Survey) -> str:
         counted(len(_shown_services(survey)), "service"),
         counted(len(survey.actions), "action"),
     ]
-    return f"[bold]ROS {survey.ros}[/bold] ({escape(survey.place)}): {', '.join(parts)}"
+    return f"[bold]ROS {survey.ros}[/bold] ({escape(survey.address)}): {', '.join(parts)}"
 
 
 def _shown_services(survey: Survey) -> list[SurveyedService]:

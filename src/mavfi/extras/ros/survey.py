@@ -69,11 +69,11 @@ class Survey:
 
     Attributes:
         ros: Its version: 1 or 2.
-        place: Address of the master of ROS 1; domain and middleware of ROS 2.
+        address: Address of the master of ROS 1; domain and middleware of ROS 2.
     """
 
     ros: int
-    place: str
+    address: str
     nodes: tuple[SurveyedNode, ...]
     topics: tuple[SurveyedTopic, ...]
     services: tuple[SurveyedService, ...]
@@ -116,7 +116,7 @@ def survey_all(seconds: float) -> list[Survey]:
         if survey.nodes or survey.topics:
             surveys.append(survey)
         else:
-            absences.append(f"no ROS 2 node in {survey.place}")
+            absences.append(f"no ROS 2 node in {survey.address}")
     if not surveys:
         raise BadInputError("; ".join(absences))
     return surveys

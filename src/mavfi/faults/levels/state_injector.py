@@ -8,7 +8,7 @@ A field may also be the length of a list in the serialized state: a message with
 
 from copy import copy
 from dataclasses import replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -159,10 +159,9 @@ class StateInjector(RewindableInjector):
         self._seen = 0  # number of publications since the fault began
         self._changed = 0  # number of changed ones
 
-    def copy(self) -> "StateInjector":
+    def copy(self) -> Self:
         """An independent copy in the same state."""
-        other = copy(self)
-        other.injections = list(self.injections)
+        other = super().copy()
         other._acted_on = copy(self._acted_on)
         return other
 
@@ -323,10 +322,9 @@ class ValueInjector(RewindableInjector):
         self._frozen: Number | None = None  # value at which a frozen field is stuck
         self._is_over = not fault.has_site
 
-    def copy(self) -> "ValueInjector":
+    def copy(self) -> Self:
         """See `RewindableInjector`."""
-        other = copy(self)
-        other.injections = list(self.injections)
+        other = super().copy()
         other._schedule = self._schedule.copy()
         return other
 

@@ -12,8 +12,9 @@ from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.cli import run
 from mavfi.errors import BadInputError
+from mavfi.extras.ros.processes import private_network
 from mavfi.extras.ros.ros2.environment import DISTRIBUTIONS, find_installation
-from mavfi.extras.ros.ros2.stack.bench_process import BenchClient, private_namespaces
+from mavfi.extras.ros.ros2.stack.bench_process import BenchClient
 from mavfi.extras.ros.ros2.stack.config import StackConfig
 from mavfi.faults.fault import MessageFault, RegisterFault
 from mavfi.faults.operations import parse_text
@@ -40,7 +41,7 @@ def distribution(request):
     """Each distribution that is installed, where there can be private networks."""
     try:
         find_installation(request.param)
-        private_namespaces()
+        private_network()
     except BadInputError as error:
         pytest.skip(str(error))
     return request.param

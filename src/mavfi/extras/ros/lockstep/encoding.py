@@ -17,7 +17,7 @@ from mavfi.states import State, StateSpec
 
 _HEAD = struct.Struct("<qq")  # little-endian: number, instant (us)
 HELD = -1
-"""Instant of publication of a result that its node holds until it is told to publish it."""
+"""In place of the instant of publication: the node holds the result until the world asks for its publication."""
 
 
 class TopicFrame(NamedTuple):

@@ -355,7 +355,7 @@ class Agent:
         return full_name(kind or kinds[0]), qos
 
     def _subscribe(self, topic, kind, qos, arrived):
-        """A subscription to serialized messages; publishers that do not match it are told to the client."""
+        """Subscribe to serialized messages; the client is notified of publishers that do not match."""
 
         def mismatch(event):
             name = getattr(event.last_policy_kind, "name", "quality of service")

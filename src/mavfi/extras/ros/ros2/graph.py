@@ -506,5 +506,5 @@ def _endpoints(rows: list[dict[str, str]]) -> tuple[Endpoint, ...]:
 
 def _absent(what: str, name: str, names: Sequence[str]) -> BadInputError:
     question = hint(absolute(name), names)
-    known = allowed(names, absolute(name))
-    return BadInputError(f"{what} {absolute(name)}: not in the graph{question}; allowed: {known}")
+    names_shown = allowed(names, absolute(name))
+    return BadInputError(f"{what} {absolute(name)}: not in the graph{question}; allowed: {names_shown}")

@@ -6,9 +6,8 @@ lost or late.
 """
 
 from collections.abc import Callable
-from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 from weakref import proxy
 
 from mavfi.faults.fault import MessageFault
@@ -52,10 +51,9 @@ class PublicationInjector(RewindableInjector):
         self._held: tuple[HeldMessage, ...] = ()  # publications to be overtaken
         self._has_site = fault.has_site
 
-    def copy(self) -> "PublicationInjector":
+    def copy(self) -> Self:
         """See `RewindableInjector`."""
-        other = copy(self)
-        other.injections = list(self.injections)
+        other = super().copy()
         other._schedule = self._schedule.copy()
         return other
 

@@ -595,7 +595,9 @@ def _injections(
             raise run.register
         if not isinstance(run.register, Injection):
             return (), str(run.register)
-        return (run.register,), "" if run.register.activated else "the register was not injected"
+        if run.register.activated:
+            return (run.register,), ""
+        return (run.register,), "the register was not injected"
     changed = tuple(
         Injection(
             "message",

@@ -21,7 +21,7 @@ from typing import Any
 
 from mavfi.config import STORED
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.extras.ros.processes import end_with_parent
+from mavfi.extras.ros.processes import end_with_parent, private_network
 from mavfi.extras.ros.ros2.interposer.page import InterposedFault
 from mavfi.extras.ros.ros2.stack.bench import StackBench, StackTrial
 from mavfi.extras.ros.ros2.stack.clients import ANSWER_S
@@ -39,7 +39,7 @@ class BenchClient:
     """
 
     def __init__(self, stack: StackConfig, detectors: Mapping[str, Sequence[str]] | None = None) -> None:
-        command = [*private_namespaces(), sys.executable, "-m", "mavfi.extras.ros.ros2.stack.bench_process"]
+        command = [*private_network(), sys.executable, "-m", "mavfi.extras.ros.ros2.stack.bench_process"]
         python_path = os.pathsep.join(path for path in sys.path if path)
         self._process = subprocess.Popen(
             command,
@@ -105,24 +105,6 @@ def _end_process(process: "subprocess.Popen[bytes]") -> None:
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
-
-
-def private_namespaces() -> list[str]:
-    """Command that runs a program in a network and mounts of its own.
-
-    Raises:
-        BadInputError: There can be none.
-    """
-    for command in (["unshare", "-n", "-m"], ["unshare", "-U", "-r", "-n", "-m"]):
-        try:
-            if subprocess.run([*command, "true"], capture_output=True, check=False).returncode == 0:
-                return command
-        except OSError:
-            break
-    raise BadInputError(
-        "no private network: neither `unshare -n -m` nor `unshare -Urnm` works here; allowed: as root, or with user "
-        "namespaces"
-    )
 
 
 def main() -> None:

@@ -272,7 +272,9 @@ class Driver(agent.Agent):
             before = {answer: self._counts[answer] for answer in answers}
             self._publishers[topic].publish(message)
             if offset_s is None:
-                limit_s = MISSED_S if is_silent else min(patience_s, SLOW_S)
+                limit_s = min(patience_s, SLOW_S)
+                if is_silent:
+                    limit_s = MISSED_S
                 is_silent = not self._wait_for_all(before, limit_s, is_gone)
                 missed = missed or is_silent
         while watched and not is_gone() and not has_exited(watched):

@@ -9,7 +9,7 @@ connected socket; each request is a line of JSON, and so is its reply:
 
     {"do": "ready"}                            {"forks": true}
     {"do": "drive"} and a socket beside it     {"pid": 71}
-    {"do": "start", "command": [...], "namespace": 71, "log": "/tmp/node.log"}      {"pid": 72}
+    {"do": "start", "command": [...], "namespace": 71, "log": "node.log"}      {"pid": 72}
     {"do": "end"}                              {"statuses": {"72": 9}}
 
 A fork costs a fiftieth of a start: ROS and the script are imported once, before ROS is initialized; a process that
@@ -126,7 +126,9 @@ class Launcher:
 
     def __init__(self, connection, role, script):
         self._connection = connection
-        self._script = os.path.abspath(script) if script else ""
+        self._script = script
+        if script:
+            self._script = os.path.abspath(script)
         self._main = None
         self._drive = None
         self._started = {}
@@ -201,7 +203,9 @@ class Launcher:
         for pid, status in list(self._started.items()):
             if status is None:
                 # The first thread of a process that is ending may be gone before the others.
-                options = 0 if has_exited(pid) else os.WNOHANG
+                options = os.WNOHANG
+                if has_exited(pid):
+                    options = 0
                 ended, status = os.waitpid(pid, options)
                 if ended:
                     self._started[pid] = status
