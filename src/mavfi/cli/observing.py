@@ -44,7 +44,7 @@ def chosen_observers(values: Mapping[str, Any], pace: float, fault: str | None) 
     if pace != REAL_TIME and not chosen:
         options = " or ".join(f"--{name}" for name in observers)
         raise BadInputError(f"--pace: {pace:g}: nothing shows the flight; allowed: together with {options}")
-    if chosen and (fault or "").startswith("instruction"):
+    if chosen and "instruction:" in (fault or ""):
         raise BadInputError(
             f"--{next(iter(chosen))}: faults in instructions fly in a forked process; allowed: null, state, memory, "
             "sensor"

@@ -34,6 +34,7 @@ SHIPPED = {
     "sensor": "mavfi.levels.sensor:SensorLevel",
     "instruction": "mavfi.levels.instruction:InstructionLevel",
     "message": "mavfi.levels.message:MessageLevel",
+    "combined": "mavfi.levels.combined:CombinedLevel",
 }
 """Levels of the core, by name."""
 NO_SITE = -1
@@ -310,7 +311,7 @@ def _with_change(data: Mapping[str, Any]) -> Mapping[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class MemoryFault(Fault):
-    """One bit of a word in a kernel's memory, at an instant.
+    """One bit of a word in a kernel's memory, at an instant or for some time; or another change of the word.
 
     Attributes:
         kernel: As in `states.KERNELS`, or in `states.WATCHING`: a detector; or the name of a plug-in.
@@ -318,14 +319,19 @@ class MemoryFault(Fault):
         index: Index of the word if several share the name.
         dtype: Type of the word: "f8", "f4", "i8", "i4", "i2", "u8", "u1" or "?".
         time_us: Injected before the steps of this instant; `NO_SITE` = the golden run had no such word.
-        bit: Bit to flip; None = null fault: the whole path through the injector with an empty mask.
+        bit: Bit to flip; None = null fault: the whole path through the injector with an empty mask, unless there is a
+            `change`.
         stratum: Stratum of the draw, e.g. "sign_exponent" (see faults/strata.py), "" = whole words.
         weight: Probability that a bit drawn from the whole words of its target falls in the stratum.
         seed: Seed of the draw.
+        lasts_s: Time for which the word is changed before the steps of every control period, also after restarts of
+            its node: the bit is stuck at its flipped value (s); "inf" = for ever.
+        change: What is done to the word instead, and in which control periods from `time_us` on; stored as text, e.g.
+            "set=nan:times=3@0"; None = the bit is flipped.
         role: Kind of the plug-in, as in `states.PLUG_INS`; "" = a kernel or detector of mavfi.
 
     Raises:
-        BadInputError: Unknown kernel, type or bit.
+        BadInputError: Unknown kernel, type or bit, or a change that the word does not allow.
     """
 
     level: ClassVar[Literal["memory"]] = "memory"
@@ -338,6 +344,8 @@ class MemoryFault(Fault):
     stratum: str = ""
     weight: float = 1.0
     seed: int = 0
+    lasts_s: float = 0.0
+    change: PlannedChange | None = None
     role: str = ""
 
     def __post_init__(self) -> None:
@@ -350,6 +358,31 @@ class MemoryFault(Fault):
         bits = strata.WORD_BITS[self.dtype]
         if self.bit is not None and not 0 <= self.bit < bits:
             raise BadInputError(f"fault in {self.site}: bit {self.bit}; allowed: 0 to {bits - 1}")
+        if not self.lasts_s >= 0.0:
+            raise BadInputError(f"fault in {self.site}: lasts_s: {self.lasts_s}: allowed: 0 or more")
+        if self.change is not None:
+            self._check_change(self.change)
+
+    def _check_change(self, change: PlannedChange) -> None:
+        """Check that the word can be changed in this way."""
+        where = f"fault in {self.site}"
+        operation, when = change
+        if operation.name not in VALUE_OPERATIONS:
+            raise BadInputError(f"{where}: {operation.name}: of whole messages; allowed: {', '.join(VALUE_OPERATIONS)}")
+        if (self.bit is None) is (operation.name == "flip") or operation.bit is not None:
+            raise BadInputError(f"{where}: bit: {self.bit}: allowed: of a flip, and none of another operation")
+        if when.condition is not None or when.first > 1:
+            raise BadInputError(f"{where}: @{when}: no message arrives in memory; allowed: instants (s)")
+        if operation.name != "freeze":
+            try:
+                check_number_operation(replace(operation, bit=self.bit), self.dtype)
+            except BadInputError as error:
+                raise BadInputError(f"{where}: {error}") from None
+
+    @property
+    def is_lasting(self) -> bool:
+        """Whether the word may be changed in more than one control period."""
+        return self.lasts_s > 0.0 or (self.change is not None and self.change.when.times != 1)
 
     @property
     def site(self) -> str:
@@ -371,8 +404,20 @@ class MemoryFault(Fault):
         return _is_in_detector(self.kernel, self.role)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; without a role, if there is none."""
-        return _without_role(Fault.to_json(self))
+        """Plain data; without a duration, a change and a role, if there are none."""
+        data = _without_role({**Fault.to_json(self), "change": str(self.change)})
+        if self.change is None:
+            del data["change"]
+        if self.lasts_s == 0.0:
+            del data["lasts_s"]
+        elif self.lasts_s == float("inf"):
+            data["lasts_s"] = "inf"  # JSON has no infinity
+        return data
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Self:
+        """Inverse of `to_json`, without the level; invalid data is a BadInputError."""
+        return checked(cls, _with_change(data), "fault of level memory")
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,10 +1,12 @@
 """Injection of faults into persistent memory, as the first action of the loop at the fault's instant.
 
+A fault that lasts changes the word again before the steps of every control period, also in a node that has restarted.
 Targets are kernels and, in flights with a detector, the detector.  A kernel or detector that subsequently
 raises an exception terminates its node, under the mission's policy for dead nodes.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, cast
 from weakref import proxy
 
@@ -14,14 +16,15 @@ from mavfi.detectors.detector import Detector, part_of
 from mavfi.errors import BadInputError, machine_failure
 from mavfi.faults.fault import RESTART_S, MemoryFault
 from mavfi.faults.injector import Injector
-from mavfi.flight.loop import Loop
+from mavfi.faults.levels.state_injector import schedule_of
+from mavfi.faults.operations import MessageSchedule, Operation, When, changed_number
+from mavfi.flight.loop import CONTROL_PERIOD_US, Loop
 from mavfi.flight.restarts import Restarts
 from mavfi.pipeline.memory import Memory, Remembers
 from mavfi.pipeline.words import change, words_of
 from mavfi.record import Injection, KernelEffect
 from mavfi.states import DETECTORS, WATCHING
 
-_ACTION = "memory_fault"
 _RESTART_US = round(1e6 * RESTART_S)
 _ANSWERS: dict[str, Callable[[], Any]] = {
     "receive": bool,
@@ -72,6 +75,41 @@ def flip_bit(word: np.ndarray, bit: int | None) -> None:
         word[:] = raw
 
 
+class WordChange:
+    """What a fault does to its word each time, as a `pipeline.words.Change`."""
+
+    def __init__(self, fault: MemoryFault) -> None:
+        self._bit = fault.bit
+        self._operation = Operation("flip")
+        if fault.change is not None:
+            self._operation = fault.change.operation
+        self._is_stuck = fault.change is None  # at the value after its first change
+        self._stuck: bool | None = None
+        self._frozen: float | int | bool | None = None
+
+    def __call__(self, word: np.ndarray) -> None:
+        """Change a word of shape (1,), in place."""
+        if self._operation.name == "flip":
+            self._flip(word)
+        elif self._operation.name == "freeze":
+            if self._frozen is None:
+                self._frozen = word[0].item()
+            word[:] = self._frozen
+        else:
+            word[:] = changed_number(self._operation, word[0].item(), word.dtype.str[1:].replace("b1", "?"))
+
+    def _flip(self, word: np.ndarray) -> None:
+        """Flip the bit, or set it as after the first flip."""
+        if self._bit is None:
+            return
+        is_set = bool(word.copy().view(np.uint8)[self._bit // 8] & (1 << self._bit % 8))
+        if self._stuck is None or not self._is_stuck:
+            self._stuck = not is_set
+            flip_bit(word, self._bit)
+        elif is_set != self._stuck:
+            flip_bit(word, self._bit)
+
+
 class MemoryInjector(Injector):
     """Injector tap of a flight that has not started; publications pass unchanged.
 
@@ -87,24 +125,57 @@ class MemoryInjector(Injector):
         self._detector = detector
         self._restarts = Restarts(loop, loop.scenario.dead_node)
         self._injection: Injection | None = None
+        self._change_word = WordChange(fault)
+        self._schedule = MessageSchedule(When())
+        self._changed = 0  # number of control periods in which the word was changed
+        self._guarded_part: Any = None
         if fault.has_site:
-            loop.actions[_ACTION] = self._inject
-            loop.at(fault.time_us, _ACTION)
+            self.begin(fault.time_us)
+
+    def begin(self, time_us: int) -> None:
+        """Inject from an instant on (us), which is not over; a lasting fault in each control period."""
+        fault = self._fault
+        instants: Sequence[int] = (time_us,)
+        latest_us = self._loop.judge.limit_us
+        if 0.0 < fault.lasts_s < float("inf"):
+            latest_us = min(latest_us, time_us + round(1e6 * fault.lasts_s))
+        if fault.is_lasting:
+            instants = range(time_us, latest_us + 1, CONTROL_PERIOD_US)
+        when = When(times=0)
+        if fault.change is not None:
+            when = fault.change.when
+        self._schedule = schedule_of(when, time_us, fault.seed)
+        action = f"memory fault {len(self._loop.actions)}"  # there may be several in a flight
+        self._loop.actions[action] = self._inject
+        for instant in instants:
+            self._loop.at(instant, action)
 
     def _inject(self, now: int) -> None:
-        """Flip the bit, if the word exists, and guard the kernel or detector from now on."""
+        """Change the word, if it exists, and guard the kernel or detector from now on."""
         fault = self._fault
         loop = self._loop
+        if not self._schedule.due(1e-6 * now, lambda _: float("nan")):
+            return
         holder = memory_of(loop, fault.kernel, self._detector)
         if holder is None:
+            self._schedule.take_back()
             return  # the memory does not exist at this instant
         types = {words.dtype for words in words_of(holder) if words.name == fault.field}
         if types - {fault.dtype}:
             raise BadInputError(f"fault in {fault.site}: dtype {fault.dtype!r}; allowed: {', '.join(sorted(types))}")
-        values = change(holder, fault.field, fault.index or 0, lambda word: flip_bit(word, fault.bit))
-        if values is not None:
-            self._injection = Injection(fault.level, fault.site, now / 1e6, fault.bit, *values, activated=True)
-            self._guard()
+        values = change(holder, fault.field, fault.index or 0, self._change_word)
+        if values is None:
+            self._schedule.take_back()
+            return
+        self._changed += 1
+        if self._injection is None:
+            details = {}
+            if fault.change is not None:
+                details["operation"] = str(replace(fault.change.operation, bit=fault.bit))
+            self._injection = Injection(
+                fault.level, fault.site, now / 1e6, fault.bit, *values, activated=True, details=details
+            )
+        self._guard()
 
     def _guard(self) -> None:
         """Make exceptions of a kernel or detector terminate its node instead of the flight."""
@@ -116,6 +187,9 @@ class MemoryInjector(Injector):
         else:
             part = self._loop.kernels[target]
             answers = _ANSWERS
+        if part is self._guarded_part:
+            return
+        self._guarded_part = part  # a restarted node has another one
         for name, answer in answers.items():
             if hasattr(part, name):
                 setattr(part, name, self._guarded(getattr(part, name), answer))
@@ -163,9 +237,12 @@ class MemoryInjector(Injector):
 
     def finish(self) -> list[Injection]:
         """The injection; if the word did not exist, a record of the missed activation."""
-        if self._injection is not None:
-            return [self._injection]
         fault = self._fault
+        if self._injection is not None:
+            if fault.is_lasting:
+                details = {**self._injection.details, "periods": self._changed}
+                return [replace(self._injection, details=details)]
+            return [self._injection]
         time_s = 0.0
         if fault.has_site:
             time_s = fault.time_us / 1e6

@@ -16,10 +16,12 @@ from pydantic import Field, model_validator
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, hint
 from mavfi.faults.fault import NO_SITE, Fault, MemoryFault
+from mavfi.faults.operations import VALUE_OPERATIONS, PlannedChange
 from mavfi.faults.sampling import stream
 from mavfi.faults.strata import WORD_BITS, bits_of
 from mavfi.levels.level import (
     NULL,
+    SECONDS,
     WHOLE,
     Draw,
     Golden,
@@ -27,8 +29,11 @@ from mavfi.levels.level import (
     Sampled,
     Sampler,
     Sampling,
+    change_text,
     check_distinct,
     check_strata,
+    is_change,
+    parse_value_change,
 )
 from mavfi.levels.state import SiteGroup, group_json, smaller_changes
 from mavfi.pipeline.words import Words, collapsed, words_of
@@ -61,12 +66,16 @@ class MemoryRequest:
         field: Name of words, or a part of it, with an optional index (see `pipeline.words.Words.named`); "" = all.
         bit: None = drawn from the whole word.
         time_us: None = drawn from the golden run.
+        lasts_s: As in `MemoryFault`.
+        change: As in `MemoryFault`.
     """
 
     kernel: str
     field: str = ""
     bit: int | None = None
     time_us: int | None = None
+    lasts_s: float = 0.0
+    change: PlannedChange | None = None
 
     def draw(self, setup: "ArmSetup", seed: int) -> "tuple[MemoryFault, Flight | None]":
         """See `Request.draw`; a BadInputError if the target has no such word or bit at that instant."""
@@ -87,16 +96,21 @@ class MemoryRequest:
         # Without a site, say which words the target remembers instead.
         if not fault.has_site:
             names = collapsed(words.name for words in exposure.latest.get(self.kernel, ()))
-            bit = ""
+            bit_text = ""
             if self.bit is not None:
-                bit = f" with a bit {self.bit}"
+                bit_text = f" with a bit {self.bit}"
             when = ""
             if self.time_us is not None:
                 when = f" at {1e-6 * self.time_us:g} s"
             raise BadInputError(
-                f"fault memory:{self.kernel}.{self.field}: no such word{bit}{when}{hint(self.field, names)}; "
+                f"fault memory:{self.kernel}.{self.field}: no such word{bit_text}{when}{hint(self.field, names)}; "
                 f"allowed: {', '.join(names)}"
             )
+        # The word is drawn as for a flip, and then changed as requested.
+        bit = fault.bit
+        if self.change is not None and self.change.operation.name != "flip":
+            bit = None
+        fault = replace(fault, bit=bit, lasts_s=self.lasts_s, change=self.change)
         if in_detector:
             return fault, None
         return fault, golden
@@ -361,24 +375,50 @@ class MemoryLevel(Level):
     sampling = MemorySampling
     sampler = MemorySampler
     local = True
-    form = "memory:KERNEL[.FIELD][[INDEX]][:bit=N][@SECONDS]"
-    options = {"bit": WHOLE}
+    form = "memory:KERNEL[.FIELD][[INDEX]][:bit=N][:lasts=S][@SECONDS]"
+    options = {"bit": WHOLE, "lasts": SECONDS}
+    operations = (*VALUE_OPERATIONS, "times=", "every=", "share=")
     reductions = {"bit": smaller_changes}
     absent = ("remembered", "the kernel did not remember such a word then")
 
     def parse(self, text: str, localization: str) -> MemoryRequest:
         """See `Level.parse`."""
-        parts = self.parts_of(text)
-        kernel, name = _site(parts.site)
+        change = None
+        if is_change(text):
+            body, at, instant = text.partition("@")
+            site, *options = body.split(":")
+            change, bit, time_us, lasts_s = parse_value_change(options, instant, has_instant=bool(at))
+        else:
+            parts = self.parts_of(text)
+            site = parts.site
+            bit = parts.options.get("bit")
+            time_us = parts.time_us
+            lasts_s = parts.options.get("lasts", 0.0)
+        kernel, name = _site(site)
         _check_kernel(kernel, _kernels_with(localization))
-        return MemoryRequest(kernel, name, parts.options.get("bit"), parts.time_us)
+        if change is not None:
+            checked_bit = None
+            if change.operation.name == "flip":
+                checked_bit = bit or 0
+            MemoryFault(kernel, name, bit=checked_bit, lasts_s=lasts_s, change=change)  # checks it
+        return MemoryRequest(kernel, name, bit, time_us, lasts_s, change)
 
     def text_of(self, fault: MemoryFault) -> str:
         """See `Level.text_of`."""
-        bit = ""
+        if fault.change is not None:
+            return f"{fault.site}:{change_text(fault.change, fault.bit, fault.time_us, fault.lasts_s)}"
+        options = ""
         if fault.bit is not None:
-            bit = f":bit={fault.bit}"
-        return f"{fault.site}{bit}@{fault.time_us / 1e6}"
+            options = f":bit={fault.bit}"
+        if fault.lasts_s > 0.0:
+            options += f":lasts={fault.lasts_s}"
+        return f"{fault.site}{options}@{fault.time_us / 1e6}"
+
+    def seed_of(self, fault: MemoryFault) -> int | None:
+        """See `Level.seed_of`: an intermittent fault draws its instants."""
+        if fault.change is not None and fault.change.when.share < 1.0:
+            return fault.seed
+        return None
 
     def inject(self, loop: Any, fault: MemoryFault, detector: Any) -> "MemoryInjector":
         """See `Level.inject`."""
@@ -398,6 +438,8 @@ class MemoryLevel(Level):
         }
         if fault.stratum:
             columns["population"] = fault.stratum
+        if fault.change is not None:
+            columns["operation"] = fault.change.name
         return columns
 
     def about(self, campaign: Any) -> dict[str, Any]:
