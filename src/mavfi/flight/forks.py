@@ -404,9 +404,7 @@ class Forks(Listener):
         return self.child is None and not self._awaited and all(case.how != WAITING for case in self.cases)
 
     # ---- in the golden flight ---------------------------------------------------------------------------------------
-    def intercept(
-        self, name: str, call: int, function: Callable[..., Any], args: tuple[Any, ...]
-    ) -> CallResult | None:
+    def intercept(self, name: str, call: int, function: Callable[..., Any], args: tuple[Any, ...]) -> CallResult | None:
         """Fork at an injected call; the call is made with the fault in children, as usual in the golden flight."""
         if self.child is not None:
             return None

@@ -10,14 +10,14 @@ A plug-in stands in faults and tables under the name that the mission gives it, 
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from mavfi.config import PlannerConfig, shipped
 from mavfi.detectors.detector import Detector, custom_parts, part_of
-from mavfi.detectors.registry import check_kernel
+from mavfi.detectors.registry import check_kernel, is_custom_name
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import InstructionFault, counter_name
 from mavfi.numerics.jit import is_compiled
@@ -57,9 +57,15 @@ def short_name(address: str) -> str:
     return address.rpartition(":")[2]
 
 
-def without_module(text: str) -> str:
-    """A request for a fault without the module of the plug-in that it begins with, if it does."""
-    return re.sub(r"^[A-Za-z_][\w.]*:(?=[A-Za-z_]\w*(:|@|\.|$))", "", text)
+def without_module(text: str, operations: Collection[str] = ()) -> str:
+    """A request for a fault without the module of the plug-in that it begins with, if it does.
+
+    What follows the first colon is then no option, and none of these `operations`.
+    """
+    match = re.match(r"[A-Za-z_][\w.]*:([A-Za-z_]\w*)(?=[:@.]|$)", text)
+    if match is None or match[1] in operations:
+        return text
+    return text[match.start(1) :]
 
 
 def planner_name(planner: str) -> str:
@@ -109,11 +115,31 @@ def detector_address(detector: Detector | None) -> str:
     return parts[-1].requested_as or f"{type(parts[-1]).__module__}:{type(parts[-1]).__name__}"
 
 
+def custom_detectors(campaign: Any) -> dict[str, PlugIn]:
+    """The detectors of a campaign that are none of mavfi, by arm."""
+    detectors = {}
+    for arm_name, arm in campaign.arms.items():
+        if is_custom_name(arm.detector):
+            spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.mission)
+            members = plug_ins(planner_name(spec.planner), spec.map, spec.flight_controller, arm.detector)
+            detectors[arm_name] = members[-1]
+    return detectors
+
+
+def find_plug_in(text: str, scenario: "Scenario", detector: Detector | None) -> PlugIn | None:
+    """The plug-in of a mission that a request means; None = none of them."""
+    of_detector = [(part.source, type(part).__name__) for part in custom_parts(detector)]
+    for plug_in in plug_ins_of(scenario, detector):
+        if plug_in.is_called(text):
+            return plug_in
+        if plug_in.role == _DETECTOR and any(text in names for names in of_detector):
+            return plug_in
+    return None
+
+
 def plug_ins_of(scenario: "Scenario", detector: Detector | None = None) -> list[PlugIn]:
     """The plug-ins of a mission under a detector."""
-    return plug_ins(
-        scenario.planner.name, scenario.map.kind, scenario.flight_controller, detector_address(detector)
-    )
+    return plug_ins(scenario.planner.name, scenario.map.kind, scenario.flight_controller, detector_address(detector))
 
 
 # ---- declared functions ---------------------------------------------------------------------------------------------
@@ -290,12 +316,9 @@ class Targets:
         """The name of the target that a request means; the text itself, if it means none."""
         if text in self._targets:
             return text
-        of_detector = [(part.source, type(part).__name__) for part in custom_parts(self._detector)]
-        for plug_in in self._plug_ins:
-            if plug_in.is_called(text):
-                return plug_in.name
-            if plug_in.role == _DETECTOR and any(text in names for names in of_detector):
-                return plug_in.name
+        plug_in = find_plug_in(text, self._scenario, self._detector)
+        if plug_in is not None:
+            return plug_in.name
         if text == "planner":
             return self._scenario.planner.name
         return text

@@ -32,7 +32,7 @@ from mavfi.faults.levels.instruction.plan import plan
 from mavfi.faults.levels.instruction.table import parse_selection
 from mavfi.faults.sampling import stream
 from mavfi.flight.decide import INLINE, RecoveryPolicy
-from mavfi.flight.targets import PlugIn, Target, Targets, planner_name, plug_ins, without_module
+from mavfi.flight.targets import Target, Targets, custom_detectors, planner_name, plug_ins, without_module
 from mavfi.ir.module import DIGEST_VERSION
 from mavfi.levels.level import DECIMAL, Draw, Golden, Level, Sampled, Sampler, Sampling, check_distinct
 from mavfi.mission import Scenario
@@ -517,7 +517,7 @@ def _campaign_target(campaign: Any, name: str) -> CampaignTarget:
             return CampaignTarget(plug_in.name, plug_in.role)
     if name == "planner":
         return CampaignTarget(planner)
-    detectors = _custom_detectors(campaign)
+    detectors = custom_detectors(campaign)
     watching = [(arm, plug_in) for arm, plug_in in detectors.items() if plug_in.is_called(name)]
     if len(watching) > 1:
         raise BadInputError(f"sampling.kernels: {name!r}: is in {len(watching)} arms; allowed: what is in one arm")
@@ -530,19 +530,6 @@ def _campaign_target(campaign: Any, name: str) -> CampaignTarget:
         names = [*of_mavfi, *(plug_in.name for plug_in in (*members, *detectors.values()))]
         refusal = f"{name!r}: not known; allowed: {', '.join(dict.fromkeys(names))}"
     raise BadInputError(f"sampling.kernels: {refusal}")
-
-
-def _custom_detectors(campaign: Any) -> dict[str, PlugIn]:
-    """The detectors of a campaign that are none of mavfi, by arm."""
-    from mavfi.detectors.registry import is_custom_name
-
-    detectors = {}
-    for arm_name, arm in campaign.arms.items():
-        if is_custom_name(arm.detector):
-            spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.mission)
-            members = plug_ins(planner_name(spec.planner), spec.map, spec.flight_controller, arm.detector)
-            detectors[arm_name] = members[-1]
-    return detectors
 
 
 def _groups(targets: Sequence[CampaignTarget], share: str) -> list[list[CampaignTarget]]:
