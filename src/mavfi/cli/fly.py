@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from mavfi.cli import observing, options
 from mavfi.cli.console import FLIGHTS, PAGES, PICTURES, check_file, check_seed, console, write_json
 from mavfi.errors import BadInputError
-from mavfi.faults.combined import AND
+from mavfi.faults.combined import AND, levels_in
 from mavfi.mission import OF_A_DETECTOR, MissionSpec
 from mavfi.plugins import extensions
 
@@ -101,12 +101,7 @@ def fault_text(faults: Sequence[str] | None) -> str | None:
 
 
 def _is_instrumented(mission: MissionSpec, fault: str | None) -> bool:
-    return bool(mission.protection) or _has_level(fault, "instruction")
-
-
-def _has_level(fault: str | None, *levels: str) -> bool:
-    """Whether one of the faults in a text is of one of these levels."""
-    return any(text.partition(":")[0] in levels for text in (fault or "").split(AND))
+    return bool(mission.protection) or "instruction" in levels_in(fault)
 
 
 def _compile(scenario: Scenario) -> None:
@@ -119,7 +114,7 @@ def _compile(scenario: Scenario) -> None:
 
 def _check_dead_node(mission: MissionSpec, fault: str | None) -> None:
     """Reject a policy for dead nodes without a fault that can kill one."""
-    can_kill = _has_level(fault, "instruction", "memory")
+    can_kill = levels_in(fault) & {"instruction", "memory"}
     if mission.dead_node != "fresh" and not can_kill:
         reason = "no node can die; allowed: together with --fault instruction:KERNEL or memory:KERNEL"
         raise BadInputError(f"--dead-node: {mission.dead_node}: {reason}")

@@ -21,6 +21,11 @@ _START = re.compile(r"(alarm|injection)(?:\+(\d+(?:\.\d*)?))?")
 _LATEST_S = 1e6
 
 
+def levels_in(text: str | None) -> set[str]:
+    """Names of the levels in the text of one fault or several."""
+    return {member.partition(":")[0] for member in (text or "").split(AND)}
+
+
 @dataclass(frozen=True, slots=True)
 class Start:
     """Start of a fault that waits for an event, as text e.g. `alarm` or `injection+0.5`.
@@ -70,8 +75,8 @@ class CombinedFault(Fault):
     def __post_init__(self) -> None:
         if not self.faults or len(self.faults) != len(self.starts):
             raise BadInputError(f"fault of level combined: {len(self.faults)} faults, {len(self.starts)} starts")
-        for fault, start in zip(self.faults, self.starts, strict=True):
-            if isinstance(fault, CombinedFault):
+        for fault, start in self.members:
+            if fault.level == self.level:
                 raise BadInputError("fault of level combined: level combined: allowed: faults of other levels")
             if start is not None and fault.level not in STARTED_BY_EVENTS:
                 allowed = ", ".join(STARTED_BY_EVENTS)
@@ -79,6 +84,11 @@ class CombinedFault(Fault):
         if self.starts[0] is not None:
             text = "no fault precedes it; allowed: an instant, or a fault before it"
             raise BadInputError(f"fault in {self.faults[0].site}: @{self.starts[0]}: {text}")
+
+    @property
+    def members(self) -> tuple[tuple[Fault, Start | None], ...]:
+        """The faults, each with what it waits for."""
+        return tuple(zip(self.faults, self.starts, strict=True))
 
     @property
     def site(self) -> str:
@@ -124,7 +134,7 @@ class CombinedFault(Fault):
     def to_json(self) -> dict[str, Any]:
         """Plain data: each fault in the form of its level, with a key `start` if it waits for an event."""
         faults = []
-        for fault, start in zip(self.faults, self.starts, strict=True):
+        for fault, start in self.members:
             data = fault.to_json()
             if start is not None:
                 data["start"] = str(start)

@@ -57,6 +57,8 @@ the target for longer (docs/fault-model.md).
 """
 LIFETIME: Mapping[str, float | int] = {"lasts_s": 0.0, "share": 1.0, "width": 1, "times": 1}
 """Defaults of the duration and width of a `StateFault`."""
+MOST_CALLS = 100
+"""Largest `InstructionFault.times`: each of the calls has a process."""
 MAX_WALK = 100_000
 """Largest number of instructions in a walk."""
 MAX_TIMEOUT_S = 3600.0
@@ -422,7 +424,7 @@ class MemoryFault(Fault):
 
 @dataclass(frozen=True, slots=True)
 class InstructionFault(Fault):
-    """The result of one dynamic instruction in one call of a compiled function, once.
+    """The result of one dynamic instruction in one call of a compiled function, once or in several calls.
 
     Attributes:
         function: Module and name of a custom function; "" = `kernel` and `entry` name it, wherever its source is.
@@ -442,6 +444,8 @@ class InstructionFault(Fault):
         stratum: Meaning of the bit: "sign", "exponent", "mantissa" or "other"; "" if not drawn.
         weight: Probability of its value class and line in a uniform draw / in this draw; 1 = equal.
         seed: Seed of the draw.
+        times: Number of calls, from `call` on, in which the value with this index is changed, also after restarts of
+            the node.
         role: Kind of the plug-in, as in `states.PLUG_INS`; "" = a kernel or detector of mavfi.
     """
 
@@ -462,7 +466,12 @@ class InstructionFault(Fault):
     stratum: str = ""
     weight: float = 1.0
     seed: int = 0
+    times: int = 1
     role: str = ""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.times <= MOST_CALLS:
+            raise BadInputError(f"fault in {self.site}: times: {self.times}: allowed: 1 to {MOST_CALLS}")
 
     @property
     def site(self) -> str:
@@ -508,6 +517,8 @@ class InstructionFault(Fault):
     def to_json(self) -> dict[str, Any]:
         """Plain data; the value as hexadecimal text, since it may exceed the range of JSON numbers."""
         data = {"level": self.level, **asdict(self), "bits": list(self.bits), "value": hex(self.value)}
+        if self.times == 1:
+            del data["times"]
         return _without_role(data)
 
     @classmethod

@@ -1,12 +1,12 @@
 """Several faults in one flight: each has the injector of its level; one that waits for an event gets it then."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
-from weakref import proxy
+from weakref import ref
 
 from mavfi.detectors.detector import Detector
-from mavfi.faults.combined import CombinedFault, Start
+from mavfi.faults.combined import Start
 from mavfi.faults.fault import NO_SITE, Fault, MemoryFault, StateFault, find_level
 from mavfi.faults.injector import Injector
 from mavfi.faults.levels.state_injector import CounterWatch, injector_of
@@ -43,15 +43,18 @@ class CombinedInjector(Injector):
 
     Args:
         loop: The flight.
-        fault: The faults; those in instructions are injected by forks of the flight (`flight.combined_forks`).
+        faults: The faults, each with what it waits for; without those in instructions, see `flight.combined_forks`.
         detector: The detector of the flight.
     """
 
-    def __init__(self, loop: Loop, fault: CombinedFault, detector: Detector | None = None) -> None:
-        self._loop = proxy(loop)  # the loop owns this object
+    def __init__(
+        self, loop: Loop, faults: Sequence[tuple[Fault, Start | None]], detector: Detector | None = None
+    ) -> None:
+        self._loop_of = ref(loop)  # the loop owns this object
         self._detector = detector
         self._counters = CounterWatch()  # what a fault in a state needs to know that is armed late
-        self._members = [_Member(*pair) for pair in zip(fault.faults, fault.starts, strict=True)]
+        self._injected_elsewhere_us: list[int] = []
+        self._members = [_Member(fault, start) for fault, start in faults]
         for member in self._members:
             if member.start is None:
                 member.injector = _injector_of_level(loop, member.fault, detector)
@@ -60,6 +63,13 @@ class CombinedInjector(Injector):
             else:
                 loop.watch_losses()
         loop.taps.injector = self
+
+    @property
+    def _loop(self) -> Loop:
+        """The flight."""
+        loop = self._loop_of()
+        assert loop is not None  # it calls this object
+        return loop
 
     # ---- the tap ----------------------------------------------------------------------------------------------------
     @property
@@ -82,6 +92,10 @@ class CombinedInjector(Injector):
         return seen
 
     # ---- events -----------------------------------------------------------------------------------------------------
+    def note_injection(self, time_us: int) -> None:
+        """Note that another injector has injected a fault of this mission at an instant (us)."""
+        self._injected_elsewhere_us.append(time_us)
+
     def _start_if_due(self, member: _Member, now: int) -> None:
         """Arm a fault if its event has happened; its instant is that of the event plus the delay."""
         start = member.start
@@ -90,7 +104,7 @@ class CombinedInjector(Injector):
         if event_us is None:
             return
         time_us = max(now, event_us + round(1e6 * start.delay_s))
-        loop: Any = self._loop
+        loop = self._loop
         fault: Any = replace(member.fault, time_us=time_us)  # type: ignore[call-arg] # levels that can wait have it
         if member.waiting is not None:
             member.waiting.begin(time_us)
@@ -103,16 +117,15 @@ class CombinedInjector(Injector):
 
     def _event_us(self, start: Start) -> int | None:
         """Instant of an event (us); None = it has not happened."""
-        injected = [injection.time_s for injection in self.injections if injection.activated]
-        if not injected:
+        injected_us = [_microseconds(injection.time_s) for injection in self.injections if injection.activated]
+        injected_us += self._injected_elsewhere_us
+        if not injected_us:
             return None
-        first_s = min(injected)
+        first_us = min(injected_us)
         if start.event == "injection":
-            return round(1e6 * first_s)
-        alarms: list[float] = [alarm.time_s for alarm in self._loop.record.alarms if alarm.time_s >= first_s]
-        if not alarms:
-            return None
-        return round(1e6 * min(alarms))
+            return first_us
+        alarms_us = [_microseconds(alarm.time_s) for alarm in self._loop.record.alarms]
+        return min((alarm_us for alarm_us in alarms_us if alarm_us >= first_us), default=None)
 
     # ---- results ----------------------------------------------------------------------------------------------------
     @property
@@ -145,6 +158,11 @@ class CombinedInjector(Injector):
         for member in reversed(self._members):
             if member.injector is not None:
                 member.injector.release()
+
+
+def _microseconds(time_s: float) -> int:
+    """An instant (s) of a record, in us."""
+    return round(1e6 * time_s)
 
 
 def _injector_of_level(loop: Loop, fault: Fault, detector: Detector | None) -> Injector:

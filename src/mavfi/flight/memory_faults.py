@@ -178,7 +178,7 @@ class MemoryInjector(Injector):
         """Change the word, if it exists, and guard the kernel or detector from now on."""
         fault = self._fault
         loop = self._loop
-        if not self._schedule.due(1e-6 * now, lambda _: float("nan")):
+        if not self._schedule.due(now / 1e6, lambda _: float("nan")):
             return
         holder = memory_of(loop, fault.kernel, self._detector, fault.role)
         if holder is None:

@@ -17,6 +17,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault, MessageFault, StateFault, find_level, level_names
 from mavfi.faults.levels.instruction import Resolving
 from mavfi.flight.checkpoints import can_save_detector
+from mavfi.flight.combined_forks import fly_serially, forks_serially
 from mavfi.flight.compose import new_loop, resolve, watch
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.fast_forward import (
@@ -140,6 +141,9 @@ class LocalFlights(ArmFlights):
         """
         setup = self._arms[arm]
         detector = self._detector(arm)
+        if fault is not None and forks_serially(fault):
+            self._require_forks()
+            return fly_serially(setup.scenario, fault, detector, setup.recovery)[0]
         if fault is None:
             # Faults in instructions follow, from take-off if the detector takes part.
             may_forward = not (self._expects_instruction_faults and takes_part(detector, setup.recovery))
@@ -213,7 +217,7 @@ class LocalFlights(ArmFlights):
         in_detectors: dict[str, list[_InstructionRun]] = {}
         others = []
         for number, (arm, fault) in enumerate(runs):
-            if not isinstance(fault, InstructionFault):
+            if not isinstance(fault, InstructionFault) or forks_serially(fault):
                 others.append(number)
             elif fault.in_detector:
                 in_detectors.setdefault(arm, []).append(_InstructionRun(number, fault))
@@ -261,8 +265,7 @@ class LocalFlights(ArmFlights):
         setup = self._arms[arm]
         detector = self._detector(arm)
         golden = self._golden.get(arm)
-        if not self._local_host.supports_fast_forward:
-            raise BadInputError("faults in instructions fork the flight; allowed: state, memory, sensor, in this world")
+        self._require_forks()
         in_pipeline = not any(fault.in_detector or fault.role for fault in faults)
         # from golden checkpoints, if these contain all that the faults can change
         if golden is not None and in_pipeline and not takes_part(detector, setup.recovery):
@@ -271,6 +274,11 @@ class LocalFlights(ArmFlights):
                     flown_arm = FlownArm(_name_of(arm, detector), detector, setup.recovery)
                     return fly_from_checkpoints(forward, faults, golden, flown_arm, self._watched_arms(arm, arms))
         return fly_instruction_faults(setup.scenario, faults, detector, golden, setup.recovery)
+
+    def _require_forks(self) -> None:
+        """Refuse faults in instructions where the vehicle cannot be forked."""
+        if not self._local_host.supports_fast_forward:
+            raise BadInputError("faults in instructions fork the flight; allowed: state, memory, sensor, in this world")
 
     def _watched_arms(self, plain: str, arms: Collection[str]) -> list[FlownArm]:
         """Arms that differ from one without a detector by a detector alone, and can be fast-forwarded.
@@ -321,6 +329,8 @@ def fly_recorded(
     Raises:
         BadInputError: The scenario cannot be flown, or the fault is of another level.
     """
+    if fault is not None and forks_serially(fault):
+        return fly_serially(scenario, fault, detector, recovery, records=True)
     if isinstance(fault, InstructionFault):
         return fly_with_publications(scenario, fault, detector, recovery)
     if fault is not None:

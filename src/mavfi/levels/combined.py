@@ -288,7 +288,7 @@ def fewer_faults(fault: CombinedFault, _: Injection | None) -> "Iterator[Fault]"
     """One of the faults alone, then all but one."""
     if len(fault.faults) == 1:
         return
-    for single, start in zip(fault.faults, fault.starts, strict=True):
+    for single, start in fault.members:
         if start is None:
             yield single
     if len(fault.faults) == 2:  # noqa: PLR2004 - all but one are one
@@ -319,7 +319,7 @@ class CombinedLevel(Level):
     def text_of(self, fault: CombinedFault) -> str | None:
         """See `Level.text_of`."""
         texts = []
-        for member, start in zip(fault.faults, fault.starts, strict=True):
+        for member, start in fault.members:
             text = text_of(member)
             if text is None:
                 return None
@@ -337,7 +337,7 @@ class CombinedLevel(Level):
         """See `Level.inject`."""
         from mavfi.flight.combined_faults import CombinedInjector
 
-        return CombinedInjector(loop, fault, detector)
+        return CombinedInjector(loop, fault.members, detector)
 
     def columns(self, fault: CombinedFault) -> dict[str, Any]:
         """See `Level.columns`: those of the first fault."""

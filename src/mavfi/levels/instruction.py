@@ -26,7 +26,7 @@ from pydantic import Field, ValidationInfo, model_validator
 from mavfi.config import STORED
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import MODELS, NO_SITE, RESTART_S, Fault, InstructionFault, Model
+from mavfi.faults.fault import MODELS, MOST_CALLS, NO_SITE, RESTART_S, Fault, InstructionFault, Model
 from mavfi.faults.levels.instruction import InjectionSite, Profiling, Resolving, budget_for, choose
 from mavfi.faults.levels.instruction.plan import plan
 from mavfi.faults.levels.instruction.table import parse_selection
@@ -34,7 +34,7 @@ from mavfi.faults.sampling import stream
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.targets import Target, Targets, custom_detectors, planner_name, plug_ins, without_module
 from mavfi.ir.module import DIGEST_VERSION
-from mavfi.levels.level import DECIMAL, Draw, Golden, Level, Sampled, Sampler, Sampling, check_distinct
+from mavfi.levels.level import DECIMAL, WHOLE, Draw, Golden, Level, Sampled, Sampler, Sampling, check_distinct
 from mavfi.mission import Scenario
 from mavfi.record import Injection
 from mavfi.rewriting import rewriting_of
@@ -52,6 +52,7 @@ _ONE_INSTRUCTION = re.compile(
     :(bit=(?P<bits>\d+(\+\d+)*)|value=0x(?P<value>[\da-f]+))
     (:model=(?P<model>\w+))?
     (:restart=(?P<restart>{DECIMAL}))?
+    (:times=(?P<times>\d+))?
     :budget=(?P<budget>\d+)
     :ir=(?P<ir>[\da-f]{{64}})""",
     re.VERBOSE,
@@ -80,6 +81,7 @@ class InstructionRequest:
         model: How the value is changed.
         restart_s: Time after which a crashed node has restarted (s).
         when: Calls from which they are drawn.
+        times: Number of calls that are changed.
     """
 
     kernels: Mapping[str, int]
@@ -87,6 +89,7 @@ class InstructionRequest:
     model: Model = "one_bit"
     restart_s: float = RESTART_S
     when: When = "uniform"
+    times: int = 1
 
     def draw(self, setup: "ArmSetup", seed: int) -> "tuple[InstructionFault, Flight | None]":
         """See `Request.draw`, for a request of one fault."""
@@ -286,6 +289,7 @@ class _KernelDraw:
                 restart_s=request.restart_s,
                 seed=self._seed,
                 role=self._target.role,
+                times=request.times,
             )
         )
 
@@ -324,6 +328,7 @@ class InstructionSampling(Sampling):
         description="what becomes of the value; low_byte and high_bits are those of the authors' injector of registers",
     )
     restart_s: float = Field(0.57, ge=0, le=60, description="time until a dead node is back (s)")
+    times: int = Field(1, ge=1, le=MOST_CALLS, description="changed calls, from the drawn one on")
     when: When = Field(
         "uniform",
         description="calls that are drawn from: all; or, as by the authors' injector of registers, those from the "
@@ -353,6 +358,8 @@ class InstructionSampling(Sampling):
         data = super().to_json()
         if self.when == "uniform":
             del data["when"]
+        if self.times == 1:
+            del data["times"]
         return data
 
     def identity(self) -> dict[str, Any]:
@@ -423,7 +430,9 @@ class InstructionSampler(Sampler):
         if isinstance(flights, LocalFlights):
             local_flights = flights
         numbers = {name: targets.count(name) for name in kernels}
-        request = InstructionRequest(numbers, sampling.which, sampling.model, sampling.restart_s, sampling.when)
+        request = InstructionRequest(
+            numbers, sampling.which, sampling.model, sampling.restart_s, sampling.when, sampling.times
+        )
         drawn = draw_instruction_faults(
             scenario,
             request,
@@ -559,8 +568,8 @@ class InstructionLevel(Level):
     sampling = InstructionSampling
     sampler = InstructionSampler
     local = True
-    form = "instruction:TARGET[:which=CLASS][:model=MODEL], or one instruction as printed by mavfi shrink"
-    options = {"which": (".+", "a class of instructions", str), "model": (r"\w+", "a model", str)}
+    form = "instruction:TARGET[:which=CLASS][:model=MODEL][:times=N], or one instruction as printed by mavfi shrink"
+    options = {"which": (".+", "a class of instructions", str), "model": (r"\w+", "a model", str), "times": WHOLE}
     reductions = {"width": single_bit_faults, "bit": lower_bits}
     absent = ("executed", "the instruction was not executed")
 
@@ -578,7 +587,9 @@ class InstructionLevel(Level):
             self.not_understood()
         which = parts.options.get("which", "all")
         parse_selection(which)
-        return InstructionRequest({kernel: 1}, which, _model(parts.options.get("model")))
+        times = parts.options.get("times", 1)
+        InstructionFault("", "", 0, kernel=kernel, times=times)  # checks the number
+        return InstructionRequest({kernel: 1}, which, _model(parts.options.get("model")), times=times)
 
     def text_of(self, fault: InstructionFault) -> str | None:
         """See `Level.text_of`."""
@@ -593,8 +604,11 @@ class InstructionLevel(Level):
         restart = ""
         if fault.restart_s != RESTART_S:
             restart = f":restart={fault.restart_s}"
+        times = ""
+        if fault.times != 1:
+            times = f":times={fault.times}"
         return (
-            f"instruction:{fault.kernel}.{fault.entry}:call={fault.call}:index={fault.index}:{value}{model}{restart}"
+            f"instruction:{fault.kernel}.{fault.entry}:call={fault.call}:index={fault.index}:{value}{model}{restart}{times}"
             f":budget={fault.budget}:ir={fault.ir_sha256}"
         )
 
@@ -634,6 +648,7 @@ def _fault_in(match: re.Match[str]) -> InstructionFault:
         kernel=match["kernel"],
         entry=match["entry"],
         restart_s=float(match["restart"] or RESTART_S),
+        times=int(match["times"] or 1),
     )
 
 
