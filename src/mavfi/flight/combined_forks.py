@@ -127,9 +127,7 @@ class SerialForks(Forks):
             of_instructions.append(replace(injection, details=details))
         return [*log.injections, *of_instructions]
 
-    def intercept(
-        self, name: str, call: int, function: Callable[..., Any], args: tuple[Any, ...]
-    ) -> CallResult | None:
+    def intercept(self, name: str, call: int, function: Callable[..., Any], args: tuple[Any, ...]) -> CallResult | None:
         """Fork at a call with a fault; the child continues with its result, the parent only if the child dies."""
         for progress in self._progress:
             is_due = progress.remaining > 0 and call >= progress.next_call

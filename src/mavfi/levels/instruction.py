@@ -32,7 +32,8 @@ from mavfi.faults.levels.instruction.plan import plan
 from mavfi.faults.levels.instruction.table import parse_selection
 from mavfi.faults.sampling import stream
 from mavfi.flight.decide import INLINE, RecoveryPolicy
-from mavfi.flight.targets import Target, Targets, custom_detectors, planner_name, plug_ins, without_module
+from mavfi.flight.plug_ins import custom_detectors, planner_name, plug_ins, without_module
+from mavfi.flight.targets import Target, Targets
 from mavfi.ir.module import DIGEST_VERSION
 from mavfi.levels.level import DECIMAL, WHOLE, Draw, Golden, Level, Sampled, Sampler, Sampling, check_distinct
 from mavfi.mission import Scenario
@@ -568,7 +569,7 @@ class InstructionLevel(Level):
     sampling = InstructionSampling
     sampler = InstructionSampler
     local = True
-    form = "instruction:TARGET[:which=CLASS][:model=MODEL][:times=N], or one instruction as printed by mavfi shrink"
+    form = "instruction:KERNEL[:which=CLASS][:model=MODEL][:times=N], or one instruction as printed by mavfi shrink"
     options = {"which": (".+", "a class of instructions", str), "model": (r"\w+", "a model", str), "times": WHOLE}
     reductions = {"width": single_bit_faults, "bit": lower_bits}
     absent = ("executed", "the instruction was not executed")
