@@ -13,7 +13,7 @@ from mavfi.campaign.config import ArmConfig, Campaign, label_of
 from mavfi.campaign.ledger import status, stored_campaign
 from mavfi.campaign.plan import FI
 from mavfi.campaign.store import Run, Store
-from mavfi.flight.plug_ins import arms_with_plug_ins, custom_detectors
+from mavfi.faults.plug_ins import arms_with_plug_ins, custom_detectors
 from mavfi.mission import MissionSpec
 from mavfi.plugins import extensions
 from mavfi.record import FlightRecord

@@ -23,9 +23,9 @@ from mavfi.campaign.mission import (
 from mavfi.campaign.plan import Arm, CompletedRun, Planned, arms_of
 from mavfi.detectors.registry import is_named
 from mavfi.errors import BadInputError
+from mavfi.faults.plug_ins import custom_detectors
 from mavfi.flight.compiling import STAGES, compile_stage
 from mavfi.flight.compose import detector_for
-from mavfi.flight.plug_ins import custom_detectors
 from mavfi.mission import Scenario
 from mavfi.numerics.dependencies import packages_digest
 from mavfi.numerics.jit import code_folder

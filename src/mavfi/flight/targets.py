@@ -14,7 +14,7 @@ from mavfi.detectors.detector import Detector, custom_parts, part_of
 from mavfi.detectors.registry import check_kernel
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import InstructionFault, counter_name
-from mavfi.flight.plug_ins import PlugIn, plug_ins
+from mavfi.faults.plug_ins import PlugIn, plug_ins
 from mavfi.numerics.jit import is_compiled
 from mavfi.pipeline.functions import ENTRIES, PLAIN, Compiled, FlightFunctions, KernelFunctions
 from mavfi.states import DETECTORS, KERNELS, PLANNERS, PLUG_INS
@@ -204,6 +204,11 @@ class Targets:
                 if other != name:
                     refusal = f"{name}: compiled: {entry!r}: is named by {other}, too; allowed: a function of its own"
                     self._targets[name] = replace(target, functions={}, refusal=refusal)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the kernels and plug-ins that faults can be in; detectors are not among them."""
+        return tuple(name for name, target in self._targets.items() if not target.refusal and not target.in_detector)
 
     def find(self, name: str) -> Target:
         """The target that a request means.

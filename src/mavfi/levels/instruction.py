@@ -30,9 +30,9 @@ from mavfi.faults.fault import MODELS, MOST_CALLS, NO_SITE, RESTART_S, Fault, In
 from mavfi.faults.levels.instruction import InjectionSite, Profiling, Resolving, budget_for, choose
 from mavfi.faults.levels.instruction.plan import plan
 from mavfi.faults.levels.instruction.table import parse_selection
+from mavfi.faults.plug_ins import custom_detectors, planner_name, plug_ins, without_module
 from mavfi.faults.sampling import stream
 from mavfi.flight.decide import INLINE, RecoveryPolicy
-from mavfi.flight.plug_ins import custom_detectors, planner_name, plug_ins, without_module
 from mavfi.flight.targets import Target, Targets
 from mavfi.ir.module import DIGEST_VERSION
 from mavfi.levels.level import DECIMAL, WHOLE, Draw, Golden, Level, Sampled, Sampler, Sampling, check_distinct
