@@ -243,22 +243,24 @@ class _Waits:
 
     def _may_pass(self, waiter, now_us):
         """Whether all threads wait, and none of them for something that is there or an instant that has come."""
-        if waiter.number != self.calls.number:
-            return False
+        # no thread does something; the ones that are read here do not begin to, unless what they wait for is there
         now = _real_time()
+        waiters = [waiter]
         for thread in threading.enumerate():
-            if thread is threading.current_thread():
-                continue
             other = self._waiters.get(thread.ident)
             if other is not None:
-                is_due = other.deadline_us is not None and other.deadline_us <= now_us
-                if is_due or other.number != self.calls.number or other.is_ready():
-                    return False
-            else:
-                if not hasattr(thread, "_mavfi_active_s"):
-                    thread._mavfi_active_s = now
-                if now - thread._mavfi_active_s < _STUCK_S:
-                    return False
+                waiters.append(other)
+                continue
+            if not hasattr(thread, "_mavfi_active_s"):
+                thread._mavfi_active_s = now
+            if now - thread._mavfi_active_s < _STUCK_S:
+                return False
+
+        # checked afterwards: a thread may have made something ready, and ended, just before
+        for other in waiters:
+            is_due = other.deadline_us is not None and other.deadline_us <= now_us
+            if is_due or other.number != self.calls.number or other.is_ready():
+                return False
         return True
 
     def _pass(self, waiter, now_us, what):
