@@ -349,6 +349,7 @@ class Boundary:
         watch: A detector; None = none.
         recording: Keeps the numbers that pass, e.g. to train a detector; None = none.
         failure: The failure of a sensor or motor of the vehicle; None = none.
+        vehicle: The vehicle whose calls are changed and watched; "" = the first one.
         injection: The injection into a call that happened; None = none so far.
         passed: Every call so far, if `keeps`.
     """
@@ -358,6 +359,7 @@ class Boundary:
     watch: "BoundaryWatch | None" = None
     recording: "ApiRecording | None" = None
     failure: Failure | None = None
+    vehicle: str = ""
     injection: Injection | None = None
     passed: list[PassedCall] = field(default_factory=list)
     _count: int = 0

@@ -37,7 +37,13 @@ Fault = Annotated[
 ]
 FaultSeed = Annotated[int | None, typer.Option(help="Draws the bit that the fault does not name; 0 by default.")]
 Image = Annotated[str, typer.Option(metavar="WxH", help="Size of images.")]
-VehicleName = Annotated[str, typer.Option(help="Name of the vehicle; calls with another one are refused.")]
+VehicleName = Annotated[str, typer.Option(help="Name of the vehicle, unless --settings names vehicles.")]
+Settings = Annotated[
+    str, typer.Option(metavar="FILE.json", help="AirSim's settings.json: vehicles, cameras, wind; none by default.")
+]
+FaultVehicle = Annotated[
+    str, typer.Option(metavar="NAME", help="Vehicle whose calls are changed and watched; the first one by default.")
+]
 Detector = Annotated[str, typer.Option(help="Watches the numbers in calls and their answers: gaussian or autoencoder.")]
 Profile = Annotated[str, typer.Option(help="Profile of the detector: paper or tuned.")]
 Save = Annotated[
@@ -109,6 +115,7 @@ def serve(  # noqa: PLR0913 - one parameter per option
         str, typer.Option(metavar="WxH", help=f"Size of images; {IMAGE} by default, with --in-flight that of missions.")
     ] = "",
     vehicle_name: VehicleName = VEHICLE,
+    settings: Settings = "",
     in_flight: Annotated[
         bool,
         typer.Option(
@@ -123,6 +130,7 @@ def serve(  # noqa: PLR0913 - one parameter per option
     once: Annotated[bool, typer.Option("--once", help="End when the last client leaves.")] = False,
     fault: Fault = None,
     fault_seed: FaultSeed = None,
+    fault_vehicle: FaultVehicle = "",
     save: Save = None,
 ) -> None:
     """Serve AirSim's API on loopback, until Ctrl-C; then print time, collision, digest, fault, refused calls.
@@ -143,17 +151,32 @@ def serve(  # noqa: PLR0913 - one parameter per option
 
     msgpack()
     planned = _fault_of(fault, fault_seed)
+    if settings and in_flight:
+        raise BadInputError("--settings: allowed: without --in-flight, which is the mission's own vehicle")
+    _note_unused(settings, image or IMAGE)
     with compiling():
         from mavfi.extras.airsim.host import make_api
         from mavfi.extras.airsim.server import AirsimServer, RealClock, StepClock
 
-        api = make_api(mission, image, vehicle_name, version, on_ground=not in_flight)
+        api = make_api(mission, image, vehicle_name, version, on_ground=not in_flight, settings=settings)
     with _recording(save) as recording:
         boundary = Boundary.of(planned, recording=recording)
+        boundary.vehicle = fault_vehicle
         time: StepClock | RealClock = RealClock(speed)
         if steps:
             time = StepClock()
         _serve(AirsimServer(api, time, boundary, single=single), port, once)
+
+
+def _note_unused(settings: str, image: str) -> None:
+    """Say on stderr which keys of the settings have no effect here."""
+    if not settings:
+        return
+    from mavfi.extras.airsim.settings import FIELD_OF_VIEW, CaptureSize, read_settings
+
+    unused = read_settings(Path(settings), CaptureSize(*pixels(image), FIELD_OF_VIEW)).unused
+    if unused:
+        typer.echo(f"mavfi: {settings}: without effect here: {', '.join(unused)}", err=True)
 
 
 def _check_detector(detector: str, profile: str) -> None:
@@ -185,18 +208,18 @@ def _serve(server: AirsimServer, port: int, once: bool) -> None:
 
     out = console()
     spec = server.api.vehicle.spec
-    name = server.api.name
+    names = ", ".join(server.api.scene.vehicles)
     ports = list[int]()
 
     def ready(at: int) -> None:
         ports.append(at)
-        out.print(f"AirSim API on 127.0.0.1:{at}: {name} in {spec.environment}, seed {spec.seed}", markup=False)
+        out.print(f"AirSim API on 127.0.0.1:{at}: {names} in {spec.environment}, seed {spec.seed}", markup=False)
 
     with stoppable("Stopped."):
         try:
             asyncio.run(server.run(port, ready, once=once))
         finally:
-            server.api.vehicle.sim.close()
+            server.api.scene.close()
             if ports:
                 _summarize(server)
 
@@ -204,11 +227,11 @@ def _serve(server: AirsimServer, port: int, once: bool) -> None:
 def _summarize(server: AirsimServer) -> None:
     """Print what the clients did: time, collision, digest, fault, refused calls."""
     out = console()
-    vehicle = server.api.vehicle
+    scene = server.api.scene
     collision = "no collision"
-    if vehicle.has_ever_collided:
+    if scene.has_ever_collided:
         collision = "collision"
-    out.print(f"{1e-6 * vehicle.now_us:.3f} s simulated, {collision}, digest {vehicle.digest()[:16]}", markup=False)
+    out.print(f"{1e-6 * scene.now_us:.3f} s simulated, {collision}, digest {scene.digest()[:16]}", markup=False)
     if server.boundary.faulty:
         out.print(_line(server.boundary), markup=False)
     for text, count in server.errors.items():
@@ -239,8 +262,10 @@ def run(  # noqa: PLR0913 - one parameter per option
     seconds: Seconds = 120.0,
     image: Image = IMAGE,
     vehicle_name: VehicleName = VEHICLE,
+    settings: Settings = "",
     fault: Fault = None,
     fault_seed: FaultSeed = None,
+    fault_vehicle: FaultVehicle = "",
     detector: Detector = "none",
     profile: Profile = "paper",
     as_json: options.AsJson = False,
@@ -264,8 +289,11 @@ def run(  # noqa: PLR0913 - one parameter per option
         seconds=seconds,
         image=image,
         vehicle=vehicle_name,
+        settings=settings,
+        fault_vehicle=fault_vehicle,
     )
     program.check()
+    _note_unused(settings, image)
     from mavfi.cli.progress import compiling
     from mavfi.extras.airsim.server import msgpack
 
@@ -378,9 +406,9 @@ def _print_run(out: Console, label: str, run: ProgramResult) -> None:
         reason = f" ({run.reason})"
     calls = sum(run.calls.values())
     text = f"{run.how}{collision}{reason}, {run.seconds:.3f} s simulated, {calls} calls, digest {run.digest[:16]}"
-    out.print(f"{label}: {text}", markup=False)
+    out.print(f"{label}: {text}", markup=False, soft_wrap=True)
     for error, count in run.errors.items():
-        out.print(f"  refused {count} x: {error}", markup=False)
+        out.print(f"  refused {count} x: {error}", markup=False, soft_wrap=True)
 
 
 def _print_alarms(out: Console, boundary: Boundary) -> None:

@@ -25,11 +25,12 @@ from mavfi.extras.airsim.config import IMAGE, VEHICLE, ProgramConfig, pixels
 from mavfi.extras.airsim.level import CallLevel
 from mavfi.extras.airsim.runner import EXIT_CRASH, EXIT_TIME_IS_UP
 from mavfi.extras.airsim.server import HOST, AirsimServer, StepClock, msgpack
-from mavfi.extras.airsim.table import Api
+from mavfi.extras.airsim.settings import FIELD_OF_VIEW, AirsimSettings, CaptureSize, VehicleSettings, read_settings
+from mavfi.extras.airsim.table import Api, ApiScene
 from mavfi.faults.fault import Fault, MessageFault
 from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.flight.compose import resolve
 from mavfi.flight.host import ArmSetup, Host, Recorded, RunResult, one_by_one
-from mavfi.flight.piloted import PilotedVehicle
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.outcomes import Effect
 from mavfi.plugins import require_allowed
@@ -46,9 +47,15 @@ _CHUNK = 4096
 
 
 def make_api(
-    spec: MissionSpec, image: str = "", name: str = VEHICLE, version: int = 1, *, on_ground: bool = True
+    spec: MissionSpec,
+    image: str = "",
+    name: str = VEHICLE,
+    version: int = 1,
+    *,
+    on_ground: bool = True,
+    settings: str = "",
 ) -> Api:
-    """The vehicle of a mission behind the API.
+    """The vehicles of a mission behind the API; the first of them.
 
     Args:
         spec: The mission.
@@ -56,19 +63,34 @@ def make_api(
         name: Of the vehicle.
         version: Of the API.
         on_ground: See `PilotedVehicle`.
+        settings: Path of AirSim's settings.json; "" = none.
 
     Raises:
-        BadInputError: The mission cannot be flown.
+        BadInputError: The mission cannot be flown, or the settings ask for what does not exist here.
     """
     if on_ground and spec.v_max is None:
         spec = spec.model_copy(update={"v_max": V_MAX})
-    vehicle = PilotedVehicle(spec, on_ground=on_ground)
-    camera = vehicle.scenario.camera
     if not image:
-        image = f"{camera.width}x{camera.height}"
-        if on_ground:
-            image = IMAGE
-    return Api(vehicle, name, pixels(image), version, paused=not on_ground)
+        image = IMAGE
+        if not on_ground:
+            camera = resolve(spec).camera
+            image = f"{camera.width}x{camera.height}"
+    capture = CaptureSize(*pixels(image), FIELD_OF_VIEW)
+    airsim_settings = AirsimSettings()
+    if settings:
+        airsim_settings = read_settings(Path(settings), capture)
+
+    # the vehicles of the settings, or one
+    scene = ApiScene(capture, version, airsim_settings, paused=not on_ground, wind=airsim_settings.wind)
+    for vehicle in airsim_settings.vehicles or (VehicleSettings(name),):
+        try:
+            scene.add(spec, vehicle, on_ground=on_ground)
+        except BadInputError as error:
+            if not settings:
+                raise
+            raise BadInputError(f"--settings: {settings}: Vehicles.{vehicle.name}: {error}") from None
+    scene.name_objects()
+    return scene.first
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +100,8 @@ class ProgramResult:
     Attributes:
         how: "ended", "time is up", "program crash" or "hang".
         code: Its exit code; None = it hangs.
-        reason: Its exception, or the last line that it wrote to stderr, or the exit code, or what it waited for when its
-            time was up; "" if it ended.
+        reason: Its exception, the last line that it wrote to stderr, its exit code, or what it waited for when its time
+            was up; "" if it ended.
         collided: Whether its vehicle touched an obstacle.
         digest: Of the vehicle's states and of how the program ended.
         seconds: Simulated time (s).
@@ -206,7 +228,8 @@ class _Run:
         self._boundary = boundary
         self._input = standard_input
         version = program.version or client_version(program.python, program.script)
-        self._api = make_api(spec, program.image, program.vehicle, version)
+        boundary.vehicle = program.fault_vehicle
+        self._api = make_api(spec, program.image, program.vehicle, version, settings=program.settings)
         clock = StepClock(program.call_us, round(1e6 * program.seconds / STEP_US) * STEP_US)
         self._server = AirsimServer(self._api, clock, boundary)
         self._process: subprocess.Popen[bytes] | None = None
@@ -246,7 +269,7 @@ class _Run:
                 if self._process is not None and self._process.poll() is None:
                     self._process.kill()
                     self._process.wait(_PATIENCE_S)
-                self._api.vehicle.sim.close()
+                self._api.scene.close()
             return self._result(code, output.read_text(errors="replace"), errors.read_text(errors="replace"))
 
     async def _wait(self, serving: "asyncio.Task[None]") -> int | None:
@@ -269,7 +292,7 @@ class _Run:
 
     def _result(self, code: int | None, output: str, errors: str) -> ProgramResult:
         """How the program ended, by its exit code; None = it hangs."""
-        vehicle = self._api.vehicle
+        scene = self._api.scene
         reason = _exception_line(errors)
         # a program that crashes before its first call does not work at all: no fault has done that
         if not self._server.calls and code == EXIT_CRASH:
@@ -288,13 +311,13 @@ class _Run:
         else:
             how = "program crash"
             reason = reason or f"exit code {code}"
-        digest = hashlib.sha256(f"{vehicle.digest()} {how} {code}".encode()).hexdigest()
+        digest = hashlib.sha256(f"{scene.digest()} {how} {code}".encode()).hexdigest()
         return ProgramResult(
             how,
             reason,
-            vehicle.has_ever_collided,
+            scene.has_ever_collided,
             digest,
-            1e-6 * vehicle.now_us,
+            1e-6 * scene.now_us,
             dict(self._server.calls),
             dict(self._server.errors),
             output,
