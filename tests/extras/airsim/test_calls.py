@@ -31,8 +31,10 @@ SPEC = MissionSpec(environment="sparse", seed=7)
 class Client:
     """Calls a server as its own protocol does; `wait` lets its task end first."""
 
-    def __init__(self, *, clock=None, fault=None, **options):
-        self.server = AirsimServer(make_api(SPEC, **options), clock or StepClock(limit_us=10**9), Boundary(fault))
+    def __init__(self, *, clock=None, fault=None, boundary=None, fault_vehicle="", **options):
+        boundary = boundary or Boundary(fault)
+        boundary.vehicle = fault_vehicle
+        self.server = AirsimServer(make_api(SPEC, **options), clock or StepClock(limit_us=10**9), boundary)
         self.vehicle = self.server.api.vehicle
         self.answers = {}
 
@@ -44,8 +46,8 @@ class Client:
 
     def __call__(self, name, *given):
         number = self.post(name, *given)
-        if self.answers[number] is None:
-            self.post("mavfiPass", None, True, "")
+        while self.answers[number] is None:  # until its task ends, not that of another vehicle
+            self("mavfiPass", None, True, "")
         error, result = self.answers[number]
         if error is not None:
             raise RuntimeError(error)

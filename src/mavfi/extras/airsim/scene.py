@@ -24,7 +24,7 @@ from mavfi.extras.airsim.frames import (
     to_vector3r,
 )
 from mavfi.extras.airsim.settings import VehicleSettings
-from mavfi.extras.airsim.table import DESTROYED, GROUND, Api, add_readings, call, vehicle_call
+from mavfi.extras.airsim.table import CALLS, DESTROYED, GROUND, Api, add_readings, call, vehicle_call
 from mavfi.flight.piloted import TICK_US
 from mavfi.mission import Scenario
 from mavfi.numerics.frames import Triple, flipped
@@ -34,19 +34,27 @@ from mavfi.sim.scene import STEP_US
 
 _DRAWN = {FOG: "Fog", DUST: "Dust", 8: "Enabled"}
 _KNOWN_WEATHER = {0: "Rain", 1: "Roadwetness", 2: "Snow", 3: "RoadSnow", 4: "MapleLeaf", 5: "RoadLeaf", **_DRAWN}
-_NOTHING = (
-    "simFlushPersistentMarkers",
-    "simPlotPoints",
-    "simPlotLineStrip",
-    "simPlotLineList",
-    "simPlotArrows",
-    "simPlotStrings",
-    "simPlotTransforms",
-    "simPlotTransformsWithNames",
-    "simSetTraceLine",
-    "simSetTimeOfDay",
-)
-"""Calls that draw into AirSim's window, which does not exist here, or move its sun, which lights no picture here."""
+_NO_WINDOW = "there is no window to draw into"
+WITHOUT_EFFECT = {
+    **dict.fromkeys(
+        (
+            "simFlushPersistentMarkers",
+            "simPlotPoints",
+            "simPlotLineStrip",
+            "simPlotLineList",
+            "simPlotArrows",
+            "simPlotStrings",
+            "simPlotTransforms",
+            "simPlotTransformsWithNames",
+            "simSetTraceLine",
+            "simPrintLogMessage",
+        ),
+        _NO_WINDOW,
+    ),
+    "simSetTimeOfDay": "no sun lights the pictures",
+    **dict.fromkeys(("simEnableManualFocus", "simEnableFocusPlane"), "all distances are in focus"),
+}
+"""Calls that are accepted and do nothing, with the reason: programs that make them fly as they would without."""
 
 
 add_readings(
@@ -342,8 +350,9 @@ def _nothing(api: Api, *arguments: Any) -> None:
     """Draw nothing."""
 
 
-for _name in _NOTHING:
-    call(_nothing, _name)
+for _name in WITHOUT_EFFECT:
+    if _name not in CALLS:
+        call(_nothing, _name)
 
 
 # ---- calls that are refused ------------------------------------------------------------------------------------------

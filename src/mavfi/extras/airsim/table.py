@@ -333,18 +333,25 @@ class ApiCall:
         Raises:
             BadInputError: There is none of this name.
         """
-        if not self.names_vehicle:
+        index = self._vehicle_index
+        if index is None or index >= len(values):
             return scene.first
-        index = self.arguments.index("vehicle_name")
         try:
-            return scene.find("".join(values[index : index + 1]))
-        except (BadInputError, TypeError) as error:
+            return scene.find(values[index])
+        except BadInputError as error:
             raise BadInputError(f"{self.name}: {error}") from None
+
+    @cached_property
+    def _vehicle_index(self) -> int | None:
+        """Place of the vehicle's name among the arguments; None = it is about no vehicle, or about a new one."""
+        if "vehicle_name" not in self.arguments or self.name == "simAddVehicle":
+            return None
+        return self.arguments.index("vehicle_name")
 
     @property
     def names_vehicle(self) -> bool:
         """Whether it is about one vehicle."""
-        return "vehicle_name" in self.arguments and self.name != "simAddVehicle"
+        return self._vehicle_index is not None
 
     def check(self, values: list[Any]) -> None:
         """Check the number and the types of arguments.
