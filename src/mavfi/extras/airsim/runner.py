@@ -27,7 +27,7 @@ _START = 1600000000.0  # the simulation's first instant, as a Unix time
 _STEP_US = 4_000  # sleeps are rounded to the physics' period
 _STUCK_S = 0.5  # wall-clock time after which a thread that makes no call is no longer waited for
 _POLL_S = 0.001  # wall-clock time between looks at what another thread does
-_FREE_READINGS = 100  # readings of an event loop's clock at one instant; more of them take time, so that polling ends
+_FREE_READINGS = 100  # of an event loop's clock between two calls; more of them take time, so that polling ends
 
 _SESSIONS = []  # the program's connections, the first one first
 _TALK = threading.RLock()  # msgpackrpc is not made for threads: one thread talks at a time
@@ -323,7 +323,7 @@ def _patch_loops(clock):
     base = asyncio.base_events.BaseEventLoop
     real_run_forever = base.run_forever
     real_time = base.time
-    readings = [0.0, 0]  # the instant of the last reading, and the number of readings at it
+    readings = [0, 0]  # the number of calls at the last reading, and that of readings since the last call
 
     def is_of_client(loop):
         return getattr(loop, "_mavfi_is_of_client", False)
@@ -331,13 +331,13 @@ def _patch_loops(clock):
     def loop_time(self):
         if is_of_client(self) or not _SESSIONS:
             return real_time(self)
-        now = clock()
-        if now != readings[0]:
-            readings[:] = [now, 0]
+        number = _WAITS.calls.number
+        if number != readings[0]:
+            readings[:] = [number, 0]
         readings[1] += 1
         if readings[1] > _FREE_READINGS:
             _WAITS.calls.ask("mavfiNow")
-        return now
+        return clock()
 
     def run_forever(self):
         selector = self._selector

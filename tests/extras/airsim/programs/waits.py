@@ -63,7 +63,7 @@ async def call_later():
 async def wait_for():
     try:
         await asyncio.wait_for(asyncio.Event().wait(), 1.0)
-    except asyncio.TimeoutError:
+    except TimeoutError:
         return "timeout"
 
 
