@@ -102,6 +102,11 @@ class CombinedFault(Fault):
         return next((target for target in targets if target in WATCHING), "")
 
     @property
+    def in_detector(self) -> bool:
+        """See `Fault.in_detector`."""
+        return any(fault.in_detector for fault in self.faults)
+
+    @property
     def bit(self) -> None:
         """None: there is no single one."""
         return None

@@ -24,7 +24,7 @@ from mavfi.faults.operations import (
     parse_text,
 )
 from mavfi.plugins import known, load_object
-from mavfi.states import KERNELS, STATES, WATCHING, StateSpec, find_state
+from mavfi.states import DETECTORS, KERNELS, PLUG_INS, STATES, WATCHING, StateSpec, find_state
 
 GROUP = "mavfi.levels"
 """Entry-point group of fault levels: subclasses of `mavfi.levels.level.Level`."""
@@ -106,6 +106,11 @@ class Fault:
     def has_site(self) -> bool:
         """Whether there is a value to change, as far as known before the run."""
         return getattr(self, "time_us", 0) != NO_SITE
+
+    @property
+    def in_detector(self) -> bool:
+        """Whether it is in a detector itself, and so in flights with that detector only."""
+        return False
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -311,7 +316,7 @@ class MemoryFault(Fault):
     """One bit of a word in a kernel's memory, at an instant or for some time; or another change of the word.
 
     Attributes:
-        kernel: As in `states.KERNELS`, or in `states.WATCHING`: a detector.
+        kernel: As in `states.KERNELS`, or in `states.WATCHING`: a detector; or the name of a plug-in.
         field: Name of the word, e.g. "decisions.acted_seq" (see `pipeline.words`).
         index: Index of the word if several share the name.
         dtype: Type of the word: "f8", "f4", "i8", "i4", "i2", "u8", "u1" or "?".
@@ -325,6 +330,7 @@ class MemoryFault(Fault):
             its node: the bit is stuck at its flipped value (s); "inf" = for ever.
         change: What is done to the word instead, and in which control periods from `time_us` on; stored as text, e.g.
             "set=nan:times=3@0"; None = the bit is flipped.
+        role: Kind of the plug-in, as in `states.PLUG_INS`; "" = a kernel or detector of mavfi.
 
     Raises:
         BadInputError: Unknown kernel, type or bit, or a change that the word does not allow.
@@ -342,9 +348,13 @@ class MemoryFault(Fault):
     seed: int = 0
     lasts_s: float = 0.0
     change: PlannedChange | None = None
+    role: str = ""
 
     def __post_init__(self) -> None:
-        for value, allowed in ((self.kernel, (*KERNELS, *WATCHING)), (self.dtype, strata.WORD_BITS)):
+        owner, owners = self.kernel, (*KERNELS, *WATCHING)
+        if self.role:
+            owner, owners = self.role, tuple(PLUG_INS)
+        for value, allowed in ((owner, owners), (self.dtype, strata.WORD_BITS)):
             if value not in allowed:
                 raise BadInputError(f"fault in {self.site}: {value!r}: allowed: {', '.join(allowed)}")
         bits = strata.WORD_BITS[self.dtype]
@@ -390,9 +400,14 @@ class MemoryFault(Fault):
             return ""
         return strata.bit_class(self, self.bit)
 
+    @property
+    def in_detector(self) -> bool:
+        """See `Fault.in_detector`."""
+        return _is_in_detector(self.kernel, self.role)
+
     def to_json(self) -> dict[str, Any]:
-        """Plain data; without a duration and a change, if there are none."""
-        data = {**Fault.to_json(self), "change": str(self.change)}
+        """Plain data; without a duration, a change and a role, if there are none."""
+        data = _without_role({**Fault.to_json(self), "change": str(self.change)})
         if self.change is None:
             del data["change"]
         if self.lasts_s == 0.0:
@@ -422,8 +437,8 @@ class InstructionFault(Fault):
             10,000.
         which: Class of instructions from which it was drawn.
         model: How the value is changed.
-        kernel: Kernel for which it was drawn, as in `states.KERNELS`; "" = a custom function.
-        entry: Attribute of `pipeline.functions.KernelFunctions`; "" = a custom function.
+        kernel: Kernel for which it was drawn, as in `states.KERNELS`, or name of a plug-in; "" = a custom function.
+        entry: Attribute of `pipeline.functions.KernelFunctions`, or function of the plug-in; "" = a custom function.
         value_class: "floating_point", "integer", "address" or "control".
         restart_s: Time after which a crashed node has restarted (s).
         stratum: Meaning of the bit: "sign", "exponent", "mantissa" or "other"; "" if not drawn.
@@ -431,6 +446,7 @@ class InstructionFault(Fault):
         seed: Seed of the draw.
         times: Number of calls, from `call` on, in which the value with this index is changed, also after restarts of
             the node.
+        role: Kind of the plug-in, as in `states.PLUG_INS`; "" = a kernel or detector of mavfi.
     """
 
     level: ClassVar[Literal["instruction"]] = "instruction"
@@ -451,6 +467,7 @@ class InstructionFault(Fault):
     weight: float = 1.0
     seed: int = 0
     times: int = 1
+    role: str = ""
 
     def __post_init__(self) -> None:
         if not 1 <= self.times <= MOST_CALLS:
@@ -481,6 +498,16 @@ class InstructionFault(Fault):
         return self.stratum
 
     @property
+    def in_detector(self) -> bool:
+        """See `Fault.in_detector`."""
+        return _is_in_detector(self.kernel, self.role)
+
+    @property
+    def counter(self) -> str:
+        """Name under which a flight counts the calls of its function."""
+        return counter_name(self.kernel, self.role, self.entry)
+
+    @property
     def masks(self) -> tuple[int, int]:
         """Keep and flip masks: the value becomes (value & keep) ^ flip."""
         if self.bits:
@@ -492,7 +519,7 @@ class InstructionFault(Fault):
         data = {"level": self.level, **asdict(self), "bits": list(self.bits), "value": hex(self.value)}
         if self.times == 1:
             del data["times"]
-        return data
+        return _without_role(data)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
@@ -502,6 +529,25 @@ class InstructionFault(Fault):
         except (KeyError, TypeError, ValueError):
             raise BadInputError("fault of level instruction: key 'value': allowed: a hexadecimal number") from None
         return checked(cls, {**data, "value": value}, "fault of level instruction")
+
+
+def counter_name(kernel: str, role: str, entry: str) -> str:
+    """Name under which calls of a function are counted; functions of plug-ins may have the names of others."""
+    if role:
+        return f"{kernel}.{entry}"
+    return entry
+
+
+def _is_in_detector(kernel: str, role: str) -> bool:
+    """Whether a kernel, or a plug-in of a role, is a detector."""
+    return role == "detector" or (not role and kernel in DETECTORS)
+
+
+def _without_role(data: dict[str, Any]) -> dict[str, Any]:
+    """The plain data of a fault without the key `role`, if it has none, as in ledgers of earlier versions."""
+    if not data["role"]:
+        del data["role"]
+    return data
 
 
 @dataclass(frozen=True, slots=True)

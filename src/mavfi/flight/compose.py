@@ -23,7 +23,7 @@ from mavfi.flight.restarts import Restarts
 from mavfi.flight.taps import CHECKED_AT_PRODUCER
 from mavfi.kernels.perception.state_estimation import Noise
 from mavfi.mission import MissionSpec, Scenario
-from mavfi.pipeline.functions import PLAIN, KernelFunctions
+from mavfi.pipeline.functions import PLAIN, FlightFunctions, KernelFunctions
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 from mavfi.pipeline.maps import find_map
 from mavfi.pipeline.planners import find_search
@@ -268,7 +268,10 @@ def new_loop(
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
     plant = make_plant(world, scenario)
     config = pipeline_config(scenario, world, plant.ray_directions, rewindable=rewindable, functions=functions)
-    return Loop(scenario, world, plant, partial(make_kernels, config), want_profile=profile, marks=rewindable)
+    loop = Loop(scenario, world, plant, partial(make_kernels, config), want_profile=profile, marks=rewindable)
+    if isinstance(functions, FlightFunctions):
+        loop.stand_ins = functions.stand_ins
+    return loop
 
 
 def watch(loop: Loop, detector: Detector | None, recovery: RecoveryPolicy = INLINE) -> None:
