@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,6 +33,7 @@ from mavfi.rewriting import rewriter
 from mavfi.sim import imu
 from mavfi.sim.controller import find_controller
 from mavfi.sim.environments import World, build_world, environment_for_file, find_generator
+from mavfi.sim.imported import ENVIRONMENT_FILES, EnvironmentReader, extensions_of, reader_of
 from mavfi.sim.mjcf import find_vehicle
 from mavfi.sim.simulator import Simulator
 from mavfi.states import INJECTED_KERNEL, PLANNERS, Stage
@@ -53,14 +55,20 @@ _LIMITS = ("arena_lower", "arena_upper", "flight_lower", "flight_upper", "goal")
 
 
 def find_environment(name: str) -> EnvironmentConfig:
-    """Find an environment: a shipped name, a YAML file, or the path of a scanned map (.bt, .ot).
+    """Find an environment: a shipped name, a YAML file, a scanned map (.bt, .ot), or a file that an extra reads.
 
     Raises:
         BadInputError: The environment does not exist.
     """
     if name.lower().endswith(SCAN_ENDINGS):
         return environment_for_file(Path(name))
-    return shipped("environments", EnvironmentConfig, name)
+    reader: EnvironmentReader | None = reader_of(ENVIRONMENT_FILES, name)
+    if reader is not None:
+        environment = reader(Path(name))
+        if environment is not None:
+            return environment
+    endings = chain(SCAN_ENDINGS, extensions_of(ENVIRONMENT_FILES))
+    return shipped("environments", EnvironmentConfig, name, endings)
 
 
 def find_planner(name: str) -> PlannerConfig:

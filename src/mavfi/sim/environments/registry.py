@@ -1,6 +1,7 @@
 """Builds a world from an environment's configuration: finds generators, validates user input."""
 
 import inspect
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -133,7 +134,9 @@ def environment_for_file(path: str | Path) -> EnvironmentConfig:
 
 @cache
 def _collision_radius(vehicle: str) -> float:
-    return find_vehicle(vehicle).collision_radius
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # on what was assumed; whoever chose the vehicle has seen it
+        return find_vehicle(vehicle).collision_radius
 
 
 def _text(point: np.ndarray) -> str:
