@@ -33,6 +33,8 @@ from mavfi.rewriting import rewriter
 from mavfi.sim import imu
 from mavfi.sim.controller import find_controller
 from mavfi.sim.environments import World, build_world, environment_for_file, find_generator
+from mavfi.sim.environments.octomap_file import SOLID
+from mavfi.sim.environments.registry import SCAN_GENERATOR
 from mavfi.sim.imported import ENVIRONMENT_FILES, EnvironmentReader, extensions_of, reader_of
 from mavfi.sim.mjcf import find_vehicle
 from mavfi.sim.simulator import Simulator
@@ -71,6 +73,14 @@ def find_environment(name: str) -> EnvironmentConfig:
     return shipped("environments", EnvironmentConfig, name, endings)
 
 
+def _with_unknown_space(environment: EnvironmentConfig, unknown: str) -> EnvironmentConfig:
+    """The environment of a scanned map with its parameter `unknown`."""
+    if environment.generator != SCAN_GENERATOR:
+        text = f"environment {environment.name!r} is no scanned map; allowed: with a .bt or .ot file"
+        raise BadInputError(f"unknown_space: {unknown}: {text}")
+    return environment.model_copy(update={"parameters": {**environment.parameters, "unknown": unknown}})
+
+
 def find_planner(name: str) -> PlannerConfig:
     """Find a planner: a shipped name, a YAML file, or an entry point or "package:Class" with default parameters."""
     if name.endswith(_FILES) or name in names("planners"):
@@ -86,6 +96,8 @@ def resolve(spec: MissionSpec) -> Scenario:
     """
     # The environment, in which the mission may replace the vehicle.
     environment = find_environment(spec.environment)
+    if spec.unknown_space != SOLID:
+        environment = _with_unknown_space(environment, spec.unknown_space)
     vehicle_source = spec.environment  # the file that names the vehicle, for messages
     if spec.vehicle is not None:
         environment = environment.model_copy(update={"vehicle": spec.vehicle})
