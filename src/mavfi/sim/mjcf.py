@@ -144,12 +144,33 @@ def _inertia_about(centre: np.ndarray, model: Any, data: Any, parts: list[int]) 
 
 
 def _reach(centre: np.ndarray, model: Any, data: Any, parts: list[int]) -> float:
-    """Largest distance of the bodies' geometry from a point (m), by bounding spheres; 0 = no geometry."""
+    """Largest distance of the bodies' geometry from a point (m); 0 = no geometry.
+
+    Of meshes and boxes it is that of their vertices, of other shapes that of their bounding spheres.
+    """
     reach = 0.0
     for geom in range(model.ngeom):
-        if model.geom_bodyid[geom] in parts:
+        if model.geom_bodyid[geom] not in parts:
+            continue
+        vertices = _vertices(geom, model)
+        if vertices is None:
             reach = max(reach, length(data.geom_xpos[geom] - centre) + float(model.geom_rbound[geom]))
+        else:
+            world = product(vertices, data.geom_xmat[geom].reshape(3, 3).T) + data.geom_xpos[geom]
+            reach = max(reach, float(np.sqrt(np.square(world - centre).sum(axis=1)).max()))
     return reach
+
+
+def _vertices(geom: int, model: Any) -> np.ndarray | None:
+    """Vertices of a mesh or a box in the axes of its geom (m), shape (n, 3); None = another shape."""
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = model.geom_dataid[geom]
+        first = model.mesh_vertadr[mesh]
+        return np.array(model.mesh_vert[first : first + model.mesh_vertnum[mesh]], np.float64)
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
+        signs = 2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0
+        return signs * model.geom_size[geom]
+    return None
 
 
 def attach(vehicle: VehicleConfig, scene: Any, holder: Any) -> None:
