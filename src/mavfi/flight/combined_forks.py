@@ -127,13 +127,11 @@ class SerialForks(Forks):
             of_instructions.append(replace(injection, details=details))
         return [*log.injections, *of_instructions]
 
-    def intercept(
-        self, entry: str, call: int, function: Callable[..., Any], args: tuple[Any, ...]
-    ) -> CallResult | None:
+    def intercept(self, name: str, call: int, function: Callable[..., Any], args: tuple[Any, ...]) -> CallResult | None:
         """Fork at a call with a fault; the child continues with its result, the parent only if the child dies."""
         for progress in self._progress:
             is_due = progress.remaining > 0 and call >= progress.next_call
-            if is_due and progress.case.fault.entry == entry:
+            if is_due and progress.case.fault.counter == name:
                 result = self._inject_serially(progress, call, function, args)
                 if result is not None:
                     return result
@@ -188,8 +186,8 @@ class SerialForks(Forks):
         down_us = round(1e6 * fault.restart_s)
         if case.kernel:
             self._dying[case.kernel] = down_us
-        elif self._detector is not None:
-            self._approach.restarts().detector_dies(self._detector, self._loop.now, down_us)
+        else:
+            self._end_outside_of_pipeline(fault)
         return CallResult(function(*args))
 
     def _report_of_child(self, payload: bytes) -> NoReturn:
