@@ -17,7 +17,7 @@ from mavfi.detectors.detector import part_of
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, hint
 from mavfi.faults.fault import NO_SITE, Fault, MemoryFault
-from mavfi.faults.operations import VALUE_OPERATIONS, PlannedChange
+from mavfi.faults.operations import OPERATIONS, VALUE_OPERATIONS, PlannedChange
 from mavfi.faults.sampling import stream
 from mavfi.faults.strata import WORD_BITS, bits_of
 from mavfi.flight.targets import custom_detectors, find_plug_in, planner_name, plug_ins, plug_ins_of, without_module
@@ -442,7 +442,7 @@ class MemoryLevel(Level):
     def parse(self, text: str, localization: str) -> MemoryRequest:
         """See `Level.parse`."""
         change = None
-        text = without_module(text, VALUE_OPERATIONS)
+        text = without_module(text, OPERATIONS)
         if is_change(text):
             body, at, instant = text.partition("@")
             site, *options = body.split(":")
