@@ -363,4 +363,5 @@ class CombinedLevel(Level):
         how = f"{sampling.number} faults in each mission: {'; '.join(sources)}"
         if sampling.later:
             how += f"; those behind the first one at {sampling.later}"
-        return {"each": unit, "how": how}
+        per_mission = f"{sampling.number} faults" if sampling.number > 1 else "one fault"
+        return {"each": unit, "how": how, "per_mission": per_mission}
