@@ -100,6 +100,9 @@ class MissionSpec(Config):
     map_resolution: float | None = Field(
         None, ge=0.02, le=5.0, description="Voxel edge, m; the environment's by default."
     )
+    unknown_space: Literal["solid", "free"] = Field(
+        "solid", description="Space that a scanned map does not know: solid, or free (maps of obstacles only)."
+    )
     camera_range: float | None = Field(
         None, ge=1.0, le=1e3, description="Range of the depth camera, m; the environment's by default."
     )
@@ -223,7 +226,7 @@ OF_THE_PIPELINE = (
     *OF_A_DETECTOR,
 )
 """Mission keys without effect where another program flies the vehicle."""
-_LATER_KEYS = ("arrival_radius", "time_limit_factor", "latency_jitter", "detector_place")
+_LATER_KEYS = ("arrival_radius", "time_limit_factor", "latency_jitter", "detector_place", "unknown_space")
 """Keys of a mission that its plain data omit at their defaults."""
 _OPTIONS = (
     "wind",

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,7 +24,7 @@ from mavfi.flight.restarts import Restarts
 from mavfi.flight.taps import CHECKED_AT_PRODUCER
 from mavfi.kernels.perception.state_estimation import Noise
 from mavfi.mission import MissionSpec, Scenario
-from mavfi.pipeline.functions import PLAIN, KernelFunctions
+from mavfi.pipeline.functions import PLAIN, FlightFunctions, KernelFunctions
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 from mavfi.pipeline.maps import find_map
 from mavfi.pipeline.planners import find_search
@@ -32,6 +33,9 @@ from mavfi.rewriting import rewriter
 from mavfi.sim import imu
 from mavfi.sim.controller import find_controller
 from mavfi.sim.environments import World, build_world, environment_for_file, find_generator
+from mavfi.sim.environments.octomap_file import SOLID
+from mavfi.sim.environments.registry import SCAN_GENERATOR
+from mavfi.sim.imported import ENVIRONMENT_FILES, EnvironmentReader, extensions_of, reader_of
 from mavfi.sim.mjcf import find_vehicle
 from mavfi.sim.simulator import Simulator
 from mavfi.states import INJECTED_KERNEL, PLANNERS, Stage
@@ -53,14 +57,28 @@ _LIMITS = ("arena_lower", "arena_upper", "flight_lower", "flight_upper", "goal")
 
 
 def find_environment(name: str) -> EnvironmentConfig:
-    """Find an environment: a shipped name, a YAML file, or the path of a scanned map (.bt, .ot).
+    """Find an environment: a shipped name, a YAML file, a scanned map (.bt, .ot), or a file that an extra reads.
 
     Raises:
         BadInputError: The environment does not exist.
     """
     if name.lower().endswith(SCAN_ENDINGS):
         return environment_for_file(Path(name))
-    return shipped("environments", EnvironmentConfig, name)
+    reader: EnvironmentReader | None = reader_of(ENVIRONMENT_FILES, name)
+    if reader is not None:
+        environment = reader(Path(name))
+        if environment is not None:
+            return environment
+    endings = chain(SCAN_ENDINGS, extensions_of(ENVIRONMENT_FILES))
+    return shipped("environments", EnvironmentConfig, name, endings)
+
+
+def _with_unknown_space(environment: EnvironmentConfig, unknown: str) -> EnvironmentConfig:
+    """The environment of a scanned map with its parameter `unknown`."""
+    if environment.generator != SCAN_GENERATOR:
+        text = f"environment {environment.name!r} is no scanned map; allowed: with a .bt or .ot file"
+        raise BadInputError(f"unknown_space: {unknown}: {text}")
+    return environment.model_copy(update={"parameters": {**environment.parameters, "unknown": unknown}})
 
 
 def find_planner(name: str) -> PlannerConfig:
@@ -78,6 +96,8 @@ def resolve(spec: MissionSpec) -> Scenario:
     """
     # The environment, in which the mission may replace the vehicle.
     environment = find_environment(spec.environment)
+    if spec.unknown_space != SOLID:
+        environment = _with_unknown_space(environment, spec.unknown_space)
     vehicle_source = spec.environment  # the file that names the vehicle, for messages
     if spec.vehicle is not None:
         environment = environment.model_copy(update={"vehicle": spec.vehicle})
@@ -268,7 +288,10 @@ def new_loop(
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
     plant = make_plant(world, scenario)
     config = pipeline_config(scenario, world, plant.ray_directions, rewindable=rewindable, functions=functions)
-    return Loop(scenario, world, plant, partial(make_kernels, config), want_profile=profile, marks=rewindable)
+    loop = Loop(scenario, world, plant, partial(make_kernels, config), want_profile=profile, marks=rewindable)
+    if isinstance(functions, FlightFunctions):
+        loop.stand_ins = functions.stand_ins
+    return loop
 
 
 def watch(loop: Loop, detector: Detector | None, recovery: RecoveryPolicy = INLINE) -> None:

@@ -15,6 +15,7 @@ from mavfi.errors import BadInputError
 from mavfi.files import LARGEST_TEXT, check_regular, exists, is_file, read_file
 from mavfi.numerics.vectors import length, product
 from mavfi.sim.engine import GRAVITY, keep_quiet
+from mavfi.sim.imported import VEHICLE_FILES, extensions_of, import_vehicle, vehicle_file
 
 ROTORS = 4
 _TOLERANCE = 0.01
@@ -42,17 +43,26 @@ class RigidBody:
 
 
 def find_vehicle(name: str) -> VehicleConfig:
-    """A shipped vehicle by name, or a user's YAML file.
+    """A shipped vehicle by name, a user's YAML file, or a model in a format that an extra reads.
 
     If the file has the key `mjcf`, a path relative to the file, mass and inertia are those of that model; if the file
-    specifies them as well, they must agree within 1 %.
+    specifies them as well, they must agree within 1 %.  With the key `model`, also relative, the other keys of the
+    vehicle are those of that model, unless the file has them.
 
     Raises:
         BadInputError: Unknown vehicle, invalid file, key or model, or its rotors cannot lift it.
     """
     if not name.endswith((".yaml", ".yml")):
-        return shipped("vehicles", VehicleConfig, name)
+        file = vehicle_file(name)
+        if file is None:
+            return shipped("vehicles", VehicleConfig, name, extensions_of(VEHICLE_FILES))
+        return _lifted(name, parse(VehicleConfig, import_vehicle(file, {}), name))
     data = read_yaml(Path(name))
+    model = data.pop("model", None)
+    if model is not None:
+        if not isinstance(model, str):
+            raise BadInputError(f"{name}: key 'model': {model!r}: allowed: a file of a model")
+        data = import_vehicle(Path(name).parent / model, data)
     if not isinstance(data.get("mjcf"), str):
         return _lifted(name, parse(VehicleConfig, data, name))
     path = Path(name).parent / data["mjcf"]
@@ -134,12 +144,33 @@ def _inertia_about(centre: np.ndarray, model: Any, data: Any, parts: list[int]) 
 
 
 def _reach(centre: np.ndarray, model: Any, data: Any, parts: list[int]) -> float:
-    """Largest distance of the bodies' geometry from a point (m), by bounding spheres; 0 = no geometry."""
+    """Largest distance of the bodies' geometry from a point (m); 0 = no geometry.
+
+    Of meshes and boxes it is that of their vertices, of other shapes that of their bounding spheres.
+    """
     reach = 0.0
     for geom in range(model.ngeom):
-        if model.geom_bodyid[geom] in parts:
+        if model.geom_bodyid[geom] not in parts:
+            continue
+        vertices = _vertices(geom, model)
+        if vertices is None:
             reach = max(reach, length(data.geom_xpos[geom] - centre) + float(model.geom_rbound[geom]))
+        else:
+            world = product(vertices, data.geom_xmat[geom].reshape(3, 3).T) + data.geom_xpos[geom]
+            reach = max(reach, float(np.sqrt(np.square(world - centre).sum(axis=1)).max()))
     return reach
+
+
+def _vertices(geom: int, model: Any) -> np.ndarray | None:
+    """Vertices of a mesh or a box in the axes of its geom (m), shape (n, 3); None = another shape."""
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = model.geom_dataid[geom]
+        first = model.mesh_vertadr[mesh]
+        return np.array(model.mesh_vert[first : first + model.mesh_vertnum[mesh]], np.float64)
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
+        signs = 2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0
+        return signs * model.geom_size[geom]
+    return None
 
 
 def attach(vehicle: VehicleConfig, scene: Any, holder: Any) -> None:
