@@ -12,17 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mavfi.analysis.table import Table
-from mavfi.extras.logs.watch import (
-    BIT_CLASSES,
-    JudgedLog,
-    LogRates,
-    LogRecording,
-    LogWatch,
-    judge_rest,
-    rate_text,
-    read_recording,
-    select,
-)
+from mavfi.extras.logs.recording import LogRecording, read_recording
+from mavfi.extras.logs.selection import select
+from mavfi.extras.logs.watch import BIT_CLASSES, JudgedLog, LogRates, LogWatch, judge_rest, rate_text
 from mavfi.report.text import ABSENT, rate
 from tools import results
 from tools.markers import ROOT
@@ -72,11 +64,10 @@ def judge_apart(recordings: Sequence[LogRecording], kind: str, profile: str) -> 
     """Each recording judged by a detector trained on all others; a single one by its own first half."""
     if len(recordings) == 1:
         return [judge_rest(kind, profile, recordings[0], 0.5, flips=FLIPS)[1]]
-    probes = select([recording.normal for recording in recordings])
     judged_logs = []
     for recording in recordings:
         others = [other.normal for other in recordings if other is not recording]
-        judged_logs.append(LogWatch(kind, profile, probes, others).judge(recording, FLIPS))
+        judged_logs.append(LogWatch(kind, profile, select(others, [recording]), others).judge(recording, FLIPS))
     return judged_logs
 
 

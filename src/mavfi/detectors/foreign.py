@@ -5,7 +5,7 @@ subtracts codes of values, an eighth of the largest magnitude; for `tuned`, whic
 largest difference.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -42,10 +42,17 @@ def foreign_state(spec: StateSpec, values: Sequence[float]) -> State:
     return State(spec, header, np.zeros(0, spec.element_dtype))
 
 
-def learn(kind: str, profile: str, recordings: Sequence[Sequence[State]], specs: Mapping[str, StateSpec]) -> Detector:
+def learn(
+    kind: str,
+    profile: str,
+    recordings: Sequence[Sequence[State]],
+    specs: Mapping[str, StateSpec],
+    differenced: Collection[str] = (),
+) -> Detector:
     """A detector of a kind in `of_monitored_fields()`, fitted to normal publications of these states.
 
-    The publications of each recording are in order; differences are taken within a recording only.
+    The publications of each recording are in order; differences are taken within a recording only.  Of the fields
+    `differenced` ("state.field") the difference is coded in both profiles: codes of angles would depend on the turns.
 
     Raises:
         BadInputError: Unknown kind, too few publications of a source, or a number that is not finite.
@@ -56,8 +63,8 @@ def learn(kind: str, profile: str, recordings: Sequence[Sequence[State]], specs:
     thresholds: list[int] = []
     for spec in specs.values():
         states_by_recording = [[state for state in states if state.spec is spec] for states in recordings]
-        thresholds += _thresholds(spec, states_by_recording, profile)
-    preprocessor = Preprocessor.of(specs, profile, thresholds)
+        thresholds += _thresholds(spec, states_by_recording, profile, differenced)
+    preprocessor = Preprocessor.of(specs, profile, thresholds, differenced)
     order = {name: slot for slot, name in enumerate(specs)}
     sample = join([sample_of(_events(states, order), preprocessor) for states in recordings if states])
     factory = classes[kind]
@@ -73,7 +80,9 @@ def _events(states: Sequence[State], order: Mapping[str, int]) -> Events:
     return Events(slots, np.cumsum([len(part) for part in contents]), np.frombuffer(b"".join(contents), np.uint8))
 
 
-def _thresholds(spec: StateSpec, recordings: Sequence[Sequence[State]], profile: str) -> list[int]:
+def _thresholds(
+    spec: StateSpec, recordings: Sequence[Sequence[State]], profile: str, differenced: Collection[str]
+) -> list[int]:
     """Exponent thresholds of the codes of a state's fields, from its publications by recording."""
     count = sum(map(len, recordings))
     if count < SMALLEST_SAMPLE:
@@ -89,13 +98,12 @@ def _thresholds(spec: StateSpec, recordings: Sequence[Sequence[State]], profile:
         raise BadInputError(f"training: {spec.name} {field}: holds numbers that are not finite; leave this field out")
     with np.errstate(over="ignore"):
         changes = np.concatenate([np.diff(table, axis=0) for table in tables])
-        measured = changes
-        if profile == "paper":
-            measured = values
-        largest = np.abs(measured).max(axis=0)
+        is_coded = np.array([profile == "paper" and f"{spec.name}.{f.name}" not in differenced for f in spec.header])
+        largest = np.where(is_coded, np.abs(values).max(axis=0), np.abs(changes).max(axis=0, initial=0.0))
     largest = np.minimum(largest, np.finfo(np.float64).max)  # a difference may have overflowed
 
     # Below the largest number that is coded; for a field that never changes, far below its value.
     largest_values = np.abs(values).max(axis=0)
     exponents = np.where(largest > 0, np.frexp(largest)[1] - 1, np.frexp(largest_values)[1] - 1 - _BELOW_CONSTANT)
-    return [int(exponent) for exponent in np.clip(exponents - _BELOW[profile], _SMALLEST_EXPONENT, _LARGEST_EXPONENT)]
+    octaves = np.where(is_coded, _BELOW["paper"], _BELOW["tuned"])
+    return [int(exponent) for exponent in np.clip(exponents - octaves, _SMALLEST_EXPONENT, _LARGEST_EXPONENT)]

@@ -25,7 +25,7 @@ from mavfi.flight.restarts import Restarts
 from mavfi.flight.taps import CHECKED_AT_PRODUCER
 from mavfi.kernels.perception.state_estimation import Noise
 from mavfi.mission import MissionSpec, Scenario
-from mavfi.pipeline.functions import PLAIN, KernelFunctions
+from mavfi.pipeline.functions import PLAIN, FlightFunctions, KernelFunctions
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 from mavfi.pipeline.maps import find_map
 from mavfi.pipeline.planners import find_search
@@ -293,7 +293,10 @@ def new_loop(
     config = pipeline_config(scenario, world, plant.ray_directions, rewindable=rewindable, functions=functions)
     if world.is_voxels:
         _warn_of_walls(scenario.environment.name, world, config.plan_radius + _VOXELS_OFF * config.map.resolution)
-    return Loop(scenario, world, plant, partial(make_kernels, config), want_profile=profile, marks=rewindable)
+    loop = Loop(scenario, world, plant, partial(make_kernels, config), want_profile=profile, marks=rewindable)
+    if isinstance(functions, FlightFunctions):
+        loop.stand_ins = functions.stand_ins
+    return loop
 
 
 def _warn_of_walls(name: str, world: World, distance: float) -> None:

@@ -137,7 +137,7 @@ def open_flight_log(path: Path) -> FlightLogReader:
     Raises:
         BadInputError: Nothing reads files with this extension.
     """
-    extension = path.suffix.removeprefix(".")
+    extension = path.suffix.removeprefix(".").lower()
     if path.is_dir():
         extension = _FORMAT_OF_FOLDERS
     formats = known(GROUP, known(_OLD_GROUP, {}))

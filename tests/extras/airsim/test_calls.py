@@ -45,11 +45,14 @@ class Client:
     def __call__(self, name, *given):
         number = self.post(name, *given)
         if self.answers[number] is None:
-            self.post("mavfiFinish")
+            self.post("mavfiPass", None, True, "")
         error, result = self.answers[number]
         if error is not None:
             raise RuntimeError(error)
         return result
+
+    def sleep(self, seconds):
+        self("mavfiPass", self("mavfiClock") + round(1e6 * seconds), False, "time.sleep")
 
     def ready(self):
         self("enableApiControl", True, "")
@@ -77,7 +80,7 @@ def test_whole_calls_are_lost_late_repeated_and_frozen():
     # lost: the second reading is the first one's answer
     lost = client("getMultirotorState:drop@n=2")
     first = lost("getMultirotorState", "")
-    lost("mavfiSleep", 1.0)
+    lost.sleep(1.0)
     assert lost("getMultirotorState", "") == first != lost("getMultirotorState", "")
     assert lost.server.boundary.injection.details["calls"] == 1
 
@@ -207,7 +210,7 @@ def test_time_passes_in_calls_only_and_a_pause_stops_it():
     client("simContinueForFrames", 3)
     assert client.vehicle.now_us == before + 560_000
     client("simPause", False)
-    client("mavfiSleep", 1.0)
+    client.sleep(1.0)
     assert client.vehicle.now_us >= before + 1_560_000
 
 
@@ -227,7 +230,7 @@ def test_depth_is_that_of_the_mission_s_camera_bit_for_bit():
 
 def test_sensors_agree_with_the_state(flying):
     flying("hover", "")
-    flying("mavfiSleep", 2.0)
+    flying.sleep(2.0)
     imu = flying("getImuData", "", "")
     assert imu["linear_acceleration"]["z_val"] == pytest.approx(-9.80665, abs=0.3)
     assert flying("getBarometerData", "", "")["altitude"] == pytest.approx(122.0 - flying.at[2])

@@ -122,7 +122,7 @@ def test_the_worst_that_a_fault_does_comes_first(box):
     ("name", "arguments", "options", "how", "reason"),
     [
         ("crashing", (), {}, "program crash", "ValueError: the program's own error"),
-        ("endless", ("sleep",), {"seconds": 20.0}, "time is up", ""),
+        ("endless", ("sleep",), {"seconds": 20.0}, "time is up", "it waited for time.sleep; more time: --seconds above 20"),
         ("endless", ("spin",), {"wall_s": 2.0}, "hang", "still running after 2 s of wall-clock time"),
     ],
 )

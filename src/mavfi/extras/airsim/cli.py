@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -11,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mavfi.cli import options
-from mavfi.cli.console import check_file, check_name, check_number, check_seed, console, write_json
+from mavfi.cli.console import check_file, check_name, check_number, check_seed, console, counted, write_json
 from mavfi.cli.stopping import stoppable
-from mavfi.errors import BadInputError, writing
+from mavfi.errors import BadInputError, MavfiError, writing
 from mavfi.extras.airsim.config import IMAGE, VEHICLE, ProgramConfig, pixels
 from mavfi.mission import OF_THE_PIPELINE, MissionSpec
 
@@ -272,23 +273,48 @@ def run(  # noqa: PLR0913 - one parameter per option
 
     with compiling():
         from mavfi.extras.airsim.boundary import ApiRecording, Boundary
-        from mavfi.extras.airsim.host import run_program
+        from mavfi.extras.airsim.host import ProgramInput, run_program
 
         # the error-free run, on which a detector is trained
+        standard_input = ProgramInput(_input_source())
         recording = None
         if detector != "none":
             recording = ApiRecording()
-        golden = run_program(program, mission, Boundary(recording=recording))
+        golden = run_program(program, mission, Boundary(recording=recording), standard_input)
         watch = None
-        if recording is not None:
+        if recording is not None and golden.is_sound:
             watch = recording.train(detector, profile)
-        if planned is None and watch is None:
-            _report(program, golden, None, as_json)
-            return
 
-        # the run that is injected or watched
-        injected = run_program(program, mission, Boundary.of(planned, watch=watch))
+        # the run that is injected or watched, unless the program does not work without a fault
+        injected = None
+        if golden.is_sound and (planned is not None or watch is not None):
+            injected = run_program(program, mission, Boundary.of(planned, watch=watch), standard_input)
     _report(program, golden, injected, as_json)
+    _require_sound(program, golden)
+
+
+def _input_source() -> int | None:
+    """Where the program's standard input comes from; None = nowhere, as nobody is asked for keys at a terminal."""
+    try:
+        if sys.stdin.isatty():
+            return None
+        return sys.stdin.fileno()
+    except (AttributeError, OSError, ValueError):  # there is none
+        return None
+
+
+def _require_sound(program: ProgramConfig, golden: ProgramResult) -> None:
+    """Fail for a program that does not work without a fault.
+
+    Raises:
+        BadInputError: Calls were refused.
+        MavfiError: It crashed, or hangs.
+    """
+    if golden.errors:
+        refusals = "; ".join(golden.errors)
+        raise BadInputError(f"{program.script}: {counted(sum(golden.errors.values()), 'call')} refused: {refusals}")
+    if not golden.is_sound:
+        raise MavfiError(f"{program.script}: {golden.how} without a fault: {golden.reason}")
 
 
 def _hint_at_order(context: typer.Context, arguments: Sequence[str]) -> None:
@@ -314,7 +340,7 @@ def _report(program: ProgramConfig, golden: ProgramResult, injected: ProgramResu
         write_json({"script": program.script, "golden": shown(golden), "injected": injected_data, "effect": effect})
         return
 
-    # the effect of a fault, then each run; the program's last words at the end
+    # the effect of a fault, then each run; the program's output at the end
     out = console()
     if injected is None:
         _print_run(out, "golden", golden)
@@ -328,8 +354,18 @@ def _report(program: ProgramConfig, golden: ProgramResult, injected: ProgramResu
         _print_run(out, "golden", golden)
         _print_run(out, "injected", injected)
         _print_alarms(out, injected.boundary)
-    for line in (injected or golden).output.strip().splitlines()[-3:]:
-        out.print(f"  | {line}", style="dim", markup=False)
+    if injected is not None and injected.output != golden.output:
+        out.print("output of the golden run:", markup=False)
+        _print_output(out, golden)
+        out.print("output of the other run:", markup=False)
+    _print_output(out, injected or golden)
+
+
+def _print_output(out: Console, run: ProgramResult) -> None:
+    """Print all that a program wrote to stdout, then to stderr."""
+    for mark, text in (("|", run.output), ("!", run.error_output)):
+        for line in text.splitlines():
+            out.print(f"  {mark} {line}", style="dim", markup=False, soft_wrap=True)
 
 
 def _print_run(out: Console, label: str, run: ProgramResult) -> None:

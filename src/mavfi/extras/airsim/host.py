@@ -8,6 +8,7 @@ import asyncio
 import hashlib
 import json
 import os
+import select
 import subprocess
 import sys
 import tempfile
@@ -40,6 +41,8 @@ V_MAX = 12.0
 """Speed limit of the vehicle unless chosen (m/s): programs for AirSim choose their own speeds."""
 _RUNNER = Path(__file__).with_name("runner.py")
 _PATIENCE_S = 5.0
+_CHUNK = 4096
+"""Bytes of the standard input that are passed at once; a pipe takes as many."""
 
 
 def make_api(
@@ -75,13 +78,15 @@ class ProgramResult:
     Attributes:
         how: "ended", "time is up", "program crash" or "hang".
         code: Its exit code; None = it hangs.
-        reason: Its exception, or the last line that it wrote to stderr, or the exit code; "" if it ended.
+        reason: Its exception, or the last line that it wrote to stderr, or the exit code, or what it waited for when its
+            time was up; "" if it ended.
         collided: Whether its vehicle touched an obstacle.
         digest: Of the vehicle's states and of how the program ended.
         seconds: Simulated time (s).
         calls: Number of calls by name.
         errors: Number of refused calls by message.
         output: What it wrote to stdout.
+        error_output: What it wrote to stderr.
         boundary: Calls, injection and alarms at the boundary.
     """
 
@@ -95,10 +100,16 @@ class ProgramResult:
     output: str
     boundary: Boundary = field(repr=False)
     code: int | None = 0
+    error_output: str = ""
 
     def ends_like(self, other: "ProgramResult") -> bool:
         """Whether both ended in the same way, e.g. with the same exit code."""
         return (self.how, self.code) == (other.how, other.code)
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether it ended without an error, or would fly on, and no call was refused."""
+        return self.how in ("ended", "time is up") and not self.errors
 
     @property
     def status(self) -> MissionStatus:
@@ -123,27 +134,77 @@ def effect_on(golden: ProgramResult, injected: ProgramResult) -> str:
     return "deviates"
 
 
-def run_program(program: ProgramConfig, spec: MissionSpec, boundary: Boundary) -> ProgramResult:
+class ProgramInput:
+    """The standard input of a program: each run reads the same bytes from the start.
+
+    Args:
+        source: File descriptor that they come from; None = there are none.
+    """
+
+    def __init__(self, source: int | None = None) -> None:
+        self._source = source
+        self._content = bytearray()
+
+    def begin(self) -> None:
+        """Pass the bytes to a new process, whose standard input is `reading_end`."""
+        self.reading_end, self._writing_end = os.pipe()
+        os.set_blocking(self._writing_end, False)
+        self._sent = 0
+
+    def pump(self) -> None:
+        """Pass what the process takes and what has come, without waiting."""
+        if self._writing_end < 0:
+            return
+        is_all_sent = self._sent == len(self._content)
+        if is_all_sent and self._source is not None and select.select([self._source], [], [], 0.0)[0]:
+            chunk = os.read(self._source, _CHUNK)
+            self._content += chunk
+            if not chunk:
+                self._source = None
+        try:
+            if self._sent < len(self._content):
+                self._sent += os.write(self._writing_end, self._content[self._sent : self._sent + _CHUNK])
+            elif self._source is None:
+                self.end()
+        except BlockingIOError:
+            pass  # the pipe is full
+        except BrokenPipeError:
+            self.end()
+
+    def end(self) -> None:
+        """Close the writing end."""
+        if self._writing_end >= 0:
+            os.close(self._writing_end)
+        self._writing_end = -1
+
+
+def run_program(
+    program: ProgramConfig, spec: MissionSpec, boundary: Boundary, standard_input: ProgramInput | None = None
+) -> ProgramResult:
     """Run a program to its end, with its own vehicle and port.
 
     Args:
         program: The program.
         spec: The mission.
         boundary: The boundary that its calls pass.
+        standard_input: What it reads; None = nothing.
 
     Raises:
         BadInputError: There is no such program, Python, client library or world.
     """
     program.check()
-    return asyncio.run(_Run(program, spec, boundary).run())
+    return asyncio.run(_Run(program, spec, boundary, standard_input or ProgramInput()).run())
 
 
 class _Run:
     """One run of a program."""
 
-    def __init__(self, program: ProgramConfig, spec: MissionSpec, boundary: Boundary) -> None:
+    def __init__(
+        self, program: ProgramConfig, spec: MissionSpec, boundary: Boundary, standard_input: ProgramInput
+    ) -> None:
         self._program = program
         self._boundary = boundary
+        self._input = standard_input
         version = program.version or client_version(program.python, program.script)
         self._api = make_api(spec, program.image, program.vehicle, version)
         clock = StepClock(program.call_us, round(1e6 * program.seconds / STEP_US) * STEP_US)
@@ -157,6 +218,7 @@ class _Run:
             errors = Path(folder, "stderr")
 
             def start(port: int) -> None:
+                self._input.begin()
                 with output.open("wb") as out, errors.open("wb") as err:
                     self._process = subprocess.Popen(
                         [
@@ -166,11 +228,12 @@ class _Run:
                             self._program.script,
                             *self._program.arguments,
                         ],
-                        stdin=subprocess.DEVNULL,
+                        stdin=self._input.reading_end,
                         stdout=out,
                         stderr=err,
                         env=_environment(),
                     )
+                os.close(self._input.reading_end)
 
             # the program is started when the server is ready, and the server is stopped when the program has ended
             serving = asyncio.create_task(self._server.run(0, start))
@@ -179,6 +242,7 @@ class _Run:
             finally:
                 serving.cancel()
                 await asyncio.wait({serving})
+                self._input.end()
                 if self._process is not None and self._process.poll() is None:
                     self._process.kill()
                     self._process.wait(_PATIENCE_S)
@@ -193,6 +257,7 @@ class _Run:
                 serving.result()  # raises what ended it
             code = None
             if self._process is not None:
+                self._input.pump()
                 code = self._process.poll()
             if code is not None:
                 if self._server.calls:  # its last calls may not have been served yet
@@ -216,7 +281,7 @@ class _Run:
             reason = f"still running after {self._program.wall_s:g} s of wall-clock time"
         elif code == EXIT_TIME_IS_UP:
             how = "time is up"
-            reason = ""
+            reason = f"it waited for {self._server.last_wait}; more time: --seconds above {self._program.seconds:g}"
         elif code == 0:
             how = "ended"
             reason = ""
@@ -235,6 +300,7 @@ class _Run:
             output,
             self._boundary,
             code,
+            errors,
         )
 
 
@@ -248,9 +314,8 @@ def _exception_line(errors: str) -> str:
 
 
 def _environment() -> dict[str, str]:
-    """Variables of the program: mavfi's, without its own Python path."""
-    variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    return {**variables, "PYTHONHASHSEED": "0"}
+    """Variables of the program: the user's; its output is not buffered, so that none is lost if it hangs."""
+    return {**os.environ, "PYTHONHASHSEED": "0", "PYTHONUNBUFFERED": "1"}
 
 
 _VERSION = """
@@ -332,6 +397,8 @@ def shown(result: ProgramResult) -> dict[str, Any]:
         "errors": result.errors,
         "injection": injection,
         "alarms": alarms,
+        "output": result.output,
+        "error_output": result.error_output,
     }
 
 
@@ -459,7 +526,9 @@ def record_of_program(result: ProgramResult, golden: ProgramResult) -> FlightRec
         effects["time is up"] = Effect.HANG
     effect = effects.get(result.how)
     if effect is not None and not result.ends_like(golden):
-        reason = result.reason or "its time is up"
+        reason = result.reason
+        if result.how == "time is up":
+            reason = "its time is up"
         return FlightRecord(
             End.DUE, injections=injections, kernel=KernelEffect(effect.label, reason), extra=extra, error=reason
         )

@@ -47,20 +47,28 @@ class StepClock:
             api.resume_until_us = None
 
     def sleep(self, api: Api, seconds: float) -> None:
-        """The program sleeps."""
+        """A call comes later by this time."""
         self._pass(api, max(STEP_US, round(seconds * 1e6 / STEP_US) * STEP_US))
 
     def now(self, api: Api) -> int:
-        """Time of the program (us); reading a clock takes the time of a call, so that polling ends."""
-        self._pass(api, self._call_us)
+        """Time of the program (us)."""
         return api.vehicle.now_us + self.waited_us
 
-    def finish(self, api: Api) -> None:
-        """The program waits for its task."""
-        if api.paused:
-            self._pass(api, self._call_us)  # nobody can end the pause: the task does not end either
-            return
-        api.vehicle.finish(self.limit_us)
+    def wait(self, api: Api, until_us: int | None, *, for_task: bool) -> None:
+        """The program waits.
+
+        Args:
+            api: The vehicle.
+            until_us: An instant of the program's time (us); None = without an end.
+            for_task: Whether the end of a task is waited for too.
+        """
+        if for_task and not api.paused and api.vehicle.busy:
+            until_us = self.limit_us if until_us is None else until_us - self.waited_us
+            api.vehicle.finish(min(self.limit_us, until_us))
+        elif until_us is None:
+            self._pass(api, self._call_us)  # for a task that does not end, e.g. because of a pause
+        else:
+            self._pass(api, until_us - self.now(api))
 
     def _pass(self, api: Api, duration_us: int) -> None:
         if api.paused:
@@ -143,6 +151,7 @@ class AirsimServer:
         calls: Number of calls by name.
         errors: Number of errors by message.
         finished: Set while no client is connected, once there was one.
+        last_wait: What the program waited for when its time was up; "" = it was not.
     """
 
     def __init__(
@@ -164,6 +173,7 @@ class AirsimServer:
         self.calls: Counter[str] = Counter()
         self.errors: Counter[str] = Counter()
         self.finished = asyncio.Event()
+        self.last_wait = ""
 
     # ---- calls ------------------------------------------------------------------------------------------------------
     def serve_call(self, name: Any, arguments: list[Any], reply: Reply) -> None:
@@ -194,7 +204,7 @@ class AirsimServer:
         call = find_call(name)
         self.calls[name] += 1
         self.clock.before_call(api)
-        self._check_time()
+        self._check_time(name)
         call.check(api, arguments)
 
         # A fault in the whole call: it is not executed, later, repeatedly, or with what the first one had.
@@ -205,7 +215,7 @@ class AirsimServer:
             return
         if operation is not None and operation.name == "delay":
             self.clock.sleep(api, operation.value or 0.0)
-            self._check_time()
+            self._check_time(name)
         if operation is not None and operation.name == "duplicate":
             executions += operation.count
         is_frozen = operation is not None and operation.name == "freeze"
@@ -226,22 +236,29 @@ class AirsimServer:
         self.clock.after_call(api)
         reply(None, self.boundary.returned(name, arguments, result, api.vehicle.now_us))
 
-    def _of_runner(self, clock: StepClock, name: str, arguments: list[Any]) -> Any:
-        """Calls of the runner in the client's process."""
+    def _of_runner(self, clock: StepClock, name: str, arguments: list[Any]) -> int:
+        """Calls of the runner in the client's process; the program's instant (us)."""
         api = self.api
-        if name == "mavfiSleep":
-            clock.sleep(api, float(arguments[0]))
-        elif name == "mavfiFinish":
-            clock.finish(api)
-        elif name != "mavfiNow":
+        if name == "mavfiPass":
+            until_us, for_task, what = arguments
+            clock.wait(api, until_us, for_task=for_task)
+            tasks = [task for _, task, _ in self._waiting.values()]
+            if for_task and tasks:
+                what = ", ".join(tasks)
+            self._check_time(what)
+        elif name == "mavfiNow":  # takes the time of a call, so that polling ends
+            self._check_time("a clock")
+            clock.before_call(api)
+        elif name == "mavfiClock":
+            self._check_time("a clock")
+        else:
             raise BadInputError(f"server could not find function {name!r}")
-        self._check_time()
-        if name == "mavfiNow":
-            return clock.now(api)
-        return None
+        return clock.now(api)
 
-    def _check_time(self) -> None:
+    def _check_time(self, what: str) -> None:
+        """Refuse a call after the time limit; `what`: the call, or what the program waits for."""
         if isinstance(self.clock, StepClock) and self.api.vehicle.now_us >= self.clock.limit_us:
+            self.last_wait = self.last_wait or what
             raise BadInputError(f"{TIME_IS_UP} ({1e-6 * self.clock.limit_us:g} s)")
 
     def flush(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 from rich.table import Table
@@ -19,6 +19,20 @@ if TYPE_CHECKING:
 
 _MAX_FLIPS = 100_000
 _MAX_LISTED = 10
+
+
+class Wanted(NamedTuple):
+    """What to read of recordings.
+
+    Attributes:
+        fields: Monitored fields; empty = the recommended ones, or all.
+        kinds: What fields are, see `selection.parse_kinds`.
+        fault: Number that tells of a known fault; "" = none.
+    """
+
+    fields: list[str]
+    kinds: dict[str, str]
+    fault: str
 
 
 class LiveOption:
@@ -59,6 +73,13 @@ def watch(  # noqa: PLR0913 - one parameter per option
     fields: Annotated[
         str, typer.Option(metavar="FIELD,...", help="Numbers, e.g. ATTITUDE:roll; recommended ones or all by default.")
     ] = "",
+    kinds: Annotated[
+        str,
+        typer.Option(
+            metavar="FIELD=KIND,...",
+            help="What fields are, where this is not recognised: rad, deg, cdeg, degE7, quaternion, or number.",
+        ),
+    ] = "",
     fault: Annotated[
         str, typer.Option(metavar="TOPIC:FIELD", help="A number in LOG that is 0 until a known fault begins.")
     ] = "",
@@ -75,6 +96,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     """
     from mavfi.detectors.preprocess import PROFILES
     from mavfi.detectors.registry import of_monitored_fields
+    from mavfi.extras.logs.selection import parse_kinds, summary
     from mavfi.extras.logs.watch import LogRates
 
     # Check the options.
@@ -94,15 +116,20 @@ def watch(  # noqa: PLR0913 - one parameter per option
     _check_apart(logs, train or [])
     # Train and judge.
     with stoppable("Stopped."):
-        wanted_fields = options.listed(fields)
-        trained, judged = _judge(logs, train or [], split, (detector, profile), wanted_fields, fault, (inject, seed))
+        wanted = Wanted(options.listed(fields), parse_kinds(options.listed(kinds)), fault)
+        trained, judged = _judge(logs, train or [], split, (detector, profile), wanted, (inject, seed))
     # What was found, and how.
     rates = LogRates(judged)
     trained_on = sum(log_watch.trained_on for log_watch in trained)
     names: dict[str, list[str]] = {}
+    geometry: dict[str, str] = {}
     for log_watch in trained:
-        for topic, probe in log_watch.probes.items():
+        for topic, probe in log_watch.selection.probes.items():
             names[topic] = [field.name for field in probe.spec.header]
+            kinds_of_topic = log_watch.selection.geometries[topic].to_json()
+            geometry |= {f"{topic}:{name}": kind for name, kind in kinds_of_topic.items()}
+    not_monitored = list(dict.fromkeys(item for log_watch in trained for item in log_watch.selection.not_monitored))
+    not_monitored += [item for recording in judged for item in recording.not_monitored]
     if as_json:
         write_json(
             rates.to_json()
@@ -110,6 +137,8 @@ def watch(  # noqa: PLR0913 - one parameter per option
                 "detector": detector,
                 "profile": profile,
                 "fields": names,
+                "angles_and_quaternions": geometry,
+                "not_monitored": [item._asdict() for item in not_monitored],
                 "trained_on": trained_on,
             }
         )
@@ -120,6 +149,8 @@ def watch(  # noqa: PLR0913 - one parameter per option
         out.print(line, markup=False, soft_wrap=True)
     monitored = f"{sum(map(len, names.values()))} fields of {', '.join(names)}"
     out.print(f"{detector} ({profile}), {monitored}; trained on {trained_on} messages", markup=False, soft_wrap=True)
+    for line in summary(not_monitored):
+        out.print(line, markup=False, soft_wrap=True)
     out.print(_table(judged))
     _list_alarms(judged)
 
@@ -145,8 +176,7 @@ def _judge(
     train: list[Path],
     split: float | None,
     detector_and_profile: tuple[str, str],
-    fields: list[str],
-    fault: str,
+    wanted: Wanted,
     flips: tuple[int, int],
 ) -> tuple[list[LogWatch], list[JudgedLog]]:
     """Train and judge; each LOG that is split trains its own detector.
@@ -156,22 +186,27 @@ def _judge(
         train: Normal recordings.
         split: Share of each LOG to train on, instead.
         detector_and_profile: Their names.
-        fields: Monitored fields; empty = the recommended ones, or all.
-        fault: Number that tells of a known fault; "" = none.
+        wanted: What to read of them.
         flips: Number of flips in each LOG, and their seed.
     """
-    from mavfi.extras.logs.watch import LogWatch, cut_text, judge_rest, read_recording, select
+    from mavfi.extras.logs.recording import read_recording
+    from mavfi.extras.logs.selection import cut_text, select
+    from mavfi.extras.logs.watch import LogWatch, judge_rest
 
-    recordings = [read_recording(path, fault) for path in logs]
-    normal = [read_recording(path, fault, required=False).normal for path in train]
-    cut = cut_text([*recordings, *normal])
-    if cut:
-        console(error=True).print(cut, markup=False, soft_wrap=True)
+    recordings = [read_recording(path, wanted.fault) for path in logs]
+    normal = [read_recording(path, wanted.fault, required=False).normal for path in train]
+    notices = [notice for recording in [*recordings, *normal] for notice in recording.notices]
+    for text in [cut_text([*recordings, *normal]), *dict.fromkeys(notices)]:
+        if text:
+            console(error=True).print(text, markup=False, soft_wrap=True)
     if split is None:
-        probes = select([*normal, *(recording.normal for recording in recordings)], fields)
-        log_watch = LogWatch(*detector_and_profile, probes, normal)
+        selection = select(normal, recordings, wanted.fields, wanted.kinds)
+        log_watch = LogWatch(*detector_and_profile, selection, normal)
         return [log_watch], [log_watch.judge(recording, *flips) for recording in recordings]
-    pairs = [judge_rest(*detector_and_profile, recording, split, fields, *flips) for recording in recordings]
+    pairs = [
+        judge_rest(*detector_and_profile, recording, split, wanted.fields, *flips, wanted.kinds)
+        for recording in recordings
+    ]
     return [log_watch for log_watch, _ in pairs], [judged for _, judged in pairs]
 
 
@@ -208,11 +243,17 @@ def _table(judged: list[JudgedLog]) -> Table:
 
 def _list_alarms(judged: list[JudgedLog]) -> None:
     """The first false alarms of each recording."""
+    from mavfi.extras.logs.monitor import NOT_FINITE_RULE
+
     out = console()
     for recording in judged:
         for alarm in recording.alarms[:_MAX_LISTED]:
             fields = ", ".join(alarm.fields)
-            text = f"{recording.name} {1e-6 * alarm.time_us:.3f} s: {alarm.topic} {fields}, score {alarm.score:.3g}"
+            text = f"{recording.name} {1e-6 * alarm.time_us:.3f} s: {alarm.topic} {fields}, "
+            if alarm.source == NOT_FINITE_RULE:
+                text += NOT_FINITE_RULE
+            else:
+                text += f"{alarm.source}, score {alarm.score:.3g}"
             out.print(text, markup=False, soft_wrap=True)
         if len(recording.alarms) > _MAX_LISTED:
             out.print(f"{recording.name}: {len(recording.alarms) - _MAX_LISTED} more alarms", markup=False)

@@ -40,16 +40,16 @@ _WITHOUT_NUMBERS = ("BAD_DATA", "STATUSTEXT")
 
 
 def mavlink_dialect() -> Any:
-    """The messages of MAVLink's dialect `common`, from pymavlink.
+    """The messages of MAVLink's dialect `ardupilotmega`, which includes `common`, from pymavlink.
 
     Raises:
         BadInputError: It is not installed.
     """
     try:
-        from pymavlink.dialects.v20 import common
+        from pymavlink.dialects.v20 import ardupilotmega
     except ImportError:
         raise BadInputError("MAVLink needs pymavlink; allowed: pip install 'mavfi[mavlink]'") from None
-    return common
+    return ardupilotmega
 
 
 def chunks_of(text: str) -> list[bytes]:
