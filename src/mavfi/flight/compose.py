@@ -1,8 +1,9 @@
 """Resolution of names into a scenario and its detector, and of these into a flight that has not started."""
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -52,6 +53,8 @@ _LEAST_HEADING_NOISE = 1e-3
 """Noise of heading fixes that it assumes at least (rad)."""
 _AUTOPILOT_KEYS = ("alarm", "epoch_liveness")
 """Keys of an autopilot profile that a mission can override."""
+_VOXELS_OFF = 2.0
+"""Voxels of the map by which a wall, and a path beside it, can be off."""
 _LIMITS = ("arena_lower", "arena_upper", "flight_lower", "flight_upper", "goal")
 """Arrays of a world that the pipeline may know."""
 
@@ -288,10 +291,30 @@ def new_loop(
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
     plant = make_plant(world, scenario)
     config = pipeline_config(scenario, world, plant.ray_directions, rewindable=rewindable, functions=functions)
+    if world.is_voxels:
+        _warn_of_walls(scenario.environment.name, world, config.plan_radius + _VOXELS_OFF * config.map.resolution)
     loop = Loop(scenario, world, plant, partial(make_kernels, config), want_profile=profile, marks=rewindable)
     if isinstance(functions, FlightFunctions):
         loop.stand_ins = functions.stand_ins
     return loop
+
+
+def _warn_of_walls(name: str, world: World, distance: float) -> None:
+    """Warn of a start or goal that is closer to a wall of a scan than a path keeps from it."""
+    for key, point in (("start", world.start), ("goal", world.goal)):
+        clearance = float(world.clearance(point)[0])
+        if clearance < distance:
+            place = ", ".join(f"{value:g}" for value in point)
+            _warn_once(
+                f"environment {name!r}: {key} ({place}): {clearance:.2f} m from a wall; less than {distance:.2f} m "
+                "(the planner's distance and two voxels of the map) often ends in a collision"
+            )
+
+
+@cache
+def _warn_once(text: str) -> None:
+    """Warn, once in a process: a mission is flown several times."""
+    warnings.warn(text, stacklevel=1)
 
 
 def watch(loop: Loop, detector: Detector | None, recovery: RecoveryPolicy = INLINE) -> None:

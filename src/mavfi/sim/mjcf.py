@@ -166,10 +166,12 @@ def _vertices(geom: int, model: Any) -> np.ndarray | None:
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = model.geom_dataid[geom]
         first = model.mesh_vertadr[mesh]
-        return np.array(model.mesh_vert[first : first + model.mesh_vertnum[mesh]], np.float64)
+        vertices: np.ndarray = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(np.float64)
+        return vertices
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
         signs = 2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0
-        return signs * model.geom_size[geom]
+        corners: np.ndarray = signs * model.geom_size[geom]
+        return corners
     return None
 
 
@@ -259,3 +261,55 @@ def _compile(spec: Any, path: Path) -> Any:
 
 def _line(error: Exception) -> str:
     return " ".join(str(error).split())
+
+
+# ---- scenes ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StaticGeom:
+    """A geom of a scene that stands still and that others touch.
+
+    Attributes:
+        name: Its name, or that of its body, for messages.
+        kind: Name of its type in lower case: plane, box, sphere, capsule, ellipsoid, cylinder, mesh, hfield, sdf.
+        size: As in MJCF: half edges, radius and half length (m). Shape (3,).
+        matrix: To world. Shape (3, 3).
+        position: Of its centre (m). Shape (3,).
+        vertices: Of a mesh or a box, in the axes of the geom (m), shape (n, 3); None = another shape.
+    """
+
+    name: str
+    kind: str
+    size: np.ndarray
+    matrix: np.ndarray
+    position: np.ndarray
+    vertices: np.ndarray | None
+
+
+def static_geoms(path: Path) -> list[StaticGeom]:
+    """Geoms of an MJCF file that no joint moves, and that collide.
+
+    Raises:
+        BadInputError: It cannot be read or compiled.
+    """
+    model = _compile(_read(path), path)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    geoms = []
+    for geom in range(model.ngeom):
+        body = model.geom_bodyid[geom]
+        if model.body_weldid[body] != 0 or not (model.geom_contype[geom] or model.geom_conaffinity[geom]):
+            continue
+        name = model.geom(geom).name or model.body(body).name
+        geoms.append(
+            StaticGeom(
+                name,
+                mujoco.mjtGeom(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower(),
+                model.geom_size[geom].copy(),
+                data.geom_xmat[geom].reshape(3, 3).copy(),
+                data.geom_xpos[geom].copy(),
+                _vertices(geom, model),
+            )
+        )
+    return geoms

@@ -100,12 +100,14 @@ class Shape(NamedTuple):
             Ellipsoid: half axes. Plane, mesh: empty (m).
         pose: Of its centre, in the axes of the model; a plane's normal is z.
         owner: Names of model and link, for messages.
+        vertices: Of a mesh that stands for its convex hull, in the axes of the shape (m), shape (n, 3); None = unknown.
     """
 
     kind: str
     size: tuple[float, ...]
     pose: Pose
     owner: str
+    vertices: np.ndarray | None = None
 
 
 def half_extents(shape: Shape) -> np.ndarray:

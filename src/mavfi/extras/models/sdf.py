@@ -70,6 +70,7 @@ class SdfModel:
         plugins: Its plug-ins (elements).
         is_static: Whether it stands still.
         has_ground: Whether it is, or includes, Gazebo's ground plane.
+        missing: Models that it includes, and that are not on this machine.
     """
 
     name: str
@@ -81,6 +82,7 @@ class SdfModel:
     plugins: list[ET.Element] = field(default_factory=list)
     is_static: bool = False
     has_ground: bool = False
+    missing: list[str] = field(default_factory=list)
 
     def place(self, pose: Pose) -> None:
         """Express everything in the axes of another frame, in which this model has a pose."""
@@ -112,6 +114,7 @@ class SdfModel:
         self.joints += other.joints
         self.plugins += other.plugins
         self.has_ground = self.has_ground or other.has_ground
+        self.missing += other.missing
 
 
 @dataclass
@@ -137,10 +140,10 @@ class SdfReader:
         self._count = 0
 
     def read(self) -> SdfFile:
-        """The world or the model of the file.
+        """The world or the model of the file; what a world itself has is its last model.
 
         Raises:
-            BadInputError: It cannot be read, is not SDF, or includes what is not there.
+            BadInputError: It cannot be read, or is not SDF.
         """
         root = _root_of(self._path)
         worlds = root.findall("world")
@@ -150,8 +153,7 @@ class SdfReader:
             for model in self._children(worlds[0], self._path, world, 0):
                 world.frames[model.name] = model.frames["__model__"]
                 models.append(model)
-            if world.has_ground:
-                models.append(SdfModel("ground_plane", is_static=True, has_ground=True))
+            models.append(SdfModel(world.name, is_static=True, has_ground=world.has_ground, missing=world.missing))
             return SdfFile(worlds[0].get("name") or self._path.stem, models, is_world=True)
         elements = root.findall("model")
         if not elements:
@@ -209,11 +211,17 @@ class SdfReader:
             self._place_in(model, nested, nested, owner)
             yield model
         for include in element.findall("include"):
-            found = self._included(include, path, depth)
-            if found is None:
-                owner.has_ground = owner.has_ground or _GROUND.search(_text(include.find("uri"))) is not None
+            uri = _text(include.find("uri"))
+            file = _included_file(uri, path)
+            if file is None:
+                owner.has_ground = owner.has_ground or _GROUND.search(uri) is not None
+                if not _SUN.search(uri) and not _GROUND.search(uri):
+                    owner.missing.append(_text(include.find("name")) or uri.rstrip("/").rpartition("/")[2])
                 continue
-            model, source = found
+            source = _root_of(file).find("model")
+            if source is None:
+                continue  # a light or an actor
+            model = self._model(source, file, depth + 1)
             model.name = _text(include.find("name")) or model.name
             model.is_static = model.is_static or _is_true(include.find("static"))
             model.plugins += include.findall("plugin")
@@ -243,24 +251,6 @@ class SdfReader:
             pose = pose.apply(model.frames[frame].inverse())
         model.frames.setdefault("__model__", IDENTITY)
         model.place(pose)
-
-    def _included(self, include: ET.Element, path: Path, depth: int) -> tuple[SdfModel, ET.Element] | None:
-        """A model of another file and its element; None = one of Gazebo's that hold no obstacle."""
-        uri = _text(include.find("uri"))
-        target = find_file(uri, path)
-        file = None if target is None else _sdf_in(target)
-        if file is None:
-            if _SUN.search(uri) or _GROUND.search(uri):
-                return None
-            raise BadInputError(
-                f"{path}: includes {uri!r}, which is not on this machine; allowed: a model beside the file, or in a "
-                "folder of the environment variable GZ_SIM_RESOURCE_PATH"
-            )
-        root = _root_of(file)
-        element = root.find("model")
-        if element is None:
-            return None  # a light or an actor
-        return self._model(element, file, depth + 1), element
 
     # ---- parts ------------------------------------------------------------------------------------------------------
     def _framed(self, element: ET.Element, model: SdfModel, default: str) -> Callable[[], Pose]:
@@ -296,7 +286,7 @@ class SdfReader:
             base = frame
             if posed is not None and posed.get("relative_to"):
                 base = model.frames.get(posed.get("relative_to", ""), frame)
-            shape = _shape(collision.find("geometry"), base.apply(_pose(posed, what)), f"{model.name}::{name}", what)
+            shape = _shape(collision.find("geometry"), base.apply(_pose(posed, what)), name, what)
             if shape is not None:
                 model.shapes.append(shape)
 
@@ -355,6 +345,14 @@ def _root_of(path: Path) -> ET.Element:
     if root.tag != "sdf":
         raise BadInputError(f"{path}: an XML file of <{root.tag}>; allowed: <sdf>")
     return root
+
+
+def _included_file(uri: str, path: Path) -> Path | None:
+    """The file of a model that a file includes; None = it is not on this machine."""
+    target = find_file(uri, path)
+    if target is None:
+        return None
+    return _sdf_in(target)
 
 
 def _sdf_in(target: Path) -> Path | None:

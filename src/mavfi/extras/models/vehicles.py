@@ -6,12 +6,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from mavfi.cli.console import counted
 from mavfi.errors import BadInputError
 from mavfi.extras.models.geometry import Pose, lump
 from mavfi.extras.models.quadrotor import MultirotorData, Rotor, vehicle_from
 from mavfi.extras.models.sdf import SdfFile, SdfModel, SdfReader
 from mavfi.extras.models.urdf import UrdfRobot, read_urdf, read_xacro
-from mavfi.extras.models.xml_files import number, numbers
+from mavfi.extras.models.xml_files import PATH_VARIABLES, number, numbers
 from mavfi.numerics.vectors import length
 from mavfi.sim.engine import GRAVITY
 from mavfi.sim.imported import ImportedVehicle
@@ -27,10 +28,15 @@ XACRO_KEY = "xacro"
 def sdf_vehicle(path: Path, chosen: Mapping[str, Any]) -> ImportedVehicle:
     """See `mavfi.sim.imported.VehicleReader`; a world must hold one multirotor."""
     model = _only_multirotor(SdfReader(path).read(), path)
+    if model.missing:
+        raise BadInputError(
+            f"{path}: includes {', '.join(model.missing)}, not on this machine; allowed: models beside the file, or in "
+            f"a folder of {PATH_VARIABLES[0]}"
+        )
     model.place(model.frames["__model__"].inverse())  # where it stands in its file does not matter
     data = MultirotorData(model.name, shapes=model.shapes)
     data.body = lump(model.masses.values())
-    data.body_note = f"of {_counted(len(model.masses), 'link')} as one rigid body"
+    data.body_note = f"of {counted(len(model.masses), 'link')} as one rigid body"
     children = {joint.name: joint.child for joint in model.joints}
     data.rotors = _rotors_of(model.plugins, children, model.links, path)
     data.rotor_note = "motor plug-ins"
@@ -81,7 +87,7 @@ def xacro_vehicle(path: Path, chosen: Mapping[str, Any]) -> ImportedVehicle:
 def _of_robot(robot: UrdfRobot, path: Path, chosen: Mapping[str, Any]) -> ImportedVehicle:
     data = MultirotorData(robot.name, shapes=robot.shapes)
     data.body = lump(robot.masses.values())
-    data.body_note = f"of {_counted(len(robot.masses), 'link')} as one rigid body"
+    data.body_note = f"of {counted(len(robot.masses), 'link')} as one rigid body"
     data.rotors = _rotors_of(robot.plugins, robot.moving, robot.links, path)
     data.rotor_note = "motor plug-ins"
     properties = robot.root.find("properties")
@@ -204,9 +210,3 @@ def _take_properties(data: MultirotorData, robot: UrdfRobot, properties: ET.Elem
         speed = (data.body.mass * GRAVITY / 4.0 / kf) ** 0.5 * _PER_MINUTE
         data.linear_drag = (4.0 * sideways * speed, 4.0 * sideways * speed, 4.0 * (vertical or 0.0) * speed)
         data.linear_drag_note = "<properties>: drag_coeff_xy, drag_coeff_z, rotors at hover"
-
-
-def _counted(count: int, noun: str) -> str:
-    if count == 1:
-        return f"1 {noun}"
-    return f"{count} {noun}s"

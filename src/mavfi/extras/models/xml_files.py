@@ -9,7 +9,7 @@ from pathlib import Path
 from mavfi.errors import BadInputError
 from mavfi.files import LARGEST_TEXT, is_dir, is_file, read_file
 
-_PATH_VARIABLES = (
+PATH_VARIABLES = (
     "GZ_SIM_RESOURCE_PATH",
     "IGN_GAZEBO_RESOURCE_PATH",
     "SDF_PATH",
@@ -72,7 +72,7 @@ def search_folders(path: Path) -> Iterator[Path]:
     for folder in [above, *above.parents[:_NEAR]]:
         for inner in _FOLDERS:
             yield folder / inner
-    for variable in _PATH_VARIABLES:
+    for variable in PATH_VARIABLES:
         for entry in filter(None, os.environ.get(variable, "").split(os.pathsep)):
             for inner in _FOLDERS:
                 yield Path(entry) / inner

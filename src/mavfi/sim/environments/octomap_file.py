@@ -245,7 +245,7 @@ def map_resolution_for(path: str) -> float:
     finest = float(np.prod(extent) / _LARGEST_MAP) ** (1.0 / 3.0)
     if finest <= _USUAL_RESOLUTION:
         return _USUAL_RESOLUTION
-    return max(resolution, math.ceil(100.0 * finest) / 100.0)
+    return float(max(resolution, math.ceil(100.0 * finest) / 100.0))
 
 
 @kernel_jit
