@@ -88,9 +88,17 @@ class CopterMode(IntEnum):
     LAND = 9
     POSHOLD = 16
     BRAKE = 17
+    GUIDED_NOGPS = 20  # attitudes only
 
 
-_ARMABLE = (CopterMode.STABILIZE, CopterMode.ALT_HOLD, CopterMode.GUIDED, CopterMode.LOITER, CopterMode.POSHOLD)
+_ARMABLE = (
+    CopterMode.STABILIZE,
+    CopterMode.ALT_HOLD,
+    CopterMode.GUIDED,
+    CopterMode.LOITER,
+    CopterMode.POSHOLD,
+    CopterMode.GUIDED_NOGPS,
+)
 _AUTONOMOUS = (CopterMode.AUTO, CopterMode.GUIDED, CopterMode.RTL, CopterMode.CIRCLE, CopterMode.LAND)
 
 
@@ -258,7 +266,7 @@ class ArduCopter(Autopilot):
 
     def follow_attitude(self, message: Any) -> None:
         """See `Autopilot.follow_attitude`: the thrust is a climb rate, 0.5 = none, unless GUID_OPTIONS has bit 3."""
-        self._check_guided(message)
+        self._check_guided(message, CopterMode.GUIDED_NOGPS)
         if round(self.parameters["GUID_OPTIONS"]) & _THRUST_AS_THRUST:
             vertical = Vertical(throttle=float(message.thrust))
         else:
@@ -266,8 +274,8 @@ class ArduCopter(Autopilot):
             vertical = Vertical(z=self.vehicle.position[2] - rate / _CLIMB_GAIN)
         self._fly_setpoint(attitude_target(message, self.vehicle, vertical))
 
-    def _check_guided(self, message: Any) -> None:
-        if self.mode is not CopterMode.GUIDED:
+    def _check_guided(self, message: Any, *others: CopterMode) -> None:
+        if self.mode not in (CopterMode.GUIDED, *others):
             raise UnsupportedError(f"{message.get_type()} in mode {self.mode.name}: allowed: GUIDED")
 
     def answer_stray_item(self, message: Any) -> None:

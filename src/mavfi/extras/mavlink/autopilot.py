@@ -22,9 +22,7 @@ from mavfi.numerics.frames import Triple
 
 _AUTOPILOT_VERSION = 148
 _MESSAGE_INTERVAL = 244
-_PROTOCOL_VERSION = 300
 """Ids of messages that are sent on request only."""
-_MAVLINK_2 = 200
 _FORCE = 21_196
 """Second parameter of a command that disarms in flight."""
 _HOME_LIMIT = 50_000.0
@@ -40,7 +38,7 @@ _FTP_UNKNOWN = 7
 _FTP_OF_FILES = (3, 4)  # ListDirectory, OpenFileRO
 _FTP_PAYLOAD = 251
 _LOG_DATA = 90
-_PARAM_EXT_FAILED = 3
+_PARAM_EXT_FAILED = 2
 
 CommandHandler = Callable[[Any, Command], int | None]
 """Executes a command; its result, or None if it is acknowledged later."""
@@ -474,8 +472,6 @@ class Autopilot(ABC):
         number = whole(command[1])
         if number == _AUTOPILOT_VERSION:
             return self.send_version(command)
-        if number == _PROTOCOL_VERSION:
-            return self.send_protocol(command)
         if number == _MESSAGE_INTERVAL:
             return self.send_interval_of(whole(command[2]))
         name = _message_name(number)
@@ -489,12 +485,6 @@ class Autopilot(ABC):
         del command
         hashes = [[0] * 8] * 3
         self.send("autopilot_version", self.capabilities, self.version, 0, 0, 0, *hashes, 0, 0, 42)
-        return MavResult.ACCEPTED
-
-    def send_protocol(self, command: Command) -> int:
-        """MAV_CMD_REQUEST_PROTOCOL_VERSION."""
-        del command
-        self.send("protocol_version", _MAVLINK_2, 100, _MAVLINK_2, [0] * 8, [0] * 8)
         return MavResult.ACCEPTED
 
     def send_interval(self, command: Command) -> int:
@@ -535,7 +525,6 @@ COMMANDS: dict[int, CommandHandler] = {
     MavCommand.GET_HOME_POSITION: Autopilot.send_home,
     MavCommand.INJECT_FAILURE: Autopilot.inject_failure,
     MavCommand.REQUEST_MESSAGE: Autopilot.request_message,
-    MavCommand.REQUEST_PROTOCOL_VERSION: Autopilot.send_protocol,
     MavCommand.REQUEST_CAPABILITIES: Autopilot.send_version,
     MavCommand.GET_MESSAGE_INTERVAL: Autopilot.send_interval,
     MavCommand.SET_MESSAGE_INTERVAL: Autopilot.set_interval,
