@@ -15,6 +15,7 @@ from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
     from mavfi.extras.logs.live import LiveView
+    from mavfi.extras.logs.recording import LogRecording
     from mavfi.extras.logs.watch import JudgedLog, LogRates, LogWatch
 
 _MAX_FLIPS = 100_000
@@ -196,6 +197,9 @@ def _judge(
     recordings = [read_recording(path, wanted.fault) for path in logs]
     normal = [read_recording(path, wanted.fault, required=False).normal for path in train]
     notices = [notice for recording in [*recordings, *normal] for notice in recording.notices]
+    recordings = _flown(recordings)
+    if train:
+        normal = _flown(normal)
     for text in [cut_text([*recordings, *normal]), *dict.fromkeys(notices)]:
         if text:
             console(error=True).print(text, markup=False, soft_wrap=True)
@@ -208,6 +212,15 @@ def _judge(
         for recording in recordings
     ]
     return [log_watch for log_watch, _ in pairs], [judged for _, judged in pairs]
+
+
+def _flown(recordings: list[LogRecording]) -> list[LogRecording]:
+    """The recordings with messages: what is left out of the others is a notice."""
+    flown = [recording for recording in recordings if recording.messages]
+    if not flown:
+        reasons = [notice for recording in recordings for notice in recording.notices]
+        raise BadInputError("; ".join(reasons) or f"{recordings[0].name}: has no messages")
+    return flown
 
 
 def _summary(rates: LogRates) -> list[str]:
