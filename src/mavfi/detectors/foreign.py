@@ -14,7 +14,7 @@ from mavfi.detectors.detector import Detector
 from mavfi.detectors.features import Events
 from mavfi.detectors.model import Model
 from mavfi.detectors.preprocess import Preprocessor
-from mavfi.detectors.registry import figures_of, of_monitored_fields
+from mavfi.detectors.registry import detector_class, figures_of, of_monitored_fields
 from mavfi.detectors.training import join, sample_of
 from mavfi.errors import BadInputError
 from mavfi.states import Field, Stage, State, StateSpec
@@ -49,7 +49,7 @@ def learn(
     specs: Mapping[str, StateSpec],
     differenced: Collection[str] = (),
 ) -> Detector:
-    """A detector of a kind in `of_monitored_fields()`, fitted to normal publications of these states.
+    """A detector of a kind in `trainable()`, fitted to normal publications of these states.
 
     The publications of each recording are in order; differences are taken within a recording only.  Of the fields
     `differenced` ("state.field") the difference is coded in both profiles: codes of angles would depend on the turns.
@@ -59,7 +59,9 @@ def learn(
     """
     classes: Mapping[str, Any] = of_monitored_fields()
     if kind not in classes:
-        raise BadInputError(f"detector {kind!r}: not known; allowed: {', '.join(classes)}")
+        _check_sample(recordings, specs)
+        of_messages: Detector = detector_class(kind).of_messages(recordings, specs, figures_of(kind, "tuned"))
+        return of_messages
     thresholds: list[int] = []
     for spec in specs.values():
         states_by_recording = [[state for state in states if state.spec is spec] for states in recordings]
@@ -71,6 +73,14 @@ def learn(
     parameters = factory.fit(sample, preprocessor, figures_of(kind, profile))
     detector: Detector = factory(Model(kind, profile, "", "", parameters, {}), preprocessor=preprocessor)
     return detector
+
+
+def _check_sample(recordings: Sequence[Sequence[State]], specs: Mapping[str, StateSpec]) -> None:
+    """Refuse sources with too few publications."""
+    for spec in specs.values():
+        count = sum(state.spec is spec for states in recordings for state in states)
+        if count < SMALLEST_SAMPLE:
+            raise BadInputError(f"training: {count} messages of {spec.name}; allowed: {SMALLEST_SAMPLE} or more")
 
 
 def _events(states: Sequence[State], order: Mapping[str, int]) -> Events:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
@@ -15,24 +15,12 @@ from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
     from mavfi.extras.logs.live import LiveView
+    from mavfi.extras.logs.recording import LogRecording
+    from mavfi.extras.logs.selection import Wanted
     from mavfi.extras.logs.watch import JudgedLog, LogRates, LogWatch
 
 _MAX_FLIPS = 100_000
 _MAX_LISTED = 10
-
-
-class Wanted(NamedTuple):
-    """What to read of recordings.
-
-    Attributes:
-        fields: Monitored fields; empty = the recommended ones, or all.
-        kinds: What fields are, see `selection.parse_kinds`.
-        fault: Number that tells of a known fault; "" = none.
-    """
-
-    fields: list[str]
-    kinds: dict[str, str]
-    fault: str
 
 
 class LiveOption:
@@ -68,7 +56,9 @@ def watch(  # noqa: PLR0913 - one parameter per option
     split: Annotated[
         float | None, typer.Option(help="Instead of --train: train on this first share of each LOG, judge the rest.")
     ] = None,
-    detector: Annotated[str, typer.Option(help="gaussian or autoencoder.")] = "gaussian",
+    detector: Annotated[
+        str, typer.Option(metavar="NAME", help="gaussian, autoencoder, recommended, limits, ..., or package:Class.")
+    ] = "gaussian",
     profile: options.WatchProfile = "tuned",
     fields: Annotated[
         str, typer.Option(metavar="FIELD,...", help="Numbers, e.g. ATTITUDE:roll; recommended ones or all by default.")
@@ -80,6 +70,14 @@ def watch(  # noqa: PLR0913 - one parameter per option
             help="What fields are, where this is not recognised: rad, deg, cdeg, degE7, quaternion, or number.",
         ),
     ] = "",
+    mapping: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="For rules and custom detectors: which fields are which quantities; px4, mavlink, ardupilot, mavros, "
+            "nav2, mavfi, or a .yaml file; what fits best by default.",
+        ),
+    ] = "",
     fault: Annotated[
         str, typer.Option(metavar="TOPIC:FIELD", help="A number in LOG that is 0 until a known fault begins.")
     ] = "",
@@ -87,7 +85,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     seed: Annotated[int, typer.Option(help="Seed of these flips.")] = 0,
     as_json: options.AsJson = False,
 ) -> None:
-    """Judge recorded flights with one of the paper's detectors, trained on others.
+    """Judge recorded flights with a detector, trained on others.
 
     Reports false alarms per hour, the share of injected flips that are detected, and the delay of known faults.
     A LOG must not be among those of --train.
@@ -95,12 +93,16 @@ def watch(  # noqa: PLR0913 - one parameter per option
     Example: [bold]mavfi watch flight.ulg --train normal1.ulg --train normal2.ulg --inject 300[/bold]
     """
     from mavfi.detectors.preprocess import PROFILES
-    from mavfi.detectors.registry import of_monitored_fields
-    from mavfi.extras.logs.selection import parse_kinds, summary
+    from mavfi.extras.logs.detectors import is_fitted, uses_rules
+    from mavfi.extras.logs.selection import Wanted, parse_kinds, summary
     from mavfi.extras.logs.watch import LogRates
 
     # Check the options.
-    check_name("--detector", detector, of_monitored_fields())
+    is_of_fields = is_fitted(detector)
+    if mapping and is_of_fields:
+        raise BadInputError(
+            f"--mapping: {mapping}: is not read by {detector}; allowed: with rules or a custom detector"
+        )
     check_name("--profile", profile, PROFILES)
     check_number("--split", split, 0.05, 0.95)
     check_number("--inject", inject, 0, _MAX_FLIPS)
@@ -116,8 +118,10 @@ def watch(  # noqa: PLR0913 - one parameter per option
     _check_apart(logs, train or [])
     # Train and judge.
     with stoppable("Stopped."):
-        wanted = Wanted(options.listed(fields), parse_kinds(options.listed(kinds)), fault)
-        trained, judged = _judge(logs, train or [], split, (detector, profile), wanted, (inject, seed))
+        wanted = Wanted(options.listed(fields), parse_kinds(options.listed(kinds)))
+        if not is_of_fields:
+            wanted = wanted._replace(mapping=mapping, only_mapped=uses_rules(detector))
+        trained, judged = _judge(logs, train or [], split, (detector, profile), wanted, fault, (inject, seed))
     # What was found, and how.
     rates = LogRates(judged)
     trained_on = sum(log_watch.trained_on for log_watch in trained)
@@ -177,6 +181,7 @@ def _judge(
     split: float | None,
     detector_and_profile: tuple[str, str],
     wanted: Wanted,
+    fault: str,
     flips: tuple[int, int],
 ) -> tuple[list[LogWatch], list[JudgedLog]]:
     """Train and judge; each LOG that is split trains its own detector.
@@ -186,28 +191,38 @@ def _judge(
         train: Normal recordings.
         split: Share of each LOG to train on, instead.
         detector_and_profile: Their names.
-        wanted: What to read of them.
+        wanted: What to monitor.
+        fault: Number that tells of a known fault; "" = none.
         flips: Number of flips in each LOG, and their seed.
     """
     from mavfi.extras.logs.recording import read_recording
     from mavfi.extras.logs.selection import cut_text, select
     from mavfi.extras.logs.watch import LogWatch, judge_rest
 
-    recordings = [read_recording(path, wanted.fault) for path in logs]
-    normal = [read_recording(path, wanted.fault, required=False).normal for path in train]
+    recordings = [read_recording(path, fault) for path in logs]
+    normal = [read_recording(path, fault, required=False).normal for path in train]
     notices = [notice for recording in [*recordings, *normal] for notice in recording.notices]
+    recordings = _flown(recordings)
+    if train:
+        normal = _flown(normal)
     for text in [cut_text([*recordings, *normal]), *dict.fromkeys(notices)]:
         if text:
             console(error=True).print(text, markup=False, soft_wrap=True)
     if split is None:
-        selection = select(normal, recordings, wanted.fields, wanted.kinds)
-        log_watch = LogWatch(*detector_and_profile, selection, normal)
+        selection = select(normal, recordings, wanted)
+        log_watch = LogWatch(*detector_and_profile, selection, normal, flips[1])
         return [log_watch], [log_watch.judge(recording, *flips) for recording in recordings]
-    pairs = [
-        judge_rest(*detector_and_profile, recording, split, wanted.fields, *flips, wanted.kinds)
-        for recording in recordings
-    ]
+    pairs = [judge_rest(*detector_and_profile, recording, split, wanted, *flips) for recording in recordings]
     return [log_watch for log_watch, _ in pairs], [judged for _, judged in pairs]
+
+
+def _flown(recordings: list[LogRecording]) -> list[LogRecording]:
+    """The recordings with messages: what is left out of the others is a notice."""
+    flown = [recording for recording in recordings if recording.messages]
+    if not flown:
+        reasons = [notice for recording in recordings for notice in recording.notices]
+        raise BadInputError("; ".join(reasons) or f"{recordings[0].name}: has no messages")
+    return flown
 
 
 def _summary(rates: LogRates) -> list[str]:

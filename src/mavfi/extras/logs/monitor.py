@@ -8,6 +8,7 @@ import numpy as np
 
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.detectors.foreign import foreign_state, learn
+from mavfi.detectors.registry import of_monitored_fields
 from mavfi.detectors.scoring import NOT_FINITE
 from mavfi.extras.logs.circular import Geometry, Unwrapper
 from mavfi.states import State, StateSpec, floats
@@ -91,8 +92,9 @@ def fitted(
 ) -> Monitor:
     """A detector of monitored fields, see `learn`, fitted to the messages of normal recordings.
 
-    It codes changes by powers of two.  The scales bring the largest change of each field in the training to just above
-    a power of two: otherwise a change slightly larger than all of the training had another code, and was an alarm.
+    GAD and AAD code changes by powers of two.  The scales bring the largest change of each field in the training to
+    just above such a power: otherwise a change slightly larger than all of the training might have another code, and
+    be an alarm.
 
     Raises:
         BadInputError: See `learn`.
@@ -102,7 +104,9 @@ def fitted(
     for states in recordings:
         unwrapper.start()
         continuous.append([_advance(unwrapper, state) for state in states])
-    scales = {topic: _scales_of(spec, continuous) for topic, spec in specs.items()}
+    scales: dict[str, np.ndarray] = {}
+    if kind in of_monitored_fields():
+        scales = {topic: _scales_of(spec, continuous) for topic, spec in specs.items()}
     circular = {f"{topic}.{name}" for topic, geometry in geometries.items() for name in geometry.fields}
     shown = [[scaled(state, scales) for state in states] for states in continuous]
     return Monitor(learn(kind, profile, shown, specs, circular), geometries, scales)

@@ -1,13 +1,15 @@
 """Recorded flights as `mavfi watch` reads them: messages by source, where a known fault begins, and what is amiss."""
 
-from collections.abc import Mapping, Sequence
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.faults.levels.message.definition import FORMATS, AbsentError
+from mavfi.faults.levels.message.definition import FORMATS, AbsentError, Definition
 from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, open_flight_log
 
 _SHORTEST_LIMIT_US = 1_000_000
@@ -77,7 +79,7 @@ def read_recording(path: Path, fault: str = "", *, required: bool = True) -> Log
     if fault and not (topic and number):
         raise BadInputError(f"--fault: {fault!r}: allowed: TOPIC:FIELD, a number that is 0 before the fault")
     reader = open_flight_log(path)
-    messages = list(reader.messages([]))
+    messages = _by_frame(list(reader.messages([])))
     # The topic that tells of the fault is not monitored.
     onset = None
     if fault:
@@ -101,6 +103,80 @@ def _onset(messages: Sequence[LoggedMessage], number: str) -> int | None:
         except AbsentError as error:
             raise BadInputError(f"--fault: {error}") from None
     return None
+
+
+# ---- sources of ROS messages ----------------------------------------------------------------------------------------
+_TRANSFORMS = ("tf2_msgs/TFMessage", "tf/tfMessage")
+"""Types of messages with a list of transforms."""
+_TRANSFORM = "geometry_msgs/TransformStamped"
+_STAMP = 12
+"""Bytes of sequence number and stamp at the start of a header."""
+_POSE = 7 * 8
+"""Bytes of a translation and a rotation."""
+_COUNT = struct.Struct("<I")
+
+
+def _by_frame(messages: list[LoggedMessage]) -> list[LoggedMessage]:
+    """The messages with topics that tell several frames apart.
+
+    Each transform becomes a message of `topic[child frame]`.  Of another topic whose messages have headers with several
+    frames, those after the first in order of names are named `topic[frame]`.
+    """
+    frames: dict[str, set[str]] = {}
+    layouts: dict[Definition, Definition] = {}
+    split = []
+    for message in messages:
+        if not isinstance(message.layout, Definition):
+            split.append((message, ""))
+        elif message.layout.kind in _TRANSFORMS:
+            split += [(transform, "") for transform in _transforms(message, message.layout, layouts)]
+        else:
+            frame = _frame(message.layout, message.data)
+            frames.setdefault(message.topic, set()).add(frame)
+            split.append((message, frame))
+    renamed = []
+    for message, frame in split:
+        if frame and frame != min(frames[message.topic]):
+            renamed.append(replace(message, topic=f"{message.topic}[{frame}]"))
+        else:
+            renamed.append(message)
+    return renamed
+
+
+def _transforms(
+    message: LoggedMessage, layout: Definition, layouts: dict[Definition, Definition]
+) -> Iterator[LoggedMessage]:
+    """Each transform of a message as a message; `layouts` holds the layout of transforms by that of messages."""
+    if layout not in layouts:
+        layouts[layout] = copy(layout)
+        layouts[layout].kind = _TRANSFORM
+    data = message.data
+    (count,) = _COUNT.unpack_from(data)
+    begin = _COUNT.size
+    for _ in range(count):
+        _, end = _text(data, begin + _STAMP)
+        child, end = _text(data, end)
+        end += _POSE
+        yield LoggedMessage(f"{message.topic}[{child}]", message.time_us, layouts[layout], data[begin:end])
+        begin = end
+
+
+def _frame(layout: Definition, data: bytes) -> str:
+    """The frame that a message is about: that of its child, as of odometry, or of its header; "" = it has none."""
+    members = layout.types[layout.kind]
+    if not members or members[0].kind != "std_msgs/Header":
+        return ""
+    frame, end = _text(data, _STAMP)
+    if len(members) > 1 and members[1].name == "child_frame_id":
+        frame, _ = _text(data, end)
+    return frame
+
+
+def _text(data: bytes, offset: int) -> tuple[str, int]:
+    """The text at an offset, and the offset behind it."""
+    (size,) = _COUNT.unpack_from(data, offset)
+    begin = offset + _COUNT.size
+    return data[begin : begin + size].decode(errors="replace"), begin + size
 
 
 # ---- numbers ---------------------------------------------------------------------------------------------------------
@@ -143,7 +219,7 @@ def longest_gap_us(times_us: Sequence[int]) -> int:
     One second, unless longer times without a message are usual: at a rate of 1 Hz or less, or in messages that come in
     bursts.
     """
-    gaps = np.diff(np.array(times_us, np.int64))
+    gaps = np.diff(np.array(times_us, np.int64)).astype(np.float64)
     long_gaps = gaps[gaps >= 0.9 * _SHORTEST_LIMIT_US]
     if len(long_gaps) < _USUAL_GAPS:
         return _SHORTEST_LIMIT_US
@@ -156,5 +232,5 @@ def longest_gap_us(times_us: Sequence[int]) -> int:
 
 def exposure_s(times_us: Sequence[int], longest_us: int) -> float:
     """Duration of some messages without longer gaps (s)."""
-    gaps = np.diff(np.array(times_us, np.int64))
+    gaps = np.diff(np.array(times_us, np.int64)).astype(np.float64)
     return 1e-6 * float(gaps[(gaps > 0) & (gaps <= longest_us)].sum())

@@ -11,8 +11,13 @@ import numpy as np
 from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec
 from mavfi.errors import BadInputError, allowed
 from mavfi.extras.logs.circular import KINDS, Geometry, Numbers, component_groups, recognise
+from mavfi.extras.logs.mapping import NO_MAPPING, UsedMapping, choose_mapping
 from mavfi.extras.logs.recording import LogRecording, values_of
 from mavfi.flight.log_readers import LONGEST_LIST, LoggedMessage, Probe
+
+_NOT_RECOMMENDED = "not recommended for this format; name it in --fields"
+_NOT_WANTED = "not in --fields"
+_NOT_MAPPED = "not in the mapping"
 
 
 class NotMonitored(NamedTuple):
@@ -29,6 +34,25 @@ class NotMonitored(NamedTuple):
     reason: str
 
 
+class Wanted(NamedTuple):
+    """What to monitor.
+
+    Attributes:
+        fields: "TOPIC:FIELD" or "FIELD"; empty = the recommended ones of the format, or all.
+        kinds: What fields are, see `parse_kinds`; that of all others is recognised.
+        mapping: Mapping to states of missions, see `choose_mapping`; None = none.
+        only_mapped: Whether nothing but mapped fields is monitored, unless there are `fields`.
+    """
+
+    fields: Sequence[str] = ()
+    kinds: Mapping[str, str] = {}
+    mapping: str | None = None
+    only_mapped: bool = False
+
+
+EVERYTHING = Wanted()
+
+
 @dataclass(frozen=True)
 class Selection:
     """What is monitored.
@@ -37,11 +61,13 @@ class Selection:
         probes: Monitored fields by topic.
         geometries: Angles and quaternions among them, by topic.
         not_monitored: All other numbers, with the reason.
+        mapping: Which monitored fields become states of missions.
     """
 
     probes: Mapping[str, Probe]
     geometries: Mapping[str, Geometry]
     not_monitored: Sequence[NotMonitored] = ()
+    mapping: UsedMapping = NO_MAPPING
 
 
 def parse_kinds(texts: Sequence[str]) -> dict[str, str]:
@@ -59,12 +85,7 @@ def parse_kinds(texts: Sequence[str]) -> dict[str, str]:
     return kinds
 
 
-def select(
-    training: Sequence[LogRecording],
-    judged: Sequence[LogRecording],
-    wanted: Sequence[str] = (),
-    kinds: Mapping[str, str] | None = None,
-) -> Selection:
+def select(training: Sequence[LogRecording], judged: Sequence[LogRecording], wanted: Wanted = EVERYTHING) -> Selection:
     """Monitored fields by topic: those that are finite in every message of the training.
 
     In the recordings to be judged they only need to exist: there a value that is not finite is an alarm.
@@ -72,35 +93,38 @@ def select(
     Args:
         training: Normal recordings.
         judged: Recordings to be judged.
-        wanted: "TOPIC:FIELD" or "FIELD"; empty = the recommended ones of the format, or all.
-        kinds: What fields are, see `parse_kinds`; that of all others is recognised.
+        wanted: What to monitor.
 
     Raises:
         BadInputError: A wanted field cannot be monitored, or there is none at all.
     """
-    by_topic = _Topics(training, judged, wanted, kinds or {})
+    by_topic = _Topics(training, judged, wanted)
     probes: dict[str, Probe] = {}
     geometries: dict[str, Geometry] = {}
     for topic in by_topic.names:
-        monitored = by_topic.monitored(topic)
-        if monitored is not None:
-            probes[topic], geometries[topic] = monitored
+        part = by_topic.monitored(topic)
+        if part is not None:
+            probes[topic], geometries[topic] = part
     # Refuse what the user has named in vain.
     cut = cut_text([*training, *judged])
     if cut:
         cut = f" ({cut})"
-    _check_wanted(wanted, probes, by_topic.left_out, cut)
+    _check_wanted(wanted.fields, probes, by_topic.left_out, cut)
     if not probes:
         files = ", ".join(recording.name for recording in [*training, *judged])
         raise BadInputError(
             f"{files}: no numbers in common{cut}; allowed: topics with {SMALLEST_SAMPLE} messages or more "
             f"in the training, with finite numbers{_examples(by_topic.left_out)}"
         )
-    for pattern in kinds or {}:
+    for pattern in wanted.kinds:
         if pattern not in by_topic.used_kinds:
             fields = [f"{topic}:{field.name}" for topic, probe in probes.items() for field in probe.spec.header]
             raise BadInputError(f"--kinds: {pattern}: no monitored field; allowed: {allowed(fields, pattern)}")
-    return Selection(probes, geometries, by_topic.left_out)
+    mapping = by_topic.mapping
+    if mapping.name:
+        monitored = {topic: [field.name for field in probe.spec.header] for topic, probe in probes.items()}
+        mapping = choose_mapping(wanted.mapping or mapping.name, monitored)
+    return Selection(probes, geometries, by_topic.left_out, mapping)
 
 
 class _Topics:
@@ -110,31 +134,43 @@ class _Topics:
         training: See `select`.
         judged: See `select`.
         wanted: See `select`.
-        kinds: See `select`.
 
     Attributes:
+        mapping: The mapping to states of missions.
         names: All topics, in the order of their first appearance.
         left_out: What is not monitored in the topics asked for so far.
-        used_kinds: Patterns of `kinds` that a field of these topics has.
+        used_kinds: Patterns of the wanted kinds that a field of these topics has.
     """
 
-    def __init__(
-        self,
-        training: Sequence[LogRecording],
-        judged: Sequence[LogRecording],
-        wanted: Sequence[str],
-        kinds: Mapping[str, str],
-    ) -> None:
+    def __init__(self, training: Sequence[LogRecording], judged: Sequence[LogRecording], wanted: Wanted) -> None:
         self._training = [(recording.name, recording.by_topic()) for recording in training]
         self._judged = [(recording.name, recording.by_topic()) for recording in judged]
         self._wanted = wanted
-        self._kinds = kinds
         self._recommended: Mapping[str, Sequence[str]] = {}
         for recording in training:
             self._recommended = self._recommended or recording.recommended
         self.names = list(dict.fromkeys(topic for _, topics in (*self._training, *self._judged) for topic in topics))
         self.left_out: list[NotMonitored] = []
         self.used_kinds: set[str] = set()
+        self.mapping = NO_MAPPING
+        if wanted.mapping is not None:
+            self.mapping = choose_mapping(wanted.mapping, self._available())
+
+    def _available(self) -> dict[str, list[str]]:
+        """Numbers of each topic of the training."""
+        available: dict[str, list[str]] = {}
+        for _, topics in self._training:
+            for topic, messages in topics.items():
+                if topic not in available:
+                    available[topic] = messages[0].layout.numbers(messages[0].data, LONGEST_LIST)
+        return available
+
+    def _candidates(self, topic: str, numbers: Sequence[str]) -> set[str]:
+        """Numbers of a topic that are wanted, or mapped; by default those that are recommended."""
+        mapped = {name for name in numbers if f"{topic}:{name}" in self.mapping.fields}
+        if self._wanted.only_mapped and not self._wanted.fields:
+            return mapped
+        return mapped.union(_candidates(topic, numbers, self._wanted.fields, self._recommended))
 
     def monitored(self, topic: str) -> tuple[Probe, Geometry] | None:
         """What is monitored of a topic; None = nothing."""
@@ -147,7 +183,7 @@ class _Topics:
         # The numbers that are wanted, or recommended, and what may be further components of a quaternion.
         example = normal[0][1][0]
         numbers = example.layout.numbers(example.data, LONGEST_LIST)
-        candidates = set(_candidates(topic, numbers, self._wanted, self._recommended))
+        candidates = self._candidates(topic, numbers)
         read = set(candidates)
         for group in component_groups(numbers):
             if candidates.intersection(group):
@@ -157,7 +193,7 @@ class _Topics:
         names = [name for name in numbers if name in read and name not in reasons]
         tables = [Numbers(names, values_of(messages, names)[0]) for _, messages in normal]
         units: Mapping[str, str] = getattr(example.layout, "units", {})
-        geometry = recognise(tables, units, _declared(topic, names, self._kinds, self.used_kinds))
+        geometry = recognise(tables, units, _declared(topic, names, self._wanted.kinds, self.used_kinds))
         # The sign of a quaternion follows from all of its components: none is monitored alone.
         for quaternion in geometry.quaternions:
             if candidates.intersection(quaternion):
@@ -182,9 +218,11 @@ class _Topics:
         self, topic: str, numbers: Sequence[str], candidates: Collection[str], reasons: Mapping[str, str]
     ) -> None:
         """Add to `left_out` the numbers of a topic that are no candidates, and those with a reason against them."""
-        default_reason = "not recommended for this format; name it in --fields"
-        if self._wanted:
-            default_reason = "not in --fields"
+        default_reason = _NOT_RECOMMENDED
+        if self._wanted.fields:
+            default_reason = _NOT_WANTED
+        elif self._wanted.only_mapped:
+            default_reason = _NOT_MAPPED
         for name in numbers:
             if name not in candidates:
                 self.left_out.append(NotMonitored(topic, name, default_reason))
@@ -266,7 +304,7 @@ def _check_wanted(
 ) -> None:
     """Refuse wanted fields that are not monitored, say why, and name the nearest ones."""
     monitored = [(topic, field.name) for topic, probe in probes.items() for field in probe.spec.header]
-    possible = [*monitored, *((item.topic, item.field) for item in left_out if item.reason == "not in --fields")]
+    possible = [*monitored, *((item.topic, item.field) for item in left_out if item.reason == _NOT_WANTED)]
     for name in wanted:
         topic, _, path = name.rpartition(":")
         if any(path == monitored_path and topic in ("", owner) for owner, monitored_path in monitored):
@@ -310,7 +348,7 @@ def summary(not_monitored: Sequence[NotMonitored]) -> list[str]:
             name = f"{item.topic}:{item.field}"
         by_reason.setdefault(item.reason, []).append(name)
     # A field that is not finite, or absent, says more than one that nobody has asked for.
-    reasons = sorted(by_reason, key=lambda reason: reason.startswith("not recommended") or reason == "not in --fields")
+    reasons = sorted(by_reason, key=lambda reason: reason in (_NOT_WANTED, _NOT_RECOMMENDED, _NOT_MAPPED))
     lines = []
     for reason in reasons[:_MAX_REASONS]:
         lines.append(_shortened(f"not monitored, {reason}: ", by_reason[reason]))

@@ -1,4 +1,4 @@
-"""GAD or AAD on recorded flights: trained on some, applied to others, with injected flips and known faults."""
+"""Detectors on recorded flights: trained on some, applied to others, with injected flips and known faults."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,9 +9,9 @@ import numpy as np
 
 from mavfi.analysis.statistics import EventRate, Rate, event_rate, wilson
 from mavfi.detectors.detector import Alarm, Detector
-from mavfi.extras.logs.monitor import fitted
+from mavfi.extras.logs.detectors import log_detector
 from mavfi.extras.logs.recording import LogRecording, exposure_s, longest_gap_us
-from mavfi.extras.logs.selection import NotMonitored, Selection, select
+from mavfi.extras.logs.selection import EVERYTHING, NotMonitored, Selection, Wanted, select
 from mavfi.faults.levels.message.definition import Leaf, flip_bit
 from mavfi.faults.strata import bits_of
 from mavfi.flight.log_readers import LoggedMessage
@@ -112,20 +112,22 @@ class LogWatch:
     """A detector trained on recordings.
 
     Args:
-        kind: "gaussian" or "autoencoder".
+        kind: Name of a detector, or "package:Class".
         profile: "paper" or "tuned".
         selection: What is monitored.
         training: Recordings of normal flights.
+        seed: Seed of the detector's random draws.
 
     Raises:
-        BadInputError: Unknown kind, or too few messages.
+        BadInputError: See `log_detector`.
     """
 
-    def __init__(self, kind: str, profile: str, selection: Selection, training: Sequence[LogRecording]) -> None:
+    def __init__(
+        self, kind: str, profile: str, selection: Selection, training: Sequence[LogRecording], seed: int = 0
+    ) -> None:
         self.selection = selection
-        specs = {topic: probe.spec for topic, probe in selection.probes.items()}
-        flights = [[state for _, state in self._states(recording)] for recording in training]
-        self.detector: Detector = fitted(kind, profile, flights, specs, selection.geometries)
+        flights = [[(message.time_us, state) for message, state in self._states(recording)] for recording in training]
+        self.detector: Detector = log_detector(kind, profile, selection, selection.mapping, flights, seed)
         self.trained_on = sum(map(len, flights))
 
     def _states(self, recording: LogRecording) -> Iterator[Sample]:
@@ -264,14 +266,13 @@ def judge_rest(
     profile: str,
     recording: LogRecording,
     share: float,
-    fields: Sequence[str] = (),
+    wanted: Wanted = EVERYTHING,
     flips: int = 0,
     seed: int = 0,
-    kinds: Mapping[str, str] | None = None,
 ) -> tuple[LogWatch, JudgedLog]:
     """Train a detector on the first share of a recording, and judge the rest."""
     first, rest = recording.split(share)
-    log_watch = LogWatch(kind, profile, select([first.normal], [rest], fields, kinds), [first.normal])
+    log_watch = LogWatch(kind, profile, select([first.normal], [rest], wanted), [first.normal], seed)
     return log_watch, log_watch.judge(rest, flips, seed)
 
 
