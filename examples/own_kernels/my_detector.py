@@ -36,7 +36,7 @@ class Jumps(Detector):
 
     def start(self) -> None:
         """A flight begins."""
-        self._last = np.zeros(3)
+        self._last[:] = 0.0
 
     def arrays(self) -> dict[str, np.ndarray]:
         """The memory that faults can be in, by name."""
@@ -44,6 +44,8 @@ class Jumps(Detector):
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Called with every command before the vehicle gets it."""
+        if state.spec.name != "control.command":  # way-points are shown to every detector
+            return None
         jump = change(floats(state.header, 3), self._last)
         if jump <= LIMIT:  # false for NaN
             return None
@@ -51,4 +53,5 @@ class Jumps(Detector):
 
     def accept(self, state: State, time_us: int) -> None:
         """Called with the command that the vehicle really gets."""
-        self._last = floats(state.header, 3).copy()
+        if state.spec.name == "control.command":
+            self._last[:] = floats(state.header, 3)

@@ -13,8 +13,8 @@ from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.random import seed_generator
 from mavfi.numerics.voxels import Grid, segment_free, voxel_of
 
-MOST_STEPS = 200_000
-"""Voxels that a search expands at most."""
+MOST_ENTRIES = 500_000
+"""Entries of the heap of a search, which fails beyond them."""
 
 
 @kernel_jit
@@ -83,17 +83,15 @@ def find_path(
     if first < 0 or last < 0:
         return -1
     cost = np.full(grid.nx * grid.ny * grid.nz, np.inf)
-    keys = np.zeros(26 * MOST_STEPS)
-    voxels = np.zeros(26 * MOST_STEPS, np.int64)
+    keys = np.zeros(MOST_ENTRIES)
+    voxels = np.zeros(MOST_ENTRIES, np.int32)
     cost[last] = 0.0
     came_from[last] = last
     keys[0] = distance(grid, last, first)
     voxels[0] = last
     count = 1
-    for _ in range(MOST_STEPS):
-        if count == 0:
-            return -1
-        voxel = voxels[0]
+    while 0 < count < MOST_ENTRIES - 26:
+        voxel = int(voxels[0])
         if voxel == first:
             return first
         count -= 1

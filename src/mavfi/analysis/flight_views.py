@@ -212,7 +212,7 @@ def _recovery_rate(_: Runs, recovery: RecoveryRate) -> Any:
 def _papers_recovery(runs: Runs) -> float | None:
     if runs.first("population") not in m.LEADING or runs.first("level") == MEMORY:
         return None
-    if not paper.comparable(runs.campaign, runs.first("detector_profile")):
+    if not paper.comparable(runs.campaign, runs.first("detector_profile"), runs.first("arm")):
         return None
     return paper.recovery(runs.first("environment"), runs.first("setting"))
 

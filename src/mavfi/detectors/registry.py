@@ -78,11 +78,6 @@ def is_named(name: str, source: str) -> bool:
     return name == source or (name in places and places[name] == places.get(source))
 
 
-def is_custom_name(name: str) -> bool:
-    """Whether a name is that of a detector which is not part of mavfi; "" is none."""
-    return bool(name) and not known(GROUP, _SHIPPED).get(name, name).startswith("mavfi.")
-
-
 def contains(name: str, profile: str, source: str, options: Mapping[str, Any] | None = None) -> bool:
     """Whether a detector has a part that raises alarms as `source`: itself, or the physics gate in front of it."""
     if source != GATE:

@@ -16,6 +16,7 @@ from mavfi.detectors.detector import Detector, check_states
 from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.registry import Loaded, load_detector, mission_keys
 from mavfi.errors import BadInputError
+from mavfi.faults.plug_ins import plug_ins
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.loop import CONTROL_PERIOD_US, Loop, latency, stage_latency
@@ -39,7 +40,7 @@ from mavfi.sim.environments.registry import SCAN_GENERATOR
 from mavfi.sim.imported import ENVIRONMENT_FILES, EnvironmentReader, extensions_of, reader_of
 from mavfi.sim.mjcf import find_vehicle
 from mavfi.sim.simulator import Simulator
-from mavfi.states import INJECTED_KERNEL, PLANNERS, Stage
+from mavfi.states import INJECTED_KERNEL, PLANNERS, PLUG_INS, Stage
 
 _DEFAULT_V_MAX = 3.0
 """Speed limit where neither mission nor environment has one (m/s)."""
@@ -173,6 +174,8 @@ def _platform(spec: MissionSpec, protection: configs.Config | None) -> configs.P
     absent = set(PLANNERS) - {find_planner(spec.planner).name}
     present = {kernel: row for kernel, row in INJECTED_KERNEL.items() if kernel not in absent}
     times = {row: rewriter().time_of(protection, kernel) for kernel, row in present.items()}
+    for plug_in in plug_ins(find_planner(spec.planner).name, spec.map, spec.flight_controller):
+        times[PLUG_INS[plug_in.role].kernel] = rewriter().time_of(protection, plug_in.name)
     charged = {kernel: round(us * times.get(kernel, 1.0)) for kernel, us in platform.latency_us.items()}
     return platform.model_copy(update={"latency_us": charged})
 

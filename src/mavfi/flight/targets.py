@@ -3,127 +3,35 @@
 A plug-in (planner, map, flight controller, detector) names its functions in the attribute `compiled`: a tuple of
 functions of `kernel_jit`, or a mapping from names to them.  Their callees are part of their machine code.  The plug-in
 calls them by name as it does without faults; only a flight that counts or injects them has others called instead.
-
-A plug-in stands in faults and tables under the name that the mission gives it, without the module: `AStar` for
-`my_planner:AStar`.  A request may also use the whole name, or the key of the mission (`planner`, `map`,
-`flight_controller`, `detector`).
 """
 
-import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from mavfi.config import PlannerConfig, shipped
 from mavfi.detectors.detector import Detector, custom_parts, part_of
-from mavfi.detectors.registry import check_kernel, is_custom_name
+from mavfi.detectors.registry import check_kernel
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import InstructionFault, counter_name
+from mavfi.faults.plug_ins import PlugIn, plug_ins
 from mavfi.numerics.jit import is_compiled
 from mavfi.pipeline.functions import ENTRIES, PLAIN, Compiled, FlightFunctions, KernelFunctions
-from mavfi.states import DETECTORS, INJECTABLE, KERNELS, PLANNERS, PLUG_INS
+from mavfi.states import DETECTORS, KERNELS, PLANNERS, PLUG_INS
 
 if TYPE_CHECKING:
     from mavfi.mission import Scenario
 
-_SHIPPED_MAPS = ("dense", "octree")
-_SHIPPED_CONTROLLER = "cascade"
 _DETECTOR = "detector"
 
 
-# ---- plug-ins by name -----------------------------------------------------------------------------------------------
-@dataclass(frozen=True, slots=True)
-class PlugIn:
-    """A plug-in of a mission.
-
-    Attributes:
-        role: As in `states.PLUG_INS`.
-        address: As the mission names it: "package.module:Class", or an entry point.
-        name: Its name in faults and tables.
-    """
-
-    role: str
-    address: str
-    name: str
-
-    def is_called(self, text: str) -> bool:
-        """Whether a request for a fault means it."""
-        return text in (self.name, self.address, short_name(self.address), self.role, PLUG_INS[self.role].kernel)
-
-
-def short_name(address: str) -> str:
-    """A name without the module: `AStar` for `my_planner:AStar`."""
-    return address.rpartition(":")[2]
-
-
-def without_module(text: str, operations: Collection[str] = ()) -> str:
-    """A request for a fault without the module of the plug-in that it begins with, if it does.
-
-    What follows the first colon is then no option, and none of these `operations`.
-    """
-    match = re.match(r"[A-Za-z_][\w.]*:([A-Za-z_]\w*)(?=[:@.]|$)", text)
-    if match is None or match[1] in operations:
-        return text
-    return text[match.start(1) :]
-
-
-def planner_name(planner: str) -> str:
-    """The path search of a mission's planner, which may be the YAML file of its parameters."""
-    if not planner.endswith((".yaml", ".yml")):
-        return planner
-    try:
-        return shipped("planners", PlannerConfig, planner).name
-    except BadInputError:  # a ledger is read elsewhere
-        return planner
-
-
-def plug_ins(planner: str, map_kind: str, flight_controller: str, detector: str = "") -> list[PlugIn]:
-    """The plug-ins of a mission, in the order of the data flow; each argument is a name in it.
-
-    Args:
-        planner: Its path search.
-        map_kind: Its map.
-        flight_controller: Its flight controller.
-        detector: Its detector, if it is none of mavfi; "" = none.
-    """
-    addresses = {}
-    if map_kind not in _SHIPPED_MAPS:
-        addresses["map"] = map_kind
-    if planner not in PLANNERS:
-        addresses["planner"] = planner
-    if flight_controller != _SHIPPED_CONTROLLER:
-        addresses["flight_controller"] = flight_controller
-    if detector:
-        addresses[_DETECTOR] = detector
-    # One that has the name of another target is called by its role instead.
-    names = [*INJECTABLE, *DETECTORS, *KERNELS, *map(short_name, addresses.values())]
-    members = []
-    for role, address in addresses.items():
-        name = short_name(address)
-        if names.count(name) > 1:
-            name = role
-        members.append(PlugIn(role, address, name))
-    return members
-
-
+# ---- plug-ins of a mission -------------------------------------------------------------------------------------------
 def detector_address(detector: Detector | None) -> str:
     """Name of a detector, if it, or a part of it, is none of mavfi; "" = there is none."""
     parts = custom_parts(detector)
     if not parts:
         return ""
     return parts[-1].requested_as or f"{type(parts[-1]).__module__}:{type(parts[-1]).__name__}"
-
-
-def custom_detectors(campaign: Any) -> dict[str, PlugIn]:
-    """The detectors of a campaign that are none of mavfi, by arm."""
-    detectors = {}
-    for arm_name, arm in campaign.arms.items():
-        if is_custom_name(arm.detector):
-            spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.mission)
-            members = plug_ins(planner_name(spec.planner), spec.map, spec.flight_controller, arm.detector)
-            detectors[arm_name] = members[-1]
-    return detectors
 
 
 def find_plug_in(text: str, scenario: "Scenario", detector: Detector | None) -> PlugIn | None:
@@ -296,6 +204,11 @@ class Targets:
                 if other != name:
                     refusal = f"{name}: compiled: {entry!r}: is named by {other}, too; allowed: a function of its own"
                     self._targets[name] = replace(target, functions={}, refusal=refusal)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the kernels and plug-ins that faults can be in; detectors are not among them."""
+        return tuple(name for name, target in self._targets.items() if not target.refusal and not target.in_detector)
 
     def find(self, name: str) -> Target:
         """The target that a request means.

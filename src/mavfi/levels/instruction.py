@@ -30,21 +30,12 @@ from mavfi.faults.fault import MODELS, MOST_CALLS, NO_SITE, RESTART_S, Fault, In
 from mavfi.faults.levels.instruction import InjectionSite, Profiling, Resolving, budget_for, choose
 from mavfi.faults.levels.instruction.plan import plan
 from mavfi.faults.levels.instruction.table import parse_selection
+from mavfi.faults.plug_ins import custom_detectors, planner_name, plug_ins, without_module
 from mavfi.faults.sampling import stream
 from mavfi.flight.decide import INLINE, RecoveryPolicy
-from mavfi.flight.targets import Target, Targets, custom_detectors, planner_name, plug_ins, without_module
+from mavfi.flight.targets import Target, Targets
 from mavfi.ir.module import DIGEST_VERSION
-from mavfi.levels.level import (
-    DECIMAL,
-    WHOLE,
-    Draw,
-    Golden,
-    Level,
-    Sampled,
-    Sampler,
-    Sampling,
-    check_distinct,
-)
+from mavfi.levels.level import DECIMAL, WHOLE, Draw, Golden, Level, Sampled, Sampler, Sampling, check_distinct
 from mavfi.mission import Scenario
 from mavfi.record import Injection
 from mavfi.rewriting import rewriting_of
@@ -298,8 +289,8 @@ class _KernelDraw:
                 entry=self._target.counters[position.counter],
                 restart_s=request.restart_s,
                 seed=self._seed,
-                times=request.times,
                 role=self._target.role,
+                times=request.times,
             )
         )
 

@@ -18,9 +18,10 @@ from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, hint
 from mavfi.faults.fault import NO_SITE, Fault, MemoryFault
 from mavfi.faults.operations import OPERATIONS, VALUE_OPERATIONS, PlannedChange
+from mavfi.faults.plug_ins import custom_detectors, planner_name, plug_ins, without_module
 from mavfi.faults.sampling import stream
 from mavfi.faults.strata import WORD_BITS, bits_of
-from mavfi.flight.targets import custom_detectors, find_plug_in, planner_name, plug_ins, plug_ins_of, without_module
+from mavfi.flight.targets import find_plug_in, plug_ins_of
 from mavfi.levels.level import (
     NULL,
     SECONDS,

@@ -152,7 +152,9 @@ def _rates(runs: Runs, setting: str, names: list[str]) -> dict[str, Rate]:
 def _published(runs: Runs, environment: str, setting: str) -> float | None:
     """The paper's success rate, if it is comparable with these runs."""
     missions = runs.where(environment=environment, setting=setting)
-    if not len(missions) or not paper.comparable(runs.campaign, missions.first("detector_profile")):
+    if not len(missions):
+        return None
+    if not paper.comparable(runs.campaign, missions.first("detector_profile"), missions.first("arm")):
         return None
     return paper.success(environment, setting)
 
