@@ -86,7 +86,9 @@ class MissionSpec(Config):
     model_config = ConfigDict(populate_by_name=True)
 
     environment: str = Field(
-        "sparse", description=f"{_names('environments')}, a YAML file, or a scanned map (.bt, .ot of OctoMap)."
+        "sparse",
+        description=f"{_names('environments')}, a YAML file, a scanned map (.bt, .ot of OctoMap), or a world of "
+        "another simulator (.sdf, .xml, Aerialist's test case).",
     )
     seed: int = Field(0, ge=0, le=LARGEST_SEED, description="All randomness of the mission comes from it.")
     start: Vector | None = Field(None, description="Start position, m; the environment's by default.")
@@ -107,7 +109,9 @@ class MissionSpec(Config):
         None, ge=1.0, le=1e3, description="Range of the depth camera, m; the environment's by default."
     )
     vehicle: str | None = Field(
-        None, description=f"{_names('vehicles')}, or a YAML file; the environment's by default."
+        None,
+        description=f"{_names('vehicles')}, a YAML file, or a model of another simulator (.sdf, .urdf, .xacro, PX4's "
+        "airframe); the environment's by default.",
     )
     flight_controller: str = Field(
         "cascade", description="From velocity to rotor commands: cascade, betaflight, an entry point, or package:Class."

@@ -10,7 +10,6 @@ A class may list in `quiet` the inputs that never make a step due, which spares 
 A class whose `rollback` also discards inputs, to be received again, implements `again`, which keeps them: see `repeat`.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
@@ -172,11 +171,11 @@ def _grid_corners(config: PipelineConfig, resolution: float) -> tuple[np.ndarray
 
 def _finest(config: PipelineConfig, estimate: float) -> float:
     """The finest resolution of two digits that is allowed (m), from an estimate."""
-    step = 10.0 ** (math.floor(math.log10(estimate)) - 1)
-    digits = math.floor(estimate / step)
+    mantissa, exponent = f"{estimate:.1e}".split("e")
+    tenths = round(10.0 * float(mantissa))
     while True:
-        resolution = float(f"{digits * step:.2g}")
+        resolution = float(f"{0.1 * tenths:.1f}e{exponent}")
         first, last = _grid_corners(config, resolution)
         if np.prod(last - first) <= LARGEST_GRID:
             return resolution
-        digits += 1
+        tenths += 1

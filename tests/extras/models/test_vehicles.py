@@ -12,6 +12,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.models.geometry import lump
 from mavfi.extras.models.urdf import read_urdf
 from mavfi.extras.models.vehicles import sdf_vehicle
+from mavfi.plugins import allow_typed
 from mavfi.sim.engine import GRAVITY
 from mavfi.sim.mjcf import find_vehicle
 from mavfi.sim.simulator import Simulator
@@ -180,7 +181,7 @@ def test_what_our_vehicle_cannot_be_is_refused_with_the_reason(tmp_path, name, t
         assert message in refusal(written(tmp_path, name, text))
 
 
-def test_xacro_is_expanded_without_ros(tmp_path):
+def test_xacro_is_expanded_without_ros(tmp_path, monkeypatch):
     pytest.importorskip("xacro")
     ns = 'xmlns:xacro="http://ros.org/wiki/xacro"'
     (tmp_path / "parts" / "urdf").mkdir(parents=True)
@@ -197,6 +198,9 @@ def test_xacro_is_expanded_without_ros(tmp_path):
     assert found.mass == pytest.approx(2.45)
     written(tmp_path, "mine.yaml", "model: quad.xacro\nxacro: {extra: 0.5}\n")
     assert imported(str(tmp_path / "mine.yaml"))[0].mass == pytest.approx(2.7)
+    monkeypatch.setenv("MAVFI_ALLOW_PLUGINS", "")
+    assert f"xacro file '{path}': named in a file, and so not run" in refusal(str(tmp_path / "mine.yaml"))
+    allow_typed(["--vehicle", path])
     written(tmp_path, "quad.xacro", text.replace("$(find parts)", "$(find absent)"))
     assert "the package absent is not on this machine" in refusal(path)
 
