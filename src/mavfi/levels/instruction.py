@@ -569,7 +569,7 @@ class InstructionLevel(Level):
     sampling = InstructionSampling
     sampler = InstructionSampler
     local = True
-    form = "instruction:TARGET[:which=CLASS][:model=MODEL][:times=N], or one instruction as printed by mavfi shrink"
+    form = "instruction:KERNEL[:which=CLASS][:model=MODEL][:times=N], or one instruction as printed by mavfi shrink"
     options = {"which": (".+", "a class of instructions", str), "model": (r"\w+", "a model", str), "times": WHOLE}
     reductions = {"width": single_bit_faults, "bit": lower_bits}
     absent = ("executed", "the instruction was not executed")
