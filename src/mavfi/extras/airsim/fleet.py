@@ -33,6 +33,7 @@ class FleetVehicle(PilotedVehicle):
         home: Origin of its NED, in the scene's NED (m), whose origin is the mission's start; it stands on the ground
             there.
         yaw_deg: Heading at the start, clockwise from north (deg); None = towards the mission's goal.
+        is_armed: Whether its motors run at the start.
         number: Among the vehicles, from 0; sensors of each have noise of their own.
         begin_us: Instant at which it appears (us).
         on_ground: See `PilotedVehicle`.
@@ -47,12 +48,14 @@ class FleetVehicle(PilotedVehicle):
         *,
         home: Triple = (0.0, 0.0, 0.0),
         yaw_deg: float | None = None,
+        is_armed: bool = True,
         number: int = 0,
         begin_us: int = 0,
         on_ground: bool = True,
     ) -> None:
         self.home = home
         self._yaw_deg = yaw_deg
+        self._is_armed = is_armed
         self._vehicle_number = number
         super().__init__(spec, on_ground=on_ground)
         self._base_us = begin_us
@@ -72,6 +75,8 @@ class FleetVehicle(PilotedVehicle):
         """See `PilotedVehicle._begin`."""
         super()._begin()
         self.origin[2] -= self.home[2]
+        if not self._is_armed:
+            self.sim.arm(False)
         if self._yaw_deg is not None:
             half = 0.5 * math.radians(self._yaw_deg)
             self.sim.place(self.sim.odometry[:3].copy(), np.array(turned((cos(half), 0.0, 0.0, sin(half)))))

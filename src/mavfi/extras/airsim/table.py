@@ -141,12 +141,11 @@ class ApiScene:
             spec,
             home=settings.start,
             yaw_deg=settings.yaw_deg,
+            is_armed=settings.is_armed,
             number=len(self.vehicles),
             begin_us=begin_us,
             on_ground=on_ground,
         )
-        if not settings.is_armed:
-            vehicle.sim.arm(False)
         if self.vehicles and not np.array_equal(vehicle.sim.world.lower, self.first.vehicle.sim.world.lower):
             world = self.first.vehicle.sim.world
             vehicle.sim.set_boxes(world.lower, world.upper)
