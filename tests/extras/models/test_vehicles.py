@@ -140,6 +140,9 @@ def test_properties_of_a_crazyflie(tmp_path):
     assert "assumed rotor_time_constant: 0.02 s" in said
 
 
+SIH = {"SIH_MASS": 2.0, "SIH_T_MAX": 8.0, "SYS_HITL": 2, "CA_ROTOR0_CT": 6.5, "MPC_THR_HOVER": 0.5}
+
+
 def test_an_airframe_asks_for_what_it_lacks_by_key_and_takes_it_from_a_yaml_file(tmp_path):
     path = written(tmp_path, "4001_small", models.AIRFRAME)
     text = refusal(path)
@@ -151,10 +154,19 @@ def test_an_airframe_asks_for_what_it_lacks_by_key_and_takes_it_from_a_yaml_file
     assert found.max_rotor_thrust == pytest.approx(1.5 * GRAVITY / 4.0 / 0.5, rel=1e-5)
     assert found.rotor_torque_ratio == 0.05 and "drag" not in said
     assert "assumed collision_radius: 1.5 x arm_length" in said
-    listed = "".join(f"1\t1\t{key}\t{value}\t9\n" for key, value in (("SIH_MASS", 2.0), ("SIH_T_MAX", 8.0)))
+    listed = "".join(f"1\t1\t{key}\t{value}\t9\n" for key, value in SIH.items())
     found, said = imported(written(tmp_path, "sih.params", "# parameters\n" + listed))
     assert (found.mass, found.max_rotor_thrust) == (2.0, 8.0) and "PX4's defaults of SIH_IXX" in said
     assert found.rate_gain == pytest.approx((9.0, 9.0, 3.0))  # for its motors of 0.05 s
+    # all parameters are listed, also where PX4's own simulation is not used, and defaults say nothing
+    text = refusal(written(tmp_path, "other.params", listed.replace("SYS_HITL\t2", "SYS_HITL\t0")))
+    assert "mass" in text and "max_rotor_thrust: largest" in text and "hovering" not in text
+
+
+def test_files_that_gazebo_reads_although_they_are_no_strict_xml(tmp_path):
+    text = models.sdf().replace("<plugin ", '<gz:order a:b="1">0</gz:order><plugin ', 1)
+    found, _ = imported(written(tmp_path, "quad.sdf", f"\n\n<?xml version='1.0'?>\n{text}"))
+    assert found.mass == pytest.approx(2.2)
 
 
 @pytest.mark.parametrize(

@@ -179,6 +179,7 @@ def vehicle_from(data: MultirotorData, source: str, chosen: Mapping[str, Any]) -
     assume("rotor_torque_ratio", _TORQUE_RATIO, f"{_TORQUE_RATIO:g} m")
     assume("rotor_time_constant", _LAG, f"{_LAG:g} s")
     assume("drag", [0.0, 0.0, 0.0], "none")
+    _say_top_speed(data, {**keys, **chosen})
     _set_gains(chosen.get("rotor_time_constant", keys.get("rotor_time_constant")), take)
     _check_complete(source, data, {**keys, **chosen})
     notes |= {key: "chosen" for key in chosen}
@@ -347,6 +348,16 @@ def _drag(data: MultirotorData, mass: Any) -> list[float] | None:  # noqa: ANN40
         return None
     sideways = _rounded(total / _DRAG_SPEED)
     return [sideways, sideways, 0.0]
+
+
+def _say_top_speed(data: MultirotorData, keys: Mapping[str, Any]) -> None:
+    """Remark that drag leaves less speed than missions usually have."""
+    mass, drag = keys.get("mass"), keys.get("drag")
+    if not isinstance(mass, int | float) or not isinstance(drag, list) or not drag[0] or not drag[0] > 0.0:
+        return
+    speed = math.sqrt(mass * GRAVITY * math.tan(VehicleConfig.model_fields["max_tilt"].default) / drag[0])
+    if speed < _DRAG_SPEED:
+        data.remarks.append(f"its drag leaves {speed:.2g} m/s at full tilt; choose a lower v_max")
 
 
 def _set_gains(lag: Any, take: Any) -> None:  # noqa: ANN401 - unchecked, and a function

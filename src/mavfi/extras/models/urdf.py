@@ -220,12 +220,15 @@ def _expand(xacro: Any, path: Path, mappings: dict[str, str]) -> str:  # noqa: A
     with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
         try:
             return str(xacro.process_file(str(path), mappings=mappings).toxml())
-        except SystemExit as error:
-            raise BadInputError(f"{path}: cannot be expanded by xacro ({error})") from None
-        except Exception as error:  # noqa: BLE001 - whatever the expressions in the file raise
+        except SystemExit as stopped:
+            raise BadInputError(f"{path}: cannot be expanded by xacro ({stopped})") from None
+        except Exception as wrapped:  # noqa: BLE001 - whatever the expressions in the file raise
+            error: BaseException = wrapped
+            while getattr(error, "exc", None) is not None:
+                error = error.exc  # type: ignore[attr-defined] # xacro wraps it once for each macro
             reason = " ".join(f"{error}".split()) or type(error).__name__
             allowed = ""
-            if "arg" in type(error).__name__.lower() or "Undefined substitution argument" in reason:
+            if "ndefined substitution argument" in reason:
                 allowed = "; allowed: a YAML file with 'model: FILE' and 'xacro: {ARGUMENT: VALUE}'"
             raise BadInputError(f"{path}: cannot be expanded by xacro ({reason}){allowed}") from None
         finally:
