@@ -118,9 +118,11 @@ PX4_DEFAULTS: dict[str, Number] = {
     "MC_YAWRATE_D": 0.0,
     "MC_YAWRATE_MAX": 200.0,
     # battery, estimator, log
+    "BAT1_A_PER_V": -1.0,
     "BAT1_CAPACITY": -1.0,
     "BAT1_N_CELLS": 4,
     "BAT1_SOURCE": 0,
+    "BAT1_V_DIV": -1.0,
     "BAT1_V_CHARGED": 4.05,
     "BAT1_V_EMPTY": 3.6,
     "BAT_LOW_THR": 0.15,
