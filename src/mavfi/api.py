@@ -26,7 +26,6 @@ from mavfi.levels.level import Request, parse
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import allow_typed
 from mavfi.report.flight_result import FlightResult
-from mavfi.states import WATCHING
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -219,7 +218,7 @@ def fly_request(
     # Fly under the detector, and once more without it.
     flight, watched_golden = _flown(host, setup, fault)
     unwatched = None
-    if fault is not None and getattr(fault, "kernel", "") not in WATCHING:  # those exist only with the detector
+    if fault is not None and not fault.in_detector:  # those exist only with the detector
         if without_detector != setup.scenario:
             golden = None  # it is the golden run of another mission
         unwatched, _ = _flown(host, ArmSetup(without_detector), fault, golden)

@@ -126,6 +126,29 @@ WATCHING = tuple(name for name in DETECTORS if name != "checksum")
 
 KERNEL_STAGES: dict[str, Stage] = {name: KERNELS[row].stage for name, row in INJECTED_KERNEL.items()}
 """Stage by the same name."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlugInSpec:
+    """A kind of plug-in of a mission, whose compiled functions and arrays faults can be in.
+
+    Attributes:
+        kernel: The kernel in whose steps it is called; "" = none.
+        stage: Its stage in tables; "" = none of the pipeline's.
+    """
+
+    kernel: str = ""
+    stage: str = ""
+
+
+PLUG_INS: dict[str, PlugInSpec] = {
+    "planner": PlugInSpec("planner", str(Stage.PLANNING)),
+    "map": PlugInSpec("octomap", str(Stage.PERCEPTION)),
+    "flight_controller": PlugInSpec("", str(Stage.CONTROL)),
+    "detector": PlugInSpec(),
+}
+"""Kinds of plug-ins by the key of a mission or an arm that names one."""
+
 PERIODIC = tuple(spec.name for spec in _KERNEL_TABLE if spec.trigger == "periodic")
 """Kernels stepped at the control period, in this order; all others are stepped by their inputs."""
 STAGE_KERNELS: dict[Stage, tuple[str, ...]] = {

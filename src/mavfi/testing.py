@@ -194,6 +194,8 @@ class HostContract:
 def _sampling(level: str) -> dict[str, Any]:
     if level == "instruction":
         return {"level": level, "kernels": ["pid"]}
+    if level == "combined":
+        return {"level": level, "of": ["null"]}
     return {"level": level}
 
 

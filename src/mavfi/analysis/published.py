@@ -52,9 +52,14 @@ def worst_time(environment: str, setting: str) -> float | None:
     return float(worst - recovered)
 
 
-def comparable(campaign: Mapping[str, Any], detector_profile: str) -> bool:
-    """Whether an arm is comparable with the paper: its autopilot profile and, if any, its detector profile match."""
+def comparable(campaign: Mapping[str, Any], detector_profile: str, arm: str = "") -> bool:
+    """Whether an arm is comparable with the paper: its autopilot profile and, if any, its detector profile match.
+
+    Flights with a custom planner, map, flight controller or detector are not.
+    """
     data = _data()
+    if {"", arm}.intersection(campaign.get("arms_with_plug_ins", ())):
+        return False
     return campaign.get("profile") == data["profile"] and detector_profile in ("", data["detector_profile"])
 
 
@@ -62,7 +67,7 @@ def column(find: Any, heading: str = "paper", form: str = PERCENT) -> Measure:
     """A column with the published value for an environment and setting, in rows comparable with the paper."""
 
     def cell(runs: Runs) -> Any:
-        if not len(runs) or not comparable(runs.campaign, runs.first("detector_profile")):
+        if not len(runs) or not comparable(runs.campaign, runs.first("detector_profile"), runs.first("arm")):
             return None
         return find(runs.first("environment"), runs.first("setting"))
 

@@ -12,7 +12,6 @@ from mavfi.faults.fault import find_level
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import DUE, ControlErrors, control_of, effect_of, energy
 from mavfi.record import AFTERMATH, INSTANT, AlarmRecord, End, FlightRecord, Injection
-from mavfi.states import DETECTORS
 
 WHOLE_WORD = "whole_word"
 ALL_BITS = "all_bits"  # population of faults with uniformly drawn bits, i.e. without strata
@@ -75,7 +74,7 @@ def row_of(
     """
     spec = run.spec
     fault = spec.fault
-    if getattr(fault, "kernel", "") in DETECTORS:
+    if fault is not None and fault.in_detector:
         reference = arm_golden
     environment = label_of(spec.environment)
     planned: dict[str, Any] = {}

@@ -13,6 +13,7 @@ from mavfi.campaign.config import ArmConfig, Campaign, label_of
 from mavfi.campaign.ledger import status, stored_campaign
 from mavfi.campaign.plan import FI
 from mavfi.campaign.store import Run, Store
+from mavfi.faults.plug_ins import arms_with_plug_ins, custom_detectors
 from mavfi.mission import MissionSpec
 from mavfi.plugins import extensions
 from mavfi.record import FlightRecord
@@ -162,6 +163,11 @@ class Runs:
         """Whether there are flights; trials of external nodes have only outputs."""
         return len(self.where(pl.col("flight_time_s") > 0)) > 0
 
+    @property
+    def per_mission(self) -> str:
+        """Number of faults in each mission, in words."""
+        return str(self.campaign.get("per_mission", "one fault"))
+
     def settings(self) -> list[str]:
         """Settings with injected runs, `fi` first."""
         return sorted(self.injected.values("setting"), key=lambda setting: setting != FI)
@@ -194,7 +200,8 @@ def describe(store: Store) -> dict[str, Any]:
 
     Returns:
         `title` and `lines` are text; views need `profile` (of the autopilot), `monitored_set`, `each` (unit to which
-        the number of faults applies), `kernels` and `which`, `parts`, and what extras add, e.g. measured `overheads`.
+        the number of faults applies), `kernels` and `which`, `parts`, `arms_with_plug_ins`, and what
+        extras add, e.g. measured `overheads`.
     """
     campaign = stored_campaign(store)
     progress = status(store.directory)
@@ -216,6 +223,8 @@ def describe(store: Store) -> dict[str, Any]:
         "digest": store.digest(),
         "done": progress.done,
         "total": progress.total,
+        "arms_with_plug_ins": arms_with_plug_ins(campaign),
+        "custom_detectors": [plug_in.name for plug_in in custom_detectors(campaign).values()],
         **drawn(campaign),
     }
 

@@ -23,6 +23,7 @@ from mavfi.campaign.mission import (
 from mavfi.campaign.plan import Arm, CompletedRun, Planned, arms_of
 from mavfi.detectors.registry import is_named
 from mavfi.errors import BadInputError
+from mavfi.faults.plug_ins import custom_detectors
 from mavfi.flight.compiling import STAGES, compile_stage
 from mavfi.flight.compose import detector_for
 from mavfi.mission import Scenario
@@ -209,8 +210,14 @@ def _detectors(campaigns: Sequence[Campaign]) -> list[_Detector]:
 
 def _bare(campaign: Campaign) -> Campaign:
     """The campaign without arms that have a detector, and without faults in detectors."""
-    if campaign.sampling.instrumented:
-        return _with_kernels(campaign, tuple(name for name in campaign.sampling.instrumented if name not in DETECTORS))
+    kernels = campaign.sampling.instrumented
+    if kernels:
+        custom = custom_detectors(campaign).values()
+        in_detectors = {name for name in kernels if any(plug_in.is_called(name) for plug_in in custom)}
+        return _with_kernels(campaign, tuple(name for name in kernels if name not in {*DETECTORS, *in_detectors}))
+    if hasattr(campaign.sampling, "kernels"):  # whose memory: of all kernels, since the detectors are missing
+        sampling = campaign.sampling.model_copy(update={"kernels": (), "groups": ()})
+        campaign = campaign.model_copy(update={"sampling": sampling})
     return _with_arms(campaign, ())
 
 
@@ -222,9 +229,13 @@ def _with_kernels(campaign: Campaign, kernels: tuple[str, ...]) -> Campaign:
 
 def _with_arms(campaign: Campaign, detectors: tuple[str, ...]) -> Campaign:
     """The campaign with only those arms that have no detector or one of these."""
+    custom = custom_detectors(campaign)
     arms = {}
     for name, arm in campaign.arms.items():
-        if not arm.detector or any(is_named(arm.detector, detector) for detector in detectors):
+        is_one = any(is_named(arm.detector, detector) for detector in detectors)
+        if name in custom:
+            is_one = any(custom[name].is_called(detector) for detector in detectors)
+        if is_one or not arm.detector:
             arms[name] = arm
     return campaign.model_copy(update={"arms": arms})
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from mavfi.cli import observing, options
 from mavfi.cli.console import FLIGHTS, PAGES, PICTURES, check_file, check_seed, console, write_json
 from mavfi.errors import BadInputError
+from mavfi.faults.combined import AND, levels_in
 from mavfi.mission import OF_A_DETECTOR, MissionSpec
 from mavfi.plugins import extensions
 
@@ -35,7 +36,7 @@ the host that flies the mission, each None if its options ask for none.
 @options.with_extra_options(FLY_OPTIONS, observing.OBSERVERS)
 def fly(  # noqa: PLR0913 - one parameter per option
     mission: MissionSpec,
-    fault: options.Fault = None,
+    faults: options.Faults = None,
     fault_seed: options.FaultSeed = None,
     detector: options.Detector = "none",
     profile: options.Profile = None,
@@ -51,6 +52,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi fly --environment dense --seed 10007 --fault state:planning.waypoint.x:bit=62@20.0[/bold]
     """
+    fault = fault_text(faults)
     # refuse what is not allowed before the flight, and before slow imports
     check_option_dependencies(mission, fault, fault_seed, detector, profile, models)
     _check_dead_node(mission, fault)
@@ -91,8 +93,15 @@ def fly(  # noqa: PLR0913 - one parameter per option
     _show(result, (save, picture, html), as_json=as_json)
 
 
+def fault_text(faults: Sequence[str] | None) -> str | None:
+    """The text of all faults of a mission; None without any."""
+    if not faults:
+        return None
+    return AND.join(faults)
+
+
 def _is_instrumented(mission: MissionSpec, fault: str | None) -> bool:
-    return bool(mission.protection) or (fault or "").startswith("instruction")
+    return bool(mission.protection) or "instruction" in levels_in(fault)
 
 
 def _compile(scenario: Scenario) -> None:
@@ -105,7 +114,7 @@ def _compile(scenario: Scenario) -> None:
 
 def _check_dead_node(mission: MissionSpec, fault: str | None) -> None:
     """Reject a policy for dead nodes without a fault that can kill one."""
-    can_kill = (fault or "").startswith(("instruction:", "memory:"))
+    can_kill = levels_in(fault) & {"instruction", "memory"}
     if mission.dead_node != "fresh" and not can_kill:
         reason = "no node can die; allowed: together with --fault instruction:KERNEL or memory:KERNEL"
         raise BadInputError(f"--dead-node: {mission.dead_node}: {reason}")

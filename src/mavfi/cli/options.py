@@ -19,10 +19,14 @@ from mavfi.mission import LARGEST_SEED, MissionSpec
 from mavfi.plugins import extensions, known
 
 FORMS = "with bits, instants and more: see fault-specs.md in the documentation."
-Fault = Annotated[
-    str | None,
+Faults = Annotated[
+    list[str] | None,
     typer.Option(
-        metavar="SPEC", help=f"state:PLACE, memory:PLACE, instruction:KERNEL, sensor:UNIT:TYPE, or null; {FORMS}"
+        "--fault",
+        metavar="SPEC",
+        help="state:PLACE, memory:PLACE, instruction:KERNEL, sensor:UNIT:TYPE, message:STATE:OPERATION, or null; "
+        f"{FORMS} Several times: all in one mission.",
+        show_default=False,
     ),
 ]
 FaultSeed = Annotated[

@@ -67,9 +67,11 @@ class Detector:
         parts: The detectors of which it consists, in the order in which they are asked.
         recovery: Mission keys that go with it, where a command or an arm does not choose them.
         compiled: Its compiled functions in which faults can be injected, by name.
+        requested_as: Name by which a mission asked for it; "" = it was constructed otherwise, or is part of mavfi.
     """
 
     source: str = ""
+    requested_as: str = ""
     states: Collection[str] | None = None
     seals: bool = False
     duplicates: tuple[str, ...] = ()
@@ -276,6 +278,16 @@ def is_custom(detector: Any) -> bool:  # noqa: ANN401 - a user's own
     if not type(detector).__module__.startswith("mavfi."):
         return True
     return any(is_custom(part) for part in getattr(detector, "parts", ()))
+
+
+def custom_parts(detector: Detector | None) -> list[Detector]:
+    """A detector and its parts, as far as they are not part of mavfi; the detector itself comes last."""
+    if detector is None:
+        return []
+    custom = [inner for part in detector.parts for inner in custom_parts(part)]
+    if not type(detector).__module__.startswith("mavfi."):
+        custom.append(detector)
+    return custom
 
 
 class CustomCallError(MavfiError):

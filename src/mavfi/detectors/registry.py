@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from pydantic import Field
 
 from mavfi.config import Config, names, shipped
-from mavfi.detectors.detector import Chain, Detector, part_of, require_detector
+from mavfi.detectors.detector import Chain, Detector, custom_parts, part_of, require_detector
 from mavfi.detectors.gate import SOURCE as GATE
 from mavfi.detectors.gate import UNKNOWN_ARENA, PhysicsGate
 from mavfi.detectors.model import FITTED_TO, Model, check_fits, model_name
@@ -113,8 +113,16 @@ def check_detector(name: str, profile: str) -> None:
         raise BadInputError(f"detector {name!r}: {text}")
 
 
-def check_kernel(kernel: str, planner: str, detector: Detector | None = None) -> None:
-    """Check that a kernel, or detector, can be injected in a mission with this planner and detector.
+def check_kernel(
+    kernel: str, planner: str, detector: Detector | None = None, targets: Collection[str] = tuple(INJECTABLE)
+) -> None:
+    """Check that a kernel, or detector, of mavfi can be injected in a mission with this planner and detector.
+
+    Args:
+        kernel: Its name.
+        planner: Name of the planner.
+        detector: The detector; None = none.
+        targets: What can be injected in this mission, for messages.
 
     Raises:
         BadInputError: The kernel is unknown, is a planner that the mission does not use, or is a detector that does not
@@ -130,7 +138,7 @@ def check_kernel(kernel: str, planner: str, detector: Detector | None = None) ->
         configured = next((source for source in DETECTORS if is_named(kernel, source)), "")
         if configured:
             why = f"is a configuration of {configured!r}, whose instructions can be injected"
-        raise BadInputError(f"kernel {kernel!r}: {why}; allowed: {', '.join((*INJECTABLE, *DETECTORS))}")
+        raise BadInputError(f"kernel {kernel!r}: {why}; allowed: {', '.join(targets)}")
     if kernel in PLANNERS and kernel != planner:
         raise BadInputError(f"kernel {kernel!r}: the planner of this mission is {planner!r}; allowed: planner {kernel}")
 
@@ -338,4 +346,7 @@ def _build(
 ) -> Detector:
     """Construct a detector with what it takes from the mission, and its options; None = the default of the class."""
     chosen = {key: value for key, value in options.items() if value is not None}
-    return require_detector(build("detector", name, factory, needs=_METHODS, of_mission=of_mission, **chosen))
+    detector = require_detector(build("detector", name, factory, needs=_METHODS, of_mission=of_mission, **chosen))
+    for part in custom_parts(detector):
+        part.requested_as = name
+    return detector

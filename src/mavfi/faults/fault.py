@@ -24,7 +24,7 @@ from mavfi.faults.operations import (
     parse_text,
 )
 from mavfi.plugins import known, load_object
-from mavfi.states import KERNELS, STATES, WATCHING, StateSpec, find_state
+from mavfi.states import DETECTORS, KERNELS, PLUG_INS, STATES, WATCHING, StateSpec, find_state
 
 GROUP = "mavfi.levels"
 """Entry-point group of fault levels: subclasses of `mavfi.levels.level.Level`."""
@@ -34,6 +34,7 @@ SHIPPED = {
     "sensor": "mavfi.levels.sensor:SensorLevel",
     "instruction": "mavfi.levels.instruction:InstructionLevel",
     "message": "mavfi.levels.message:MessageLevel",
+    "combined": "mavfi.levels.combined:CombinedLevel",
 }
 """Levels of the core, by name."""
 NO_SITE = -1
@@ -56,6 +57,8 @@ the target for longer (docs/fault-model.md).
 """
 LIFETIME: Mapping[str, float | int] = {"lasts_s": 0.0, "share": 1.0, "width": 1, "times": 1}
 """Defaults of the duration and width of a `StateFault`."""
+MOST_CALLS = 100
+"""Largest `InstructionFault.times`: each of the calls has a process."""
 MAX_WALK = 100_000
 """Largest number of instructions in a walk."""
 MAX_TIMEOUT_S = 3600.0
@@ -103,6 +106,11 @@ class Fault:
     def has_site(self) -> bool:
         """Whether there is a value to change, as far as known before the run."""
         return getattr(self, "time_us", 0) != NO_SITE
+
+    @property
+    def in_detector(self) -> bool:
+        """Whether it is in a detector itself, and so in flights with that detector only."""
+        return False
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -305,21 +313,27 @@ def _with_change(data: Mapping[str, Any]) -> Mapping[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class MemoryFault(Fault):
-    """One bit of a word in a kernel's memory, at an instant.
+    """One bit of a word in a kernel's memory, at an instant or for some time; or another change of the word.
 
     Attributes:
-        kernel: As in `states.KERNELS`, or in `states.WATCHING`: a detector.
+        kernel: As in `states.KERNELS`, or in `states.WATCHING`: a detector; or the name of a plug-in.
         field: Name of the word, e.g. "decisions.acted_seq" (see `pipeline.words`).
         index: Index of the word if several share the name.
         dtype: Type of the word: "f8", "f4", "i8", "i4", "i2", "u8", "u1" or "?".
         time_us: Injected before the steps of this instant; `NO_SITE` = the golden run had no such word.
-        bit: Bit to flip; None = null fault: the whole path through the injector with an empty mask.
+        bit: Bit to flip; None = null fault: the whole path through the injector with an empty mask, unless there is a
+            `change`.
         stratum: Stratum of the draw, e.g. "sign_exponent" (see faults/strata.py), "" = whole words.
         weight: Probability that a bit drawn from the whole words of its target falls in the stratum.
         seed: Seed of the draw.
+        lasts_s: Time for which the word is changed before the steps of every control period, also after restarts of
+            its node: the bit is stuck at its flipped value (s); "inf" = for ever.
+        change: What is done to the word instead, and in which control periods from `time_us` on; stored as text, e.g.
+            "set=nan:times=3@0"; None = the bit is flipped.
+        role: Kind of the plug-in, as in `states.PLUG_INS`; "" = a kernel or detector of mavfi.
 
     Raises:
-        BadInputError: Unknown kernel, type or bit.
+        BadInputError: Unknown kernel, type or bit, or a change that the word does not allow.
     """
 
     level: ClassVar[Literal["memory"]] = "memory"
@@ -332,14 +346,45 @@ class MemoryFault(Fault):
     stratum: str = ""
     weight: float = 1.0
     seed: int = 0
+    lasts_s: float = 0.0
+    change: PlannedChange | None = None
+    role: str = ""
 
     def __post_init__(self) -> None:
-        for value, allowed in ((self.kernel, (*KERNELS, *WATCHING)), (self.dtype, strata.WORD_BITS)):
+        owner, owners = self.kernel, (*KERNELS, *WATCHING)
+        if self.role:
+            owner, owners = self.role, tuple(PLUG_INS)
+        for value, allowed in ((owner, owners), (self.dtype, strata.WORD_BITS)):
             if value not in allowed:
                 raise BadInputError(f"fault in {self.site}: {value!r}: allowed: {', '.join(allowed)}")
         bits = strata.WORD_BITS[self.dtype]
         if self.bit is not None and not 0 <= self.bit < bits:
             raise BadInputError(f"fault in {self.site}: bit {self.bit}; allowed: 0 to {bits - 1}")
+        if not self.lasts_s >= 0.0:
+            raise BadInputError(f"fault in {self.site}: lasts_s: {self.lasts_s}: allowed: 0 or more")
+        if self.change is not None:
+            self._check_change(self.change)
+
+    def _check_change(self, change: PlannedChange) -> None:
+        """Check that the word can be changed in this way."""
+        where = f"fault in {self.site}"
+        operation, when = change
+        if operation.name not in VALUE_OPERATIONS:
+            raise BadInputError(f"{where}: {operation.name}: of whole messages; allowed: {', '.join(VALUE_OPERATIONS)}")
+        if (self.bit is None) is (operation.name == "flip") or operation.bit is not None:
+            raise BadInputError(f"{where}: bit: {self.bit}: allowed: of a flip, and none of another operation")
+        if when.condition is not None or when.first > 1:
+            raise BadInputError(f"{where}: @{when}: no message arrives in memory; allowed: instants (s)")
+        if operation.name != "freeze":
+            try:
+                check_number_operation(replace(operation, bit=self.bit), self.dtype)
+            except BadInputError as error:
+                raise BadInputError(f"{where}: {error}") from None
+
+    @property
+    def is_lasting(self) -> bool:
+        """Whether the word may be changed in more than one control period."""
+        return self.lasts_s > 0.0 or (self.change is not None and self.change.when.times != 1)
 
     @property
     def site(self) -> str:
@@ -355,10 +400,31 @@ class MemoryFault(Fault):
             return ""
         return strata.bit_class(self, self.bit)
 
+    @property
+    def in_detector(self) -> bool:
+        """See `Fault.in_detector`."""
+        return _is_in_detector(self.kernel, self.role)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data; without a duration, a change and a role, if there are none."""
+        data = _without_role({**Fault.to_json(self), "change": str(self.change)})
+        if self.change is None:
+            del data["change"]
+        if self.lasts_s == 0.0:
+            del data["lasts_s"]
+        elif self.lasts_s == float("inf"):
+            data["lasts_s"] = "inf"  # JSON has no infinity
+        return data
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Self:
+        """Inverse of `to_json`, without the level; invalid data is a BadInputError."""
+        return checked(cls, _with_change(data), "fault of level memory")
+
 
 @dataclass(frozen=True, slots=True)
 class InstructionFault(Fault):
-    """The result of one dynamic instruction in one call of a compiled function, once.
+    """The result of one dynamic instruction in one call of a compiled function, once or in several calls.
 
     Attributes:
         function: Module and name of a custom function; "" = `kernel` and `entry` name it, wherever its source is.
@@ -371,13 +437,16 @@ class InstructionFault(Fault):
             10,000.
         which: Class of instructions from which it was drawn.
         model: How the value is changed.
-        kernel: Kernel for which it was drawn, as in `states.KERNELS`; "" = a custom function.
-        entry: Attribute of `pipeline.functions.KernelFunctions`; "" = a custom function.
+        kernel: Kernel for which it was drawn, as in `states.KERNELS`, or name of a plug-in; "" = a custom function.
+        entry: Attribute of `pipeline.functions.KernelFunctions`, or function of the plug-in; "" = a custom function.
         value_class: "floating_point", "integer", "address" or "control".
         restart_s: Time after which a crashed node has restarted (s).
         stratum: Meaning of the bit: "sign", "exponent", "mantissa" or "other"; "" if not drawn.
         weight: Probability of its value class and line in a uniform draw / in this draw; 1 = equal.
         seed: Seed of the draw.
+        times: Number of calls, from `call` on, in which the value with this index is changed, also after restarts of
+            the node.
+        role: Kind of the plug-in, as in `states.PLUG_INS`; "" = a kernel or detector of mavfi.
     """
 
     level: ClassVar[Literal["instruction"]] = "instruction"
@@ -397,6 +466,12 @@ class InstructionFault(Fault):
     stratum: str = ""
     weight: float = 1.0
     seed: int = 0
+    times: int = 1
+    role: str = ""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.times <= MOST_CALLS:
+            raise BadInputError(f"fault in {self.site}: times: {self.times}: allowed: 1 to {MOST_CALLS}")
 
     @property
     def site(self) -> str:
@@ -423,6 +498,16 @@ class InstructionFault(Fault):
         return self.stratum
 
     @property
+    def in_detector(self) -> bool:
+        """See `Fault.in_detector`."""
+        return _is_in_detector(self.kernel, self.role)
+
+    @property
+    def counter(self) -> str:
+        """Name under which a flight counts the calls of its function."""
+        return counter_name(self.kernel, self.role, self.entry)
+
+    @property
     def masks(self) -> tuple[int, int]:
         """Keep and flip masks: the value becomes (value & keep) ^ flip."""
         if self.bits:
@@ -431,7 +516,10 @@ class InstructionFault(Fault):
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; the value as hexadecimal text, since it may exceed the range of JSON numbers."""
-        return {"level": self.level, **asdict(self), "bits": list(self.bits), "value": hex(self.value)}
+        data = {"level": self.level, **asdict(self), "bits": list(self.bits), "value": hex(self.value)}
+        if self.times == 1:
+            del data["times"]
+        return _without_role(data)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
@@ -441,6 +529,25 @@ class InstructionFault(Fault):
         except (KeyError, TypeError, ValueError):
             raise BadInputError("fault of level instruction: key 'value': allowed: a hexadecimal number") from None
         return checked(cls, {**data, "value": value}, "fault of level instruction")
+
+
+def counter_name(kernel: str, role: str, entry: str) -> str:
+    """Name under which calls of a function are counted; functions of plug-ins may have the names of others."""
+    if role:
+        return f"{kernel}.{entry}"
+    return entry
+
+
+def _is_in_detector(kernel: str, role: str) -> bool:
+    """Whether a kernel, or a plug-in of a role, is a detector."""
+    return role == "detector" or (not role and kernel in DETECTORS)
+
+
+def _without_role(data: dict[str, Any]) -> dict[str, Any]:
+    """The plain data of a fault without the key `role`, if it has none, as in ledgers of earlier versions."""
+    if not data["role"]:
+        del data["role"]
+    return data
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ Instruction faults use the same golden flights and the same convergence, see `fl
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -45,7 +45,7 @@ from mavfi.flight.host import Flight
 from mavfi.flight.loop import CONTROL_PERIOD_US, Listener, Loop
 from mavfi.flight.taps import CHECKED_AT_PRODUCER
 from mavfi.mission import Scenario
-from mavfi.pipeline.functions import PLAIN
+from mavfi.pipeline.functions import ENTRIES, PLAIN
 from mavfi.record import FlightLog, Profile
 from mavfi.sim.controller import is_rewindable
 from mavfi.states import STATES, State
@@ -542,10 +542,8 @@ class FastForward:
     def __init__(self, scenario: Scenario, *, scratch: bool = False) -> None:
         if not is_rewindable(scenario.flight_controller):
             raise MavfiError(f"flights with the flight controller {scenario.flight_controller} are not fast-forwarded")
-        self.functions = {
-            field.name: CountedFunction(field.name, getattr(PLAIN, field.name)) for field in fields(PLAIN)
-        }
-        table = PLAIN.instrumented(tuple(self.functions), lambda name, _: self.functions[name])
+        self.functions = {name: CountedFunction(name, getattr(PLAIN, name)) for name in ENTRIES}
+        table = PLAIN.instrumented(ENTRIES, lambda name, _: self.functions[name])
         self.loop = new_loop(scenario, rewindable=True, functions=table)
         self.loop.watch_losses()
         for function in self.functions.values():

@@ -22,14 +22,13 @@ import math
 import pickle
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, NoReturn, cast
 
 import numpy as np
 
-from mavfi.detectors.detector import Detector, part_of, split_noting_calls
-from mavfi.detectors.registry import check_kernel
+from mavfi.detectors.detector import Detector, split_noting_calls
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.levels.instruction import ChildEnd, ForkPoint, MismatchError
@@ -53,15 +52,15 @@ from mavfi.flight.fast_forward import (
 from mavfi.flight.host import Flight
 from mavfi.flight.loop import Listener, Loop
 from mavfi.flight.restarts import Restarts
+from mavfi.flight.targets import Targets
 from mavfi.ir.forked import WALL_CLOCK
 from mavfi.mission import Scenario
-from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.memory import Remembers, copied, same
 from mavfi.record import FlightLog, KernelEffect
 from mavfi.rewriting import check_flown, rewriter, rewriting_of
 from mavfi.sim.controller import is_rewindable
-from mavfi.states import DETECTORS, INJECTED_KERNEL, State
+from mavfi.states import State
 
 TIMEOUT = 60.0
 """Wall-clock limit of an injected run (s): catches hangs that the instruction budget does not count."""
@@ -150,8 +149,8 @@ class FaultCase:
 
 def case_of(fault: InstructionFault, scenario: Scenario, detector: Detector | None = None) -> FaultCase:
     """The case of a fault before its injection; `BadInputError` if the mission lacks the kernel or detector."""
-    check_kernel(fault.kernel, scenario.planner.name, detector)
-    return FaultCase(fault, INJECTED_KERNEL.get(fault.kernel, ""), fault.call)
+    target = Targets(scenario, detector).of_fault(fault)
+    return FaultCase(fault, target.kernel, fault.call)
 
 
 def flight_of(case: FaultCase, golden: Flight) -> Flight:
@@ -405,14 +404,12 @@ class Forks(Listener):
         return self.child is None and not self._awaited and all(case.how != WAITING for case in self.cases)
 
     # ---- in the golden flight ---------------------------------------------------------------------------------------
-    def intercept(
-        self, entry: str, call: int, function: Callable[..., Any], args: tuple[Any, ...]
-    ) -> CallResult | None:
+    def intercept(self, name: str, call: int, function: Callable[..., Any], args: tuple[Any, ...]) -> CallResult | None:
         """Fork at an injected call; the call is made with the fault in children, as usual in the golden flight."""
         if self.child is not None:
             return None
         for case in self.cases:
-            if case.call == call and case.fault.entry == entry:
+            if case.call == call and case.fault.counter == name:
                 result = self._inject(case, function, args)
                 if result is not None:
                     return result
@@ -442,9 +439,7 @@ class Forks(Listener):
         if case.how != "done":
             ended = self._fork(case, step_fails=True)
             if ended is None:
-                if not case.kernel and self._detector is not None:
-                    down_us = round(1e6 * case.fault.restart_s)
-                    self._approach.restarts().detector_dies(self._detector, self._loop.now, down_us)
+                self._end_outside_of_pipeline(case.fault)
                 return CallResult(function(*args))
             case.report = _report_of(ended)
 
@@ -452,6 +447,15 @@ class Forks(Listener):
         if case.kernel:
             self._awaited.setdefault(case.kernel, []).append(case)
         return None
+
+    def _end_outside_of_pipeline(self, fault: InstructionFault) -> None:
+        """In a child whose call died in no step of a kernel: end the detector, or the flight controller."""
+        restarts = self._approach.restarts()
+        down_us = round(1e6 * fault.restart_s)
+        if fault.in_detector and self._detector is not None:
+            restarts.detector_dies(self._detector, self._loop.now, down_us)
+        elif fault.role == "flight_controller":
+            restarts.controller_dies(self._loop.now, down_us)
 
     def _fault_in(
         self, fault: InstructionFault, variant: Variant, function: Any, args: tuple[Any, ...]
@@ -656,29 +660,27 @@ class FromTakeOff(GoldenApproach):
         self.golden: Flight | None = None
         self.detector = detector
         self._flies_whole_golden = flies_whole_golden
-        self._functions: list[CountedFunction] = []
 
-        # Count the calls of all functions with faults, in kernels and detectors.
-        faults = [case.fault for case in cases if case.fault.has_site]
-        entries = tuple(dict.fromkeys(fault.entry for fault in faults if fault.kernel not in DETECTORS))
-        self.loop = new_loop(scenario, functions=PLAIN.instrumented(entries, self._count_calls))
-        for source in {fault.kernel for fault in faults if fault.kernel in DETECTORS}:
-            part = part_of(detector, source)
-            entries_of_source = {fault.entry for fault in faults if fault.kernel == source}
-            part.instrument({entry: self._count_calls(entry, part.compiled[entry]) for entry in entries_of_source})
-        for function in self._functions:
-            function.attach(self.loop)
+        # Count the calls of all functions with faults.
+        targets = Targets(scenario, detector)
+        counted: dict[str, CountedFunction] = {}
+        for case in cases:
+            fault = case.fault
+            if fault.has_site:
+                function = targets.of_fault(fault).functions[fault.entry]
+                counted.setdefault(fault.counter, CountedFunction(fault.counter, function))
+        self._functions = list(counted.values())
+        self._instrumented = ExitStack()
+        table = self._instrumented.enter_context(targets.instrumented(counted))
+        self.loop = new_loop(scenario, functions=table)
+        for counter in self._functions:
+            counter.attach(self.loop)
 
         watch(self.loop, detector, recovery)
         if records:
             self.publications = []
             self.loop.taps.recorders.append(self._record)
         self._restarts = Restarts(self.loop, scenario.dead_node)
-
-    def _count_calls(self, entry: str, function: Callable[..., Any]) -> CountedFunction:
-        """The function with a counter of its calls."""
-        self._functions.append(CountedFunction(entry, function))
-        return self._functions[-1]
 
     def _record(self, state: State, now: int) -> None:
         """Record a publication."""
@@ -694,13 +696,8 @@ class FromTakeOff(GoldenApproach):
         for function in self._functions:
             function.intercept = forks.intercept
         self.loop.listeners.append(forks)
-        try:
+        with self._instrumented:
             self.golden = fly_until(self.loop, lambda: not self._flies_whole_golden and forks.is_done())
-        finally:
-            for source in DETECTORS:
-                part = part_of(self.detector, source)
-                if part is not None:
-                    part.instrument({})
         if forks.child is not None:
             assert self.golden is not None  # `is_done` is never true in a child
             forks.report(self.golden.log)

@@ -24,6 +24,8 @@ from mavfi.flight.host import Flight
 from mavfi.flight.plant import Plant
 from mavfi.flight.taps import Taps
 from mavfi.mission import FLY_AWAY_MARGIN, MissionStatus, Scenario, time_limit
+from mavfi.numerics.jit import redirected
+from mavfi.pipeline.functions import Compiled
 from mavfi.pipeline.kernel import Kernel, repeat
 from mavfi.pipeline.memory import Memory
 from mavfi.record import AlarmRecord, Event, FlightLog, Injection, Profile
@@ -357,6 +359,7 @@ class Loop:
         renew: Constructs the kernels of a dead node, given one of them (others are ignored); {} = it never returns.
         verify: Called with a kernel, the results of a step, and the instant (us); returns the results to publish and
             the additional time (us).  None = results are published unverified.
+        stand_ins: Functions of plug-ins, each with what is called instead while the loop runs.
         repeating: Whether the current step repeats another one for verification.
         forked: Whether this process was forked for an injected call.
         mapped: Whether the map contains the scan in progress, whose collision check has not ended.
@@ -402,6 +405,7 @@ class Loop:
         self.actions: dict[str, Callable[..., None]] = {}
         self.listeners: list[Listener] = []
         self.verify: Callable[[Kernel, list[State], int], tuple[list[State], int]] | None = None
+        self.stand_ins: tuple[tuple[Compiled, Compiled], ...] = ()
 
         # the state of the flight, see `LoopMemory`
         self.queue: list[tuple[int, int, str, tuple[Any, ...]]] = []
@@ -457,6 +461,11 @@ class Loop:
 
     def run(self, until: int = sys.maxsize) -> None:
         """Run until the mission has a status, or until `until` control periods have elapsed and the next is due."""
+        with redirected(self.stand_ins):
+            self._run(until)
+
+    def _run(self, until: int) -> None:
+        """The actions of `run`."""
         while self.status is None:
             _, _, action, _ = self.queue[0]
             if action == _TICK and len(self.record.rows) >= until:

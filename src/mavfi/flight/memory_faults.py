@@ -1,27 +1,34 @@
 """Injection of faults into persistent memory, as the first action of the loop at the fault's instant.
 
+A fault that lasts changes the word again before the steps of every control period, also in a node that has restarted.
 Targets are kernels and, in flights with a detector, the detector.  A kernel or detector that subsequently
 raises an exception terminates its node, under the mission's policy for dead nodes.
 """
 
-from collections.abc import Callable
-from typing import Any, cast
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, cast
 from weakref import proxy
 
 import numpy as np
 
-from mavfi.detectors.detector import Detector, part_of
+from mavfi.detectors.detector import Detector, custom_parts, part_of
 from mavfi.errors import BadInputError, machine_failure
 from mavfi.faults.fault import RESTART_S, MemoryFault
 from mavfi.faults.injector import Injector
-from mavfi.flight.loop import Loop
+from mavfi.faults.levels.state_injector import schedule_of
+from mavfi.faults.operations import MessageSchedule, Operation, When, changed_number
+from mavfi.flight.loop import CONTROL_PERIOD_US, Loop
 from mavfi.flight.restarts import Restarts
-from mavfi.pipeline.memory import Memory, Remembers
+from mavfi.pipeline.clearance_map import ClearanceMap
+from mavfi.pipeline.memory import Memory, OpaqueKeeper, Remembers
 from mavfi.pipeline.words import change, words_of
 from mavfi.record import Injection, KernelEffect
-from mavfi.states import DETECTORS, WATCHING
+from mavfi.states import PLUG_INS, WATCHING
 
-_ACTION = "memory_fault"
+if TYPE_CHECKING:
+    from mavfi.sim.simulator import Simulator
+
 _RESTART_US = round(1e6 * RESTART_S)
 _ANSWERS: dict[str, Callable[[], Any]] = {
     "receive": bool,
@@ -34,24 +41,29 @@ _ANSWERS: dict[str, Callable[[], Any]] = {
 """Return value of each method of a kernel that has crashed."""
 _CHECKS: dict[str, Callable[[], Any]] = {"check": lambda: None, "accept": lambda: None}
 """Return value of each method of a detector that has crashed."""
+_THRUSTS: dict[str, Callable[[], Any]] = {"rotors": lambda: np.zeros(4)}
+"""Return value of each method of a flight controller that has crashed."""
 
 
-class DetectorMemory(Remembers):
-    """The memory of a detector, as that of a kernel: all of it is in arrays."""
+class ArrayMemory(Remembers):
+    """The memory of a detector or plug-in, as that of a kernel: all of it is in arrays."""
 
-    def __init__(self, part: Any) -> None:  # noqa: ANN401 - a detector with `arrays`
+    def __init__(self, *holders: Any) -> None:  # noqa: ANN401 - each with a method `arrays`
         self.memory = Memory()
-        self.keepers = (part,)
+        self.keepers = holders
 
 
-def memory_of(loop: Loop, target: str, detector: Detector | None = None) -> Remembers | None:
+def memory_of(loop: Loop, target: str, detector: Detector | None = None, role: str = "") -> Remembers | None:
     """What holds the memory of a target at this instant; None = the mission has no such target, or its node is dead.
 
     Args:
         loop: The flight.
-        target: A kernel, or one of `states.WATCHING`.
+        target: A kernel, one of `states.WATCHING`, or the name of a plug-in.
         detector: The detector of the flight.
+        role: Kind of the plug-in, as in `states.PLUG_INS`; "" = it is none.
     """
+    if role:
+        return _memory_of_plug_in(loop, role, detector)
     if target not in WATCHING:
         if target in loop.down:
             return None
@@ -61,7 +73,22 @@ def memory_of(loop: Loop, target: str, detector: Detector | None = None) -> Reme
     part = part_of(detector, target)
     if part is None:
         return None
-    return DetectorMemory(part)
+    return ArrayMemory(part)
+
+
+def _memory_of_plug_in(loop: Loop, role: str, detector: Detector | None) -> Remembers | None:
+    """The arrays that a plug-in declares, see `memory_of`."""
+    if role == "detector":
+        if loop.taps.detector is None:
+            return None  # it is down
+        return ArrayMemory(*map(OpaqueKeeper, custom_parts(detector)))
+    if role == "flight_controller":
+        return ArrayMemory(OpaqueKeeper(cast("Simulator", loop.plant).controller))
+    kernel = PLUG_INS[role].kernel
+    if kernel in loop.down:
+        return None
+    of_kernel = cast(Remembers, loop.kernels[kernel]).keepers
+    return ArrayMemory(*(keeper for keeper in of_kernel if not isinstance(keeper, ClearanceMap)))
 
 
 def flip_bit(word: np.ndarray, bit: int | None) -> None:
@@ -70,6 +97,41 @@ def flip_bit(word: np.ndarray, bit: int | None) -> None:
         raw = word.copy()
         raw.view(np.uint8)[bit // 8] ^= np.uint8(1 << bit % 8)
         word[:] = raw
+
+
+class WordChange:
+    """What a fault does to its word each time, as a `pipeline.words.Change`."""
+
+    def __init__(self, fault: MemoryFault) -> None:
+        self._bit = fault.bit
+        self._operation = Operation("flip")
+        if fault.change is not None:
+            self._operation = fault.change.operation
+        self._is_stuck = fault.change is None  # at the value after its first change
+        self._stuck: bool | None = None
+        self._frozen: float | int | bool | None = None
+
+    def __call__(self, word: np.ndarray) -> None:
+        """Change a word of shape (1,), in place."""
+        if self._operation.name == "flip":
+            self._flip(word)
+        elif self._operation.name == "freeze":
+            if self._frozen is None:
+                self._frozen = word[0].item()
+            word[:] = self._frozen
+        else:
+            word[:] = changed_number(self._operation, word[0].item(), word.dtype.str[1:].replace("b1", "?"))
+
+    def _flip(self, word: np.ndarray) -> None:
+        """Flip the bit, or set it as after the first flip."""
+        if self._bit is None:
+            return
+        is_set = bool(word.copy().view(np.uint8)[self._bit // 8] & (1 << self._bit % 8))
+        if self._stuck is None or not self._is_stuck:
+            self._stuck = not is_set
+            flip_bit(word, self._bit)
+        elif is_set != self._stuck:
+            flip_bit(word, self._bit)
 
 
 class MemoryInjector(Injector):
@@ -87,38 +149,91 @@ class MemoryInjector(Injector):
         self._detector = detector
         self._restarts = Restarts(loop, loop.scenario.dead_node)
         self._injection: Injection | None = None
+        self._change_word = WordChange(fault)
+        self._schedule = MessageSchedule(When())
+        self._changed = 0  # number of control periods in which the word was changed
+        self._guarded_parts: list[Any] = []
         if fault.has_site:
-            loop.actions[_ACTION] = self._inject
-            loop.at(fault.time_us, _ACTION)
+            self.begin(fault.time_us)
+
+    def begin(self, time_us: int) -> None:
+        """Inject from an instant on (us), which is not over; a lasting fault in each control period."""
+        fault = self._fault
+        instants: Sequence[int] = (time_us,)
+        latest_us = self._loop.judge.limit_us
+        if 0.0 < fault.lasts_s < float("inf"):
+            latest_us = min(latest_us, time_us + round(1e6 * fault.lasts_s))
+        if fault.is_lasting:
+            instants = range(time_us, latest_us + 1, CONTROL_PERIOD_US)
+        when = When(times=0)
+        if fault.change is not None:
+            when = fault.change.when
+        self._schedule = schedule_of(when, time_us, fault.seed)
+        action = f"memory fault {len(self._loop.actions)}"  # there may be several in a flight
+        self._loop.actions[action] = self._inject
+        for instant in instants:
+            self._loop.at(instant, action)
 
     def _inject(self, now: int) -> None:
-        """Flip the bit, if the word exists, and guard the kernel or detector from now on."""
+        """Change the word, if it exists, and guard the kernel or detector from now on."""
         fault = self._fault
         loop = self._loop
-        holder = memory_of(loop, fault.kernel, self._detector)
+        if not self._schedule.due(now / 1e6, lambda _: float("nan")):
+            return
+        holder = memory_of(loop, fault.kernel, self._detector, fault.role)
         if holder is None:
+            self._schedule.take_back()
             return  # the memory does not exist at this instant
         types = {words.dtype for words in words_of(holder) if words.name == fault.field}
         if types - {fault.dtype}:
             raise BadInputError(f"fault in {fault.site}: dtype {fault.dtype!r}; allowed: {', '.join(sorted(types))}")
-        values = change(holder, fault.field, fault.index or 0, lambda word: flip_bit(word, fault.bit))
-        if values is not None:
-            self._injection = Injection(fault.level, fault.site, now / 1e6, fault.bit, *values, activated=True)
-            self._guard()
+        values = change(holder, fault.field, fault.index or 0, self._change_word)
+        if values is None:
+            self._schedule.take_back()
+            return
+        self._changed += 1
+        if self._injection is None:
+            details = {}
+            if fault.change is not None:
+                details["operation"] = str(replace(fault.change.operation, bit=fault.bit))
+            self._injection = Injection(
+                fault.level, fault.site, now / 1e6, fault.bit, *values, activated=True, details=details
+            )
+        self._guard()
 
     def _guard(self) -> None:
         """Make exceptions of a kernel or detector terminate its node instead of the flight."""
-        target = self._fault.kernel
-        part: Any
-        if target in DETECTORS:
-            part = part_of(self._detector, target)
+        fault = self._fault
+        parts: list[Any]
+        if fault.in_detector:
+            parts = self._parts_of_detector()
             answers = _CHECKS
+        elif fault.role == "flight_controller":
+            parts = [cast("Simulator", self._loop.plant).controller]
+            answers = _THRUSTS
         else:
-            part = self._loop.kernels[target]
+            parts = [self._loop.kernels[self._kernel]]
             answers = _ANSWERS
-        for name, answer in answers.items():
-            if hasattr(part, name):
-                setattr(part, name, self._guarded(getattr(part, name), answer))
+        if parts == self._guarded_parts:
+            return
+        self._guarded_parts = parts  # a restarted node has others
+        for part in parts:
+            for name, answer in answers.items():
+                if hasattr(part, name):
+                    setattr(part, name, self._guarded(getattr(part, name), answer))
+
+    @property
+    def _kernel(self) -> str:
+        """The kernel of the pipeline whose memory it is, or whose plug-in's."""
+        if self._fault.role:
+            return PLUG_INS[self._fault.role].kernel
+        return self._fault.kernel
+
+    def _parts_of_detector(self) -> list[Any]:
+        """The detectors whose memory it is."""
+        if self._fault.role:
+            return custom_parts(self._detector)
+        return [part_of(self._detector, self._fault.kernel)]
 
     def _guarded(self, method: Callable[..., Any], answer: Callable[[], Any]) -> Callable[..., Any]:
         """A method whose exceptions terminate the node; it then answers with a neutral value."""
@@ -129,7 +244,7 @@ class MemoryInjector(Injector):
             except Exception as error:  # any exception type: the memory is corrupted
                 if machine_failure(error):
                     raise
-                if memory_of(self._loop, self._fault.kernel, self._detector) is not None:
+                if memory_of(self._loop, self._fault.kernel, self._detector, self._fault.role) is not None:
                     self.effect = KernelEffect("exception", f"{type(error).__name__}: {error}", None)
                     self._die()
                 return answer()
@@ -137,22 +252,24 @@ class MemoryInjector(Injector):
         return call
 
     def _die(self) -> None:
-        """Terminate the node of the kernel, or the detector."""
-        target = self._fault.kernel
+        """Terminate the node of the kernel, the detector, or the flight controller."""
+        fault = self._fault
         now = self._loop.now
-        if self._detector is not None and target in DETECTORS:
+        if self._detector is not None and fault.in_detector:
             self._restarts.detector_dies(self._detector, now, _RESTART_US)
+        elif fault.role == "flight_controller":
+            self._restarts.controller_dies(now, _RESTART_US)
         else:
-            self._restarts.die(target, now, _RESTART_US)
+            self._restarts.die(self._kernel, now, _RESTART_US)
 
     def release(self) -> None:
         """Remove the guard of a detector, which outlives the flight."""
-        if self._fault.kernel not in DETECTORS:
+        if not self._fault.in_detector:
             return
-        part = part_of(self._detector, self._fault.kernel)
-        if part is not None:
-            for name in _CHECKS:
-                vars(part).pop(name, None)
+        for part in self._parts_of_detector():
+            if part is not None:
+                for name in _CHECKS:
+                    vars(part).pop(name, None)
 
     @property
     def injections(self) -> list[Injection]:
@@ -163,9 +280,12 @@ class MemoryInjector(Injector):
 
     def finish(self) -> list[Injection]:
         """The injection; if the word did not exist, a record of the missed activation."""
-        if self._injection is not None:
-            return [self._injection]
         fault = self._fault
+        if self._injection is not None:
+            if fault.is_lasting:
+                details = {**self._injection.details, "periods": self._changed}
+                return [replace(self._injection, details=details)]
+            return [self._injection]
         time_s = 0.0
         if fault.has_site:
             time_s = fault.time_us / 1e6

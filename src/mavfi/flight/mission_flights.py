@@ -7,16 +7,17 @@ so do faults in instructions of kernels if the work arrays of these can be saved
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.detector import Detector, is_custom, part_of
+from mavfi.detectors.detector import Detector, is_custom
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault, MessageFault, StateFault, find_level, level_names
 from mavfi.faults.levels.instruction import Resolving
 from mavfi.flight.checkpoints import can_save_detector
+from mavfi.flight.combined_forks import fly_serially, forks_serially
 from mavfi.flight.compose import new_loop, resolve, watch
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.fast_forward import (
@@ -38,11 +39,12 @@ from mavfi.flight.forks import (
 from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host, Recorded, one_by_one, require_level
 from mavfi.flight.loop import Listener
 from mavfi.flight.plant import MakePlant
+from mavfi.flight.targets import Targets
 from mavfi.mission import MissionSpec, Scenario
-from mavfi.pipeline.functions import PLAIN, KernelFunctions
+from mavfi.pipeline.functions import ENTRIES
 from mavfi.sim.controller import is_rewindable
 from mavfi.sim.simulator import Simulator
-from mavfi.states import DETECTORS, State
+from mavfi.states import State
 
 
 class LocalHost(Host):
@@ -139,6 +141,9 @@ class LocalFlights(ArmFlights):
         """
         setup = self._arms[arm]
         detector = self._detector(arm)
+        if fault is not None and forks_serially(fault):
+            self._require_forks()
+            return fly_serially(setup.scenario, fault, detector, setup.recovery)[0]
         if fault is None:
             # Faults in instructions follow, from take-off if the detector takes part.
             may_forward = not (self._expects_instruction_faults and takes_part(detector, setup.recovery))
@@ -173,13 +178,13 @@ class LocalFlights(ArmFlights):
         takes_checkpoints = (
             detector is None and setup.scenario.protection is None and setup.scenario.key() not in self._forwards
         )
-        if takes_checkpoints:
+        if takes_checkpoints and _are_of_mavfi(functions):
             with self._forwarding(arm) as forward:
                 if forward is not None:
                     with forward.instrumented(functions, listeners):
                         self._golden[arm] = Flight(forward.fly().log)
                     return self._golden[arm]
-        with _instrumented(detector, functions) as table:
+        with Targets(setup.scenario, detector).instrumented(functions) as table:
             self._golden[arm] = fly(
                 setup.scenario, None, detector, recovery=setup.recovery, functions=table, observers=listeners
             )
@@ -193,12 +198,12 @@ class LocalFlights(ArmFlights):
         """
         setup = self._arms[arm]
         detector = self._detector(arm)
-        if detector is None and setup.scenario.protection is None:
+        if detector is None and setup.scenario.protection is None and _are_of_mavfi(functions):
             with self._forwarding(arm) as forward:
                 if forward is not None:
                     forward.resolve(functions)
                     return
-        with _instrumented(detector, functions) as table, np.errstate(all="ignore"):
+        with Targets(setup.scenario, detector).instrumented(functions) as table, np.errstate(all="ignore"):
             loop = new_loop(setup.scenario, functions=table)
             watch(loop, detector, setup.recovery)
             fly_until(loop, lambda: all(function.done for function in functions.values()))
@@ -212,9 +217,9 @@ class LocalFlights(ArmFlights):
         in_detectors: dict[str, list[_InstructionRun]] = {}
         others = []
         for number, (arm, fault) in enumerate(runs):
-            if not isinstance(fault, InstructionFault):
+            if not isinstance(fault, InstructionFault) or forks_serially(fault):
                 others.append(number)
-            elif fault.kernel in DETECTORS:
+            elif fault.in_detector:
                 in_detectors.setdefault(arm, []).append(_InstructionRun(number, fault))
             else:
                 in_kernels.setdefault(arm, []).append(_InstructionRun(number, fault))
@@ -260,16 +265,20 @@ class LocalFlights(ArmFlights):
         setup = self._arms[arm]
         detector = self._detector(arm)
         golden = self._golden.get(arm)
-        if not self._local_host.supports_fast_forward:
-            raise BadInputError("faults in instructions fork the flight; allowed: state, memory, sensor, in this world")
-        in_detector = any(fault.kernel in DETECTORS for fault in faults)
+        self._require_forks()
+        in_pipeline = not any(fault.in_detector or fault.role for fault in faults)
         # from golden checkpoints, if these contain all that the faults can change
-        if golden is not None and not in_detector and not takes_part(detector, setup.recovery):
+        if golden is not None and in_pipeline and not takes_part(detector, setup.recovery):
             with self._forwarding(arm) as forward:
                 if forward is not None and forward.scratch:
                     flown_arm = FlownArm(_name_of(arm, detector), detector, setup.recovery)
                     return fly_from_checkpoints(forward, faults, golden, flown_arm, self._watched_arms(arm, arms))
         return fly_instruction_faults(setup.scenario, faults, detector, golden, setup.recovery)
+
+    def _require_forks(self) -> None:
+        """Refuse faults in instructions where the vehicle cannot be forked."""
+        if not self._local_host.supports_fast_forward:
+            raise BadInputError("faults in instructions fork the flight; allowed: state, memory, sensor, in this world")
 
     def _watched_arms(self, plain: str, arms: Collection[str]) -> list[FlownArm]:
         """Arms that differ from one without a detector by a detector alone, and can be fast-forwarded.
@@ -300,29 +309,16 @@ def _starts_at_its_instant(fault: Fault) -> bool:
     return False
 
 
+def _are_of_mavfi(functions: Mapping[str, Any]) -> bool:
+    """Whether all of some functions are of the kernels of mavfi, whose calls checkpoints count."""
+    return functions.keys() <= set(ENTRIES)
+
+
 def _name_of(arm: str, detector: Detector | None) -> str:
     """Name of an arm in a `FastForward`: without a detector, flights of all arms of a scenario are the same."""
     if detector is None:
         return ""
     return arm
-
-
-@contextmanager
-def _instrumented(detector: Detector | None, functions: Mapping[str, Any]) -> Iterator[KernelFunctions]:
-    """Function table of the kernels with instrumented functions; the detector uses those of its own meanwhile."""
-    parts = []
-    for source in DETECTORS:
-        part = part_of(detector, source)
-        if part is not None:
-            parts.append(part)
-    for part in parts:
-        part.instrument({name: function for name, function in functions.items() if name in part.compiled})
-    of_kernels = {field.name for field in fields(KernelFunctions)}
-    try:
-        yield PLAIN.instrumented(tuple(of_kernels.intersection(functions)), lambda name, _: functions[name])
-    finally:
-        for part in parts:
-            part.instrument({})
 
 
 def fly_recorded(
@@ -333,6 +329,8 @@ def fly_recorded(
     Raises:
         BadInputError: The scenario cannot be flown, or the fault is of another level.
     """
+    if fault is not None and forks_serially(fault):
+        return fly_serially(scenario, fault, detector, recovery, records=True)
     if isinstance(fault, InstructionFault):
         return fly_with_publications(scenario, fault, detector, recovery)
     if fault is not None:

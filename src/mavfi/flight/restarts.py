@@ -9,6 +9,7 @@
 
 from collections.abc import Sequence
 from functools import partial
+from typing import TYPE_CHECKING, cast
 from weakref import proxy
 
 from mavfi.detectors.detector import Detector
@@ -20,6 +21,9 @@ from mavfi.flight.taps import Tap
 from mavfi.mission import DeadNode, MissionStatus
 from mavfi.pipeline.kernel import Kernel
 from mavfi.states import PERIODIC, STATES, State, in_node
+
+if TYPE_CHECKING:
+    from mavfi.sim.simulator import Simulator
 
 CHANGES = "perception.map_update"
 """State that carries increments instead of whole values: a restarted node receives all of them."""
@@ -82,6 +86,23 @@ class Restarts:
         if self._policy != "end":
             self._loop.actions["detector back"] = partial(self._detector_returns, detector, tap)
             self._loop.at(now + after_us, "detector back")
+
+    def controller_dies(self, now: int, after_us: int) -> None:
+        """Terminate the flight controller at this instant: the rotors stop until it is back, with initialized memory.
+
+        Policy `end`: the mission ends.
+
+        Args:
+            now: Instant (us).
+            after_us: Down time (us).
+        """
+        if self._policy == "end":
+            self._loop.status = MissionStatus.NODE_DIED
+            return
+        plant = cast("Simulator", self._loop.plant)  # the plant of all flights with faults in instructions
+        plant.stop_controller()
+        self._loop.actions["controller back"] = lambda _: plant.restart_controller()
+        self._loop.at(now + after_us, "controller back")
 
     def _detector_returns(self, detector: Detector, tap: Tap | None, now: int) -> None:
         """Initialize a detector, pass it the last publication of each state, and install its tap again."""

@@ -1,6 +1,6 @@
 """The second plan of a golden flight, by numbers of calls: where the authors' injector of registers fires."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from mavfi.faults.levels.instruction import Profiling
 from mavfi.flight.loop import Listener
@@ -16,10 +16,12 @@ class SecondPlan(Listener):
 
     Args:
         counters: The functions whose calls are counted, by name.
+        of_plug_in: Names of those that a planner calls which is a plug-in.
     """
 
-    def __init__(self, counters: Mapping[str, Profiling]) -> None:
+    def __init__(self, counters: Mapping[str, Profiling], of_plug_in: Collection[str] = ()) -> None:
         self._counters = counters
+        self._of_planner = {*of_plug_in, *(entry for entries in PLANNERS.values() for entry in entries)}
         self._plans = 0
         self._first_calls: dict[str, int] = {}
 
@@ -35,7 +37,7 @@ class SecondPlan(Listener):
         self._plans += 1
         for entry, counter in self._counters.items():
             noted_after = 2  # steps of the planner
-            if any(entry in entries for entries in PLANNERS.values()):
+            if entry in self._of_planner:
                 noted_after = 1
             if self._plans == noted_after:
                 self._first_calls[entry] = len(counter.counts)

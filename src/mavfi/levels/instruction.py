@@ -19,26 +19,27 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import Field, ValidationInfo, model_validator
 
 from mavfi.config import STORED
-from mavfi.detectors.detector import part_of
+from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import MODELS, NO_SITE, RESTART_S, Fault, InstructionFault, Model
+from mavfi.faults.fault import MODELS, MOST_CALLS, NO_SITE, RESTART_S, Fault, InstructionFault, Model
 from mavfi.faults.levels.instruction import InjectionSite, Profiling, Resolving, budget_for, choose
 from mavfi.faults.levels.instruction.plan import plan
 from mavfi.faults.levels.instruction.table import parse_selection
+from mavfi.faults.plug_ins import custom_detectors, planner_name, plug_ins, without_module
 from mavfi.faults.sampling import stream
 from mavfi.flight.decide import INLINE, RecoveryPolicy
+from mavfi.flight.targets import Target, Targets
 from mavfi.ir.module import DIGEST_VERSION
-from mavfi.levels.level import DECIMAL, Draw, Golden, Level, Sampled, Sampler, Sampling, check_distinct, check_known
+from mavfi.levels.level import DECIMAL, WHOLE, Draw, Golden, Level, Sampled, Sampler, Sampling, check_distinct
 from mavfi.mission import Scenario
-from mavfi.pipeline.functions import PLAIN
 from mavfi.record import Injection
 from mavfi.rewriting import rewriting_of
-from mavfi.states import DETECTORS, INJECTABLE, KERNEL_STAGES, PLANNERS, PPC_STAGES
+from mavfi.states import DETECTORS, INJECTABLE, KERNEL_STAGES, PLANNERS, PLUG_INS, PPC_STAGES
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
@@ -46,12 +47,13 @@ if TYPE_CHECKING:
     from mavfi.flight.mission_flights import LocalFlights
 
 _ONE_INSTRUCTION = re.compile(
-    rf"""(?P<kernel>\w+)\.(?P<entry>\w+)
+    rf"""(?P<kernel>[\w-]+)\.(?P<entry>\w+)
     :call=(?P<call>\d+)
     :index=(?P<index>\d+)
     :(bit=(?P<bits>\d+(\+\d+)*)|value=0x(?P<value>[\da-f]+))
     (:model=(?P<model>\w+))?
     (:restart=(?P<restart>{DECIMAL}))?
+    (:times=(?P<times>\d+))?
     :budget=(?P<budget>\d+)
     :ir=(?P<ir>[\da-f]{{64}})""",
     re.VERBOSE,
@@ -75,11 +77,12 @@ class InstructionRequest:
     """Faults in instructions to be drawn from one mission.
 
     Attributes:
-        kernels: Number of faults in each kernel, by the names of `states.INJECTABLE` and `states.DETECTORS`.
+        kernels: Number of faults in each kernel, by names of targets, see `mavfi.flight.targets`.
         which: Class of instructions, see `mavfi.faults.levels.instruction.table`.
         model: How the value is changed.
         restart_s: Time after which a crashed node has restarted (s).
         when: Calls from which they are drawn.
+        times: Number of calls that are changed.
     """
 
     kernels: Mapping[str, int]
@@ -87,11 +90,15 @@ class InstructionRequest:
     model: Model = "one_bit"
     restart_s: float = RESTART_S
     when: When = "uniform"
+    times: int = 1
 
     def draw(self, setup: "ArmSetup", seed: int) -> "tuple[InstructionFault, Flight | None]":
         """See `Request.draw`, for a request of one fault."""
         ((kernel, _),) = self.kernels.items()
-        detector = _detector(setup, kernel)
+        target = Targets(setup.scenario, setup.detector()).find(kernel)
+        detector = None
+        if target.in_detector:
+            detector = setup.detector()
         drawn = draw_instruction_faults(setup.scenario, self, seed=seed, detector=detector, recovery=setup.recovery)
         fault = drawn.faults[kernel][0]
         if not fault.has_site:
@@ -113,19 +120,8 @@ class InstructionSite:
     def draw(self, setup: "ArmSetup", seed: int) -> tuple[InstructionFault, None]:
         """See `Request.draw`; a BadInputError if the mission lacks the kernel, or the kernel the function."""
         del seed
-        kernel = self.fault.kernel
-        entry = self.fault.entry
-        functions = _functions(kernel, setup.scenario, _detector(setup, kernel))
-        if entry not in functions:
-            raise BadInputError(f"kernel {kernel!r}: no function {entry!r}; allowed: {', '.join(functions)}")
-        return self.fault, None
-
-
-def _detector(setup: "ArmSetup", kernel: str) -> "Detector | None":
-    """The detector of a mission, if a fault is in its own instructions."""
-    if kernel in DETECTORS:
-        return setup.detector()
-    return None
+        target = Targets(setup.scenario, setup.detector()).of_fault(self.fault)
+        return replace(self.fault, kernel=target.name, role=target.role), None
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,9 +141,9 @@ class DrawnFaults:
 
 @dataclass(frozen=True, slots=True)
 class _Position:
-    """A dynamic instruction: function, its call, and index in the call."""
+    """A dynamic instruction: function (name of its counter), its call, and index in the call."""
 
-    entry: str
+    counter: str
     call: int
     index: int
 
@@ -176,7 +172,8 @@ def draw_instruction_faults(
     from mavfi.flight.mission_flights import LocalHost
     from mavfi.flight.second_plan import SecondPlan
 
-    functions = {kernel: _functions(kernel, scenario, detector) for kernel in request.kernels}
+    mission_targets = Targets(scenario, detector)
+    targets = {kernel: mission_targets.find(kernel) for kernel in request.kernels}
     parse_selection(request.which)
     if flights is None:
         setup = ArmSetup(scenario, recovery=recovery)
@@ -186,10 +183,13 @@ def draw_instruction_faults(
 
     # 1. Count the instructions of every call in the golden flight.
     rewriting = rewriting_of(scenario.protection)
-    compiled = {entry: function for entries in functions.values() for entry, function in entries.items()}
-    counters = {entry: Profiling(function, rewriting) for entry, function in compiled.items()}
+    compiled = {
+        counter: target.functions[entry] for target in targets.values() for counter, entry in target.counters.items()
+    }
+    counters = {counter: Profiling(function, rewriting) for counter, function in compiled.items()}
     if request.when == "second_plan":
-        second_plan = SecondPlan(counters)
+        of_planner = [target for target in targets.values() if target.kernel == "planner"]
+        second_plan = SecondPlan(counters, [counter for target in of_planner for counter in target.counters])
         golden = flights.count_instructions(arm, counters, [second_plan])
         first_calls = second_plan.first_calls()
     else:
@@ -199,7 +199,13 @@ def draw_instruction_faults(
     # 2. Draw positions, and resolve them, until there are enough faults of the class.
     draws = [
         _KernelDraw(
-            kernel, number, request, {entry: counters[entry] for entry in functions[kernel]}, first_calls, seed, address
+            targets[kernel],
+            number,
+            request,
+            {counter: counters[counter] for counter in targets[kernel].counters},
+            first_calls,
+            seed,
+            address,
         )
         for kernel, number in request.kernels.items()
     ]
@@ -209,27 +215,17 @@ def draw_instruction_faults(
             break
         indices: dict[str, dict[int, list[int]]] = {}
         for _, position in positions:
-            indices.setdefault(position.entry, {}).setdefault(position.call, []).append(position.index)
-        resolvers = {entry: Resolving(compiled[entry], calls, rewriting) for entry, calls in indices.items()}
+            indices.setdefault(position.counter, {}).setdefault(position.call, []).append(position.index)
+        resolvers = {name: Resolving(compiled[name], calls, rewriting) for name, calls in indices.items()}
         flights.resolve_instructions(arm, resolvers)
         for draw, position in positions:
-            draw.take(position, resolvers[position.entry].sites[position.call, position.index])
+            draw.take(position, resolvers[position.counter].sites[position.call, position.index])
+    draw_of = dict(zip(request.kernels, draws, strict=True))
     return DrawnFaults(
         golden,
-        {draw.kernel: instruction_counts(list(draw.counters.values())) for draw in draws},
-        {draw.kernel: draw.all_faults() for draw in draws},
+        {kernel: instruction_counts(list(draw.counters.values())) for kernel, draw in draw_of.items()},
+        {kernel: draw.all_faults() for kernel, draw in draw_of.items()},
     )
-
-
-def _functions(kernel: str, scenario: Scenario, detector: "Detector | None") -> dict[str, Any]:
-    """The compiled functions of a kernel, or of the detector of that name; a BadInputError if the mission has none."""
-    from mavfi.detectors.registry import check_kernel
-
-    check_kernel(kernel, scenario.planner.name, detector)
-    if kernel in DETECTORS:
-        compiled: dict[str, Any] = dict(part_of(detector, kernel).compiled)
-        return compiled
-    return {entry: getattr(PLAIN, entry) for entry in INJECTABLE[kernel]}
 
 
 class _KernelDraw:
@@ -237,7 +233,7 @@ class _KernelDraw:
 
     def __init__(
         self,
-        kernel: str,
+        target: Target,
         number: int,
         request: InstructionRequest,
         counters: Mapping[str, Profiling],
@@ -245,18 +241,18 @@ class _KernelDraw:
         seed: int,
         address: tuple[str, ...],
     ) -> None:
-        self.kernel = kernel
+        self._target = target
         self.counters = counters
         self._calls: list[tuple[str, int]] = []
         self._counts: list[int] = []
-        for entry, counter in counters.items():
-            first = first_calls[entry]
-            self._calls += [(entry, call) for call in range(first, len(counter.counts))]
+        for name, counter in counters.items():
+            first = first_calls[name]
+            self._calls += [(name, call) for call in range(first, len(counter.counts))]
             self._counts += counter.counts[first:]
         self._number = number
         self._request = request
         self._seed = seed
-        self._random = stream(seed, "instruction", kernel, *address)
+        self._random = stream(seed, "instruction", target.name, *address)
         self._selection = parse_selection(request.which)
         self._faults: list[InstructionFault] = []
 
@@ -275,7 +271,7 @@ class _KernelDraw:
         """Plan a fault at a position if its instruction is of the class and faults are still missing."""
         if site is None or site not in self._selection or len(self._faults) >= self._number:
             return
-        counter = self.counters[position.entry]
+        counter = self.counters[position.counter]
         request = self._request
         call = position.call
         self._faults.append(
@@ -289,16 +285,19 @@ class _KernelDraw:
                 call=call,
                 which=request.which,
                 budget=budget_for(counter.counts[call]),
-                kernel=self.kernel,
-                entry=position.entry,
+                kernel=self._target.name,
+                entry=self._target.counters[position.counter],
                 restart_s=request.restart_s,
                 seed=self._seed,
+                role=self._target.role,
+                times=request.times,
             )
         )
 
     def all_faults(self) -> list[InstructionFault]:
         """The requested number of faults; those that could not be drawn have no site."""
-        nothing = InstructionFault("", "", 0, NO_SITE, kernel=self.kernel, seed=self._seed)
+        target = self._target
+        nothing = InstructionFault("", "", 0, NO_SITE, kernel=target.name, seed=self._seed, role=target.role)
         return self._faults + [nothing] * (self._number - len(self._faults))
 
 
@@ -330,6 +329,7 @@ class InstructionSampling(Sampling):
         description="what becomes of the value; low_byte and high_bits are those of the authors' injector of registers",
     )
     restart_s: float = Field(0.57, ge=0, le=60, description="time until a dead node is back (s)")
+    times: int = Field(1, ge=1, le=MOST_CALLS, description="changed calls, from the drawn one on")
     when: When = Field(
         "uniform",
         description="calls that are drawn from: all; or, as by the authors' injector of registers, those from the "
@@ -346,7 +346,6 @@ class InstructionSampling(Sampling):
 
     @model_validator(mode="after")
     def _consistent(self) -> "InstructionSampling":
-        check_known("sampling.kernels", sorted(self.kernels), (*INJECTABLE, *DETECTORS))
         check_distinct("sampling.kernels", self.kernels)
         return self
 
@@ -360,6 +359,8 @@ class InstructionSampling(Sampling):
         data = super().to_json()
         if self.when == "uniform":
             del data["when"]
+        if self.times == 1:
+            del data["times"]
         return data
 
     def identity(self) -> dict[str, Any]:
@@ -380,8 +381,9 @@ class InstructionSampler(Sampler):
         super().__init__(campaign)
         # Numba compiles Python's bytecode, which determines the fault space.
         self.versions = {"python": ".".join(platform.python_version_tuple()[:2]), "fault space": DIGEST_VERSION}
-        kernels = self.sampling.kernels
-        planner = campaign.spec(campaign.environments[0], campaign.first_seed).planner
+        planner = planner_name(campaign.spec(campaign.environments[0], campaign.first_seed).planner)
+        drawn_from = campaign_targets(campaign)
+        self._kernels = kernels = [target.name for target in drawn_from]
         other_planners = [name for name in kernels if name in PLANNERS and name != planner]
         self.variants = {name: {"planner": name} for name in other_planners}
         if campaign.arms and other_planners:
@@ -390,12 +392,17 @@ class InstructionSampler(Sampler):
                 f"kernels of missions with planner {planner!r}"
             )
         # Where faults of a kernel are drawn, if not in the campaign's own mission.
-        self.arms = {name: campaign.arm_with(name) for name in kernels if name in DETECTORS}
-        self.arms |= {name: name for name in other_planners}
-        groups = kernel_groups(self.sampling)
-        self.targets = {group[0]: dict.fromkeys(group, 1.0) for group in groups}
-        self.orders = {group[0]: str(KERNEL_STAGES.get(group[0], group[0])) for group in groups}
-        _check_arms(campaign, kernels, {"planner": planner, "map": "octomap"})
+        self._detectors = {target.name: target.arm for target in drawn_from if target.arm}
+        self.arms = self._detectors | {name: name for name in other_planners}
+        self.targets = {}
+        self.orders = {}
+        for group in _groups(drawn_from, self.sampling.share):
+            first = group[0]
+            self.targets[first.name] = dict.fromkeys((target.name for target in group), 1.0)
+            self.orders[first.name] = first.stage or first.name
+        replaceable = {"planner": planner, "map": "octomap"}
+        replaceable |= {target.role: target.name for target in drawn_from if target.role and not target.arm}
+        _check_arms(campaign, kernels, replaceable)
         if campaign.nulls:
             raise BadInputError(f"null_runs: {campaign.nulls}; allowed: 0 with faults in instructions")
 
@@ -409,11 +416,10 @@ class InstructionSampler(Sampler):
         """Fly the golden run with instruction counters, and draw its faults."""
         # Kernels whose instructions are counted in this flight.
         targets = [draw.target for draw in draws]
-        in_detector = any(self.arms.get(name) == arm for name in DETECTORS)
         counted_arms = {arm}
-        if in_detector:
+        if arm in self._detectors.values():
             counted_arms.add("")  # where a detector is counted, kernels are, too
-        kernels = [name for name in self.sampling.kernels if self.arms.get(name, "") in counted_arms]
+        kernels = [name for name in self._kernels if self.arms.get(name, "") in counted_arms]
         if not kernels:
             return Sampled(flights.golden(arm))
         from mavfi.flight.mission_flights import LocalFlights
@@ -425,7 +431,9 @@ class InstructionSampler(Sampler):
         if isinstance(flights, LocalFlights):
             local_flights = flights
         numbers = {name: targets.count(name) for name in kernels}
-        request = InstructionRequest(numbers, sampling.which, sampling.model, sampling.restart_s, sampling.when)
+        request = InstructionRequest(
+            numbers, sampling.which, sampling.model, sampling.restart_s, sampling.when, sampling.times
+        )
         drawn = draw_instruction_faults(
             scenario,
             request,
@@ -462,12 +470,84 @@ def _check_arms(campaign: Any, drawn: Sequence[str], kernels: Mapping[str, str])
                 )
 
 
-def kernel_groups(sampling: InstructionSampling) -> list[tuple[str, ...]]:
-    """Kernels that share one number of faults: each kernel separately, or the kernels of each stage."""
-    if sampling.share == "kernel":
-        return [(name,) for name in sampling.kernels]
-    stages = [tuple(name for name in sampling.kernels if KERNEL_STAGES.get(name) is stage) for stage in PPC_STAGES]
-    detectors = [(name,) for name in sampling.kernels if name in DETECTORS]
+class CampaignTarget(NamedTuple):
+    """A kernel, plug-in or detector of which a campaign draws faults.
+
+    Attributes:
+        name: Its name in faults and tables.
+        role: Kind of the plug-in, as in `states.PLUG_INS`; "" = of mavfi.
+        arm: The arm whose detector it is; "" = it is none.
+    """
+
+    name: str
+    role: str = ""
+    arm: str = ""
+
+    @property
+    def stage(self) -> str:
+        """Its stage; "" = a detector."""
+        return _stage_of(self.name, self.role)
+
+
+def _stage_of(name: str, role: str) -> str:
+    """The stage of a kernel or plug-in; "" = a detector."""
+    if role:
+        return PLUG_INS[role].stage
+    return str(KERNEL_STAGES.get(name, ""))
+
+
+def campaign_targets(campaign: Any) -> list[CampaignTarget]:
+    """The targets that the sampling of a campaign names.
+
+    Raises:
+        BadInputError: Its missions and arms have no such target, or it is named twice.
+    """
+    targets = [_campaign_target(campaign, name) for name in campaign.sampling.kernels]
+    for name, count in Counter(target.name for target in targets).items():
+        if count > 1:
+            raise BadInputError(f"sampling.kernels: {name!r}: named {count} times; allowed: once")
+    return targets
+
+
+def _campaign_target(campaign: Any, name: str) -> CampaignTarget:
+    """See `campaign_targets`: the target of this name."""
+    spec = campaign.spec(campaign.environments[0], campaign.first_seed)
+    planner = planner_name(spec.planner)
+    members = plug_ins(planner, spec.map, spec.flight_controller)
+    replaced = [PLUG_INS[plug_in.role].kernel for plug_in in members]
+    of_mavfi = [kernel for kernel in INJECTABLE if kernel not in replaced]
+
+    # Kernels and detectors of mavfi, then plug-ins of all missions, then detectors of an arm that are plug-ins.
+    if name in of_mavfi:
+        return CampaignTarget(name)
+    if name in DETECTORS:
+        return CampaignTarget(name, arm=campaign.arm_with(name))
+    for plug_in in members:
+        if plug_in.is_called(name):
+            return CampaignTarget(plug_in.name, plug_in.role)
+    if name == "planner":
+        return CampaignTarget(planner)
+    detectors = custom_detectors(campaign)
+    watching = [(arm, plug_in) for arm, plug_in in detectors.items() if plug_in.is_called(name)]
+    if len(watching) > 1:
+        raise BadInputError(f"sampling.kernels: {name!r}: is in {len(watching)} arms; allowed: what is in one arm")
+    if watching:
+        ((arm, plug_in),) = watching
+        return CampaignTarget(plug_in.name, plug_in.role, arm)
+
+    refusal = dropped_name("kernels", name)
+    if not refusal:
+        names = [*of_mavfi, *(plug_in.name for plug_in in (*members, *detectors.values()))]
+        refusal = f"{name!r}: not known; allowed: {', '.join(dict.fromkeys(names))}"
+    raise BadInputError(f"sampling.kernels: {refusal}")
+
+
+def _groups(targets: Sequence[CampaignTarget], share: str) -> list[list[CampaignTarget]]:
+    """Targets that share one number of faults: each separately, or the kernels of each stage, and each detector."""
+    if share == "kernel":
+        return [[target] for target in targets]
+    stages = [[target for target in targets if target.stage == stage] for stage in PPC_STAGES]
+    detectors = [[target] for target in targets if target.arm]
     return [group for group in (*stages, *detectors) if group]
 
 
@@ -489,8 +569,8 @@ class InstructionLevel(Level):
     sampling = InstructionSampling
     sampler = InstructionSampler
     local = True
-    form = "instruction:KERNEL[:which=CLASS][:model=MODEL], or one instruction as printed by mavfi shrink"
-    options = {"which": (".+", "a class of instructions", str), "model": (r"\w+", "a model", str)}
+    form = "instruction:KERNEL[:which=CLASS][:model=MODEL][:times=N], or one instruction as printed by mavfi shrink"
+    options = {"which": (".+", "a class of instructions", str), "model": (r"\w+", "a model", str), "times": WHOLE}
     reductions = {"width": single_bit_faults, "bit": lower_bits}
     absent = ("executed", "the instruction was not executed")
 
@@ -499,15 +579,18 @@ class InstructionLevel(Level):
         instruction = _ONE_INSTRUCTION.fullmatch(text)
         if instruction is not None:
             return InstructionSite(_fault_in(instruction))
+        text = without_module(text)
         kernel = text.partition(":")[0]
-        if not re.fullmatch(r"\w+", kernel):
+        if not re.fullmatch(r"[\w-]+", kernel):
             self.not_understood()
         parts = self.parts_of(text)
         if parts.time_us is not None:
             self.not_understood()
         which = parts.options.get("which", "all")
         parse_selection(which)
-        return InstructionRequest({kernel: 1}, which, _model(parts.options.get("model")))
+        times = parts.options.get("times", 1)
+        InstructionFault("", "", 0, kernel=kernel, times=times)  # checks the number
+        return InstructionRequest({kernel: 1}, which, _model(parts.options.get("model")), times=times)
 
     def text_of(self, fault: InstructionFault) -> str | None:
         """See `Level.text_of`."""
@@ -522,15 +605,18 @@ class InstructionLevel(Level):
         restart = ""
         if fault.restart_s != RESTART_S:
             restart = f":restart={fault.restart_s}"
+        times = ""
+        if fault.times != 1:
+            times = f":times={fault.times}"
         return (
-            f"instruction:{fault.kernel}.{fault.entry}:call={fault.call}:index={fault.index}:{value}{model}{restart}"
+            f"instruction:{fault.kernel}.{fault.entry}:call={fault.call}:index={fault.index}:{value}{model}{restart}{times}"
             f":budget={fault.budget}:ir={fault.ir_sha256}"
         )
 
     def columns(self, fault: InstructionFault) -> dict[str, Any]:
         """See `Level.columns`."""
         return {
-            "stage": str(KERNEL_STAGES.get(fault.kernel, "")),
+            "stage": _stage_of(fault.kernel, fault.role),
             "kernel": fault.kernel,
             "function": fault.entry,
             "value_class": fault.value_class,
@@ -542,7 +628,8 @@ class InstructionLevel(Level):
         how = f"instructions: {sampling.which}, model {sampling.model}"
         if sampling.when != "uniform":
             how += f", calls: {sampling.when}"
-        return {"each": sampling.share, "how": how, "kernels": list(sampling.kernels), "which": sampling.which}
+        kernels = [target.name for target in campaign_targets(campaign)]
+        return {"each": sampling.share, "how": how, "kernels": kernels, "which": sampling.which}
 
 
 def _fault_in(match: re.Match[str]) -> InstructionFault:
@@ -562,6 +649,7 @@ def _fault_in(match: re.Match[str]) -> InstructionFault:
         kernel=match["kernel"],
         entry=match["entry"],
         restart_s=float(match["restart"] or RESTART_S),
+        times=int(match["times"] or 1),
     )
 
 

@@ -9,16 +9,17 @@ import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, NoReturn, Protocol
 
 from pydantic import Field
 
 from mavfi.config import Config
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, hint
+from mavfi.faults.combined import AND, Start
 from mavfi.faults.fault import Fault, find_level, level_names
 from mavfi.faults.injector import Injector
-from mavfi.faults.operations import PlannedChange, parse_text
+from mavfi.faults.operations import OPERATIONS, PlannedChange, is_trigger, parse_change, parse_text
 from mavfi.faults.sampling import share_out
 from mavfi.faults.strata import EACH_CLASS, STRATA
 from mavfi.record import Injection
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 NULL = "null"
 """Target of null runs: the complete path through the injector, with an empty mask; and the text of such a fault."""
+COMBINED = "combined"
+"""Level of several faults."""
 DECIMAL = r"\d+(\.\d*)?"
 """Pattern of a number that is not negative, without exponent."""
 # Values of options in the text of a fault: pattern, description, type.
@@ -83,6 +86,12 @@ def parse(text: str, localization: str = "truth", levels: Collection[str] = ()) 
     Raises:
         BadInputError: Another level, or not in its form; the message says what is allowed.
     """
+    if is_combined(text) and (not levels or COMBINED in levels):
+        combined: Request = find_level(COMBINED).parse(text, localization)
+        return combined
+    if is_combined(text):
+        reason = "several faults, or one that waits for an event: allowed in flights of mavfi itself; here: one"
+        raise BadInputError(f"fault {text!r}: {reason}")
     name, _, rest = text.partition(":")
     if levels and name not in {NULL, *levels}:
         raise BadInputError(
@@ -98,6 +107,11 @@ def parse(text: str, localization: str = "truth", levels: Collection[str] = ()) 
     except BadInputError as error:
         raise BadInputError(f"fault {text!r}: {error}") from None
     return request
+
+
+def is_combined(text: str) -> bool:
+    """Whether a text has several faults, or one that waits for an event of the flight."""
+    return AND in text or Start.parse(text.rpartition("@")[2]) is not None
 
 
 def text_of(fault: Fault) -> str | None:
@@ -179,12 +193,12 @@ class Sampled:
     Attributes:
         flight: The golden run.
         counts: Executed instructions by kernel, see `FlightRecord`.
-        faults: Faults that were drawn during the flight, by target and stratum.
+        faults: Faults that were drawn during the flight, by target and stratum; None = it could not be drawn.
     """
 
     flight: "Recorded"
     counts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    faults: Mapping[tuple[str, str], Sequence[Fault]] = field(default_factory=dict)
+    faults: Mapping[tuple[str, str], Sequence[Fault | None]] = field(default_factory=dict)
 
 
 Golden = Mapping[str, Sampled]
@@ -264,7 +278,7 @@ class Sampler:
         """
         del environment
         # Each golden run has drawn its faults by target and stratum, in the order of the draws: take the next of each.
-        undealt: dict[tuple[str, str, str], Iterator[Fault]] = {}
+        undealt: dict[tuple[str, str, str], Iterator[Fault | None]] = {}
         for variant, sampled in golden.items():
             for (target, stratum), faults in sampled.faults.items():
                 undealt[variant, target, stratum] = iter(faults)
@@ -356,6 +370,8 @@ class Level:
     def about(self, campaign: Any) -> dict[str, Any]:
         """How a campaign draws, for the notes of tables: `each` (what `faults` counts), `how`, and further keys.
 
+        `per_mission` is the number of faults in a mission in words, unless it is one.
+
         With `title` and `lines`, the level describes what is under test itself.
         """
         return {"each": "target", "how": ""}
@@ -418,6 +434,74 @@ def planned_at(change: PlannedChange, *, is_given: bool) -> tuple[PlannedChange,
     if not is_given:
         return planned, None
     return planned, round(1e6 * start_s)
+
+
+class ChangeText(NamedTuple):
+    """A change of a value, as it stands behind the site of a fault.
+
+    Attributes:
+        change: What is done, and when; without bit and earliest instant.
+        bit: Bit of a flip; None = not given.
+        time_us: Earliest instant (us); None = not given.
+        lasts_s: Duration (s); 0 = not given.
+    """
+
+    change: PlannedChange
+    bit: int | None
+    time_us: int | None
+    lasts_s: float
+
+
+def is_change(text: str) -> bool:
+    """Whether the text of a fault in a value has more than the flip of bits from an instant on."""
+    body, _, instant = text.partition("@")
+    names = {part.partition("=")[0] for part in body.split(":")[1:]}
+    return bool(names & {*OPERATIONS, "every"}) or is_trigger(instant)
+
+
+def parse_value_change(parts: Sequence[str], instant: str, *, has_instant: bool) -> ChangeText:
+    """Parse a change of a value: an operation, or a trigger; without an operation, a bit is flipped.
+
+    Args:
+        parts: What stands between the site and the `@`.
+        instant: What stands behind the `@`.
+        has_instant: Whether there is an `@`.
+
+    Raises:
+        BadInputError: A part is not understood.
+    """
+    # A duration is that of the fault; all else is the change.
+    lasts_s = 0.0
+    rest = []
+    for part in parts:
+        name, _, value = part.partition("=")
+        if name != "lasts":
+            rest.append(part)
+            continue
+        pattern, description, kind = SECONDS
+        if not re.fullmatch(pattern, value):
+            raise BadInputError(f"lasts: {value!r}: allowed: {description}")
+        lasts_s = kind(value)
+    names = [part.partition("=")[0] for part in rest]
+    if not {*OPERATIONS, "bit"} & set(names):
+        rest.insert(0, "flip")
+    change, time_us = planned_at(parse_change(rest, instant), is_given=has_instant)
+    if lasts_s > 0.0 and "times" not in names:
+        change = change._replace(when=replace(change.when, times=0))
+    # The bit of a flip is that of the fault.
+    bit = change.operation.bit
+    return ChangeText(change._replace(operation=replace(change.operation, bit=None)), bit, time_us, lasts_s)
+
+
+def change_text(change: PlannedChange, bit: int | None, time_us: int, lasts_s: float) -> str:
+    """The text of a change with bit, earliest instant (us) and duration (s): what `parse_value_change` reads."""
+    operation, when = change
+    dated = PlannedChange(replace(operation, bit=bit), replace(when, start_s=time_us / 1e6))
+    body, at, instant = str(dated).partition("@")
+    lasts = ""
+    if lasts_s > 0.0:
+        lasts = f":lasts={lasts_s}"
+    return f"{body}{lasts}{at}{instant}"
 
 
 def operation_of(text: str) -> PlannedChange:

@@ -13,13 +13,18 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field, model_validator
 
+from mavfi.detectors.detector import part_of
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, hint
 from mavfi.faults.fault import NO_SITE, Fault, MemoryFault
+from mavfi.faults.operations import OPERATIONS, VALUE_OPERATIONS, PlannedChange
+from mavfi.faults.plug_ins import custom_detectors, planner_name, plug_ins, without_module
 from mavfi.faults.sampling import stream
 from mavfi.faults.strata import WORD_BITS, bits_of
+from mavfi.flight.targets import find_plug_in, plug_ins_of
 from mavfi.levels.level import (
     NULL,
+    SECONDS,
     WHOLE,
     Draw,
     Golden,
@@ -27,12 +32,15 @@ from mavfi.levels.level import (
     Sampled,
     Sampler,
     Sampling,
+    change_text,
     check_distinct,
     check_strata,
+    is_change,
+    parse_value_change,
 )
 from mavfi.levels.state import SiteGroup, group_json, smaller_changes
 from mavfi.pipeline.words import Words, collapsed, words_of
-from mavfi.states import KERNEL_STAGES, KERNELS, WATCHING
+from mavfi.states import KERNEL_STAGES, KERNELS, PLUG_INS, WATCHING
 
 if TYPE_CHECKING:
     from mavfi.flight.host import ArmSetup, Flight, MissionFlights
@@ -57,46 +65,57 @@ class MemoryRequest:
     """A fault in the memory of a kernel as requested by the user; anything not given is drawn by exposure.
 
     Attributes:
-        kernel: As in `states.KERNELS`, or in `states.WATCHING`.
+        kernel: As in `states.KERNELS`, or in `states.WATCHING`; or what a plug-in is called.
         field: Name of words, or a part of it, with an optional index (see `pipeline.words.Words.named`); "" = all.
         bit: None = drawn from the whole word.
         time_us: None = drawn from the golden run.
+        lasts_s: As in `MemoryFault`.
+        change: As in `MemoryFault`.
     """
 
     kernel: str
     field: str = ""
     bit: int | None = None
     time_us: int | None = None
+    lasts_s: float = 0.0
+    change: PlannedChange | None = None
 
     def draw(self, setup: "ArmSetup", seed: int) -> "tuple[MemoryFault, Flight | None]":
         """See `Request.draw`; a BadInputError if the target has no such word or bit at that instant."""
-        from mavfi.detectors.registry import check_watched
-
-        in_detector = self.kernel in WATCHING
-        if in_detector:
-            check_watched(self.kernel, setup.detector())
-        else:
+        owner = _owner(self.kernel, setup)
+        in_detector = owner.in_detector
+        if not in_detector:
             setup = replace(setup, make_detector=None)
 
         # Draw while the golden flight is flown.
-        random = stream(seed, "memory", self.kernel)
-        exposure = Exposure(((self.kernel, self.field),), "", self.bit, [_Drawing(random, seed)])
+        random = stream(seed, "memory", owner.name)
+        exposure = Exposure(((owner.name, self.field),), "", self.bit, [_Drawing(random, seed)])
         golden = fly_exposed(setup, [exposure], self.time_us)
         (fault,) = exposure.faults()
 
         # Without a site, say which words the target remembers instead.
         if not fault.has_site:
-            names = collapsed(words.name for words in exposure.latest.get(self.kernel, ()))
-            bit = ""
+            names = collapsed(words.name for words in exposure.latest.get(owner.name, ()))
+            if owner.role and not names:
+                raise BadInputError(
+                    f"fault memory:{self.kernel}: {owner.name} declares no memory; allowed: arrays by name, in its "
+                    "method `arrays` (docs/how-to/own-kernels.md)"
+                )
+            bit_text = ""
             if self.bit is not None:
-                bit = f" with a bit {self.bit}"
+                bit_text = f" with a bit {self.bit}"
             when = ""
             if self.time_us is not None:
                 when = f" at {1e-6 * self.time_us:g} s"
             raise BadInputError(
-                f"fault memory:{self.kernel}.{self.field}: no such word{bit}{when}{hint(self.field, names)}; "
+                f"fault memory:{self.kernel}.{self.field}: no such word{bit_text}{when}{hint(self.field, names)}; "
                 f"allowed: {', '.join(names)}"
             )
+        # The word is drawn as for a flip, and then changed as requested.
+        bit = fault.bit
+        if self.change is not None and self.change.operation.name != "flip":
+            bit = None
+        fault = replace(fault, bit=bit, lasts_s=self.lasts_s, change=self.change)
         if in_detector:
             return fault, None
         return fault, golden
@@ -123,6 +142,7 @@ class Exposure:
         seen: Exposed bits x instants so far.
         seen_in_words: The same count for whole words.
         latest: The latest words, by kernel.
+        roles: Kinds of the plug-ins, by name.
     """
 
     sites: tuple[MemorySite, ...]
@@ -132,6 +152,7 @@ class Exposure:
     seen: int = 0
     seen_in_words: int = 0
     latest: Mapping[str, Sequence[Words]] = field(default_factory=dict)
+    roles: Mapping[str, str] = field(default_factory=dict)
 
     def observe(self, remembered: Mapping[str, Sequence[Words]], now: int) -> None:
         """Update the drawings with the words at an instant (us)."""
@@ -183,12 +204,21 @@ class Exposure:
         if words.count > 1:
             index = indices[number // len(bits)]
         return MemoryFault(
-            kernel, words.name, index, words.dtype, now, bits[number % len(bits)], self.stratum, seed=drawing.seed
+            kernel,
+            words.name,
+            index,
+            words.dtype,
+            now,
+            bits[number % len(bits)],
+            self.stratum,
+            seed=drawing.seed,
+            role=self.roles.get(kernel, ""),
         )
 
     def faults(self) -> list[MemoryFault]:
         """The drawn faults with their weight; a target without words gives faults without a site."""
-        nothing = MemoryFault(self.sites[0][0], self.sites[0][1], time_us=NO_SITE, stratum=self.stratum)
+        kernel, name = self.sites[0]
+        nothing = MemoryFault(kernel, name, time_us=NO_SITE, stratum=self.stratum, role=self.roles.get(kernel, ""))
         weight = 1.0
         if self.stratum and self.seen_in_words:
             weight = self.seen / self.seen_in_words
@@ -206,10 +236,13 @@ def fly_exposed(setup: "ArmSetup", exposures: Sequence[Exposure], time_us: int |
     detector = setup.detector()
     watch(loop, detector, setup.recovery)
     targets = dict.fromkeys(target for exposure in exposures for target, _ in exposure.sites)
+    roles = {plug_in.name: plug_in.role for plug_in in plug_ins_of(setup.scenario, detector)}
+    for exposure in exposures:
+        exposure.roles = roles
 
     def words(target: str) -> list[Words]:
         """The words that a target remembers now."""
-        holder = memory_of(loop, target, detector)
+        holder = memory_of(loop, target, detector, roles.get(target, ""))
         if holder is None:
             return []
         return list(words_of(holder))
@@ -270,6 +303,8 @@ class MemorySampler(Sampler):
         super().__init__(campaign)
         spec = campaign.spec(campaign.environments[0], campaign.first_seed)
         self._kernels = _kernels_with(spec.localization)
+        self._plug_ins = plug_ins(planner_name(spec.planner), spec.map, spec.flight_controller)
+        self._detectors = custom_detectors(campaign)
         self._sites = self._find_targets()
         self.targets = dict.fromkeys(self._sites, self.sampling.strata or {"": 1.0})
         self.arms = {name: self._flown_in(sites) for name, sites in self._sites.items()}
@@ -277,28 +312,32 @@ class MemorySampler(Sampler):
     def _find_targets(self) -> dict[str, tuple[MemorySite, ...]]:
         """The sites of each target, in the order of the plan."""
         sampling = self.sampling
-        kernels = sampling.kernels or tuple(self._kernels)
         if sampling.groups:
-            targets = {group.name: tuple(map(_site, group.sites)) for group in sampling.groups}
-        elif sampling.share == "kernel":
-            targets = {kernel: ((kernel, ""),) for kernel in kernels}
-        else:
-            targets = {"memory": tuple((kernel, "") for kernel in kernels)}
-        for kernel, _ in (site for sites in targets.values() for site in sites):
-            try:
-                _check_kernel(kernel, self._kernels)
-            except BadInputError as error:
-                raise BadInputError(f"sampling: {error}") from None
-        return targets
+            return {group.name: tuple(map(self._site, group.sites)) for group in sampling.groups}
+        sites = [self._site(kernel) for kernel in sampling.kernels or self._kernels]
+        if sampling.share == "kernel":
+            return {kernel: ((kernel, name),) for kernel, name in sites}
+        return {"memory": tuple(sites)}
+
+    def _site(self, text: str) -> MemorySite:
+        """The site in a text "KERNEL.WORD", or of all words of a kernel."""
+        kernel, name = _site(text)
+        if kernel in (*self._kernels, *WATCHING):
+            return kernel, name
+        for plug_in in (*self._plug_ins, *self._detectors.values()):
+            if plug_in.is_called(kernel):
+                return plug_in.name, name
+        names = [plug_in.name for plug_in in (*self._plug_ins, *self._detectors.values())]
+        raise BadInputError(f"sampling: {_refusal(kernel, (*self._kernels, *WATCHING, *names))}")
 
     def _flown_in(self, sites: tuple[MemorySite, ...]) -> str:
         """The arm in whose golden runs faults of a target are drawn; "" = the campaign's own mission."""
         arms: set[str] = set()
         for name, _ in sites:
+            watching = [arm for arm, plug_in in self._detectors.items() if plug_in.name == name]
             if name in WATCHING:
-                arms.add(self.campaign.arm_with(name))
-            else:
-                arms.add("")
+                watching = [self.campaign.arm_with(name)]
+            arms.update(watching or [""])
         if len(arms) != 1:
             raise BadInputError(f"sampling: {', '.join(name for name, _ in sites)}: allowed: targets of one arm")
         return arms.pop()
@@ -340,12 +379,46 @@ def _kernels_with(localization: str) -> list[str]:
     return [name for name, row in KERNELS.items() if row.only_with in ("", localization)]
 
 
-def _check_kernel(kernel: str, kernels: Sequence[str]) -> None:
-    """Raise a BadInputError for anything but one of these kernels, a detector or recovery."""
-    if dropped_name("kernels", kernel):
-        raise BadInputError(dropped_name("kernels", kernel))
-    if kernel not in (*kernels, *WATCHING):
-        raise BadInputError(f"no kernel {kernel!r}; allowed: {', '.join((*kernels, *WATCHING))}")
+class _Owner(NamedTuple):
+    """Whose memory a fault is in.
+
+    Attributes:
+        name: As in a fault.
+        role: Kind of the plug-in, as in `states.PLUG_INS`; "" = of mavfi.
+    """
+
+    name: str
+    role: str = ""
+
+    @property
+    def in_detector(self) -> bool:
+        """Whether it is a detector."""
+        return self.role == "detector" or (not self.role and self.name in WATCHING)
+
+
+def _owner(name: str, setup: "ArmSetup") -> _Owner:
+    """Whose memory a request means in a mission; a BadInputError if nobody's."""
+    from mavfi.detectors.registry import check_watched
+
+    scenario = setup.scenario
+    detector = setup.detector()
+    kernels = _kernels_with(scenario.localization.kind)
+    if name in kernels:
+        return _Owner(name)
+    if name in WATCHING:
+        check_watched(name, detector)
+        return _Owner(name)
+    plug_in = find_plug_in(name, scenario, detector)
+    if plug_in is not None:
+        return _Owner(plug_in.name, plug_in.role)
+    names = [plug_in.name for plug_in in plug_ins_of(scenario, detector)]
+    watched = [source for source in WATCHING if part_of(detector, source) is not None]
+    raise BadInputError(f"fault memory:{name}: {_refusal(name, (*kernels, *names, *watched))}")
+
+
+def _refusal(kernel: str, allowed: Sequence[str]) -> str:
+    """Why there is no such memory."""
+    return dropped_name("kernels", kernel) or f"no kernel {kernel!r}; allowed: {', '.join(allowed)}"
 
 
 def _site(text: str) -> MemorySite:
@@ -361,24 +434,53 @@ class MemoryLevel(Level):
     sampling = MemorySampling
     sampler = MemorySampler
     local = True
-    form = "memory:KERNEL[.FIELD][[INDEX]][:bit=N][@SECONDS]"
-    options = {"bit": WHOLE}
+    form = "memory:KERNEL[.FIELD][[INDEX]][:bit=N][:lasts=S][@SECONDS]"
+    options = {"bit": WHOLE, "lasts": SECONDS}
+    operations = (*VALUE_OPERATIONS, "times=", "every=", "share=")
     reductions = {"bit": smaller_changes}
     absent = ("remembered", "the kernel did not remember such a word then")
 
     def parse(self, text: str, localization: str) -> MemoryRequest:
         """See `Level.parse`."""
-        parts = self.parts_of(text)
-        kernel, name = _site(parts.site)
-        _check_kernel(kernel, _kernels_with(localization))
-        return MemoryRequest(kernel, name, parts.options.get("bit"), parts.time_us)
+        change = None
+        text = without_module(text, OPERATIONS)
+        if is_change(text):
+            body, at, instant = text.partition("@")
+            site, *options = body.split(":")
+            change, bit, time_us, lasts_s = parse_value_change(options, instant, has_instant=bool(at))
+        else:
+            parts = self.parts_of(text)
+            site = parts.site
+            bit = parts.options.get("bit")
+            time_us = parts.time_us
+            lasts_s = parts.options.get("lasts", 0.0)
+        kernel, name = _site(site)
+        if not kernel:
+            self.not_understood()
+        if change is not None:
+            checked_bit = None
+            if change.operation.name == "flip":
+                checked_bit = bit or 0
+            # Checks the change; whose memory it is depends on the mission.
+            MemoryFault(kernel, name, bit=checked_bit, lasts_s=lasts_s, change=change, role=next(iter(PLUG_INS)))
+        return MemoryRequest(kernel, name, bit, time_us, lasts_s, change)
 
     def text_of(self, fault: MemoryFault) -> str:
         """See `Level.text_of`."""
-        bit = ""
+        if fault.change is not None:
+            return f"{fault.site}:{change_text(fault.change, fault.bit, fault.time_us, fault.lasts_s)}"
+        options = ""
         if fault.bit is not None:
-            bit = f":bit={fault.bit}"
-        return f"{fault.site}{bit}@{fault.time_us / 1e6}"
+            options = f":bit={fault.bit}"
+        if fault.lasts_s > 0.0:
+            options += f":lasts={fault.lasts_s}"
+        return f"{fault.site}{options}@{fault.time_us / 1e6}"
+
+    def seed_of(self, fault: MemoryFault) -> int | None:
+        """See `Level.seed_of`: an intermittent fault draws its instants."""
+        if fault.change is not None and fault.change.when.share < 1.0:
+            return fault.seed
+        return None
 
     def inject(self, loop: Any, fault: MemoryFault, detector: Any) -> "MemoryInjector":
         """See `Level.inject`."""
@@ -389,7 +491,9 @@ class MemoryLevel(Level):
 
     def columns(self, fault: MemoryFault) -> dict[str, Any]:
         """See `Level.columns`."""
-        stage = KERNEL_STAGES.get(fault.kernel, "")  # "": a detector
+        stage: str = KERNEL_STAGES.get(fault.kernel, "")  # "": a detector
+        if fault.role:
+            stage = PLUG_INS[fault.role].stage
         columns: dict[str, Any] = {
             "stage": str(stage),
             "kernel": fault.kernel,
@@ -398,6 +502,8 @@ class MemoryLevel(Level):
         }
         if fault.stratum:
             columns["population"] = fault.stratum
+        if fault.change is not None:
+            columns["operation"] = fault.change.name
         return columns
 
     def about(self, campaign: Any) -> dict[str, Any]:

@@ -24,13 +24,10 @@ from mavfi.faults.fault import LIFETIME, Fault, FaultSite, StateFault
 from mavfi.faults.injector import Injector
 from mavfi.faults.levels.state_injector import injector_of
 from mavfi.faults.operations import (
-    OPERATIONS,
     VALUE_OPERATIONS,
     Operation,
     PlannedChange,
     check_number_operation,
-    is_trigger,
-    parse_change,
     parse_text,
 )
 from mavfi.faults.sampling import (
@@ -56,11 +53,13 @@ from mavfi.levels.level import (
     Level,
     Sampler,
     Sampling,
+    change_text,
     check_distinct,
     check_known,
     check_strata,
+    is_change,
     operation_of,
-    planned_at,
+    parse_value_change,
 )
 from mavfi.record import Injection, Profile
 from mavfi.states import PPC_STAGES, STATES, Field, StateSpec, states_with
@@ -593,7 +592,7 @@ class StateLevel(Level):
 
     def parse(self, text: str, localization: str) -> StateRequest:
         """See `Level.parse`."""
-        if _is_operation(text):
+        if is_change(text):
             return self._parse_operation(text, localization)
         parts = self.parts_of(text)
         spec, field, element = self._parse_site(parts.site, localization)
@@ -641,28 +640,12 @@ class StateLevel(Level):
         site, *parts = body.split(":")
         spec, field, element = self._parse_site(site, localization)
 
-        # A duration is that of the fault; all else is the change.
+        change, bit, time_us, lasts_s = parse_value_change(parts, instant, has_instant=bool(at))
         lifetime: dict[str, Any] = {}
-        rest = []
-        for part in parts:
-            name, _, value = part.partition("=")
-            if name == "lasts":
-                pattern, description, kind = SECONDS
-                if not re.fullmatch(pattern, value):
-                    raise BadInputError(f"lasts: {value!r}: allowed: {description}")
-                lifetime["lasts_s"] = kind(value)
-            else:
-                rest.append(part)
-        names = [part.partition("=")[0] for part in rest]
-        if not {*OPERATIONS, "bit"} & set(names):
-            rest.insert(0, "flip")
-        change, time_us = planned_at(parse_change(rest, instant), is_given=bool(at))
-        if lifetime and "times" not in names:
-            change = change._replace(when=replace(change.when, times=0))
+        if lasts_s > 0.0:
+            lifetime["lasts_s"] = lasts_s
 
-        # The bit of a flip is that of the fault; one that is not given is drawn.
-        bit = change.operation.bit
-        change = change._replace(operation=replace(change.operation, bit=None))
+        # A bit that is not given is drawn.
         checked_bit = bit
         if change.operation.name == "flip" and bit is None:
             checked_bit = 0
@@ -677,13 +660,7 @@ class StateLevel(Level):
     def text_of(self, fault: StateFault) -> str:
         """See `Level.text_of`."""
         if fault.change is not None:
-            operation, when = fault.change
-            change = PlannedChange(replace(operation, bit=fault.bit), replace(when, start_s=fault.time_us / 1e6))
-            body, at, instant = str(change).partition("@")
-            lasts = ""
-            if fault.lasts_s > 0.0:
-                lasts = f":lasts={fault.lasts_s}"
-            return f"state:{fault.where}:{body}{lasts}{at}{instant}"
+            return f"state:{fault.where}:{change_text(fault.change, fault.bit, fault.time_us, fault.lasts_s)}"
         options = ""
         if fault.bit is not None:
             options = f":bit={fault.bit}"
@@ -748,13 +725,6 @@ def _further_fields(text: str) -> tuple[tuple[str, int], ...]:
         name, _, bit = part.partition(".")
         flips.append((name, int(bit)))
     return tuple(flips)
-
-
-def _is_operation(text: str) -> bool:
-    """Whether a text has more than the flip of bits from an instant on."""
-    body, _, instant = text.partition("@")
-    names = {part.partition("=")[0] for part in body.split(":")[1:]}
-    return bool(names & {*OPERATIONS, "every"}) or is_trigger(instant)
 
 
 def find_published(name: str, localization: str) -> StateSpec:

@@ -11,6 +11,7 @@ a function has a file of its own, named by a digest of all that its machine code
 import contextlib
 import functools
 import hashlib
+import inspect
 import os
 import pickle
 import re
@@ -20,7 +21,7 @@ import tempfile
 import time
 import uuid
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -211,6 +212,46 @@ class KernelDispatcher(CPUDispatcher):
 def _wide(type_: Any) -> Any:
     plain: Any = types.unliteral(type_)  # type: ignore[no-untyped-call]
     return types.int64 if plain in types.integer_domain - {types.uint64} else plain
+
+
+class RedirectedDispatcher(KernelDispatcher):
+    """A function whose calls from Python go to another one for a while, see `redirected`."""
+
+    def __call__(self, *args: Any, **named: Any) -> Any:
+        """Call what stands in for it, with all arguments in their order; that one's own calls reach this function."""
+        stand_in = _stand_ins[self]
+        bound = inspect.signature(self.py_func).bind(*args, **named)
+        bound.apply_defaults()
+        self.__class__ = KernelDispatcher  # type: ignore[assignment]
+        try:
+            return stand_in(*bound.args)
+        finally:
+            self.__class__ = RedirectedDispatcher
+
+
+_stand_ins: dict[Any, Callable[..., Any]] = {}
+"""What stands in for each redirected function."""
+
+
+@contextlib.contextmanager
+def redirected(stand_ins: Sequence[tuple[Any, Callable[..., Any]]]) -> Iterator[None]:
+    """Let others stand in for functions where Python calls these; calls from compiled code are not changed.
+
+    Users' classes call their functions by name, and are copied with every checkpoint: so it is the function that
+    changes, neither the class nor its objects.
+
+    Args:
+        stand_ins: Functions compiled by `kernel_jit`, each with what is called instead.
+    """
+    for function, stand_in in stand_ins:
+        _stand_ins[function] = stand_in
+        function.__class__ = RedirectedDispatcher
+    try:
+        yield
+    finally:
+        for function, _ in stand_ins:
+            function.__class__ = KernelDispatcher
+            del _stand_ins[function]
 
 
 def kernel_jit(function: F) -> F:

@@ -4,7 +4,7 @@ An instrumented function has the same arguments and result, and additionally cou
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pickle import PicklingError
 from typing import Any
 
@@ -51,3 +51,16 @@ class KernelFunctions:
 
 PLAIN = KernelFunctions()
 """The uninstrumented functions."""
+ENTRIES = tuple(field.name for field in fields(KernelFunctions))
+"""Names of these functions."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlightFunctions(KernelFunctions):
+    """The table of a flight in which functions of plug-ins, which call them by name, have others called instead.
+
+    Attributes:
+        stand_ins: Functions of plug-ins, each with what is called instead.
+    """
+
+    stand_ins: tuple[tuple[Compiled, Compiled], ...] = ()

@@ -18,6 +18,7 @@ from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
+from mavfi.errors import BadInputError
 from mavfi.states import State
 
 
@@ -320,5 +321,24 @@ class OpaqueKeeper(Generic[Content]):
             return False
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Empty, as the object is opaque."""
+        """The arrays that the object declares, see `declared_arrays`."""
+        return declared_arrays(self.content)
+
+
+def declared_arrays(owner: Any) -> dict[str, np.ndarray]:  # noqa: ANN401 - a user's own
+    """The memory that a user's object declares as targets of faults: by its method `arrays`; without one, none.
+
+    Raises:
+        BadInputError: The method gives something else than arrays that can be changed in place.
+    """
+    declare = getattr(owner, "arrays", None)
+    if not callable(declare):
         return {}
+    arrays = declare()
+    what = f"{type(owner).__module__}:{type(owner).__qualname__}: arrays"
+    if not isinstance(arrays, Mapping):
+        raise BadInputError(f"{what}: returned {arrays!r:.60}; allowed: a dictionary of arrays by name")
+    for name, array in arrays.items():
+        if not isinstance(array, np.ndarray) or not array.flags.c_contiguous or not array.flags.writeable:
+            raise BadInputError(f"{what}: {name!r}: allowed: a contiguous array that the object itself uses, no copy")
+    return dict(arrays)

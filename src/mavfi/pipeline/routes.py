@@ -12,7 +12,7 @@ from mavfi.kernels.planning import travel
 from mavfi.numerics.voxels import voxel_of
 from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.kernel import PipelineConfig
-from mavfi.pipeline.memory import Keeper, OpaqueKeeper, Scratch
+from mavfi.pipeline.memory import Keeper, OpaqueKeeper, Scratch, declared_arrays
 from mavfi.pipeline.planners import PathSearch, SamplingSearch, checked_path, make_search
 
 TIGHT_SPEED = 2.0
@@ -41,6 +41,15 @@ _SHORTCUTS = 80
 """Number of random shortcuts of a path with bypasses."""
 
 
+class _Searches(OpaqueKeeper[tuple[PathSearch, PathSearch]]):
+    """The search of whole paths, and that of bypasses, which share one generator."""
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The generator, and what the search of whole paths declares."""
+        search = self.content[0]
+        return {"random": search.random, **declared_arrays(search)}
+
+
 class Routes:
     """Finds paths to the goal.
 
@@ -57,7 +66,7 @@ class Routes:
         small = config.planner.model_copy(update={"iterations": _LOCAL_ITERATIONS, "restarts": 1})
         local = make_search(small, config.seed, config.functions)
         local.random = search.random  # a single stream to roll back
-        self._searches: OpaqueKeeper[tuple[PathSearch, PathSearch]] = OpaqueKeeper((search, local))
+        self._searches = _Searches((search, local))
         self.keeper: Keeper = self._searches
         if isinstance(search, SamplingSearch):
             self.keeper = search

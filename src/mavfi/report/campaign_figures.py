@@ -91,7 +91,7 @@ def success(runs: Runs) -> Figure | None:
     title = "Success"
     if runs.campaign.get("profile"):
         title = f"Success · autopilot {runs.campaign['profile']}"
-    axes.set_title(f"{title} · one fault per mission")
+    axes.set_title(f"{title} · {runs.per_mission} per mission")
     labels = [str(handle.get_label()) for handle in handles]
     figure.legend(handles=handles, loc="outside upper left", **_legend(figure, labels))
     return figure
@@ -152,7 +152,9 @@ def _rates(runs: Runs, setting: str, names: list[str]) -> dict[str, Rate]:
 def _published(runs: Runs, environment: str, setting: str) -> float | None:
     """The paper's success rate, if it is comparable with these runs."""
     missions = runs.where(environment=environment, setting=setting)
-    if not len(missions) or not paper.comparable(runs.campaign, missions.first("detector_profile")):
+    if not len(missions):
+        return None
+    if not paper.comparable(runs.campaign, missions.first("detector_profile"), missions.first("arm")):
         return None
     return paper.success(environment, setting)
 

@@ -194,7 +194,7 @@ def injection_lines(injection: Injection, fault: Fault | None, log: FlightLog) -
         story.append(("source line", _source_line(injection)))
     if "instruction" in details:
         story.append(("instruction", f"{details['instruction']} in {details['symbol'] or details['library']}"))
-    if log.kernel is not None:
+    if log.kernel is not None and details.get("died", True):  # with several faults, another one may have killed it
         heading = "process" if log.count(CONTROLLER_LOST) else "kernel"
         name = str(details.get("kernel", injection.site))
         story.append((heading, _kernel(name, log.kernel, after_death(log))))
@@ -230,6 +230,9 @@ def _fault(injection: Injection, fault: Fault | None) -> str:
     count = injection.details.get("publications", 1)
     if "operation" in injection.details and injection.before is not None and count > 1:
         text += f", {count} publications"
+    for key, unit in (("periods", "control periods"), ("calls", "calls")):
+        if key in injection.details:
+            text += f", in {injection.details[key]} {unit}"
     return text
 
 

@@ -12,6 +12,7 @@ from mavfi.errors import BadInputError
 from mavfi.mission import Scenario
 from mavfi.numerics.elementary import atan2, cos, sin
 from mavfi.numerics.jit import entry
+from mavfi.numerics.rotations import yaw_of
 from mavfi.plugins import build
 from mavfi.sim.camera import Camera
 from mavfi.sim.cascade import Cascade, advance
@@ -91,6 +92,34 @@ def _shortened(velocity: tuple[float, float, float], limit: float) -> tuple[floa
     return x * scale, y * scale, z * scale
 
 
+class _DeadController:
+    """In the place of a flight controller that has died: no thrust.
+
+    Attributes:
+        period_us: As of the one that died.
+        rewindable: See `Controller`.
+    """
+
+    rewindable = False
+
+    def __init__(self, period_us: int) -> None:
+        self.period_us = period_us
+
+    def rotors(self, time_us: int, setpoint: np.ndarray, odometry: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """See `Controller.rotors`."""
+        return np.zeros(4)
+
+    def save(self) -> bytes:
+        """See `Controller.save`."""
+        return b""
+
+    def restore(self, saved: bytes) -> None:
+        """See `Controller.restore`."""
+
+    def close(self) -> None:
+        """See `Controller.close`."""
+
+
 class Simulator:
     """Flies one vehicle in one world.
 
@@ -156,6 +185,15 @@ class Simulator:
         )
         return controller
 
+    def stop_controller(self) -> None:
+        """The flight controller dies: the rotors stop."""
+        self.controller.close()
+        self.controller = _DeadController(self.controller.period_us)
+
+    def restart_controller(self) -> None:
+        """A new flight controller takes over, from the present state."""
+        self.controller = self._make_controller(yaw_of(self.odometry[6:10]))
+
     def _face(self, way: np.ndarray) -> float:
         yaw = float(atan2(way[1], way[0]))
         self._data.qpos[3:7] = (cos(0.5 * yaw), 0.0, 0.0, sin(0.5 * yaw))
@@ -201,7 +239,7 @@ class Simulator:
             raise BadInputError(f"time {time_us} us: must be a multiple of {STEP_US} us from {self.time_us} us on")
         if time_us == self.time_us:
             return
-        if isinstance(self.controller, Cascade):
+        if type(self.controller) is Cascade:  # a subclass may have other rotor commands
             self._advance_compiled(time_us, self.controller)
             return
         wind = self._weather.until(1e-6 * time_us)

@@ -16,7 +16,7 @@ from mavfi.flight.compose import detector_for, new_loop
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup
-from mavfi.flight.memory_faults import DetectorMemory, MemoryInjector, flip_bit
+from mavfi.flight.memory_faults import ArrayMemory, MemoryInjector, flip_bit
 from mavfi.levels.memory import MemoryRequest, fly_exposed
 from mavfi.mission import MissionStatus
 from mavfi.pipeline.waypoints import SetpointGenerator
@@ -194,7 +194,7 @@ def test_everything_that_a_detector_remembers_has_words_that_can_be_changed(name
     watching = detector(*WATCHED.get(name, (name, "paper")))
     fly(mission(), None, watching)
     part = part_of(watching, name)
-    holder, kept = DetectorMemory(part), part.memory()
+    holder, kept = ArrayMemory(part), part.memory()
     every = list(words_of(holder))
     assert {words.dtype for words in every} <= set(strata.WORD_BITS) and len(every) >= 2
     for words in every:
@@ -217,7 +217,7 @@ def test_a_published_message_is_not_changed_with_what_a_detector_remembers_of_it
     odometry = new_state("sensor.odometry")
     watching.start()
     watching.accept(odometry, 0)
-    change(DetectorMemory(watching), "vehicle", 0, partial(flip_bit, bit=62))
+    change(ArrayMemory(watching), "vehicle", 0, partial(flip_bit, bit=62))
     assert odometry.header["x"][0] == 0.0 != watching.odometry["x"][0]
 
 

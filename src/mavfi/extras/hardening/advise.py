@@ -39,9 +39,11 @@ from mavfi.extras.hardening.target import (
     injections_in,
     targets_of,
 )
+from mavfi.flight.targets import Targets
 from mavfi.ir.build import environment_of
+from mavfi.levels.instruction import campaign_targets
 from mavfi.mission import Scenario
-from mavfi.states import INJECTABLE, PLANNERS
+from mavfi.states import PLANNERS
 
 FRACTIONS = tuple(twentieths / 20 for twentieths in range(1, 21))
 """Steps of a curve: shares of the cost of duplicating everything."""
@@ -479,10 +481,11 @@ class HardeningStudy:
 
     def by_planner(self) -> dict[str, tuple[str, ...]]:
         """All kernels of the missions that are flown, by planner; that of the campaign's mission comes first."""
-        planner_of_campaign = self.campaign.spec(self.campaign.environments[0], self.campaign.first_seed).planner
+        environment = self.campaign.environments[0]
+        seed = self.campaign.first_seed
+        planner_of_campaign = self.campaign.spec(environment, seed).planner
         planners = dict.fromkeys([planner_of_campaign, *(kernel for kernel in self.kernels if kernel in PLANNERS)])
-        common = tuple(kernel for kernel in INJECTABLE if kernel not in PLANNERS)
-        return {planner: (*common, planner) for planner in planners if planner in PLANNERS}
+        return {planner: _kernels_of(self.scenario(environment, seed, planner)) for planner in planners}
 
     @property
     def selected(self) -> tuple[str, ...]:
@@ -535,9 +538,17 @@ class HardeningStudy:
         ]
 
 
+def _kernels_of(scenario: Scenario) -> tuple[str, ...]:
+    """The kernels and plug-ins of a mission that faults can be in, the planner last."""
+    targets = Targets(scenario)
+    return tuple(sorted(targets.names, key=lambda name: targets.find(name).kernel == "planner"))
+
+
 def _sampled(campaign: Campaign) -> tuple[str, ...]:
     """Its kernels; detectors, of which it may sample instructions, too, are not protected."""
-    return tuple(kernel for kernel in getattr(campaign.sampling, "kernels", ()) if kernel in INJECTABLE)
+    if campaign.sampling.level != "instruction":
+        return ()
+    return tuple(target.name for target in campaign_targets(campaign) if not target.arm)
 
 
 class _PlannerFlight(NamedTuple):

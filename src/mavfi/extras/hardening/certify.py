@@ -22,13 +22,21 @@ from mavfi.campaign.fingerprint import processor
 from mavfi.errors import BadInputError, write_text
 from mavfi.extras.hardening.advise import HardeningStudy, Tell, codes_of, coverage_in_plan, times_of
 from mavfi.extras.hardening.battery import SDC, Battery, InjectionPoint, counts_of
-from mavfi.extras.hardening.observed import GoldenCheck, ObservedFunction, check_golden, entries_of, merged, observe
+from mavfi.extras.hardening.observed import (
+    GoldenCheck,
+    ObservedFunction,
+    check_golden,
+    functions_of_all,
+    merged,
+    observe,
+)
 from mavfi.extras.hardening.plan import Coverage, FunctionKey, FunctionPlan, ProtectionPlan
 from mavfi.extras.hardening.protected import Protection, check_plan
 from mavfi.extras.hardening.target import FunctionTarget, affordable_faults
 from mavfi.faults.levels.instruction.build import cached_build
 from mavfi.faults.levels.instruction.variant import variant_of
 from mavfi.faults.sampling import stream
+from mavfi.flight.targets import Targets
 from mavfi.ir.build import name_of
 from mavfi.ir.module import Module
 from mavfi.states import INJECTABLE
@@ -676,25 +684,29 @@ def certify_plan(
     for planner, kernels in study.by_planner().items():
         # 1. Fly fresh missions: which functions are called, and do protected flights have the same digests?
         observed: list[ObservedFunction] = []
+        kernel_of: dict[str, str] = {}
+        studied: set[str] = set()
         for scenario in study.fresh(planner):
             tell(f"flying {scenario.environment.name} {scenario.seed} with {planner}")
-            for functions in observe(scenario, kernels).values():
+            for kernel, functions in observe(scenario, kernels).items():
                 observed += functions
+                for function in functions:
+                    kernel_of.setdefault(function.entry, kernel)
+            flown_kernels = [kernel for kernel in study.kernels if kernel in (*kernels, *INJECTABLE)]
+            studied |= functions_of_all(flown_kernels, Targets(scenario)).keys()
             golden = golden.plus(check_golden(scenario, plan, kernels))
             missions.append(f"{scenario.environment.name}-{scenario.seed}-{planner}")
         flown = merged(observed)
 
         # 2. Inject faults in the studied functions; those of several planners are certified with the first one.
         done = {result.key for result in (*certificates, *others)}
-        studied = entries_of(study.kernels)
         fresh = [function for function in flown if function.entry in studied and function.key not in done]
         for pair in pairs_of(fresh, plan):
             tell(f"injecting {3 * faults} faults in {pair.planned.function}")
             certificates.append(certify(pair, faults, plan.digest))
         for function in unprotected(fresh, plan):
             tell(f"injecting faults in {name_of(function.function)}, which is not duplicated")
-            kernel = next(kernel for kernel in kernels if function.entry in INJECTABLE[kernel])
-            others.append(observe_plain(kernel, function, faults, plan.digest))
+            others.append(observe_plain(kernel_of[function.entry], function, faults, plan.digest))
 
         # 3. Time all functions of the flights: what does the plan add to them?
         tell(f"timing the functions of flights with {planner}")

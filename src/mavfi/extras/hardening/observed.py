@@ -13,6 +13,7 @@ from mavfi.extras.hardening.plan import FunctionKey, ProtectionPlan, signature_t
 from mavfi.extras.hardening.protected import protection_of
 from mavfi.faults.levels.instruction.variant import Variant, signature_of, variant_for
 from mavfi.flight.fly import fly
+from mavfi.flight.targets import Targets
 from mavfi.ir.build import name_of
 from mavfi.ir.sources import cached_source
 from mavfi.mission import Scenario
@@ -45,7 +46,7 @@ class ObservedFunction:
 
     Attributes:
         function: The compiled function.
-        entry: Its name, a field of `KernelFunctions`.
+        entry: Name under which its calls are counted, see `mavfi.flight.targets`.
         signature: Numba types of the arguments.
         variant: Its instrumented variant.
         parts: By flight, of those that call it.
@@ -152,9 +153,17 @@ class ObservedCalls:
         return observed
 
 
-def entries_of(kernels: Sequence[str]) -> tuple[str, ...]:
-    """Functions of some kernels, fields of `KernelFunctions`."""
-    return tuple(dict.fromkeys(name for kernel in kernels for name in INJECTABLE[kernel]))
+def functions_of(kernel: str, targets: Targets) -> dict[str, Any]:
+    """Functions of a kernel, by the names under which calls are counted; of a plug-in, those of this mission's."""
+    if kernel in INJECTABLE:
+        return {name: getattr(PLAIN, name) for name in INJECTABLE[kernel]}
+    target = targets.find(kernel)
+    return {counter: target.functions[name] for counter, name in target.counters.items()}
+
+
+def functions_of_all(kernels: Sequence[str], targets: Targets) -> dict[str, Any]:
+    """Functions of several kernels, see `functions_of`."""
+    return {name: function for kernel in kernels for name, function in functions_of(kernel, targets).items()}
 
 
 def observe(scenario: Scenario, kernels: Sequence[str]) -> dict[str, list[ObservedFunction]]:
@@ -164,13 +173,16 @@ def observe(scenario: Scenario, kernels: Sequence[str]) -> dict[str, list[Observ
         BadInputError: The mission cannot be flown.
         NotInstrumentableError: A kernel cannot be instrumented exactly.
     """
-    names = entries_of(kernels)
+    targets = Targets(scenario)
+    functions = functions_of_all(kernels, targets)
     with ThreadPoolExecutor(1) as ahead, np.errstate(all="ignore"):
-        observers = {name: ObservedCalls(name, getattr(PLAIN, name), ahead) for name in names}
-        fly(scenario, functions=PLAIN.instrumented(names, lambda name, _: observers[name]))
+        observers = {name: ObservedCalls(name, function, ahead) for name, function in functions.items()}
+        with targets.instrumented(observers) as table:
+            fly(scenario, functions=table)
     mission = f"{scenario.environment.name}-{scenario.seed}"
     return {
-        kernel: [seen for name in INJECTABLE[kernel] for seen in observers[name].seen(mission)] for kernel in kernels
+        kernel: [seen for name in functions_of(kernel, targets) for seen in observers[name].seen(mission)]
+        for kernel in kernels
     }
 
 
@@ -281,11 +293,13 @@ class ProtectedFunction:
 
 def check_golden(scenario: Scenario, plan: ProtectionPlan, kernels: Sequence[str]) -> GoldenCheck:
     """Fly a mission plain and with protected functions, and compare."""
-    names = entries_of(kernels)
-    functions = {name: ProtectedFunction(getattr(PLAIN, name), plan) for name in names}
-    with np.errstate(all="ignore"):
+    targets = Targets(scenario)
+    functions = {
+        name: ProtectedFunction(function, plan) for name, function in functions_of_all(kernels, targets).items()
+    }
+    with np.errstate(all="ignore"), targets.instrumented(functions) as table:
         plain = fly(scenario).log.digest()
-        protected = fly(scenario, functions=PLAIN.instrumented(names, lambda name, _: functions[name])).log.digest()
+        protected = fly(scenario, functions=table).log.digest()
     calls = sum(function.calls for function in functions.values())
     alarms = sum(function.alarms for function in functions.values())
     return GoldenCheck(1, int(plain == protected), calls, alarms)

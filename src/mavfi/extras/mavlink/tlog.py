@@ -44,16 +44,16 @@ _UNKNOWN = "UNKNOWN"
 
 
 def mavlink_dialect() -> Any:
-    """The messages of MAVLink's dialect `common`, from pymavlink.
+    """The messages of MAVLink's dialect `ardupilotmega`, which includes `common`, from pymavlink.
 
     Raises:
         BadInputError: It is not installed.
     """
     try:
-        from pymavlink.dialects.v20 import common
+        from pymavlink.dialects.v20 import ardupilotmega
     except ImportError:
         raise BadInputError("MAVLink needs pymavlink; allowed: pip install 'mavfi[mavlink]'") from None
-    return common
+    return ardupilotmega
 
 
 def chunks_of(text: str) -> list[bytes]:

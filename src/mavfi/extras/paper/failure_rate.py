@@ -248,7 +248,8 @@ def payoff(runs: Runs, environment: str, setting: str, upset: float, kernels: Co
 def _detector_parts(runs: Runs, environment: str, setting: str) -> list[ExposedKernel]:
     """What the faults in a setting's own detector cause."""
     kernels = exposed(runs).get((environment, setting), {})
-    return [faults.exposed for kernel, faults in kernels.items() if kernel in DETECTORS]
+    detectors = {*DETECTORS, *runs.campaign.get("custom_detectors", ())}
+    return [faults.exposed for kernel, faults in kernels.items() if kernel in detectors]
 
 
 def _changes(runs: Runs, environment: str, setting: str, kernels: Collection[str]) -> list[ExposedKernel]:
@@ -272,10 +273,11 @@ def _changes(runs: Runs, environment: str, setting: str, kernels: Collection[str
     golden_runs = _golden(runs)
     golden = runs.golden.where(environment=environment)
     counts = {arm: instructions_per_hour(golden.where(arm=arm)) for arm in ("", *pairs.values("arm"))}
+    detectors = {*DETECTORS, *runs.campaign.get("custom_detectors", ())}
     parts_by_kernel: dict[str, list[ExposedKernel]] = {}
     for (kernel, arm), kernel_pairs in pairs.groups("kernel", "arm").items():
         counted_arm = arm if counts[arm] else ""
-        if kernel in DETECTORS or kernel not in counts[counted_arm]:
+        if kernel in detectors or kernel not in counts[counted_arm]:
             continue
         if kernels and kernel not in kernels:
             continue

@@ -118,7 +118,7 @@ def _papers(key: str, of_stage: str, of_all: str = "") -> Measure:
         name = of_stage
         if stage == ALL:
             name = of_all
-        if not name or not paper.comparable(runs.campaign, runs.first("detector_profile")):
+        if not name or not paper.comparable(runs.campaign, runs.first("detector_profile"), runs.first("arm")):
             return None
         where = {"environment": runs.first("environment"), "setting": runs.first("setting"), "stage": stage}
         printed: float | None = paper.figure(name, **where)

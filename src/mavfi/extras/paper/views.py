@@ -262,7 +262,7 @@ def _recovered(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
 
 
 def _papers(runs: Runs) -> float | None:
-    if not paper.comparable(runs.campaign, runs.first("detector_profile")):
+    if not paper.comparable(runs.campaign, runs.first("detector_profile"), runs.first("arm")):
         return None
     setting = {key: runs.first(key) for key in SETTING}
     recovered: float | None = paper.figure("worst_time_recovered", **setting)
@@ -412,7 +412,7 @@ def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
 
     def papers_recovery(group: Runs) -> float | None:
         slow = group.first("environment") != first
-        if not slow or not paper.comparable(group.campaign, group.first("detector_profile")):
+        if not slow or not paper.comparable(group.campaign, group.first("detector_profile"), group.first("arm")):
             return None
         recovered: float | None = paper.figure("platforms_recovered", setting=group.first("setting"))
         return recovered

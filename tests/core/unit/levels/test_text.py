@@ -102,7 +102,6 @@ def test_null_is_an_empty_mask_at_a_drawn_instant():
         ("state:planning.waypoint.x:share=half@3", "share: 'half': allowed: a number above 0, to 1"),
         ("state:planning.waypoint.x[two]", "not understood; allowed: state:STATE[.FIELD][[ELEMENT]]"),
         ("planning.waypoint.x", "not understood; allowed: null, state:STATE"),
-        ("memory:pilot", "no kernel 'pilot'; allowed: point_cloud, octomap"),
         ("memory:", "not understood; allowed: memory:KERNEL"),
         ("instruction:", "not understood; allowed: instruction:KERNEL"),
         ("instruction:pid:bit=3", "'bit': not known; allowed: which=, model="),

@@ -267,18 +267,40 @@ class Variant:
         placed = None
         if self._owned:
             placed = arena().place(args)
-        self._injected[:] = (0, 0, 0, placed is not None)
         if placed is None:
-            return self._run(RunMode.INJECT, index, args, TARGET=index, BUDGET=budget)
+            return self._inject_unplanned(index, budget, args)
         # With all its memory in the arena, the effect of a corrupted address is the same in every process.
+        self._injected[:] = (0, 0, 0, 1)
         words = {"TARGET": index, "BUDGET": budget, "PLANNED": 1, "HEAP": placed.heap}
         try:
-            return copy_result(self._run(RunMode.INJECT, index, placed.args, **words))
-        except MemoryError:
-            pass  # the arena is full, not the machine
-        finally:
+            result = copy_result(self._run(RunMode.INJECT, index, placed.args, **words))
+        except MemoryError:  # the arena is full, not the machine; the arguments are still those before the call
+            if self._fits(args):
+                raise AllocationError("an array is too large") from None
+            return self._inject_unplanned(index, budget, args)
+        except BaseException:
             placed.take_back()
-        raise AllocationError("an array is too large")
+            raise
+        placed.take_back()
+        return result
+
+    def _inject_unplanned(self, index: int, budget: int, args: tuple[Any, ...]) -> Any:
+        """Inject with the memory of the process, where a corrupted address has other effects in another process."""
+        self._injected[:] = (0, 0, 0, 0)
+        return self._run(RunMode.INJECT, index, args, TARGET=index, BUDGET=budget)
+
+    def _fits(self, args: tuple[Any, ...]) -> bool:
+        """Whether the arena has enough memory for a call without a fault; the arguments are not modified."""
+        placed = arena().place(args)
+        assert placed is not None  # the same arguments fitted before
+        report = self._injected.copy()
+        try:
+            self._run(RunMode.INJECT, NEVER, placed.args, TARGET=NEVER, BUDGET=NEVER, PLANNED=1, HEAP=placed.heap)
+        except MemoryError:
+            return False
+        finally:
+            self._injected[:] = report
+        return True
 
     def report(self) -> InjectionReport | None:
         """Report of the last injection, here or in a forked child; None if the index was not reached."""

@@ -1,0 +1,124 @@
+"""Plug-ins of missions by their names, without importing them: what faults and tables call them.
+
+A plug-in stands in faults and tables under the name that the mission gives it, without the module: `AStar` for
+`my_planner:AStar`.  A request may also use the whole name, or the key of the mission (`planner`, `map`,
+`flight_controller`, `detector`).
+"""
+
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from mavfi.config import PlannerConfig, shipped
+from mavfi.errors import BadInputError
+from mavfi.plugins import known
+from mavfi.states import DETECTORS, INJECTABLE, KERNELS, PLANNERS, PLUG_INS
+
+_SHIPPED_MAPS = ("dense", "octree")
+_SHIPPED_CONTROLLER = "cascade"
+
+
+@dataclass(frozen=True, slots=True)
+class PlugIn:
+    """A plug-in of a mission.
+
+    Attributes:
+        role: As in `states.PLUG_INS`.
+        address: As the mission names it: "package.module:Class", or an entry point.
+        name: Its name in faults and tables.
+    """
+
+    role: str
+    address: str
+    name: str
+
+    def is_called(self, text: str) -> bool:
+        """Whether a request for a fault means it."""
+        return text in (self.name, self.address, short_name(self.address), self.role, PLUG_INS[self.role].kernel)
+
+
+def short_name(address: str) -> str:
+    """A name without the module: `AStar` for `my_planner:AStar`."""
+    return address.rpartition(":")[2]
+
+
+def without_module(text: str, operations: Collection[str] = ()) -> str:
+    """A request for a fault without the module of the plug-in that it begins with, if it does.
+
+    What follows the first colon is then no option, and none of these `operations`.
+    """
+    match = re.match(r"[A-Za-z_][\w.]*:([A-Za-z_]\w*)(?=[:@.]|$)", text)
+    if match is None or match[1] in operations:
+        return text
+    return text[match.start(1) :]
+
+
+def planner_name(planner: str) -> str:
+    """The path search of a mission's planner, which may be the YAML file of its parameters."""
+    if not planner.endswith((".yaml", ".yml")):
+        return planner
+    try:
+        return shipped("planners", PlannerConfig, planner).name
+    except BadInputError:  # a ledger is read elsewhere
+        return planner
+
+
+def plug_ins(planner: str, map_kind: str, flight_controller: str, detector: str = "") -> list[PlugIn]:
+    """The plug-ins of a mission, in the order of the data flow; each argument is a name in it.
+
+    Args:
+        planner: Its path search.
+        map_kind: Its map.
+        flight_controller: Its flight controller.
+        detector: Its detector, if it is none of mavfi; "" = none.
+    """
+    addresses = {}
+    if map_kind not in _SHIPPED_MAPS:
+        addresses["map"] = map_kind
+    if planner not in PLANNERS:
+        addresses["planner"] = planner
+    if flight_controller != _SHIPPED_CONTROLLER:
+        addresses["flight_controller"] = flight_controller
+    if detector:
+        addresses["detector"] = detector
+    # One that has the name of another target is called by its role instead.
+    names = [*INJECTABLE, *DETECTORS, *KERNELS, *map(short_name, addresses.values())]
+    members = []
+    for role, address in addresses.items():
+        name = short_name(address)
+        if names.count(name) > 1:
+            name = role
+        members.append(PlugIn(role, address, name))
+    return members
+
+
+def is_custom_detector(name: str) -> bool:
+    """Whether a name is that of a detector which is not part of mavfi; "" is none."""
+    return bool(name) and not known("mavfi.detectors", {}).get(name, name).startswith("mavfi.")
+
+
+def custom_detectors(campaign: Any) -> dict[str, PlugIn]:
+    """The detectors of a campaign that are none of mavfi, by arm."""
+    detectors = {}
+    for arm_name, arm in campaign.arms.items():
+        if is_custom_detector(arm.detector):
+            spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.mission)
+            members = plug_ins(planner_name(spec.planner), spec.map, spec.flight_controller, arm.detector)
+            detectors[arm_name] = members[-1]
+    return detectors
+
+
+def arms_with_plug_ins(campaign: Any) -> list[str]:
+    """Names of the arms whose flights have a plug-in; "" = the campaign's own mission."""
+    missions: Mapping[str, Any] = {"": None} | {name: arm for name, arm in campaign.arms.items()}
+    detectors = custom_detectors(campaign)
+    arms = []
+    for name, arm in missions.items():
+        overrides = {}
+        if arm is not None:
+            overrides = arm.mission
+        spec = campaign.spec(campaign.environments[0], campaign.first_seed, overrides)
+        if name in detectors or plug_ins(planner_name(spec.planner), spec.map, spec.flight_controller):
+            arms.append(name)
+    return arms
