@@ -81,8 +81,8 @@ HEADINGS = (
 FIELD_HEADINGS = ("logs", "field", *(f"flips detected, {bits} (%)" for bits in BIT_CLASSES))
 TEXT = (
     "Flights that mavfi neither flew nor simulated. Flipped signs and exponents of large numbers are found, a flipped "
-    "mantissa hardly ever, the sign of a number near 0 never: it stays small. The detectors look for single values that "
-    "jump: they find a motor that stops, and **none of the faults of a fixed-wing aircraft's control surfaces and "
+    "mantissa hardly ever, the sign of a number near 0 never: it stays small. The detectors look for single values "
+    "that jump: they find a motor that stops, and **none of the faults of a fixed-wing aircraft's control surfaces and "
     "engine**, which change the motion slowly. Exposure is minutes, about an hour for ALFA: a row without any alarm "
     "excludes only rates above the upper bound. How: [logs](../logs.md)."
 )
