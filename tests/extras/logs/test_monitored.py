@@ -144,3 +144,11 @@ def test_a_number_that_is_not_finite_any_more_is_an_alarm(table, capsys):
 def test_exposure_follows_from_the_rate_of_the_log(gaps, expected):
     times_us = np.rint(1e6 * np.cumsum([0.0, *gaps])).astype(np.int64)
     assert exposure_s(times_us, longest_gap_us(times_us)) == pytest.approx(expected)
+
+
+def test_the_first_message_of_a_recording_has_no_change_to_judge(table, capsys):
+    ramp = {"time": TIME, "count": 1000.0 * np.arange(len(TIME)), "x": np.sin(TIME)}
+    later = {**ramp, "count": ramp["count"] + 7e6}
+    logs = [table("a.csv", ramp), table("b.csv", later)]
+    result = judged(capsys, logs[1], "--train", logs[0])
+    assert result["alarms_per_hour"]["events"] == 0 and result["fields"] == {"row": ["count", "x"]}

@@ -15,7 +15,7 @@ from mavfi.extras.logs.mapping import NO_MAPPING, UsedMapping, choose_mapping
 from mavfi.extras.logs.recording import LogRecording, values_of
 from mavfi.flight.log_readers import LONGEST_LIST, LoggedMessage, Probe
 
-_NOT_RECOMMENDED = "not recommended for this format; name it in --fields"
+_NOT_RECOMMENDED = "not recommended (see --fields)"
 _NOT_WANTED = "not in --fields"
 _NOT_MAPPED = "not in the mapping"
 
