@@ -397,5 +397,7 @@ def _rounded(value: float) -> float:
 
 
 def rounded_up(length_m: float) -> float:
-    """The next millimetre above a length (m), but for rounding errors."""
+    """The next millimetre above a length (m), but for rounding errors; what is not finite stays so."""
+    if not math.isfinite(length_m):
+        return length_m
     return math.ceil(1000.0 * length_m - 1e-6) / 1000.0

@@ -124,7 +124,7 @@ def mjcf_vehicle(path: Path, chosen: Mapping[str, Any]) -> ImportedVehicle:
     data.rotor_note = "motors at sites"
     for motor in motors:
         # the torque on the body is opposite to the turning of the rotor
-        spin = -int(np.sign(motor.torque_ratio))
+        spin = int(motor.torque_ratio < 0.0) - int(motor.torque_ratio > 0.0)
         x, y, z = motor.axis.tolist()
         data.rotors.append(
             Rotor(motor.name, motor.position, spin, (x, y, z), motor.max_thrust, motor.torque_ratio or None)
@@ -168,6 +168,8 @@ def _rotors_of(
             raise BadInputError(f"{what}: motorType {_of(plugin, 'motorType')!r}; allowed: velocity")
         constant = number(plugin.find("motorConstant"), f"{what}: motorConstant")
         speed = number(plugin.find("maxRotVelocity"), f"{what}: maxRotVelocity")
+        if constant is not None and not constant > 0.0:
+            raise BadInputError(f"{what}: motorConstant {constant:g}: allowed: above 0")
         up = number(plugin.find("timeConstantUp"), f"{what}: timeConstantUp")
         down = number(plugin.find("timeConstantDown"), f"{what}: timeConstantDown")
         lag = None
