@@ -119,6 +119,33 @@ def test_parts_of_other_files_and_frames_count(tmp_path):
     assert "includes absent, not on this machine" in refusal(written(tmp_path, "quad.sdf", gone))
 
 
+MJCF = """<mujoco><compiler autolimits="true"/><worldbody><body name="q" pos="0 0 1" euler="0 0 90"><freejoint/>
+  <geom type="box" size="0.1 0.1 0.05" mass="1"/>{sites}</body></worldbody><actuator>{motors}</actuator></mujoco>"""
+
+
+def mjcf(torques):
+    sites = "".join(f'<site name="s{n}" pos="{x} {y} 0.1"/>' for n, (x, y) in enumerate(models.X))
+    motors = "".join(
+        f'<motor name="m{n}" site="s{n}" gear="0 0 2 0 0 {torque}" ctrlrange="0 3"/>'
+        for n, torque in enumerate(torques)
+    )
+    return MJCF.format(sites=sites, motors=motors)
+
+
+def test_motors_at_sites_of_an_mjcf_model_are_rotors(tmp_path):
+    found, said = imported(written(tmp_path, "quad.xml", mjcf((-0.04, -0.04, 0.04, 0.04))))
+    assert (found.mass, found.max_rotor_thrust, found.rotor_torque_ratio) == (1.0, 6.0, 0.02)
+    assert found.arm_length == pytest.approx(0.2 * math.sqrt(2.0), rel=1e-5)
+    assert found.collision_radius == pytest.approx(0.15) and "mirror" not in said and "same way" not in said
+    _, said = imported(written(tmp_path, "quad.xml", mjcf((-0.04, 0.04, 0.04, -0.04))))
+    assert "its neighbouring rotors turn the same way; flown with opposite ones" in said
+    one = '<motor name="all" site="s" gear="0 0 1 0 0 0" ctrlrange="0 24"/>'
+    path = written(tmp_path, "one.xml", MJCF.format(sites='<site name="s"/>', motors=one))
+    assert "does not say: arm_length: " in refusal(path)
+    written(tmp_path, "mine.yaml", "model: one.xml\narm_length: 0.2\n")
+    assert imported(str(tmp_path / "mine.yaml"))[0].max_rotor_thrust == 6.0
+
+
 CRAZYFLIE = (
     '<robot name="cf"><properties arm="0.04" kf="3e-10" km="6e-12" thrust2weight="2" drag_coeff_xy="9e-7"/>'
     + models.urdf_link("base_link", 0.03, (1.4e-5, 1.4e-5, 2.2e-5), '<cylinder radius="0.06" length="0.02"/>')

@@ -155,8 +155,8 @@ def _obstacle(row: Any, path: Path) -> Shape:  # noqa: ANN401 - as in a YAML fil
         raise BadInputError(
             f"{path}: obstacle {row!r} ({kind}): allowed: a box or cylinder with sizes above 0 and finite positions"
         )
-    north, east, height, x, y, z, turn = row
-    centre = np.array([y, x, z + 0.5 * height], float)
+    north, east, height, x, y, z, turn = (float(value) for value in row)
+    centre = np.array([y, x, z + 0.5 * height])
     if kind == CYLINDER:
         return Shape(CYLINDER, (0.5 * north, height), Pose(np.eye(3), centre), "obstacle")
     # angles are clockwise from above, from north to east

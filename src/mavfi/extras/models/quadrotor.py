@@ -49,6 +49,10 @@ _NEEDED = {
 """Keys without a default, and what they are."""
 
 
+class OppositeSpinsError(BadInputError):
+    """Neighbouring rotors turn the same way, so that yaw is not controlled apart from roll or pitch."""
+
+
 class Rotor(NamedTuple):
     """A rotor of a model.
 
@@ -173,7 +177,7 @@ def vehicle_from(data: MultirotorData, source: str, chosen: Mapping[str, Any]) -
     reach = reach_of(data.shapes, centre)
     if reach > 0.0:
         note = f"reach of its {len(data.shapes)} collision shapes from the centre of mass"
-        take("collision_radius", math.ceil(1000.0 * reach) / 1000.0, note)
+        take("collision_radius", rounded_up(reach), note)
     elif isinstance(arm, int | float):
         assume("collision_radius", _rounded(_RADIUS_PER_ARM * arm), f"{_RADIUS_PER_ARM:g} x arm_length")
     assume("rotor_torque_ratio", _TORQUE_RATIO, f"{_TORQUE_RATIO:g} m")
@@ -275,7 +279,7 @@ def _check_spins(source: str, rotors: list[Rotor]) -> None:
     spins = [rotor.spin for rotor in rotors]
     if all(spins) and any(a == b for a, b in zip(spins, [*spins[1:], spins[0]], strict=True)):
         words = ", ".join(f"{rotor.name} {'ccw' if rotor.spin > 0 else 'cw'}" for rotor in rotors)
-        raise BadInputError(f"{source}: {words}; allowed: neighbours that turn in opposite directions")
+        raise OppositeSpinsError(f"{source}: {words}; allowed: neighbours that turn in opposite directions")
 
 
 def _diagonal(data: MultirotorData, frame: _Frame | None) -> list[float]:
@@ -390,3 +394,10 @@ def _check_complete(source: str, data: MultirotorData, keys: Mapping[str, Any]) 
 def _rounded(value: float) -> float:
     """Six significant digits, as a person would write it."""
     return float(f"{value:.6g}")
+
+
+def rounded_up(length_m: float) -> float:
+    """The next millimetre above a length (m), but for rounding errors; what is not finite stays so."""
+    if not math.isfinite(length_m):
+        return length_m
+    return math.ceil(1000.0 * length_m - 1e-6) / 1000.0

@@ -45,7 +45,7 @@ def parse_xml(text: bytes | str, path: Path) -> ET.Element:
             if "unbound prefix" not in str(error):
                 raise
             return ET.fromstring(_PREFIX.sub(rb"\1\2.", data))  # noqa: S314
-    except (ET.ParseError, ValueError) as error:
+    except (ET.ParseError, LookupError, ValueError) as error:  # LookupError: of its encoding
         raise BadInputError(f"{path}: not an XML file ({error})") from None
 
 
