@@ -335,12 +335,10 @@ class Mission:
         autopilot = self._autopilot
         items = self._items[_MISSION]
         jumps: dict[int, int] = {}  # how often each DO_JUMP has jumped
-        while not autopilot.vehicle.sim.armed:
-            yield
+        yield from self._motors()
         self.current = max(self.current, self.first)
         while self.current < len(items):
-            while not autopilot.vehicle.sim.armed:
-                yield
+            yield from self._motors()
             number = self.current
             item = items[number]
             autopilot.send("mission_current", number)
@@ -354,6 +352,11 @@ class Mission:
         self.current = self.first
         autopilot.text("Mission finished")
         return True
+
+    def _motors(self) -> Task:
+        """Wait until the motors run."""
+        while not self._autopilot.vehicle.sim.armed:
+            yield
 
     def _after_jump(self, number: int, item: MissionItem, jumps: dict[int, int]) -> int:
         """Number of the item after a DO_JUMP: its target, or the next one once it has jumped often enough."""
