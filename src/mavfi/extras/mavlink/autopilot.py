@@ -355,7 +355,7 @@ class Autopilot(ABC):
     def _mission_item(self, message: Any) -> None:
         if self.mission.is_uploading:
             self.mission.receive(message)
-        else:
+        elif not self.mission.repeats(message):
             self.answer_stray_item(message)
 
     def _list_logs(self, message: Any) -> None:
