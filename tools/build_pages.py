@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import cast
 
 from mavfi.errors import BadInputError
-from mavfi.extras.mavlink.autopilot import TYPES as MAVLINK_TYPES
-from mavfi.extras.mavlink.autopilot import UNITS as MAVLINK_UNITS
+from mavfi.extras.mavlink.failures import TYPES as MAVLINK_TYPES
+from mavfi.extras.mavlink.failures import UNITS as MAVLINK_UNITS
 from mavfi.extras.ros.lockstep import views
 from mavfi.extras.ros.lockstep.host import configure
 from mavfi.extras.ros.lockstep.plan import WORLD, FlightGraph
@@ -181,9 +181,11 @@ def sensor_table() -> str:
         answers = ["yes" if is_executed(unit) else "no" for is_executed in columns.values()]
         rows.append(f"| `{unit}` | {' | '.join(answers)} |")
 
-    # what MAVLink lacks
-    absent = [kind for kind in TYPES if kind not in MAVLINK_TYPES.values()]
-    rows += ["", f"MAVLink has no command for {', '.join(f'`{kind}`' for kind in absent)}; `ok` ends failures there."]
+    # what MAVLink lacks, and what it says otherwise
+    absent = [f"`{kind}`" for kind in TYPES if kind not in MAVLINK_TYPES.values()]
+    if absent:
+        rows += ["", f"MAVLink has no command for {', '.join(absent)}."]
+    rows += ["", "Over MAVLink, `ok` ends failures, and `wrong` of `position` is [PX4's](mavlink.md#failures)."]
     return "\n".join(rows)
 
 

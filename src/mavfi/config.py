@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -389,8 +390,14 @@ def load(model: type[ConfigType], path: Path) -> ConfigType:
     return parse(model, read_yaml(path), str(path))
 
 
-def shipped(kind: str, model: type[ConfigType], name: str) -> ConfigType:
+def shipped(kind: str, model: type[ConfigType], name: str, endings: Iterable[str] = ()) -> ConfigType:
     """A shipped configuration by its name in the folder `kind`, e.g. "autopilots", or a user's file by path.
+
+    Args:
+        kind: The folder.
+        model: Its model.
+        name: Name or path.
+        endings: Other extensions of files that are allowed in its place, for the message.
 
     Raises:
         BadInputError: Unknown name or invalid file.
@@ -400,15 +407,14 @@ def shipped(kind: str, model: type[ConfigType], name: str) -> ConfigType:
     path = config_root() / kind / f"{name}.yaml"
     if is_file(path):
         return load(model, path)
-    raise BadInputError(dropped_name(kind, name) or _unknown_name(kind, name))
+    raise BadInputError(dropped_name(kind, name) or _unknown_name(kind, name, endings))
 
 
-def _unknown_name(kind: str, name: str) -> str:
+def _unknown_name(kind: str, name: str, endings: Iterable[str]) -> str:
     """The message on a name that is none of a kind of shipped configurations."""
     what = "is a folder" if is_dir(Path(name)) else "not known"
-    files = ".yaml"
-    if kind == "environments":
-        files = ".yaml, .bt or .ot"  # scanned maps are environments too
+    *others, last = dict.fromkeys([".yaml", *endings])
+    files = " or ".join([", ".join(others), last]) if others else last
     singular = "study" if kind == "studies" else kind.rstrip("s")
     allowed = ", ".join(names(kind))
     text = f"{what}{hint(name, names(kind))}; allowed: {allowed}, or a path to a {files} file"

@@ -86,7 +86,9 @@ class MissionSpec(Config):
     model_config = ConfigDict(populate_by_name=True)
 
     environment: str = Field(
-        "sparse", description=f"{_names('environments')}, a YAML file, or a scanned map (.bt, .ot of OctoMap)."
+        "sparse",
+        description=f"{_names('environments')}, a YAML file, a scanned map (.bt, .ot of OctoMap), or a world of "
+        "another simulator (.sdf, .xml, Aerialist's test case).",
     )
     seed: int = Field(0, ge=0, le=LARGEST_SEED, description="All randomness of the mission comes from it.")
     start: Vector | None = Field(None, description="Start position, m; the environment's by default.")
@@ -100,11 +102,16 @@ class MissionSpec(Config):
     map_resolution: float | None = Field(
         None, ge=0.02, le=5.0, description="Voxel edge, m; the environment's by default."
     )
+    unknown_space: Literal["solid", "free"] = Field(
+        "solid", description="Space that a scanned map does not know: solid, or free (maps of obstacles only)."
+    )
     camera_range: float | None = Field(
         None, ge=1.0, le=1e3, description="Range of the depth camera, m; the environment's by default."
     )
     vehicle: str | None = Field(
-        None, description=f"{_names('vehicles')}, or a YAML file; the environment's by default."
+        None,
+        description=f"{_names('vehicles')}, a YAML file, or a model of another simulator (.sdf, .urdf, .xacro, PX4's "
+        "airframe); the environment's by default.",
     )
     trajectory: str = Field("", description="Custom trajectory generator, package:Class; mavfi's by default.")
     waypoint: str = Field("", description="Custom setpoint generator, package:Class; mavfi's by default.")
@@ -237,6 +244,7 @@ _LATER_KEYS = (
     "time_limit_factor",
     "latency_jitter",
     "detector_place",
+    "unknown_space",
 )
 """Keys of a mission that its plain data omit at their defaults."""
 _OPTIONS = (

@@ -50,7 +50,7 @@ def _success(runs: Runs) -> list[str]:
     with_fault = m.rate_of(faulty, "success")
     test = m.against_golden(faulty.where(pl.col("golden_success").is_not_null()))
     return [
-        f"Without a fault {_with_n(without_fault)} of missions succeed, with one fault{_bits(faulty)} "
+        f"Without a fault {_with_n(without_fault)} of missions succeed, with {runs.per_mission}{_bits(faulty)} "
         f"{_with_n(with_fault)}: the fault loses {test.first_only} of {test.n} missions and saves {test.second_only} "
         f"(McNemar p = {test.p_value:.2g})."
     ]

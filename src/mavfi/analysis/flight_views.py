@@ -42,6 +42,11 @@ TOTAL = ("environment", ALL)
 SETTING = ("environment", "setting")
 
 
+def conditional_on(runs: Runs) -> str:
+    """The note on the number of faults in each mission."""
+    return f"rates are conditional on {runs.per_mission} per mission"
+
+
 # ---- applicability -----------------------------------------------------------------------------------------------
 def of_states(runs: Runs) -> bool:
     """Whether faults in inter-kernel states were injected."""
@@ -174,7 +179,7 @@ _SUCCESS = (
         SETTING,
         (m.leading_success, m.other_success),
         where=of_missions,
-        notes=lambda runs: (ONE_FAULT, _SETTINGS, _STRATA_INTERVALS, *unknown_note(of_missions(runs))),
+        notes=lambda runs: (conditional_on(runs), _SETTINGS, _STRATA_INTERVALS, *unknown_note(of_missions(runs))),
         leads=True,
         applies=lambda runs: has(runs.injected, level=MEMORY),
     ),
@@ -235,7 +240,10 @@ def _recovery_notes(runs: Runs) -> list[str]:
         notes.append(_HEALS_WITH_MEMORY)
     if has(runs.injected, level=INSTRUCTION):
         notes.append(_SHIFTED)
-    notes += ["golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds", ONE_FAULT]
+    notes += [
+        "golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds",
+        conditional_on(runs),
+    ]
     return notes
 
 

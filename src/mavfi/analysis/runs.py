@@ -163,6 +163,11 @@ class Runs:
         """Whether there are flights; trials of external nodes have only outputs."""
         return len(self.where(pl.col("flight_time_s") > 0)) > 0
 
+    @property
+    def per_mission(self) -> str:
+        """Number of faults in each mission, in words."""
+        return str(self.campaign.get("per_mission", "one fault"))
+
     def settings(self) -> list[str]:
         """Settings with injected runs, `fi` first."""
         return sorted(self.injected.values("setting"), key=lambda setting: setting != FI)

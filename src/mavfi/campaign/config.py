@@ -15,7 +15,7 @@ from pydantic import (
 )
 
 from mavfi.campaign.requirement import Requirement
-from mavfi.config import SCAN_ENDINGS, STORED, Config, Name, names, parse, parse_part, shipped
+from mavfi.config import STORED, Config, Name, names, parse, parse_part, shipped
 from mavfi.errors import BadInputError, hint
 from mavfi.faults.fault import find_level, level_names
 from mavfi.levels.level import Sampling, check_distinct, check_known, sampler_for
@@ -49,7 +49,6 @@ _SETTINGS = ("golden", "fi", "dr", "null")
 _STORED_WITHOUT_VALUE = ("until_halfwidth", "node", "program")
 """Keys that ledgers may have without a value."""
 _LOCAL = "local"
-_ENVIRONMENT_FILES = (".yaml", ".yml", *SCAN_ENDINGS)
 
 
 @cache
@@ -59,7 +58,7 @@ def label_of(environment: str) -> str:
     A file named like a shipped environment keeps its path: the paper's figures are not those of its world.
     """
     path = Path(environment)
-    if path.suffix.lower() in _ENVIRONMENT_FILES and path.stem not in names("environments"):
+    if path.suffix and path.stem not in names("environments"):
         return path.stem
     return environment
 

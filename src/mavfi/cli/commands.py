@@ -5,6 +5,7 @@ import functools
 import inspect
 import os
 import traceback
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from importlib.util import find_spec
@@ -58,7 +59,7 @@ class _Commands(Mapping[str, Any]):
             else:
                 parent.command(name)(command)
             self._built[name] = typer.main.get_group(parent).commands[name]
-            _unwrap(self._built[name])
+            _prepare(self._built[name])
         return self._built[name]
 
     def __contains__(self, name: object) -> bool:
@@ -227,11 +228,25 @@ def _command() -> Any:
     return typer.main.get_command(app)
 
 
-def _unwrap(command: Any) -> None:
-    """Make each paragraph of the help of a command, and of those in its group, one line, which fills any width."""
+def _prepare(command: Any) -> None:
+    """Prepare a command, and those in its group: paragraphs of help fill any width, options are not given twice."""
     command.help = _paragraphs(command.help or "")
-    for member in getattr(command, "commands", {}).values():
-        _unwrap(member)
+    members = getattr(command, "commands", {})
+    for member in members.values():
+        _prepare(member)
+    if not members:
+        command.parse_args = functools.partial(_parse_once, command)
+
+
+def _parse_once(command: Any, ctx: Any, args: list[str]) -> list[str]:
+    """Parse the words of a command; an option of one value that is given twice is refused: one would be dropped."""
+    _, _, order = command.make_parser(ctx).parse_args(args=list(args))
+    for parameter, times in Counter(order).items():
+        is_option = parameter.param_type_name == "option"
+        if times > 1 and is_option and not parameter.multiple and not parameter.is_flag:
+            raise BadInputError(f"{parameter.opts[0]}: given {times} times; allowed: once")
+    words: list[str] = type(command).parse_args(command, ctx, args)
+    return words
 
 
 def _paragraphs(text: str) -> str:

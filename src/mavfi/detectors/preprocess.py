@@ -5,7 +5,7 @@ float64 difference from the prediction.  Integers: difference, saturated to 16 b
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -96,22 +96,29 @@ class Preprocessor:
         )
 
     @classmethod
-    def of(cls, specs: Mapping[str, StateSpec], profile: str, thresholds: Sequence[int]) -> "Preprocessor":
+    def of(
+        cls,
+        specs: Mapping[str, StateSpec],
+        profile: str,
+        thresholds: Sequence[int],
+        differenced: Collection[str] = (),
+    ) -> "Preprocessor":
         """Deltas of every field, all float64, of states that are not defined in `mavfi.states`.
 
         Args:
             specs: States by name.
             profile: "paper" or "tuned".
             thresholds: Exponent threshold of each field's code, see `sign_exponent_code`.
+            differenced: Fields, "state.field", of which the difference is coded in both profiles.
         """
-        rule = features.CODE_OF_DELTA
-        if checked_name(profile, PROFILES, "profile") == "paper":
-            rule = features.DELTA_OF_CODES
+        checked_name(profile, PROFILES, "profile")
         watched = tuple((name, field.name) for name, spec in specs.items() for field in spec.header)
-        rows = [
-            FieldRow(specs[state].offset(field), rule, threshold)
-            for (state, field), threshold in zip(watched, thresholds, strict=True)
-        ]
+        rows = []
+        for (state, field), threshold in zip(watched, thresholds, strict=True):
+            rule = features.CODE_OF_DELTA
+            if profile == "paper" and f"{state}.{field}" not in differenced:
+                rule = features.DELTA_OF_CODES
+            rows.append(FieldRow(specs[state].offset(field), rule, threshold))
         preprocessor = cls.__new__(cls)
         preprocessor._build_tables(specs, watched, rows)
         return preprocessor

@@ -82,13 +82,13 @@ def contains(name: str, profile: str, source: str, options: Mapping[str, Any] | 
     """Whether a detector has a part that raises alarms as `source`: itself, or the physics gate in front of it."""
     if source != GATE:
         return is_named(name, source)
-    factory = _class_of(name)
+    factory = detector_class(name)
     return _is_trained(factory) and bool(_options_of(name, profile, factory, options or {}).get("gate", False))
 
 
 def trainable(extras: Collection[str] = ()) -> dict[str, type[TrainedDetector]]:
     """Detectors with training, by name, shipped ones first; those that need an extra only for the given `extras`."""
-    every = {name: _class_of(name) for name in _SHIPPED | known(GROUP, _SHIPPED)}
+    every = {name: detector_class(name) for name in _SHIPPED | known(GROUP, _SHIPPED)}
     return {name: kind for name, kind in every.items() if _is_trained(kind) and kind.extra in ("", *extras)}
 
 
@@ -171,7 +171,7 @@ def mission_keys(detector: str | Detector) -> Mapping[str, Any]:
         if not detector or detector in _SHIPPED or detector in names("detectors"):
             return _config_of(detector).mission
         try:
-            factory = _class_of(detector)
+            factory = detector_class(detector)
         except BadInputError:  # reported where the detector is constructed
             return {}
         keys = getattr(factory, "recovery", {})
@@ -227,7 +227,7 @@ def load_detector(
     """
     _check_profile(profile)
     _refuse_dropped(name)
-    factory = _class_of(name)
+    factory = detector_class(name)
     chosen = _options_of(name, profile, factory, options or {})
     if not _is_trained(factory):
         of_mission = {key: mission.get(key) for key in ("limits", "seed")}
@@ -306,8 +306,8 @@ def _refuse_dropped(name: str) -> None:
         raise BadInputError(refusal)
 
 
-def _class_of(name: str) -> Any:  # noqa: ANN401 - a class, or a function of a user's own
-    """The class of a detector by name, imported."""
+def detector_class(name: str) -> Any:  # noqa: ANN401 - a class, or a function of a user's own
+    """The class of a detector by name, imported; `BadInputError` if there is none."""
     return load_object("detector", name, GROUP, _SHIPPED)
 
 

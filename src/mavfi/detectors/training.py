@@ -16,7 +16,7 @@ from mavfi.detectors.detector import Detector
 from mavfi.detectors.model import Model
 from mavfi.detectors.preprocess import PREDICTIONS, PROFILES, Preprocessor
 from mavfi.errors import BadInputError
-from mavfi.states import MONITORED_SETS, ODOMETRY, STATES, State
+from mavfi.states import MONITORED_SETS, ODOMETRY, STATES, State, StateSpec
 
 WATCHED = tuple(dict.fromkeys(state for fields in MONITORED_SETS.values() for state, _ in fields))
 """States with a field in a monitored set."""
@@ -304,6 +304,22 @@ class TrainedDetector(Detector):
     @classmethod
     def check_installed(cls) -> None:
         """Raise a `NotInstalledError`, which names the extra to install, unless the packages are there."""
+
+    @classmethod
+    def of_messages(
+        cls, recordings: Sequence[Sequence[State]], specs: Mapping[str, StateSpec], figures: Mapping[str, Any]
+    ) -> Detector:
+        """A detector fitted to normal messages of any program (`mavfi watch`).
+
+        Args:
+            recordings: The messages of each recording, in order.
+            specs: Their states by name; all fields are float64.
+            figures: Figures of training, of configs/detectors.
+
+        Raises:
+            BadInputError: It can be fitted to missions only.
+        """
+        raise BadInputError(f"detector {cls.__name__}: is fitted to missions only; allowed: one with `of_messages`")
 
     @classmethod
     def fit(cls, sample: Any, features: Any, figures: Mapping[str, Any]) -> dict[str, Any]:  # noqa: ANN401

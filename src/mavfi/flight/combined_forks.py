@@ -186,7 +186,8 @@ class SerialForks(Forks):
         down_us = round(1e6 * fault.restart_s)
         if case.kernel:
             self._dying[case.kernel] = down_us
-        self._end_outside_of_pipeline(fault)
+        else:
+            self._end_outside_of_pipeline(fault)
         return CallResult(function(*args))
 
     def _report_of_child(self, payload: bytes) -> NoReturn:

@@ -1,8 +1,10 @@
 """Resolution of names into a scenario and its detector, and of these into a flight that has not started."""
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,6 +35,9 @@ from mavfi.rewriting import rewriter
 from mavfi.sim import imu
 from mavfi.sim.controller import find_controller
 from mavfi.sim.environments import World, build_world, environment_for_file, find_generator
+from mavfi.sim.environments.octomap_file import SOLID
+from mavfi.sim.environments.registry import SCAN_GENERATOR
+from mavfi.sim.imported import ENVIRONMENT_FILES, EnvironmentReader, extensions_of, reader_of
 from mavfi.sim.mjcf import find_vehicle
 from mavfi.sim.simulator import Simulator
 from mavfi.states import INJECTED_KERNEL, PLANNERS, PLUG_INS, REPLACEABLE, Stage
@@ -49,19 +54,35 @@ _LEAST_HEADING_NOISE = 1e-3
 """Noise of heading fixes that it assumes at least (rad)."""
 _AUTOPILOT_KEYS = ("alarm", "epoch_liveness")
 """Keys of an autopilot profile that a mission can override."""
+_VOXELS_OFF = 2.0
+"""Voxels of the map by which a wall, and a path beside it, can be off."""
 _LIMITS = ("arena_lower", "arena_upper", "flight_lower", "flight_upper", "goal")
 """Arrays of a world that the pipeline may know."""
 
 
 def find_environment(name: str) -> EnvironmentConfig:
-    """Find an environment: a shipped name, a YAML file, or the path of a scanned map (.bt, .ot).
+    """Find an environment: a shipped name, a YAML file, a scanned map (.bt, .ot), or a file that an extra reads.
 
     Raises:
         BadInputError: The environment does not exist.
     """
     if name.lower().endswith(SCAN_ENDINGS):
         return environment_for_file(Path(name))
-    return shipped("environments", EnvironmentConfig, name)
+    reader: EnvironmentReader | None = reader_of(ENVIRONMENT_FILES, name)
+    if reader is not None:
+        environment = reader(Path(name))
+        if environment is not None:
+            return environment
+    endings = chain(SCAN_ENDINGS, extensions_of(ENVIRONMENT_FILES))
+    return shipped("environments", EnvironmentConfig, name, endings)
+
+
+def _with_unknown_space(environment: EnvironmentConfig, unknown: str) -> EnvironmentConfig:
+    """The environment of a scanned map with its parameter `unknown`."""
+    if environment.generator != SCAN_GENERATOR:
+        text = f"environment {environment.name!r} is no scanned map; allowed: with a .bt or .ot file"
+        raise BadInputError(f"unknown_space: {unknown}: {text}")
+    return environment.model_copy(update={"parameters": {**environment.parameters, "unknown": unknown}})
 
 
 def find_planner(name: str) -> PlannerConfig:
@@ -79,6 +100,8 @@ def resolve(spec: MissionSpec) -> Scenario:
     """
     # The environment, in which the mission may replace the vehicle.
     environment = find_environment(spec.environment)
+    if spec.unknown_space != SOLID:
+        environment = _with_unknown_space(environment, spec.unknown_space)
     vehicle_source = spec.environment  # the file that names the vehicle, for messages
     if spec.vehicle is not None:
         environment = environment.model_copy(update={"vehicle": spec.vehicle})
@@ -281,10 +304,30 @@ def new_loop(
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
     plant = make_plant(world, scenario)
     config = pipeline_config(scenario, world, plant.ray_directions, rewindable=rewindable, functions=functions)
+    if world.is_voxels:
+        _warn_of_walls(scenario.environment.name, world, config.plan_radius + _VOXELS_OFF * config.map.resolution)
     loop = Loop(scenario, world, plant, partial(make_kernels, config), want_profile=profile, marks=rewindable)
     if isinstance(functions, FlightFunctions):
         loop.stand_ins = functions.stand_ins
     return loop
+
+
+def _warn_of_walls(name: str, world: World, distance: float) -> None:
+    """Warn of a start or goal that is closer to a wall of a scan than a path keeps from it."""
+    for key, point in (("start", world.start), ("goal", world.goal)):
+        clearance = float(world.clearance(point)[0])
+        if clearance < distance:
+            place = ", ".join(f"{value:g}" for value in point)
+            _warn_once(
+                f"environment {name!r}: {key} ({place}): {clearance:.2f} m from a wall; less than {distance:.2f} m "
+                "(the planner's distance and two voxels of the map) often ends in a collision"
+            )
+
+
+@cache
+def _warn_once(text: str) -> None:
+    """Warn, once in a process: a mission is flown several times."""
+    warnings.warn(text, stacklevel=1)
 
 
 def watch(loop: Loop, detector: Detector | None, recovery: RecoveryPolicy = INLINE) -> None:

@@ -63,19 +63,26 @@ class RecordLayout:
     Args:
         kind: Name of the type.
         leaves: Location of each number, by its name.
+        units: Units of numbers, as far as the format defines them.
     """
 
-    def __init__(self, kind: str, leaves: Mapping[str, Leaf]) -> None:
+    def __init__(self, kind: str, leaves: Mapping[str, Leaf], units: Mapping[str, str] | None = None) -> None:
         self.kind = kind
+        self.units = dict(units or {})
         self._leaves = dict(leaves)
 
     @staticmethod
     def of(kind: str, dtype: np.dtype) -> "RecordLayout":
         """The layout of rows of a structured array."""
+        return RecordLayout(kind, RecordLayout.leaves_of(dtype))
+
+    @staticmethod
+    def leaves_of(dtype: np.dtype) -> dict[str, Leaf]:
+        """Location of each number in the rows of a structured array."""
         leaves = {}
         for name, (field_type, offset, *_) in (dtype.fields or {}).items():
             leaves[name] = Leaf(offset, field_type.name)
-        return RecordLayout(kind, leaves)
+        return leaves
 
     def check(self, path: str) -> str:
         """Kind of a number, e.g. "float32", or a BadInputError."""
@@ -120,7 +127,8 @@ class FlightLogReader(Protocol):
     """Reads one file.
 
     A reader may have `recommended`: fields worth monitoring, by topic, with names as in its messages; without it, all
-    numbers of all topics are.  It may have `is_cut()`: whether the file ends within a message.
+    numbers of all topics are.  After `messages` it may have `notices`, what could not be read, one line each, and
+    `is_cut()`: whether the file ends within a message.
     """
 
     def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
@@ -137,7 +145,7 @@ def open_flight_log(path: Path) -> FlightLogReader:
     Raises:
         BadInputError: Nothing reads files with this extension.
     """
-    extension = path.suffix.removeprefix(".")
+    extension = path.suffix.removeprefix(".").lower()
     if path.is_dir():
         extension = _FORMAT_OF_FOLDERS
     formats = known(GROUP, known(_OLD_GROUP, {}))

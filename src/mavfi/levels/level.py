@@ -89,6 +89,9 @@ def parse(text: str, localization: str = "truth", levels: Collection[str] = ()) 
     if is_combined(text) and (not levels or COMBINED in levels):
         combined: Request = find_level(COMBINED).parse(text, localization)
         return combined
+    if is_combined(text):
+        reason = "several faults, or one that waits for an event: allowed in flights of mavfi itself; here: one"
+        raise BadInputError(f"fault {text!r}: {reason}")
     name, _, rest = text.partition(":")
     if levels and name not in {NULL, *levels}:
         raise BadInputError(
@@ -366,6 +369,8 @@ class Level:
 
     def about(self, campaign: Any) -> dict[str, Any]:
         """How a campaign draws, for the notes of tables: `each` (what `faults` counts), `how`, and further keys.
+
+        `per_mission` is the number of faults in a mission in words, unless it is one.
 
         With `title` and `lines`, the level describes what is under test itself.
         """

@@ -151,15 +151,33 @@ def map_grid(config: PipelineConfig) -> Grid:
         BadInputError: The resolution is too fine for this arena.
     """
     resolution = config.map.resolution
-    margin = np.array([HORIZONTAL_MARGIN, HORIZONTAL_MARGIN, VERTICAL_MARGIN])
-    first = np.floor((config.arena_lower - margin) / resolution + 0.5)
-    last = np.ceil((config.arena_upper + margin) / resolution + 0.5)
+    first, last = _grid_corners(config, resolution)
     lower = (first - 0.5) * resolution
     nx, ny, nz = (int(n) for n in last - first)
     voxels = nx * ny * nz
     if voxels > LARGEST_GRID:
-        finest = resolution * (voxels / LARGEST_GRID) ** (1.0 / 3.0)
         raise BadInputError(
-            f"map resolution {resolution:g} m: {voxels:,} voxels in this arena; allowed: about {finest:.2g} m or more"
+            f"map resolution {resolution:g} m: {voxels:,} voxels in this arena; allowed: "
+            f"{_finest(config, resolution * (voxels / LARGEST_GRID) ** (1.0 / 3.0)):g} m or more (--map-resolution)"
         )
     return Grid(float(lower[0]), float(lower[1]), float(lower[2]), 1.0 / resolution, nx, ny, nz)
+
+
+def _grid_corners(config: PipelineConfig, resolution: float) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner of the map's grid, in voxels. Shapes (3,)."""
+    margin = np.array([HORIZONTAL_MARGIN, HORIZONTAL_MARGIN, VERTICAL_MARGIN])
+    first: np.ndarray = np.floor((config.arena_lower - margin) / resolution + 0.5)
+    last: np.ndarray = np.ceil((config.arena_upper + margin) / resolution + 0.5)
+    return first, last
+
+
+def _finest(config: PipelineConfig, estimate: float) -> float:
+    """The finest resolution of two digits that is allowed (m), from an estimate."""
+    mantissa, exponent = f"{estimate:.1e}".split("e")
+    tenths = round(10.0 * float(mantissa))
+    while True:
+        resolution = float(f"{0.1 * tenths:.1f}e{exponent}")
+        first, last = _grid_corners(config, resolution)
+        if np.prod(last - first) <= LARGEST_GRID:
+            return resolution
+        tenths += 1

@@ -91,7 +91,7 @@ def success(runs: Runs) -> Figure | None:
     title = "Success"
     if runs.campaign.get("profile"):
         title = f"Success · autopilot {runs.campaign['profile']}"
-    axes.set_title(f"{title} · one fault per mission")
+    axes.set_title(f"{title} · {runs.per_mission} per mission")
     labels = [str(handle.get_label()) for handle in handles]
     figure.legend(handles=handles, loc="outside upper left", **_legend(figure, labels))
     return figure

@@ -25,11 +25,15 @@ from mavfi.report.text import (
     versions,
 )
 
-REMARKS = (
-    "Rates are conditional on one fault per mission.",
+_REMARKS = (
     "Recomputation is charged in the platform's modelled time; nothing was measured on that hardware.",
     "Faults without a site and faults that were not activated are kept in every rate (intention to treat).",
 )
+
+
+def remarks_on(runs: Runs) -> tuple[str, ...]:
+    """What holds of all tables."""
+    return f"Rates are conditional on {runs.per_mission} per mission.", *_REMARKS
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +92,7 @@ def _markdown(report: CampaignReport, captions: Mapping[str, str], today: str) -
         parts += ["## Findings", _list(report.findings)]
     parts += [f"![{name}]({name})\n\n{caption}" for name, caption in captions.items()]
     parts += map(markdown_table, report.tables)
-    parts += ["## Checks", *checks(report.runs), "## Remarks", _list(REMARKS)]
+    parts += ["## Checks", *checks(report.runs), "## Remarks", _list(remarks_on(report.runs))]
     return "\n\n".join(parts) + "\n"
 
 

@@ -333,11 +333,15 @@ def _label(figure: Figure, views: Views, flight: Flight, title: str) -> None:
     size = min(_TITLE_SIZE, _TITLE_SIZE * _TITLE_LENGTH / len(title))
     figure.text(0.6 / _WIDTH, 1 - 0.24 / height, title, fontsize=size, fontweight="bold", va="center")
     below = f"{scenario['environment']['name']} · seed {scenario['seed']} · autopilot {scenario['stack']['name']}"
+    faults = []
     for injection in flight.log.injections:
         what = corruption(injection)
         if injection.activated and what:
-            fault = f"{injection.site}, {what} at {injection.time_s:.2f} s: {outcome(injection, digits=4)}"
-            below = f"{below}   ·   {fault}"
+            faults.append(f"{injection.site}, {what} at {injection.time_s:.2f} s: {outcome(injection, digits=4)}")
+    if faults:
+        below = f"{below}   ·   {faults[0]}"
+    if len(faults) > 1:  # one line has no room for several
+        below = f"{below}, and {len(faults) - 1} more"
     figure.text(0.6 / _WIDTH, 1 - 0.49 / height, below, va="center", color=style.GREY)
     # axes, and what each view shows
     above.set_ylabel("y (m)")

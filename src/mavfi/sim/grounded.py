@@ -211,6 +211,12 @@ class Grounded(Simulator):
         self.rest()
         self._new_controller()
 
+    def bump(self, contact: Contact, change: np.ndarray) -> None:
+        """Note a contact with something that the world does not contain, and change the velocity (m/s). Shape (3,)."""
+        self.touched = contact
+        self._data.qvel[:3] += change
+        self.odometry[3:6] = self._data.qvel[:3]
+
     def _new_controller(self) -> None:
         """Restart the flight controller from the current state."""
         self.controller.close()

@@ -15,6 +15,7 @@ from mavfi.errors import BadInputError
 from mavfi.files import LARGEST_TEXT, check_regular, exists, is_file, read_file
 from mavfi.numerics.vectors import length, product
 from mavfi.sim.engine import GRAVITY, keep_quiet
+from mavfi.sim.imported import VEHICLE_FILES, extensions_of, import_vehicle, vehicle_file
 
 ROTORS = 4
 _TOLERANCE = 0.01
@@ -42,17 +43,26 @@ class RigidBody:
 
 
 def find_vehicle(name: str) -> VehicleConfig:
-    """A shipped vehicle by name, or a user's YAML file.
+    """A shipped vehicle by name, a user's YAML file, or a model in a format that an extra reads.
 
     If the file has the key `mjcf`, a path relative to the file, mass and inertia are those of that model; if the file
-    specifies them as well, they must agree within 1 %.
+    specifies them as well, they must agree within 1 %.  With the key `model`, also relative, the other keys of the
+    vehicle are those of that model, unless the file has them.
 
     Raises:
         BadInputError: Unknown vehicle, invalid file, key or model, or its rotors cannot lift it.
     """
     if not name.endswith((".yaml", ".yml")):
-        return shipped("vehicles", VehicleConfig, name)
+        file = vehicle_file(name)
+        if file is None:
+            return shipped("vehicles", VehicleConfig, name, extensions_of(VEHICLE_FILES))
+        return _lifted(name, parse(VehicleConfig, import_vehicle(file, {}), name))
     data = read_yaml(Path(name))
+    model = data.pop("model", None)
+    if model is not None:
+        if not isinstance(model, str):
+            raise BadInputError(f"{name}: key 'model': {model!r}: allowed: a file of a model")
+        data = import_vehicle(Path(name).parent / model, data)
     if not isinstance(data.get("mjcf"), str):
         return _lifted(name, parse(VehicleConfig, data, name))
     path = Path(name).parent / data["mjcf"]
@@ -106,10 +116,7 @@ def measure(path: Path) -> RigidBody:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     # the free body, and the bodies fixed to it, which have higher numbers
-    if free.name:
-        root = model.body(free.name).id
-    else:
-        root = next(body for body in range(model.nbody) if model.body_dofnum[body])
+    root = _number_of(free, model)
     tree = model.body_rootid[root]
     parts = [body for body in range(root, model.nbody) if model.body_rootid[body] == tree]
 
@@ -120,6 +127,13 @@ def measure(path: Path) -> RigidBody:
     x, y, z = (float(value) for value in np.diag(tensor))
     offset = product(axes.T, (centre - data.xpos[root])[:, None])[:, 0]
     return RigidBody(float(model.body_subtreemass[root]), (x, y, z), offset, _reach(centre, model, data, parts))
+
+
+def _number_of(free: Any, model: Any) -> int:
+    """Number of the free body in the compiled model."""
+    if free.name:
+        return int(model.body(free.name).id)
+    return next(body for body in range(model.nbody) if model.body_dofnum[body])
 
 
 def _inertia_about(centre: np.ndarray, model: Any, data: Any, parts: list[int]) -> np.ndarray:
@@ -134,12 +148,35 @@ def _inertia_about(centre: np.ndarray, model: Any, data: Any, parts: list[int]) 
 
 
 def _reach(centre: np.ndarray, model: Any, data: Any, parts: list[int]) -> float:
-    """Largest distance of the bodies' geometry from a point (m), by bounding spheres; 0 = no geometry."""
+    """Largest distance of the bodies' geometry from a point (m); 0 = no geometry.
+
+    Of meshes and boxes it is that of their vertices, of other shapes that of their bounding spheres.
+    """
     reach = 0.0
     for geom in range(model.ngeom):
-        if model.geom_bodyid[geom] in parts:
+        if model.geom_bodyid[geom] not in parts:
+            continue
+        vertices = _vertices(geom, model)
+        if vertices is None:
             reach = max(reach, length(data.geom_xpos[geom] - centre) + float(model.geom_rbound[geom]))
+        else:
+            world = product(vertices, data.geom_xmat[geom].reshape(3, 3).T) + data.geom_xpos[geom]
+            reach = max(reach, float(np.sqrt(np.square(world - centre).sum(axis=1)).max()))
     return reach
+
+
+def _vertices(geom: int, model: Any) -> np.ndarray | None:
+    """Vertices of a mesh or a box in the axes of its geom (m), shape (n, 3); None = another shape."""
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = model.geom_dataid[geom]
+        first = model.mesh_vertadr[mesh]
+        vertices: np.ndarray = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(np.float64)
+        return vertices
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
+        signs = 2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0
+        corners: np.ndarray = signs * model.geom_size[geom]
+        return corners
+    return None
 
 
 def attach(vehicle: VehicleConfig, scene: Any, holder: Any) -> None:
@@ -228,3 +265,111 @@ def _compile(spec: Any, path: Path) -> Any:
 
 def _line(error: Exception) -> str:
     return " ".join(str(error).split())
+
+
+# ---- rotors and scenes of other models -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SiteMotor:
+    """An actuator that pushes along an axis of a site.
+
+    Attributes:
+        name: Its name.
+        position: Of the site, in the axes of the free body, from its centre of mass (m). Shape (3,).
+        axis: Direction of the force, same axes. Shape (3,).
+        max_thrust: Largest force (N); None = unlimited.
+        torque_ratio: Torque about the axis / force (m).
+    """
+
+    name: str
+    position: np.ndarray
+    axis: np.ndarray
+    max_thrust: float | None
+    torque_ratio: float
+
+
+def site_motors(path: Path) -> list[SiteMotor]:
+    """Actuators of a vehicle's MJCF file that push at sites, e.g. its rotors.
+
+    Raises:
+        BadInputError: See `measure`.
+    """
+    spec = _read(path)
+    free = _free_body(spec, path)
+    model = _compile(spec, path)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    root = _number_of(free, model)
+    body_axes = data.xmat[root].reshape(3, 3)
+    motors = []
+    for actuator in range(model.nu):
+        force, torque = model.actuator_gear[actuator, :3], model.actuator_gear[actuator, 3:]
+        strength = length(force)
+        if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_SITE or not strength > 0.0:
+            continue
+        site = model.actuator_trnid[actuator, 0]
+        axis = product(data.site_xmat[site].reshape(3, 3), (force / strength)[:, None])
+        offset = data.site_xpos[site] - data.subtree_com[root]
+        limit = None
+        if model.actuator_ctrllimited[actuator]:
+            limit = float(model.actuator_gainprm[actuator, 0] * strength * model.actuator_ctrlrange[actuator, 1])
+        motors.append(
+            SiteMotor(
+                model.actuator(actuator).name,
+                product(body_axes.T, offset[:, None])[:, 0],
+                product(body_axes.T, axis)[:, 0],
+                limit,
+                float((force * torque).sum()) / strength**2,
+            )
+        )
+    return motors
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StaticGeom:
+    """A geom of a scene that stands still and that others touch.
+
+    Attributes:
+        name: Its name, or that of its body, for messages.
+        kind: Name of its type in lower case: plane, box, sphere, capsule, ellipsoid, cylinder, mesh, hfield, sdf.
+        size: As in MJCF: half edges, radius and half length (m). Shape (3,).
+        matrix: To world. Shape (3, 3).
+        position: Of its centre (m). Shape (3,).
+        vertices: Of a mesh or a box, in the axes of the geom (m), shape (n, 3); None = another shape.
+    """
+
+    name: str
+    kind: str
+    size: np.ndarray
+    matrix: np.ndarray
+    position: np.ndarray
+    vertices: np.ndarray | None
+
+
+def static_geoms(path: Path) -> list[StaticGeom]:
+    """Geoms of an MJCF file that no joint moves, and that collide.
+
+    Raises:
+        BadInputError: It cannot be read or compiled.
+    """
+    model = _compile(_read(path), path)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    geoms = []
+    for geom in range(model.ngeom):
+        body = model.geom_bodyid[geom]
+        if model.body_weldid[body] != 0 or not (model.geom_contype[geom] or model.geom_conaffinity[geom]):
+            continue
+        name = model.geom(geom).name or model.body(body).name
+        geoms.append(
+            StaticGeom(
+                name,
+                mujoco.mjtGeom(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower(),
+                model.geom_size[geom].copy(),
+                data.geom_xmat[geom].reshape(3, 3).copy(),
+                data.geom_xpos[geom].copy(),
+                _vertices(geom, model),
+            )
+        )
+    return geoms

@@ -146,7 +146,7 @@ def test_a_folder_and_a_similar_name_are_told_as_such(tmp_path):
     with pytest.raises(
         BadInputError, match=r"environment '.*': is a folder; allowed: .*, or a path to a .yaml, .bt or"
     ):
-        shipped("environments", EnvironmentConfig, str(tmp_path))
+        shipped("environments", EnvironmentConfig, str(tmp_path), (".bt", ".ot"))
     with pytest.raises(BadInputError, match=r"'spars': not known \(did you mean 'sparse'\?\); allowed: clutter, dense"):
         shipped("environments", EnvironmentConfig, "spars")
 

@@ -31,8 +31,10 @@ SPEC = MissionSpec(environment="sparse", seed=7)
 class Client:
     """Calls a server as its own protocol does; `wait` lets its task end first."""
 
-    def __init__(self, *, clock=None, fault=None, **options):
-        self.server = AirsimServer(make_api(SPEC, **options), clock or StepClock(limit_us=10**9), Boundary(fault))
+    def __init__(self, *, clock=None, fault=None, boundary=None, fault_vehicle="", **options):
+        boundary = boundary or Boundary(fault)
+        boundary.vehicle = fault_vehicle
+        self.server = AirsimServer(make_api(SPEC, **options), clock or StepClock(limit_us=10**9), boundary)
         self.vehicle = self.server.api.vehicle
         self.answers = {}
 
@@ -44,12 +46,15 @@ class Client:
 
     def __call__(self, name, *given):
         number = self.post(name, *given)
-        if self.answers[number] is None:
-            self.post("mavfiFinish")
+        while self.answers[number] is None:  # until its task ends, not that of another vehicle
+            self("mavfiPass", None, True, "")
         error, result = self.answers[number]
         if error is not None:
             raise RuntimeError(error)
         return result
+
+    def sleep(self, seconds):
+        self("mavfiPass", self("mavfiClock") + round(1e6 * seconds), False, "time.sleep")
 
     def ready(self):
         self("enableApiControl", True, "")
@@ -77,7 +82,7 @@ def test_whole_calls_are_lost_late_repeated_and_frozen():
     # lost: the second reading is the first one's answer
     lost = client("getMultirotorState:drop@n=2")
     first = lost("getMultirotorState", "")
-    lost("mavfiSleep", 1.0)
+    lost.sleep(1.0)
     assert lost("getMultirotorState", "") == first != lost("getMultirotorState", "")
     assert lost.server.boundary.injection.details["calls"] == 1
 
@@ -207,7 +212,7 @@ def test_time_passes_in_calls_only_and_a_pause_stops_it():
     client("simContinueForFrames", 3)
     assert client.vehicle.now_us == before + 560_000
     client("simPause", False)
-    client("mavfiSleep", 1.0)
+    client.sleep(1.0)
     assert client.vehicle.now_us >= before + 1_560_000
 
 
@@ -227,7 +232,7 @@ def test_depth_is_that_of_the_mission_s_camera_bit_for_bit():
 
 def test_sensors_agree_with_the_state(flying):
     flying("hover", "")
-    flying("mavfiSleep", 2.0)
+    flying.sleep(2.0)
     imu = flying("getImuData", "", "")
     assert imu["linear_acceleration"]["z_val"] == pytest.approx(-9.80665, abs=0.3)
     assert flying("getBarometerData", "", "")["altitude"] == pytest.approx(122.0 - flying.at[2])

@@ -3,6 +3,7 @@
 import hashlib
 import importlib.util
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.airsim.boundary import Boundary, parse_fault
 from mavfi.extras.airsim.cameras import PERSPECTIVE, SKY, view
 from mavfi.extras.airsim.config import ProgramConfig
-from mavfi.extras.airsim.host import client_version, effect_on, make_api, run_program
+from mavfi.extras.airsim.host import ProgramInput, client_version, effect_on, make_api, run_program
 from mavfi.mission import MissionSpec
 from mavfi.record import Injection
 
@@ -25,9 +26,9 @@ EXAMPLES = Path(__file__).parents[3] / "examples" / "airsim"
 SPEC = MissionSpec(environment="sparse", seed=7)
 
 
-def run(path, *arguments, fault=None, **options):
+def run(path, *arguments, fault=None, standard_input=None, **options):
     program = ProgramConfig(script=str(path), arguments=arguments, **options)
-    return run_program(program, SPEC, Boundary.of(None if fault is None else parse_fault(fault)))
+    return run_program(program, SPEC, Boundary.of(None if fault is None else parse_fault(fault)), standard_input)
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +123,13 @@ def test_the_worst_that_a_fault_does_comes_first(box):
     ("name", "arguments", "options", "how", "reason"),
     [
         ("crashing", (), {}, "program crash", "ValueError: the program's own error"),
-        ("endless", ("sleep",), {"seconds": 20.0}, "time is up", ""),
+        (
+            "endless",
+            ("sleep",),
+            {"seconds": 20.0},
+            "time is up",
+            "it waited for time.sleep; more time: --seconds above 20",
+        ),
         ("endless", ("spin",), {"wall_s": 2.0}, "hang", "still running after 2 s of wall-clock time"),
     ],
 )
@@ -130,6 +137,54 @@ def test_how_a_program_ends(name, arguments, options, how, reason):
     ended = run(PROGRAMS / f"{name}.py", *arguments, **options)
     assert (ended.how, ended.reason) == (how, reason)
     assert not any("time is up" in text for text in ended.errors), "the end of the run is no refused call"
+
+
+def test_all_waits_take_simulated_time():
+    ended = run(PROGRAMS / "waits.py")
+    assert (ended.how, ended.reason) == ("ended", "")
+    took = json.loads(ended.output.splitlines()[-1])
+    readings = took.pop("readings")
+    for name, (seconds, longest, shortest, _) in took.items():
+        assert seconds == pytest.approx(1.02, abs=0.04), name
+        assert seconds - 0.02 < shortest <= longest <= seconds, f"{name}: the clocks agree"
+    results = {name: result for name, (*_, result) in took.items() if result is not None}
+    assert results == {
+        "Event.wait": False,
+        "Condition.wait": False,
+        "Timer": True,
+        "Queue.get": "empty",
+        "Thread.join": False,
+        "pool": [1.0, 0.5],
+        "call_later": True,
+        "wait_for": "timeout",
+    }
+    assert len(readings) == 6 and readings == sorted(readings) and readings[0] < 0.3 and readings[-1] > 1.2
+
+
+@pytest.mark.parametrize(
+    ("content", "lines"), [(b"first\nsecond\n", ["first", "second", "", ""]), (None, ["", "", "", ""])]
+)
+def test_the_standard_input_is_that_of_mavfi_again_for_each_run(tmp_path, content, lines):
+    script = tmp_path / "reads.py"
+    script.write_text("import airsim\nairsim.MultirotorClient().ping()\nprint([input('key? ') for _ in range(4)])\n")
+    source = None
+    if content is not None:
+        source, writing_end = os.pipe()
+        os.write(writing_end, content)
+        os.close(writing_end)
+    standard_input = ProgramInput(source)
+    for _ in range(2):
+        ended = run(script, standard_input=standard_input)
+        assert (ended.how, ended.output.splitlines()[-1]) == ("ended", f"{lines}")
+
+
+def test_modules_on_the_python_path_are_found(tmp_path, monkeypatch):
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "lib" / "heights.py").write_text("height = 5\n")
+    script = tmp_path / "short.py"
+    script.write_text("import airsim\nfrom heights import height\nairsim.MultirotorClient().ping()\nprint(height)\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "lib"))
+    assert run(script).output == "5\n"
 
 
 def test_what_cannot_run_is_refused_in_one_line(tmp_path):

@@ -95,17 +95,17 @@ def test_a_refused_flight_changes_nothing_on_the_server(image, seed):
     api.vehicle.api = True
     with serving(api) as port, pytest.raises(BadInputError):
         first(port, seed=seed)
-    assert api.vehicle.api and not api.paused and api.vehicle.landed and api.vehicle.position == (0.0, 0.0, 0.0)
+    assert api.vehicle.api and not api.scene.paused and api.vehicle.landed and api.vehicle.position == (0.0, 0.0, 0.0)
 
 
 def test_after_a_flight_the_server_goes_on_as_before():
     api = make_api(MissionSpec(environment="sparse", seed=7), "64x48")
     with serving(api) as port:
         plant = first(port)
-        assert api.paused and api.vehicle.api
+        assert api.scene.paused and api.vehicle.api
         plant.close()
         plant.close()  # without a connection: no operation
-        assert not api.paused and not api.vehicle.api
+        assert not api.scene.paused and not api.vehicle.api
 
 
 def test_a_server_that_is_not_there_or_goes_away_is_one_line():

@@ -1,6 +1,7 @@
 """Every format gives the numbers of the flight back; damaged files are refused in one line."""
 
 import sqlite3
+import struct
 from contextlib import closing
 
 import numpy as np
@@ -8,11 +9,17 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from mavfi.cli.commands import run
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.airsim.calls import RecordedCall, read_calls
+from mavfi.extras.logs.files import write_mcap
+from mavfi.extras.logs.recording import read_recording
 from mavfi.extras.logs.table import RosReader
+from mavfi.extras.logs.timeline import Message
+from mavfi.extras.mavlink.dataflash import DataFlashReader
 from mavfi.flight.log_readers import open_flight_log
 from tests.extras.logs.conftest import make_log
+from tests.extras.logs.dataflash import definitions, record, text_definitions
 
 X = {
     "ulg": ("vehicle_local_position", "x"),
@@ -150,3 +157,218 @@ def test_recordings_of_rosbag2_are_read_with_and_without_definitions_of_their_me
         messages = list(reader.messages(["/height"]))
         assert [message.time_us for message in messages] == [0, 1, 2]
         assert [message.layout.locate(message.data, "data").value(message.data) for message in messages] == [0, 0.5, 1]
+
+
+# ---- what users bring ------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("head", "cells", "second_us"),
+    [
+        ("%time,field.x", ("1600000000000000000", "1600000000020000000"), 1600000000020000),
+        ("__time,/odom/x", ("1600000000.0", "1600000000.02"), 1600000000020000),
+        ("TimeUS,Roll", ("1000000", "1020000"), 1020000),
+        ("\ufefftime,x", ("0.0", "0.02"), 20000),
+        ("timestamp;x", ("1000", "21000"), 21000),
+        ("Time_ms\tx", ("0", "20"), 20000),
+        ("x,timestamp (us)", ("0", "20000"), 20000),
+        ("header.stamp.sec,header.stamp.nanosec,x", ("5,0", "5,20000000"), 5020000),
+        ("date_time,x", ("2024-05-01T12:00:00", "2024-05-01T12:00:00.020"), 1714564800020000),
+    ],
+)
+def test_columns_of_time_that_other_programs_write(tmp_path, head, cells, second_us):
+    separator = next(mark for mark in ",;\t" if mark in head)
+    rows = [f"{cell}{separator}1.5" for cell in cells]
+    if head.startswith("x"):
+        rows = [f"1.5{separator}{cell}" for cell in cells]
+    path = tmp_path / "LOG.CSV"
+    path.write_text("\n".join([head, *rows]), encoding="utf-8")
+    messages = list(open_flight_log(path).messages([]))
+    assert messages[1].time_us == second_us and len(messages[0].layout.numbers(messages[0].data, 16)) == 1
+
+
+def test_cells_without_a_number_are_nan_and_a_cut_row_is_left_out(tmp_path):
+    path = tmp_path / "x.csv"
+    path.write_text("time,a,mode,ok\n1,2.5,hover,true\n2,,hover,false\n3,4.5,land,true\n4,5.5,la")
+    reader = open_flight_log(path)
+    rows = [
+        {name: m.layout.locate(m.data, name).value(m.data) for name in m.layout.numbers(m.data, 16)}
+        for m in reader.messages([])
+    ]
+    assert [row["ok"] for row in rows] == [1.0, 0.0, 1.0] and np.isnan(rows[1]["a"]) and rows[2]["a"] == 4.5
+    assert reader.is_cut() and reader.notices == ["columns without numbers: mode"]
+
+
+def test_rows_of_several_vehicles_are_told_apart(tmp_path):
+    path = tmp_path / "x.csv"
+    path.write_text("time,drone_id,x\n" + "".join(f"{n},{k},{k * n}\n" for n in range(5) for k in (1, 2)))
+    assert {m.topic for m in read_recording(path).messages} == {"row[1]", "row[2]"}
+
+
+def test_a_folder_of_tables_has_a_topic_for_each(tmp_path):
+    folder = tmp_path / "flight"
+    folder.mkdir()
+    (folder / "log7_attitude_0.csv").write_text("timestamp,roll\n1000000,0.5\n1020000,0.6\n")
+    (folder / "log7_position_0.csv").write_text("timestamp,x\n1010000,3.0\n1030000,4.0\n")
+    (folder / "log7_parameters.csv").write_text("name,value\nA,1\n")
+    recording = read_recording(folder)
+    assert [(m.topic, m.time_us) for m in recording.messages] == [
+        ("attitude_0", 1_000_000),
+        ("position_0", 1_010_000),
+        ("attitude_0", 1_020_000),
+        ("position_0", 1_030_000),
+    ]
+    assert recording.notices == [
+        "flight: parameters: not read, no column of time; allowed: a name like time, timestamp or t"
+    ]
+
+
+def write_mcap_file(path, channels):
+    """An mcap file with one message of each (topic, schema's name, encoding, definition, message encoding, data)."""
+    from mcap.writer import Writer as McapWriter
+
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start()
+        for topic, name, encoding, definition, message_encoding, data in channels:
+            schema = writer.register_schema(name, encoding, definition.encode())
+            channel = writer.register_channel(topic, message_encoding, schema)
+            for number in range(3):
+                writer.add_message(channel, 20_000_000 * number, data, 20_000_000 * number)
+        writer.finish()
+
+
+def test_a_definition_that_cannot_be_read_costs_only_its_topic(tmp_path):
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    data = bytes(types.serialize_cdr(types.types["std_msgs/msg/Float64"](0.5), "std_msgs/msg/Float64"))
+    path = tmp_path / "X.MCAP"
+    channels = [
+        ("/good", "std_msgs/msg/Float64", "ros2msg", "float64 data", "cdr", data),
+        ("/lacking", "a_msgs/msg/A", "ros2msg", "b_msgs/B inner", "cdr", data),
+        ("/damaged", "a_msgs/msg/C", "ros2msg", "float64 [[ x", "cdr", data),
+        ("/other", "foxglove.Log", "protobuf", "\x00\x01", "protobuf", data),
+        ("/ros1", "std_msgs/Float64", "ros1msg", "float64 data", "ros1", np.float64(0.5).tobytes()),
+    ]
+    write_mcap_file(path, channels)
+    recording = read_recording(path)
+    assert {(m.topic, m.layout.locate(m.data, "data").value(m.data)) for m in recording.messages} == {
+        ("/good", 0.5),
+        ("/ros1", 0.5),
+    }
+    assert len(recording.notices) == 3
+    for notice, topic in zip(sorted(recording.notices), ("/damaged", "/lacking", "/other"), strict=True):
+        assert notice.startswith(f"X.MCAP: {topic}: not read, ") and "\n" not in notice
+    # a folder whose recorder ended before it wrote metadata.yaml, and a file that is cut
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    (folder / "bag_0.mcap").write_bytes(path.read_bytes())
+    assert len(read_recording(folder).messages) == 6
+    content = path.read_bytes()
+    (folder / "bag_0.mcap").write_bytes(content[: content.rfind(b"/good")])
+    assert read_recording(folder).cut
+
+
+@pytest.mark.parametrize("mode", ["none", "FILE", "MESSAGE"])
+@pytest.mark.parametrize("plugin", StoragePlugin)
+def test_folders_of_rosbag2(tmp_path, mode, plugin):
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode
+
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    kind = "std_msgs/msg/Float64"
+    writer = Writer(tmp_path / "bag", version=9, storage_plugin=plugin)
+    if mode != "none":
+        writer.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection("/height", kind, typestore=types)
+        for number in range(3):
+            writer.write(connection, 1000 * number, types.serialize_cdr(types.types[kind](0.5 * number), kind))
+    messages = read_recording(tmp_path / "bag").messages
+    assert [m.layout.locate(m.data, "data").value(m.data) for m in messages] == [0, 0.5, 1]
+
+
+def test_transforms_and_frames_of_a_topic_are_told_apart(tmp_path):
+    path = tmp_path / "x.mcap"
+    rotation = {"rotation": {"w": 1.0}}
+
+    def transform(child, x):
+        return {"child_frame_id": child, "transform": {"translation": {"x": x}, **rotation}}
+
+    messages = []
+    for number in range(3):
+        time_ns = 20_000_000 * (number + 1)
+        children = [transform("base", 1.0), transform("arm", 2.0)]
+        messages.append(Message("/tf", "tf2_msgs/TFMessage", time_ns, {"transforms": children[number % 2 :]}))
+        for frame, x in (("map", 3.0), ("odom", 4.0)):
+            point = {"header": {"frame_id": frame}, "point": {"x": x}}
+            messages.append(Message("/at", "geometry_msgs/PointStamped", time_ns, point))
+    write_mcap(messages, path)
+    values = {}
+    for message in read_recording(path).messages:
+        name = next(name for name in message.layout.numbers(message.data, 16) if name.endswith("x"))
+        values.setdefault(message.topic, set()).add(message.layout.locate(message.data, name).value(message.data))
+    assert values == {"/tf[base]": {1.0}, "/tf[arm]": {2.0}, "/at": {3.0}, "/at[odom]": {4.0}}
+
+
+def test_systems_components_and_instances_of_a_tlog_are_told_apart(tmp_path):
+    mavlink = pytest.importorskip("pymavlink.dialects.v20.common")
+    path = tmp_path / "X.TLOG"
+    content = b""
+    for number in range(3):
+        for system, component in ((7, 1), (9, 1), (7, 191), (255, 190)):
+            link = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+            attitude = mavlink.MAVLink_attitude_message(0, 0.1 * system, 0.0, 0.0, 0.0, 0.0, 0.0)
+            battery = mavlink.MAVLink_battery_status_message(component % 2, 0, 0, 0, [0] * 10, 0, 0, 0, 0)
+            for message in (attitude, battery):
+                content += struct.pack(">Q", 20_000 * number) + message.pack(link)
+    path.write_bytes(content)
+    messages = read_recording(path).messages
+    topics = {m.topic for m in messages}
+    assert topics == {
+        *("ATTITUDE", "ATTITUDE.9", "ATTITUDE.7.191"),
+        *("BATTERY_STATUS[1]", "BATTERY_STATUS.9[1]", "BATTERY_STATUS.7.191[1]"),
+    }
+    (roll,) = {round(m.layout.locate(m.data, "roll").value(m.data), 3) for m in messages if m.topic == "ATTITUDE.9"}
+    assert roll == 0.9 and messages[0].layout.units["roll"] == "rad"
+
+
+@pytest.mark.parametrize("name", ["00000001.BIN", "x.log"])
+def test_logs_of_ardupilot(tmp_path, name):
+    pytest.importorskip("pymavlink")
+    path = tmp_path / name
+    rows = [(20_000 * n, 0, 0, 17_000 + n) for n in range(5)]
+    if name.endswith("BIN"):
+        records = [record("ATT", *row) + record("IMU", row[0], 1, 0.25, 0.0, 0.0) for row in rows]
+        path.write_bytes(definitions() + b"".join(records))
+    else:
+        lines = [f"ATT, {t}, {r / 100}, {p / 100}, {y / 100}\nIMU, {t}, 1, 0.25, 0, 0" for t, r, p, y in rows]
+        path.write_text("\n".join([*text_definitions(), *lines]) + "\n")
+    messages = list(DataFlashReader(path).messages([]))
+    assert {m.topic for m in messages} == {"ATT", "IMU[1]"}
+    yaws = [m.layout.locate(m.data, "Yaw").value(m.data) for m in messages if m.topic == "ATT"]
+    assert yaws == pytest.approx([170.0 + 0.01 * n for n in range(5)]) and messages[-1].time_us == 80_000
+    assert messages[0].layout.units["Yaw"] == "degheading"
+    path.write_bytes(b"\x00nothing" * 40)
+    with pytest.raises(BadInputError, match="is not a log of ArduPilot that can be read"):
+        list(DataFlashReader(path).messages([]))
+
+
+@pytest.mark.parametrize(("landed", "flown"), [([1, 1], 0), ([1, 0], 50), ([0, 1], 50)])
+def test_what_a_ulog_holds_on_the_ground_is_no_flight(tmp_path, landed, flown):
+    pytest.importorskip("pyulog")
+    path = tmp_path / "x.ulg"
+    formats = {"vehicle_land_detected": "uint64_t timestamp;bool landed;", "a": "uint64_t timestamp;float x;"}
+    parts = [b"ULog\x01\x12\x35\x01" + bytes(8), ulog_message("B", bytes(40))]
+    parts += [ulog_message("F", f"{name}:{fields}".encode()) for name, fields in formats.items()]
+    parts += [ulog_message("A", struct.pack("<BH", 0, n) + name.encode()) for n, name in enumerate(formats)]
+    for number in range(100):
+        if number % 50 == 0:
+            parts.append(ulog_message("D", struct.pack("<HQ?", 0, 20_000 * number, landed[number // 50])))
+        parts.append(ulog_message("D", struct.pack("<HQf", 1, 20_000 * number, 0.5)))
+    path.write_bytes(b"".join(parts))
+    recording = read_recording(path)
+    assert len([m for m in recording.messages if m.topic == "a"]) == flown
+    assert bool(recording.notices) == (flown == 0)
+    if not flown:
+        assert run(["watch", str(path), "--split", "0.5"]) == 2
+
+
+def ulog_message(kind, body):
+    return struct.pack("<HB", len(body), ord(kind)) + body

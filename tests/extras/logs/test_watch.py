@@ -7,7 +7,9 @@ import pytest
 
 from mavfi.cli.commands import run
 from mavfi.errors import BadInputError
-from mavfi.extras.logs.watch import JudgedLog, LogAlarm, LogRates, LogWatch, read_recording, select
+from mavfi.extras.logs.recording import read_recording
+from mavfi.extras.logs.selection import Wanted, select
+from mavfi.extras.logs.watch import JudgedLog, LogAlarm, LogRates, LogWatch
 from mavfi.flight.log_readers import open_flight_log
 
 
@@ -19,7 +21,7 @@ def recordings(files):
 @pytest.fixture(scope="module")
 def watching(recordings):
     pair = [recordings["a"], recordings["b"]]
-    return LogWatch("gaussian", "tuned", select(pair, ["x", "y", "vz"]), pair)
+    return LogWatch("gaussian", "tuned", select(pair, pair, Wanted(["x", "y", "vz"])), pair)
 
 
 def test_a_flight_of_the_training_has_no_alarm(watching, recordings):
@@ -45,7 +47,7 @@ def test_a_known_fault_is_judged_by_its_delay(files):
     normal = [read_recording(files("ulg", name)) for name in ("a", "b")]
     faulty = read_recording(files("ulg", "fault"), "mavfi_fault:active")
     assert faulty.onset_us == 9_000_000
-    found = LogWatch("gaussian", "tuned", select([*normal, faulty.normal]), normal).judge(faulty)
+    found = LogWatch("gaussian", "tuned", select(normal, [faulty]), normal).judge(faulty)
     assert found.has_fault and 0 <= found.fault_delay_s < 0.1
     assert found.exposure_s == pytest.approx(8.98) and found.after_fault_s == pytest.approx(2.98)
 
@@ -62,7 +64,7 @@ def test_a_file_that_is_cut_is_named(files, tmp_path, ending):
     recordings = [read_recording(whole), read_recording(cut)]
     assert not recordings[0].cut and recordings[1].cut
     with pytest.raises(BadInputError, match=rf"no numbers in common \(short.{ending}: cut, the last message"):
-        select(recordings)
+        select(recordings[1:], recordings)
 
 
 def test_alarms_close_together_are_one_event():
@@ -81,8 +83,9 @@ def test_gaps_are_no_exposure(recordings, watching):
 
 @pytest.mark.parametrize("wanted", ["row:no_such", "vy:x"])
 def test_fields_that_are_not_in_all_recordings_are_refused(recordings, wanted):
-    with pytest.raises(BadInputError, match=f"--fields: {wanted}: not a finite number in all .*; allowed: "):
-        select(list(recordings.values()), [wanted])
+    pair = list(recordings.values())
+    with pytest.raises(BadInputError, match=f"--fields: {wanted}: no such number in messages of .*; allowed: "):
+        select(pair, pair, Wanted([wanted]))
 
 
 @pytest.mark.parametrize("ending", ["ulg", "tlog", "bag", "mcap", "csv", "jsonl"])
@@ -105,11 +108,11 @@ def test_several_logs_that_are_split_are_all_counted(files, capsys):
     ("arguments", "message"),
     [
         (["--train", "{}", "--split", "0.5"], "--train, --split: both given; allowed: one of them"),
-        (["--train", "{}", "--detector", "oracle"], "--detector: 'oracle': allowed: gaussian, autoencoder"),
+        (["--train", "{}", "--detector", "oracle"], "--detector: oracle: compares values with those that were sent"),
         (["--train", "{}", "--fault", "mode"], "--fault: 'mode': allowed: TOPIC:FIELD"),
         (["--train", "{}", "--fault", "none:mode"], "holds no topic none; allowed: row"),
         (["--train", "none.csv"], "none.csv: cannot be read"),
-        (["--train", "none.log"], "no reader of flight logs knows this format"),
+        (["--train", "none.xyz"], "no reader of flight logs knows this format"),
     ],
 )
 def test_bad_input_is_one_line(files, arguments, message, capsys):

@@ -2,75 +2,29 @@
 
 import math
 import socket
+import struct
 import threading
 
 import pytest
 
-mavlink = pytest.importorskip("pymavlink.dialects.v20.common", reason="pymavlink (extra mavlink) is not installed")
+mavlink = pytest.importorskip(
+    "pymavlink.dialects.v20.ardupilotmega", reason="pymavlink (extra mavlink) is not installed"
+)
 
 from mavfi.cli.commands import run  # noqa: E402
-from mavfi.extras.mavlink.autopilot import (  # noqa: E402
-    TYPES,  # noqa: E402
-    Autopilot,
-    FlightMode,
-    MavResult,
-)
-from mavfi.extras.mavlink.flying import MavVehicle  # noqa: E402
+from mavfi.extras.mavlink.failures import TYPES, UNITS  # noqa: E402
+from mavfi.extras.mavlink.px4 import FlightMode  # noqa: E402
 from mavfi.extras.mavlink.server import MavlinkServer  # noqa: E402
+from mavfi.extras.mavlink.vocabulary import MavResult  # noqa: E402
 from mavfi.mission import MissionSpec  # noqa: E402
 from mavfi.numerics.frames import geodetic  # noqa: E402
+from tests.extras.mavlink.client import Client  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
 NAN = math.nan
 GYRO, POSITION, MOTOR = 0, 4, 101
 OFF, STUCK = 1, 2
-
-
-class Client:
-    """Talks to an autopilot in the same process, through packets."""
-
-    def __init__(self):
-        self.received = []
-        self._parser = mavlink.MAVLink(None)
-        self._link = mavlink.MAVLink(None, srcSystem=245, srcComponent=190)
-        self.vehicle = MavVehicle(MissionSpec(environment="farm", seed=7))
-        self.vehicle.sim.limit_speed(12.0)
-        self.autopilot = Autopilot(self.vehicle, mavlink.MAVLink(self, srcSystem=1, srcComponent=1))
-        self._to_it = mavlink.MAVLink(None)
-
-    def write(self, data):
-        self.received += self._parser.parse_buffer(bytes(data)) or []
-
-    def send(self, message):
-        for parsed in self._to_it.parse_buffer(message.pack(self._link)):
-            self.autopilot.handle(parsed)
-
-    def command(self, number, *parameters):
-        """Send a command; result of its acknowledgement, or None."""
-        self.received.clear()
-        given = [*parameters, *[0.0] * (7 - len(parameters))]
-        self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *given))
-        return self.result(number)
-
-    def result(self, number):
-        return next((m.result for m in self.of("COMMAND_ACK") if m.command == number), None)
-
-    def of(self, kind):
-        return [m for m in self.received if m.get_type() == kind]
-
-    def texts(self):
-        return [m.text for m in self.of("STATUSTEXT")]
-
-    def wait(self, seconds, until=lambda: False):
-        end = self.vehicle.now_us + round(1e6 * seconds)
-        while self.vehicle.now_us < end and not until():
-            self.autopilot.step(self.vehicle.now_us + 20_000)
-
-    def fly_up(self):
-        assert self.command(400, 1) == MavResult.ACCEPTED and self.command(22, 0, 0, 0, NAN) == MavResult.ACCEPTED
-        self.wait(20, lambda: self.autopilot.mode is FlightMode.HOLD)
-        assert self.vehicle.position[2] == pytest.approx(-2.5, abs=0.6)
 
 
 @pytest.fixture
@@ -170,35 +124,92 @@ def test_a_mission(client):
 
 # ---- failures ------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    ("unit", "kind", "instance", "result"),
+    ("unit", "kind", "instance", "result", "reason"),
     [
-        (GYRO, OFF, 1, MavResult.UNSUPPORTED),
-        (8, OFF, 0, MavResult.UNSUPPORTED),
-        (MOTOR, 9, 0, MavResult.UNSUPPORTED),
-        (MOTOR, OFF, 5, MavResult.UNSUPPORTED),
-        (GYRO, STUCK, 0, MavResult.REJECTED),
+        (GYRO, OFF, 2, MavResult.UNSUPPORTED, "gyro: this vehicle has 1"),
+        (8, OFF, 0, MavResult.UNSUPPORTED, "airspeed"),
+        (MOTOR, 9, 0, MavResult.UNSUPPORTED, "FAILURE_TYPE 9"),
+        (MOTOR, OFF, 5, MavResult.UNSUPPORTED, "motor: this vehicle has 4"),
+        (GYRO, STUCK, 0, MavResult.REJECTED, "motors off"),
     ],
 )
-def test_failures_that_are_not_possible_are_not_acknowledged(client, unit, kind, instance, result):
+def test_failures_that_are_not_possible_are_refused_with_a_reason(client, unit, kind, instance, result, reason):
     assert client.command(420, unit, kind, instance) == result
+    assert reason in "".join(client.texts())
 
 
-@pytest.mark.parametrize("unit", [GYRO, MOTOR])
+@pytest.mark.parametrize("unit", [number for number in UNITS])
 def test_every_type_of_failure_changes_a_value_before_it_is_acknowledged(flying, unit):
+    """`gps wrong` has a test of its own."""
     offboard(flying, 0b0000_0101_1100_0111, 1, vx=1.0, vy=0.5)
-    for kind in [kind for kind in TYPES if kind]:
+    for kind in [kind for kind, name in TYPES.items() if name != "ok" and (unit, name) != (POSITION, "wrong")]:
         assert flying.command(420, unit, kind, 0) is None
-        failure = flying.autopilot.failures[-1]
+        failure = flying.autopilot.vehicle.failures.active[-1]
         flying.wait(1.5, lambda: flying.result(420) is not None)
         assert flying.result(420) == MavResult.ACCEPTED, failure
-        found = failure.injection
-        assert found.time_s >= 1e-6 * failure.fault.time_us and found.before != found.after
-        first = flying.of("STATUSTEXT")[0]
-        text = "".join(m.text for m in flying.of("STATUSTEXT") if m.id == first.id)
-        before, after = (f"{value:.4g}" for value in (found.before, found.after))
-        assert text == f"fault: {failure.fault.site}: {before} -> {after}", "not cut off"
-        assert flying.command(420, unit, 0, 0) == MavResult.ACCEPTED and not flying.autopilot.failures
+        injection = failure.injection
+        assert injection.time_s >= 1e-6 * failure.fault.time_us and injection.before != injection.after
+        before, after = (f"{value:.4g}" for value in (injection.before, injection.after))
+        assert "".join(flying.texts()) == f"fault: {failure.fault.site}: {before} -> {after}", "not cut off"
+        assert flying.command(420, unit, 0, 0) == MavResult.ACCEPTED
+        assert not flying.autopilot.vehicle.failures.active
         flying.vehicle.place((0.0, 0.0, -6.0), (1.0, 0.0, 0.0, 0.0))
+
+
+def test_every_pair_of_unit_and_type_is_proven_or_refused_with_a_reason(flying):
+    for unit in [*range(10), *range(100, 109)]:
+        for kind in range(10):
+            if unit in UNITS and kind in TYPES:
+                continue  # the test above
+            result = flying.command(420, unit, kind, 0)
+            if result == MavResult.ACCEPTED:
+                assert unit == 100 and TYPES[kind] in ("ok", "off", "wrong")
+            else:
+                assert result == MavResult.UNSUPPORTED and "failure refused: " in "".join(flying.texts())
+
+
+def test_a_mask_names_several_motors_and_ok_ends_some_of_them(flying):
+    assert flying.command(420, MOTOR, 4, NAN, 0b101) is None
+    flying.wait(1.5, lambda: flying.result(420) is not None)
+    assert flying.result(420) == MavResult.ACCEPTED
+    failing = [failure.fault.instance for failure in flying.vehicle.failures.active]
+    assert failing == [1, 3]
+    assert flying.command(420, MOTOR, 0, NAN, 0b001) == MavResult.ACCEPTED
+    assert [failure.fault.instance for failure in flying.vehicle.failures.active] == [3]
+    assert flying.command(420, MOTOR, OFF, NAN, 0b10001) == MavResult.UNSUPPORTED, "motor 5"
+    assert flying.command(420, MOTOR, OFF, NAN, 0) == MavResult.DENIED, "nobody"
+
+
+def test_one_motor_of_four_that_fail_recovers(flying):
+    flying.command(420, MOTOR, 4, 0)
+    assert flying.command(420, MOTOR, 0, 2) == MavResult.ACCEPTED
+    assert [failure.fault.instance for failure in flying.vehicle.failures.active] == [1, 3, 4]
+
+
+def test_wrong_gps_degrades_the_fix_as_in_px4(flying):
+    """PX4 since August 2026: SYS_FAIL_GPS_WRG, and the estimator does not use a 2D fix."""
+    assert flying.command(420, POSITION, 4, 1) == MavResult.ACCEPTED
+    assert "fix type 3 -> 2" in "".join(flying.texts())
+    flying.wait(1.2)
+    assert flying.of("GPS_RAW_INT")[-1].fix_type == 2
+    assert not flying.of("SYS_STATUS")[-1].onboard_control_sensors_health & 0x20
+    here = flying.vehicle.position
+    flying.vehicle.place((5.0, 0.0, -6.0), (1.0, 0.0, 0.0, 0.0))
+    flying.wait(0.1)
+    assert flying.vehicle.position == pytest.approx(here), "the position is that of before"
+    assert flying.command(420, POSITION, 0, 0) == MavResult.ACCEPTED
+    flying.wait(1.2)
+    assert flying.of("GPS_RAW_INT")[-1].fix_type == 3
+
+
+def test_a_depleted_battery_is_reported(flying):
+    assert flying.command(420, 100, 4, 0) == MavResult.ACCEPTED
+    flying.wait(1.2)
+    assert flying.of("BATTERY_STATUS")[-1].battery_remaining == 6 == flying.of("SYS_STATUS")[-1].battery_remaining
+    assert flying.command(420, 100, OFF, 0) == MavResult.ACCEPTED
+    flying.received.clear()
+    flying.wait(1.2)
+    assert not flying.of("BATTERY_STATUS") and flying.of("SYS_STATUS")[-1].battery_remaining == -1
 
 
 def test_a_repeated_command_is_acknowledged_and_starts_no_second_failure(flying):
@@ -207,7 +218,7 @@ def test_a_repeated_command_is_acknowledged_and_starts_no_second_failure(flying)
     flying.wait(0.1)
     assert flying.result(420) == MavResult.ACCEPTED
     assert flying.command(420, MOTOR, OFF, 1) == MavResult.ACCEPTED
-    assert len(flying.autopilot.failures) == 1
+    assert len(flying.vehicle.failures.active) == 1
 
 
 def test_a_motor_that_is_off_brings_the_vehicle_down(flying):
@@ -218,10 +229,17 @@ def test_a_motor_that_is_off_brings_the_vehicle_down(flying):
 
 def test_a_wrong_position_moves_the_vehicle(flying):
     """Position hold follows what it believes: 10 m of error in x become 10 m of displacement."""
+    set_parameter(flying, b"MAVFI_GPS_WRONG", 1)
     begin = float(flying.vehicle.sim.odometry[0])
     flying.command(420, POSITION, 4, 0)
     flying.wait(15)
     assert float(flying.vehicle.sim.odometry[0]) - begin == pytest.approx(-10.0, abs=1.0)
+
+
+def set_parameter(client, name, value):
+    """Set an integer parameter, in the byte-wise encoding of PX4."""
+    (bits,) = struct.unpack("<f", struct.pack("<i", value))
+    client.send(mavlink.MAVLink_param_set_message(1, 1, name, bits, 6))
 
 
 # ---- UDP -----------------------------------------------------------------------------------------------------------

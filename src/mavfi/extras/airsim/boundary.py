@@ -25,6 +25,7 @@ from typing import Any, NamedTuple, TextIO
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec, foreign_state, learn
 from mavfi.errors import BadInputError
+from mavfi.extras.airsim import cameras, flying, scene, sensing
 from mavfi.extras.airsim.calls import RecordedCall
 from mavfi.extras.airsim.table import CALLS
 from mavfi.faults.fault import MessageFault
@@ -213,6 +214,9 @@ def flip(holder: Any, path: Path, bit: int) -> BoundaryFlip:
     return BoundaryFlip(*replaced, bits[0])
 
 
+_MODULES = cameras, flying, scene, sensing  # register the calls that faults name
+
+
 # ---- the boundary ----------------------------------------------------------------------------------------------------
 ARGUMENTS = "arguments"
 RETURN = "return"
@@ -349,6 +353,7 @@ class Boundary:
         watch: A detector; None = none.
         recording: Keeps the numbers that pass, e.g. to train a detector; None = none.
         failure: The failure of a sensor or motor of the vehicle; None = none.
+        vehicle: The vehicle whose calls are changed and watched; "" = the first one.
         injection: The injection into a call that happened; None = none so far.
         passed: Every call so far, if `keeps`.
     """
@@ -358,6 +363,7 @@ class Boundary:
     watch: "BoundaryWatch | None" = None
     recording: "ApiRecording | None" = None
     failure: Failure | None = None
+    vehicle: str = ""
     injection: Injection | None = None
     passed: list[PassedCall] = field(default_factory=list)
     _count: int = 0

@@ -21,17 +21,17 @@ from mavfi.extras.airsim.frames import (
     from_pose,
     from_quaternionr,
     looking,
+    merged_pose,
     mount,
     to_geo_point,
     to_pose,
     to_quaternionr,
     to_vector3r,
 )
+from mavfi.extras.airsim.settings import MAX_FIELD_OF_VIEW, MIN_FIELD_OF_VIEW
 from mavfi.extras.airsim.table import (
     FILM_MM,
     GROUND,
-    MAX_FIELD_OF_VIEW,
-    MIN_FIELD_OF_VIEW,
     Api,
     ApiCamera,
     DetectionFilter,
@@ -144,8 +144,8 @@ def _shaded(api: Api, planar: np.ndarray) -> np.ndarray:
     slope = np.abs(np.gradient(planar, axis=1)) + np.abs(np.gradient(planar, axis=0))
     grey: np.ndarray = 230.0 - 1.6 * planar - 40.0 * np.clip(slope, 0.0, 2.0)
     haze = 0.0
-    if api.weather_on:
-        haze = sum(api.weather.get(kind, 0.0) for kind in (FOG, DUST))
+    if api.scene.weather_on:
+        haze = sum(api.scene.weather.get(kind, 0.0) for kind in (FOG, DUST))
     # share of the light that passes; `exp` of this project has the same bits on every machine
     clear = np.array([exp(value) for value in (-_THICKNESS * haze * planar).ravel().tolist()]).reshape(planar.shape)
     veiled: np.ndarray = clear * grey + (1.0 - clear) * 200.0
@@ -153,20 +153,30 @@ def _shaded(api: Api, planar: np.ndarray) -> np.ndarray:
 
 
 def owners(api: Api, view: CameraView) -> np.ndarray:
-    """The object that each pixel shows, by its place among `Api.objects`; -1 = ground, -2 = sky. Shape (pixels,)."""
+    """What each pixel shows, by its place among `ApiScene.things`; -1 = ground, -2 = sky. Shape (pixels,)."""
     points = view.points()
-    world = api.vehicle.sim.world
     owner = np.where(np.isfinite(view.ranges), -1, -2)
-    for index in range(len(api.objects)):
-        lower = world.lower[index] - _SURFACE_M
-        upper = world.upper[index] + _SURFACE_M
-        owner[((points >= lower) & (points <= upper)).all(axis=1)] = index
+    for index, (lower, upper) in enumerate(_boxes(api)):
+        owner[((points >= lower - _SURFACE_M) & (points <= upper + _SURFACE_M)).all(axis=1)] = index
     return owner
+
+
+def _boxes(api: Api) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Lower and upper corners of all things (m), in the order of `ApiScene.things`; nothing for the vehicle itself."""
+    world = api.vehicle.sim.world
+    boxes = list(zip(world.lower, world.upper, strict=True))
+    for other in api.scene.vehicles.values():
+        centre = other.vehicle.sim.odometry[:3]
+        radius = other.vehicle.radius
+        if other is api:
+            radius = -math.inf
+        boxes.append((centre - radius, centre + radius))
+    return boxes
 
 
 def _segments(api: Api, view: CameraView, kind: int) -> np.ndarray:
     """Colours by segmentation id: 0 = sky, 1 = ground, then the boxes. Shape (height, width, 3), uint8."""
-    segments = [*map(api.segment, api.objects), 0, api.segment(GROUND)]
+    segments = [*map(api.scene.segment, api.scene.things), 0, api.scene.segment(GROUND)]
     ids = np.array(segments, np.int64)[owners(api, view)]
     if kind == INFRARED:
         return np.repeat(ids.astype(np.uint8).reshape(view.height, view.width, 1), 3, axis=2)
@@ -219,21 +229,41 @@ def find_camera(api: Api, name: Any) -> ApiCamera:  # noqa: ANN401 - a client's
     Raises:
         BadInputError: There is none.
     """
-    camera_name = _NUMBERS.get(str(name), str(name))
-    if camera_name not in _CAMERAS:
-        raise BadInputError(f"camera {name!r}: not known; allowed: {', '.join([*_NUMBERS, *_CAMERAS])}")
+    configured = api.settings.cameras
+    camera_name = str(name)
+    if camera_name not in configured:
+        camera_name = _NUMBERS.get(camera_name, camera_name)
+    if camera_name not in {**_CAMERAS, **configured}:
+        names = dict.fromkeys([*_NUMBERS, *_CAMERAS, *configured])
+        raise BadInputError(
+            f"camera {name!r}: not known; allowed: {', '.join(names)}; "
+            "more by --settings with the program's settings.json"
+        )
     if camera_name not in api.cameras:
-        api.cameras[camera_name] = ApiCamera((0.0, 0.0, 0.0), looking(*_CAMERAS[camera_name]))
+        api.cameras[camera_name] = _new_camera(api, camera_name)
     return api.cameras[camera_name]
+
+
+def _new_camera(api: Api, name: str) -> ApiCamera:
+    """A camera as the settings define it, or AirSim."""
+    scene = api.scene
+    orientation = looking(*_CAMERAS.get(name, (0, 0)))
+    settings = api.settings.cameras.get(name)
+    if settings is None:
+        return ApiCamera((0.0, 0.0, 0.0), orientation, dict(scene.settings.captures), scene.default_capture)
+    if settings.orientation is not None:
+        orientation = settings.orientation
+    return ApiCamera(settings.position, orientation, dict(settings.captures), scene.default_capture)
 
 
 def view(api: Api, name: Any, kind: int) -> CameraView:  # noqa: ANN401 - a client's
     """What a camera sees now; images of a kind with depth are those of a depth camera, which can fail."""
     camera = find_camera(api, name)
-    width, height = api.pixels
-    config = CameraConfig(width=width, height=height, field_of_view=math.radians(camera.fov_deg), range=CAMERA_RANGE)
+    width, height, fov_deg = camera.capture(kind)
+    config = CameraConfig(width=width, height=height, field_of_view=math.radians(fov_deg), range=CAMERA_RANGE)
     camera_mount = mount(camera.position, camera.orientation)
     ranges, rays = api.vehicle.sim.ranges(config, camera_mount)
+    ranges = api.with_others(ranges, rays, CAMERA_RANGE, camera_mount)
     if kind in DEPTH:
         ranges = api.vehicle.failures.ranges(api.vehicle.now_us, ranges, f"{name} {width}x{height}")
     return CameraView(ranges, rays, width, height, api.vehicle.sim.sensor_pose(camera_mount))
@@ -296,8 +326,7 @@ def _response(api: Api, request: Any) -> Data:
 
 @camera_call
 def simGetCameraInfo(api: Api, camera_name: str) -> Data:
-    width, height = api.pixels
-    fov = find_camera(api, camera_name).fov_deg
+    width, height, fov = find_camera(api, camera_name).capture()
     x = 1.0 / tan(math.radians(0.5 * fov))
     matrix = [[x, 0.0, 0.0, 0.0], [0.0, x * width / height, 0.0, 0.0], [0.0, 0.0, 0.0, 10.0], [0.0, 0.0, 1.0, 0.0]]
     return {"pose": to_pose(*_camera_pose(api, camera_name)), "fov": fov, "proj_mat": {"matrix": matrix}}
@@ -305,7 +334,9 @@ def simGetCameraInfo(api: Api, camera_name: str) -> Data:
 
 @camera_call
 def simSetCameraPose(api: Api, camera_name: str, pose: Any) -> None:
-    place_camera(find_camera(api, camera_name), *from_pose(pose))
+    """What is NaN stays as it is."""
+    camera = find_camera(api, camera_name)
+    place_camera(camera, *merged_pose(from_pose(pose), (camera.position, camera.orientation)))
 
 
 def place_camera(camera: ApiCamera, position: Triple, orientation: Quaternion) -> None:
@@ -328,7 +359,7 @@ def simSetCameraFov(api: Api, camera_name: str, fov_degrees: float) -> None:
         raise BadInputError(
             f"simSetCameraFov: {fov_degrees}: allowed: {MIN_FIELD_OF_VIEW:g} to {MAX_FIELD_OF_VIEW:g} deg"
         )
-    find_camera(api, camera_name).fov_deg = float(fov_degrees)
+    find_camera(api, camera_name).set_fov(float(fov_degrees))
 
 
 @vehicle_call
@@ -357,7 +388,7 @@ def _set_optics(name: str, camera: ApiCamera, film: tuple[float, float], focal: 
             f"{name}: a field of view of {fov:.4g} deg: allowed: {MIN_FIELD_OF_VIEW:g} to {MAX_FIELD_OF_VIEW:g} deg"
         )
     camera.film_mm = film
-    camera.fov_deg = fov
+    camera.set_fov(fov)
 
 
 def _preset(name: str, preset: str, only: str) -> None:
@@ -487,16 +518,15 @@ def simGetDetections(api: Api, camera_name: str, image_type: int) -> list[Data]:
     detection_filter = _detection_filter(api, camera_name, image_type)
     camera_view = view(api, camera_name, image_type)
     owner = owners(api, camera_view).reshape(camera_view.height, camera_view.width)
-    world = api.vehicle.sim.world
     detections = []
-    for index, name in enumerate(api.objects):
-        centre = 0.5 * (world.lower[index] + world.upper[index])
+    for index, (name, box) in enumerate(zip(api.scene.things, _boxes(api), strict=True)):
+        rows, columns = np.nonzero(owner == index)
+        if not len(rows):
+            continue
+        centre = 0.5 * (box[0] + box[1])
         is_near = np.linalg.norm(centre - camera_view.pose[:3]) <= detection_filter.radius
         if is_near and any(fnmatchcase(name, pattern) for pattern in detection_filter.names):
-            rows, columns = np.nonzero(owner == index)
-            if len(rows):
-                box = (world.lower[index], world.upper[index])
-                detections.append(_detection(api, camera_view, name, box, rows, columns))
+            detections.append(_detection(api, camera_view, name, box, rows, columns))
     return detections
 
 
@@ -514,7 +544,7 @@ def _detection(
     w, x, y, z = view.pose[3:]
     return {
         "name": name,
-        "geo_point": to_geo_point(api.vehicle.to_ned(centre)),
+        "geo_point": to_geo_point(api.scene.to_ned(centre)),
         "box2D": {"min": _pixel(columns.min(), rows.min()), "max": _pixel(columns.max(), rows.max())},
         "box3D": {"min": to_vector3r(corners.min(axis=0)), "max": to_vector3r(corners.max(axis=0))},
         "relative_pose": to_pose(flipped((centre - camera) @ matrix), turned((w, -x, -y, -z))),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -11,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mavfi.cli import options
-from mavfi.cli.console import check_file, check_name, check_number, check_seed, console, write_json
+from mavfi.cli.console import check_file, check_name, check_number, check_seed, console, counted, write_json
 from mavfi.cli.stopping import stoppable
-from mavfi.errors import BadInputError, writing
+from mavfi.errors import BadInputError, MavfiError, writing
 from mavfi.extras.airsim.config import IMAGE, VEHICLE, ProgramConfig, pixels
 from mavfi.mission import OF_THE_PIPELINE, MissionSpec
 
@@ -36,7 +37,13 @@ Fault = Annotated[
 ]
 FaultSeed = Annotated[int | None, typer.Option(help="Draws the bit that the fault does not name; 0 by default.")]
 Image = Annotated[str, typer.Option(metavar="WxH", help="Size of images.")]
-VehicleName = Annotated[str, typer.Option(help="Name of the vehicle; calls with another one are refused.")]
+VehicleName = Annotated[str, typer.Option(help="Name of the vehicle, unless --settings names vehicles.")]
+Settings = Annotated[
+    str, typer.Option(metavar="FILE.json", help="AirSim's settings.json: vehicles, cameras, wind; none by default.")
+]
+FaultVehicle = Annotated[
+    str, typer.Option(metavar="NAME", help="Vehicle whose calls are changed and watched; the first one by default.")
+]
 Detector = Annotated[str, typer.Option(help="Watches the numbers in calls and their answers: gaussian or autoencoder.")]
 Profile = Annotated[str, typer.Option(help="Profile of the detector: paper or tuned.")]
 Save = Annotated[
@@ -108,6 +115,7 @@ def serve(  # noqa: PLR0913 - one parameter per option
         str, typer.Option(metavar="WxH", help=f"Size of images; {IMAGE} by default, with --in-flight that of missions.")
     ] = "",
     vehicle_name: VehicleName = VEHICLE,
+    settings: Settings = "",
     in_flight: Annotated[
         bool,
         typer.Option(
@@ -122,6 +130,7 @@ def serve(  # noqa: PLR0913 - one parameter per option
     once: Annotated[bool, typer.Option("--once", help="End when the last client leaves.")] = False,
     fault: Fault = None,
     fault_seed: FaultSeed = None,
+    fault_vehicle: FaultVehicle = "",
     save: Save = None,
 ) -> None:
     """Serve AirSim's API on loopback, until Ctrl-C; then print time, collision, digest, fault, refused calls.
@@ -142,17 +151,33 @@ def serve(  # noqa: PLR0913 - one parameter per option
 
     msgpack()
     planned = _fault_of(fault, fault_seed)
+    if settings and in_flight:
+        raise BadInputError("--settings: allowed: without --in-flight, which is the mission's own vehicle")
+    _note_unused(settings, image or IMAGE)
     with compiling():
-        from mavfi.extras.airsim.host import make_api
+        from mavfi.extras.airsim.host import check_fault_vehicle, make_api
         from mavfi.extras.airsim.server import AirsimServer, RealClock, StepClock
 
-        api = make_api(mission, image, vehicle_name, version, on_ground=not in_flight)
+        api = make_api(mission, image, vehicle_name, version, on_ground=not in_flight, settings=settings)
     with _recording(save) as recording:
         boundary = Boundary.of(planned, recording=recording)
+        boundary.vehicle = fault_vehicle
+        check_fault_vehicle(api.scene, fault_vehicle)
         time: StepClock | RealClock = RealClock(speed)
         if steps:
             time = StepClock()
         _serve(AirsimServer(api, time, boundary, single=single), port, once)
+
+
+def _note_unused(settings: str, image: str) -> None:
+    """Say on stderr which keys of the settings have no effect here."""
+    if not settings:
+        return
+    from mavfi.extras.airsim.settings import FIELD_OF_VIEW, CaptureSize, read_settings
+
+    unused = read_settings(Path(settings), CaptureSize(*pixels(image), FIELD_OF_VIEW)).unused
+    if unused:
+        typer.echo(f"mavfi: {settings}: without effect here: {', '.join(unused)}", err=True)
 
 
 def _check_detector(detector: str, profile: str) -> None:
@@ -184,18 +209,18 @@ def _serve(server: AirsimServer, port: int, once: bool) -> None:
 
     out = console()
     spec = server.api.vehicle.spec
-    name = server.api.name
+    names = ", ".join(server.api.scene.vehicles)
     ports = list[int]()
 
     def ready(at: int) -> None:
         ports.append(at)
-        out.print(f"AirSim API on 127.0.0.1:{at}: {name} in {spec.environment}, seed {spec.seed}", markup=False)
+        out.print(f"AirSim API on 127.0.0.1:{at}: {names} in {spec.environment}, seed {spec.seed}", markup=False)
 
     with stoppable("Stopped."):
         try:
             asyncio.run(server.run(port, ready, once=once))
         finally:
-            server.api.vehicle.sim.close()
+            server.api.scene.close()
             if ports:
                 _summarize(server)
 
@@ -203,11 +228,11 @@ def _serve(server: AirsimServer, port: int, once: bool) -> None:
 def _summarize(server: AirsimServer) -> None:
     """Print what the clients did: time, collision, digest, fault, refused calls."""
     out = console()
-    vehicle = server.api.vehicle
+    scene = server.api.scene
     collision = "no collision"
-    if vehicle.has_ever_collided:
+    if scene.has_ever_collided:
         collision = "collision"
-    out.print(f"{1e-6 * vehicle.now_us:.3f} s simulated, {collision}, digest {vehicle.digest()[:16]}", markup=False)
+    out.print(f"{1e-6 * scene.now_us:.3f} s simulated, {collision}, digest {scene.digest()[:16]}", markup=False)
     if server.boundary.faulty:
         out.print(_line(server.boundary), markup=False)
     for text, count in server.errors.items():
@@ -238,8 +263,10 @@ def run(  # noqa: PLR0913 - one parameter per option
     seconds: Seconds = 120.0,
     image: Image = IMAGE,
     vehicle_name: VehicleName = VEHICLE,
+    settings: Settings = "",
     fault: Fault = None,
     fault_seed: FaultSeed = None,
+    fault_vehicle: FaultVehicle = "",
     detector: Detector = "none",
     profile: Profile = "paper",
     as_json: options.AsJson = False,
@@ -263,8 +290,11 @@ def run(  # noqa: PLR0913 - one parameter per option
         seconds=seconds,
         image=image,
         vehicle=vehicle_name,
+        settings=settings,
+        fault_vehicle=fault_vehicle,
     )
     program.check()
+    _note_unused(settings, image)
     from mavfi.cli.progress import compiling
     from mavfi.extras.airsim.server import msgpack
 
@@ -272,23 +302,48 @@ def run(  # noqa: PLR0913 - one parameter per option
 
     with compiling():
         from mavfi.extras.airsim.boundary import ApiRecording, Boundary
-        from mavfi.extras.airsim.host import run_program
+        from mavfi.extras.airsim.host import ProgramInput, run_program
 
         # the error-free run, on which a detector is trained
+        standard_input = ProgramInput(_input_source())
         recording = None
         if detector != "none":
             recording = ApiRecording()
-        golden = run_program(program, mission, Boundary(recording=recording))
+        golden = run_program(program, mission, Boundary(recording=recording), standard_input)
         watch = None
-        if recording is not None:
+        if recording is not None and golden.is_sound:
             watch = recording.train(detector, profile)
-        if planned is None and watch is None:
-            _report(program, golden, None, as_json)
-            return
 
-        # the run that is injected or watched
-        injected = run_program(program, mission, Boundary.of(planned, watch=watch))
+        # the run that is injected or watched, unless the program does not work without a fault
+        injected = None
+        if golden.is_sound and (planned is not None or watch is not None):
+            injected = run_program(program, mission, Boundary.of(planned, watch=watch), standard_input)
     _report(program, golden, injected, as_json)
+    _require_sound(program, golden)
+
+
+def _input_source() -> int | None:
+    """Where the program's standard input comes from; None = nowhere, as nobody is asked for keys at a terminal."""
+    try:
+        if sys.stdin.isatty():
+            return None
+        return sys.stdin.fileno()
+    except (AttributeError, OSError, ValueError):  # there is none
+        return None
+
+
+def _require_sound(program: ProgramConfig, golden: ProgramResult) -> None:
+    """Fail for a program that does not work without a fault.
+
+    Raises:
+        BadInputError: Calls were refused.
+        MavfiError: It crashed, or hangs.
+    """
+    if golden.errors:
+        refusals = "; ".join(golden.errors)
+        raise BadInputError(f"{program.script}: {counted(sum(golden.errors.values()), 'call')} refused: {refusals}")
+    if not golden.is_sound:
+        raise MavfiError(f"{program.script}: {golden.how} without a fault: {golden.reason}")
 
 
 def _hint_at_order(context: typer.Context, arguments: Sequence[str]) -> None:
@@ -314,7 +369,7 @@ def _report(program: ProgramConfig, golden: ProgramResult, injected: ProgramResu
         write_json({"script": program.script, "golden": shown(golden), "injected": injected_data, "effect": effect})
         return
 
-    # the effect of a fault, then each run; the program's last words at the end
+    # the effect of a fault, then each run; the program's output at the end
     out = console()
     if injected is None:
         _print_run(out, "golden", golden)
@@ -328,8 +383,18 @@ def _report(program: ProgramConfig, golden: ProgramResult, injected: ProgramResu
         _print_run(out, "golden", golden)
         _print_run(out, "injected", injected)
         _print_alarms(out, injected.boundary)
-    for line in (injected or golden).output.strip().splitlines()[-3:]:
-        out.print(f"  | {line}", style="dim", markup=False)
+    if injected is not None and injected.output != golden.output:
+        out.print("output of the golden run:", markup=False)
+        _print_output(out, golden)
+        out.print("output of the other run:", markup=False)
+    _print_output(out, injected or golden)
+
+
+def _print_output(out: Console, run: ProgramResult) -> None:
+    """Print all that a program wrote to stdout, then to stderr."""
+    for mark, text in (("|", run.output), ("!", run.error_output)):
+        for line in text.splitlines():
+            out.print(f"  {mark} {line}", style="dim", markup=False, emoji=False, soft_wrap=True)
 
 
 def _print_run(out: Console, label: str, run: ProgramResult) -> None:
@@ -342,9 +407,9 @@ def _print_run(out: Console, label: str, run: ProgramResult) -> None:
         reason = f" ({run.reason})"
     calls = sum(run.calls.values())
     text = f"{run.how}{collision}{reason}, {run.seconds:.3f} s simulated, {calls} calls, digest {run.digest[:16]}"
-    out.print(f"{label}: {text}", markup=False)
+    out.print(f"{label}: {text}", markup=False, soft_wrap=True)
     for error, count in run.errors.items():
-        out.print(f"  refused {count} x: {error}", markup=False)
+        out.print(f"  refused {count} x: {error}", markup=False, soft_wrap=True)
 
 
 def _print_alarms(out: Console, boundary: Boundary) -> None:

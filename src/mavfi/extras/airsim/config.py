@@ -39,7 +39,9 @@ class ProgramConfig(Config):
     seconds: float = Field(120.0, gt=0, le=1e5, description="simulated time after which the program is stopped")
     wall_s: float = Field(120.0, gt=0, le=1e5, description="wall-clock time after which it counts as hanging")
     image: str = Field(IMAGE, pattern=r"^\d+x\d+$", description="size of images, width x height")
-    vehicle: str = Field(VEHICLE, description="name of the vehicle")
+    vehicle: str = Field(VEHICLE, description="name of the vehicle, unless the settings name vehicles")
+    settings: str = Field("", description="AirSim's settings.json: vehicles, cameras, wind")
+    fault_vehicle: str = Field("", description="vehicle whose calls are changed; the first one by default")
     version: int = Field(0, ge=0, le=100, description="of the API; 0 = the client's own")
     call_us: int = Field(CALL_US, ge=4_000, le=1_000_000, multiple_of=4_000, description="time that a call takes")
     golden_runs: int = Field(2, ge=1, le=100, description="error-free runs of a mission; they must be the same")
@@ -61,7 +63,11 @@ class ProgramConfig(Config):
         text = b""
         if is_file(Path(self.script)):
             text = Path(self.script).read_bytes()
-        return {**self.model_dump(mode="json"), "sha256": hashlib.sha256(text).hexdigest()}
+        data = {**self.model_dump(mode="json"), "sha256": hashlib.sha256(text).hexdigest()}
+        for key in ("settings", "fault_vehicle"):  # ledgers from before these keys have none
+            if not data[key]:
+                del data[key]
+        return data
 
 
 def _no_file(name: str) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim.frames import from_geo_point, from_pose, from_vector3r
+from mavfi.extras.airsim.frames import from_geo_point, from_pose, from_vector3r, merged_pose
 from mavfi.extras.airsim.table import Api, add_readings, call, require_ready, task, vehicle_call
 from mavfi.flight.piloted import (
     Task,
@@ -56,7 +56,13 @@ def yaw_of(mode: Any, drivetrain: Any = 0) -> Yaw:  # noqa: ANN401 - a client's
 
 
 # ---- control ---------------------------------------------------------------------------------------------------------
-add_readings(call, {"reset": lambda api: api.vehicle.reset()})
+@call
+def reset(api: Api) -> None:
+    """All vehicles return to their starts."""
+    for other in api.scene.vehicles.values():
+        other.vehicle.reset()
+
+
 add_readings(
     vehicle_call,
     {
@@ -82,7 +88,9 @@ def armDisarm(api: Api, arm: bool) -> bool:
 
 @vehicle_call
 def simSetVehiclePose(api: Api, pose: Any, ignore_collision: bool) -> bool:
-    api.vehicle.place(*from_pose(pose))
+    """What is NaN stays as it is."""
+    current = api.vehicle.in_ned(api.vehicle.sim.odometry)[:2]
+    api.vehicle.place(*merged_pose(from_pose(pose), current))
     return True
 
 
@@ -94,7 +102,8 @@ def simSetKinematics(api: Api, state: Any, ignore_collision: bool) -> None:
         raise BadInputError(f"{state!r}: allowed: a KinematicsState") from None
     if any(any(values) for values in moving):
         raise BadInputError("simSetKinematics: a velocity cannot be set; allowed: 0")
-    api.vehicle.place(*from_pose(state))
+    current = api.vehicle.in_ned(api.vehicle.sim.odometry)[:2]
+    api.vehicle.place(*merged_pose(from_pose(state), current))
 
 
 # ---- tasks -----------------------------------------------------------------------------------------------------------
@@ -207,7 +216,7 @@ def moveToGPS(
     lookahead: float,
     adaptive_lookahead: float,
 ) -> Task:
-    target = from_geo_point({"latitude": latitude, "longitude": longitude, "altitude": altitude})
+    target = api.from_scene(from_geo_point({"latitude": latitude, "longitude": longitude, "altitude": altitude}))
     return fly_path(api.vehicle, [target], velocity, timeout_sec, yaw_of(yaw_mode, drivetrain), lookahead)
 
 

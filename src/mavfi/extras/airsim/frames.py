@@ -11,11 +11,14 @@ from typing import Any
 from mavfi.errors import BadInputError
 from mavfi.numerics.elementary import cos, sin
 from mavfi.numerics.frames import Numbers, Quaternion, Triple, flipped, geodetic, local, turned
+from mavfi.sim.grounded import times
 
 HOME = (47.641468, -122.140165, 122.0)
 """AirSim's OriginGeopoint: latitude, longitude (deg), altitude (m)."""
 _GEO_POINT = ("latitude", "longitude", "altitude")
 LEVEL = (1.0, 0.0, 0.0, 0.0)
+NO_MOUNT = (0.0, 0.0, 0.0, *LEVEL)
+"""Pose of a sensor at the vehicle's centre, in its frame."""
 
 Data = dict[str, Any]
 """An object of the API, as plain data."""
@@ -97,8 +100,24 @@ def mount(position: Numbers, orientation: Numbers) -> tuple[float, ...]:
     return (*flipped(position), *turned(orientation))
 
 
-def looking(yaw_deg: float, pitch_deg: float) -> Quaternion:
-    """Orientation (FRD, w x y z) of a camera turned to the right and pitched up (deg)."""
+def looking(yaw_deg: float, pitch_deg: float, roll_deg: float = 0.0) -> Quaternion:
+    """Orientation (FRD, w x y z) of a camera turned to the right, pitched up, and rolled to the right (deg)."""
     y = 0.5 * math.radians(yaw_deg)
     p = 0.5 * math.radians(pitch_deg)
-    return cos(y) * cos(p), -sin(y) * sin(p), cos(y) * sin(p), sin(y) * cos(p)
+    level = (cos(y) * cos(p), -sin(y) * sin(p), cos(y) * sin(p), sin(y) * cos(p))
+    if roll_deg == 0.0:
+        return level
+    r = 0.5 * math.radians(roll_deg)
+    w, x, y, z = times(level, (cos(r), sin(r), 0.0, 0.0))
+    return w, x, y, z
+
+
+def merged_pose(pose: tuple[Triple, Quaternion], current: tuple[Triple, Quaternion]) -> tuple[Triple, Quaternion]:
+    """A pose, with what is NaN kept: each coordinate by itself, the orientation as a whole."""
+    position, orientation = list(pose[0]), pose[1]
+    for axis, value in enumerate(position):
+        if math.isnan(value):
+            position[axis] = current[0][axis]
+    if any(map(math.isnan, orientation)):
+        orientation = current[1]
+    return (position[0], position[1], position[2]), orientation

@@ -8,6 +8,7 @@ import asyncio
 import hashlib
 import json
 import os
+import select
 import subprocess
 import sys
 import tempfile
@@ -24,11 +25,12 @@ from mavfi.extras.airsim.config import IMAGE, VEHICLE, ProgramConfig, pixels
 from mavfi.extras.airsim.level import CallLevel
 from mavfi.extras.airsim.runner import EXIT_CRASH, EXIT_TIME_IS_UP
 from mavfi.extras.airsim.server import HOST, AirsimServer, StepClock, msgpack
-from mavfi.extras.airsim.table import Api
+from mavfi.extras.airsim.settings import FIELD_OF_VIEW, AirsimSettings, CaptureSize, VehicleSettings, read_settings
+from mavfi.extras.airsim.table import Api, ApiScene
 from mavfi.faults.fault import Fault, MessageFault
 from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.flight.compose import resolve
 from mavfi.flight.host import ArmSetup, Host, Recorded, RunResult, one_by_one
-from mavfi.flight.piloted import PilotedVehicle
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.outcomes import Effect
 from mavfi.plugins import require_allowed
@@ -40,12 +42,20 @@ V_MAX = 12.0
 """Speed limit of the vehicle unless chosen (m/s): programs for AirSim choose their own speeds."""
 _RUNNER = Path(__file__).with_name("runner.py")
 _PATIENCE_S = 5.0
+_CHUNK = 4096
+"""Bytes of the standard input that are passed at once; a pipe takes as many."""
 
 
 def make_api(
-    spec: MissionSpec, image: str = "", name: str = VEHICLE, version: int = 1, *, on_ground: bool = True
+    spec: MissionSpec,
+    image: str = "",
+    name: str = VEHICLE,
+    version: int = 1,
+    *,
+    on_ground: bool = True,
+    settings: str = "",
 ) -> Api:
-    """The vehicle of a mission behind the API.
+    """The vehicles of a mission behind the API; the first of them.
 
     Args:
         spec: The mission.
@@ -53,19 +63,40 @@ def make_api(
         name: Of the vehicle.
         version: Of the API.
         on_ground: See `PilotedVehicle`.
+        settings: Path of AirSim's settings.json; "" = none.
 
     Raises:
-        BadInputError: The mission cannot be flown.
+        BadInputError: The mission cannot be flown, or the settings ask for what does not exist here.
     """
     if on_ground and spec.v_max is None:
         spec = spec.model_copy(update={"v_max": V_MAX})
-    vehicle = PilotedVehicle(spec, on_ground=on_ground)
-    camera = vehicle.scenario.camera
     if not image:
-        image = f"{camera.width}x{camera.height}"
-        if on_ground:
-            image = IMAGE
-    return Api(vehicle, name, pixels(image), version, paused=not on_ground)
+        image = IMAGE
+        if not on_ground:
+            camera = resolve(spec).camera
+            image = f"{camera.width}x{camera.height}"
+    capture = CaptureSize(*pixels(image), FIELD_OF_VIEW)
+    airsim_settings = AirsimSettings()
+    if settings:
+        airsim_settings = read_settings(Path(settings), capture)
+
+    # the vehicles of the settings, or one
+    scene = ApiScene(capture, version, airsim_settings, paused=not on_ground, wind=airsim_settings.wind)
+    for vehicle in airsim_settings.vehicles or (VehicleSettings(name),):
+        try:
+            scene.add(spec, vehicle, on_ground=on_ground)
+        except BadInputError as error:
+            if not settings:
+                raise
+            raise BadInputError(f"--settings: {settings}: Vehicles.{vehicle.name}: {error}") from None
+    scene.name_objects()
+    return scene.first
+
+
+def check_fault_vehicle(scene: ApiScene, name: str) -> None:
+    """Raise a `BadInputError` if there is no vehicle of this name, whose calls would be changed; "" = the first one."""
+    if name and name not in scene.vehicles:
+        raise BadInputError(f"--fault-vehicle: {name!r}: not known; allowed: {', '.join(scene.vehicles)}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,13 +106,15 @@ class ProgramResult:
     Attributes:
         how: "ended", "time is up", "program crash" or "hang".
         code: Its exit code; None = it hangs.
-        reason: Its exception, or the last line that it wrote to stderr, or the exit code; "" if it ended.
+        reason: Its exception, the last line that it wrote to stderr, its exit code, or what it waited for when its time
+            was up; "" if it ended.
         collided: Whether its vehicle touched an obstacle.
         digest: Of the vehicle's states and of how the program ended.
         seconds: Simulated time (s).
         calls: Number of calls by name.
         errors: Number of refused calls by message.
         output: What it wrote to stdout.
+        error_output: What it wrote to stderr.
         boundary: Calls, injection and alarms at the boundary.
     """
 
@@ -95,10 +128,16 @@ class ProgramResult:
     output: str
     boundary: Boundary = field(repr=False)
     code: int | None = 0
+    error_output: str = ""
 
     def ends_like(self, other: "ProgramResult") -> bool:
         """Whether both ended in the same way, e.g. with the same exit code."""
         return (self.how, self.code) == (other.how, other.code)
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether it ended without an error, or would fly on, and no call was refused."""
+        return self.how in ("ended", "time is up") and not self.errors
 
     @property
     def status(self) -> MissionStatus:
@@ -123,29 +162,80 @@ def effect_on(golden: ProgramResult, injected: ProgramResult) -> str:
     return "deviates"
 
 
-def run_program(program: ProgramConfig, spec: MissionSpec, boundary: Boundary) -> ProgramResult:
+class ProgramInput:
+    """The standard input of a program: each run reads the same bytes from the start.
+
+    Args:
+        source: File descriptor that they come from; None = there are none.
+    """
+
+    def __init__(self, source: int | None = None) -> None:
+        self._source = source
+        self._content = bytearray()
+
+    def begin(self) -> None:
+        """Pass the bytes to a new process, whose standard input is `reading_end`."""
+        self.reading_end, self._writing_end = os.pipe()
+        os.set_blocking(self._writing_end, False)
+        self._sent = 0
+
+    def pump(self) -> None:
+        """Pass what the process takes and what has come, without waiting."""
+        if self._writing_end < 0:
+            return
+        is_all_sent = self._sent == len(self._content)
+        if is_all_sent and self._source is not None and select.select([self._source], [], [], 0.0)[0]:
+            chunk = os.read(self._source, _CHUNK)
+            self._content += chunk
+            if not chunk:
+                self._source = None
+        try:
+            if self._sent < len(self._content):
+                self._sent += os.write(self._writing_end, self._content[self._sent : self._sent + _CHUNK])
+            elif self._source is None:
+                self.end()
+        except BlockingIOError:
+            pass  # the pipe is full
+        except BrokenPipeError:
+            self.end()
+
+    def end(self) -> None:
+        """Close the writing end."""
+        if self._writing_end >= 0:
+            os.close(self._writing_end)
+        self._writing_end = -1
+
+
+def run_program(
+    program: ProgramConfig, spec: MissionSpec, boundary: Boundary, standard_input: ProgramInput | None = None
+) -> ProgramResult:
     """Run a program to its end, with its own vehicle and port.
 
     Args:
         program: The program.
         spec: The mission.
         boundary: The boundary that its calls pass.
+        standard_input: What it reads; None = nothing.
 
     Raises:
         BadInputError: There is no such program, Python, client library or world.
     """
     program.check()
-    return asyncio.run(_Run(program, spec, boundary).run())
+    return asyncio.run(_Run(program, spec, boundary, standard_input or ProgramInput()).run())
 
 
 class _Run:
     """One run of a program."""
 
-    def __init__(self, program: ProgramConfig, spec: MissionSpec, boundary: Boundary) -> None:
+    def __init__(
+        self, program: ProgramConfig, spec: MissionSpec, boundary: Boundary, standard_input: ProgramInput
+    ) -> None:
         self._program = program
         self._boundary = boundary
+        self._input = standard_input
         version = program.version or client_version(program.python, program.script)
-        self._api = make_api(spec, program.image, program.vehicle, version)
+        boundary.vehicle = program.fault_vehicle
+        self._api = make_api(spec, program.image, program.vehicle, version, settings=program.settings)
         clock = StepClock(program.call_us, round(1e6 * program.seconds / STEP_US) * STEP_US)
         self._server = AirsimServer(self._api, clock, boundary)
         self._process: subprocess.Popen[bytes] | None = None
@@ -157,6 +247,7 @@ class _Run:
             errors = Path(folder, "stderr")
 
             def start(port: int) -> None:
+                self._input.begin()
                 with output.open("wb") as out, errors.open("wb") as err:
                     self._process = subprocess.Popen(
                         [
@@ -166,11 +257,12 @@ class _Run:
                             self._program.script,
                             *self._program.arguments,
                         ],
-                        stdin=subprocess.DEVNULL,
+                        stdin=self._input.reading_end,
                         stdout=out,
                         stderr=err,
                         env=_environment(),
                     )
+                os.close(self._input.reading_end)
 
             # the program is started when the server is ready, and the server is stopped when the program has ended
             serving = asyncio.create_task(self._server.run(0, start))
@@ -179,10 +271,11 @@ class _Run:
             finally:
                 serving.cancel()
                 await asyncio.wait({serving})
+                self._input.end()
                 if self._process is not None and self._process.poll() is None:
                     self._process.kill()
                     self._process.wait(_PATIENCE_S)
-                self._api.vehicle.sim.close()
+                self._api.scene.close()
             return self._result(code, output.read_text(errors="replace"), errors.read_text(errors="replace"))
 
     async def _wait(self, serving: "asyncio.Task[None]") -> int | None:
@@ -193,6 +286,7 @@ class _Run:
                 serving.result()  # raises what ended it
             code = None
             if self._process is not None:
+                self._input.pump()
                 code = self._process.poll()
             if code is not None:
                 if self._server.calls:  # its last calls may not have been served yet
@@ -204,7 +298,8 @@ class _Run:
 
     def _result(self, code: int | None, output: str, errors: str) -> ProgramResult:
         """How the program ended, by its exit code; None = it hangs."""
-        vehicle = self._api.vehicle
+        scene = self._api.scene
+        check_fault_vehicle(scene, self._program.fault_vehicle)
         reason = _exception_line(errors)
         # a program that crashes before its first call does not work at all: no fault has done that
         if not self._server.calls and code == EXIT_CRASH:
@@ -216,25 +311,26 @@ class _Run:
             reason = f"still running after {self._program.wall_s:g} s of wall-clock time"
         elif code == EXIT_TIME_IS_UP:
             how = "time is up"
-            reason = ""
+            reason = f"it waited for {self._server.last_wait}; more time: --seconds above {self._program.seconds:g}"
         elif code == 0:
             how = "ended"
             reason = ""
         else:
             how = "program crash"
             reason = reason or f"exit code {code}"
-        digest = hashlib.sha256(f"{vehicle.digest()} {how} {code}".encode()).hexdigest()
+        digest = hashlib.sha256(f"{scene.digest()} {how} {code}".encode()).hexdigest()
         return ProgramResult(
             how,
             reason,
-            vehicle.has_ever_collided,
+            scene.has_ever_collided,
             digest,
-            1e-6 * vehicle.now_us,
+            1e-6 * scene.now_us,
             dict(self._server.calls),
             dict(self._server.errors),
             output,
             self._boundary,
             code,
+            errors,
         )
 
 
@@ -248,9 +344,8 @@ def _exception_line(errors: str) -> str:
 
 
 def _environment() -> dict[str, str]:
-    """Variables of the program: mavfi's, without its own Python path."""
-    variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    return {**variables, "PYTHONHASHSEED": "0"}
+    """Variables of the program: the user's; its output is not buffered, so that none is lost if it hangs."""
+    return {**os.environ, "PYTHONHASHSEED": "0", "PYTHONUNBUFFERED": "1"}
 
 
 _VERSION = """
@@ -332,6 +427,8 @@ def shown(result: ProgramResult) -> dict[str, Any]:
         "errors": result.errors,
         "injection": injection,
         "alarms": alarms,
+        "output": result.output,
+        "error_output": result.error_output,
     }
 
 
@@ -413,6 +510,9 @@ class ProgramRuns:
                 f"{mission.program.script}: {len(runs)} error-free runs differ; allowed: programs whose randomness is "
                 "seeded, and that measure time with the module time only"
             )
+        if runs[0].errors:
+            refusals = "; ".join(runs[0].errors)
+            raise BadInputError(f"{mission.program.script}: calls are refused without a fault: {refusals}")
         if runs[0].how == "hang":
             raise BadInputError(f"{mission.program.script}: {runs[0].reason} without a fault; allowed: a larger wall_s")
         self._golden[arm] = runs[0]
@@ -459,7 +559,9 @@ def record_of_program(result: ProgramResult, golden: ProgramResult) -> FlightRec
         effects["time is up"] = Effect.HANG
     effect = effects.get(result.how)
     if effect is not None and not result.ends_like(golden):
-        reason = result.reason or "its time is up"
+        reason = result.reason
+        if result.how == "time is up":
+            reason = "its time is up"
         return FlightRecord(
             End.DUE, injections=injections, kernel=KernelEffect(effect.label, reason), extra=extra, error=reason
         )

@@ -1,21 +1,38 @@
 """Runs a client program of AirSim in simulated time: `python runner.py PORT SCRIPT [ARGUMENTS]`.
 
-It runs in the client's own Python and imports nothing of mavfi.  Sleeping, reading clocks and waiting for a task become
-calls, on the program's own connection, so that their order is kept; keys are not awaited, and no window opens.
+It runs in the client's own Python and imports nothing of mavfi.  Reading clocks and waiting, whether for a time, a task
+or another thread, become calls on the program's own connections, so that their order is kept; keys are not awaited, and
+no window opens.
+
+Waits of several threads share one time: it passes, up to the next deadline or the end of a task, when all threads wait.
 """
 
+import asyncio
+import builtins
+import concurrent.futures.thread
 import io
 import os
+import queue
 import sys
+import threading
 import time
 import traceback
 import types
+from contextlib import contextmanager
 
 TIME_IS_UP = "mavfi: time is up"  # begins the error of every call after the time limit
 EXIT_TIME_IS_UP = 75
 EXIT_CRASH = 70
 _START = 1600000000.0  # the simulation's first instant, as a Unix time
-_FIRST_CLIENT = []  # the program's first client, once it has connected
+_STEP_US = 4_000  # sleeps are rounded to the physics' period
+_STUCK_S = 0.5  # wall-clock time after which a thread that makes no call is no longer waited for
+_POLL_S = 0.001  # wall-clock time between looks at what another thread does
+_FREE_READINGS = 100  # of an event loop's clock between two calls; more of them take time, so that polling ends
+
+_SESSIONS = []  # the program's connections, the first one first
+_TALK = threading.RLock()  # msgpackrpc is not made for threads: one thread talks at a time
+_real_sleep = time.sleep
+_real_time = time.monotonic
 
 
 def _airsim():
@@ -32,70 +49,333 @@ def _airsim():
     return airsim
 
 
+# ---- calls on the program's connections ------------------------------------------------------------------------------
+@contextmanager
+def _talking(loop):
+    """Talk to the server, also inside of an event loop of the program; `loop`: asyncio's of the client, or None."""
+    with _TALK:
+        running = asyncio.events._get_running_loop()
+        local = getattr(asyncio.get_event_loop_policy(), "_local", types.SimpleNamespace())
+        current = getattr(local, "_loop", None), getattr(local, "_set_called", False)
+        asyncio.events._set_running_loop(None)
+        if loop is not None:
+            local._loop = loop
+        try:
+            yield
+        finally:
+            local._loop, local._set_called = current
+            asyncio.events._set_running_loop(running)
+
+
+class _Calls:
+    """Calls of the runner and of the program."""
+
+    def __init__(self):
+        from msgpackrpc.future import Future
+        from msgpackrpc.session import Session
+
+        self.join = Future.join
+        self.get = Future.get
+        self.send_request = Session.send_request
+        self.number = 0  # of calls that may have let time pass
+
+    def send(self, session, method, arguments):
+        """Send a call; the future of its answer."""
+        with _talking(session._mavfi_loop):
+            future = self.send_request(session, method, arguments)
+        future._mavfi_session = session
+        return future
+
+    def answer_of(self, future):
+        """The answer to a call; the end of the time limit ends the program."""
+        try:
+            with _talking(future._mavfi_session._mavfi_loop):
+                self.join(future)
+                return self.get(future)
+        except Exception as error:
+            if TIME_IS_UP in str(error):
+                _end_of_time()
+            raise
+
+    def call(self, session, method, *arguments):
+        """A call of the program, which lets time pass."""
+        answer = self.answer_of(self.send(session, method, arguments))
+        self.number += 1
+        _WAITS.active()
+        return answer
+
+    def ask(self, method, *arguments, session=None):
+        """A call of the runner; None as long as the program has no connection."""
+        if not _SESSIONS:
+            return None
+        session = session or _SESSIONS[0]
+        return self.answer_of(self.send(session, method, arguments))
+
+
+def _end_of_time():
+    """End the program: the main thread by an exception, which lets it clean up."""
+    if threading.current_thread() is threading.main_thread():
+        raise SystemExit(EXIT_TIME_IS_UP) from None
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(EXIT_TIME_IS_UP)
+
+
 def _patch(port):
-    """Patch the client library."""
+    """Patch the client library; returns the calls."""
     airsim = _airsim()
     from msgpackrpc.future import Future
     from msgpackrpc.session import Session
 
-    # the originals, which the replacements below call
+    calls = _Calls()
     original_init = airsim.VehicleClient.__init__
-    original_join = Future.join
-    original_get = Future.get
 
     def connect_to_server(self, ip="", port_=port, timeout_value=3600, *more, **options):
         options.pop("port", None)  # the server's port is not the program's choice
-        original_init(self, "127.0.0.1", port, timeout_value)
-        _FIRST_CLIENT.append(self.client)
+        loop = asyncio.new_event_loop()  # Cosys-AirSim's client would share the program's
+        loop._mavfi_is_of_client = True
+        with _talking(loop):
+            original_init(self, "127.0.0.1", port, timeout_value)
+        self.client._mavfi_loop = loop
+        _SESSIONS.append(self.client)
 
-    # answers: the end of the time limit ends the program
-    def answer_of(future):
-        original_join(future)
-        try:
-            return original_get(future)
-        except Exception as error:
-            if TIME_IS_UP in str(error):
-                raise SystemExit(EXIT_TIME_IS_UP) from None
-            raise
-
-    def ask(method, *arguments):
-        if _FIRST_CLIENT:
-            return answer_of(Session.send_request(_FIRST_CLIENT[0], method, arguments))
-        return None
-
-    # the program waits for a task: time must pass in the server, which advances it in calls only
-    def wait(future):
-        """Let the server finish the task first."""
-        while not future._set_flag:
-            ask("mavfiFinish")
-            if not future._set_flag:
-                original_join(future)
+    def wait_for_task(future):
+        """Time must pass in the server until the task has ended."""
+        _WAITS.until(lambda: future._set_flag, session=future._mavfi_session)
 
     def wait_and_get(future):
-        wait(future)
-        return answer_of(future)
+        wait_for_task(future)
+        return calls.answer_of(future)
 
-    # patch; a key is not awaited, its message is printed
     airsim.VehicleClient.__init__ = connect_to_server
-    Session.call = lambda self, method, *arguments: answer_of(self.send_request(method, arguments))
-    Future.join = wait
+    Session.call = lambda self, method, *arguments: calls.call(self, method, *arguments)
+    Session.call_async = lambda self, method, *arguments: calls.send(self, method, arguments)
+    Future.join = wait_for_task
     Future.get = wait_and_get
     airsim.wait_key = lambda message="": sys.stdout.write(str(message) + "\n")
     airsim.utils.wait_key = airsim.wait_key
-    return ask
+    return calls
 
 
-def _clocks(ask):
+# ---- waiting, in simulated time --------------------------------------------------------------------------------------
+class _Waiter:
+    """A thread that waits.
+
+    Attributes:
+        is_ready: Whether what it waits for is there; asked without effect.
+        deadline_us: The instant after which it waits no longer; None = never.
+        session: The connection on which the answer of its task comes; None = it waits for no task.
+        number: The number of calls when it last looked.
+    """
+
+    def __init__(self, is_ready, session):
+        self.is_ready = is_ready
+        self.deadline_us = None
+        self.session = session
+        self.number = -1
+
+
+class _Waits:
+    """The threads that wait, and the time that passes when all of them do."""
+
+    def __init__(self):
+        self.calls = None  # set when the client library is patched
+        self._waiters = {}  # by thread
+
+    def active(self):
+        """Note that this thread does something."""
+        threading.current_thread()._mavfi_active_s = _real_time()
+
+    def until(self, is_ready, seconds=None, session=None, what=""):
+        """Wait until something is there or (if not None) seconds have passed; whether it is there.
+
+        Args:
+            is_ready: Whether it is there; asked from other threads too.
+            seconds: Simulated time.
+            session: The connection on which the answer of a task comes, if that is waited for.
+            what: What the program does meanwhile; named if its time is up.
+        """
+        if is_ready():
+            return True
+        self.active()
+        if not _SESSIONS:
+            return self._without_connection(is_ready, seconds)
+        waiter = _Waiter(is_ready, session)
+        now_us = self._look(waiter)
+        if seconds is not None:
+            waiter.deadline_us = now_us + max(_STEP_US, round(seconds * 1e6 / _STEP_US) * _STEP_US)
+        thread = threading.get_ident()
+        self._waiters[thread] = waiter
+        try:
+            while True:
+                # calls of other threads let time pass, and a task's answer comes with the answer to a call
+                if waiter.number != self.calls.number:
+                    now_us = self._look(waiter)
+                if is_ready():
+                    return True
+                if waiter.deadline_us is not None and now_us >= waiter.deadline_us:
+                    return False
+                before_us = now_us
+                with _TALK:
+                    if self._may_pass(waiter, now_us):
+                        now_us = self._pass(waiter, now_us, what)
+                if now_us == before_us and not is_ready():
+                    _real_sleep(_POLL_S)
+        finally:
+            self.active()  # first, as others look at either
+            del self._waiters[thread]
+
+    def _look(self, waiter):
+        """The instant (us); answers of tasks that have come are taken."""
+        waiter.number = self.calls.number
+        return self.calls.ask("mavfiClock", session=waiter.session)
+
+    def _without_connection(self, is_ready, seconds):
+        """Wait for another thread in wall-clock time: no time is simulated so far."""
+        end = None
+        if seconds is not None:
+            end = _real_time() + seconds
+        while not is_ready():
+            if end is not None and (_real_time() >= end or threading.active_count() == 1):
+                return False
+            _real_sleep(_POLL_S)
+        return True
+
+    def _may_pass(self, waiter, now_us):
+        """Whether all threads wait, and none of them for something that is there or an instant that has come."""
+        # no thread does something; the ones that are read here do not begin to, unless what they wait for is there
+        now = _real_time()
+        waiters = [waiter]
+        for thread in threading.enumerate():
+            other = self._waiters.get(thread.ident)
+            if other is not None:
+                waiters.append(other)
+                continue
+            if not hasattr(thread, "_mavfi_active_s"):
+                thread._mavfi_active_s = now
+            if now - thread._mavfi_active_s < _STUCK_S:
+                return False
+
+        # checked afterwards: a thread may have made something ready, and ended, just before
+        for other in waiters:
+            is_due = other.deadline_us is not None and other.deadline_us <= now_us
+            if is_due or other.number != self.calls.number or other.is_ready():
+                return False
+        return True
+
+    def _pass(self, waiter, now_us, what):
+        """Let time pass to the next deadline, or to the end of a task if one is waited for; the new instant (us)."""
+        waiters = list(self._waiters.values())
+        deadlines = [other.deadline_us for other in waiters if other.deadline_us is not None]
+        waits_for_task = any(other.session is not None for other in waiters)
+        if not deadlines and not waits_for_task:
+            return now_us  # all wait for what is not simulated
+        until_us = min(deadlines, default=None)
+        now_us = self.calls.ask("mavfiPass", until_us, waits_for_task, what, session=waiter.session)
+        self.calls.number += 1
+        waiter.number = self.calls.number
+        return now_us
+
+
+_WAITS = _Waits()
+
+
+def _patch_threads(clock):
+    """Let threads wait in simulated time: all of the module's waits are made of these."""
+
+    def condition_wait(self, timeout=None):
+        if not self._is_owned():
+            raise RuntimeError("cannot wait on un-acquired lock")
+        waiter = threading._allocate_lock()
+        waiter.acquire()
+        self._waiters.append(waiter)
+        state = self._release_save()
+        is_notified = False
+        try:
+            is_notified = _WAITS.until(lambda: not waiter.locked(), timeout, what="a wait")
+            return is_notified
+        finally:
+            self._acquire_restore(state)
+            if not is_notified:
+                try:
+                    self._waiters.remove(waiter)
+                except ValueError:
+                    pass
+
+    original_join = threading.Thread.join
+
+    def join_thread(self, timeout=None):
+        if self._started.is_set() and self is not threading.current_thread():
+            _WAITS.until(lambda: not self.is_alive(), timeout, what="Thread.join")
+            if self.is_alive():
+                return
+        original_join(self)
+
+    threading.Condition.wait = condition_wait
+    threading.Thread.join = join_thread
+    threading._time = clock
+    queue.time = clock
+    queue.SimpleQueue = queue._PySimpleQueue  # the other one waits outside of Python
+
+
+def _patch_loops(clock):
+    """Let event loops wait in simulated time, except those of the client."""
+    base = asyncio.base_events.BaseEventLoop
+    real_run_forever = base.run_forever
+    real_time = base.time
+    readings = [0, 0]  # the number of calls at the last reading, and that of readings since the last call
+
+    def is_of_client(loop):
+        return getattr(loop, "_mavfi_is_of_client", False)
+
+    def loop_time(self):
+        if is_of_client(self) or not _SESSIONS:
+            return real_time(self)
+        number = _WAITS.calls.number
+        if number != readings[0]:
+            readings[:] = [number, 0]
+        readings[1] += 1
+        if readings[1] > _FREE_READINGS:
+            _WAITS.calls.ask("mavfiNow")
+        return clock()
+
+    def run_forever(self):
+        selector = self._selector
+        if not is_of_client(self) and not hasattr(selector, "_mavfi_select"):
+            real_select = selector.select
+            selector._mavfi_select = real_select
+
+            def select(timeout=None):
+                events = real_select(0)
+                if events or not _SESSIONS or (timeout is not None and timeout <= 0):
+                    return events or real_select(timeout)
+                _WAITS.until(lambda: bool(real_select(0)), timeout, what="the event loop")
+                return real_select(0)
+
+            selector.select = select
+        return real_run_forever(self)
+
+    base.time = loop_time
+    base.run_forever = run_forever
+
+
+def _clocks(calls):
     """A module `time` for the program and what it imports; libraries loaded before keep the real one."""
 
+    def clock():
+        """Read without taking time (s), for deadlines."""
+        if _SESSIONS:
+            return 1e-6 * calls.ask("mavfiClock")
+        return 0.0
+
     def now():
-        if _FIRST_CLIENT:
-            return 1e-6 * ask("mavfiNow")
+        if _SESSIONS:
+            return 1e-6 * calls.ask("mavfiNow")
         return 0.0
 
     def sleep(seconds):
-        if _FIRST_CLIENT:
-            ask("mavfiSleep", max(0.0, float(seconds)))
+        if _SESSIONS:
+            _WAITS.until(lambda: False, max(0.0, float(seconds)), what="time.sleep")
 
     proxy = types.ModuleType("time")
     proxy.__dict__.update(time.__dict__)
@@ -105,10 +385,23 @@ def _clocks(ask):
     proxy.perf_counter = proxy.monotonic = proxy.process_time = now
     proxy.perf_counter_ns = proxy.monotonic_ns = lambda: round(1e9 * now())
     sys.modules["time"] = proxy
-    return proxy
+    concurrent.futures._base.time = proxy
+    _patch_threads(clock)
+    _patch_loops(clock)
 
 
-def _without_windows():
+def _without_terminal(calls):
+    """Read lines of the standard input without waiting for a key; show no window."""
+
+    def read_line(prompt=""):
+        sys.stdout.write(str(prompt))
+        line = sys.stdin.readline()
+        if not line:  # nobody is there to press a key; a program that asks for ever runs out of time
+            calls.ask("mavfiNow")
+        sys.stdout.write("\n")
+        return line.rstrip("\n")
+
+    builtins.input = read_line
     try:
         import cv2
     except ImportError:
@@ -137,8 +430,10 @@ def main():
         numpy.random.seed(0)
     except ImportError:
         pass
-    _clocks(_patch(port))
-    _without_windows()
+    calls = _patch(port)
+    _WAITS.calls = calls
+    _clocks(calls)
+    _without_terminal(calls)
 
     # run it; a crash has an exit code of its own
     with io.open_code(os.path.abspath(script)) as source:

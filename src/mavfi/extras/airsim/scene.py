@@ -18,44 +18,55 @@ from mavfi.extras.airsim.frames import (
     from_geo_point,
     from_pose,
     from_vector3r,
+    merged_pose,
     to_geo_point,
     to_pose,
     to_vector3r,
 )
-from mavfi.extras.airsim.table import DESTROYED, GROUND, Api, add_readings, call, vehicle_call
+from mavfi.extras.airsim.settings import VehicleSettings
+from mavfi.extras.airsim.table import CALLS, DESTROYED, GROUND, Api, add_readings, call, vehicle_call
 from mavfi.flight.piloted import TICK_US
 from mavfi.mission import Scenario
 from mavfi.numerics.frames import Triple, flipped
+from mavfi.numerics.rotations import yaw_of
 from mavfi.sim.environments.world import World
 from mavfi.sim.scene import STEP_US
 
 _DRAWN = {FOG: "Fog", DUST: "Dust", 8: "Enabled"}
 _KNOWN_WEATHER = {0: "Rain", 1: "Roadwetness", 2: "Snow", 3: "RoadSnow", 4: "MapleLeaf", 5: "RoadLeaf", **_DRAWN}
-_NOTHING = (
-    "simFlushPersistentMarkers",
-    "simPlotPoints",
-    "simPlotLineStrip",
-    "simPlotLineList",
-    "simPlotArrows",
-    "simPlotStrings",
-    "simPlotTransforms",
-    "simPlotTransformsWithNames",
-    "simSetTraceLine",
-    "simSetTimeOfDay",
-)
-"""Calls that draw into AirSim's window, which does not exist here, or move its sun, which lights no picture here."""
+_NO_WINDOW = "there is no window to draw into"
+WITHOUT_EFFECT = {
+    **dict.fromkeys(
+        (
+            "simFlushPersistentMarkers",
+            "simPlotPoints",
+            "simPlotLineStrip",
+            "simPlotLineList",
+            "simPlotArrows",
+            "simPlotStrings",
+            "simPlotTransforms",
+            "simPlotTransformsWithNames",
+            "simSetTraceLine",
+            "simPrintLogMessage",
+        ),
+        _NO_WINDOW,
+    ),
+    "simSetTimeOfDay": "no sun lights the pictures",
+    **dict.fromkeys(("simEnableManualFocus", "simEnableFocusPlane"), "all distances are in focus"),
+}
+"""Calls that are accepted and do nothing, with the reason: programs that make them fly as they would without."""
 
 
 add_readings(
     call,
     {
         "ping": lambda _: True,
-        "getServerVersion": lambda api: api.version,
-        "getMinRequiredClientVersion": lambda api: api.version,
-        "listVehicles": lambda api: [api.name],
-        "simIsPaused": lambda api: api.paused,
+        "getServerVersion": lambda api: api.scene.version,
+        "getMinRequiredClientVersion": lambda api: api.scene.version,
+        "listVehicles": lambda api: list(api.scene.vehicles),
+        "simIsPaused": lambda api: api.scene.paused,
         "simListAssets": lambda _: ["Cube"],
-        "isRecording": lambda api: api.recording,
+        "isRecording": lambda api: api.scene.recording,
     },
 )
 
@@ -64,9 +75,10 @@ add_readings(
 @call
 def getSettingsString(api: Api) -> str:
     """AirSim's settings, and under a key of its own what the server flies."""
-    vehicles: Data = {api.name: {}}
+    vehicles: Data = {name: {} for name in api.scene.vehicles}
     report = identity(api.vehicle.scenario, api.vehicle.sim.world, in_flight=not api.vehicle.on_ground)
-    settings = {"SettingsVersion": 1.2, "SimMode": "Multirotor", "ClockSpeed": 1.0, "Vehicles": vehicles, KEY: report}
+    defaults = {"SettingsVersion": 1.2, "SimMode": "Multirotor", "ClockSpeed": 1.0, "Vehicles": vehicles}
+    settings = {**defaults, **api.scene.settings.content, KEY: report}
     return json.dumps(settings)
 
 
@@ -75,11 +87,29 @@ def simPrintLogMessage(api: Api, message: Any, message_param: Any = "", severity
     return True
 
 
+@call
+def simAddVehicle(api: Api, vehicle_name: str, vehicle_type: str, pose: Any, pawn_path: str = "") -> bool:
+    """A vehicle on the ground below the pose, whose position is the origin of its NED."""
+    if str(vehicle_type).lower() != "simpleflight":
+        raise BadInputError(f"simAddVehicle: {vehicle_type!r}: allowed: SimpleFlight")
+    if not vehicle_name or vehicle_name in api.scene.vehicles:
+        raise BadInputError(f"simAddVehicle: {vehicle_name!r}: allowed: a name that no vehicle has")
+    if not api.vehicle.on_ground:
+        raise BadInputError("simAddVehicle: the mission's vehicle starts in the air; allowed: without --in-flight")
+    position, orientation = merged_pose(from_pose(pose), ((0.0, 0.0, 0.0), LEVEL))
+    yaw_deg = math.degrees(float(yaw_of(np.array(orientation))))
+    try:
+        api.scene.add(api.vehicle.spec, VehicleSettings(vehicle_name, position, yaw_deg))
+    except BadInputError as error:
+        raise BadInputError(f"simAddVehicle: {vehicle_name}: {error}") from None
+    return True
+
+
 # ---- time ------------------------------------------------------------------------------------------------------------
 @call
 def simPause(api: Api, is_paused: bool) -> None:
-    api.paused = bool(is_paused)
-    api.resume_until_us = None
+    api.scene.paused = bool(is_paused)
+    api.scene.resume_until_us = None
 
 
 def continue_for(api: Api, seconds: float) -> None:
@@ -90,8 +120,8 @@ def continue_for(api: Api, seconds: float) -> None:
     """
     if not 0.0 <= seconds <= 1e6:
         raise BadInputError(f"simContinueForTime: {seconds}: allowed: 0 to 1e6 s")
-    api.paused = False
-    api.resume_until_us = api.vehicle.now_us + round(seconds * 1e6 / STEP_US) * STEP_US
+    api.scene.paused = False
+    api.scene.resume_until_us = api.scene.now_us + round(seconds * 1e6 / STEP_US) * STEP_US
 
 
 @call
@@ -106,9 +136,9 @@ def simContinueForFrames(api: Api, frames: int) -> None:
 
 # ---- objects ---------------------------------------------------------------------------------------------------------
 def _index_of(api: Api, name: str) -> int:
-    if name not in api.objects:
+    if name not in api.scene.objects:
         raise BadInputError(f"object {name!r}: not known; allowed: names of simListSceneObjects")
-    return api.objects.index(name)
+    return api.scene.objects.index(name)
 
 
 def _box(api: Api, name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -133,7 +163,13 @@ def _set_box(api: Api, index: int | None, centre: np.ndarray, size: np.ndarray) 
     else:
         lower[index] = centre - 0.5 * size
         upper[index] = centre + 0.5 * size
-    api.vehicle.sim.set_boxes(lower, upper)
+    _set_boxes(api, lower, upper)
+
+
+def _set_boxes(api: Api, lower: np.ndarray, upper: np.ndarray) -> None:
+    """Replace the obstacles, for all vehicles."""
+    for other in api.scene.vehicles.values():
+        other.vehicle.sim.set_boxes(lower, upper)
 
 
 def _box_position(pose: Any) -> Triple:  # noqa: ANN401 - a client's
@@ -153,22 +189,23 @@ def _matching(names: Iterable[str], pattern: str) -> list[str]:
 
 @call
 def simListSceneObjects(api: Api, name_regex: str = ".*", tags: Any = None) -> list[str]:
-    return _matching((api.name, *api.objects), name_regex)
+    return _matching((*api.scene.vehicles, *api.scene.objects), name_regex)
 
 
 @call
 def simGetObjectPose(api: Api, object_name: str, ned: bool = True) -> Data:
     """NaN for an object that does not exist, as in AirSim."""
-    if object_name == api.name:
-        return to_pose(api.vehicle.position, api.vehicle.orientation)
-    if object_name not in api.objects:
+    if object_name in api.scene.vehicles:
+        other = api.scene.vehicles[object_name]
+        return to_pose(other.in_scene(other.vehicle.position), other.vehicle.orientation)
+    if object_name not in api.scene.objects:
         return to_pose((math.nan,) * 3, (math.nan,) * 4)
-    return to_pose(api.vehicle.to_ned(_box(api, object_name)[0]), LEVEL)
+    return to_pose(api.scene.to_ned(_box(api, object_name)[0]), LEVEL)
 
 
 @call
 def simSetObjectPose(api: Api, object_name: str, pose: Any, teleport: bool = True) -> bool:
-    centre = api.vehicle.to_world(_box_position(pose))
+    centre = api.scene.to_world(_box_position(pose))
     _set_box(api, _index_of(api, object_name), centre, _box(api, object_name)[1])
     return True
 
@@ -200,29 +237,30 @@ def simSpawnObject(
         raise BadInputError("simSpawnObject: obstacles do not move; allowed: physics_enabled=False")
     name = str(object_name)
     tries = 0
-    while name in api.objects:
+    while name in api.scene.objects:
         tries += 1
         name = f"{object_name}_{tries}"
-    _set_box(api, None, api.vehicle.to_world(_box_position(pose)), np.array(from_vector3r(scale)))
-    api.objects.append(name)
+    _set_box(api, None, api.scene.to_world(_box_position(pose)), np.array(from_vector3r(scale)))
+    api.scene.objects.append(name)
     return name
 
 
 @call
 def simDestroyObject(api: Api, object_name: str) -> bool:
-    if object_name not in api.objects:
+    if object_name not in api.scene.objects:
         return False
     index = _index_of(api, object_name)
     world = api.vehicle.sim.world
-    api.vehicle.sim.set_boxes(np.delete(world.lower, index, axis=0), np.delete(world.upper, index, axis=0))
-    del api.objects[index]
+    _set_boxes(api, np.delete(world.lower, index, axis=0), np.delete(world.upper, index, axis=0))
+    del api.scene.objects[index]
 
     # the last contact names its obstacle by number: the later ones have moved up
-    contact = api.vehicle.sim.touched
-    if contact is not None and contact.obstacle == index:
-        api.vehicle.sim.touched = replace(contact, obstacle=DESTROYED)
-    elif contact is not None and contact.obstacle > index:
-        api.vehicle.sim.touched = replace(contact, obstacle=contact.obstacle - 1)
+    for other in api.scene.vehicles.values():
+        sim = other.vehicle.sim
+        if sim.touched is not None and sim.touched.obstacle == index:
+            sim.touched = replace(sim.touched, obstacle=DESTROYED)
+        elif sim.touched is not None and sim.touched.obstacle > index:
+            sim.touched = replace(sim.touched, obstacle=sim.touched.obstacle - 1)
     return True
 
 
@@ -231,15 +269,15 @@ def simSetSegmentationObjectID(api: Api, mesh_name: str, object_id: int, is_name
     pattern = re.escape(mesh_name)
     if is_name_regex:
         pattern = mesh_name
-    matching = _matching((*api.objects, GROUND), pattern)
-    api.segments.update(dict.fromkeys(matching, int(object_id)))
+    matching = _matching((*api.scene.things, GROUND), pattern)
+    api.scene.segments.update(dict.fromkeys(matching, int(object_id)))
     return bool(matching)
 
 
 @call
 def simGetSegmentationObjectID(api: Api, mesh_name: str) -> int:
-    if mesh_name in (*api.objects, GROUND):
-        return api.segment(mesh_name)
+    if mesh_name in (*api.scene.things, GROUND):
+        return api.scene.segment(mesh_name)
     return -1
 
 
@@ -248,15 +286,16 @@ def simLoadLevel(api: Api, level_name: str) -> bool:
     """Fly in another shipped environment, with the same seed."""
     if level_name not in names("environments"):
         raise BadInputError(f"level {level_name!r}: not known; allowed: {', '.join(names('environments'))}")
-    api.vehicle.load(api.vehicle.spec.model_copy(update={"environment": level_name}))
-    api.name_objects()
+    for other in api.scene.vehicles.values():
+        other.vehicle.load(other.vehicle.spec.model_copy(update={"environment": level_name}))
+    api.scene.name_objects()
     return True
 
 
 @call
 def simGetWorldExtents(api: Api) -> list[dict[str, float]]:
     world = api.vehicle.sim.world
-    return [to_geo_point(api.vehicle.to_ned(corner)) for corner in (world.arena_lower, world.arena_upper)]
+    return [to_geo_point(api.scene.to_ned(corner)) for corner in (world.arena_lower, world.arena_upper)]
 
 
 @vehicle_call
@@ -270,18 +309,20 @@ def simTestLineOfSightBetweenPoints(api: Api, point1: Any, point2: Any) -> bool:
 
 
 def _in_world(api: Api, point: Any) -> np.ndarray:
-    return api.vehicle.to_world(from_geo_point(point))
+    return api.scene.to_world(from_geo_point(point))
 
 
 # ---- weather, drawing, recording -------------------------------------------------------------------------------------
 @call
 def simSetWind(api: Api, wind: Any) -> None:
-    api.vehicle.sim.set_wind(flipped(from_vector3r(wind)))
+    api.scene.wind = from_vector3r(wind)
+    for other in api.scene.vehicles.values():
+        other.vehicle.sim.set_wind(flipped(api.scene.wind))
 
 
 @call
 def simEnableWeather(api: Api, enable: bool) -> None:
-    api.weather_on = bool(enable)
+    api.scene.weather_on = bool(enable)
 
 
 @call
@@ -291,26 +332,27 @@ def simSetWeatherParameter(api: Api, param: int, val: float) -> None:
         weather = _KNOWN_WEATHER.get(param, "unknown")
         allowed = ", ".join(f"{number} ({name})" for number, name in _DRAWN.items())
         raise BadInputError(f"simSetWeatherParameter: {param} ({weather}): not drawn; allowed: {allowed}")
-    api.weather[param] = min(1.0, max(0.0, float(val)))
+    api.scene.weather[param] = min(1.0, max(0.0, float(val)))
 
 
 @call
 def startRecording(api: Api) -> None:
     """Nothing is written; the program flies as if it were."""
-    api.recording = True
+    api.scene.recording = True
 
 
 @call
 def stopRecording(api: Api) -> None:
-    api.recording = False
+    api.scene.recording = False
 
 
 def _nothing(api: Api, *arguments: Any) -> None:
     """Draw nothing."""
 
 
-for _name in _NOTHING:
-    call(_nothing, _name)
+for _name in WITHOUT_EFFECT:
+    if _name not in CALLS:
+        call(_nothing, _name)
 
 
 # ---- calls that are refused ------------------------------------------------------------------------------------------
@@ -323,7 +365,6 @@ _ONE_PLACE = "the sensor sits at the vehicle's centre"
 _OF_COSYS = "annotations and instances are not drawn; simGetImages returns segmentation"
 
 REFUSED = {
-    "simAddVehicle": "one vehicle flies here",
     "simSetExtForce": "external forces are not applied; wind is (simSetWind)",
     "simRunConsoleCommand": "there is no Unreal Engine here",
     "simCreateVoxelGrid": "no file is written",

@@ -5,7 +5,8 @@ from functools import cache
 
 import numpy as np
 
-from mavfi.extras.airsim.frames import LEVEL, Data, to_geo_point, to_pose, to_quaternionr, to_vector3r
+from mavfi.extras.airsim.fleet import VEHICLES
+from mavfi.extras.airsim.frames import LEVEL, NO_MOUNT, Data, to_geo_point, to_pose, to_quaternionr, to_vector3r
 from mavfi.extras.airsim.table import (
     DESTROYED,
     GROUND,
@@ -69,10 +70,11 @@ def collision(api: Api) -> Data:
 
     # the last contact, with the name of what was touched
     names_of_others = {grounded.GROUND: GROUND, grounded.SCAN: "scan", DESTROYED: ""}
+    names_of_others |= {VEHICLES - number: name for number, name in enumerate(api.scene.vehicles)}
     if contact.obstacle < 0:  # not one of the world's boxes
         name = names_of_others[contact.obstacle]
     else:
-        name = api.objects[contact.obstacle]
+        name = api.scene.objects[contact.obstacle]
     return {
         "has_collided": vehicle.has_collided,
         "normal": to_vector3r(flipped(contact.normal)),
@@ -95,7 +97,7 @@ def getMultirotorState(api: Api) -> Data:
     return {
         "collision": collision(api),
         "kinematics_estimated": kinematics(api, api.vehicle.measured_state),
-        "gps_location": to_geo_point(api.vehicle.position),
+        "gps_location": to_geo_point(api.in_scene(api.vehicle.position)),
         "timestamp": api.vehicle.stamp,
         "landed_state": landed_state,
         "rc_data": {
@@ -117,11 +119,12 @@ def getMultirotorState(api: Api) -> Data:
 @vehicle_call
 def simGetGroundTruthEnvironment(api: Api) -> Data:
     position, *_ = api.vehicle.in_ned(api.vehicle.sim.odometry)
-    height = to_geo_point(position)["altitude"]
+    geo_point = to_geo_point(api.in_scene(position))
+    height = geo_point["altitude"]
     kelvin = 288.15 - 0.0065 * height
     return {
         "position": to_vector3r(position),
-        "geo_point": to_geo_point(position),
+        "geo_point": geo_point,
         "gravity": to_vector3r((0.0, 0.0, GRAVITY)),
         "air_pressure": _pressure(height),
         "temperature": kelvin,
@@ -165,7 +168,7 @@ def _pressure(height: float) -> float:
 
 @vehicle_call
 def getBarometerData(api: Api, barometer_name: str = "") -> Data:
-    height = to_geo_point(api.vehicle.position)["altitude"]
+    height = to_geo_point(api.in_scene(api.vehicle.position))["altitude"]
     return {"time_stamp": api.vehicle.stamp, "altitude": height, "pressure": _pressure(height), "qnh": _QNH}
 
 
@@ -181,7 +184,7 @@ def getMagnetometerData(api: Api, magnetometer_name: str = "") -> Data:
 def getGpsData(api: Api, gps_name: str = "") -> Data:
     vehicle = api.vehicle
     gnss = {
-        "geo_point": to_geo_point(vehicle.position),
+        "geo_point": to_geo_point(api.in_scene(vehicle.position)),
         "eph": 0.1,
         "epv": 0.1,
         "velocity": to_vector3r(vehicle.velocity),
@@ -193,7 +196,7 @@ def getGpsData(api: Api, gps_name: str = "") -> Data:
 
 @vehicle_call
 def getDistanceSensorData(api: Api, distance_sensor_name: str = "") -> Data:
-    distance = float(api.vehicle.sim.cast(np.array([[1.0, 0.0, 0.0]]), _FARTHEST)[0])
+    distance = float(api.cast(np.array([[1.0, 0.0, 0.0]]), _FARTHEST, NO_MOUNT)[0])
     return {
         "time_stamp": api.vehicle.stamp,
         "distance": min(_FARTHEST, max(_NEAREST, distance)),
@@ -218,7 +221,7 @@ def getLidarData(api: Api, lidar_name: str = "") -> Data:
     """Points in NED (AirSim's frame VehicleInertialFrame)."""
     vehicle = api.vehicle
     rays = lidar_rays()
-    ranges = vehicle.sim.cast(rays, _LIDAR_RANGE)
+    ranges = api.cast(rays, _LIDAR_RANGE, NO_MOUNT)
     seen = np.isfinite(ranges)
     points = vehicle.sim.points(rays[seen], ranges[seen]) - vehicle.origin
     points[:, 1:] *= -1.0
@@ -236,7 +239,7 @@ add_readings(
         "simGetGroundTruthKinematics": lambda api: kinematics(api, api.vehicle.sim.odometry),
         "simGetVehiclePose": lambda api: to_pose(*api.vehicle.in_ned(api.vehicle.sim.odometry)[:2]),
         "simGetCollisionInfo": collision,
-        "getHomeGeoPoint": lambda _: to_geo_point((0.0, 0.0, 0.0)),
+        "getHomeGeoPoint": lambda api: to_geo_point(api.vehicle.home),
         # names before AirSim 1.3
         "getPosition": lambda api: to_vector3r(api.vehicle.position),
         "getVelocity": lambda api: to_vector3r(api.vehicle.velocity),

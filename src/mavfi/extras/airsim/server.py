@@ -10,14 +10,13 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim import cameras, flying, scene, sensing
 from mavfi.extras.airsim.boundary import ARGUMENTS, RETURN, Boundary
 from mavfi.extras.airsim.config import CALL_US
 from mavfi.extras.airsim.runner import TIME_IS_UP
-from mavfi.extras.airsim.table import Api, find_call, require_ready
+from mavfi.extras.airsim.table import Api, ApiScene, find_call, require_ready
 from mavfi.sim.scene import STEP_US
 
 
@@ -35,38 +34,46 @@ class StepClock:
         self.limit_us = limit_us
         self.waited_us = 0
 
-    def before_call(self, api: Api) -> None:
+    def before_call(self, scene: ApiScene) -> None:
         """Let the time of a call pass."""
-        self._pass(api, self._call_us)
+        self._pass(scene, self._call_us)
 
-    def after_call(self, api: Api) -> None:
+    def after_call(self, scene: ApiScene) -> None:
         """Let time pass up to the next pause, if the call asked for that."""
-        if api.resume_until_us is not None:
-            api.vehicle.step(min(self.limit_us, api.resume_until_us))
-            api.paused = True
-            api.resume_until_us = None
+        if scene.resume_until_us is not None:
+            scene.step(min(self.limit_us, scene.resume_until_us))
+            scene.paused = True
+            scene.resume_until_us = None
 
-    def sleep(self, api: Api, seconds: float) -> None:
-        """The program sleeps."""
-        self._pass(api, max(STEP_US, round(seconds * 1e6 / STEP_US) * STEP_US))
+    def sleep(self, scene: ApiScene, seconds: float) -> None:
+        """A call comes later by this time."""
+        self._pass(scene, max(STEP_US, round(seconds * 1e6 / STEP_US) * STEP_US))
 
-    def now(self, api: Api) -> int:
-        """Time of the program (us); reading a clock takes the time of a call, so that polling ends."""
-        self._pass(api, self._call_us)
-        return api.vehicle.now_us + self.waited_us
+    def now(self, scene: ApiScene) -> int:
+        """Time of the program (us)."""
+        return scene.now_us + self.waited_us
 
-    def finish(self, api: Api) -> None:
-        """The program waits for its task."""
-        if api.paused:
-            self._pass(api, self._call_us)  # nobody can end the pause: the task does not end either
-            return
-        api.vehicle.finish(self.limit_us)
+    def wait(self, scene: ApiScene, until_us: int | None, *, for_task: bool) -> None:
+        """The program waits.
 
-    def _pass(self, api: Api, duration_us: int) -> None:
-        if api.paused:
+        Args:
+            scene: The vehicles.
+            until_us: An instant of the program's time (us); None = without an end.
+            for_task: Whether the end of a task is waited for too.
+        """
+        if for_task and not scene.paused and scene.busy:
+            until_us = self.limit_us if until_us is None else until_us - self.waited_us
+            scene.finish(min(self.limit_us, until_us))
+        elif until_us is None:
+            self._pass(scene, self._call_us)  # for a task that does not end, e.g. because of a pause
+        else:
+            self._pass(scene, until_us - self.now(scene))
+
+    def _pass(self, scene: ApiScene, duration_us: int) -> None:
+        if scene.paused:
             self.waited_us += duration_us
             return
-        api.vehicle.step(min(self.limit_us, api.vehicle.now_us + duration_us))
+        scene.step(min(self.limit_us, scene.now_us + duration_us))
 
 
 class RealClock:
@@ -77,32 +84,32 @@ class RealClock:
         self._last = time.perf_counter()
         self._left_us = 0.0
 
-    def before_call(self, api: Api) -> None:
+    def before_call(self, scene: ApiScene) -> None:
         """See `StepClock.before_call`; a call takes no simulated time."""
 
-    def after_call(self, api: Api) -> None:
+    def after_call(self, scene: ApiScene) -> None:
         """See `StepClock.after_call`; `tick` lets time pass."""
 
-    def sleep(self, api: Api, seconds: float) -> None:
+    def sleep(self, scene: ApiScene, seconds: float) -> None:
         """See `StepClock.sleep`; time cannot pass at will, and servers refuse what would need it."""
         raise NotImplementedError
 
-    def tick(self, api: Api) -> None:
+    def tick(self, scene: ApiScene) -> None:
         """Let the time since the last tick pass."""
         now = time.perf_counter()
         self._left_us += 1e6 * self._speed * (now - self._last)
         self._last = now
-        if api.paused:
+        if scene.paused:
             self._left_us = 0.0
             return
         steps = int(self._left_us // STEP_US)
-        target = api.vehicle.now_us + steps * STEP_US
+        target = scene.now_us + steps * STEP_US
         self._left_us -= steps * STEP_US
-        if api.resume_until_us is not None and target >= api.resume_until_us:
-            target = api.resume_until_us
-            api.paused = True
-            api.resume_until_us = None
-        api.vehicle.step(target)
+        if scene.resume_until_us is not None and target >= scene.resume_until_us:
+            target = scene.resume_until_us
+            scene.paused = True
+            scene.resume_until_us = None
+        scene.step(target)
 
 
 # ---- the server ------------------------------------------------------------------------------------------------------
@@ -111,7 +118,6 @@ PORT = 41451
 _REQUEST = 0
 _RESPONSE = 1
 _READ = 1 << 16
-_MODULES = cameras, flying, scene, sensing  # register their calls
 Reply = Callable[[str | None, Any], None]
 
 
@@ -130,11 +136,20 @@ def msgpack() -> Any:
     return found
 
 
+class WaitingTask(NamedTuple):
+    """A call that is answered when its task ends: how, its name, its arguments, and the boundary that it passes."""
+
+    reply: Reply
+    name: str
+    arguments: list[Any]
+    boundary: Boundary
+
+
 class AirsimServer:
-    """Serves one vehicle.
+    """Serves the vehicles of a scene.
 
     Args:
-        api: The vehicle behind the API.
+        api: The first of them.
         clock: Advances the vehicle.
         boundary: Faults and detector.
         single: Whether numbers are sent as float32, as by AirSim.
@@ -143,6 +158,7 @@ class AirsimServer:
         calls: Number of calls by name.
         errors: Number of errors by message.
         finished: Set while no client is connected, once there was one.
+        last_wait: What the program waited for when its time was up; "" = it was not.
     """
 
     def __init__(
@@ -154,16 +170,16 @@ class AirsimServer:
         if self.boundary.delays and isinstance(clock, RealClock):
             text = "simulated time passes in real time; allowed: with --clock steps, or mavfi airsim run"
             raise BadInputError(f"--fault: delay: {text}")
-        if self.boundary.failure is not None:
-            api.vehicle.failures.active.append(self.boundary.failure)
+        self._attach_failure()
         self._msgpack = msgpack()
         self._pack = self._msgpack.Packer(use_bin_type=True, use_single_float=single).pack
-        self._waiting: dict[int, tuple[Reply, str, list[Any]]] = {}
+        self._waiting: dict[tuple[str, int], WaitingTask] = {}  # by vehicle and number
         self._connections: dict[asyncio.StreamWriter, asyncio.Task[None]] = {}
         self._ending = False
         self.calls: Counter[str] = Counter()
         self.errors: Counter[str] = Counter()
         self.finished = asyncio.Event()
+        self.last_wait = ""
 
     # ---- calls ------------------------------------------------------------------------------------------------------
     def serve_call(self, name: Any, arguments: list[Any], reply: Reply) -> None:
@@ -190,72 +206,101 @@ class AirsimServer:
 
     def _serve(self, name: Any, arguments: list[Any], reply: Reply) -> None:
         """Serve a call of the API: check it, pass it through the boundary, and answer now or when its task ends."""
-        api = self.api
+        scene = self.api.scene
         call = find_call(name)
         self.calls[name] += 1
-        self.clock.before_call(api)
-        self._check_time()
-        call.check(api, arguments)
+        self.clock.before_call(scene)
+        self._check_time(name)
+        call.check(arguments)
+        api = call.addressed(scene, arguments)
+        boundary = self._boundary_of(api, is_of_vehicle=call.names_vehicle)
 
         # A fault in the whole call: it is not executed, later, repeatedly, or with what the first one had.
-        operation = self.boundary.operation_on(name, arguments, api.vehicle.now_us)
+        operation = boundary.operation_on(name, arguments, api.vehicle.now_us)
         executions = 1
         if operation is not None and operation.name == "drop":
-            reply(None, self.boundary.last_answer)
+            reply(None, boundary.last_answer)
             return
         if operation is not None and operation.name == "delay":
-            self.clock.sleep(api, operation.value or 0.0)
-            self._check_time()
+            self.clock.sleep(scene, operation.value or 0.0)
+            self._check_time(name)
         if operation is not None and operation.name == "duplicate":
             executions += operation.count
         is_frozen = operation is not None and operation.name == "freeze"
         if is_frozen:
-            arguments = self.boundary.freeze(ARGUMENTS, arguments)
+            arguments = boundary.freeze(ARGUMENTS, arguments)
 
-        arguments = self.boundary.arguments(name, arguments, api.vehicle.now_us)
+        arguments = boundary.arguments(name, arguments, api.vehicle.now_us)
         if call.is_task:
             require_ready(api, name)
             for _ in range(executions):
                 number = api.vehicle.start(call.run(api, arguments))
-            self._waiting[number] = (reply, name, arguments)
+            self._waiting[api.name, number] = WaitingTask(reply, name, arguments, boundary)
             return
         for _ in range(executions):
             result = call.run(api, arguments)
         if is_frozen:
-            result = self.boundary.freeze(RETURN, result)
-        self.clock.after_call(api)
-        reply(None, self.boundary.returned(name, arguments, result, api.vehicle.now_us))
+            result = boundary.freeze(RETURN, result)
+        if name == "simAddVehicle":
+            self._attach_failure()
+        self.clock.after_call(scene)
+        reply(None, boundary.returned(name, arguments, result, api.vehicle.now_us))
 
-    def _of_runner(self, clock: StepClock, name: str, arguments: list[Any]) -> Any:
-        """Calls of the runner in the client's process."""
-        api = self.api
-        if name == "mavfiSleep":
-            clock.sleep(api, float(arguments[0]))
-        elif name == "mavfiFinish":
-            clock.finish(api)
-        elif name != "mavfiNow":
+    def _boundary_of(self, api: Api, *, is_of_vehicle: bool) -> Boundary:
+        """What a call passes: the boundary, or one without a fault if the call is of another vehicle."""
+        if is_of_vehicle and api.name != (self.boundary.vehicle or api.scene.first.name):
+            return Boundary()
+        return self.boundary
+
+    def _attach_failure(self) -> None:
+        """Let the vehicle with the fault fail, as soon as it is there."""
+        failure = self.boundary.failure
+        name = self.boundary.vehicle or self.api.name
+        if failure is None or name not in self.api.scene.vehicles:
+            return
+        active = self.api.scene.vehicles[name].vehicle.failures.active
+        if failure not in active:
+            active.append(failure)
+
+    def _of_runner(self, clock: StepClock, name: str, arguments: list[Any]) -> int:
+        """Calls of the runner in the client's process; the program's instant (us)."""
+        scene = self.api.scene
+        if name == "mavfiPass":
+            until_us, for_task, what = arguments
+            clock.wait(scene, until_us, for_task=for_task)
+            tasks = [waiting.name for waiting in self._waiting.values()]
+            if for_task and tasks:
+                what = ", ".join(tasks)
+            self._check_time(what)
+        elif name == "mavfiNow":  # takes the time of a call, so that polling ends
+            self._check_time("a clock")
+            clock.before_call(scene)
+        elif name == "mavfiClock":
+            self._check_time("a clock")
+        else:
             raise BadInputError(f"server could not find function {name!r}")
-        self._check_time()
-        if name == "mavfiNow":
-            return clock.now(api)
-        return None
+        return clock.now(scene)
 
-    def _check_time(self) -> None:
-        if isinstance(self.clock, StepClock) and self.api.vehicle.now_us >= self.clock.limit_us:
+    def _check_time(self, what: str) -> None:
+        """Refuse a call after the time limit; `what`: the call, or what the program waits for."""
+        if isinstance(self.clock, StepClock) and self.api.scene.now_us >= self.clock.limit_us:
+            self.last_wait = self.last_wait or what
             raise BadInputError(f"{TIME_IS_UP} ({1e-6 * self.clock.limit_us:g} s)")
 
     def flush(self) -> None:
         """Answer the tasks that have ended."""
-        vehicle = self.api.vehicle
-        for ended in vehicle.ended_tasks:
-            reply, name, arguments = self._waiting.pop(ended.number, (None, "", []))
-            if reply is None:
-                continue
-            if isinstance(ended.result, Exception):
-                self._refuse(name, ended.result, reply)
-            else:
-                reply(None, self.boundary.returned(name, arguments, ended.result, vehicle.now_us))
-        vehicle.ended_tasks.clear()
+        for api in self.api.scene.vehicles.values():
+            for ended in api.vehicle.ended_tasks:
+                waiting = self._waiting.pop((api.name, ended.number), None)
+                if waiting is None:
+                    continue
+                if isinstance(ended.result, Exception):
+                    self._refuse(waiting.name, ended.result, waiting.reply)
+                else:
+                    now_us = api.vehicle.now_us
+                    result = waiting.boundary.returned(waiting.name, waiting.arguments, ended.result, now_us)
+                    waiting.reply(None, result)
+            api.vehicle.ended_tasks.clear()
 
     # ---- connections ------------------------------------------------------------------------------------------------
     def connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -342,5 +387,5 @@ class AirsimServer:
         assert isinstance(self.clock, RealClock)  # precondition
         while True:
             await asyncio.sleep(0.004)
-            self.clock.tick(self.api)
+            self.clock.tick(self.api.scene)
             self.flush()

@@ -4,21 +4,23 @@ Their scorers, and those of detectors from libraries, judge codes in compiled co
 """
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from mavfi.detectors.autoencoder import INPUT_LIMIT, Network, fit_autoencoder, network_of
+from mavfi.detectors.detector import Detector
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import SMALLEST_LIMIT, Model
 from mavfi.detectors.scoring import Reading, Scorer, ScoringDetector, Threshold, score_of
 from mavfi.detectors.training import Sample, TrainedDetector, regime_limits
-from mavfi.extras.bench.field_codes import ALL_FIELDS, COMPILED, FieldCodes
+from mavfi.extras.bench.field_codes import ALL_FIELDS, COMPILED, MONITORED, FieldCodes
+from mavfi.extras.bench.message_codes import MessageCodes
 from mavfi.extras.bench.residual_state import LEARNED, NEVER, REGIME, SLOT, ResidualState
 from mavfi.numerics.elementary import quick_tanh
 from mavfi.numerics.jit import entry, kernel_jit
-from mavfi.states import STATES, State
+from mavfi.states import State, StateSpec
 
 
 class JudgedPublication(NamedTuple):
@@ -174,7 +176,7 @@ class StateScorer(CodeScorer):
     def __init__(self, field_codes: FieldCodes, *tables: Any) -> None:  # noqa: ANN401 - see `CodeScorer`
         super().__init__(field_codes, *tables)
         self.fields = tuple(field_codes.slots)
-        self.stages = tuple(STATES[name].stage.value for name in self.fields)
+        self.stages = tuple(field_codes.stages[field_codes.range_of(slot)[0]] for slot in field_codes.slots.values())
         self._distance = np.zeros(len(self.fields))
         self._unit = np.ones(len(self.fields))
 
@@ -326,12 +328,13 @@ class AllFieldsDetector(ScoringDetector, TrainedDetector):
 
     Args:
         model: A model of the detector's kind.
+        field_codes: Codes that the model was trained on, unless these are those of missions.
     """
 
     training = ALL_FIELDS
 
-    def __init__(self, model: Model) -> None:
-        scorer = self.scorer_of(model, FieldCodes(model.provenance["stack"]))
+    def __init__(self, model: Model, field_codes: FieldCodes | None = None) -> None:
+        scorer = self.scorer_of(model, field_codes or FieldCodes(model.provenance["stack"]))
         limit = model.numbers("limit", len(scorer.fields), REGIMES, least=SMALLEST_LIMIT)
         super().__init__(self.model_kind, scorer, Threshold(limit, len(limit)))
 
@@ -339,6 +342,16 @@ class AllFieldsDetector(ScoringDetector, TrainedDetector):
     @abstractmethod
     def scorer_of(cls, model: Model, field_codes: FieldCodes) -> CodeScorer:
         """The scorer with the parameters of a model."""
+
+    @classmethod
+    def of_messages(
+        cls, recordings: Sequence[Sequence[State]], specs: Mapping[str, StateSpec], figures: Mapping[str, Any]
+    ) -> Detector:
+        """See `TrainedDetector`."""
+        cls.check_installed()
+        codes = MessageCodes(specs, recordings)
+        parameters = cls.fit(codes.samples(recordings), codes, figures)
+        return cls(Model(cls.model_kind, "tuned", MONITORED, "", parameters, {}), codes)
 
 
 class LimitsDetector(AllFieldsDetector):

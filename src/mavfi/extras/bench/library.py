@@ -181,7 +181,10 @@ class LibraryDetector(AllFieldsDetector):
         rows = model.numbers("rows", row_count, count)
         slots = model.numbers("slots", len(rows), least=0.0).astype(np.int64)
         scale = model.numbers("scale", count, least=1.0)
-        tables = _refitted(cls.learned, model.provenance["stack"], rows.tobytes(), slots.tobytes(), scale.tobytes())
+        if "stack" in model.provenance:
+            tables = _refitted(cls.learned, model.provenance["stack"], rows.tobytes(), slots.tobytes(), scale.tobytes())
+        else:
+            tables = cls.learned(rows, slots, scale, field_codes)  # of messages
         return ModelScorer(field_codes, tables, float(model.numbers("floor")))
 
     @classmethod

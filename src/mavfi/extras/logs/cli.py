@@ -9,12 +9,23 @@ import typer
 from rich.table import Table
 
 from mavfi.cli import options
-from mavfi.cli.console import check_name, check_number, check_seed, console, titled_table, write_json
+from mavfi.cli.console import (
+    PICTURES,
+    check_file,
+    check_name,
+    check_number,
+    check_seed,
+    console,
+    titled_table,
+    write_json,
+)
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
     from mavfi.extras.logs.live import LiveView
+    from mavfi.extras.logs.recording import LogRecording
+    from mavfi.extras.logs.selection import Wanted
     from mavfi.extras.logs.watch import JudgedLog, LogRates, LogWatch
 
 _MAX_FLIPS = 100_000
@@ -54,19 +65,39 @@ def watch(  # noqa: PLR0913 - one parameter per option
     split: Annotated[
         float | None, typer.Option(help="Instead of --train: train on this first share of each LOG, judge the rest.")
     ] = None,
-    detector: Annotated[str, typer.Option(help="gaussian or autoencoder.")] = "gaussian",
+    detector: Annotated[
+        str, typer.Option(metavar="NAME", help="gaussian, autoencoder, recommended, limits, ..., or package:Class.")
+    ] = "gaussian",
     profile: options.WatchProfile = "tuned",
     fields: Annotated[
         str, typer.Option(metavar="FIELD,...", help="Numbers, e.g. ATTITUDE:roll; recommended ones or all by default.")
+    ] = "",
+    kinds: Annotated[
+        str,
+        typer.Option(
+            metavar="FIELD=KIND,...",
+            help="What fields are, where this is not recognised: rad, deg, cdeg, degE7, quaternion, or number.",
+        ),
+    ] = "",
+    mapping: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="For rules and custom detectors: which fields are which quantities; px4, mavlink, ardupilot, mavros, "
+            "nav2, mavfi, or a .yaml file; what fits best by default.",
+        ),
     ] = "",
     fault: Annotated[
         str, typer.Option(metavar="TOPIC:FIELD", help="A number in LOG that is 0 until a known fault begins.")
     ] = "",
     inject: Annotated[int, typer.Option(help="Bits to flip in each LOG, one at a time.")] = 0,
     seed: Annotated[int, typer.Option(help="Seed of these flips.")] = 0,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw the fields that raised alarms, over time.")
+    ] = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Judge recorded flights with one of the paper's detectors, trained on others.
+    """Judge recorded flights with a detector, trained on others.
 
     Reports false alarms per hour, the share of injected flips that are detected, and the delay of known faults.
     A LOG must not be among those of --train.
@@ -74,15 +105,21 @@ def watch(  # noqa: PLR0913 - one parameter per option
     Example: [bold]mavfi watch flight.ulg --train normal1.ulg --train normal2.ulg --inject 300[/bold]
     """
     from mavfi.detectors.preprocess import PROFILES
-    from mavfi.detectors.registry import of_monitored_fields
+    from mavfi.extras.logs.detectors import is_fitted, uses_rules
+    from mavfi.extras.logs.selection import Wanted, parse_kinds, summary
     from mavfi.extras.logs.watch import LogRates
 
     # Check the options.
-    check_name("--detector", detector, of_monitored_fields())
+    is_of_fields = is_fitted(detector)
+    if mapping and is_of_fields:
+        raise BadInputError(
+            f"--mapping: {mapping}: is not read by {detector}; allowed: with rules or a custom detector"
+        )
     check_name("--profile", profile, PROFILES)
     check_number("--split", split, 0.05, 0.95)
     check_number("--inject", inject, 0, _MAX_FLIPS)
     check_seed("--seed", seed)
+    check_file("--picture", picture, PICTURES)
     if (split is None) == (not train):
         for path in logs:
             if not path.exists():
@@ -94,15 +131,23 @@ def watch(  # noqa: PLR0913 - one parameter per option
     _check_apart(logs, train or [])
     # Train and judge.
     with stoppable("Stopped."):
-        wanted_fields = options.listed(fields)
-        trained, judged = _judge(logs, train or [], split, (detector, profile), wanted_fields, fault, (inject, seed))
+        wanted = Wanted(options.listed(fields), parse_kinds(options.listed(kinds)))
+        if not is_of_fields:
+            wanted = wanted._replace(mapping=mapping, only_mapped=uses_rules(detector))
+        trained, recordings, judged = _judge(
+            logs, train or [], split, (detector, profile), wanted, fault, (inject, seed)
+        )
     # What was found, and how.
     rates = LogRates(judged)
-    trained_on = sum(log_watch.trained_on for log_watch in trained)
-    names: dict[str, list[str]] = {}
-    for log_watch in trained:
-        for topic, probe in log_watch.probes.items():
-            names[topic] = [field.name for field in probe.spec.header]
+    different = list({id(log_watch): log_watch for log_watch in trained}.values())
+    trained_on = sum(log_watch.trained_on for log_watch in different)
+    names, geometry = _selected(different)
+    not_monitored = list(dict.fromkeys(item for log_watch in different for item in log_watch.selection.not_monitored))
+    not_monitored += [item for recording in judged for item in recording.not_monitored]
+    if picture is not None:
+        from mavfi.extras.logs.picture import draw_alarms
+
+        draw_alarms(picture, trained, recordings, judged)
     if as_json:
         write_json(
             rates.to_json()
@@ -110,18 +155,67 @@ def watch(  # noqa: PLR0913 - one parameter per option
                 "detector": detector,
                 "profile": profile,
                 "fields": names,
+                "angles_and_quaternions": geometry,
+                "not_monitored": [item._asdict() for item in not_monitored],
+                "mapping": _mapping_json(trained[0]),
                 "trained_on": trained_on,
             }
         )
         return
+    how = f"{detector} ({profile}), trained on {trained_on} messages"
+    mapped = trained[0].selection.mapping
+    if mapped.name:
+        how += f"; mapping {mapped.name}: {', '.join(mapped.states) or 'no state'}"
     out = console()
     out.print(rates.headline(), style="bold", markup=False)
-    for line in _summary(rates):
+    for line in [*_events(judged), *_summary(rates), *_monitored(names), *summary(not_monitored), how]:
         out.print(line, markup=False, soft_wrap=True)
-    monitored = f"{sum(map(len, names.values()))} fields of {', '.join(names)}"
-    out.print(f"{detector} ({profile}), {monitored}; trained on {trained_on} messages", markup=False, soft_wrap=True)
     out.print(_table(judged))
-    _list_alarms(judged)
+
+
+def _selected(log_watches: list[LogWatch]) -> tuple[dict[str, list[str]], dict[str, str]]:
+    """Monitored fields by topic, and what the angles and quaternions among them are."""
+    names: dict[str, list[str]] = {}
+    geometry: dict[str, str] = {}
+    for log_watch in log_watches:
+        for topic, probe in log_watch.selection.probes.items():
+            names[topic] = [field.name for field in probe.spec.header]
+            kinds_of_topic = log_watch.selection.geometries[topic].to_json()
+            geometry |= {f"{topic}:{name}": kind for name, kind in kinds_of_topic.items()}
+    return names, geometry
+
+
+def _mapping_json(log_watch: LogWatch) -> dict[str, Any]:
+    """Which states of missions were made of which fields."""
+    used = log_watch.selection.mapping
+    states = {name: {"topic": mapping.topic, **mapping.fields} for name, mapping in used.states.items()}
+    return {"name": used.name, "states": states, "counters": list(used.counters), "missing": dict(used.missing)}
+
+
+def _events(judged: list[JudgedLog]) -> list[str]:
+    """What raised alarms: the first events of each recording, and the first alarm after a known fault."""
+    lines = []
+    for recording in judged:
+        events = recording.event_list
+        lines += [f"{recording.name} {event.text()}" for event in events[:_MAX_LISTED]]
+        if len(events) > _MAX_LISTED:
+            lines.append(f"{recording.name}: {len(events) - _MAX_LISTED} more events")
+        alarm = recording.fault_alarm
+        if alarm is not None and len(judged) <= _MAX_LISTED:
+            fields = ", ".join(alarm.fields)
+            lines.append(f"{recording.name}, known fault: {alarm.topic} {fields}, {alarm.source}")
+    return lines
+
+
+def _monitored(names: dict[str, list[str]]) -> list[str]:
+    """How much is monitored, in one line."""
+    from mavfi.extras.logs.selection import shortened
+
+    count = sum(map(len, names.values()))
+    noun = "fields"
+    if count == 1:
+        noun = "field"
+    return [shortened(f"monitored, {count} {noun} of ", list(names), "topics")]
 
 
 def _check_apart(logs: list[Path], train: list[Path]) -> None:
@@ -145,34 +239,52 @@ def _judge(
     train: list[Path],
     split: float | None,
     detector_and_profile: tuple[str, str],
-    fields: list[str],
+    wanted: Wanted,
     fault: str,
     flips: tuple[int, int],
-) -> tuple[list[LogWatch], list[JudgedLog]]:
-    """Train and judge; each LOG that is split trains its own detector.
+) -> tuple[list[LogWatch], list[LogRecording], list[JudgedLog]]:
+    """Train and judge; returns the detector of each LOG, the LOG, and what was found in it.
+
+    Each LOG that is split trains its own detector.
 
     Args:
         logs: The recordings to be judged.
         train: Normal recordings.
         split: Share of each LOG to train on, instead.
         detector_and_profile: Their names.
-        fields: Monitored fields; empty = the recommended ones, or all.
+        wanted: What to monitor.
         fault: Number that tells of a known fault; "" = none.
         flips: Number of flips in each LOG, and their seed.
     """
-    from mavfi.extras.logs.watch import LogWatch, cut_text, judge_rest, read_recording, select
+    from mavfi.extras.logs.recording import read_recording
+    from mavfi.extras.logs.selection import cut_text, select
+    from mavfi.extras.logs.watch import LogWatch, judge_rest
 
     recordings = [read_recording(path, fault) for path in logs]
     normal = [read_recording(path, fault, required=False).normal for path in train]
-    cut = cut_text([*recordings, *normal])
-    if cut:
-        console(error=True).print(cut, markup=False, soft_wrap=True)
+    notices = [notice for recording in [*recordings, *normal] for notice in recording.notices]
+    recordings = _flown(recordings)
+    if train:
+        normal = _flown(normal)
+    for text in [cut_text([*recordings, *normal]), *dict.fromkeys(notices)]:
+        if text:
+            console(error=True).print(text, markup=False, soft_wrap=True)
     if split is None:
-        probes = select([*normal, *(recording.normal for recording in recordings)], fields)
-        log_watch = LogWatch(*detector_and_profile, probes, normal)
-        return [log_watch], [log_watch.judge(recording, *flips) for recording in recordings]
-    pairs = [judge_rest(*detector_and_profile, recording, split, fields, *flips) for recording in recordings]
-    return [log_watch for log_watch, _ in pairs], [judged for _, judged in pairs]
+        selection = select(normal, recordings, wanted)
+        log_watch = LogWatch(*detector_and_profile, selection, normal, flips[1])
+        judged = [log_watch.judge(recording, *flips) for recording in recordings]
+        return [log_watch] * len(recordings), recordings, judged
+    pairs = [judge_rest(*detector_and_profile, recording, split, wanted, *flips) for recording in recordings]
+    return [log_watch for log_watch, _ in pairs], recordings, [judged for _, judged in pairs]
+
+
+def _flown(recordings: list[LogRecording]) -> list[LogRecording]:
+    """The recordings with messages: what is left out of the others is a notice."""
+    flown = [recording for recording in recordings if recording.messages]
+    if not flown:
+        reasons = [notice for recording in recordings for notice in recording.notices]
+        raise BadInputError("; ".join(reasons) or f"{recordings[0].name}: has no messages")
+    return flown
 
 
 def _summary(rates: LogRates) -> list[str]:
@@ -204,15 +316,3 @@ def _table(judged: list[JudgedLog]) -> Table:
             delay_text(recording),
         )
     return table
-
-
-def _list_alarms(judged: list[JudgedLog]) -> None:
-    """The first false alarms of each recording."""
-    out = console()
-    for recording in judged:
-        for alarm in recording.alarms[:_MAX_LISTED]:
-            fields = ", ".join(alarm.fields)
-            text = f"{recording.name} {1e-6 * alarm.time_us:.3f} s: {alarm.topic} {fields}, score {alarm.score:.3g}"
-            out.print(text, markup=False, soft_wrap=True)
-        if len(recording.alarms) > _MAX_LISTED:
-            out.print(f"{recording.name}: {len(recording.alarms) - _MAX_LISTED} more alarms", markup=False)

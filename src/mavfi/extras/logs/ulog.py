@@ -5,7 +5,7 @@ instants of the flight in microseconds.
 """
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
@@ -19,7 +19,12 @@ from mavfi.numerics.frames import ned_of
 from mavfi.record import FlightLog
 from mavfi.report.lines import ERROR, INFO, WARN, LogLine, line_of, lines_of
 
-_LANDED = "vehicle_land_detected"
+_FLIGHT_STATES = (
+    ("vehicle_land_detected", "landed", 0),
+    ("vehicle_status", "arming_state", 2),
+    ("actuator_armed", "armed", 1),
+)
+"""Topic and field that tell whether the vehicle flies, and their value if it does; the first one in the file counts."""
 _FILE_HEADER = 16
 _HEADER = struct.Struct("<HB")
 """Of a message: size of what follows, type."""
@@ -34,7 +39,11 @@ class UlogReader:
     """Reads a ULog file; see `FlightLogReader`.
 
     Of topics with several instances, those after the first are named `topic.1`, `topic.2` ...  If the file says when
-    the vehicle was on the ground (`vehicle_land_detected`), messages of these times are left out.
+    the vehicle was on the ground (`vehicle_land_detected`), or else when it was armed (`vehicle_status`,
+    `actuator_armed`), messages of all other times are left out.
+
+    Attributes:
+        notices: What could not be read, or was left out.
     """
 
     recommended = {  # outputs of flight software, from estimate to actuators, in old and new versions of PX4
@@ -62,12 +71,16 @@ class UlogReader:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self.notices: list[str] = []
 
     def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
         """See `FlightLogReader`."""
+        self.notices = []
         data_sets = self._data_sets()
         check_topics(self._path, topics, data_sets)
-        spans = _airborne(data_sets.get(_LANDED))
+        spans = _airborne(data_sets)
+        if not spans:
+            self.notices.append("no flight: on the ground, or not armed, throughout")
         messages = []
         for topic, columns in data_sets.items():
             if topics and topic not in topics:
@@ -103,27 +116,20 @@ class UlogReader:
         with reading(path, "a ULog file"):
             with path.open("rb") as file, redirect_stdout(StringIO()):
                 log: Any = pyulog.ULog(file)
-            lacking = [
-                data_set.name for data_set in log.data_list if not _required(data_set.name) <= set(data_set.data)
-            ]
-            if lacking:
-                raise ValueError(f"damaged in {', '.join(lacking)}")
             if log.file_corruption:
-                raise ValueError("damaged")
+                self.notices.append("damaged: what could not be read was skipped")
             columns = {}
             for data_set in log.data_list:
                 topic = data_set.name
                 if data_set.multi_id:
                     topic = f"{data_set.name}.{data_set.multi_id}"
-                columns[topic] = data_set.data
+                if "timestamp" in data_set.data:
+                    columns[topic] = data_set.data
+                else:
+                    self.notices.append(f"{topic}: not read, it has no timestamp")
+            if not columns:
+                raise ValueError("no topic with a timestamp")
             return columns
-
-
-def _required(topic: str) -> set[str]:
-    """Columns that the reader uses."""
-    if topic == _LANDED:
-        return {"timestamp", "landed"}
-    return {"timestamp"}
 
 
 def _rows(columns: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -139,15 +145,17 @@ def _rows(columns: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     return columns["timestamp"].astype(np.int64), rows
 
 
-def _airborne(landed: dict[str, np.ndarray] | None) -> list[tuple[int, int]]:
+def _airborne(data_sets: Mapping[str, Mapping[str, np.ndarray]]) -> list[tuple[int, int]]:
     """Times (us) in the air, from and until; everything if the file does not say."""
-    forever = np.iinfo(np.int64).max
-    if landed is None or not len(landed["timestamp"]) or landed["landed"].all():
-        return [(0, forever)]
-    times = [*landed["timestamp"].astype(np.int64).tolist(), forever]  # each state lasts until the next one
-    return [
-        (begin, end) for begin, end, is_landed in zip(times, times[1:], landed["landed"], strict=False) if not is_landed
-    ]
+    forever = int(np.iinfo(np.int64).max)
+    for topic, field, code in _FLIGHT_STATES:
+        columns = data_sets.get(topic, {})
+        if not len(columns.get(field, ())):
+            continue
+        times = [*columns["timestamp"].astype(np.int64).tolist(), forever]  # each state lasts until the next one
+        in_flight = columns[field] == code
+        return [(begin, end) for begin, end, flies in zip(times, times[1:], in_flight, strict=False) if flies]
+    return [(0, forever)]
 
 
 # ---- writer ------------------------------------------------------------------------------------------------------

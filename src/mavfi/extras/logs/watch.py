@@ -1,208 +1,30 @@
-"""GAD or AAD on recorded flights: trained on some, applied to others, with injected flips and known faults."""
+"""Detectors on recorded flights: trained on some, applied to others, with injected flips and known faults."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import asdict, dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mavfi.analysis.statistics import EventRate, Rate, event_rate, wilson
-from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec, learn
-from mavfi.errors import BadInputError, allowed
-from mavfi.faults.levels.message.definition import AbsentError, Leaf, flip_bit
+from mavfi.detectors.detector import Alarm, Detector
+from mavfi.extras.logs.detectors import log_detector
+from mavfi.extras.logs.monitor import NOT_FINITE_RULE
+from mavfi.extras.logs.recording import LogRecording, exposure_s, longest_gap_us
+from mavfi.extras.logs.selection import EVERYTHING, NotMonitored, Selection, Wanted, select
+from mavfi.faults.levels.message.definition import Leaf, flip_bit
 from mavfi.faults.strata import bits_of
-from mavfi.flight.log_readers import LONGEST_LIST, LoggedMessage, Probe, check_topics, open_flight_log
+from mavfi.flight.log_readers import LoggedMessage
 from mavfi.states import Field, State
 
 _EVENT_GAP_US = 1_000_000
-"""Alarms that follow each other within this time are one event (us)."""
+"""Alarms that follow each other within this time are one event (us), in logs of more than 1 Hz."""
 BIT_CLASSES = ("sign", "exponent", "mantissa")
-_LONGEST_GAP_US = 1_000_000
-"""Longer times without a message do not count as exposure (us)."""
-_MIN_MESSAGES = 20
-"""Messages that a monitored topic has in each recording."""
+_MAX_NAMED = 4
+"""Most fields that an event names in a line."""
 _FLOATS = {"float32": "f4", "float64": "f8"}
 _INJECTION_STREAM = 1
-
-
-@dataclass(frozen=True)
-class LogRecording:
-    """Messages of a recorded flight.
-
-    Attributes:
-        name: File name.
-        messages: In order of time.
-        onset_us: Start of a known fault (us, by the clock of the file); None = none known.
-        recommended: Fields worth monitoring, by topic, as known by the reader; empty = all numbers.
-        cut: Whether the file ends within a message.
-    """
-
-    name: str
-    messages: list[LoggedMessage]
-    onset_us: int | None = None
-    recommended: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    cut: bool = False
-
-    @property
-    def normal(self) -> "LogRecording":
-        """The part before the known fault."""
-        if self.onset_us is None:
-            return self
-        return replace(self, messages=[message for message in self.messages if message.time_us < self.onset_us])
-
-    def split(self, share: float) -> tuple["LogRecording", "LogRecording"]:
-        """The first share of its messages, and the rest."""
-        count = round(share * len(self.messages))
-        first = replace(self, messages=self.messages[:count])
-        rest = replace(self, messages=self.messages[count:])
-        return first, rest
-
-
-def read_recording(path: Path, fault: str = "", *, required: bool = True) -> LogRecording:
-    """Read a recorded flight.
-
-    Args:
-        path: The file.
-        fault: "TOPIC:FIELD" of a number whose first value other than 0 marks the start of a known fault; "" = none.
-        required: Whether the file must have that number.
-
-    Raises:
-        BadInputError: The file cannot be read, or lacks a required field.
-    """
-    topic, _, number = fault.rpartition(":")
-    if fault and not (topic and number):
-        raise BadInputError(f"--fault: {fault!r}: allowed: TOPIC:FIELD, a number that is 0 before the fault")
-    reader = open_flight_log(path)
-    messages = list(reader.messages([]))
-    # The topic that tells of the fault is not monitored.
-    onset = None
-    if fault:
-        if required:
-            check_topics(path, [topic], {message.topic for message in messages})
-        onset = _onset([message for message in messages if message.topic == topic], number)
-        messages = [message for message in messages if message.topic != topic]
-    is_cut = getattr(reader, "is_cut", None)
-    cut = is_cut is not None and is_cut()
-    return LogRecording(path.name, messages, onset, getattr(reader, "recommended", {}), cut)
-
-
-def _onset(messages: Sequence[LoggedMessage], number: str) -> int | None:
-    """Time of the first message (us) in which a number is not 0."""
-    for message in messages:
-        message.layout.check(number)
-        try:
-            if message.layout.locate(message.data, number).value(message.data) != 0:
-                return message.time_us
-        except AbsentError as error:
-            raise BadInputError(f"--fault: {error}") from None
-    return None
-
-
-# ---- selection of fields -------------------------------------------------------------------------------------------
-def select(recordings: Sequence[LogRecording], wanted: Sequence[str] = ()) -> dict[str, Probe]:
-    """Monitored fields by topic: those that all recordings have, with finite numbers in every message.
-
-    Args:
-        recordings: Normal parts of the recordings.
-        wanted: "TOPIC:FIELD" or "FIELD"; empty = the recommended ones of the format, or all.
-
-    Raises:
-        BadInputError: A wanted field is not in all recordings, or there is none at all.
-    """
-    groups = [_by_topic(recording) for recording in recordings]
-    shared = [topic for topic in groups[0] if all(len(group.get(topic, ())) >= _MIN_MESSAGES for group in groups)]
-    # In each topic the numbers that are wanted, or recommended, and finite throughout.
-    probes = {}
-    for topic in shared:
-        first = groups[0][topic][0]
-        names = _candidates(topic, first, wanted, recordings[0].recommended)
-        usable = [name for name in names if all(_is_finite(group[topic], name) for group in groups)]
-        if usable:
-            probes[topic] = Probe(first.layout, foreign_spec(topic, usable))
-    cut = cut_text(recordings)
-    if cut:
-        cut = f" ({cut})"
-    _check_wanted(wanted, probes, groups, shared, cut)
-    if not probes:
-        files = ", ".join(recording.name for recording in recordings)
-        raise BadInputError(
-            f"{files}: no numbers in common{cut}; allowed: topics with {_MIN_MESSAGES} messages or more "
-            "in each recording, with finite numbers"
-        )
-    return probes
-
-
-def cut_text(recordings: Sequence[LogRecording]) -> str:
-    """Which files are cut; "" = none."""
-    names = [recording.name for recording in recordings if recording.cut]
-    if names:
-        return f"{', '.join(names)}: cut, the last message is not complete"
-    return ""
-
-
-def _by_topic(recording: LogRecording) -> dict[str, list[LoggedMessage]]:
-    """The messages of each topic."""
-    groups: dict[str, list[LoggedMessage]] = {}
-    for message in recording.messages:
-        groups.setdefault(message.topic, []).append(message)
-    return groups
-
-
-def _candidates(
-    topic: str, message: LoggedMessage, requested: Sequence[str], recommended: Mapping[str, Sequence[str]]
-) -> list[str]:
-    """Numbers of a topic, given a message of it, that are wanted; by default those that are recommended."""
-    numbers = message.layout.numbers(message.data, LONGEST_LIST)
-    if requested:
-        requested_names = [name.rpartition(":") for name in requested]
-        return [path for topic_of_name, _, path in requested_names if topic_of_name in ("", topic) and path in numbers]
-    if not recommended:
-        return numbers
-    return [name for name in recommended.get(topic, ()) if name in numbers]
-
-
-def _is_finite(messages: Sequence[LoggedMessage], name: str) -> bool:
-    """Whether every message has the number, and it is finite."""
-    try:
-        values = [message.layout.locate(message.data, name).value(message.data) for message in messages]
-    except (AbsentError, KeyError):
-        return False
-    return bool(np.isfinite(np.array(values, np.float64)).all())
-
-
-def _check_wanted(
-    wanted: Sequence[str],
-    probes: Mapping[str, Probe],
-    groups: Sequence[dict[str, list[LoggedMessage]]],
-    shared: Sequence[str],
-    cut: str,
-) -> None:
-    """Refuse wanted fields that are not monitored, and name the nearest ones."""
-    monitored = {(topic, field.name) for topic, probe in probes.items() for field in probe.spec.header}
-    for name in wanted:
-        topic, _, path = name.rpartition(":")
-        if any(path == monitored_path and topic in ("", owner) for owner, monitored_path in monitored):
-            continue
-        # What could be named instead: in the same topic if there is one, and in the same form.
-        candidates: Sequence[str] = shared
-        if topic in shared:
-            candidates = [topic]
-        numbers = []
-        for candidate in candidates:
-            first = groups[0][candidate][0]
-            for number in first.layout.numbers(first.data, LONGEST_LIST):
-                if not all(_is_finite(group[candidate], number) for group in groups):
-                    continue
-                if topic:
-                    numbers.append(f"{candidate}:{number}")
-                else:
-                    numbers.append(number)
-        raise BadInputError(
-            f"--fields: {name}: not a finite number in all recordings, in {_MIN_MESSAGES} messages or more of "
-            f"each{cut}; allowed: {allowed(numbers, name)}"
-        )
 
 
 # ---- judging -------------------------------------------------------------------------------------------------------
@@ -220,6 +42,7 @@ class LogAlarm:
         topic: Its topic.
         score: Relative to the threshold.
         fields: The fields that raised the alarm.
+        source: The detector or rule that raised it.
     """
 
     place: int
@@ -227,6 +50,45 @@ class LogAlarm:
     topic: str
     score: float
     fields: tuple[str, ...]
+    source: str = ""
+
+
+class LogEvent(NamedTuple):
+    """Alarms that follow each other.
+
+    Attributes:
+        begin_us: Time of the first (us).
+        end_us: Time of the last (us).
+        alarms: Their number.
+        topics: Their topics, those with most alarms first.
+        fields: The fields that raised them, in the same order.
+        sources: Their detectors and rules.
+        score: The largest score.
+    """
+
+    begin_us: int
+    end_us: int
+    alarms: int
+    topics: tuple[str, ...]
+    fields: tuple[str, ...]
+    sources: tuple[str, ...]
+    score: float
+
+    def text(self) -> str:
+        """When, which fields, and why."""
+        when = f"{1e-6 * self.begin_us:.3f} s"
+        if self.alarms > 1:
+            when = f"{1e-6 * self.begin_us:.3f} to {1e-6 * self.end_us:.3f} s"
+        fields = ", ".join(self.fields[:_MAX_NAMED])
+        if len(self.fields) > _MAX_NAMED:
+            fields += f" and {len(self.fields) - _MAX_NAMED} more"
+        cause = self.sources[0]
+        if cause != NOT_FINITE_RULE:
+            cause += f", score {self.score:.3g}"
+        messages = ""
+        if self.alarms > 1:
+            messages = f", {self.alarms} messages"
+        return f"{when}: {self.topics[0]} {fields}: {cause}{messages}"
 
 
 @dataclass(frozen=True)
@@ -262,6 +124,9 @@ class JudgedLog:
         has_fault: Whether a fault is known.
         after_fault_s: Duration of the part with the known fault (s).
         cut: Whether the file ends within a message.
+        event_gap_us: Alarms that follow each other within this time are one event (us).
+        not_monitored: Numbers that are not monitored in this recording, with the reason.
+        fault_alarm: The first alarm after the start of the known fault; None = there is none.
     """
 
     name: str
@@ -273,41 +138,64 @@ class JudgedLog:
     fault_delay_s: float | None = None
     after_fault_s: float = 0.0
     cut: bool = False
+    event_gap_us: int = _EVENT_GAP_US
+    not_monitored: Sequence[NotMonitored] = ()
+    fault_alarm: LogAlarm | None = None
 
     @property
     def events(self) -> int:
-        """Alarms, with those within `_EVENT_GAP_US` of each other counted as one."""
-        if not self.alarms:
-            return 0
-        times = [alarm.time_us for alarm in self.alarms]
-        return 1 + sum(later - earlier > _EVENT_GAP_US for earlier, later in zip(times, times[1:], strict=False))
+        """Alarms, with those within `event_gap_us` of each other counted as one."""
+        return len(self.event_list)
+
+    @property
+    def event_list(self) -> list[LogEvent]:
+        """The same, one by one."""
+        groups: list[list[LogAlarm]] = []
+        for alarm in self.alarms:
+            if groups and alarm.time_us - groups[-1][-1].time_us <= self.event_gap_us:
+                groups[-1].append(alarm)
+            else:
+                groups.append([alarm])
+        return [_event_of(group) for group in groups]
+
+
+def _event_of(alarms: Sequence[LogAlarm]) -> LogEvent:
+    """Alarms as one event."""
+    topics = Counter(alarm.topic for alarm in alarms)
+    fields = Counter(name for alarm in alarms for name in alarm.fields)
+    sources = Counter(alarm.source for alarm in alarms)
+    return LogEvent(
+        alarms[0].time_us,
+        alarms[-1].time_us,
+        len(alarms),
+        tuple(topic for topic, _ in topics.most_common()),
+        tuple(name for name, _ in fields.most_common()),
+        tuple(source for source, _ in sources.most_common()),
+        max(alarm.score for alarm in alarms),
+    )
 
 
 class LogWatch:
     """A detector trained on recordings.
 
     Args:
-        kind: "gaussian" or "autoencoder".
+        kind: Name of a detector, or "package:Class".
         profile: "paper" or "tuned".
-        probes: Monitored fields.
+        selection: What is monitored.
         training: Recordings of normal flights.
+        seed: Seed of the detector's random draws.
 
     Raises:
-        BadInputError: Unknown kind, or too few messages.
+        BadInputError: See `log_detector`.
     """
 
-    def __init__(self, kind: str, profile: str, probes: Mapping[str, Probe], training: Sequence[LogRecording]) -> None:
-        # Read all topics, then drop those with too few messages.
-        self.probes = dict(probes)
-        flights = [[state for _, state in self._states(recording)] for recording in training]
-        counts = Counter(state.spec.name for states in flights for state in states)
-        self.probes = {topic: probe for topic, probe in probes.items() if counts[topic] >= SMALLEST_SAMPLE}
-        if not self.probes:
-            raise BadInputError(f"--train: no topic has {SMALLEST_SAMPLE} messages; allowed: longer recordings")
-        specs = {topic: probe.spec for topic, probe in self.probes.items()}
-        training_states = [[state for state in states if state.spec.name in specs] for states in flights]
-        self.detector: Any = learn(kind, profile, training_states, specs)
-        self.trained_on = sum(map(len, training_states))
+    def __init__(
+        self, kind: str, profile: str, selection: Selection, training: Sequence[LogRecording], seed: int = 0
+    ) -> None:
+        self.selection = selection
+        flights = [[(message.time_us, state) for message, state in self._states(recording)] for recording in training]
+        self.detector: Detector = log_detector(kind, profile, selection, selection.mapping, flights, seed)
+        self.trained_on = sum(map(len, flights))
 
     def _states(self, recording: LogRecording) -> Iterator[Sample]:
         """The messages of a recording with monitored fields."""
@@ -318,7 +206,7 @@ class LogWatch:
 
     def _read(self, message: LoggedMessage, data: bytes) -> State | None:
         """The monitored fields of bytes with the layout of a message, which may differ from file to file."""
-        probe = self.probes.get(message.topic)
+        probe = self.selection.probes.get(message.topic)
         if probe is None:
             return None
         return replace(probe, layout=message.layout).read(data)
@@ -339,6 +227,7 @@ class LogWatch:
         normal = samples
         faulty: list[Sample] = []
         false_alarms = alarms
+        fault_alarm = None
         fault_delay_s = None
         if onset is not None:
             count = sum(message.time_us < onset for message, _ in samples)
@@ -347,20 +236,38 @@ class LogWatch:
             false_alarms = [alarm for alarm in alarms if alarm.time_us < onset]
             for alarm in alarms:
                 if alarm.time_us >= onset:
+                    fault_alarm = alarm
                     fault_delay_s = 1e-6 * (alarm.time_us - onset)
                     break
         injected = self._inject(normal, {alarm.place for alarm in false_alarms}, flips, seed)
+        gap_us = longest_gap_us([message.time_us for message, _ in samples])
         return JudgedLog(
             recording.name,
-            _exposure_s(normal),
+            exposure_s([message.time_us for message, _ in normal], gap_us),
             len(normal),
             false_alarms,
             list(injected),
             has_fault=onset is not None,
             fault_delay_s=fault_delay_s,
-            after_fault_s=_exposure_s(faulty),
+            after_fault_s=exposure_s([message.time_us for message, _ in faulty], gap_us),
             cut=recording.cut,
+            event_gap_us=gap_us,
+            not_monitored=self._silent(recording, samples),
+            fault_alarm=fault_alarm,
         )
+
+    def _silent(self, recording: LogRecording, samples: Sequence[Sample]) -> list[NotMonitored]:
+        """Monitored topics of which a recording has no message, or messages without a monitored field."""
+        counts = Counter(message.topic for message in recording.messages)
+        judged = Counter(message.topic for message, _ in samples)
+        silent = []
+        for topic in self.selection.probes:
+            if not counts[topic]:
+                silent.append(NotMonitored(topic, "", f"silent in {recording.name}"))
+            elif judged[topic] < counts[topic]:
+                lacking = counts[topic] - judged[topic]
+                silent.append(NotMonitored(topic, "", f"fields absent in {lacking} messages of {recording.name}"))
+        return silent
 
     def _run(self, samples: Sequence[Sample]) -> Iterator[LogAlarm]:
         """The alarms of a flight."""
@@ -368,10 +275,18 @@ class LogWatch:
         for index, (message, state) in enumerate(samples):
             alarm = self._step(state, message.time_us)
             if alarm is not None:
-                fields = tuple(name.removeprefix(f"{message.topic}.") for name in alarm.fields)
-                yield LogAlarm(index, message.time_us, message.topic, alarm.score, fields)
+                topic, fields = self._names(message.topic, alarm.fields)
+                yield LogAlarm(index, message.time_us, topic, alarm.score, fields, alarm.source)
 
-    def _step(self, state: State, time_us: int) -> Any:
+    def _names(self, topic: str, names: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+        """Topic and names of the fields that an alarm names: "topic.field", or "topic:field" if they are mapped."""
+        for owner in self.selection.probes:
+            fields = tuple(name.removeprefix(f"{owner}:") for name in names if name.startswith(f"{owner}:"))
+            if fields:
+                return owner, fields
+        return topic, tuple(name.removeprefix(f"{topic}.") for name in names)
+
+    def _step(self, state: State, time_us: int) -> Alarm | None:
         """The alarm on a message, which the detector accepts in any case; None = there is none."""
         alarm = self.detector.check(state, time_us)
         self.detector.accept(state, time_us)
@@ -398,7 +313,7 @@ class LogWatch:
 
     def _floats(self, message: LoggedMessage) -> list[tuple[str, str]]:
         """Monitored floating-point fields of a message, each with its kind."""
-        names = [field.name for field in self.probes[message.topic].spec.header]
+        names = [field.name for field in self.selection.probes[message.topic].spec.header]
         kinds = [(name, message.layout.check(name)) for name in names]
         return [(name, kind) for name, kind in kinds if kind in _FLOATS]
 
@@ -429,13 +344,13 @@ def judge_rest(
     profile: str,
     recording: LogRecording,
     share: float,
-    fields: Sequence[str] = (),
+    wanted: Wanted = EVERYTHING,
     flips: int = 0,
     seed: int = 0,
 ) -> tuple[LogWatch, JudgedLog]:
     """Train a detector on the first share of a recording, and judge the rest."""
     first, rest = recording.split(share)
-    log_watch = LogWatch(kind, profile, select([first.normal, rest.normal], fields), [first.normal])
+    log_watch = LogWatch(kind, profile, select([first.normal], [rest], wanted), [first.normal], seed)
     return log_watch, log_watch.judge(rest, flips, seed)
 
 
@@ -448,12 +363,6 @@ def _next_of_topic(samples: Sequence[Sample]) -> list[int | None]:
             following[latest[message.topic]] = index
         latest[message.topic] = index
     return following
-
-
-def _exposure_s(samples: Sequence[Sample]) -> float:
-    """Duration of some messages without longer gaps (s)."""
-    gaps = np.diff(np.array([message.time_us for message, _ in samples], np.int64))
-    return 1e-6 * float(gaps[gaps <= _LONGEST_GAP_US].sum())
 
 
 # ---- rates -----------------------------------------------------------------------------------------------------------
@@ -523,7 +432,15 @@ class LogRates:
             "flips": {name: asdict(rate) for name, rate in self.flips.items()},
             "faults": asdict(self.faults),
             "delays_s": self.delays_s,
-            "recordings": [asdict(judged) | {"events": judged.events} for judged in self.recordings],
+            "recordings": [
+                asdict(judged)
+                | {
+                    "events": judged.events,
+                    "not_monitored": [item._asdict() for item in judged.not_monitored],
+                    "event_list": [event._asdict() for event in judged.event_list],
+                }
+                for judged in self.recordings
+            ],
         }
 
 

@@ -1,317 +1,182 @@
-"""A MAVLink autopilot with PX4's modes: answers messages, flies tasks, sends telemetry; its owner advances time."""
+"""A MAVLink autopilot: answers messages, flies tasks, sends telemetry; its owner advances time.
+
+`px4.Px4Autopilot` and `ardupilot.ArduCopter` add modes, and how these autopilots arm, take off and follow set-points.
+Whatever a client sends is executed, answered with a refusal, or noted in `Autopilot.not_supported`.
+"""
 
 import math
-import struct
-from collections import defaultdict
-from collections.abc import Callable, Iterator
-from enum import Enum, IntEnum, IntFlag
-from typing import Any
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any, ClassVar
 
-from mavfi.errors import BadInputError
-from mavfi.extras.mavlink.flying import (
-    FOREVER_S,
-    MavVehicle,
-    Setpoint,
-    climb,
-    go_to,
-    hold,
-    offboard,
-    orbit,
-    return_to_launch,
-)
+from mavfi.extras.mavlink.failures import FailureCommands
+from mavfi.extras.mavlink.flying import MavVehicle, Setpoint, Sticks, go_to, hold
+from mavfi.extras.mavlink.missions import Mission
+from mavfi.extras.mavlink.parameters import Number, Parameters
+from mavfi.extras.mavlink.setpoints import Geography, completed, global_target, has_acceleration, local_target
+from mavfi.extras.mavlink.telemetry import Content, Schedule
 from mavfi.extras.mavlink.tlog import chunks_of, mavlink_dialect
-from mavfi.faults.levels.sensor.failures import Failure
-from mavfi.faults.levels.sensor.fault import NULL, SensorFault
-from mavfi.flight.piloted import TICK_US, Task, Vertical, at_attitude, at_rates, land
-from mavfi.numerics.frames import HOME, Triple, euler, geodetic, local
+from mavfi.extras.mavlink.vocabulary import Command, Frame, MavCommand, MavResult, Severity, UnsupportedError, whole
+from mavfi.flight.piloted import TICK_US, EndedTask, Task
+from mavfi.numerics.frames import Triple
 
-
-class MavResult(IntEnum):
-    """MAV_RESULT, also MAV_MISSION_RESULT of the first member: answers to a command."""
-
-    ACCEPTED = 0
-    REJECTED = 1  # temporarily, e.g. while the motors are off
-    DENIED = 2
-    UNSUPPORTED = 3
-    FAILED = 4
-
-
-class MavCommand(IntEnum):
-    """MAV_CMD: commands, and items of a mission."""
-
-    WAYPOINT = 16
-    RETURN_TO_LAUNCH = 20
-    LAND = 21
-    TAKEOFF = 22
-    DO_ORBIT = 34
-    DO_SET_MODE = 176
-    CHANGE_SPEED = 178
-    REPOSITION = 192
-    MISSION_START = 300
-    ARM_DISARM = 400
-    INJECT_FAILURE = 420
-    SET_MESSAGE_INTERVAL = 511
-    REQUEST_MESSAGE = 512
-    REQUEST_PROTOCOL_VERSION = 519
-    REQUEST_CAPABILITIES = 520
-
-
-# MAV_SEVERITY
-INFO = 6
-ERROR = 3
-UNITS = {0: "gyro", 1: "accelerometer", 2: "compass", 4: "position", 101: "motor"}
-"""Units of `SensorFault` by FAILURE_UNIT, which has no depth camera."""
-TYPES = dict(enumerate(("ok", "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")))
-"""Its types by FAILURE_TYPE, which has no drift."""
-PROOF_US = 1_000_000
-"""Time within which a failure must change a value (us)."""
 _AUTOPILOT_VERSION = 148
-"""Id of the message AUTOPILOT_VERSION."""
+_MESSAGE_INTERVAL = 244
+"""Ids of messages that are sent on request only."""
 _FORCE = 21_196
 """Second parameter of a command that disarms in flight."""
-_BODY_FRAMES = (8, 9, 12)
-"""MAV_FRAME: velocities along the heading."""
+_HOME_LIMIT = 50_000.0
+"""Largest distance of home from the origin (m): ArduPilot's."""
+_STICKS_US = 500_000
+"""Age of MANUAL_CONTROL from which sticks count as centred (us); PX4: COM_RC_LOSS_T."""
+_GROUND_SPEED_TYPES = (0, 1)
+"""SPEED_TYPE: air and ground speed, which are the same here."""
+_DEFAULT_SPEED = -2.0
+_FTP_NAK = 129
+_FTP_NOT_FOUND = 10
+_FTP_UNKNOWN = 7
+_FTP_OF_FILES = (3, 4)  # ListDirectory, OpenFileRO
+_FTP_PAYLOAD = 251
+_LOG_DATA = 90
+_PARAM_EXT_FAILED = 2
+
+CommandHandler = Callable[[Any, Command], int | None]
+"""Executes a command; its result, or None if it is acknowledged later."""
+MessageHandler = Callable[[Any, Any], None]
 
 
-class FlightMode(Enum):
-    """PX4's custom modes: main mode and sub-mode."""
-
-    MANUAL = (1, 0)
-    ALTITUDE = (2, 0)
-    POSITION = (3, 0)
-    READY = (4, 1)
-    TAKEOFF = (4, 2)
-    HOLD = (4, 3)
-    MISSION = (4, 4)
-    RETURN = (4, 5)
-    LAND = (4, 6)
-    ORBIT = (3, 1)
-    OFFBOARD = (6, 0)
-
-
-# ---- parameters ------------------------------------------------------------------------------------------------------
-_INT32 = 6
-_REAL32 = 9
-_DEFAULTS: dict[str, float | int] = {
-    "COM_RC_IN_MODE": 4,
-    "MIS_TAKEOFF_ALT": 2.5,
-    "MPC_XY_CRUISE": 5.0,
-    "NAV_DLL_ACT": 0,
-    "SYS_AUTOSTART": 4001,
-    "SYS_FAILURE_EN": 1,
-    "SYS_HITL": 0,
-}
-
-
-class Parameters:
-    """Values by name, those of PX4 that client programs ask for."""
-
-    def __init__(self) -> None:
-        self._values = dict(_DEFAULTS)
-
-    def __getitem__(self, name: str) -> float:
-        return float(self._values[name])
-
-    def answer(self, message: Any, send: Callable[..., None]) -> None:
-        """Answer PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET; unknown names are ignored."""
-        kind = message.get_type()
-        if kind == "PARAM_SET" and message.param_id in self._values:
-            self._set(message.param_id, message.param_value)
-        for name in self._requested(message):
-            self._send(name, send)
-
-    def _requested(self, message: Any) -> list[str]:
-        """Names of the parameters whose values answer a message."""
-        names = list(self._values)
-        kind = message.get_type()
-        if kind == "PARAM_REQUEST_LIST":
-            return names
-        if kind == "PARAM_REQUEST_READ" and message.param_index >= 0:
-            return names[message.param_index : message.param_index + 1]
-        if kind in ("PARAM_REQUEST_READ", "PARAM_SET") and message.param_id in self._values:
-            return [message.param_id]
-        return []
-
-    def _set(self, name: str, value: float) -> None:
-        if isinstance(self._values[name], int):
-            self._values[name] = _integer_bits(value)
-        else:
-            self._values[name] = float(value)
-
-    def _send(self, name: str, send: Callable[..., None]) -> None:
-        names = list(self._values)
-        value = self._values[name]
-        if isinstance(value, int):
-            send("param_value", name.encode(), _float_bits(value), _INT32, len(names), names.index(name))
-        else:
-            send("param_value", name.encode(), value, _REAL32, len(names), names.index(name))
-
-
-def _integer_bits(value: float) -> int:
-    """The integer that PARAM_VALUE and PARAM_SET carry in the bits of a float."""
-    return int(struct.unpack("<i", struct.pack("<f", value))[0])
-
-
-def _float_bits(value: int) -> float:
-    """Inverse of `_integer_bits`."""
-    return float(struct.unpack("<f", struct.pack("<i", value))[0])
-
-
-# ---- missions --------------------------------------------------------------------------------------------------------
-_RELATIVE_FRAMES = (3, 6)
-"""MAV_FRAME: global, relative to home."""
-_SCALE = 1e-7  # degrees
-_MISSING = 2**31 - 1  # a coordinate that is left out
-_MISSION = 0
-_ALL_TYPES = 255
-"""MAV_MISSION_TYPE."""
-
-
-def place_of(item: Any) -> Triple:
-    """Place (NED, m) of a MISSION_ITEM_INT or COMMAND_INT; NaN where a coordinate is left out."""
-    origin = 0.0
-    if item.frame in _RELATIVE_FRAMES:
-        origin = HOME[2]
-    return local(_degrees(item.x), _degrees(item.y), item.z + origin)
-
-
-def _degrees(coordinate: int) -> float:
-    """Latitude or longitude of an item (1e-7 deg) in degrees; NaN if it is left out."""
-    if coordinate == _MISSING:
-        return math.nan
-    return coordinate * _SCALE
-
-
-class Mission:
-    """Items by MAV_MISSION_TYPE; those of a mission are flown, those of fences and rally points are only stored."""
-
-    def __init__(self, autopilot: "Autopilot") -> None:
-        self._autopilot = autopilot
-        self._items: defaultdict[int, list[Any]] = defaultdict(list)
-        self._expected = 0
-        self._current = 0
-
-    def answer(self, message: Any) -> None:
-        """Answer a message of the protocol."""
-        send = self._autopilot.send
-        sender = (message.get_srcSystem(), message.get_srcComponent())
-        kind = message.get_type()
-        which = getattr(message, "mission_type", _MISSION)
-        items = self._items[which]
-
-        # upload: the number of items, then each item, which is asked for
-        if kind == "MISSION_COUNT":
-            items.clear()
-            self._expected = message.count
-            self._next(which, sender)
-        elif kind == "MISSION_ITEM_INT":
-            if message.seq == len(items):  # not one that was sent twice
-                items.append(message)
-            self._next(which, sender)
-
-        # download
-        elif kind == "MISSION_REQUEST_LIST":
-            send("mission_count", *sender, len(items), which)
-        elif kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and message.seq < len(items):
-            item = items[message.seq]
-            parameters = item.param1, item.param2, item.param3, item.param4, item.x, item.y, item.z
-            send(
-                "mission_item_int",
-                *sender,
-                item.seq,
-                item.frame,
-                item.command,
-                0,
-                item.autocontinue,
-                *parameters,
-                which,
-            )
-
-        # where to begin, and deletion
-        elif kind == "MISSION_SET_CURRENT":
-            self._current = message.seq
-            send("mission_current", message.seq)
-        elif kind == "MISSION_CLEAR_ALL":
-            # in place: a mission that is being flown ends
-            stored_lists = [items]
-            if which == _ALL_TYPES:
-                stored_lists = list(self._items.values())
-            for stored in stored_lists:
-                stored.clear()
-            send("mission_ack", *sender, MavResult.ACCEPTED, which)
-
-    def _next(self, which: int, sender: tuple[int, int]) -> None:
-        """Ask for the next item, or acknowledge the last one."""
-        count = len(self._items[which])
-        if count < self._expected:
-            self._autopilot.send("mission_request_int", *sender, count, which)
-            return
-        if which == _MISSION:
-            self._current = 0
-        self._autopilot.send("mission_ack", *sender, MavResult.ACCEPTED, which)
-
-    def fly(self) -> Task:
-        """Fly the items from the current one on, once the motors run."""
-        autopilot = self._autopilot
-        items = self._items[_MISSION]
-        while self._current < len(items):
-            while not autopilot.vehicle.sim.armed:
-                yield
-            autopilot.send("mission_current", self._current)
-            yield from self._item(items[self._current])
-            autopilot.send("mission_item_reached", self._current)
-            self._current += 1
-        autopilot.text("Mission finished")
-        return True
-
-    def _item(self, item: Any) -> Task:
-        """Fly one item."""
-        autopilot = self._autopilot
-        vehicle = self._autopilot.vehicle
-        command = item.command
-        target = place_of(item)
-        if command == MavCommand.TAKEOFF or (command == MavCommand.WAYPOINT and vehicle.landed):
-            yield from climb(vehicle, -target[2])
-        if command == MavCommand.WAYPOINT:
-            yaw = None
-            if not math.isnan(item.param4):
-                yaw = math.radians(item.param4)
-            yield from go_to(vehicle, target, autopilot.speed, yaw)
-        elif command == MavCommand.CHANGE_SPEED and item.param2 > 0:
-            autopilot.speed = float(item.param2)
-        elif command == MavCommand.RETURN_TO_LAUNCH:
-            yield from return_to_launch(vehicle, autopilot.speed)
-            vehicle.sim.arm(False)
-        elif command == MavCommand.LAND:
-            if item.x or item.y:  # PX4: without coordinates it lands where it is
-                yield from go_to(vehicle, (target[0], target[1], vehicle.position[2]), autopilot.speed)
-            yield from land(vehicle, FOREVER_S)
-            vehicle.sim.arm(False)
-
-
-# ---- the autopilot ---------------------------------------------------------------------------------------------------
-class Autopilot:
+class Autopilot(ABC):
     """One vehicle with the system id 1.
 
     Args:
         vehicle: The vehicle.
         link: Packs messages: pymavlink's `MAVLink`, which writes to a file-like object.
+        tell: Called with each new line of `not_supported`.
+
+    Attributes:
+        kind: MAV_AUTOPILOT.
+        origin: Of NED: latitude and longitude (degrees), altitude above sea level (m).
+        defaults: Parameters at the start.
+        integers_bytewise: Whether integer parameters are sent as the bits of a float.
+        streams: Periodic messages and their rates (Hz).
+        version: `flight_sw_version` of AUTOPILOT_VERSION.
+        capabilities: MAV_PROTOCOL_CAPABILITY.
+        long_frame: Frame of the altitude in a COMMAND_LONG.
+        answers_all_components: Whether messages to other components of its system are answered too.
+        ignores_mission_yaw: Whether the fourth parameter of a way-point means nothing.
+        home_is_item: Whether item 0 of a mission is home.
+        set_mode_number: Number of the command as which SET_MODE is acknowledged.
+        commands: What executes each command.
+        messages: What handles each message.
+        not_supported: Messages, and uses of them, that were neither executed nor answered; each once.
+        speed: Of flights to places (m/s).
     """
 
-    def __init__(self, vehicle: MavVehicle, link: Any) -> None:
+    kind: ClassVar[int]
+    origin: ClassVar[Triple]
+    defaults: ClassVar[dict[str, Number]]
+    integers_bytewise: ClassVar[bool]
+    streams: ClassVar[dict[Content, float]]
+    version: ClassVar[int]
+    capabilities: ClassVar[int]
+    long_frame: ClassVar[Frame]
+    answers_all_components: ClassVar[bool]
+    ignores_mission_yaw: ClassVar[bool]
+    home_is_item: ClassVar[bool]
+    set_mode_number: ClassVar[int]
+    commands: ClassVar[dict[int, CommandHandler]]
+    messages: ClassVar[dict[str, MessageHandler]]
+
+    def __init__(self, vehicle: MavVehicle, link: Any, tell: Callable[[str], None] | None = None) -> None:
         self.vehicle = vehicle
         self._link = link
-        self.mode = FlightMode.HOLD
-        self.parameters = Parameters()
-        self.mission = Mission(self)
-        self.speed = 5.0
+        self._tell = tell
+        self.not_supported: list[str] = []
+        self.geography = Geography(self.origin)
+        self.parameters = Parameters(self.defaults, bytewise=self.integers_bytewise, on_change=self.parameter_changed)
+        self.mission = Mission(self, home_first=self.home_is_item, asks_for_floats=self.home_is_item)
+        self.failures = FailureCommands(vehicle, self.parameters, self._tell_failure, self._acknowledge)
+        self.schedule = Schedule(self.streams)
+        self.speed = self.default_speed
         self._setpoint: Setpoint | None = None
         self._setpoint_us = 0
+        self._sticks = Sticks()
+        self._sticks_us = -_STICKS_US
         self._task = 0
-        self._schedule = Schedule()
-        self._pending: list[tuple[Failure, Any]] = []
         self._long_texts = 0
         self._start(hold(vehicle))
+
+    # ---- what an autopilot adds -------------------------------------------------------------------------------------
+    @property
+    @abstractmethod
+    def mode_name(self) -> str:
+        """Name of the mode, in small letters."""
+
+    @property
+    @abstractmethod
+    def mode_flags(self) -> int:
+        """MAV_MODE_FLAG of HEARTBEAT, without that of armed motors."""
+
+    @property
+    @abstractmethod
+    def custom_mode(self) -> int:
+        """`custom_mode` of HEARTBEAT."""
+
+    @property
+    @abstractmethod
+    def is_taking_off(self) -> bool:
+        """Whether it takes off."""
+
+    @property
+    @abstractmethod
+    def is_landing(self) -> bool:
+        """Whether it lands."""
+
+    @property
+    @abstractmethod
+    def default_speed(self) -> float:
+        """Speed of flights to places unless a command changes it (m/s)."""
+
+    @property
+    @abstractmethod
+    def channels(self) -> list[int]:
+        """Channels of the receiver (us)."""
+
+    @abstractmethod
+    def parameter_changed(self, name: str, value: Number) -> None:
+        """Act on a parameter that was set."""
+
+    @abstractmethod
+    def set_custom_mode(self, custom_mode: int) -> int:
+        """Change to the mode with this number in SET_MODE; the result as of a command."""
+
+    @abstractmethod
+    def task_ended(self, task: EndedTask) -> None:
+        """Act on the end of the running task."""
+
+    @abstractmethod
+    def arm_or_disarm(self, command: Command) -> int:
+        """MAV_CMD_COMPONENT_ARM_DISARM."""
+
+    @abstractmethod
+    def follow(self, setpoint: Setpoint, message: Any) -> None:
+        """Act on a set-point."""
+
+    @abstractmethod
+    def follow_attitude(self, message: Any) -> None:
+        """SET_ATTITUDE_TARGET."""
+
+    @abstractmethod
+    def answer_stray_item(self, message: Any) -> None:
+        """A MISSION_ITEM that is no part of an upload."""
+
+    @abstractmethod
+    def restart_mission(self) -> None:
+        """Fly the mission from its current item, if it is being flown."""
+
+    @abstractmethod
+    def return_home(self) -> Task:
+        """Fly home and land."""
 
     # ---- state ------------------------------------------------------------------------------------------------------
     @property
@@ -320,9 +185,24 @@ class Autopilot:
         return self.vehicle.now_us // 1000 & 0xFFFFFFFF
 
     @property
-    def failures(self) -> list[Failure]:
-        """Active failures."""
-        return self.vehicle.failures.active
+    def sticks(self) -> Sticks:
+        """The pilot's sticks; in the centre if nothing was received for some time."""
+        if self.vehicle.now_us - self._sticks_us > self.sticks_us:
+            return Sticks()
+        return self._sticks
+
+    @property
+    def sticks_us(self) -> int:
+        """Age from which the pilot's sticks count as centred (us)."""
+        return _STICKS_US
+
+    def set_home(self, place: Triple) -> bool:
+        """Move home to a place (NED, m); returns whether it is near enough."""
+        if not all(math.isfinite(coordinate) and abs(coordinate) <= _HOME_LIMIT for coordinate in place):
+            return False
+        self.geography.home = place
+        self.schedule.request("home_position")
+        return True
 
     # ---- time -------------------------------------------------------------------------------------------------------
     def step(self, until_us: int) -> None:
@@ -330,41 +210,31 @@ class Autopilot:
         while self.vehicle.now_us < until_us:
             self.vehicle.step(min(until_us, self.vehicle.now_us + TICK_US))
             self._end_tasks()
-            self._prove_failures()
-            for message in self._schedule.due(self.vehicle.now_us):
-                self.send(message.__name__, *message(self))
+            self.failures.prove()
+            self.mission.repeat_request()
+            for content in self.schedule.due(self.vehicle.now_us):
+                fields = content(self)
+                if fields is not None:
+                    self.send(content.__name__, *fields)
 
     def _end_tasks(self) -> None:
-        """Change the mode when its task has ended by itself."""
+        """Tell of a task that has ended by itself."""
         ended = list(self.vehicle.ended_tasks)
         self.vehicle.ended_tasks = []
         for task in ended:
             if task.number != self._task:
                 continue
             if isinstance(task.result, Exception):
-                self.text(f"{self.mode.name.lower()} failed: {task.result}", ERROR)
-            if self.mode in (FlightMode.LAND, FlightMode.RETURN):
-                self.vehicle.sim.arm(False)
-                self.text("Disarmed by landing")
-            self.set_mode(FlightMode.HOLD)
+                self.text(f"{self.mode_name} failed: {task.result}", Severity.ERROR)
+            self.task_ended(task)
 
     def _start(self, task: Task) -> None:
         self._task = self.vehicle.start(task)
         self.vehicle.ended_tasks = [task for task in self.vehicle.ended_tasks if task.number == self._task]
 
-    def set_mode(self, mode: FlightMode) -> None:
-        """Change the mode and start its task."""
-        self.mode = mode
-        self._schedule.request("heartbeat")
-        vehicle = self.vehicle
-        tasks: dict[FlightMode, Callable[[], Task]] = {
-            FlightMode.TAKEOFF: lambda: climb(vehicle, self.parameters["MIS_TAKEOFF_ALT"]),
-            FlightMode.LAND: lambda: land(vehicle, FOREVER_S),
-            FlightMode.RETURN: lambda: return_to_launch(vehicle, self.speed),
-            FlightMode.MISSION: self.mission.fly,
-            FlightMode.OFFBOARD: lambda: offboard(vehicle, self._latest),
-        }
-        self._start(tasks.get(mode, lambda: hold(vehicle))())
+    def _go_and_hold(self, target: Triple, yaw: float | None) -> Task:
+        yield from go_to(self.vehicle, target, self.speed, yaw)
+        yield from hold(self.vehicle, yaw, target)
 
     def _latest(self) -> tuple[Setpoint | None, int]:
         return self._setpoint, self._setpoint_us
@@ -374,7 +244,7 @@ class Autopilot:
         """Send a message, by its name in small letters."""
         getattr(self._link, f"{name}_send")(*arguments)
 
-    def text(self, text: str, severity: int = INFO) -> None:
+    def text(self, text: str, severity: int = Severity.INFO) -> None:
         """Send a STATUSTEXT, a longer text in chunks that share an id."""
         parts = chunks_of(text)
         text_id = 0
@@ -384,461 +254,310 @@ class Autopilot:
         for index, part in enumerate(parts):
             self.send("statustext", severity, part, text_id, index)
 
+    def _tell_failure(self, text: str) -> None:
+        self.text(text, Severity.ERROR)
+
+    def note_unsupported(self, what: str) -> None:
+        """Note once what a client sent in vain."""
+        if what in self.not_supported:
+            return
+        self.not_supported.append(what)
+        if self._tell is not None:
+            self._tell(what)
+
+    def _acknowledge(self, command: Command, result: int) -> None:
+        self.send("command_ack", command.number, result, 0, 0, *command.sender)
+
     # ---- input ------------------------------------------------------------------------------------------------------
     def handle(self, message: Any) -> None:
-        """Answer a message."""
+        """Execute or answer a message, or note that it is not supported."""
         kind = message.get_type()
-        if kind in ("COMMAND_LONG", "COMMAND_INT"):
-            self._command(message)
-        elif kind == "SET_MODE":
-            self._set_custom_mode(message.custom_mode >> 16 & 255, message.custom_mode >> 24)
-        elif kind == "SET_POSITION_TARGET_LOCAL_NED":
-            self._setpoint = position_target(message)
-            self._setpoint_us = self.vehicle.now_us
-        elif kind == "SET_ATTITUDE_TARGET":
-            self._setpoint = self._attitude_target(message)
-            self._setpoint_us = self.vehicle.now_us
-        elif kind == "TIMESYNC" and message.tc1 == 0:
-            self.send("timesync", 1000 * self.vehicle.now_us, message.ts1)
-        elif kind.startswith("PARAM_"):
-            self.parameters.answer(message, self.send)
-        elif kind.startswith("MISSION_"):
-            self.mission.answer(message)
-
-    def _attitude_target(self, message: Any) -> Setpoint:
-        vertical = Vertical(throttle=float(message.thrust))
-        roll, pitch, yaw = euler(message.q)
-        if message.type_mask & 0x80:  # attitude is ignored: body rates
-            rates = message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate
-            return Setpoint(rotors=at_rates(self.vehicle, *rates, vertical))
-        return Setpoint(rotors=at_attitude(self.vehicle, roll, pitch, yaw, None, vertical))
-
-    # ---- commands ---------------------------------------------------------------------------------------------------
-    def _command(self, message: Any) -> None:
-        handler = _COMMANDS.get(message.command)
-        if handler is None:
-            self._acknowledge(message, MavResult.UNSUPPORTED)
+        if not self._is_recipient(message):
+            component = getattr(message, "target_component", 0)
+            self.note_unsupported(f"{kind} to system {message.target_system}, component {component}")
             return
-        result = handler(self, message)
+        if kind in _EMPTY:
+            return
+        handler = self.messages.get(kind)
+        if handler is None:
+            self.note_unsupported(kind)
+            return
+        try:
+            handler(self, message)
+        except UnsupportedError as error:
+            self.note_unsupported(str(error))
+
+    def _is_recipient(self, message: Any) -> bool:
+        """Whether a message is for this autopilot."""
+        if getattr(message, "target_system", 0) not in (0, self._link.srcSystem):
+            return False
+        if self.answers_all_components:
+            return True
+        return getattr(message, "target_component", 0) in (0, self._link.srcComponent)
+
+    def _command(self, message: Any) -> None:
+        """COMMAND_LONG and COMMAND_INT."""
+        command = Command.of(message)
+        handler = self.commands.get(command.number)
+        if handler is None:
+            self._acknowledge(command, MavResult.UNSUPPORTED)
+            return
+        try:
+            result = handler(self, command)
+        except UnsupportedError as error:
+            self.text(f"command {command.number} refused: {error}")
+            result = MavResult.UNSUPPORTED
         if result is not None:
-            self._acknowledge(message, result)
+            self._acknowledge(command, result)
 
-    def _acknowledge(self, message: Any, result: int) -> None:
-        source = message.get_srcSystem(), message.get_srcComponent()
-        self.send("command_ack", message.command, result, 0, 0, *source)
+    def _set_mode(self, message: Any) -> None:
+        """SET_MODE, which both autopilots acknowledge as a command."""
+        result = self.set_custom_mode(message.custom_mode)
+        self.send(
+            "command_ack", self.set_mode_number, result, 0, 0, message.get_srcSystem(), message.get_srcComponent()
+        )
 
-    def arm(self, message: Any) -> int:
-        """MAV_CMD_COMPONENT_ARM_DISARM; disarming in flight needs the magic number of PX4."""
-        arms = message.param1 > 0.5
-        if not arms and not self.vehicle.landed and message.param2 != _FORCE:
-            return MavResult.DENIED
-        if arms != self.vehicle.sim.armed:
-            self.vehicle.sim.arm(arms)
-            if arms:
+    def _follow_local(self, message: Any) -> None:
+        self._follow(local_target(message, self.vehicle), message)
+
+    def _follow_global(self, message: Any) -> None:
+        self._follow(global_target(message, self.geography), message)
+
+    def _follow(self, setpoint: Setpoint, message: Any) -> None:
+        if has_acceleration(message):
+            self.note_unsupported(f"acceleration in {message.get_type()}")
+        self.follow(setpoint, message)
+
+    def set_setpoint(self, setpoint: Setpoint) -> None:
+        """Set what a task that follows set-points flies."""
+        self._setpoint = setpoint
+        self._setpoint_us = self.vehicle.now_us
+
+    def _timesync(self, message: Any) -> None:
+        if message.tc1 == 0:
+            self.send("timesync", 1000 * self.vehicle.now_us, message.ts1)
+
+    def _ping(self, message: Any) -> None:
+        if message.target_system == 0:
+            sender = (message.get_srcSystem(), message.get_srcComponent())
+            self.send("ping", message.time_usec, message.seq, *sender)
+
+    def _manual_control(self, message: Any) -> None:
+        """MANUAL_CONTROL: x forward, y right, z up (0 to 1000), r clockwise."""
+        axes = (message.y, message.x, 2 * message.z - 1000, message.r)
+        self.set_sticks(*(min(1.0, max(-1.0, axis / 1000.0)) for axis in axes))
+
+    def set_sticks(self, roll: float, pitch: float, throttle: float, yaw: float) -> None:
+        """Move the pilot's sticks, -1 to 1."""
+        self._sticks = Sticks(roll, pitch, throttle, yaw)
+        self._sticks_us = self.vehicle.now_us
+
+    def _mission_item(self, message: Any) -> None:
+        if self.mission.is_uploading:
+            self.mission.receive(message)
+        elif not self.mission.repeats(message):
+            self.answer_stray_item(message)
+
+    def _list_logs(self, message: Any) -> None:
+        """LOG_REQUEST_LIST: there are none."""
+        del message
+        self.send("log_entry", 0, 0, 0, 0, 0)
+
+    def _send_log(self, message: Any) -> None:
+        """LOG_REQUEST_DATA: no bytes."""
+        self.send("log_data", message.id, message.ofs, 0, [0] * _LOG_DATA)
+
+    def _refuse_file(self, message: Any) -> None:
+        """FILE_TRANSFER_PROTOCOL: there is no file system."""
+        request = bytearray(message.payload)
+        reply = bytearray(_FTP_PAYLOAD)
+        reply[0:3] = request[0:3]  # sequence number and session
+        reply[0:2] = (int.from_bytes(request[0:2], "little") + 1 & 0xFFFF).to_bytes(2, "little")
+        reply[3] = _FTP_NAK
+        reply[4] = 1  # size
+        reply[5] = request[3]  # the opcode that is refused
+        reply[12] = _FTP_UNKNOWN
+        if request[3] in _FTP_OF_FILES:
+            reply[12] = _FTP_NOT_FOUND
+        self.send("file_transfer_protocol", 0, message.get_srcSystem(), message.get_srcComponent(), bytes(reply))
+
+    def _refuse_extended_parameter(self, message: Any) -> None:
+        """PARAM_EXT_SET: there are none."""
+        self.send(
+            "param_ext_ack",
+            message.param_id.encode(),
+            message.param_value.encode(),
+            message.param_type,
+            _PARAM_EXT_FAILED,
+        )
+
+    # ---- commands of both autopilots --------------------------------------------------------------------------------
+    def _disarm_is_allowed(self, command: Command) -> bool:
+        """Whether the motors may be switched off: on the ground, or with the magic number."""
+        return self.vehicle.landed or command[2] == _FORCE
+
+    def switch_motors(self, *, on: bool) -> None:
+        """Switch the motors on or off, and say so if that changes anything."""
+        if on != self.vehicle.sim.armed:
+            self.vehicle.sim.arm(on)
+            if on:
                 self.text("Armed")
             else:
                 self.text("Disarmed")
-            if self.mode not in (FlightMode.OFFBOARD, FlightMode.MISSION):
-                self.set_mode(FlightMode.HOLD)
-        self._schedule.request("heartbeat")
-        return MavResult.ACCEPTED
+        self.schedule.request("heartbeat")
 
-    def take_off(self, message: Any) -> int:
-        """MAV_CMD_NAV_TAKEOFF; needs motors."""
-        if not self.vehicle.sim.armed:
-            return MavResult.REJECTED
-        self.set_mode(FlightMode.TAKEOFF)
-        self.text("Takeoff detected")
-        return MavResult.ACCEPTED
-
-    def change_mode(self, mode: FlightMode, text: str) -> int:
-        """Change the mode on command."""
-        self.set_mode(mode)
-        self.text(text)
-        return MavResult.ACCEPTED
-
-    def _set_custom_mode(self, main: int, sub: int) -> int:
-        for mode in FlightMode:
-            if mode.value == (main, sub):
-                self.set_mode(mode)
-                return MavResult.ACCEPTED
-        return MavResult.DENIED
-
-    def do_set_mode(self, message: Any) -> int:
-        """MAV_CMD_DO_SET_MODE."""
-        return self._set_custom_mode(_integer(message.param2), _integer(message.param3))
-
-    def change_speed(self, message: Any) -> int:
-        """MAV_CMD_DO_CHANGE_SPEED."""
-        if message.param2 > 0:
-            self.speed = float(message.param2)
-        return MavResult.ACCEPTED
-
-    def reposition(self, message: Any) -> int:
-        """MAV_CMD_DO_REPOSITION."""
-        yaw = None
-        if not math.isnan(message.param4):
-            yaw = message.param4
-        self.mode = FlightMode.HOLD
-        self._start(self._go_and_hold(self._target(message), yaw))
-        return MavResult.ACCEPTED
-
-    def _go_and_hold(self, target: Triple, yaw: float | None) -> Task:
-        yield from go_to(self.vehicle, target, self.speed, yaw)
-        yield from hold(self.vehicle)
-
-    def do_orbit(self, message: Any) -> int:
-        """MAV_CMD_DO_ORBIT; negative radius = counter-clockwise."""
-        radius = float(message.param1)
-        speed = float(message.param2)
-        if not (math.isfinite(radius) and abs(radius) >= 1.0):
-            return MavResult.DENIED
-        self.set_mode(FlightMode.ORBIT)
-        if not math.isfinite(speed) or speed == 0:
-            speed = self.speed
-        self._start(orbit(self.vehicle, self._target(message), abs(radius), abs(speed), radius > 0))
-        return MavResult.ACCEPTED
-
-    def _target(self, message: Any) -> Triple:
+    def place_of(self, command: Command) -> Triple:
         """Place (NED, m) of a command; coordinates that it leaves out are those of the vehicle."""
-        if message.get_type() == "COMMAND_INT":
-            target = place_of(message)
+        frame = command.frame
+        if frame is None:
+            frame = self.long_frame
+        return completed(self.vehicle, self.geography.place(command[5], command[6], command[7], frame))
+
+    def change_speed(self, command: Command) -> int:
+        """MAV_CMD_DO_CHANGE_SPEED."""
+        if whole(command[1]) not in _GROUND_SPEED_TYPES:
+            return MavResult.UNSUPPORTED
+        if command[2] == _DEFAULT_SPEED:
+            self.speed = self.default_speed
+        elif math.isfinite(command[2]) and command[2] > 0:
+            self.speed = float(command[2])
         else:
-            target = local(message.param5, message.param6, message.param7)
-        coordinates = []
-        for coordinate, here in zip(target, self.vehicle.position, strict=True):
-            if math.isfinite(coordinate):
-                coordinates.append(coordinate)
-            else:
-                coordinates.append(here)
-        return coordinates[0], coordinates[1], coordinates[2]
-
-    def request_message(self, message: Any) -> int:
-        """MAV_CMD_REQUEST_MESSAGE and older forms: AUTOPILOT_VERSION, or any message of the telemetry by its id."""
-        if message.command == MavCommand.REQUEST_MESSAGE:
-            message_id = _integer(message.param1)
-            if message_id != _AUTOPILOT_VERSION:
-                return self._repeat(message_id)
-        can = 0x1 | 0x2 | 0x4 | 0x8 | 0x10 | 0x40 | 0x80 | 0x2000  # MAV_PROTOCOL_CAPABILITY
-        self.send("autopilot_version", can, 0x010E0000, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 42)
+            return MavResult.DENIED
         return MavResult.ACCEPTED
 
-    def _repeat(self, message_id: int) -> int:
-        """Send a message of the telemetry at once."""
-        message_class = mavlink_dialect().mavlink_map.get(message_id)
-        if message_class is None:
+    def move_home(self, command: Command) -> int:
+        """MAV_CMD_DO_SET_HOME; the altitude of a COMMAND_LONG is above sea level."""
+        home = self.vehicle.position
+        if command[1] != 1:
+            if not (math.isfinite(command[5]) and math.isfinite(command[6]) and math.isfinite(command[7])):
+                return MavResult.DENIED
+            frame = command.frame
+            if frame is None:
+                frame = Frame.GLOBAL
+            home = self.geography.place(command[5], command[6], command[7], frame)
+        if not self.set_home(home):
+            self.text("home refused: allowed: within 50 km")
             return MavResult.DENIED
-        name = message_class.msgname.lower()
-        if name not in {message.__name__ for _, message in STREAMS}:
-            return MavResult.DENIED
-        self._schedule.request(name)
         return MavResult.ACCEPTED
 
-    # ---- failures ---------------------------------------------------------------------------------------------------
-    def inject_failure(self, message: Any) -> int | None:
-        """MAV_CMD_INJECT_FAILURE: acknowledged once a value has changed; failed if none has within a second."""
-        # what fails, and how; an instance of 0 = all
-        unit = UNITS.get(_integer(message.param1))
-        kind = TYPES.get(_integer(message.param2))
-        instance = 0
-        if not math.isnan(message.param3):
-            instance = _integer(message.param3)
-        if unit is None or kind is None:
-            return MavResult.UNSUPPORTED
-        try:
-            fault = SensorFault(unit, kind, self.vehicle.now_us, instance=instance, seed=self.vehicle.spec.seed)
-        except BadInputError:
-            return MavResult.UNSUPPORTED
+    def terminate(self, command: Command) -> int:
+        """MAV_CMD_DO_FLIGHTTERMINATION: motors off at once."""
+        if not command[1] > 0.5:
+            return MavResult.DENIED
+        self.switch_motors(on=False)
+        self.text("Flight terminated", Severity.ERROR)
+        return MavResult.ACCEPTED
 
-        # end a failure, or begin one
-        if kind == NULL:
-            if self.vehicle.failures.end(unit, instance):
-                return MavResult.ACCEPTED
-            return MavResult.FAILED
-        if not self.vehicle.sim.armed:
+    def run_checks(self, command: Command) -> int:
+        """MAV_CMD_RUN_PREARM_CHECKS."""
+        del command
+        if self.vehicle.sim.armed:
             return MavResult.REJECTED
-        for failure in self.failures:  # a repeated command would change nothing
-            if (failure.fault.unit, failure.fault.kind, failure.fault.instance) == (unit, kind, instance):
-                if failure.injection is None:
-                    return None
-                return MavResult.ACCEPTED
-        self._pending.append((self.vehicle.failures.begin(fault), message))
-        return None
+        self.text("Pre-arm checks passed")
+        return MavResult.ACCEPTED
 
-    def _prove_failures(self) -> None:
-        """Acknowledge failures that were activated, or were not in time."""
-        for failure, message in list(self._pending):
-            if failure.injection is not None:
-                before = failure.injection.before
-                after = failure.injection.after
-                self.text(f"fault: {failure.fault.site}: {before:.4g} -> {after:.4g}", ERROR)
-                self._acknowledge(message, MavResult.ACCEPTED)
-            elif self.vehicle.now_us - failure.fault.time_us >= PROOF_US:
-                if failure in self.failures:
-                    self.vehicle.failures.remove(failure)
-                self._acknowledge(message, MavResult.FAILED)
-            else:
-                continue
-            self._pending.remove((failure, message))
+    def send_home(self, command: Command) -> int:
+        """MAV_CMD_GET_HOME_POSITION."""
+        del command
+        self.schedule.request("home_position")
+        return MavResult.ACCEPTED
 
+    def inject_failure(self, command: Command) -> int | None:
+        """MAV_CMD_INJECT_FAILURE."""
+        return self.failures.inject(command)
 
-def _integer(value: float) -> int:
-    """A whole number in a floating-point parameter; -1 for NaN, which means "not given", and infinities."""
-    if math.isfinite(value):
-        return int(value)
-    return -1
+    # ---- messages on request ----------------------------------------------------------------------------------------
+    def request_message(self, command: Command) -> int:
+        """MAV_CMD_REQUEST_MESSAGE."""
+        number = whole(command[1])
+        if number == _AUTOPILOT_VERSION:
+            return self.send_version(command)
+        if number == _MESSAGE_INTERVAL:
+            return self.send_interval_of(whole(command[2]))
+        name = _message_name(number)
+        if name not in self.schedule:
+            return MavResult.DENIED
+        self.schedule.request(name)
+        return MavResult.ACCEPTED
 
+    def send_version(self, command: Command) -> int:
+        """MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES."""
+        del command
+        hashes = [[0] * 8] * 3
+        self.send("autopilot_version", self.capabilities, self.version, 0, 0, 0, *hashes, 0, 0, 42)
+        return MavResult.ACCEPTED
 
-class Ignored(IntFlag):
-    """Fields of a set-point that its sender leaves out (POSITION_TARGET_TYPEMASK)."""
+    def send_interval(self, command: Command) -> int:
+        """MAV_CMD_GET_MESSAGE_INTERVAL."""
+        return self.send_interval_of(whole(command[1]))
 
-    X = 1
-    Y = 2
-    Z = 4
-    VX = 8
-    VY = 16
-    VZ = 32
-    YAW = 1024
-    YAW_RATE = 2048
+    def send_interval_of(self, number: int) -> int:
+        """Send MESSAGE_INTERVAL of a message, by its id."""
+        if not 0 <= number <= 0xFFFF:
+            return MavResult.DENIED
+        self.send("message_interval", number, self.schedule.interval_us(_message_name(number)))
+        return MavResult.ACCEPTED
 
-
-def position_target(message: Any) -> Setpoint:
-    """The set-point of a SET_POSITION_TARGET_LOCAL_NED."""
-
-    def unless(ignored: Ignored, value: float) -> float | None:
-        if message.type_mask & ignored or not math.isfinite(value):
-            return None
-        return float(value)
-
-    return Setpoint(
-        (unless(Ignored.X, message.x), unless(Ignored.Y, message.y), unless(Ignored.Z, message.z)),
-        (unless(Ignored.VX, message.vx), unless(Ignored.VY, message.vy), unless(Ignored.VZ, message.vz)),
-        unless(Ignored.YAW, message.yaw),
-        unless(Ignored.YAW_RATE, message.yaw_rate),
-        message.coordinate_frame in _BODY_FRAMES,
-    )
+    def set_interval(self, command: Command) -> int:
+        """MAV_CMD_SET_MESSAGE_INTERVAL; the rates are the same for all clients."""
+        name = _message_name(whole(command[1]))
+        if name not in self.schedule or not math.isfinite(command[2]):
+            return MavResult.DENIED
+        self.schedule.set_interval(name, whole(command[2]))
+        return MavResult.ACCEPTED
 
 
-def accept_interval(autopilot: Autopilot, message: Any) -> MavResult:
-    """SET_MESSAGE_INTERVAL: all rates are fixed, and high enough."""
-    del autopilot, message
-    return MavResult.ACCEPTED
+def _message_name(number: int) -> str:
+    """Name of a message in small letters; "" = not known."""
+    message_class = mavlink_dialect().mavlink_map.get(number)
+    if message_class is None:
+        return ""
+    name: str = message_class.msgname.lower()
+    return name
 
 
-_COMMANDS: dict[int, Callable[[Autopilot, Any], int | None]] = {
-    MavCommand.ARM_DISARM: Autopilot.arm,
-    MavCommand.TAKEOFF: Autopilot.take_off,
-    MavCommand.DO_SET_MODE: Autopilot.do_set_mode,
+COMMANDS: dict[int, CommandHandler] = {
+    MavCommand.ARM_DISARM: lambda autopilot, command: autopilot.arm_or_disarm(command),
     MavCommand.CHANGE_SPEED: Autopilot.change_speed,
-    MavCommand.REPOSITION: Autopilot.reposition,
-    MavCommand.DO_ORBIT: Autopilot.do_orbit,
+    MavCommand.DO_SET_HOME: Autopilot.move_home,
+    MavCommand.FLIGHT_TERMINATION: Autopilot.terminate,
+    MavCommand.RUN_PREARM_CHECKS: Autopilot.run_checks,
+    MavCommand.GET_HOME_POSITION: Autopilot.send_home,
     MavCommand.INJECT_FAILURE: Autopilot.inject_failure,
     MavCommand.REQUEST_MESSAGE: Autopilot.request_message,
-    MavCommand.REQUEST_PROTOCOL_VERSION: Autopilot.request_message,
-    MavCommand.REQUEST_CAPABILITIES: Autopilot.request_message,
-    MavCommand.LAND: lambda autopilot, _: autopilot.change_mode(FlightMode.LAND, "Landing"),
-    MavCommand.RETURN_TO_LAUNCH: lambda autopilot, _: autopilot.change_mode(FlightMode.RETURN, "Returning to launch"),
-    MavCommand.MISSION_START: lambda autopilot, _: autopilot.change_mode(FlightMode.MISSION, "Mission started"),
-    MavCommand.SET_MESSAGE_INTERVAL: accept_interval,
+    MavCommand.REQUEST_CAPABILITIES: Autopilot.send_version,
+    MavCommand.GET_MESSAGE_INTERVAL: Autopilot.send_interval,
+    MavCommand.SET_MESSAGE_INTERVAL: Autopilot.set_interval,
 }
-"""What answers each command."""
-
-
-# ---- messages that it sends periodically -----------------------------------------------------------------------------
-Arguments = tuple[Any, ...]
-_QUADROTOR = 2
-_PX4 = 12
-_ACTIVE = 4
-_STANDBY = 3
-_MODE_FLAGS = 1 | 4 | 8 | 16
-_DILUTION = 80  # of precision of the position, in 1/100
-_SATELLITES = 12
-_THROTTLE = 50  # %
-_ALL_FIELDS = 0x1FFF  # of HIGHRES_IMU are updated
-_ALL_ESTIMATES = 0x3FF  # of ESTIMATOR_STATUS are valid
-_ARMED_FLAG = 128
-"""MAV_MODE_FLAG: custom mode, auto, guided, stabilize; safety armed."""
-_HEALTHY = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x400 | 0x800 | 0x1000 | 0x4000 | 0x8000 | 0x10000 | 0x200000 | 0x10000000
-"""MAV_SYS_STATUS_SENSOR: gyro, accelerometer, compass, pressure, GPS, controls, motors, receiver, AHRS, pre-arm."""
-_SENSORS = {"gyro": 0x1, "accelerometer": 0x2, "compass": 0x4, "position": 0x20, "motor": 0x8000}
-_ON_GROUND = 1
-_IN_AIR = 2
-_TAKING_OFF = 3
-_LANDING = 4
-_FIX_3D = 3
-_NO_FIX = 1
-_CENTIVOLTS = 16_000
-_PERCENT = 90
-_NAN = float("nan")
-
-
-def _heading(autopilot: Autopilot) -> float:
-    """Degrees clockwise from north, 0 to 360."""
-    return math.degrees(autopilot.vehicle.yaw) % 360.0
-
-
-def _above_sea(autopilot: Autopilot) -> float:
-    """Altitude above sea level (m)."""
-    return HOME[2] - autopilot.vehicle.position[2]
-
-
-def _scaled(ned: Triple) -> tuple[int, int, int]:
-    """Latitude and longitude (1e-7 degrees) and altitude (mm) of a position (m)."""
-    latitude, longitude, altitude = geodetic(ned)
-    return round(1e7 * latitude), round(1e7 * longitude), round(1e3 * altitude)
-
-
-def heartbeat(autopilot: Autopilot) -> Arguments:
-    """HEARTBEAT."""
-    main, sub = autopilot.mode.value
-    armed = autopilot.vehicle.sim.armed
-    flags = _MODE_FLAGS
-    if armed:
-        flags |= _ARMED_FLAG
-    state = _STANDBY
-    if armed and not autopilot.vehicle.landed:
-        state = _ACTIVE
-    return _QUADROTOR, _PX4, flags, main << 16 | sub << 24, state
-
-
-def sys_status(autopilot: Autopilot) -> Arguments:
-    """SYS_STATUS; sensors that are off are unhealthy."""
-    off = sum({_SENSORS[failure.fault.unit] for failure in autopilot.failures if failure.fault.kind == "off"})
-    return _HEALTHY, _HEALTHY, _HEALTHY & ~off, 300, _CENTIVOLTS, -1, _PERCENT, 0, 0, 0, 0, 0, 0
-
-
-def home_position(autopilot: Autopilot) -> Arguments:
-    """HOME_POSITION."""
-    level = [1.0, 0.0, 0.0, 0.0]
-    return *_scaled((0.0, 0.0, 0.0)), 0.0, 0.0, 0.0, level, 0.0, 0.0, 0.0, autopilot.vehicle.now_us
-
-
-def extended_sys_state(autopilot: Autopilot) -> Arguments:
-    """EXTENDED_SYS_STATE."""
-    if autopilot.vehicle.landed:
-        landed_state = _ON_GROUND
-    elif autopilot.mode is FlightMode.TAKEOFF:
-        landed_state = _TAKING_OFF
-    elif autopilot.mode is FlightMode.LAND:
-        landed_state = _LANDING
-    else:
-        landed_state = _IN_AIR
-    return 0, landed_state
-
-
-def gps_raw_int(autopilot: Autopilot) -> Arguments:
-    """GPS_RAW_INT; without a fix while the position is off."""
-    fix = _FIX_3D
-    if any(failure.fault.unit == "position" and failure.fault.kind == "off" for failure in autopilot.failures):
-        fix = _NO_FIX
-    north, east, _ = autopilot.vehicle.velocity
-    speed = min(65_534, round(100 * math.hypot(north, east)))
-    course = round(100 * _heading(autopilot)) % 36_000
-    return (
-        autopilot.vehicle.now_us,
-        fix,
-        *_scaled(autopilot.vehicle.position),
-        _DILUTION,  # horizontal
-        _DILUTION,  # vertical
-        speed,
-        course,
-        _SATELLITES,
-    )
-
-
-def global_position_int(autopilot: Autopilot) -> Arguments:
-    """GLOBAL_POSITION_INT."""
-    speeds = (max(-32_768, min(32_767, round(100 * value))) for value in autopilot.vehicle.velocity)
-    above = round(-1e3 * autopilot.vehicle.position[2])
-    return autopilot.ms, *_scaled(autopilot.vehicle.position), above, *speeds, round(100 * _heading(autopilot)) % 36_000
-
-
-def vfr_hud(autopilot: Autopilot) -> Arguments:
-    """VFR_HUD."""
-    north, east, down = autopilot.vehicle.velocity
-    speed = math.hypot(north, east)
-    return speed, speed, round(_heading(autopilot)) % 360, _THROTTLE, _above_sea(autopilot), -down
-
-
-def altitude(autopilot: Autopilot) -> Arguments:
-    """ALTITUDE."""
-    above = _above_sea(autopilot)
-    height = -autopilot.vehicle.position[2]
-    return autopilot.vehicle.now_us, above, above, height, height, _NAN, 0.0
-
-
-def attitude(autopilot: Autopilot) -> Arguments:
-    """ATTITUDE."""
-    return autopilot.ms, *euler(autopilot.vehicle.orientation), *autopilot.vehicle.rates
-
-
-def attitude_quaternion(autopilot: Autopilot) -> Arguments:
-    """ATTITUDE_QUATERNION."""
-    return autopilot.ms, *autopilot.vehicle.orientation, *autopilot.vehicle.rates
-
-
-def local_position_ned(autopilot: Autopilot) -> Arguments:
-    """LOCAL_POSITION_NED."""
-    return autopilot.ms, *autopilot.vehicle.position, *autopilot.vehicle.velocity
-
-
-def highres_imu(autopilot: Autopilot) -> Arguments:
-    """HIGHRES_IMU; constant magnetic field and pressure."""
-    x, y, z, roll, pitch, yaw = map(float, autopilot.vehicle.imu())
-    field = (0.2, 0.0, 0.4)
-    air = (1013.25, 0.0, _above_sea(autopilot), 25.0)
-    return autopilot.vehicle.now_us, x, -y, -z, roll, -pitch, -yaw, *field, *air, _ALL_FIELDS
-
-
-def battery_status(autopilot: Autopilot) -> Arguments:
-    """BATTERY_STATUS, constant."""
-    del autopilot
-    return 0, 0, 0, 2500, [_CENTIVOLTS, *[65_535] * 9], -1, -1, -1, _PERCENT
-
-
-def estimator_status(autopilot: Autopilot) -> Arguments:
-    """ESTIMATOR_STATUS: all estimates are valid."""
-    return autopilot.vehicle.now_us, _ALL_ESTIMATES, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.2, 0.2
-
-
-def system_time(autopilot: Autopilot) -> Arguments:
-    """SYSTEM_TIME."""
-    return autopilot.vehicle.stamp // 1000, autopilot.ms
-
-
-STREAMS: tuple[tuple[float, Callable[[Autopilot], Arguments]], ...] = (
-    (1.0, heartbeat),
-    (1.0, sys_status),
-    (1.0, home_position),
-    (1.0, battery_status),
-    (1.0, estimator_status),
-    (1.0, system_time),
-    (5.0, extended_sys_state),
-    (5.0, gps_raw_int),
-    (10.0, global_position_int),
-    (10.0, vfr_hud),
-    (10.0, altitude),
-    (50.0, attitude),
-    (50.0, attitude_quaternion),
-    (50.0, local_position_ned),
-    (50.0, highres_imu),
-)
-"""Rate (Hz) and content of each message, which has the name of its function."""
-
-
-class Schedule:
-    """Instants at which messages are due."""
-
-    def __init__(self) -> None:
-        self._due: dict[str, int] = {}
-
-    def request(self, name: str) -> None:
-        """Make a message due at once."""
-        self._due[name] = 0
-
-    def due(self, now_us: int) -> Iterator[Callable[[Autopilot], Arguments]]:
-        """Messages to send now."""
-        for rate, message in STREAMS:
-            if now_us >= self._due.get(message.__name__, 0):
-                self._due[message.__name__] = now_us + round(1e6 / rate)
-                yield message
+"""Commands of both autopilots."""
+MESSAGES: dict[str, MessageHandler] = {
+    "COMMAND_LONG": Autopilot._command,
+    "COMMAND_INT": Autopilot._command,
+    "SET_MODE": Autopilot._set_mode,
+    "SET_POSITION_TARGET_LOCAL_NED": Autopilot._follow_local,
+    "SET_POSITION_TARGET_GLOBAL_INT": Autopilot._follow_global,
+    "SET_ATTITUDE_TARGET": lambda autopilot, message: autopilot.follow_attitude(message),
+    "MANUAL_CONTROL": Autopilot._manual_control,
+    "TIMESYNC": Autopilot._timesync,
+    "PING": Autopilot._ping,
+    "PARAM_REQUEST_LIST": lambda autopilot, _: autopilot.parameters.answer_list(autopilot.send),
+    "PARAM_REQUEST_READ": lambda autopilot, message: autopilot.parameters.answer_read(message, autopilot.send),
+    "PARAM_SET": lambda autopilot, message: autopilot.parameters.answer_set(message, autopilot.send),
+    "PARAM_EXT_SET": Autopilot._refuse_extended_parameter,
+    "MISSION_COUNT": lambda autopilot, message: autopilot.mission.begin_upload(message),
+    "MISSION_ITEM": Autopilot._mission_item,
+    "MISSION_ITEM_INT": Autopilot._mission_item,
+    "MISSION_REQUEST_LIST": lambda autopilot, message: autopilot.mission.send_count(message),
+    "MISSION_REQUEST": lambda autopilot, message: autopilot.mission.send_item(message),
+    "MISSION_REQUEST_INT": lambda autopilot, message: autopilot.mission.send_item(message),
+    "MISSION_SET_CURRENT": lambda autopilot, message: autopilot.mission.set_current(message),
+    "MISSION_CLEAR_ALL": lambda autopilot, message: autopilot.mission.clear(message),
+    "MISSION_REQUEST_PARTIAL_LIST": lambda autopilot, message: autopilot.mission.refuse(message),
+    "MISSION_WRITE_PARTIAL_LIST": lambda autopilot, message: autopilot.mission.refuse(message),
+    "LOG_REQUEST_LIST": Autopilot._list_logs,
+    "LOG_REQUEST_DATA": Autopilot._send_log,
+    "FILE_TRANSFER_PROTOCOL": Autopilot._refuse_file,
+}
+"""Messages of both autopilots."""
+_EMPTY = ("HEARTBEAT", "MISSION_ACK", "LOG_REQUEST_END")
+"""Messages that ask for nothing: a client's sign of life, and the end of a transfer."""

@@ -10,6 +10,7 @@ import typer
 from mavfi.cli import options
 from mavfi.cli.console import check_number, console, write_json
 from mavfi.cli.stopping import stoppable
+from mavfi.errors import BadInputError
 from mavfi.mission import OF_THE_PIPELINE, MissionSpec
 
 if TYPE_CHECKING:
@@ -62,22 +63,25 @@ def serve(
     mission: MissionSpec,
     port: Annotated[int, typer.Option(help="UDP port of the autopilot on 127.0.0.1; 0 = any free one.")] = 14580,
     speed: Annotated[float, typer.Option(help="Simulated time per wall time.")] = 1.0,
+    dialect: Annotated[str, typer.Option(help="Autopilot: px4 or ardupilot.")] = "px4",
     seconds: options.Duration = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Serve a vehicle with PX4's modes to ground stations and MAVSDK programs, in wall time.
+    """Serve a vehicle with the modes of PX4 or ArduCopter to ground stations and programs, in wall time.
 
     Telemetry goes to the UDP ports 14540 and 14550 of this machine, and to every sender of a message.  Failures are
-    injected by MAV_CMD_INJECT_FAILURE.
+    injected by MAV_CMD_INJECT_FAILURE.  What a client sends and nothing executes or answers is printed once.
 
     Example: [bold]mavfi mavlink serve --environment farm --seed 7[/bold]
     """
     check_number("--port", port, 0, _MAX_PORT)
     check_number("--speed", speed, 0.1, 100.0)
     check_number("--seconds", seconds, 0.0, _MAX_DURATION_S)
-    from mavfi.extras.mavlink.server import MavlinkServer
+    from mavfi.extras.mavlink.server import DIALECTS, MavlinkServer
 
-    server = MavlinkServer(mission, port, speed=speed)
+    if dialect not in DIALECTS:
+        raise BadInputError(f"--dialect: {dialect!r}: not known; allowed: {', '.join(DIALECTS)}")
+    server = MavlinkServer(mission, port, speed=speed, dialect=dialect, tell=_tell)
     if not as_json:
         console().print(f"autopilot at udp://127.0.0.1:{server.port}, telemetry to 14540 and 14550", markup=False)
     if seconds is None:
@@ -90,17 +94,23 @@ def serve(
             server.close()
 
 
+def _tell(what: str) -> None:
+    """Print what a client sends in vain."""
+    console(error=True).print(f"not supported: {what}", markup=False, soft_wrap=True)
+
+
 def _show(server: MavlinkServer, as_json: bool) -> None:
     """Print the final state."""
     vehicle = server.vehicle
     autopilot = server.autopilot
     state = {
         "time_s": 1e-6 * vehicle.now_us,
-        "mode": autopilot.mode.name.lower(),
+        "mode": autopilot.mode_name,
         "landed": vehicle.landed,
         "armed": vehicle.sim.armed,
         "collided": vehicle.has_collided,
         "messages": server.received,
+        "not_supported": autopilot.not_supported,
         "position": [round(value, 3) for value in vehicle.position],
         "digest": vehicle.digest(),
     }

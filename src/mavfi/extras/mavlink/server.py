@@ -3,11 +3,14 @@
 import select
 import socket
 import time
+from collections.abc import Callable
 from typing import Any
 
 from mavfi.errors import BadInputError
+from mavfi.extras.mavlink.ardupilot import ArduCopter
 from mavfi.extras.mavlink.autopilot import Autopilot
 from mavfi.extras.mavlink.flying import MavVehicle
+from mavfi.extras.mavlink.px4 import Px4Autopilot
 from mavfi.extras.mavlink.tlog import mavlink_dialect
 from mavfi.flight.piloted import TICK_US
 from mavfi.mission import MissionSpec
@@ -19,6 +22,8 @@ OFFBOARD_PORT = 14_540
 GROUND_STATION_PORT = 14_550
 MAX_SPEED = 12.0
 """Largest speed that may be commanded (m/s)."""
+DIALECTS: dict[str, type[Autopilot]] = {"px4": Px4Autopilot, "ardupilot": ArduCopter}
+"""Autopilots by name."""
 _POLL_S = 0.004
 
 
@@ -30,6 +35,8 @@ class MavlinkServer:
         port: UDP port of the autopilot; 0 = any free one.
         peers: Ports to which telemetry is sent, in addition to those from which messages come.
         speed: Simulated time per wall time.
+        dialect: Name of the autopilot, see `DIALECTS`.
+        tell: Called once with each thing that a client sends in vain.
 
     Raises:
         BadInputError: pymavlink is not installed, the port is in use, or the mission cannot be flown from the ground.
@@ -41,6 +48,8 @@ class MavlinkServer:
         port: int = PORT,
         peers: tuple[int, ...] = (OFFBOARD_PORT, GROUND_STATION_PORT),
         speed: float = 1.0,
+        dialect: str = "px4",
+        tell: Callable[[str], None] | None = None,
     ) -> None:
         self._dialect = mavlink_dialect()
         self._speed = speed
@@ -56,7 +65,8 @@ class MavlinkServer:
             text = f"--port: {port}: cannot be opened ({error.strerror}); allowed: a free UDP port"
             raise BadInputError(text) from None
         self._socket.setblocking(False)
-        self.autopilot = Autopilot(self.vehicle, self._dialect.MAVLink(self, srcSystem=1, srcComponent=1))
+        link = self._dialect.MAVLink(self, srcSystem=1, srcComponent=1)
+        self.autopilot = DIALECTS[dialect](self.vehicle, link, tell)
         self.received = 0
 
     @property

@@ -7,10 +7,12 @@ big-endian) and a MAVLink 2 packet.  Times are the instants of the flight, from 
 import math
 import socket
 import struct
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,19 +39,21 @@ _SIGNATURE = 13
 LONGEST_TEXT = 50
 """Characters of one STATUSTEXT; longer texts are sent in chunks."""
 _WITHOUT_NUMBERS = ("BAD_DATA", "STATUSTEXT")
+_UNKNOWN = "UNKNOWN"
+"""Start of the name of messages that the dialect does not define."""
 
 
 def mavlink_dialect() -> Any:
-    """The messages of MAVLink's dialect `common`, from pymavlink.
+    """The messages of MAVLink's dialect `ardupilotmega`, which includes `common`, from pymavlink.
 
     Raises:
         BadInputError: It is not installed.
     """
     try:
-        from pymavlink.dialects.v20 import common
+        from pymavlink.dialects.v20 import ardupilotmega
     except ImportError:
         raise BadInputError("MAVLink needs pymavlink; allowed: pip install 'mavfi[mavlink]'") from None
-    return common
+    return ardupilotmega
 
 
 def chunks_of(text: str) -> list[bytes]:
@@ -59,7 +63,15 @@ def chunks_of(text: str) -> list[bytes]:
 
 
 class TlogReader:
-    """Reads a telemetry log; see `FlightLogReader`.  Topics are names of messages, e.g. "ATTITUDE", of any vehicle."""
+    """Reads a telemetry log; see `FlightLogReader`.
+
+    Topics are names of messages, e.g. "ATTITUDE", of any vehicle.  Messages of further systems have the number of the
+    system behind the name, "ATTITUDE.2"; those of further components of a system, both numbers, "ATTITUDE.1.191"; and
+    those of one of several instances, e.g. batteries, its number or name, "BATTERY_STATUS[0]".
+
+    Attributes:
+        notices: What could not be read.
+    """
 
     recommended = {
         "ATTITUDE": ("roll", "pitch", "yaw", "rollspeed", "pitchspeed", "yawspeed"),
@@ -71,6 +83,7 @@ class TlogReader:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self.notices: list[str] = []
 
     def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
         """See `FlightLogReader`."""
@@ -80,7 +93,10 @@ class TlogReader:
         from pymavlink.mavutil import mavlogfile
 
         with reading(path, kind), closing(mavlogfile(str(path), notimestamps=False)) as link:
-            logged = list(_all_of(link))
+            received = list(_all_of(link))
+        unknown = Counter(item.name for item in received if item.name.startswith(_UNKNOWN))
+        self.notices = [f"{count} messages of type {name}: not read" for name, count in sorted(unknown.items())]
+        logged = _by_source([item for item in received if item.name not in unknown])
         if not logged:
             raise BadInputError(f"{path}: is not {kind} that can be read (no MAVLink message of a vehicle)")
         check_topics(path, topics, {message.topic for message in logged})
@@ -102,15 +118,61 @@ class TlogReader:
         return offset != len(data)
 
 
-def _all_of(link: Any) -> Iterator[LoggedMessage]:
+class _Received(NamedTuple):
+    """A message of a vehicle.
+
+    Attributes:
+        name: Name of its type.
+        source: Number of the system and of its component.
+        instance: Which of several it is about, e.g. "[0]"; "" = there is only one.
+        message: The message, without a topic.
+    """
+
+    name: str
+    source: tuple[int, int]
+    instance: str
+    message: LoggedMessage
+
+
+def _all_of(link: Any) -> Iterator[_Received]:
     """All messages of vehicles."""
     layouts: dict[str, RecordLayout] = {}
+    nothing = RecordLayout("unknown", {})
     while (message := link.recv_match()) is not None:
-        topic = message.get_type()
-        if topic in _WITHOUT_NUMBERS or topic.startswith("UNKNOWN") or message.get_srcSystem() >= _GROUND_STATION:
+        name = message.get_type()
+        source = message.get_srcSystem(), message.get_srcComponent()
+        if name in _WITHOUT_NUMBERS or source[0] >= _GROUND_STATION:
             continue
-        layout = layouts.setdefault(topic, RecordLayout(topic, _leaves(type(message))))
-        yield LoggedMessage(topic, round(1e6 * message._timestamp), layout, _payload(message))
+        if name.startswith(_UNKNOWN):
+            yield _Received(name, source, "", LoggedMessage(name, 0, nothing, b""))
+            continue
+        kind = type(message)
+        if name not in layouts:
+            layouts[name] = RecordLayout(name, _leaves(kind), getattr(kind, "fieldunits_by_name", {}))
+        instance = ""
+        field = getattr(kind, "instance_field", None)
+        if field is not None:
+            instance = f"[{getattr(message, field)}]"
+        time_us = round(1e6 * message._timestamp)
+        yield _Received(name, source, instance, LoggedMessage(name, time_us, layouts[name], _payload(message)))
+
+
+def _by_source(received: Sequence[_Received]) -> list[LoggedMessage]:
+    """The messages with topics that tell their sources apart, see `TlogReader`."""
+    systems = {item.source[0] for item in received}
+    components: dict[tuple[str, int], set[int]] = {}
+    for item in received:
+        components.setdefault((item.name, item.source[0]), set()).add(item.source[1])
+    logged = []
+    for item in received:
+        system, component = item.source
+        topic = item.name
+        if component != min(components[item.name, system]):
+            topic += f".{system}.{component}"
+        elif system != min(systems):
+            topic += f".{system}"
+        logged.append(replace(item.message, topic=topic + item.instance))
+    return logged
 
 
 def _payload(message: Any) -> bytes:

@@ -151,7 +151,7 @@ class _Account:
         self._topic = topic
         self._as_json = as_json
         self._injections: list[GraphInjection] = []
-        self._refusals = 0
+        self._refusals: list[str] = []
         self._events: list[str] = []
         self.has_lost_target = False
 
@@ -161,8 +161,8 @@ class _Account:
         if report.report.kind == "changed":
             self._injections.append(report)
             return
-        self._refusals += 1
-        if self._refusals == _SHOWN_REFUSALS:
+        self._refusals.append(f"message {report.report.message}: {report.report.text}")
+        if len(self._refusals) == _SHOWN_REFUSALS:
             self._say("further refusals are not shown; Ctrl-C ends the wait for a message that can be changed")
 
     def add_event(self, text: str) -> None:
@@ -183,6 +183,7 @@ class _Account:
                     "topic": self._topic,
                     "passed": injection.messages,
                     "injections": [report.to_injection().to_json() for report in self._injections],
+                    "refusals": self._refusals,
                     "aftermath": self._events,
                     "unreachable": injection.unreachable,
                 }

@@ -30,10 +30,10 @@ def inject_ros1(
     from_now_on = change._replace(when=replace(change.when, start_s=0.0))
     start_us = round(1e6 * change.when.start_s)
     fault = MessageFault(topic, field, seed=seed, time_us=start_us, change=from_now_on)
-    tell = None
-    if not as_json:
-        tell = _tell
-    injector = MessageInjector(fault, tell)
+    if as_json:
+        injector = MessageInjector(fault)
+    else:
+        injector = MessageInjector(fault, _tell, _tell_refusal)
     relay = Relay(Master(), topic, injector, partial(check_fault, fault), node or None)
     with stoppable("Stopped. The graph is as it was."), relay:
         try:
@@ -42,7 +42,14 @@ def inject_ros1(
             injector.stop()
             if as_json:
                 injections = [injection.to_json() for injection in injector.injections]
-                write_json({"topic": relay.topic, "passed": relay.passed, "injections": injections})
+                write_json(
+                    {
+                        "topic": relay.topic,
+                        "passed": relay.passed,
+                        "injections": injections,
+                        "refusals": injector.refusals,
+                    }
+                )
     if not as_json:
         console().print(f"{relay.passed} messages passed, {len(injector.injections)} changed; the graph is as it was")
 
@@ -60,6 +67,13 @@ def _run(relay: Relay, injector: MessageInjector, duration: float) -> None:
         time.sleep(_POLL_S)
     injector.stop()
     time.sleep(_AFTERWARDS_S)
+
+
+def _tell_refusal(refusal: str, *, is_last: bool) -> None:
+    """Print that a message was not changed."""
+    console().print(f"NOT changed: {refusal}", markup=False, soft_wrap=True)
+    if is_last:
+        console().print("further refusals are not shown; Ctrl-C ends the wait for a message that can be changed")
 
 
 def _tell(injection: Injection) -> None:

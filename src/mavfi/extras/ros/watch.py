@@ -12,11 +12,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from mavfi.detectors.detector import Detector
-from mavfi.detectors.foreign import foreign_state, learn
+from mavfi.detectors.foreign import foreign_state
 from mavfi.errors import BadInputError, MavfiError
+from mavfi.extras.logs.circular import Geometry, Numbers, recognise
+from mavfi.extras.logs.monitor import fitted
 from mavfi.faults.levels.message.definition import Definition
 from mavfi.flight.log_readers import Probe, make_probes, open_flight_log
+from mavfi.states import State, StateSpec, floats
 
 ALARM_TOPIC = "/mavfi/alarm"
 """Where alarms are published, as JSON in the `data` of a std_msgs/String."""
@@ -223,10 +228,20 @@ def _train(
     Raises:
         BadInputError: See `learn`.
     """
-    states = []
+    states: list[State] = []
     for topic, message in messages:
         if topic in probes:
             state = probes[topic].read(message)
             if state is not None:
                 states.append(state)
-    return learn(kind, profile, [states], {topic: probe.spec for topic, probe in probes.items()}), len(states)
+    # Angles and quaternions are recognised as in recordings.
+    specs = {topic: probe.spec for topic, probe in probes.items()}
+    geometries = {topic: _geometry(spec, states) for topic, spec in specs.items()}
+    return fitted(kind, profile, [states], specs, geometries), len(states)
+
+
+def _geometry(spec: StateSpec, states: Sequence[State]) -> Geometry:
+    """Angles and quaternions among the fields of a topic."""
+    names = [field.name for field in spec.header]
+    rows = [floats(state.header, len(names)) for state in states if state.spec is spec]
+    return recognise([Numbers(names, np.array(rows).reshape(-1, len(names)))], {})

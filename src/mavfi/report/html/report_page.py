@@ -25,7 +25,7 @@ from mavfi.campaign.ledger import stored_campaign
 from mavfi.campaign.store import FILE, Store
 from mavfi.errors import BadInputError, write_text
 from mavfi.report import links, style
-from mavfi.report.campaign_report import REMARKS, CampaignReport
+from mavfi.report.campaign_report import CampaignReport, remarks_on
 from mavfi.report.figures import Drawn, drawn
 from mavfi.report.html import page
 from mavfi.report.style import setting_label
@@ -357,7 +357,7 @@ def write_report_page(
         "headline": headline or headline_of(reports[0]),
         "commands": commands,
         "sections": section_data,
-        "checks": [*remarks, *REMARKS],
+        "checks": [*remarks, *remarks_on(reports[0].runs)],
         "csv": csv,
         "runs": listed_runs | {"sets": list(sets.texts)},
     }

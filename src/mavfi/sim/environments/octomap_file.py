@@ -5,7 +5,8 @@ lines (id, size, res, data), followed by the nodes in depth-first order, childre
 
 - `.bt`: two bytes for each inner node, two bits for each child: unknown, occupied, free, or inner node.  The map
   contains its maximum-likelihood occupancy.
-- `.ot`: for each node its log-odds as float32, and one byte that flags its children.
+- `.ot`: for each node its log-odds as float32, further data that depend on the type of tree (`id`), e.g. a colour, and
+  one byte that flags its children.
 """
 
 import math
@@ -29,7 +30,22 @@ _MARGIN = 1
 _LARGEST_GRID = 1 << 26
 _LARGEST_FILE = 1 << 28
 _HEADERS = {b"# Octomap OcTree binary file": False, b"# Octomap OcTree file": True}
-_TRUNCATED, _TOO_DEEP = -1, -2
+_NODE_BYTES = {"OcTree": 4, "1": 4, "OcTreeStamped": 4, "ColorOcTree": 7}
+"""Bytes of a node's data in `.ot` files; 1 is an old name of OcTree.  Those of other types follow from `size`."""
+_WITHOUT_OCCUPANCY = ("CountingOcTree", "BoundingBoxOcTree", "EcgOcTree")
+_LARGEST_LOG_ODDS = 1e4
+"""Larger values are no log-odds."""
+SOLID, FREE = "solid", "free"
+"""What unknown space is."""
+_AROUND = 5.0
+"""Margin of the grid around obstacles and ends where unknown space is free (m)."""
+_USUAL_RESOLUTION = 0.08
+"""Resolution of the pipeline's map inside a building (m)."""
+_LARGEST_MAP = 1 << 27
+"""Voxels of the pipeline's map, at most."""
+_MAP_MARGIN = (2.0 * _AROUND + 11.0, 2.0 * _AROUND + 11.0, 6.0)
+"""Margins of that map and of ours around the scan (m)."""
+_TRUNCATED, _TOO_DEEP, _NO_LOG_ODDS = -1, -2, -3
 _SOLID, _INNER = 2, 3
 """Kinds of children in a `.bt` file; 0 is unknown, 1 free."""
 _PASSAGE, _NEAR = 0.2, 1.0
@@ -50,10 +66,31 @@ class Leaves(NamedTuple):
     occupied: np.ndarray
 
 
+class Header(NamedTuple):
+    """Header of a file.
+
+    Attributes:
+        node_bytes: Bytes of a node's data in an `.ot` file; 0 = a `.bt` file.
+        resolution: Edge of a voxel (m).
+        size: Number of nodes; -1 = not said.
+        offset: Position of the nodes in the file.
+    """
+
+    node_bytes: int
+    resolution: float
+    size: int
+    offset: int
+
+
 def octomap_file(
-    seed: int, path: str, start: Vector | None = None, goal: Vector | None = None, band: float = 0.9
+    seed: int,
+    path: str,
+    start: Vector | None = None,
+    goal: Vector | None = None,
+    band: float = 0.9,
+    unknown: str = SOLID,
 ) -> World:
-    """The world of a scan, in which unobserved space is solid.
+    """The world of a scan, in which unobserved space is solid, unless it is said to be free.
 
     Planners treat unknown space as free, and a forward-looking camera sees neither floor and ceiling nor the space
     behind.  So they are confined to a box around start and goal: `band` above and below, and as narrow as possible for
@@ -65,26 +102,31 @@ def octomap_file(
         start: Start (m); required.
         goal: Goal (m); required.
         band: Vertical margin of planned paths above and below start and goal (m).
+        unknown: What space is that was not observed: solid, or free, as in maps that hold obstacles only.
 
     Raises:
-        BadInputError: The file is absent, foreign, truncated or too large, start or goal are missing, or there is no
-            path between them.
+        BadInputError: The file is absent, foreign, empty, truncated or too large, start or goal are missing, or there
+            is no path between them.
     """
     del seed
     if not isinstance(path, str):
         raise BadInputError(f"parameter 'path': {path!r}; allowed: a file ending in .bt or .ot")
+    if unknown not in (SOLID, FREE):
+        raise BadInputError(f"parameter 'unknown': {unknown!r}; allowed: {SOLID}, {FREE}")
     if start is None or goal is None:
         raise BadInputError(f"{path}: a scanned map has no start and goal of its own; give both")
-    try:
-        modified = Path(path).stat().st_mtime_ns
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be read ({error.strerror})") from None
-    occupied, origin, resolution = _read_grid(path, modified)
-    voxels, band = Voxels(occupied, origin, resolution), checked_number("band", band, 0.1, 1000.0)
-    box = _flight_box(voxels, np.array([start, goal], float), band)
+    ends = np.array([start, goal], float)
+    band = checked_number("band", band, 0.1, 1000.0)
+    if unknown == SOLID:
+        occupied, origin, resolution = _read_grid(path, _modified(path))
+    else:
+        occupied, origin, resolution = _grid_around(path, ends, band)
+    voxels = Voxels(occupied, origin, resolution)
+    box = _flight_box(voxels, ends, band)
     if box is None:
+        why = "; unknown space counts as solid, --unknown-space free takes it as free" if unknown == SOLID else ""
         raise BadInputError(
-            f"{path}: no way from {start} to {goal} for a sphere of {_PASSAGE} m within {band} m of their heights"
+            f"{path}: no way from {start} to {goal} for a sphere of {_PASSAGE} m within {band} m of their heights{why}"
         )
     return World(
         start=np.array(start),
@@ -128,28 +170,94 @@ def _is_passable(voxels: Voxels, ends: np.ndarray, lower: np.ndarray, upper: np.
     return bool(np.intersect1d(near_start, near_goal).size)
 
 
+def _modified(path: str) -> int:
+    """Time of a file's last change (ns)."""
+    try:
+        return Path(path).stat().st_mtime_ns
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read ({error.strerror})") from None
+
+
 @lru_cache(maxsize=2)
-def _read_grid(path: str, _modified_ns: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Solid voxels, their origin (m) and resolution (m)."""
+def _leaves_of(path: str, _modified_ns: int) -> tuple[Leaves, float]:
+    """See `read_octree`; a map without leaves is refused."""
     leaves, resolution = read_octree(Path(path))
     if not len(leaves.edge):
-        raise BadInputError(f"{path}: the map holds no known space")
-    least = leaves.corner.min(axis=0) - _MARGIN
-    shape = (leaves.corner + leaves.edge[:, None]).max(axis=0) + _MARGIN - least
-    if math.prod(int(n) for n in shape) > _LARGEST_GRID:
-        raise BadInputError(f"{path}: {' x '.join(map(str, shape))} voxels; allowed: {_LARGEST_GRID} at most")
-    occupied = np.ones(tuple(int(n) for n in shape), np.bool_)
-    _carve(leaves.corner - least.astype(np.int32), leaves.edge, leaves.occupied, occupied)
+        raise BadInputError(f"{path}: the map is empty; allowed: one that holds known space")
+    return leaves, resolution
+
+
+def _bounds(leaves: Leaves) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner of the known space, in finest voxels. Shapes (3,), int64."""
+    lower = leaves.corner.min(axis=0).astype(np.int64)
+    upper = (leaves.corner + leaves.edge[:, None]).max(axis=0).astype(np.int64)
+    return lower, upper
+
+
+@lru_cache(maxsize=2)
+def _read_grid(path: str, modified_ns: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Solid voxels, their origin (m) and resolution (m), of a map in which unknown space is solid."""
+    leaves, resolution = _leaves_of(path, modified_ns)
+    if leaves.occupied.all():
+        raise BadInputError(
+            f"{path}: the map holds no free voxel ({len(leaves.edge)} occupied leaves), and unknown space counts as "
+            "solid; allowed: --unknown-space free (parameter 'unknown'), or a map with free space"
+        )
+    lower, upper = _bounds(leaves)
+    occupied = np.ones(_checked_shape(path, lower - _MARGIN, upper + _MARGIN), np.bool_)
+    _carve(leaves, lower - _MARGIN, False, occupied)
     occupied.flags.writeable = False
-    return occupied, (least - _HALF_RANGE) * resolution, resolution
+    return occupied, (lower - _MARGIN - _HALF_RANGE) * resolution, resolution
+
+
+def _grid_around(path: str, ends: np.ndarray, band: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """The same of a map in which unknown space is free: around its obstacles and both ends, with a margin."""
+    leaves, resolution = _leaves_of(path, _modified(path))
+    lower, upper = _bounds(leaves)
+    margin = np.array([_AROUND, _AROUND, band + 1.0])
+    lower = np.minimum(lower, np.floor((ends.min(axis=0) - margin) / resolution).astype(np.int64) + _HALF_RANGE)
+    upper = np.maximum(upper, np.ceil((ends.max(axis=0) + margin) / resolution).astype(np.int64) + _HALF_RANGE)
+    around = math.ceil(_AROUND / resolution)
+    lower[:2] -= around
+    upper[:2] += around
+    occupied = np.zeros(_checked_shape(path, lower, upper), np.bool_)
+    _carve(leaves, lower, True, occupied)
+    return occupied, (lower - _HALF_RANGE) * resolution, resolution
+
+
+def _checked_shape(path: str, lower: np.ndarray, upper: np.ndarray) -> tuple[int, ...]:
+    """Shape of a grid between two corners; a large one is refused."""
+    shape = tuple(int(n) for n in upper - lower)
+    if math.prod(shape) > _LARGEST_GRID:
+        raise BadInputError(f"{path}: {' x '.join(map(str, shape))} voxels; allowed: {_LARGEST_GRID} at most")
+    return shape
+
+
+def map_resolution_for(path: str) -> float:
+    """Resolution of the pipeline's map for a scan (m): the usual one, or that of the file if its arena is too large.
+
+    Raises:
+        BadInputError: The file is none that can be read.
+    """
+    leaves, resolution = _leaves_of(path, _modified(path))
+    lower, upper = _bounds(leaves)
+    extent = (upper - lower) * resolution + _MAP_MARGIN
+    finest = float(np.prod(extent) / _LARGEST_MAP) ** (1.0 / 3.0)
+    if finest <= _USUAL_RESOLUTION:
+        return _USUAL_RESOLUTION
+    return float(max(resolution, math.ceil(100.0 * finest) / 100.0))
 
 
 @kernel_jit
-def _carve(corner: np.ndarray, edge: np.ndarray, solid: np.ndarray, occupied: np.ndarray) -> None:
-    for n in range(len(edge)):
-        if not solid[n]:
-            i, j, k, size = corner[n, 0], corner[n, 1], corner[n, 2], edge[n]
-            occupied[i : i + size, j : j + size, k : k + size] = False
+def _carve(leaves: Leaves, lower: np.ndarray, value: bool, occupied: np.ndarray) -> None:
+    """Set the voxels of all leaves that are occupied (`value` true) or free (false) to this value."""
+    for n in range(len(leaves.edge)):
+        if leaves.occupied[n] == value:
+            i = leaves.corner[n, 0] - lower[0]
+            j = leaves.corner[n, 1] - lower[1]
+            k = leaves.corner[n, 2] - lower[2]
+            size = leaves.edge[n]
+            occupied[i : i + size, j : j + size, k : k + size] = value
 
 
 def read_octree(path: Path) -> tuple[Leaves, float]:
@@ -162,23 +270,30 @@ def read_octree(path: Path) -> tuple[Leaves, float]:
         BadInputError: The file cannot be read, is not an OctoMap OcTree, or is truncated.
     """
     content = read_file(path, _LARGEST_FILE)
-    has_values, resolution, offset = _read_header(path, content)
-    nodes = np.frombuffer(content, np.uint8, offset=offset)
+    header = _read_header(path, content)
+    nodes = np.frombuffer(content, np.uint8, offset=header.offset)
     nothing = Leaves(np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros(0, np.bool_))
-    count = _parse(nodes, has_values, nothing)
+    if header.size == 0:
+        raise BadInputError(
+            f"{path}: the map is empty (size 0), a valid file without voxels; allowed: one that holds known space"
+        )
+    count = _parse(nodes, header.node_bytes, nothing)
     if count == _TRUNCATED:
         raise BadInputError(f"{path}: truncated: the octree does not end within the file")
     if count == _TOO_DEEP:
         raise BadInputError(f"{path}: not an octree of {_DEPTH} levels")
+    if count == _NO_LOG_ODDS:
+        raise BadInputError(f"{path}: its nodes do not start with log-odds; allowed: a tree of occupancy")
     leaves = Leaves(np.empty((count, 3), np.int32), np.empty(count, np.int32), np.empty(count, np.bool_))
-    _parse(nodes, has_values, leaves)
-    return leaves, resolution
+    _parse(nodes, header.node_bytes, leaves)
+    return leaves, header.resolution
 
 
-def _read_header(path: Path, content: bytes) -> tuple[bool, float, int]:
-    """Whether nodes have values, resolution, and offset of the nodes."""
-    first, _, _ = content[:200].partition(b"\n")
-    if first.strip() not in _HEADERS:
+def _read_header(path: Path, content: bytes) -> Header:
+    """The header of a file, which ends with a line `data`."""
+    first = content[:200].partition(b"\n")[0].strip()
+    title = next((title for title in _HEADERS if first.startswith(title)), None)
+    if title is None:
         raise BadInputError(f"{path}: not a map of OctoMap; allowed: an OcTree, .bt or .ot")
     values: dict[bytes, bytes] = {}
     offset = 0
@@ -190,26 +305,50 @@ def _read_header(path: Path, content: bytes) -> tuple[bool, float, int]:
         if not key.startswith(b"#"):
             values[key] = value.strip()
         offset = end + 1
-    if values.get(b"id") != b"OcTree":
-        raise BadInputError(f"{path}: id {values.get(b'id')!r}; allowed: OcTree")
+    kind = values.get(b"id", b"").decode(errors="replace")
+    if not kind or kind in _WITHOUT_OCCUPANCY:
+        raise BadInputError(
+            f"{path}: id {kind!r}: its nodes hold no occupancy; allowed: a tree of occupancy, e.g. "
+            f"{', '.join(name for name in _NODE_BYTES if name.isalpha())}"
+        )
     try:
         resolution = float(values[b"res"])
     except (KeyError, ValueError):
         resolution = math.nan
     if not 1e-3 <= resolution <= 100.0:
         raise BadInputError(f"{path}: res {values.get(b'res')!r}; allowed: 0.001 to 100 m")
-    return _HEADERS[first.strip()], resolution, offset
+    size = -1
+    if values.get(b"size", b"").isdigit():
+        size = int(values[b"size"])
+    node_bytes = 0
+    if _HEADERS[title] and size != 0:
+        node_bytes = _node_bytes(path, kind, size, len(content) - offset)
+    return Header(node_bytes, resolution, size, offset)
+
+
+def _node_bytes(path: Path, kind: str, size: int, length: int) -> int:
+    """Bytes of a node's data in an `.ot` file: of a type that is not known, what is left for each of its nodes."""
+    if kind in _NODE_BYTES:
+        return _NODE_BYTES[kind]
+    node_bytes, rest = divmod(length, max(size, 1))
+    if rest or node_bytes < 5:
+        raise BadInputError(
+            f"{path}: id {kind!r}: {length} bytes for {size} nodes; allowed: {', '.join(_NODE_BYTES)}, or nodes of "
+            "equal size that start with log-odds"
+        )
+    return node_bytes - 1
 
 
 @kernel_jit
-def _parse(nodes: np.ndarray, has_values: bool, leaves: Leaves) -> int:
+def _parse(nodes: np.ndarray, node_bytes: int, leaves: Leaves) -> int:
     """Traverse the nodes; store leaves up to the capacity, and return their number.
 
     Args:
         nodes: Bytes of the nodes. Shape (n,), uint8.
-        has_values: Whether they are those of an `.ot` file.
+        node_bytes: See `Header`.
         leaves: Output.
     """
+    has_values = node_bytes > 0
     stack = np.zeros((8 * _DEPTH + 1, 4), np.int32)
     stack[0, 3] = _DEPTH
     top, at, count = 1, 0, 0
@@ -218,12 +357,14 @@ def _parse(nodes: np.ndarray, has_values: bool, leaves: Leaves) -> int:
         x, y, z, level = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
         if level == 0 and not has_values:
             return _TOO_DEEP
-        if at + (5 if has_values else 2) > len(nodes):
+        if at + (node_bytes + 1 if has_values else 2) > len(nodes):
             return _TRUNCATED
         if has_values:
             log_odds = nodes[at : at + 4].copy().view(np.float32)[0]
-            bits = int(nodes[at + 4])
-            at += 5
+            if abs(log_odds) > _LARGEST_LOG_ODDS:
+                return _NO_LOG_ODDS
+            bits = int(nodes[at + node_bytes])
+            at += node_bytes + 1
             if bits == 0:
                 _store(leaves, count, (x, y, z), 1 << level, not (log_odds < 0.0))
                 count += 1

@@ -1,6 +1,7 @@
 """Builds a world from an environment's configuration: finds generators, validates user input."""
 
 import inspect
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -14,6 +15,7 @@ from mavfi.errors import BadInputError
 from mavfi.files import is_file
 from mavfi.mission import ARRIVAL_RADIUS
 from mavfi.plugins import load_object, parameters_of
+from mavfi.sim.environments.octomap_file import map_resolution_for
 from mavfi.sim.environments.world import World
 from mavfi.sim.mjcf import find_vehicle
 
@@ -25,7 +27,9 @@ ENTRY_POINT_GROUP = "mavfi.environments"
 
 _GENERATED = ("cuboids", "factory", "farm", "clutter", "training")
 _BUILT_IN = {name: f"mavfi.sim.environments.generated:{name}" for name in _GENERATED}
-_BUILT_IN["octomap_file"] = "mavfi.sim.environments.octomap_file:octomap_file"
+SCAN_GENERATOR = "octomap_file"
+"""Generator of scanned maps."""
+_BUILT_IN[SCAN_GENERATOR] = "mavfi.sim.environments.octomap_file:octomap_file"
 
 
 def build_world(
@@ -104,7 +108,7 @@ def find_generator(name: str) -> Generator:
 
 
 def environment_for_file(path: str | Path) -> EnvironmentConfig:
-    """The environment of a scanned map, with settings for the inside of a building.
+    """The environment of a scanned map, with settings for the inside of a building; of a larger one on a coarser map.
 
     A small quadrotor flies slowly on a fine map, because a scan has narrow passages: unknown space is solid, and rays
     without a return leave specks of it in the middle of rooms (spheres of 0.28 m barely fit a corridor of 3 x 2.5 m).
@@ -113,7 +117,7 @@ def environment_for_file(path: str | Path) -> EnvironmentConfig:
         path: OctoMap file ending in .bt or .ot.
 
     Raises:
-        BadInputError: Another ending, or the file is absent.
+        BadInputError: Another ending, or the file cannot be read.
     """
     path = Path(path)
     if path.suffix.lower() not in SCAN_ENDINGS:
@@ -122,18 +126,20 @@ def environment_for_file(path: str | Path) -> EnvironmentConfig:
         raise BadInputError(f"{path}: there is no such file")
     return EnvironmentConfig(
         name=path.stem,
-        generator="octomap_file",
+        generator=SCAN_GENERATOR,
         parameters={"path": str(path)},
         vehicle="small_quad",
         v_max=0.6,
-        map_resolution=0.08,
+        map_resolution=map_resolution_for(str(path)),
         camera_range=8.0,
     )
 
 
 @cache
 def _collision_radius(vehicle: str) -> float:
-    return find_vehicle(vehicle).collision_radius
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # on what was assumed; whoever chose the vehicle has seen it
+        return find_vehicle(vehicle).collision_radius
 
 
 def _text(point: np.ndarray) -> str:

@@ -115,3 +115,10 @@ def test_states_print_the_registry(capsys):
     assert {("sensor.odometry", "wx"), ("control.tracking", "remaining")} <= dead
     assert ("planning.waypoint", "ax") not in dead
     assert re.search(r"read by octomap *$", blocks["perception.point_cloud"], re.MULTILINE)
+
+
+@pytest.mark.parametrize("words", ["fly --seed 1 --seed 2", "campaign run a.yaml --out b --out c"])
+def test_an_option_of_one_value_is_not_given_twice(words, capsys):
+    assert run(words.split()) == 2
+    option = words.split()[-2]
+    assert capsys.readouterr().err == f"mavfi: {option}: given 2 times; allowed: once\n"

@@ -103,6 +103,7 @@ def test_a_mission_that_fails_is_no_failure_of_the_program(capsys):
         (["--save", "flight.csv"], "--save: flight.csv: allowed ending: .npz"),
         (["--fault", "null", "--fault-seed", "-1"], "--fault-seed: -1"),
         (["--map-resolution", "0.05"], "map resolution 0.05 m: 951,084,261 voxels"),
+        (["--map-resolution", "0.09"], "allowed: 0.097 m or more (--map-resolution)"),
         (["--fault", "state:sensor.imu.fx"], "sensor.imu is published with localization estimator only, not truth"),
         (["--start", "1", "2"], "--start"),
         (["--autopilot", "soft"], "allowed: hardened, published"),

@@ -22,6 +22,7 @@ VALUES = {
     "platform": "cortex-a57",
     "map": "octree",
     "map_resolution": 0.4,
+    "unknown_space": "free",
     "camera_range": 15.0,
     "vehicle": "small_quad",
     "v_max": 2.0,

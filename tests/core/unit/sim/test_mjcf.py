@@ -64,6 +64,15 @@ def test_parts_are_added_about_the_common_centre_of_mass_in_the_axes_of_the_body
     np.testing.assert_allclose(body.inertia, (own, own + 0.12, own + 0.12), rtol=1e-9)
 
 
+def test_a_mesh_reaches_as_far_as_its_vertices_not_as_its_bounding_sphere(tmp_path):
+    # a flat roof whose ridge is off its middle: the sphere around it reaches further than any vertex from the origin
+    corners = np.array([(x, y, 0.0) for x in (-0.3, 0.3) for y in (-0.1, 0.1)] + [(0.25, 0.0, 0.2)])
+    mesh = f'<asset><mesh name="m" vertex="{" ".join(map(str, corners.ravel()))}"/></asset>'
+    body = free('<geom type="mesh" mesh="m" mass="0.0"/><geom size="0.01" mass="1"/>')
+    (tmp_path / "body.xml").write_text(xml(body, before=mesh), "utf-8")
+    assert measure(tmp_path / "body.xml").reach == pytest.approx(np.linalg.norm(corners, axis=1).max(), abs=1e-7)
+
+
 def test_the_model_that_flies_has_the_centre_of_mass_at_its_origin_and_only_the_sphere_collides(tmp_path):
     odd = xml(
         free(ROD + '<site name="imu"/><geom name="collision_sphere" size="0.05" mass="0.1" pos="0 0.2 0"/>'),

@@ -58,6 +58,23 @@ def test_a_rate_draws_from_the_seed_and_stops_on_request():
     assert injections(1) == injections(1) != injections(2) and 30 < len(injections(1)) < 90
 
 
+@pytest.mark.parametrize("change", ["bit=30@0", "drop@position[9]>0.1"])
+def test_an_index_beyond_a_list_is_said_after_a_few_messages(change):
+    """The fault waits for a longer list, and says so: of its own number, and of that of its condition."""
+    relay, told = FakeRelay(), []
+    field = "position[9]" * change.startswith("bit")
+    fault = MessageFault("/t", field, change=parse_text(change))
+    injector = MessageInjector(fault, None, lambda text, is_last: told.append((text, is_last)))
+    for _ in range(5):
+        injector(MESSAGE, relay)
+    line = "field position[9]: position has 1 elements in this message"
+    assert told == [(f"message {number}: {line}", number == 3) for number in (1, 2, 3)]
+    assert injector.too_short == 5 and relay.sent == [MESSAGE] * 5
+    longer = COMPOSER.pack({"position": [0.5] * 10})
+    injector(longer, relay)
+    assert len(injector.injections) == 1 and injector.done.is_set()
+
+
 @pytest.mark.parametrize(
     ("fault", "message"),
     [

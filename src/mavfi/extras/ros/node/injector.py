@@ -27,6 +27,13 @@ class MessageSink(Protocol):
         """Forward a message; returns the number of subscribers that received it."""
 
 
+class TellRefusal(Protocol):
+    """Tells that a message was not changed."""
+
+    def __call__(self, refusal: str, *, is_last: bool) -> None:
+        """`is_last`: further ones are not told."""
+
+
 def check_fault(fault: MessageFault, definition: Definition) -> None:
     """Raise a BadInputError, with the allowed values, for a field or change that the message type does not have."""
     operation, when = fault.planned
@@ -55,6 +62,10 @@ def with_number(message: bytes, leaf: Leaf, value: float) -> bytes:
     return message[: leaf.offset] + word + message[leaf.offset + len(word) :]
 
 
+MAX_REFUSALS = 3
+"""Messages without the element that are told of, as in ROS 2."""
+
+
 @dataclass(slots=True)
 class HeldBytes:
     """A message that waits until `remaining` others have passed."""
@@ -64,19 +75,32 @@ class HeldBytes:
 
 
 class MessageInjector:
-    """Changes messages in a relay, and calls `tell` with each injection.
+    """Changes messages in a relay.
+
+    Args:
+        fault: The planned change.
+        tell: Called with each injection.
+        tell_refusal: Called with each of `refusals`, and whether it is the last of them.
 
     Attributes:
         injections: With times in seconds since construction.  One in a number is activated if the sent bytes differ
             from the received ones in this number only, as planned, and a subscriber received them; one of a whole
             message always is.
         done: Set after the last injection was sent, if there is a last one.
-        too_short: Messages due for injection that do not contain the element.
+        too_short: Messages that do not contain the element when they are due, or that of the condition.
+        refusals: What the first few of these have instead, one line each.
     """
 
-    def __init__(self, fault: MessageFault, tell: Callable[[Injection], None] | None = None) -> None:
+    def __init__(
+        self,
+        fault: MessageFault,
+        tell: Callable[[Injection], None] | None = None,
+        tell_refusal: TellRefusal | None = None,
+    ) -> None:
         self.fault = fault
         self._tell = tell
+        self._tell_refusal = tell_refusal
+        self.refusals: list[str] = []
         self.injections: list[Injection] = []
         self.done = threading.Event()
         self.too_short = 0
@@ -96,7 +120,7 @@ class MessageInjector:
         with self._lock:
             self._message_count += 1
             now_s = time.monotonic() - self._began
-            if self._is_stopped or not self._schedule.due(now_s, lambda path: _number(message, path, outlet)):
+            if self._is_stopped or not self._schedule.due(now_s, lambda path: self._number(message, path, outlet)):
                 outlet.send(message)
                 self._release(outlet)
                 return message
@@ -104,12 +128,30 @@ class MessageInjector:
                 return self._inject_whole(message, outlet)
             try:
                 leaf = outlet.definition.locate(message, self.fault.field)
-            except AbsentError:
-                self.too_short += 1
+            except AbsentError as error:
+                self._note_absent(error)
                 self._schedule.take_back()
                 outlet.send(message)
                 return message
             return self._inject(message, leaf, outlet)
+
+    def _note_absent(self, error: AbsentError) -> None:
+        """Count a message without the element, and tell of the first few."""
+        self.too_short += 1
+        if self.too_short > MAX_REFUSALS:
+            return
+        refusal = f"message {self._message_count}: {error}"
+        self.refusals.append(refusal)
+        if self._tell_refusal is not None:
+            self._tell_refusal(refusal, is_last=self.too_short == MAX_REFUSALS)
+
+    def _number(self, message: bytes, path: str, outlet: MessageSink) -> float:
+        """A number of a message for the condition; NaN if the message lacks it."""
+        try:
+            return float(outlet.definition.locate(message, path).value(message))
+        except AbsentError as error:
+            self._note_absent(error)
+            return float("nan")
 
     def stop(self) -> None:
         """Stop injecting; messages are still forwarded."""
@@ -219,11 +261,3 @@ class MessageInjector:
             self.done.set()
         if self._tell is not None:
             self._tell(injection)
-
-
-def _number(message: bytes, path: str, outlet: MessageSink) -> float:
-    """A number of a message; NaN if the message lacks it."""
-    try:
-        return float(outlet.definition.locate(message, path).value(message))
-    except AbsentError:
-        return float("nan")

@@ -30,9 +30,17 @@ def bits(node):
     return struct.pack("<H", word) + b"".join(bits(c) for c in node if isinstance(c, list))
 
 
-def values(node):
-    """Body of an `.ot` file, depth first."""
+def values(node, more=b""):
+    """Body of an `.ot` file, depth first, whose nodes have `more` data after their log-odds."""
     if not isinstance(node, list):
-        return struct.pack("<fB", 1.5 if node else -0.7, 0)
+        return struct.pack("<f", 1.5 if node else -0.7) + more + b"\0"
     mask = sum(1 << i for i, c in enumerate(node) if c is not None)
-    return struct.pack("<fB", 0.4, mask) + b"".join(values(c) for c in node if c is not None)
+    inside = b"".join(values(c, more) for c in node if c is not None)
+    return struct.pack("<f", 0.4) + more + bytes([mask]) + inside
+
+
+def count(node):
+    """Number of nodes."""
+    if not isinstance(node, list):
+        return 1
+    return 1 + sum(count(child) for child in node if child is not None)

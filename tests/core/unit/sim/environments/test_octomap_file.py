@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
+from mavfi.flight.compose import resolve
+from mavfi.mission import MissionSpec
 from mavfi.sim.environments import octomap_file as octomap_file_module
 from mavfi.sim.environments.octomap_file import octomap_file
-from tests.core.unit.sim.environments.octrees import bits, tree_of, values
+from tests.core.unit.sim.environments.octrees import bits, count, tree_of, values
 
 RESOLUTION = 0.25
 CENTRE = 32768
@@ -88,6 +90,67 @@ def test_an_absent_file_or_end_is_refused(tmp_path, voxels):
         octomap_file(0, str(write(tmp_path / "room.bt", voxels, bits)), START, None)
     with pytest.raises(BadInputError, match="path"):
         octomap_file(0, 7, START, GOAL)
+
+
+@pytest.mark.parametrize(
+    ("kind", "more"), (("OcTreeStamped", b""), ("ColorOcTree", b"\xff\x80\x00"), ("SemanticOcTree", bytes(range(9))))
+)
+def test_trees_whose_nodes_have_more_than_occupancy_are_the_same_map(tmp_path, voxels, kind, more):
+    tree = tree_of(voxels)
+    plain = octomap_file(0, str(write(tmp_path / "plain.ot", voxels, values)), START, GOAL)
+    path = tmp_path / "other.ot"
+    header = f"# Octomap OcTree file\nid {kind}\nsize {count(tree)}\nres {RESOLUTION}\ndata\n".encode()
+    path.write_bytes(header + values(tree, more))
+    assert octomap_file(0, str(path), START, GOAL).digest() == plain.digest()
+    bits_path = write(tmp_path / "other.bt", voxels, bits, kind)
+    assert octomap_file(0, str(bits_path), START, GOAL).digest() == plain.digest()
+    path.write_bytes(header + values(tree, more) + b"\0" * 3)
+    if kind == "SemanticOcTree":  # the size of its nodes follows from the length of the file
+        with pytest.raises(BadInputError, match="id 'SemanticOcTree'.*nodes of equal size"):
+            octomap_file(0, str(path), START, GOAL)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    (
+        (b"# Octomap OcTree binary file\nid OcTree\nsize 0\nres 0.1\ndata\n", "the map is empty .size 0."),
+        (b"# Octomap OcTree file\nid ColorOcTree\nsize 0\nres 0.1\ndata\n", "the map is empty .size 0."),
+        (b"# Octomap OcTree binary file\nid OcTree\nsize 1\nres 0.1\ndata\n\0\0", "the map is empty"),
+        (b"# Octomap OcTree file\nid CountingOcTree\nsize 1\nres 1\ndata\n\1\0\0\0\0", "'CountingOcTree': .* no occup"),
+        (b"# Octomap OcTree file\nid OcTree\nsize 1\nres 1\ndata\nabcd\0", "do not start with log-odds"),
+    ),
+)
+def test_maps_without_known_space_are_said_to_be_so(tmp_path, content, message):
+    path = tmp_path / "map.ot"
+    path.write_bytes(content)
+    with pytest.raises(BadInputError, match=message):
+        octomap_file(0, str(path), START, GOAL)
+
+
+def test_unknown_space_of_a_map_of_obstacles_can_be_free(tmp_path):
+    pillar = {(CENTRE + i, CENTRE + j, CENTRE + k): True for i in range(2) for j in range(2) for k in range(8)}
+    path = str(write(tmp_path / "pillar.bt", pillar, bits))
+    ends = (-4.0, 0.3, 1.0), (4.0, 0.3, 1.0)
+    with pytest.raises(BadInputError, match="no free voxel .* unknown space counts as solid; allowed: --unknown-space"):
+        octomap_file(0, path, *ends)
+    world = octomap_file(0, path, *ends, unknown="free")
+    assert world.occupied.sum() == 32
+    distances = world.clearance(np.array([(0.25, 0.25, 1.0), (-4.0, 0.25, 1.0), (0.25, 2.5, 1.0)]))
+    np.testing.assert_allclose(distances, (0.0, 2.0, 2.0), atol=1e-12)  # to the floor of the grid
+    spec = MissionSpec(environment=path, start=ends[0], goal=ends[1], unknown_space="free")
+    assert resolve(spec).environment.parameters["unknown"] == "free"
+    assert "unknown_space" not in MissionSpec(environment=path).to_json()
+    with pytest.raises(BadInputError, match="unknown_space: free: environment 'sparse' is no scanned map"):
+        resolve(MissionSpec(environment="sparse", unknown_space="free"))
+
+
+def test_the_map_of_a_large_scan_is_as_coarse_as_the_scan_and_a_finer_one_is_refused_with_one_that_is_allowed(tmp_path):
+    field = {(CENTRE, CENTRE, CENTRE + k): False for k in range(4)} | {(CENTRE + 500, CENTRE + 500, CENTRE + 100): True}
+    large = str(write(tmp_path / "field.bt", field, bits, resolution=0.2))
+    assert resolve(MissionSpec(environment=large, start=START, goal=GOAL)).map.resolution == 0.2
+    room = {(CENTRE, CENTRE, CENTRE + k): False for k in range(4)}
+    small = str(write(tmp_path / "small.bt", room, bits, resolution=0.2))
+    assert resolve(MissionSpec(environment=small, start=START, goal=GOAL)).map.resolution == 0.08
 
 
 def hall(wall=()):

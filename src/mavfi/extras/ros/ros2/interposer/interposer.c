@@ -222,13 +222,18 @@ static struct {
 static _Atomic int waiting;  // messages that wait
 static pthread_mutex_t held_lock = PTHREAD_MUTEX_INITIALIZER;
 
-/* A message that was due could not be changed: the fault waits for the next one. */
-static void refuse(uint32_t index, uint64_t message, const char *why) {
-  atomic_fetch_sub(&control->faults[index].changed, 1);
+/* Reports why a message is not changed, for the first few. */
+static void say(uint32_t index, uint64_t message, const char *why) {
   if (atomic_fetch_add(&control->faults[index].refused, 1) >= MAX_REFUSALS) return;
   report_t *report = begin_report(REFUSED, index, message);
   snprintf(report->text, TEXT, "%s", why);
   end_report(report);
+}
+
+/* A message that was due could not be changed: the fault waits for the next one. */
+static void refuse(uint32_t index, uint64_t message, const char *why) {
+  atomic_fetch_sub(&control->faults[index].changed, 1);
+  say(index, message, why);
 }
 
 /* Changes a number as a fault says, and reports it. */
@@ -310,12 +315,16 @@ static verdict_t examine(int side, const entity_t *entity, int part, const void 
 
     // Is it due?  The condition sees the message as it is.
     double condition = __builtin_nan("");
-    if (is_typed && fault->comparison != NO_CONDITION) {
-      char ignored[TEXT];
-      if (find_number(type, (void *)message, fault->condition, NULL, &number, ignored)) condition = value_of(&number);
+    bool is_absent = false;  // the number of the condition, which then never holds
+    if (is_typed && fault->comparison != NO_CONDITION && !atomic_load(&fault->begun)) {
+      is_absent = !find_number(type, (void *)message, fault->condition, NULL, &number, why);
+      if (!is_absent) condition = value_of(&number);
     }
     uint64_t message_number;
-    if (!due(fault, condition, &message_number)) continue;
+    if (!due(fault, condition, &message_number)) {
+      if (is_absent) say(i, message_number, why);
+      continue;
+    }
     if (atomic_load(&control->generation) != generation) break;  // armed again meanwhile
     if (!is_typed) {
       refuse(i, message_number, why);

@@ -1,0 +1,240 @@
+"""Recorded flights as `mavfi watch` reads them: messages by source, where a known fault begins, and what is amiss."""
+
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from mavfi.errors import BadInputError
+from mavfi.faults.levels.message.definition import FORMATS, AbsentError, Definition
+from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, open_flight_log
+
+_SHORTEST_LIMIT_US = 1_000_000
+"""Times without a message up to this one are flight, whatever the rate of the log (us)."""
+_USUAL_GAPS = 5
+"""Longer ones are, too, if this many are of about the same length: the log has a low rate, or comes in bursts."""
+_ALIKE = 1.5
+"""Largest ratio of gaps of about the same length."""
+_SPARE = 3.0
+"""Longest time without a message that is flight / the usual one."""
+
+
+@dataclass(frozen=True)
+class LogRecording:
+    """Messages of a recorded flight.
+
+    Attributes:
+        name: File name.
+        messages: In their order in the file.
+        onset_us: Start of a known fault (us, by the clock of the file); None = none known.
+        recommended: Fields worth monitoring, by topic, as known by the reader; empty = all numbers.
+        cut: Whether the file ends within a message.
+        notices: What could not be read, one line each.
+        fault: "TOPIC:FIELD" of the number that tells of the known fault, which is not monitored.
+    """
+
+    name: str
+    messages: list[LoggedMessage]
+    onset_us: int | None = None
+    recommended: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    cut: bool = False
+    notices: Sequence[str] = ()
+    fault: str = ""
+
+    @property
+    def normal(self) -> "LogRecording":
+        """The part before the known fault."""
+        if self.onset_us is None:
+            return self
+        return replace(self, messages=[message for message in self.messages if message.time_us < self.onset_us])
+
+    def split(self, share: float) -> tuple["LogRecording", "LogRecording"]:
+        """The first share of its messages, and the rest."""
+        count = round(share * len(self.messages))
+        first = replace(self, messages=self.messages[:count])
+        rest = replace(self, messages=self.messages[count:])
+        return first, rest
+
+    def by_topic(self) -> dict[str, list[LoggedMessage]]:
+        """The messages of each topic."""
+        groups: dict[str, list[LoggedMessage]] = {}
+        for message in self.messages:
+            groups.setdefault(message.topic, []).append(message)
+        return groups
+
+
+def read_recording(path: Path, fault: str = "", *, required: bool = True) -> LogRecording:
+    """Read a recorded flight.
+
+    Args:
+        path: The file.
+        fault: "TOPIC:FIELD" of a number whose first value other than 0 marks the start of a known fault; "" = none.
+        required: Whether the file must have that number.
+
+    Raises:
+        BadInputError: The file cannot be read, or lacks a required field.
+    """
+    topic, _, number = fault.rpartition(":")
+    if fault and not (topic and number):
+        raise BadInputError(f"--fault: {fault!r}: allowed: TOPIC:FIELD, a number that is 0 before the fault")
+    reader = open_flight_log(path)
+    messages = _by_frame(list(reader.messages([])))
+    # The topic that tells of the fault is not monitored; in a table, the column.
+    onset = None
+    if fault:
+        topics = {message.topic for message in messages}
+        if required:
+            check_topics(path, [topic], topics)
+        onset = _onset([message for message in messages if message.topic == topic], number)
+        if topics != {topic}:
+            messages = [message for message in messages if message.topic != topic]
+    is_cut = getattr(reader, "is_cut", None)
+    cut = is_cut is not None and is_cut()
+    notices = [f"{path.name}: {notice}" for notice in getattr(reader, "notices", ())]
+    return LogRecording(path.name, messages, onset, getattr(reader, "recommended", {}), cut, notices, fault)
+
+
+def _onset(messages: Sequence[LoggedMessage], number: str) -> int | None:
+    """Time of the first message (us) in which a number is not 0."""
+    for message in messages:
+        message.layout.check(number)
+        try:
+            if message.layout.locate(message.data, number).value(message.data) != 0:
+                return message.time_us
+        except AbsentError as error:
+            raise BadInputError(f"--fault: {error}") from None
+    return None
+
+
+# ---- sources of ROS messages ----------------------------------------------------------------------------------------
+_TRANSFORMS = ("tf2_msgs/TFMessage", "tf/tfMessage")
+"""Types of messages with a list of transforms."""
+_TRANSFORM = "geometry_msgs/TransformStamped"
+_STAMP = 12
+"""Bytes of sequence number and stamp at the start of a header."""
+_POSE = 7 * 8
+"""Bytes of a translation and a rotation."""
+_COUNT = struct.Struct("<I")
+
+
+def _by_frame(messages: list[LoggedMessage]) -> list[LoggedMessage]:
+    """The messages with topics that tell several frames apart.
+
+    Each transform becomes a message of `topic[child frame]`.  Of another topic whose messages have headers with several
+    frames, those after the first in order of names are named `topic[frame]`.
+    """
+    frames: dict[str, set[str]] = {}
+    layouts: dict[Definition, Definition] = {}
+    split = []
+    for message in messages:
+        if not isinstance(message.layout, Definition):
+            split.append((message, ""))
+        elif message.layout.kind in _TRANSFORMS:
+            split += [(transform, "") for transform in _transforms(message, message.layout, layouts)]
+        else:
+            frame = _frame(message.layout, message.data)
+            frames.setdefault(message.topic, set()).add(frame)
+            split.append((message, frame))
+    renamed = []
+    for message, frame in split:
+        if frame and frame != min(frames[message.topic]):
+            renamed.append(replace(message, topic=f"{message.topic}[{frame}]"))
+        else:
+            renamed.append(message)
+    return renamed
+
+
+def _transforms(
+    message: LoggedMessage, layout: Definition, layouts: dict[Definition, Definition]
+) -> Iterator[LoggedMessage]:
+    """Each transform of a message as a message; `layouts` holds the layout of transforms by that of messages."""
+    if layout not in layouts:
+        layouts[layout] = copy(layout)
+        layouts[layout].kind = _TRANSFORM
+    data = message.data
+    (count,) = _COUNT.unpack_from(data)
+    begin = _COUNT.size
+    for _ in range(count):
+        _, end = _text(data, begin + _STAMP)
+        child, end = _text(data, end)
+        end += _POSE
+        yield LoggedMessage(f"{message.topic}[{child}]", message.time_us, layouts[layout], data[begin:end])
+        begin = end
+
+
+def _frame(layout: Definition, data: bytes) -> str:
+    """The frame that a message is about: that of its child, as of odometry, or of its header; "" = it has none."""
+    members = layout.types[layout.kind]
+    if not members or members[0].kind != "std_msgs/Header":
+        return ""
+    frame, end = _text(data, _STAMP)
+    if len(members) > 1 and members[1].name == "child_frame_id":
+        frame, _ = _text(data, end)
+    return frame
+
+
+def _text(data: bytes, offset: int) -> tuple[str, int]:
+    """The text at an offset, and the offset behind it."""
+    (size,) = _COUNT.unpack_from(data, offset)
+    begin = offset + _COUNT.size
+    return data[begin : begin + size].decode(errors="replace"), begin + size
+
+
+# ---- numbers ---------------------------------------------------------------------------------------------------------
+def values_of(messages: Sequence[LoggedMessage], names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Values of some numbers of messages of one topic, and whether a message has them. Shapes (messages, names)."""
+    layout = messages[0].layout
+    if isinstance(layout, RecordLayout) and all(message.layout is layout for message in messages):
+        return _columns_of(layout, messages, names)
+    values = np.full((len(messages), len(names)), np.nan)
+    present = np.zeros(values.shape, np.bool_)
+    for row, message in enumerate(messages):
+        for column, name in enumerate(names):
+            try:
+                values[row, column] = message.layout.locate(message.data, name).value(message.data)
+            except (AbsentError, BadInputError, KeyError):  # this message does not have it, or its type
+                continue
+            present[row, column] = True
+    return values, present
+
+
+def _columns_of(
+    layout: RecordLayout, messages: Sequence[LoggedMessage], names: Sequence[str]
+) -> tuple[np.ndarray, np.ndarray]:
+    """`values_of` messages of one layout, whose numbers have the same place in each."""
+    content = np.frombuffer(b"".join(message.data for message in messages), np.uint8)
+    rows = content.reshape(len(messages), -1)
+    values = np.empty((len(messages), len(names)))
+    for column, name in enumerate(names):
+        leaf = layout.locate(b"", name)
+        dtype = np.dtype("<" + FORMATS[leaf.kind])
+        part = np.ascontiguousarray(rows[:, leaf.offset : leaf.offset + dtype.itemsize])
+        values[:, column] = part.view(dtype)[:, 0]
+    return values, np.ones(values.shape, np.bool_)
+
+
+# ---- time ------------------------------------------------------------------------------------------------------------
+def longest_gap_us(times_us: Sequence[int]) -> int:
+    """Longest time without a message that is still flight (us), from the rate of the log.
+
+    One second, unless longer times without a message are usual: at a rate of 1 Hz or less, or in messages that come in
+    bursts.
+    """
+    gaps = np.diff(np.array(times_us, np.int64)).astype(np.float64)
+    long_gaps = gaps[gaps >= 0.9 * _SHORTEST_LIMIT_US]
+    if len(long_gaps) < _USUAL_GAPS:
+        return _SHORTEST_LIMIT_US
+    usual = float(np.median(long_gaps))
+    is_alike = (long_gaps >= usual / _ALIKE) & (long_gaps <= usual * _ALIKE)
+    if is_alike.mean() < 0.5:
+        return _SHORTEST_LIMIT_US
+    return max(_SHORTEST_LIMIT_US, round(_SPARE * usual))
+
+
+def exposure_s(times_us: Sequence[int], longest_us: int) -> float:
+    """Duration of some messages without longer gaps (s)."""
+    gaps = np.diff(np.array(times_us, np.int64)).astype(np.float64)
+    return 1e-6 * float(gaps[(gaps > 0) & (gaps <= longest_us)].sum())

@@ -1,0 +1,66 @@
+"""`mavfi vehicle`: what a model's file says of a vehicle, as our YAML file."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from mavfi.config import VehicleConfig, parse, read_yaml
+from mavfi.errors import BadInputError
+from mavfi.sim.engine import GRAVITY
+from mavfi.sim.imported import VEHICLE_FILES, ImportedVehicle, extensions_of, reader_of
+from mavfi.sim.mjcf import find_vehicle
+
+_WIDTH = 64
+"""Column of the comments."""
+
+
+def vehicle(
+    file: Annotated[
+        Path, typer.Argument(help="Model: .sdf, .urdf, .xacro, an airframe of PX4, or a YAML file with the key model.")
+    ],
+) -> None:
+    """Print the vehicle that a model is flown as, as a YAML file: each value with its source.
+
+    Example: [bold]mavfi vehicle model.sdf > mine.yaml[/bold]
+    """
+    imported = _import(file)
+    config = parse(VehicleConfig, imported.keys, str(file))
+    find_vehicle(str(file))  # refuses what cannot fly
+    share = config.mass * GRAVITY / (4.0 * config.max_rotor_thrust)
+    typer.echo(f"# {file}: hovers at {100.0 * share:.0f} % of the largest thrust")
+    for remark in imported.remarks:
+        typer.echo(f"# {remark}")
+    for key in VehicleConfig.model_fields:
+        value = getattr(config, key)
+        if value is None:
+            continue
+        note = imported.notes.get(key, "mavfi's default")
+        if key in imported.assumed:
+            note = f"assumed: {note}"
+        typer.echo(f"{f'{key}: {_text(value)}':{_WIDTH}} # {note}")
+
+
+def _import(file: Path) -> ImportedVehicle:
+    """What the file, or the model that a YAML file names, says."""
+    chosen: dict[str, Any] = {}
+    model = file
+    if file.suffix.lower() in (".yaml", ".yml"):
+        chosen = read_yaml(file)
+        name = chosen.pop("model", None)
+        if not isinstance(name, str):
+            raise BadInputError(f"{file}: key 'model': {name!r}: allowed: a file of a model")
+        model = file.parent / name
+    reader = reader_of(VEHICLE_FILES, str(model))
+    if reader is None:
+        raise BadInputError(f"{model}: not a model of a vehicle; allowed: {', '.join(extensions_of(VEHICLE_FILES))}")
+    imported: ImportedVehicle = reader(model, chosen)
+    return imported
+
+
+def _text(value: Any) -> str:  # noqa: ANN401 - of a configuration
+    if isinstance(value, tuple):
+        return "[" + ", ".join(f"{part:g}" for part in value) + "]"
+    if isinstance(value, float):
+        return f"{value:g}"
+    return str(value)

@@ -1,0 +1,154 @@
+"""What `watch` makes of angles, of numbers that are not finite, and of the rate of a log."""
+
+import json
+
+import numpy as np
+import pytest
+
+from mavfi.cli.commands import run
+from mavfi.extras.logs.circular import Numbers, recognise
+from mavfi.extras.logs.recording import exposure_s, longest_gap_us
+
+TIME = np.arange(0.0, 30.0, 0.02)
+
+
+@pytest.fixture
+def table(tmp_path):
+    """Function (name, columns) -> path of a table."""
+
+    def write(name, columns):
+        path = tmp_path / name
+        rows = np.column_stack(list(columns.values()))
+        lines = [",".join(columns), *(",".join(repr(float(value)) for value in row) for row in rows)]
+        path.write_text("\n".join(lines) + "\n")
+        return str(path)
+
+    return write
+
+
+def judged(capsys, *arguments):
+    assert run(["watch", *arguments, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def turn(centre, phase, period, low):
+    """An angle (rad, or in the unit of `period`) that swings about a centre (rad)."""
+    noise = 0.002 * np.random.default_rng(int(10 * phase)).standard_normal(len(TIME))
+    angle = centre + 0.8 * np.sin(0.5 * TIME + phase) + noise
+    return np.mod(angle * period / (2 * np.pi) - low, period) + low
+
+
+@pytest.mark.parametrize("profile", ["tuned", "paper"])
+@pytest.mark.parametrize(
+    ("name", "period", "low"),
+    [("yaw", 2 * np.pi, -np.pi), ("heading", 2 * np.pi, 0.0), ("hdg_deg", 360.0, 0.0), ("u7", 360.0, -180.0)],
+)
+def test_sign_flips_of_an_angle_are_found_wherever_it_turns(table, capsys, name, period, low, profile):
+    for centre in (0.0, 1.7, np.pi):
+        if name == "u7" and centre != np.pi:
+            continue  # a plain number, unless it passes the end of its range
+        logs = [table(f"{phase}.csv", {"time": TIME, name: turn(centre, phase, period, low)}) for phase in (0.0, 1.1)]
+        result = judged(capsys, logs[1], "--train", logs[0], "--inject", "300", "--profile", profile)
+        assert result["flips"]["sign"]["rate"] >= 0.8
+        assert result["alarms_per_hour"]["events"] == 0
+        assert result["angles_and_quaternions"][f"row:{name}"].startswith("angle")
+
+
+@pytest.mark.parametrize("names", [("qw", "qx", "qy", "qz"), ("q[0]", "q[1]", "q[2]", "q[3]"), ("a", "b", "c", "d")])
+def test_a_quaternion_and_its_opposite_are_the_same(table, capsys, names):
+    logs = []
+    for phase in (0.0, 1.1):
+        yaw = turn(np.pi, phase, 100.0, -50.0) * 2 * np.pi / 100.0
+        roll = 0.2 * np.sin(TIME + phase)
+        q = np.array(
+            [np.cos(yaw / 2) * np.cos(roll), np.cos(yaw / 2) * np.sin(roll), np.sin(yaw / 2) * np.sin(roll),
+             np.sin(yaw / 2) * np.cos(roll)]
+        )  # fmt: skip
+        q *= np.sign(q[0])  # jumps to the opposite sign in each turn through pi
+        logs.append(table(f"{phase}.csv", {"time": TIME, **dict(zip(names, q, strict=True))}))
+    result = judged(capsys, logs[1], "--train", logs[0], "--inject", "300")
+    assert result["flips"]["sign"]["rate"] >= 0.8 and result["alarms_per_hour"]["events"] == 0
+    assert set(result["angles_and_quaternions"].values()) == {"quaternion"}
+    if names[0] == "a":
+        return
+    # one component alone brings the others: its sign follows from them
+    result = judged(capsys, logs[1], "--train", logs[0], "--fields", names[0])
+    assert result["fields"] == {"row": list(names)}
+
+
+@pytest.mark.parametrize(
+    ("name", "largest", "kind"),
+    [
+        ("att.roll", 1.0, 2 * np.pi),
+        ("DesYaw", 170.0, 360.0),
+        ("nav_pitch", 14.0, 360.0),
+        ("yaw_rate", 1.0, None),
+        ("rollspeed", 1.0, None),
+        ("YawRate", 1.0, None),
+        ("theta_dot", 1.0, None),
+        ("yaw [deg/s]", 1.0, None),
+        ("roll_deg", 3.0, 360.0),
+        ("x", 3.0, None),
+        ("hydraulics", 3.0, None),
+    ],
+)
+def test_names_of_angles(name, largest, kind):
+    values = np.linspace(-largest, largest, 50)[:, None]
+    assert recognise([Numbers([name], values)], {}).turns.get(name) == kind
+
+
+def test_what_a_field_is_can_be_declared(table, capsys):
+    ramp = np.mod(TIME, 10.0)
+    logs = [table(f"{shift}.csv", {"time": TIME, "yaw": np.mod(ramp + shift, 10.0)}) for shift in (0, 3)]
+    result = judged(capsys, logs[1], "--train", logs[0], "--kinds", "yaw=number")
+    assert result["angles_and_quaternions"] == {}
+    assert run(["watch", logs[1], "--train", logs[0], "--kinds", "yaw=turns"]) == 2
+    assert "allowed: FIELD=KIND with a KIND of rad, deg" in capsys.readouterr().err
+    assert run(["watch", logs[1], "--train", logs[0], "--kinds", "roll=deg"]) == 2
+    assert "--kinds: roll: no monitored field; allowed: row:yaw" in capsys.readouterr().err
+
+
+def test_a_number_that_is_not_finite_any_more_is_an_alarm(table, capsys):
+    rates = [np.sin(TIME), np.cos(TIME)]
+    never = np.where(TIME < 1.0, np.nan, 0.0)
+    normal = table("normal.csv", {"time": TIME, "p": rates[0], "q": rates[1], "r": never})
+    for value in (np.nan, np.inf):
+        lost = np.where(TIME >= 20.0, value, rates[1])
+        crash = table("crash.csv", {"time": TIME, "p": rates[0], "q": lost, "r": never})
+        result = judged(capsys, crash, "--train", normal)
+        (recording,) = result["recordings"]
+        first = recording["alarms"][0]
+        assert (first["time_us"], first["fields"], first["source"]) == (20_000_000, ["q"], "not finite")
+        assert recording["events"] == 1
+    assert result["not_monitored"] == [
+        {"topic": "row", "field": "r", "reason": "not finite in normal.csv, first at 0.00 s"}
+    ]
+    assert run(["watch", crash, "--train", normal]) == 0
+    printed = capsys.readouterr().out
+    assert "not monitored, not finite in normal.csv: row:r" in printed
+
+
+@pytest.mark.parametrize(
+    ("gaps", "expected"),
+    [
+        ([0.02] * 100, 2.0),
+        ([0.02] * 50 + [60.0] + [0.02] * 50, 2.0),  # a pause
+        ([1.0, 1.1, 0.95] * 20, 61.0),  # 1 Hz
+        ([5.0] * 30, 150.0),
+        (([0.01] * 100 + [9.0]) * 10, 100.0),  # bursts
+        ([1.0] * 30 + [600.0] + [1.0] * 30, 60.0),
+        (([0.02] * 100 + [4.0] + [0.02] * 50 + [30.0]) * 3, 9.0),  # pauses of all kinds
+        ([0.02] * 50 + [-3.0] + [0.02] * 50, 2.0),  # a clock that was set back
+    ],
+)
+def test_exposure_follows_from_the_rate_of_the_log(gaps, expected):
+    times_us = np.rint(1e6 * np.cumsum([0.0, *gaps])).astype(np.int64)
+    assert exposure_s(times_us, longest_gap_us(times_us)) == pytest.approx(expected)
+
+
+def test_the_first_message_of_a_recording_has_no_change_to_judge(table, capsys):
+    ramp = {"time": TIME, "count": 1000.0 * np.arange(len(TIME)), "x": np.sin(TIME)}
+    later = {**ramp, "count": ramp["count"] + 7e6}
+    logs = [table("a.csv", ramp), table("b.csv", later)]
+    result = judged(capsys, logs[1], "--train", logs[0])
+    assert result["alarms_per_hour"]["events"] == 0 and result["fields"] == {"row": ["count", "x"]}

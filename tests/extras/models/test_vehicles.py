@@ -1,0 +1,258 @@
+"""Vehicles from models: mass properties against MuJoCo, frames, rotors, what is assumed, asked for and refused."""
+
+import math
+import warnings
+
+import mujoco
+import numpy as np
+import pytest
+
+from mavfi.config import VehicleConfig, parse
+from mavfi.errors import BadInputError
+from mavfi.extras.models.geometry import lump
+from mavfi.extras.models.urdf import read_urdf
+from mavfi.extras.models.vehicles import sdf_vehicle
+from mavfi.plugins import allow_typed
+from mavfi.sim.engine import GRAVITY
+from mavfi.sim.mjcf import find_vehicle
+from mavfi.sim.simulator import Simulator
+from tests.core.unit.sim.flights import fly, open_world, scenario
+from tests.extras.models import models
+
+
+def written(folder, name, text):
+    (folder / name).write_text(text, encoding="utf-8")
+    return str(folder / name)
+
+
+def imported(path):
+    """The vehicle, and what was said of it."""
+    with pytest.warns(UserWarning) as said:
+        found = find_vehicle(path)
+    return found, str(said[-1].message)
+
+
+def refusal(path):
+    with pytest.raises(BadInputError) as caught:
+        find_vehicle(path)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(("name", "text"), [("quad.sdf", models.sdf()), ("quad.urdf", models.urdf())])
+def test_links_are_one_rigid_body_with_the_rotors_of_the_plugins(tmp_path, name, text):
+    found, said = imported(written(tmp_path, name, text))
+    # four points of 0.05 kg, 0.1 m above the body; parallel-axis theorem by hand
+    low, high = 0.2 * 0.1 / 2.2, 2.0 * 0.1 / 2.2
+    around = 2.0 * low**2 + 0.2 * high**2
+    expected = (0.02 + around + 0.2 * 0.2**2, 0.03 + around + 0.2 * 0.2**2, 0.04 + 0.2 * 0.08)
+    assert found.name == "quad" and found.mass == pytest.approx(2.2)
+    np.testing.assert_allclose(found.inertia, expected, rtol=1e-5)
+    assert found.arm_length == pytest.approx(0.2 * math.sqrt(2.0), rel=1e-5)
+    assert found.max_rotor_thrust == pytest.approx(models.THRUST)
+    assert (found.rotor_torque_ratio, found.rotor_time_constant) == (0.02, 0.02)
+    tip = math.hypot(0.2 * math.sqrt(2.0) + 0.1, high + 0.005)
+    assert found.collision_radius == pytest.approx(tip, abs=1e-3) and found.collision_radius >= tip
+    # Gazebo's drag: coefficient x rotor speed x speed, the same force as ours at 3 m/s
+    hover = math.sqrt(2.2 * GRAVITY / 4.0 / 1e-5)
+    assert found.drag == pytest.approx((4.0 * 1e-4 * hover / 3.0,) * 2 + (0.0,), rel=1e-5)
+    assert "mass 2.2" in said and "assumed" not in said
+
+
+def test_mass_properties_of_a_tree_of_turned_links_are_mujocos(tmp_path):
+    joint = (
+        '<joint name="{0}" type="fixed"><origin xyz="{1}" rpy="{2}"/><parent link="{3}"/><child link="{4}"/></joint>'
+    )
+    tree = (
+        '<robot name="tree">'
+        + models.urdf_link("a", 1.0, (0.01, 0.02, 0.025))
+        + '<link name="b"><inertial><origin xyz="0.1 0 0.02" rpy="0.3 0.2 0.1"/><mass value="0.5"/>'
+        '<inertia ixx="0.002" ixy="0.0001" ixz="0" iyy="0.003" iyz="-0.0002" izz="0.004"/></inertial></link>'
+        + models.urdf_link("c", 0.2, (0.001, 0.001, 0.001))
+        + joint.format("ab", "0.1 0.2 0.3", "0.4 -0.5 0.6", "a", "b")
+        + joint.format("bc", "0 -0.2 0.1", "-1 0.5 0", "b", "c")
+        + "</robot>"
+    )
+    path = written(tmp_path, "tree.urdf", tree)
+    whole = lump(read_urdf(tmp_path / "tree.urdf").masses.values())
+    spec = mujoco.MjSpec.from_file(path)
+    spec.compiler.fusestatic = False
+    spec.body("a").add_freejoint()
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    root = model.body("a").id
+    matrix = np.zeros((6, 6))
+    mujoco.mj_fullM(model, data, matrix)
+    assert whole.mass == pytest.approx(model.body_subtreemass[root])
+    np.testing.assert_allclose(whole.centre, data.subtree_com[root], atol=1e-12)
+    # the free joint's rotations are about its origin
+    arm = whole.centre
+    about = whole.tensor + whole.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    np.testing.assert_allclose(matrix[3:, 3:], about, atol=1e-12)
+
+
+def test_a_plus_is_flown_as_an_x_that_keeps_the_directions_of_its_rotors(tmp_path):
+    found, said = imported(written(tmp_path, "plus.sdf", models.sdf(models.PLUS)))
+    assert found.arm_length == pytest.approx(0.25)
+    around = 0.5 * (found.inertia[0] + found.inertia[1])
+    assert found.inertia[0] == pytest.approx(around)  # 0.02 and 0.03 by halves
+    assert "its front is" in said and "mirror" not in said and "products of inertia" in said
+
+
+def test_parts_of_other_files_and_frames_count(tmp_path):
+    (tmp_path / "models" / "pod").mkdir(parents=True)
+    pod = models.sdf_link("pod_link", "0.1 0 0 0 0 0", 0.4, (0.0, 0.0, 0.0), "<sphere><radius>0.02</radius></sphere>")
+    written(tmp_path / "models" / "pod", "model.sdf", f'<sdf version="1.9"><model name="pod">{pod}</model></sdf>')
+    frame = '<frame name="bay"><pose relative_to="base">0 0 -0.2 0 0 1.5707963</pose></frame>'
+    for merge in ("true", "false"):
+        include = (
+            f'<include merge="{merge}"><uri>model://pod</uri><pose relative_to="bay">-0.1 0 0 0 0 0</pose></include>'
+        )
+        found, _ = imported(written(tmp_path, "quad.sdf", models.sdf(more=frame + include)))
+        # the pod's centre is at the bay, 0.2 m below the body, as 0.1 m forward and backward cancel
+        assert found.mass == pytest.approx(2.6)
+        centre = (0.2 * 0.1 - 0.4 * 0.2) / 2.6
+        around = 2.0 * centre**2 + 0.2 * (0.1 - centre) ** 2 + 0.4 * (0.2 + centre) ** 2
+        assert found.inertia[0] == pytest.approx(0.02 + around + 0.2 * 0.04, rel=1e-5)
+    gone = models.sdf(more="<include><uri>model://absent</uri></include>")
+    assert "includes absent, not on this machine" in refusal(written(tmp_path, "quad.sdf", gone))
+
+
+MJCF = """<mujoco><compiler autolimits="true"/><worldbody><body name="q" pos="0 0 1" euler="0 0 90"><freejoint/>
+  <geom type="box" size="0.1 0.1 0.05" mass="1"/>{sites}</body></worldbody><actuator>{motors}</actuator></mujoco>"""
+
+
+def mjcf(torques):
+    sites = "".join(f'<site name="s{n}" pos="{x} {y} 0.1"/>' for n, (x, y) in enumerate(models.X))
+    motors = "".join(
+        f'<motor name="m{n}" site="s{n}" gear="0 0 2 0 0 {torque}" ctrlrange="0 3"/>'
+        for n, torque in enumerate(torques)
+    )
+    return MJCF.format(sites=sites, motors=motors)
+
+
+def test_motors_at_sites_of_an_mjcf_model_are_rotors(tmp_path):
+    found, said = imported(written(tmp_path, "quad.xml", mjcf((-0.04, -0.04, 0.04, 0.04))))
+    assert (found.mass, found.max_rotor_thrust, found.rotor_torque_ratio) == (1.0, 6.0, 0.02)
+    assert found.arm_length == pytest.approx(0.2 * math.sqrt(2.0), rel=1e-5)
+    assert found.collision_radius == pytest.approx(0.15) and "mirror" not in said and "same way" not in said
+    _, said = imported(written(tmp_path, "quad.xml", mjcf((-0.04, 0.04, 0.04, -0.04))))
+    assert "its neighbouring rotors turn the same way; flown with opposite ones" in said
+    one = '<motor name="all" site="s" gear="0 0 1 0 0 0" ctrlrange="0 24"/>'
+    path = written(tmp_path, "one.xml", MJCF.format(sites='<site name="s"/>', motors=one))
+    assert "does not say: arm_length: " in refusal(path)
+    written(tmp_path, "mine.yaml", "model: one.xml\narm_length: 0.2\n")
+    assert imported(str(tmp_path / "mine.yaml"))[0].max_rotor_thrust == 6.0
+
+
+CRAZYFLIE = (
+    '<robot name="cf"><properties arm="0.04" kf="3e-10" km="6e-12" thrust2weight="2" drag_coeff_xy="9e-7"/>'
+    + models.urdf_link("base_link", 0.03, (1.4e-5, 1.4e-5, 2.2e-5), '<cylinder radius="0.06" length="0.02"/>')
+    + "".join(
+        f'<link name="prop{n}_link"><inertial><origin xyz="{x} {y} 0"/><mass value="0"/></inertial></link>'
+        f'<joint name="j{n}" type="fixed"><parent link="base_link"/><child link="prop{n}_link"/></joint>'
+        for n, (x, y) in enumerate(((0.03, 0.03), (-0.03, 0.03), (-0.03, -0.03), (0.03, -0.03)))
+    )
+    + "</robot>"
+)
+
+
+def test_properties_of_a_crazyflie(tmp_path):
+    found, said = imported(written(tmp_path, "cf.urdf", CRAZYFLIE))
+    assert found.arm_length == pytest.approx(0.03 * math.sqrt(2.0), rel=1e-5)
+    assert found.max_rotor_thrust == pytest.approx(0.5 * 0.03 * GRAVITY, rel=1e-5)
+    assert found.rotor_torque_ratio == pytest.approx(0.02)
+    assert found.collision_radius == pytest.approx(0.061, abs=1e-3)
+    assert "assumed rotor_time_constant: 0.02 s" in said
+
+
+SIH = {"SIH_MASS": 2.0, "SIH_T_MAX": 8.0, "SYS_HITL": 2, "CA_ROTOR0_CT": 6.5, "MPC_THR_HOVER": 0.5}
+
+
+def test_an_airframe_asks_for_what_it_lacks_by_key_and_takes_it_from_a_yaml_file(tmp_path):
+    path = written(tmp_path, "4001_small", models.AIRFRAME)
+    text = refusal(path)
+    assert all(f"{key}: " in text for key in ("mass", "inertia", "max_rotor_thrust")) and "arm_length" not in text
+    assert "hovering at 0.5" in text and f"'model: {path}'" in text
+    written(tmp_path, "mine.yaml", "model: 4001_small\nmass: 1.5\ninertia: [0.01, 0.01, 0.02]\ndrag: [0.1, 0.1, 0.2]\n")
+    found, said = imported(str(tmp_path / "mine.yaml"))
+    assert found.name == "Small_Quad" and found.mass == 1.5 and found.drag == (0.1, 0.1, 0.2)
+    assert found.max_rotor_thrust == pytest.approx(1.5 * GRAVITY / 4.0 / 0.5, rel=1e-5)
+    assert found.rotor_torque_ratio == 0.05 and "drag" not in said
+    assert "assumed collision_radius: 1.5 x arm_length" in said
+    listed = "".join(f"1\t1\t{key}\t{value}\t9\n" for key, value in SIH.items())
+    found, said = imported(written(tmp_path, "sih.params", "# parameters\n" + listed))
+    assert (found.mass, found.max_rotor_thrust) == (2.0, 8.0) and "PX4's defaults of SIH_IXX" in said
+    assert found.rate_gain == pytest.approx((9.0, 9.0, 3.0))  # for its motors of 0.05 s
+    # all parameters are listed, also where PX4's own simulation is not used, and defaults say nothing
+    text = refusal(written(tmp_path, "other.params", listed.replace("SYS_HITL\t2", "SYS_HITL\t0")))
+    assert "mass" in text and "max_rotor_thrust: largest" in text and "hovering" not in text
+
+
+def test_files_that_gazebo_reads_although_they_are_no_strict_xml(tmp_path):
+    text = models.sdf().replace("<plugin ", '<gz:order a:b="1">0</gz:order><plugin ', 1)
+    found, _ = imported(written(tmp_path, "quad.sdf", f"\n\n<?xml version='1.0'?>\n{text}"))
+    assert found.mass == pytest.approx(2.2)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("six.sdf", models.sdf((*models.X, (0.3, 0.0), (-0.3, 0.0)), (*models.SPINS, "cw", "ccw")), "6 rotors"),
+        ("alike.sdf", models.sdf(spins=("cw",) * 4), "neighbours that turn in opposite directions"),
+        ("line.sdf", models.sdf(((0.1, 0.0), (0.2, 0.0), (0.3, 0.0), (0.4, 0.0))), "allowed: about an X or +"),
+        ("aside.sdf", models.sdf(tuple((x + 0.2, y) for x, y in models.X)), "m from the centre of mass"),
+        ("motors.sdf", models.sdf(plugins=False), "does not say: max_rotor_thrust: largest thrust of one rotor (N)"),
+        ("weak.sdf", models.sdf().replace("1e-05", "1e-06"), "4 such rotors do not lift 2.2 kg"),
+        ("mesh.sdf", "<mesh/>", "an XML file of <mesh>; allowed: <sdf>"),
+        ("broken.sdf", "<sdf>", "not an XML file"),
+        ("nan.sdf", models.sdf().replace("0.2 -0.2 0.1 0 0 0", "0.2 nan 0.1 0 0 0"), "allowed: 6 finite numbers"),
+        ("macros.urdf", '<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:a/></robot>', "ends in .xacro"),
+        ("4002_vtol", "param set-default CA_AIRFRAME 2\n", "CA_AIRFRAME 2: allowed: 0, a multirotor"),
+        ("4003_hexa", "param set-default CA_ROTOR_COUNT 6\n", "CA_ROTOR_COUNT 6: allowed: 4, a quadrotor"),
+        ("notes", "hello", "sets no parameters"),
+    ],
+)
+def test_what_our_vehicle_cannot_be_is_refused_with_the_reason(tmp_path, name, text, message):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert message in refusal(written(tmp_path, name, text))
+
+
+def test_xacro_is_expanded_without_ros(tmp_path, monkeypatch):
+    pytest.importorskip("xacro")
+    ns = 'xmlns:xacro="http://ros.org/wiki/xacro"'
+    (tmp_path / "parts" / "urdf").mkdir(parents=True)
+    macro = '<xacro:macro name="body" params="name mass">' + models.urdf_link("${name}", "${mass}", (1, 1, 1))
+    written(tmp_path / "parts" / "urdf", "body.xacro", f"<robot {ns}>{macro}</xacro:macro></robot>")
+    inside = models.urdf().removeprefix('<robot name="quad">').removesuffix("</robot>")
+    text = f"""<robot name="quad" {ns}><xacro:arg name="extra" default="0.25"/>
+      <xacro:property name="half" value="${{0.5 * 0.4}}"/><xacro:include filename="$(find parts)/urdf/body.xacro"/>
+      {inside.replace("0.2 -0.2 0.1", "${half} -${half} 0.1")}
+      <xacro:body name="$(arg namespace)_box" mass="$(arg extra)"/>
+      <joint name="f" type="fixed"><parent link="base"/><child link="$(arg namespace)_box"/></joint></robot>"""
+    path = written(tmp_path, "quad.xacro", text)
+    found, _ = imported(path)
+    assert found.mass == pytest.approx(2.45)
+    written(tmp_path, "mine.yaml", "model: quad.xacro\nxacro: {extra: 0.5}\n")
+    assert imported(str(tmp_path / "mine.yaml"))[0].mass == pytest.approx(2.7)
+    monkeypatch.setenv("MAVFI_ALLOW_PLUGINS", "")
+    assert f"xacro file '{path}': named in a file, and so not run" in refusal(str(tmp_path / "mine.yaml"))
+    allow_typed(["--vehicle", path])
+    written(tmp_path, "quad.xacro", text.replace("$(find parts)", "$(find absent)"))
+    assert "the package absent is not on this machine" in refusal(path)
+
+
+@pytest.mark.parametrize("rotors", [models.X, models.PLUS])
+def test_an_imported_vehicle_hovers_and_settles(tmp_path, rotors):
+    keys = sdf_vehicle(tmp_path / written(tmp_path, "quad.sdf", models.sdf(rotors)), {}).keys
+    quad = parse(VehicleConfig, keys, "quad.sdf")
+    flight = Simulator(open_world(), scenario().model_copy(update={"vehicle": quad}))
+    start = flight.odometry.copy()
+    flight.advance(2_000_000)
+    np.testing.assert_allclose(flight.odometry, start, atol=1e-9)
+    rows = fly(flight, (3.0, 0.0, 0.5, 0.3), 5.0)
+    # at rest in its drag: velocity gain x mass x error = drag
+    assert rows[-1, 3] == pytest.approx(3.0 - quad.drag[0] * 8.0 / (quad.mass * quad.velocity_gain), abs=0.1)
+    assert rows[:, 3].max() < 3.3 and rows[-1, 5] == pytest.approx(0.5, abs=0.05)
