@@ -82,9 +82,10 @@ FIELD_HEADINGS = ("logs", "field", *(f"flips detected, {bits} (%)" for bits in B
 TEXT = (
     "Flights that mavfi neither flew nor simulated. Flipped signs and exponents of large numbers are found, a flipped "
     "mantissa hardly ever, the sign of a number near 0 never: it stays small. The detectors look for single values "
-    "that jump: they find a motor that stops, and **none of the faults of a fixed-wing aircraft's control surfaces and "
-    "engine**, which change the motion slowly. Exposure is minutes, about an hour for ALFA: a row without any alarm "
-    "excludes only rates above the upper bound. How: [logs](../logs.md)."
+    "that jump: they find a motor that stops, and **few or none of the faults of a fixed-wing aircraft's control "
+    "surfaces and engine**, which change the motion slowly. A field that jumps in the training blinds them to smaller "
+    "jumps: heading and yaw of ALFA were interpolated across north. Exposure is minutes, about an hour for ALFA: a row "
+    "without any alarm excludes only rates above the upper bound. How: [logs](../logs.md)."
 )
 NOTES = (
     "alarms within one second count as one event; a detector that raises alarms all the time has few events, so the "
@@ -107,12 +108,12 @@ def judge_set(recordings: Sequence[LogRecording], kind: str, profile: str) -> li
     if normal:
         rest = [recording for recording in recordings if recording not in normal]
         log_watch = LogWatch(kind, profile, select(normal, rest, wanted), normal)
-        return [log_watch.judge(recording, FLIPS // 10) for recording in rest]
+        return [log_watch.judge(recording, FLIPS // 10, seed) for seed, recording in enumerate(rest)]
     judged_logs = []
-    for recording in recordings:
+    for seed, recording in enumerate(recordings):
         others = [other.normal for other in recordings if other is not recording]
         log_watch = LogWatch(kind, profile, select(others, [recording], wanted), others)
-        judged_logs.append(log_watch.judge(recording, FLIPS))
+        judged_logs.append(log_watch.judge(recording, FLIPS, seed))
     return judged_logs
 
 

@@ -38,13 +38,18 @@ def turn(centre, phase, period, low):
     return np.mod(angle * period / (2 * np.pi) - low, period) + low
 
 
-@pytest.mark.parametrize("profile", ["tuned", "paper"])
 @pytest.mark.parametrize(
-    ("name", "period", "low"),
-    [("yaw", 2 * np.pi, -np.pi), ("heading", 2 * np.pi, 0.0), ("hdg_deg", 360.0, 0.0), ("u7", 360.0, -180.0)],
+    ("name", "period", "low", "profile"),
+    [
+        ("yaw", 2 * np.pi, -np.pi, "tuned"),
+        ("yaw", 2 * np.pi, -np.pi, "paper"),
+        ("heading", 2 * np.pi, 0.0, "tuned"),
+        ("hdg_deg", 360.0, 0.0, "paper"),
+        ("u7", 360.0, -180.0, "tuned"),
+    ],
 )
 def test_sign_flips_of_an_angle_are_found_wherever_it_turns(table, capsys, name, period, low, profile):
-    for centre in (0.0, 1.7, np.pi):
+    for centre in (0.0, np.pi):
         if name == "u7" and centre != np.pi:
             continue  # a plain number, unless it passes the end of its range
         logs = [table(f"{phase}.csv", {"time": TIME, name: turn(centre, phase, period, low)}) for phase in (0.0, 1.1)]

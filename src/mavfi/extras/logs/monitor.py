@@ -78,7 +78,8 @@ class Monitor(Detector):
         self._prepare(state)
         self._detector.accept(self._shown, time_us)
         self._unwrapper.accept(self._continuous)
-        self._seen |= {state.spec.name}
+        if state.spec.name not in self._seen:
+            self._seen |= {state.spec.name}
         self._read = None
 
     def memory(self) -> tuple[Any, ...]:
