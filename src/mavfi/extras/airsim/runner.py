@@ -34,6 +34,7 @@ _FREE_READINGS = 100  # of an event loop's clock between two calls; more of them
 
 _SESSIONS = []  # the program's connections, the first one first
 _TALK = threading.RLock()  # msgpackrpc is not made for threads: one thread talks at a time
+_event_loop_policy = getattr(asyncio.events, "_get_event_loop_policy", asyncio.get_event_loop_policy)
 _real_sleep = time.sleep
 _real_time = time.monotonic
 
@@ -58,7 +59,7 @@ def _talking(loop):
     """Talk to the server, also inside of an event loop of the program; `loop`: asyncio's of the client, or None."""
     with _TALK:
         running = asyncio.events._get_running_loop()
-        local = getattr(asyncio.get_event_loop_policy(), "_local", types.SimpleNamespace())
+        local = getattr(_event_loop_policy(), "_local", types.SimpleNamespace())
         current = getattr(local, "_loop", None), getattr(local, "_set_called", False)
         asyncio.events._set_running_loop(None)
         if loop is not None:
@@ -138,6 +139,8 @@ def _patch(port):
 
     calls = _Calls()
     original_init = airsim.VehicleClient.__init__
+    original_call = Session.call
+    original_call_async = Session.call_async
 
     def connect_to_server(self, ip="", port_=port, timeout_value=3600, *more, **options):
         options.pop("port", None)  # the server's port is not the program's choice
@@ -148,18 +151,33 @@ def _patch(port):
         self.client._mavfi_loop = loop
         _SESSIONS.append(self.client)
 
+    # sessions and futures of another server, if the program talks to one, are left alone
+    def call(session, method, *arguments):
+        if session in _SESSIONS:
+            return calls.call(session, method, *arguments)
+        return original_call(session, method, *arguments)
+
+    def call_async(session, method, *arguments):
+        if session in _SESSIONS:
+            return calls.post(session, method, arguments)
+        return original_call_async(session, method, *arguments)
+
     def wait_for_task(future):
         """Time must pass in the server until the task has ended."""
-        if not future._set_flag:
+        if not hasattr(future, "_mavfi_session"):
+            calls.join(future)
+        elif not future._set_flag:
             _WAITS.until(lambda: future._set_flag, session=future._mavfi_session)
 
     def wait_and_get(future):
         wait_for_task(future)
+        if not hasattr(future, "_mavfi_session"):
+            return calls.get(future)
         return calls.answer_of(future)
 
     airsim.VehicleClient.__init__ = connect_to_server
-    Session.call = lambda self, method, *arguments: calls.call(self, method, *arguments)
-    Session.call_async = lambda self, method, *arguments: calls.post(self, method, arguments)
+    Session.call = call
+    Session.call_async = call_async
     Future.join = wait_for_task
     Future.get = wait_and_get
     airsim.wait_key = lambda message="": sys.stdout.write(str(message) + "\n")
