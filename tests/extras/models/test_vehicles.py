@@ -116,7 +116,7 @@ def test_parts_of_other_files_and_frames_count(tmp_path):
         around = 2.0 * centre**2 + 0.2 * (0.1 - centre) ** 2 + 0.4 * (0.2 + centre) ** 2
         assert found.inertia[0] == pytest.approx(0.02 + around + 0.2 * 0.04, rel=1e-5)
     gone = models.sdf(more="<include><uri>model://absent</uri></include>")
-    assert "includes absent, not on this machine" in refusal(written(tmp_path, "quad.sdf", gone))
+    assert "includes absent (not on this machine)" in refusal(written(tmp_path, "quad.sdf", gone))
 
 
 MJCF = """<mujoco><compiler autolimits="true"/><worldbody><body name="q" pos="0 0 1" euler="0 0 90"><freejoint/>

@@ -110,6 +110,13 @@ def test_a_world_of_boxes_with_nested_and_included_models(tmp_path):
     assert len(worlds.sdf_world(0, path, START, GOAL, without=["crate"]).lower) == 1
 
 
+def test_a_saved_world_has_its_models_where_they_were_when_it_was_saved(tmp_path):
+    state = '<state world_name="w"><model name="a"><pose>5 6 0 0 0 1.5707963267948966</pose></model></state>'
+    path = sdf_file(tmp_path, sdf_box("a", "10 1 0 0 0 0", "1 4 2"), state)
+    world = worlds.sdf_world(0, path, START, GOAL)
+    np.testing.assert_allclose((world.lower, world.upper), ([(3, 5.5, -0.5)], [(7, 6.5, 1.5)]), atol=1e-9)
+
+
 def test_what_is_no_box_or_not_there_is_named_and_can_be_left_out(tmp_path):
     mesh = sdf_box("tree", "5 5 0 0 0 0", "1 1 1").replace("<box><size>1 1 1</size></box>", "<mesh><uri>a</uri></mesh>")
     path = sdf_file(tmp_path, mesh, "<include><uri>model://shed</uri></include>", sdf_box("a", "9 0 0 0 0 0", "1 1 1"))

@@ -57,6 +57,8 @@ def plan_environment(path: Path) -> EnvironmentConfig:
     """The environment of a test case or a mission of QGroundControl; a warning says what is not flown."""
     shapes, mission = _read(path)
     remarks = []
+    if path.suffix.lower() != ".plan" and _mapping(read_yaml(path), "simulation", path).get("wind"):
+        remarks.append("its wind is not flown; --wind adds gusts")
     if mission is not None and mission.between:
         remarks.append(f"flown from above home to the last way-point; {mission.between} between are not")
     if shapes:

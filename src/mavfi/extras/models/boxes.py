@@ -92,10 +92,10 @@ def _count(body: _Body, cell: float) -> int:
     if body.is_box:
         return 1
     extent = body.vertices.max(axis=0) - body.vertices.min(axis=0)
-    across = [max(1, math.ceil(extent[axis] / cell - _STRAIGHT)) for axis in (0, 1)]
+    across = [max(1, math.ceil(float(extent[axis]) / cell - _STRAIGHT)) for axis in (0, 1)]
     if body.is_upright:
         return min(across)
-    return math.prod(across)
+    return across[0] * across[1]
 
 
 def _is_along_axes(shape: Shape) -> bool:

@@ -36,6 +36,8 @@ _AMBIGUOUS = math.radians(22.5)
 _MOST_EXCESS = 0.5
 """Largest excess of an inertia over the sum of the other two that is cut, relative to that sum."""
 _SMALL_ANGLE = math.radians(1.0)
+_MOST_LENGTH = 1e6
+"""Lengths that are not rounded (m); they are refused later."""
 _SMALL_SHARE = 0.01
 """Differences below these are not worth a remark."""
 _OFF_DIAGONAL = 0.05
@@ -397,7 +399,7 @@ def _rounded(value: float) -> float:
 
 
 def rounded_up(length_m: float) -> float:
-    """The next millimetre above a length (m), but for rounding errors; what is not finite stays so."""
-    if not math.isfinite(length_m):
+    """The next millimetre above a length (m), but for rounding errors."""
+    if not length_m < _MOST_LENGTH:
         return length_m
     return math.ceil(1000.0 * length_m - 1e-6) / 1000.0

@@ -33,11 +33,13 @@ def sdf_vehicle(path: Path, chosen: Mapping[str, Any]) -> ImportedVehicle:
     model = _only_multirotor(SdfReader(path).read(), path)
     if model.missing:
         raise BadInputError(
-            f"{path}: includes {', '.join(model.missing)}, not on this machine; allowed: models beside the file, or in "
-            f"a folder of {PATH_VARIABLES[0]}"
+            f"{path}: includes {', '.join(model.missing)}; allowed: models beside the file, or in a folder of "
+            f"{PATH_VARIABLES[0]}"
         )
     model.place(model.frames["__model__"].inverse())  # where it stands in its file does not matter
     data = MultirotorData(model.name, shapes=model.shapes)
+    if model.massless:
+        data.remarks.append(f"links without <inertial>, 1 kg in Gazebo, have no mass: {', '.join(model.massless)}")
     data.body = lump(model.masses.values())
     data.body_note = f"of {counted(len(model.masses), 'link')} as one rigid body"
     children = {joint.name: joint.child for joint in model.joints}

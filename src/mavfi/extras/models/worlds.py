@@ -87,7 +87,7 @@ def sdf_scene(path: Path) -> Scene:
         if not model.is_static and model.shapes:
             moving.append(model.name)
         shapes += [shape._replace(owner=f"{model.name}::{shape.owner}") for shape in model.shapes]
-        shapes += [Shape(MESH, (), IDENTITY, f"{name} (not on this machine)") for name in model.missing]
+        shapes += [Shape(MESH, (), IDENTITY, name) for name in model.missing]
     remarks = []
     if vehicles:
         remarks.append(f"left out, as vehicles: {_listed(vehicles)}")
