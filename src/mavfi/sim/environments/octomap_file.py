@@ -43,8 +43,8 @@ _USUAL_RESOLUTION = 0.08
 """Resolution of the pipeline's map inside a building (m)."""
 _LARGEST_MAP = 1 << 27
 """Voxels of the pipeline's map, at most."""
-_COARSER_MAP = 1 << 25
-"""The same where the resolution is ours to choose; about 1 GB."""
+_COARSER_MAP = 1 << 26
+"""The same where the resolution is ours to choose; up to 1.7 GB."""
 _MAP_MARGIN = (2.0 * _AROUND + 11.0, 2.0 * _AROUND + 11.0, 6.0)
 """Margins of that map and of ours around the scan (m)."""
 _TRUNCATED, _TOO_DEEP, _NO_LOG_ODDS = -1, -2, -3
