@@ -147,9 +147,9 @@ def _obstacle(row: Any, path: Path) -> Shape:  # noqa: ANN401 - as in a YAML fil
     """A box, or a cylinder, on its height z."""
     kind = BOX
     if isinstance(row, dict):
-        size, place = _mapping(row, "size", path), _mapping(row, "position", path)
+        size, position = _mapping(row, "size", path), _mapping(row, "position", path)
         kind = row.get("shape") or BOX
-        row = [*(size.get(key, 0.0) for key in "lwh"), *(place.get(key, 0.0) for key in "xyzr")]
+        row = [*(size.get(key, 0.0) for key in "lwh"), *(position.get(key, 0.0) for key in "xyzr")]
         if kind == CYLINDER:
             row[0] = row[1] = 2.0 * size.get("r", 0.0)
     numbers = isinstance(row, list) and len(row) == _NUMBERS_PER_BOX and all(_is_number(value) for value in row)
@@ -211,8 +211,9 @@ def _simple_items(items: Any) -> Sequence[Mapping[str, Any]]:  # noqa: ANN401 - 
         if not isinstance(item, dict):
             continue
         if item.get("type") == "ComplexItem":
-            inner = item.get("TransectStyleComplexItem", item)
-            commands += _simple_items(inner.get("Items") if isinstance(inner, dict) else None)
+            inner = item.get("TransectStyleComplexItem")
+            if isinstance(inner, dict):
+                commands += _simple_items(inner.get("Items"))
         else:
             commands.append(item)
     return commands
@@ -223,8 +224,8 @@ def _position(item: Mapping[str, Any]) -> tuple[float, float, float] | None:
     parameters = item.get("params")
     if item.get("command") not in (_WAYPOINT, _LAND, _TAKEOFF) or not isinstance(parameters, list):
         return None
-    place = parameters[4:7]
-    if len(place) < 3 or not all(_is_number(value) for value in place) or (place[0] == 0 and place[1] == 0):
+    position = parameters[4:7]
+    if len(position) < 3 or not all(_is_number(value) for value in position) or position[:2] == [0, 0]:
         return None
-    latitude, longitude, altitude = (float(value) for value in place)
+    latitude, longitude, altitude = (float(value) for value in position)
     return latitude, longitude, altitude

@@ -440,10 +440,10 @@ def _shape(geometry: ET.Element | None, pose: Pose, owner: str, what: str) -> Sh
     element = geometry[0]
 
     def value(name: str) -> float:
-        found = number(element.find(name), f"{what}: {name}")
-        if found is None:
+        length = number(element.find(name), f"{what}: {name}")
+        if length is None:
             raise BadInputError(f"{what}: {element.tag} without {name}")
-        return found
+        return length
 
     if element.tag == "box":
         return Shape(BOX, numbers(_text(element.find("size")), 3, f"{what}: size"), pose, owner)

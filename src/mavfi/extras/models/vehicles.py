@@ -175,8 +175,10 @@ def _rotors_of(
         up = number(plugin.find("timeConstantUp"), f"{what}: timeConstantUp")
         down = number(plugin.find("timeConstantDown"), f"{what}: timeConstantDown")
         lag = None
-        if up is not None:
-            lag = (up, up if down is None else down)
+        if up is not None and down is None:
+            lag = (up, up)
+        elif up is not None and down is not None:
+            lag = (up, down)
         thrust = None
         if constant is not None and speed is not None:
             thrust = constant * speed * speed
