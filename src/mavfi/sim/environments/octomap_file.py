@@ -41,6 +41,8 @@ _AROUND = 5.0
 """Margin of the grid around obstacles and ends where unknown space is free (m)."""
 _USUAL_RESOLUTION = 0.08
 """Resolution of the pipeline's map inside a building (m)."""
+_COARSEST_RESOLUTION = 5.0
+"""Limit of `map_resolution` (m); an arena that is still too large is refused later."""
 _LARGEST_MAP = 1 << 27
 """Voxels of the pipeline's map, at most."""
 _COARSER_MAP = 1 << 26
@@ -247,7 +249,7 @@ def map_resolution_for(path: str) -> float:
     if volume <= _LARGEST_MAP * _USUAL_RESOLUTION**3:
         return _USUAL_RESOLUTION
     finest = (volume / _COARSER_MAP) ** (1.0 / 3.0)
-    return float(max(resolution, math.ceil(100.0 * finest) / 100.0))
+    return float(min(max(resolution, math.ceil(100.0 * finest) / 100.0), _COARSEST_RESOLUTION))
 
 
 @kernel_jit

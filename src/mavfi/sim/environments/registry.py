@@ -154,7 +154,10 @@ def _check_end(source: str, key: str, point: np.ndarray, world: World, radius: f
         raise BadInputError(f"{source}: {key} {text}: outside of the flight volume; allowed: {limits}")
     clearance = float(world.clearance(point)[0])
     if clearance < radius:
+        obstacle = "an obstacle"
+        if world.is_voxels:
+            obstacle = "solid or unknown space"
         raise BadInputError(
-            f"{source}: {key} {text}: {clearance:.2f} m from an obstacle; allowed: at least {radius:g} m, "
+            f"{source}: {key} {text}: {clearance:.2f} m from {obstacle}; allowed: at least {radius:g} m, "
             "the collision radius of the vehicle"
         )
