@@ -250,7 +250,7 @@ def test_the_printed_vehicle_is_a_file_that_flies_alike(tmp_path, capsys):
     cli.vehicle(tmp_path / "quad.sdf")
     text = capsys.readouterr().out
     assert "hovers at 67 % of the largest thrust" in text and "# flown as an X: its front is" in text
-    assert "mass: 2.2 " in text and "# of 5 links as one rigid body" in text
+    assert "mass: 2.2 " in text and "# all links with mass (5) as one rigid body" in text
     assert find_vehicle(written(tmp_path, "same.yaml", text)) == imported(path)[0]
 
 

@@ -100,7 +100,7 @@ def test_a_world_of_boxes_with_nested_and_included_models(tmp_path):
     path = sdf_file(
         tmp_path, GROUND, "<include><uri>model://sun</uri></include>", sdf_box("a", "10 1 0 0 0 0", "1 4 3"), include
     )
-    with pytest.warns(UserWarning, match="walls.sdf: 2 obstacles$"):
+    with pytest.warns(UserWarning, match="walls.sdf: obstacles: 2$"):
         environment = worlds.sdf_environment(tmp_path / "walls.sdf")
     assert (environment.generator, environment.parameters) == ("sdf_world", {"path": path})
     world = worlds.sdf_world(0, path, START, GOAL)
@@ -144,7 +144,7 @@ SCENE = """<mujoco><compiler angle="degree"/><worldbody>
 def test_distances_in_a_scene_are_mujocos_within_the_width_of_a_cell(tmp_path):
     path = tmp_path / "scene.xml"
     path.write_text(SCENE, encoding="utf-8")
-    with pytest.warns(UserWarning, match="3 obstacles as .* boxes; those that are not along the axes are up to 0.05 m"):
+    with pytest.warns(UserWarning, match="obstacles: 3, as .*; those that are not along the axes are up to 0.05 m"):
         worlds.xml_environment(path)
     world = worlds.mjcf_world(0, str(path), START, GOAL)
     spec = mujoco.MjSpec.from_file(str(path))
@@ -188,7 +188,7 @@ simulation:
     plan = {"mission": {"items": items, "plannedHomePosition": [47.0, 8.0, 488.0]}}
     (tmp_path / "flights" / "there.plan").write_text(json.dumps(plan), encoding="utf-8")
     path = str(tmp_path / "case.yaml")
-    with pytest.warns(UserWarning, match="4 obstacles as .*; flown from above home to the last way-point; 2 between"):
+    with pytest.warns(UserWarning, match="obstacles: 4, as .*; flown from above home to the last way-point; 2 between"):
         environment = aerialist.yaml_environment(tmp_path / "case.yaml")
     assert environment.generator == "aerialist_test"
     world = aerialist.aerialist_test(0, path)

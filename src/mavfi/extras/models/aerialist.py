@@ -21,7 +21,7 @@ from mavfi.extras.models.worlds import say_boxes, world_of
 from mavfi.files import LARGEST_TEXT, is_file, read_file
 from mavfi.sim.environments.world import World
 
-_PARTS = {"robot", "drone", "simulation"}
+_OF_TEST_CASES = {"robot", "drone", "simulation"}
 """Keys of test cases, the second in older ones."""
 _EARTH = 6371000.0
 """Mean radius (m)."""
@@ -48,7 +48,7 @@ class _Mission(NamedTuple):
 def yaml_environment(path: Path) -> EnvironmentConfig | None:
     """The environment of a test case; None = another YAML file.  See `mavfi.sim.imported.EnvironmentReader`."""
     data = read_yaml(path)
-    if "generator" in data or not _PARTS & set(data):
+    if "generator" in data or not _OF_TEST_CASES & set(data):
         return None
     return plan_environment(path)
 

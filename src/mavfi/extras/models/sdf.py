@@ -12,9 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import jinja2
 import numpy as np
-from jinja2.sandbox import SandboxedEnvironment
 
 from mavfi.errors import BadInputError
 from mavfi.extras.models.geometry import (
@@ -343,25 +341,30 @@ def _kind_of(joint: ET.Element) -> str:
 
 def _root_of(path: Path) -> ET.Element:
     """Root of an SDF file; a template of PX4 is filled with nothing."""
-    if not path.name.endswith(_TEMPLATE):
-        root = read_xml(path)
-    else:
-        if not is_file(path):
-            raise BadInputError(f"{path}: there is no such file")
-        text = read_file(path, LARGEST_TEXT).decode(errors="replace")
-        try:
-            filled = SandboxedEnvironment(autoescape=False).from_string(text).render()
-        except (jinja2.TemplateError, ArithmeticError, TypeError, ValueError) as error:
-            raise BadInputError(
-                f"{path}: the template cannot be filled ({' '.join(str(error).split())}); allowed: the file that "
-                "PX4's jinja_gen.py makes of it"
-            ) from None
-        root = parse_xml(filled, path)
+    root = _filled(path) if path.name.endswith(_TEMPLATE) else read_xml(path)
     if root.tag == "gazebo":  # its name until version 1.2
         return root
     if root.tag != "sdf":
         raise BadInputError(f"{path}: an XML file of <{root.tag}>; allowed: <sdf>")
     return root
+
+
+def _filled(path: Path) -> ET.Element:
+    """Root of a template, without values for its variables."""
+    import jinja2
+    from jinja2.sandbox import SandboxedEnvironment  # slow to import
+
+    if not is_file(path):
+        raise BadInputError(f"{path}: there is no such file")
+    text = read_file(path, LARGEST_TEXT).decode(errors="replace")
+    try:
+        filled = SandboxedEnvironment(autoescape=False).from_string(text).render()
+    except (jinja2.TemplateError, ArithmeticError, TypeError, ValueError) as error:
+        raise BadInputError(
+            f"{path}: the template cannot be filled ({' '.join(str(error).split())}); allowed: the file that PX4's "
+            "jinja_gen.py makes of it"
+        ) from None
+    return parse_xml(filled, path)
 
 
 def _included_file(uri: str, path: Path) -> Path | None:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.cli.console import counted
 from mavfi.errors import BadInputError
 from mavfi.extras.models.geometry import MassProperties, Pose, lump
 from mavfi.extras.models.quadrotor import MultirotorData, OppositeSpinsError, Rotor, rounded_up, vehicle_from
@@ -41,7 +40,7 @@ def sdf_vehicle(path: Path, chosen: Mapping[str, Any]) -> ImportedVehicle:
     if model.massless:
         data.remarks.append(f"links without <inertial>, 1 kg in Gazebo, have no mass: {', '.join(model.massless)}")
     data.body = lump(model.masses.values())
-    data.body_note = f"of {counted(len(model.masses), 'link')} as one rigid body"
+    data.body_note = f"all links with mass ({len(model.masses)}) as one rigid body"
     children = {joint.name: joint.child for joint in model.joints}
     data.rotors = _rotors_of(model.plugins, children, model.links, path)
     data.rotor_note = "motor plug-ins"
@@ -92,7 +91,7 @@ def xacro_vehicle(path: Path, chosen: Mapping[str, Any]) -> ImportedVehicle:
 def _of_robot(robot: UrdfRobot, path: Path, chosen: Mapping[str, Any]) -> ImportedVehicle:
     data = MultirotorData(robot.name, shapes=robot.shapes)
     data.body = lump(robot.masses.values())
-    data.body_note = f"of {counted(len(robot.masses), 'link')} as one rigid body"
+    data.body_note = f"all links with mass ({len(robot.masses)}) as one rigid body"
     data.rotors = _rotors_of(robot.plugins, robot.moving, robot.links, path)
     data.rotor_note = "motor plug-ins"
     properties = robot.root.find("properties")

@@ -15,7 +15,6 @@ from mavfi.errors import BadInputError
 from mavfi.files import is_file
 from mavfi.mission import ARRIVAL_RADIUS
 from mavfi.plugins import load_object, parameters_of
-from mavfi.sim.environments.octomap_file import map_resolution_for
 from mavfi.sim.environments.world import World
 from mavfi.sim.mjcf import find_vehicle
 
@@ -124,6 +123,8 @@ def environment_for_file(path: str | Path) -> EnvironmentConfig:
         raise BadInputError(f"{path}: not a scanned map; allowed: a file ending in {' or '.join(SCAN_ENDINGS)}")
     if not is_file(path):
         raise BadInputError(f"{path}: there is no such file")
+    from mavfi.sim.environments.octomap_file import map_resolution_for  # with scipy.ndimage, which is slow to import
+
     return EnvironmentConfig(
         name=path.stem,
         generator=SCAN_GENERATOR,
