@@ -35,7 +35,6 @@ from mavfi.rewriting import rewriter
 from mavfi.sim import imu
 from mavfi.sim.controller import find_controller
 from mavfi.sim.environments import World, build_world, environment_for_file, find_generator
-from mavfi.sim.environments.octomap_file import SOLID
 from mavfi.sim.environments.registry import SCAN_GENERATOR
 from mavfi.sim.imported import ENVIRONMENT_FILES, EnvironmentReader, extensions_of, reader_of
 from mavfi.sim.mjcf import find_vehicle
@@ -100,7 +99,7 @@ def resolve(spec: MissionSpec) -> Scenario:
     """
     # The environment, in which the mission may replace the vehicle.
     environment = find_environment(spec.environment)
-    if spec.unknown_space != SOLID:
+    if spec.unknown_space != MissionSpec.model_fields["unknown_space"].default:
         environment = _with_unknown_space(environment, spec.unknown_space)
     vehicle_source = spec.environment  # the file that names the vehicle, for messages
     if spec.vehicle is not None:

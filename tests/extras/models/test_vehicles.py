@@ -9,6 +9,7 @@ import pytest
 
 from mavfi.config import VehicleConfig, parse
 from mavfi.errors import BadInputError
+from mavfi.extras.models import cli
 from mavfi.extras.models.geometry import lump
 from mavfi.extras.models.urdf import read_urdf
 from mavfi.extras.models.vehicles import sdf_vehicle
@@ -116,7 +117,7 @@ def test_parts_of_other_files_and_frames_count(tmp_path):
         around = 2.0 * centre**2 + 0.2 * (0.1 - centre) ** 2 + 0.4 * (0.2 + centre) ** 2
         assert found.inertia[0] == pytest.approx(0.02 + around + 0.2 * 0.04, rel=1e-5)
     gone = models.sdf(more="<include><uri>model://absent</uri></include>")
-    assert "includes absent, not on this machine" in refusal(written(tmp_path, "quad.sdf", gone))
+    assert "includes absent (not on this machine)" in refusal(written(tmp_path, "quad.sdf", gone))
 
 
 MJCF = """<mujoco><compiler autolimits="true"/><worldbody><body name="q" pos="0 0 1" euler="0 0 90"><freejoint/>
@@ -242,6 +243,15 @@ def test_xacro_is_expanded_without_ros(tmp_path, monkeypatch):
     allow_typed(["--vehicle", path])
     written(tmp_path, "quad.xacro", text.replace("$(find parts)", "$(find absent)"))
     assert "the package absent is not on this machine" in refusal(path)
+
+
+def test_the_printed_vehicle_is_a_file_that_flies_alike(tmp_path, capsys):
+    path = written(tmp_path, "quad.sdf", models.sdf(models.PLUS))
+    cli.vehicle(tmp_path / "quad.sdf")
+    text = capsys.readouterr().out
+    assert "hovers at 67 % of the largest thrust" in text and "# flown as an X: its front is" in text
+    assert "mass: 2.2 " in text and "# all links with mass (5) as one rigid body" in text
+    assert find_vehicle(written(tmp_path, "same.yaml", text)) == imported(path)[0]
 
 
 @pytest.mark.parametrize("rotors", [models.X, models.PLUS])

@@ -7,10 +7,9 @@ cell too far around it.  An upright shape is cut into slices, a tilted one into 
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from mavfi.errors import BadInputError
 from mavfi.extras.models.geometry import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, Shape, half_extents
@@ -92,10 +91,10 @@ def _count(body: _Body, cell: float) -> int:
     if body.is_box:
         return 1
     extent = body.vertices.max(axis=0) - body.vertices.min(axis=0)
-    across = [max(1, math.ceil(extent[axis] / cell - _STRAIGHT)) for axis in (0, 1)]
+    across = [max(1, math.ceil(float(extent[axis]) / cell - _STRAIGHT)) for axis in (0, 1)]
     if body.is_upright:
         return min(across)
-    return math.prod(across)
+    return across[0] * across[1]
 
 
 def _is_along_axes(shape: Shape) -> bool:
@@ -167,11 +166,11 @@ def _same_outline(bottom: np.ndarray, top: np.ndarray) -> bool:
 def _slices(vertices: np.ndarray, cell: float) -> list[tuple[np.ndarray, np.ndarray]]:
     """Boxes of an upright prism, across the shorter of its extents; see `_Body`."""
     bottom, top = vertices[:, 2].min(), vertices[:, 2].max()
-    try:
-        base = vertices[vertices[:, 2] < bottom + _STRAIGHT, :2]
-        outline = base[ConvexHull(base).vertices]
-    except QhullError:  # without width
+    base = vertices[vertices[:, 2] < bottom + _STRAIGHT, :2]
+    hull = _hull_of(base)
+    if hull is None:  # without width
         return []
+    outline = base[hull.vertices]
     extent = outline.max(axis=0) - outline.min(axis=0)
     along = int(np.argmin(extent))
     across = 1 - along
@@ -192,9 +191,8 @@ def _slices(vertices: np.ndarray, cell: float) -> list[tuple[np.ndarray, np.ndar
 
 def _columns(vertices: np.ndarray, cell: float) -> list[tuple[np.ndarray, np.ndarray]]:
     """Boxes of a convex body in any position: columns over square cells."""
-    try:
-        hull = ConvexHull(vertices)
-    except QhullError:  # flat
+    hull = _hull_of(vertices)
+    if hull is None:  # flat
         return [(vertices.min(axis=0), vertices.max(axis=0))]
     faces = vertices[hull.simplices]
     low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -241,3 +239,13 @@ def _clip(polygon: np.ndarray, axis: int, value: float, side: float) -> np.ndarr
             share = distance[n] / (distance[n] - distance[after])
             points.append(polygon[n] + share * (polygon[after] - polygon[n]))
     return np.array(points).reshape(-1, polygon.shape[1])
+
+
+def _hull_of(points: np.ndarray) -> Any | None:  # noqa: ANN401 - scipy's ConvexHull
+    """Convex hull of points; None = they lie in a plane, or on a line."""
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
+    try:
+        return ConvexHull(points)
+    except QhullError:
+        return None

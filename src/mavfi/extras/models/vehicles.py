@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.cli.console import counted
 from mavfi.errors import BadInputError
 from mavfi.extras.models.geometry import MassProperties, Pose, lump
 from mavfi.extras.models.quadrotor import MultirotorData, OppositeSpinsError, Rotor, rounded_up, vehicle_from
@@ -33,13 +32,15 @@ def sdf_vehicle(path: Path, chosen: Mapping[str, Any]) -> ImportedVehicle:
     model = _only_multirotor(SdfReader(path).read(), path)
     if model.missing:
         raise BadInputError(
-            f"{path}: includes {', '.join(model.missing)}, not on this machine; allowed: models beside the file, or in "
-            f"a folder of {PATH_VARIABLES[0]}"
+            f"{path}: includes {', '.join(model.missing)}; allowed: models beside the file, or in a folder of "
+            f"{PATH_VARIABLES[0]}"
         )
     model.place(model.frames["__model__"].inverse())  # where it stands in its file does not matter
     data = MultirotorData(model.name, shapes=model.shapes)
+    if model.massless:
+        data.remarks.append(f"links without <inertial>, 1 kg in Gazebo, have no mass: {', '.join(model.massless)}")
     data.body = lump(model.masses.values())
-    data.body_note = f"of {counted(len(model.masses), 'link')} as one rigid body"
+    data.body_note = f"all links with mass ({len(model.masses)}) as one rigid body"
     children = {joint.name: joint.child for joint in model.joints}
     data.rotors = _rotors_of(model.plugins, children, model.links, path)
     data.rotor_note = "motor plug-ins"
@@ -90,7 +91,7 @@ def xacro_vehicle(path: Path, chosen: Mapping[str, Any]) -> ImportedVehicle:
 def _of_robot(robot: UrdfRobot, path: Path, chosen: Mapping[str, Any]) -> ImportedVehicle:
     data = MultirotorData(robot.name, shapes=robot.shapes)
     data.body = lump(robot.masses.values())
-    data.body_note = f"of {counted(len(robot.masses), 'link')} as one rigid body"
+    data.body_note = f"all links with mass ({len(robot.masses)}) as one rigid body"
     data.rotors = _rotors_of(robot.plugins, robot.moving, robot.links, path)
     data.rotor_note = "motor plug-ins"
     properties = robot.root.find("properties")
@@ -173,8 +174,10 @@ def _rotors_of(
         up = number(plugin.find("timeConstantUp"), f"{what}: timeConstantUp")
         down = number(plugin.find("timeConstantDown"), f"{what}: timeConstantDown")
         lag = None
-        if up is not None:
-            lag = (up, up if down is None else down)
+        if up is not None and down is None:
+            lag = (up, up)
+        elif up is not None and down is not None:
+            lag = (up, down)
         thrust = None
         if constant is not None and speed is not None:
             thrust = constant * speed * speed

@@ -101,9 +101,7 @@ def find_file(uri: str, path: Path) -> Path | None:
     if scheme in ("http", "https"):
         rest = rest.rstrip("/").rpartition("/")[2]
     if os.path.isabs(rest):  # noqa: PTH117 - of a text
-        return Path(rest) if is_file(Path(rest)) or is_dir(Path(rest)) else None
-    for folder in search_folders(path):
-        candidate = folder / rest
-        if is_file(candidate) or is_dir(candidate):
-            return candidate
-    return None
+        candidates = [Path(rest)]
+    else:
+        candidates = [folder / rest for folder in search_folders(path)]
+    return next((candidate for candidate in candidates if is_file(candidate) or is_dir(candidate)), None)
