@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from mavfi.extras.mavlink.failures import FailureCommands
+from mavfi.extras.mavlink.failures import FIX_3D, FailureCommands
 from mavfi.extras.mavlink.flying import MavVehicle, Setpoint, Sticks, go_to, hold
 from mavfi.extras.mavlink.missions import Mission
 from mavfi.extras.mavlink.parameters import Number, Parameters
@@ -453,7 +453,10 @@ class Autopilot(ABC):
         del command
         if self.vehicle.sim.armed:
             return MavResult.REJECTED
-        self.text("Pre-arm checks passed")
+        if self.failures.fix_type < FIX_3D:
+            self.text("Pre-arm checks failed: no position", Severity.ERROR)
+        else:
+            self.text("Pre-arm checks passed")
         return MavResult.ACCEPTED
 
     def send_home(self, command: Command) -> int:
