@@ -301,6 +301,19 @@ def test_a_port_in_use_is_refused(capsys):
     assert f"--port: {port}: cannot be opened" in err and err.count("\n") == 1
 
 
+def test_a_scan_is_refused_as_it_has_no_ground(tmp_path, capsys):
+    scan = tmp_path / "building.bt"
+    scan.write_bytes(b"# Octomap OcTree binary file\n")
+    assert run(["mavlink", "serve", "--environment", str(scan), "--start", "2", "5", "1.5"]) == 2
+    err = capsys.readouterr().err
+    assert "building: a scan, which has no ground to stand on" in err and err.count("\n") == 1
+
+
+def test_an_unknown_dialect_is_refused(capsys):
+    assert run(["mavlink", "serve", "--environment", "farm", "--dialect", "inav"]) == 2
+    assert "--dialect: 'inav': not known; allowed: px4, ardupilot" in capsys.readouterr().err
+
+
 def test_serving_ends_with_a_sentence_on_the_vehicle(capsys):
     assert run(["mavlink", "serve", "--environment", "farm", "--seed", "7", "--port", "0", "--seconds", "0.2"]) == 0
     last = capsys.readouterr().out.splitlines()[-1]
