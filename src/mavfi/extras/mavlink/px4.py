@@ -20,6 +20,7 @@ from mavfi.extras.mavlink.flying import (
 )
 from mavfi.extras.mavlink.parameters import PX4_DEFAULTS, Number
 from mavfi.extras.mavlink.setpoints import attitude_target
+from mavfi.extras.mavlink.shell import SHELL, Shell
 from mavfi.extras.mavlink.telemetry import STREAMS, Content
 from mavfi.extras.mavlink.vocabulary import Command, Frame, MavCommand, MavResult, MissionResult, whole
 from mavfi.flight.piloted import EndedTask, Task, Vertical, land
@@ -77,6 +78,7 @@ class Px4Autopilot(Autopilot):
     def __init__(self, *arguments: Any) -> None:
         self.mode = FlightMode.HOLD
         self._take_off_place: Triple | None = None
+        self.shell = Shell(self)
         super().__init__(*arguments)
 
     # ---- state ------------------------------------------------------------------------------------------------------
@@ -318,8 +320,18 @@ class Px4Autopilot(Autopilot):
         sender = (message.get_srcSystem(), message.get_srcComponent())
         self.mission.acknowledge(sender, MissionResult.ERROR, message.mission_type)
 
+    def acknowledge(self, command: Command, result: int) -> None:
+        """See `Autopilot.acknowledge`; that of a typed command is printed."""
+        if command.sender == SHELL:
+            self.shell.print_result(command, result)
+        else:
+            super().acknowledge(command, result)
+
     commands: ClassVar[dict[int, CommandHandler]]
-    messages: ClassVar[dict[str, MessageHandler]] = MESSAGES
+    messages: ClassVar[dict[str, MessageHandler]] = {
+        **MESSAGES,
+        "SERIAL_CONTROL": lambda autopilot, message: autopilot.shell.receive(message),
+    }
 
 
 Px4Autopilot.commands = {
