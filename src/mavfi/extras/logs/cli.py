@@ -58,7 +58,9 @@ class LiveOption:
 
 
 def watch(  # noqa: PLR0913 - one parameter per option
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recorded flights: .ulg .tlog .bag .mcap .csv")],
+    logs: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="Recorded flights: .ulg .tlog .bin .bag .mcap .csv, folders")
+    ],
     train: Annotated[
         list[Path] | None, typer.Option(metavar="LOG", help="A recorded flight that is normal; may be repeated.")
     ] = None,

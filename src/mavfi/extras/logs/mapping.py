@@ -75,18 +75,18 @@ class StateMapping(Config):
 
     def sources(self) -> dict[str, FieldSource]:
         """Where each mapped field comes from."""
-        found = {}
+        sources = {}
         for name, text in self.fields.items():
             if not isinstance(text, str):
-                found[name] = FieldSource("", "", float(text))
+                sources[name] = FieldSource("", "", float(text))
                 continue
             match = _SOURCE.fullmatch(text)
             assert match is not None  # checked before
             factor = _FACTORS.get(match[4] or "", 1.0)
             if match[1]:
                 factor = -factor
-            found[name] = FieldSource(match[2] or self.topic, match[3], factor)
-        return found
+            sources[name] = FieldSource(match[2] or self.topic, match[3], factor)
+        return sources
 
 
 class LogMapping(Config):

@@ -87,8 +87,8 @@ class CsvReader:
         times = self._times(names[clock], [line[clock] for line in lines])
         fraction = _fraction_of(names, clock)
         if fraction is not None:
-            parts = self._times(f"{names[fraction]} [ns]", [line[fraction] for line in lines])
-            times = [seconds + part for seconds, part in zip(times, parts, strict=True)]
+            fractions = self._times(f"{names[fraction]} [ns]", [line[fraction] for line in lines])
+            times = [whole_us + part_us for whole_us, part_us in zip(times, fractions, strict=True)]
         source_of_row = _sources(names, lines)
         check_topics(self._path, topics, [TOPIC, *source_of_row])
         # All other numeric columns, row by row.
@@ -427,12 +427,12 @@ class RosReader:
             return {channel for channel, _, _ in messages}, iter(messages)
         # One reader for each file of a folder without metadata, in order of their names.
         channels: list[_Channel] = []
-        parts: list[_Records] = []
+        recordings: list[_Records] = []
         for file in files or [path]:
             reader: Any = stack.enter_context(_rosbags_reader(file))
             channels += [_channel_of(connection, reader) for connection in reader.connections]
-            parts.append(_bag_messages(reader))
-        return channels, chain.from_iterable(parts)
+            recordings.append(_bag_messages(reader))
+        return channels, chain.from_iterable(recordings)
 
     def _mcap_messages(self, file: Path) -> _Records:
         """The messages of a file, up to its end, or where it is cut or damaged."""
