@@ -18,6 +18,7 @@ from mavfi.extras.mavlink.server import MavlinkServer  # noqa: E402
 from mavfi.extras.mavlink.vocabulary import MavResult  # noqa: E402
 from mavfi.mission import MissionSpec  # noqa: E402
 from mavfi.numerics.frames import geodetic  # noqa: E402
+from tests.core.unit.sim.environments.octrees import bits, tree_of  # noqa: E402
 from tests.extras.mavlink.client import Client  # noqa: E402
 
 pytestmark = pytest.mark.slow
@@ -303,7 +304,8 @@ def test_a_port_in_use_is_refused(capsys):
 
 def test_a_scan_is_refused_as_it_has_no_ground(tmp_path, capsys):
     scan = tmp_path / "building.bt"
-    scan.write_bytes(b"# Octomap OcTree binary file\n")
+    tree = tree_of({(i, j, 0): True for i in range(8) for j in range(8)})
+    scan.write_bytes(b"# Octomap OcTree binary file\nid OcTree\nsize 100\nres 0.5\ndata\n" + bits(tree))
     assert run(["mavlink", "serve", "--environment", str(scan), "--start", "2", "5", "1.5"]) == 2
     err = capsys.readouterr().err
     assert "building: a scan, which has no ground to stand on" in err and err.count("\n") == 1
