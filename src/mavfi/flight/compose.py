@@ -53,8 +53,8 @@ _LEAST_HEADING_NOISE = 1e-3
 """Noise of heading fixes that it assumes at least (rad)."""
 _AUTOPILOT_KEYS = ("alarm", "epoch_liveness")
 """Keys of an autopilot profile that a mission can override."""
-_VOXELS_OFF = 2.0
-"""Voxels of the map by which a wall, and a path beside it, can be off."""
+_VOXELS_OFF = 1.0
+"""Voxels of the map by which a wall in it can be off."""
 _LIMITS = ("arena_lower", "arena_upper", "flight_lower", "flight_upper", "goal")
 """Arrays of a world that the pipeline may know."""
 
@@ -319,7 +319,7 @@ def _warn_of_walls(name: str, world: World, distance: float) -> None:
             place = ", ".join(f"{value:g}" for value in point)
             _warn_once(
                 f"environment {name!r}: {key} ({place}): {clearance:.2f} m from a wall; less than {distance:.2f} m "
-                "(the planner's distance and two voxels of the map) often ends in a collision"
+                "(the planner's distance and a voxel of the map) often ends in a collision"
             )
 
 

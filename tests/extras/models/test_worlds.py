@@ -51,16 +51,16 @@ def test_boxes_cover_a_shape_and_are_nowhere_thicker_than_said(kind, size, pose)
     shape = Shape(kind, size, pose, "it")
     boxes = boxes_of([shape])
     random = np.random.default_rng(1)
-    points = random.uniform(boxes.lower.min(axis=0) - 0.2, boxes.upper.max(axis=0) + 0.2, (6000, 3))
+    points = random.uniform(boxes.lower.min(axis=0) - 0.2, boxes.upper.max(axis=0) + 0.2, (3000, 3))
     covered = ((points[:, None] >= boxes.lower) & (points[:, None] <= boxes.upper)).all(axis=2).any(axis=1)
     solid = inside(shape, points)
-    assert solid.sum() > 60 and not (solid & ~covered).any()
+    assert solid.sum() > 30 and not (solid & ~covered).any()
     # a point of the boxes is within a cell's diagonal of the shape; round ones are within their polygon, too
     round_off = 0.0 if kind == BOX else 0.06 * max(size)
     away = math.sqrt(2.0) * FINEST_CELL + round_off
     directions = random.normal(size=(400, 3))
     directions *= (away * random.random(400) ** (1 / 3) / np.linalg.norm(directions, axis=1))[:, None]
-    for point in points[covered & ~solid][:60]:
+    for point in points[covered & ~solid][:40]:
         assert inside(shape, point + 1.05 * directions).any()
 
 
@@ -159,7 +159,7 @@ def test_distances_in_a_scene_are_mujocos_within_the_width_of_a_cell(tmp_path):
     fixed = [geom for geom in fixed if model.geom_contype[geom]]
     probe_id = model.geom("probe").id
     random = np.random.default_rng(2)
-    points = random.uniform((3.0, -14.0, 0.1), (15.0, 5.0, 3.0), (150, 3))
+    points = random.uniform((3.0, -14.0, 0.1), (15.0, 5.0, 3.0), (80, 3))
     ours = world.clearance(points)
     for point, distance in zip(points, ours, strict=True):
         data.qpos[-7:] = (*point, 1.0, 0.0, 0.0, 0.0)
