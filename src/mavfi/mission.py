@@ -113,6 +113,9 @@ class MissionSpec(Config):
         description=f"{_names('vehicles')}, a YAML file, or a model of another simulator (.sdf, .urdf, .xacro, PX4's "
         "airframe); the environment's by default.",
     )
+    trajectory: str = Field("", description="Custom trajectory generator, package:Class; mavfi's by default.")
+    waypoint: str = Field("", description="Custom setpoint generator, package:Class; mavfi's by default.")
+    pid: str = Field("", description="Custom tracker (from way-point to velocity), package:Class; mavfi's by default.")
     flight_controller: str = Field(
         "cascade", description="From velocity to rotor commands: cascade, betaflight, an entry point, or package:Class."
     )
@@ -214,6 +217,9 @@ OF_A_DETECTOR = (*RECOVERY, "trained_for")
 OF_THE_PIPELINE = (
     "autopilot",
     "planner",
+    "trajectory",
+    "waypoint",
+    "pid",
     "platform",
     "map",
     "map_resolution",
@@ -230,13 +236,23 @@ OF_THE_PIPELINE = (
     *OF_A_DETECTOR,
 )
 """Mission keys without effect where another program flies the vehicle."""
-_LATER_KEYS = ("arrival_radius", "time_limit_factor", "latency_jitter", "detector_place", "unknown_space")
+_LATER_KEYS = (
+    "trajectory",
+    "waypoint",
+    "pid",
+    "arrival_radius",
+    "time_limit_factor",
+    "latency_jitter",
+    "detector_place",
+    "unknown_space",
+)
 """Keys of a mission that its plain data omit at their defaults."""
 _OPTIONS = (
     "wind",
     "localization",
     "dead_node",
     "flight_controller",
+    "kernels",
     "protection",
     "arrival_radius",
     "time_limit_factor",
@@ -266,6 +282,7 @@ class Scenario(Config):
     localization: LocalizationConfig = LocalizationConfig()
     dead_node: DeadNode = "fresh"
     flight_controller: str = "cascade"
+    kernels: dict[str, str] = {}
     protection: SerializeAsAny[Config] | None = None
     arrival_radius: float = ARRIVAL_RADIUS
     time_limit_factor: float = TIME_LIMIT_FACTOR

@@ -99,7 +99,13 @@ class PilotedVehicle:
             BadInputError: The mission cannot be flown from the ground; the vehicle stays where it is.
         """
         scenario = resolve(spec)
-        self._start_in(build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal), scenario)
+        goal = scenario.goal
+        arrival_radius = scenario.arrival_radius
+        if goal is None and scenario.start is not None:  # nobody flies to it, but some worlds have none of their own
+            goal = scenario.start
+            arrival_radius = 0.0
+        world = build_world(scenario.environment, scenario.seed, scenario.start, goal, arrival_radius=arrival_radius)
+        self._start_in(world, scenario)
         self.spec = spec
 
     def _start_in(self, world: World, scenario: Scenario) -> None:

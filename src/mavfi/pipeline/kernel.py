@@ -11,7 +11,7 @@ A class whose `rollback` also discards inputs, to be received again, implements 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -100,6 +100,7 @@ class PipelineConfig:
         noise: Noise parameters of the state estimator; None = the pipeline receives the true state.
         rewindable: Whether maps keep undo logs, so that they can be restored to any earlier instant.
         functions: Compiled functions of the kernels; a host may supply instrumented ones.
+        kernels: Classes of a user's own, by the names of the kernels in whose place they are, see `pipeline.ppc`.
     """
 
     autopilot: AutopilotConfig
@@ -125,6 +126,7 @@ class PipelineConfig:
     noise: Noise | None = None
     rewindable: bool = False
     functions: KernelFunctions = PLAIN
+    kernels: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def odometry(self) -> str:

@@ -6,7 +6,9 @@ from mavfi.detectors import Alarm, Detector
 from mavfi.kernels.perception.octomap import insert_scan
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.random import seed_generator
+from mavfi.pipeline.control import Tracker
 from mavfi.pipeline.maps import DenseMap
+from mavfi.pipeline.waypoints import SetpointGenerator
 from mavfi.sim.cascade import Cascade
 from mavfi.states import floats
 
@@ -126,3 +128,38 @@ class Text(Straight):
 
 class pid(Straight):  # noqa: N801 - the name of a kernel
     pass
+
+
+@kernel_jit
+def shifted(point, height):
+    point[2] += height
+
+
+class Higher(SetpointGenerator):
+    """Way-points a little higher."""
+
+    compiled = (shifted,)
+
+    def step(self, time_us):
+        states = super().step(time_us)
+        for state in states:
+            shifted(floats(state.header, 7), 0.01)
+        return states
+
+
+@kernel_jit
+def steer(waypoint, odometry, command):
+    for axis in range(3):
+        command[axis] = waypoint[4 + axis] + 1.5 * (waypoint[axis] - odometry[axis])
+
+
+class Proportional(Tracker):
+    """A proportional controller."""
+
+    compiled = (steer,)
+
+    def step(self, time_us):
+        command, tracking = super().step(time_us)
+        if self.memory.waypoint is not None:
+            steer(floats(self.memory.waypoint.header, 11), self.memory.odometry, floats(command.header, 4))
+        return [command, tracking]

@@ -61,6 +61,8 @@ def test_without_a_fix_it_is_not_armable(client):
     assert client.command(420, 4, 4, 0) == MavResult.ACCEPTED
     client.wait(1.2)
     assert not client.of("EKF_STATUS_REPORT")[-1].flags & 0x210
+    client.command(SET_MODE, 1, CopterMode.GUIDED)
+    assert client.command(400, 1) == MavResult.FAILED and "need position estimate" in client.texts()[0]
 
 
 def test_modes_are_set_by_message_and_command(client):

@@ -18,6 +18,7 @@ from mavfi.extras.mavlink.server import MavlinkServer  # noqa: E402
 from mavfi.extras.mavlink.vocabulary import MavResult  # noqa: E402
 from mavfi.mission import MissionSpec  # noqa: E402
 from mavfi.numerics.frames import geodetic  # noqa: E402
+from tests.core.unit.sim.environments.octrees import bits, tree_of  # noqa: E402
 from tests.extras.mavlink.client import Client  # noqa: E402
 
 pytestmark = pytest.mark.slow
@@ -242,6 +243,37 @@ def set_parameter(client, name, value):
     client.send(mavlink.MAVLink_param_set_message(1, 1, name, bits, 6))
 
 
+# ---- the shell -----------------------------------------------------------------------------------------------------
+def typed(client, line):
+    """Type a line; what is printed."""
+    client.received.clear()
+    data = f"{line}\n".encode()
+    client.send(mavlink.MAVLink_serial_control_message(10, 6, 0, 0, len(data), [*data, *[0] * (70 - len(data))]))
+    client.wait(0.1)
+    return "".join(bytes(m.data[: m.count]).decode() for m in client.of("SERIAL_CONTROL"))
+
+
+def test_failures_are_typed_with_instances_and_masks(flying):
+    assert typed(flying, "failure motor wrong -m 0x5") == "command 420: accepted\n"
+    assert [failure.fault.site for failure in flying.vehicle.failures.active] == ["motor1 wrong", "motor3 wrong"]
+    assert typed(flying, "failure motor ok -i 1") == "command 420: accepted\n"
+    assert not flying.of("COMMAND_ACK"), "nobody sent one"
+    assert [failure.fault.site for failure in flying.vehicle.failures.active] == ["motor3 wrong"]
+    assert typed(flying, "failure baro off") == "command 420: unsupported\n"
+    assert "no barometer" in "".join(flying.texts())
+    assert "allowed: gyro, accel" in typed(flying, "failure wing off")
+    assert "allowed: failure COMPONENT TYPE" in typed(flying, "failure gps off -k 3")
+
+
+def test_other_commands_are_typed(client):
+    assert typed(client, "commander takeoff") == "command 400: accepted\ncommand 22: accepted\n"
+    assert client.autopilot.mode is FlightMode.TAKEOFF
+    typed(client, "param set MPC_XY_CRUISE 3.5")
+    assert typed(client, "param show MPC_XY_CRUISE") == "MPC_XY_CRUISE: 3.5\n" and client.autopilot.speed == 3.5
+    assert "not a value of NAV_RCL_ACT" in typed(client, "param set NAV_RCL_ACT x")
+    assert "ps: not supported; allowed: failure, commander, param" in typed(client, "ps")
+
+
 # ---- UDP -----------------------------------------------------------------------------------------------------------
 def test_over_udp():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
@@ -268,6 +300,20 @@ def test_a_port_in_use_is_refused(capsys):
         assert run(["mavlink", "serve", "--environment", "farm", "--port", port]) == 2
     err = capsys.readouterr().err
     assert f"--port: {port}: cannot be opened" in err and err.count("\n") == 1
+
+
+def test_a_scan_is_refused_as_it_has_no_ground(tmp_path, capsys):
+    scan = tmp_path / "building.bt"
+    tree = tree_of({(i, j, 0): True for i in range(8) for j in range(8)})
+    scan.write_bytes(b"# Octomap OcTree binary file\nid OcTree\nsize 100\nres 0.5\ndata\n" + bits(tree))
+    assert run(["mavlink", "serve", "--environment", str(scan), "--start", "2", "5", "1.5"]) == 2
+    err = capsys.readouterr().err
+    assert "building: a scan, which has no ground to stand on" in err and err.count("\n") == 1
+
+
+def test_an_unknown_dialect_is_refused(capsys):
+    assert run(["mavlink", "serve", "--environment", "farm", "--dialect", "inav"]) == 2
+    assert "--dialect: 'inav': not known; allowed: px4, ardupilot" in capsys.readouterr().err
 
 
 def test_serving_ends_with_a_sentence_on_the_vehicle(capsys):

@@ -220,8 +220,24 @@ def test_items_that_cannot_be_flown_are_refused_or_said_to_be_skipped(client, it
     assert upload(client, [item]) == result and text in "".join(client.texts())
 
 
+def test_mode_mission_may_be_set_before_the_upload_and_the_motors(client):
+    """The order of DroneKit's script for PX4, which sets MAV_MODE_AUTO without a custom mode."""
+    assert client.command(176, 4) == MavResult.ACCEPTED and client.autopilot.mode is FlightMode.MISSION
+    assert (
+        upload(client, [float_item(0, 22, (0, 0, 3)), float_item(1, 16, (4, 0, 3)), float_item(2, 21, (4, 0, 0))]) == 0
+    )
+    client.wait(1)
+    client.command(400, 1)
+    client.wait(60, lambda: "Mission finished" in client.texts())
+    assert client.vehicle.landed and client.vehicle.position[0] == pytest.approx(4.0, abs=0.8)
+    client.wait(1.1)
+    assert client.of("MISSION_CURRENT")[-1].seq == 0, "it could be flown again"
+
+
 def test_a_mission_that_does_not_exist_is_denied_and_a_stray_item_refused(client):
-    assert client.command(300) == MavResult.DENIED and client.command(176, 1, 4, 4) == MavResult.DENIED
+    assert client.command(300) == MavResult.DENIED
+    client.command(400, 1)
+    assert client.command(176, 1, 4, 4) == MavResult.DENIED
     client.send(float_item(0, 16, (0, 0, 3)))
     assert client.of("MISSION_ACK")[-1].type == 1
 

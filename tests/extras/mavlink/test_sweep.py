@@ -1,6 +1,7 @@
 """Nothing is accepted silently: every message and command of the dialect is executed, answered or noted."""
 
 import math
+import struct
 
 import pytest
 
@@ -18,22 +19,39 @@ EXECUTED = {
     "ardupilot": {"RC_CHANNELS_OVERRIDE", "MANUAL_CONTROL", "REQUEST_DATA_STREAM"},
 }
 """Messages without an answer that are executed: flown in test_setpoints.py and test_ardupilot.py."""
+INTEGERS = {
+    "int8_t": "b",
+    "uint8_t": "B",
+    "char": "c",
+    "int16_t": "h",
+    "uint16_t": "H",
+    "int32_t": "i",
+    "uint32_t": "I",
+    "int64_t": "q",
+    "uint64_t": "Q",
+}
 COMMANDS = sorted(number for number, entry in mavlink.enums["MAV_CMD"].items() if "ENUM_END" not in entry.name)
 
 
-def blank(message_class):
-    """A message for the autopilot whose other fields are zero or empty."""
+def message_of(message_class, number=0, text=b""):
+    """A message for the autopilot whose other fields are a number, or a text."""
     values = []
     lengths = [message_class.array_lengths[place] for place in message_class.orders]  # from the order on the wire
     for name, kind, length in zip(message_class.fieldnames, message_class.fieldtypes, lengths, strict=True):
+        value = number
+        if kind not in ("float", "double"):
+            size = 8 * struct.calcsize(INTEGERS[kind])
+            value = 0
+            if number:
+                value = 2 ** (size - 1) - 1
         if kind == "char" and length:
-            values.append(b"")
+            values.append(text)
         elif length:
-            values.append([0] * length)
+            values.append([value] * length)
         elif name.startswith("target") and message_class.msgname != "PING":  # of a request for an echo it is 0
             values.append(1)
         else:
-            values.append(0)
+            values.append(value)
     return message_class(*values)
 
 
@@ -44,10 +62,27 @@ def test_every_message_is_executed_answered_or_noted(dialect):
     for message_class in mavlink.mavlink_map.values():
         client.received.clear()
         before = len(client.autopilot.not_supported)
-        client.send(blank(message_class))
+        client.send(message_of(message_class))
         if not client.received and len(client.autopilot.not_supported) == before:
             silent.add(message_class.msgname)
     assert silent == EMPTY | EXECUTED[dialect]
+
+
+@pytest.mark.parametrize(
+    ("dialect", "number"), [("px4", NAN), ("px4", 1e30), ("ardupilot", math.inf), ("ardupilot", -1e30)]
+)
+def test_no_value_of_a_message_or_command_stops_the_autopilot(dialect, number):
+    client = flying(dialect)
+    for message_class in mavlink.mavlink_map.values():
+        client.send(message_of(message_class, number, b"\xff" * 4))
+        client.wait(0.02)
+    for command in COMMANDS:
+        client.send(mavlink.MAVLink_command_long_message(1, 1, command, 0, *[number] * 7))
+        client.send(mavlink.MAVLink_command_int_message(1, 1, 0, command, 0, 0, *[number] * 4, 2**31 - 2, 5, number))
+        client.wait(0.02)
+    client.received.clear()
+    client.wait(1.1)
+    assert client.of("HEARTBEAT")
 
 
 def test_what_is_noted_is_told_once():

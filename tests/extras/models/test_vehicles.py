@@ -9,6 +9,7 @@ import pytest
 
 from mavfi.config import VehicleConfig, parse
 from mavfi.errors import BadInputError
+from mavfi.extras.models import cli
 from mavfi.extras.models.geometry import lump
 from mavfi.extras.models.urdf import read_urdf
 from mavfi.extras.models.vehicles import sdf_vehicle
@@ -116,7 +117,34 @@ def test_parts_of_other_files_and_frames_count(tmp_path):
         around = 2.0 * centre**2 + 0.2 * (0.1 - centre) ** 2 + 0.4 * (0.2 + centre) ** 2
         assert found.inertia[0] == pytest.approx(0.02 + around + 0.2 * 0.04, rel=1e-5)
     gone = models.sdf(more="<include><uri>model://absent</uri></include>")
-    assert "includes absent, not on this machine" in refusal(written(tmp_path, "quad.sdf", gone))
+    assert "includes absent (not on this machine)" in refusal(written(tmp_path, "quad.sdf", gone))
+
+
+MJCF = """<mujoco><compiler autolimits="true"/><worldbody><body name="q" pos="0 0 1" euler="0 0 90"><freejoint/>
+  <geom type="box" size="0.1 0.1 0.05" mass="1"/>{sites}</body></worldbody><actuator>{motors}</actuator></mujoco>"""
+
+
+def mjcf(torques):
+    sites = "".join(f'<site name="s{n}" pos="{x} {y} 0.1"/>' for n, (x, y) in enumerate(models.X))
+    motors = "".join(
+        f'<motor name="m{n}" site="s{n}" gear="0 0 2 0 0 {torque}" ctrlrange="0 3"/>'
+        for n, torque in enumerate(torques)
+    )
+    return MJCF.format(sites=sites, motors=motors)
+
+
+def test_motors_at_sites_of_an_mjcf_model_are_rotors(tmp_path):
+    found, said = imported(written(tmp_path, "quad.xml", mjcf((-0.04, -0.04, 0.04, 0.04))))
+    assert (found.mass, found.max_rotor_thrust, found.rotor_torque_ratio) == (1.0, 6.0, 0.02)
+    assert found.arm_length == pytest.approx(0.2 * math.sqrt(2.0), rel=1e-5)
+    assert found.collision_radius == pytest.approx(0.15) and "mirror" not in said and "same way" not in said
+    _, said = imported(written(tmp_path, "quad.xml", mjcf((-0.04, 0.04, 0.04, -0.04))))
+    assert "its neighbouring rotors turn the same way; flown with opposite ones" in said
+    one = '<motor name="all" site="s" gear="0 0 1 0 0 0" ctrlrange="0 24"/>'
+    path = written(tmp_path, "one.xml", MJCF.format(sites='<site name="s"/>', motors=one))
+    assert "does not say: arm_length: " in refusal(path)
+    written(tmp_path, "mine.yaml", "model: one.xml\narm_length: 0.2\n")
+    assert imported(str(tmp_path / "mine.yaml"))[0].max_rotor_thrust == 6.0
 
 
 CRAZYFLIE = (
@@ -215,6 +243,15 @@ def test_xacro_is_expanded_without_ros(tmp_path, monkeypatch):
     allow_typed(["--vehicle", path])
     written(tmp_path, "quad.xacro", text.replace("$(find parts)", "$(find absent)"))
     assert "the package absent is not on this machine" in refusal(path)
+
+
+def test_the_printed_vehicle_is_a_file_that_flies_alike(tmp_path, capsys):
+    path = written(tmp_path, "quad.sdf", models.sdf(models.PLUS))
+    cli.vehicle(tmp_path / "quad.sdf")
+    text = capsys.readouterr().out
+    assert "hovers at 67 % of the largest thrust" in text and "# flown as an X: its front is" in text
+    assert "mass: 2.2 " in text and "# all links with mass (5) as one rigid body" in text
+    assert find_vehicle(written(tmp_path, "same.yaml", text)) == imported(path)[0]
 
 
 @pytest.mark.parametrize("rotors", [models.X, models.PLUS])

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavfi.errors import BadInputError
 from mavfi.flight.compose import resolve
 from mavfi.flight.piloted import PilotedVehicle
 from mavfi.mission import MissionSpec
@@ -87,15 +86,22 @@ class FleetVehicle(PilotedVehicle):
         return self.scenario.vehicle.collision_radius
 
 
-def check_free(start: Triple, radius: float, others: Sequence[FleetVehicle]) -> None:
-    """Raise a `BadInputError` if a vehicle would stand where another one is; `start`: as `FleetVehicle.home`."""
-    for other in others:
-        north, east, _ = (place + at for place, at in zip(other.position, other.home, strict=True))
-        least = radius + other.radius
-        if math.hypot(start[0] - north, start[1] - east) < least:
-            raise BadInputError(
-                f"X, Y: {start[0]:g}, {start[1]:g}: another vehicle stands there; allowed: {least:g} m or more from it"
-            )
+def free_place(home: Triple, radius: float, others: Sequence[FleetVehicle]) -> Triple:
+    """The place for a new vehicle: as requested, or the next free one to the east, in steps of 1 m.
+
+    Args:
+        home: The requested place, see `FleetVehicle`.
+        radius: Of the vehicle (m).
+        others: The vehicles that are there.
+    """
+    north, east, down = home
+    standing = [np.array(flipped(other.sim.odometry[:3] - other.origin)) + other.home for other in others]
+    while any(
+        math.dist((north, east, 0.0), place) < radius + other.radius
+        for place, other in zip(standing, others, strict=True)
+    ):
+        east += 1.0
+    return north, east, down
 
 
 def collide(vehicles: Sequence[FleetVehicle]) -> None:

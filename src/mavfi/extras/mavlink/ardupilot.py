@@ -11,6 +11,7 @@ from enum import IntEnum
 from typing import Any, ClassVar
 
 from mavfi.extras.mavlink.autopilot import COMMANDS, MESSAGES, Autopilot, CommandHandler, MessageHandler
+from mavfi.extras.mavlink.failures import FIX_3D
 from mavfi.extras.mavlink.flying import (
     FOREVER_S,
     Setpoint,
@@ -99,6 +100,7 @@ _ARMABLE = (
     CopterMode.POSHOLD,
     CopterMode.GUIDED_NOGPS,
 )
+_NEEDS_POSITION = (CopterMode.GUIDED, CopterMode.LOITER, CopterMode.POSHOLD)
 _AUTONOMOUS = (CopterMode.AUTO, CopterMode.GUIDED, CopterMode.RTL, CopterMode.CIRCLE, CopterMode.LAND)
 
 
@@ -310,8 +312,13 @@ class ArduCopter(Autopilot):
         action = whole(command[1])
         if action not in (_ARM, _DISARM):
             return MavResult.UNSUPPORTED
-        if action == _ARM and not self.vehicle.sim.armed and self.mode not in _ARMABLE:
-            self.text(f"Arm: {self.mode.name} mode not armable", Severity.ERROR)
+        reason = ""
+        if self.mode not in _ARMABLE:
+            reason = f"{self.mode.name} mode not armable"
+        elif self.mode in _NEEDS_POSITION and self.failures.fix_type < FIX_3D:
+            reason = "need position estimate"
+        if reason and action == _ARM and not self.vehicle.sim.armed:
+            self.text(f"Arm: {reason}", Severity.ERROR)
             return MavResult.FAILED
         if action == _DISARM and not self._disarm_is_allowed(command):
             return MavResult.FAILED

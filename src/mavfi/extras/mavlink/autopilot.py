@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from mavfi.extras.mavlink.failures import FailureCommands
+from mavfi.extras.mavlink.failures import FIX_3D, FailureCommands
 from mavfi.extras.mavlink.flying import MavVehicle, Setpoint, Sticks, go_to, hold
 from mavfi.extras.mavlink.missions import Mission
 from mavfi.extras.mavlink.parameters import Number, Parameters
@@ -95,7 +95,7 @@ class Autopilot(ABC):
         self.geography = Geography(self.origin)
         self.parameters = Parameters(self.defaults, bytewise=self.integers_bytewise, on_change=self.parameter_changed)
         self.mission = Mission(self, home_first=self.home_is_item, asks_for_floats=self.home_is_item)
-        self.failures = FailureCommands(vehicle, self.parameters, self._tell_failure, self._acknowledge)
+        self.failures = FailureCommands(vehicle, self.parameters, self._tell_failure, self.acknowledge)
         self.schedule = Schedule(self.streams)
         self.speed = self.default_speed
         self._setpoint: Setpoint | None = None
@@ -265,7 +265,8 @@ class Autopilot(ABC):
         if self._tell is not None:
             self._tell(what)
 
-    def _acknowledge(self, command: Command, result: int) -> None:
+    def acknowledge(self, command: Command, result: int) -> None:
+        """Send the result of a command."""
         self.send("command_ack", command.number, result, 0, 0, *command.sender)
 
     # ---- input ------------------------------------------------------------------------------------------------------
@@ -297,10 +298,13 @@ class Autopilot(ABC):
 
     def _command(self, message: Any) -> None:
         """COMMAND_LONG and COMMAND_INT."""
-        command = Command.of(message)
+        self.execute(Command.of(message))
+
+    def execute(self, command: Command) -> None:
+        """Execute a command, and acknowledge it now or later."""
         handler = self.commands.get(command.number)
         if handler is None:
-            self._acknowledge(command, MavResult.UNSUPPORTED)
+            self.acknowledge(command, MavResult.UNSUPPORTED)
             return
         try:
             result = handler(self, command)
@@ -308,7 +312,7 @@ class Autopilot(ABC):
             self.text(f"command {command.number} refused: {error}")
             result = MavResult.UNSUPPORTED
         if result is not None:
-            self._acknowledge(command, result)
+            self.acknowledge(command, result)
 
     def _set_mode(self, message: Any) -> None:
         """SET_MODE, which both autopilots acknowledge as a command."""
@@ -355,7 +359,7 @@ class Autopilot(ABC):
     def _mission_item(self, message: Any) -> None:
         if self.mission.is_uploading:
             self.mission.receive(message)
-        else:
+        elif not self.mission.repeats(message):
             self.answer_stray_item(message)
 
     def _list_logs(self, message: Any) -> None:
@@ -453,7 +457,10 @@ class Autopilot(ABC):
         del command
         if self.vehicle.sim.armed:
             return MavResult.REJECTED
-        self.text("Pre-arm checks passed")
+        if self.failures.fix_type < FIX_3D:
+            self.text("Pre-arm checks failed: no position", Severity.ERROR)
+        else:
+            self.text("Pre-arm checks passed")
         return MavResult.ACCEPTED
 
     def send_home(self, command: Command) -> int:

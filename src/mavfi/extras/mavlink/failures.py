@@ -7,7 +7,7 @@ the other types of gyro, accelerometer, compass, position and motor are ours.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 
 from mavfi.extras.mavlink.flying import MavVehicle
@@ -19,9 +19,7 @@ from mavfi.faults.levels.sensor.fault import UNITS as DEVICES
 
 UNITS = {0: "gyro", 1: "accelerometer", 2: "compass", 4: "position", 101: "motor"}
 """Units of `SensorFault` by FAILURE_UNIT, which has no depth camera."""
-TYPES = dict(
-    enumerate(("ok", "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent", "drift")),
-)
+TYPES = dict(enumerate(("ok", "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent", "drift")))
 """Its types by FAILURE_TYPE."""
 PROOF_US = 1_000_000
 """Time within which a failure must change a value (us)."""
@@ -78,7 +76,6 @@ class ReportedState:
 
     fix_type: int | None = None
     battery: str = ""
-    rejected: list[Failure] = field(default_factory=list)  # positions that a degraded fix withholds
 
 
 class FailureCommands:
@@ -228,6 +225,8 @@ class FailureCommands:
     def _degrade_fix(self) -> MavResult:
         """GPS `wrong`: the receiver reports SYS_FAIL_GPS_WRG; below a 3D fix the position is not used any more."""
         fix_type = round(self._parameters["SYS_FAIL_GPS_WRG"])
+        if fix_type == self._reported.fix_type:
+            return MavResult.ACCEPTED  # a repeated command
         if fix_type == self.fix_type:
             return self._refuse(f"SYS_FAIL_GPS_WRG: {fix_type}: the present fix type", MavResult.FAILED)
         before = self.fix_type

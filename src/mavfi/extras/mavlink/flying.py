@@ -27,12 +27,11 @@ from mavfi.mission import MissionSpec
 from mavfi.numerics.elementary import atan2
 from mavfi.numerics.frames import Triple
 from mavfi.sim.engine import GRAVITY
+from mavfi.sim.environments.registry import SCAN_GENERATOR
 from mavfi.sim.vehicle import airframe_of
 
 SETPOINT_TIMEOUT_US = 1_000_000
 """Age of a set-point of mode offboard from which the vehicle stops (us); PX4: COM_OF_LOSS_T."""
-_SCAN = "octomap_file"
-"""Generator of environments that were scanned."""
 FOREVER_S = 1e5
 """Time limit of tasks that have none (s)."""
 _POSITION_GAIN = 0.9
@@ -55,7 +54,7 @@ class MavVehicle(PilotedVehicle):
     def load(self, spec: MissionSpec) -> None:
         """See `PilotedVehicle.load`; a scan is refused before it is read, which would need a goal."""
         environment = resolve(spec).environment
-        if environment.generator == _SCAN:
+        if environment.generator == SCAN_GENERATOR:
             raise BadInputError(
                 f"environment {environment.name}: a scan, which has no ground to stand on; allowed: other environments"
             )

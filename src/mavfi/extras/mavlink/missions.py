@@ -28,6 +28,8 @@ _ALL_TYPES = 255
 """MAV_MISSION_TYPE."""
 _RETRY_US = 500_000
 """Time after which an item that was asked for with MISSION_REQUEST_INT is asked for with MISSION_REQUEST (us)."""
+_REPEATED_US = 5_000_000
+"""Time after an upload within which its items may come again (us)."""
 _CIRCLE_SPEED = 3.0
 """Speed of LOITER_TURNS (m/s)."""
 _CIRCLE_RADIUS = 10.0
@@ -150,6 +152,7 @@ class Mission:
         self._expected = 0
         self._uploader = (0, 0)
         self._asked_us = 0
+        self._uploaded_us = -_REPEATED_US
         self._is_repeated = False
         self.current = self.first
 
@@ -230,6 +233,7 @@ class Mission:
         items = self._items[self._upload_type]
         items[:] = self._upload
         self._upload = None
+        self._uploaded_us = self._autopilot.vehicle.now_us
         if self._upload_type == _FENCE and items:
             self._autopilot.text("fence: stored, not enforced")
         if self._upload_type == _MISSION:
@@ -261,6 +265,11 @@ class Mission:
         """Messages on parts of lists, which neither PX4 nor ArduPilot's missions need."""
         sender = (message.get_srcSystem(), message.get_srcComponent())
         self.acknowledge(sender, MissionResult.UNSUPPORTED, message.mission_type)
+
+    def repeats(self, message: Any) -> bool:
+        """Whether an item belongs to an upload that has just ended: a client has answered both requests for it."""
+        is_recent = self._autopilot.vehicle.now_us - self._uploaded_us < _REPEATED_US
+        return is_recent and message.seq < self._expected and message.current <= 1
 
     # ---- download ---------------------------------------------------------------------------------------------------
     def send_count(self, message: Any) -> None:
@@ -322,14 +331,14 @@ class Mission:
 
     # ---- flight -----------------------------------------------------------------------------------------------------
     def fly(self) -> Task:
-        """Fly the items from the current one on, once the motors run."""
+        """Fly the items from the current one on, once the motors run; they may be uploaded before that."""
         autopilot = self._autopilot
         items = self._items[_MISSION]
         jumps: dict[int, int] = {}  # how often each DO_JUMP has jumped
+        yield from self._motors()
         self.current = max(self.current, self.first)
         while self.current < len(items):
-            while not autopilot.vehicle.sim.armed:
-                yield
+            yield from self._motors()
             number = self.current
             item = items[number]
             autopilot.send("mission_current", number)
@@ -340,8 +349,14 @@ class Mission:
             yield from self._item(item)
             autopilot.send("mission_item_reached", number)
             self.current = number + 1
+        self.current = self.first
         autopilot.text("Mission finished")
         return True
+
+    def _motors(self) -> Task:
+        """Wait until the motors run."""
+        while not self._autopilot.vehicle.sim.armed:
+            yield
 
     def _after_jump(self, number: int, item: MissionItem, jumps: dict[int, int]) -> int:
         """Number of the item after a DO_JUMP: its target, or the next one once it has jumped often enough."""

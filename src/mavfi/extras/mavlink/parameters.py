@@ -239,6 +239,21 @@ class Parameters:
     def __getitem__(self, name: str) -> float:
         return float(self._values[name])
 
+    def __contains__(self, name: str) -> bool:
+        return name in self._values
+
+    def set_text(self, name: str, text: str) -> None:
+        """Set a parameter that exists; raises ValueError for a text that is no value of it."""
+        value: Number
+        if isinstance(self._values[name], int):
+            value = int(text)
+        else:
+            value = float(text)
+            if not math.isfinite(value):
+                raise ValueError
+        self._values[name] = value
+        self._on_change(name, value)
+
     def answer_list(self, send: Callable[..., None]) -> None:
         """PARAM_REQUEST_LIST: send all of them."""
         for name in self._values:

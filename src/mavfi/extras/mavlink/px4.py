@@ -20,13 +20,19 @@ from mavfi.extras.mavlink.flying import (
 )
 from mavfi.extras.mavlink.parameters import PX4_DEFAULTS, Number
 from mavfi.extras.mavlink.setpoints import attitude_target
+from mavfi.extras.mavlink.shell import SHELL, Shell
 from mavfi.extras.mavlink.telemetry import STREAMS, Content
 from mavfi.extras.mavlink.vocabulary import Command, Frame, MavCommand, MavResult, MissionResult, whole
 from mavfi.flight.piloted import EndedTask, Task, Vertical, land
 from mavfi.numerics.frames import HOME, Triple
 
-_MODE_FLAGS = 1 | 4 | 8 | 16
-"""MAV_MODE_FLAG: custom mode, auto, guided, stabilize."""
+_CUSTOM = 1
+_AUTO = 4
+_GUIDED = 8
+_STABILIZE = 16
+_MANUAL_INPUT = 64
+"""MAV_MODE_FLAG."""
+_MODE_FLAGS = _CUSTOM | _AUTO | _GUIDED | _STABILIZE
 _DISARM = 0
 _ARM = 1
 _PAUSE = 0
@@ -72,6 +78,7 @@ class Px4Autopilot(Autopilot):
     def __init__(self, *arguments: Any) -> None:
         self.mode = FlightMode.HOLD
         self._take_off_place: Triple | None = None
+        self.shell = Shell(self)
         super().__init__(*arguments)
 
     # ---- state ------------------------------------------------------------------------------------------------------
@@ -149,8 +156,8 @@ class Px4Autopilot(Autopilot):
         return MavResult.DENIED
 
     def request_mode(self, mode: FlightMode, text: str = "") -> int:
-        """Change the mode on command, unless it has nothing to fly."""
-        if mode is FlightMode.MISSION and self.mission.is_empty:
+        """Change the mode on command; with running motors, mode mission needs one."""
+        if mode is FlightMode.MISSION and self.mission.is_empty and self.vehicle.sim.armed:
             self.text("mission refused: there is none")
             return MavResult.DENIED
         self._take_off_place = None
@@ -198,8 +205,27 @@ class Px4Autopilot(Autopilot):
         return MavResult.ACCEPTED
 
     def do_set_mode(self, command: Command) -> int:
-        """MAV_CMD_DO_SET_MODE."""
-        return self._set_main_mode(whole(command[2]), whole(command[3]))
+        """MAV_CMD_DO_SET_MODE; without a custom mode, MAV_MODE decides as in PX4's Commander.cpp."""
+        flags = max(0, whole(command[1]))
+        if flags & _CUSTOM or command[2] > 0:
+            return self._set_main_mode(whole(command[2]), whole(command[3]))
+        if flags & _AUTO:
+            return self.request_mode(FlightMode.MISSION)
+        if not flags & _MANUAL_INPUT:
+            return MavResult.DENIED
+        if flags & _GUIDED:
+            return self.request_mode(FlightMode.POSITION)
+        if flags & _STABILIZE:
+            return self.request_mode(FlightMode.STABILIZED)
+        return self.request_mode(FlightMode.MANUAL)
+
+    def start_mission(self, command: Command) -> int:
+        """MAV_CMD_MISSION_START."""
+        del command
+        if self.mission.is_empty:
+            self.text("mission refused: there is none")
+            return MavResult.DENIED
+        return self.request_mode(FlightMode.MISSION, "Mission started")
 
     def take_off(self, command: Command) -> int:
         """MAV_CMD_NAV_TAKEOFF: to an altitude above sea level, at least MIS_TAKEOFF_ALT above home; needs motors.
@@ -294,8 +320,18 @@ class Px4Autopilot(Autopilot):
         sender = (message.get_srcSystem(), message.get_srcComponent())
         self.mission.acknowledge(sender, MissionResult.ERROR, message.mission_type)
 
+    def acknowledge(self, command: Command, result: int) -> None:
+        """See `Autopilot.acknowledge`; that of a typed command is printed."""
+        if command.sender == SHELL:
+            self.shell.print_result(command, result)
+        else:
+            super().acknowledge(command, result)
+
     commands: ClassVar[dict[int, CommandHandler]]
-    messages: ClassVar[dict[str, MessageHandler]] = MESSAGES
+    messages: ClassVar[dict[str, MessageHandler]] = {
+        **MESSAGES,
+        "SERIAL_CONTROL": lambda autopilot, message: autopilot.shell.receive(message),
+    }
 
 
 Px4Autopilot.commands = {
@@ -307,5 +343,5 @@ Px4Autopilot.commands = {
     MavCommand.DO_ORBIT: Px4Autopilot.do_orbit,
     MavCommand.LAND: lambda autopilot, _: autopilot.request_mode(FlightMode.LAND, "Landing"),
     MavCommand.RETURN_TO_LAUNCH: lambda autopilot, _: autopilot.request_mode(FlightMode.RETURN, "Returning to launch"),
-    MavCommand.MISSION_START: lambda autopilot, _: autopilot.request_mode(FlightMode.MISSION, "Mission started"),
+    MavCommand.MISSION_START: Px4Autopilot.start_mission,
 }

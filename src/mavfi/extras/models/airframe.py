@@ -4,6 +4,7 @@ They hold the geometry of the rotors (CA_ROTORn_*), and with PX4's own simulatio
 Axes are forward, right, down; ours are forward, left, up.
 """
 
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -97,13 +98,15 @@ def _text(path: Path, depth: int) -> str:
 
 
 def _parameters(pattern: re.Pattern[str], text: str) -> dict[str, float]:
-    """Parameters with their last values; values that are no numbers, e.g. variables of the shell, are left out."""
+    """Parameters with their last values, apart from those that are no finite numbers, e.g. variables of the shell."""
     parameters = {}
     for key, value in pattern.findall(text):
         try:
-            parameters[key] = float(value)
+            number = float(value)
         except ValueError:
             continue
+        if math.isfinite(number):
+            parameters[key] = number
     return parameters
 
 

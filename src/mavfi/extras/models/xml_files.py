@@ -45,7 +45,7 @@ def parse_xml(text: bytes | str, path: Path) -> ET.Element:
             if "unbound prefix" not in str(error):
                 raise
             return ET.fromstring(_PREFIX.sub(rb"\1\2.", data))  # noqa: S314
-    except (ET.ParseError, ValueError) as error:
+    except (ET.ParseError, LookupError, ValueError) as error:  # LookupError: of its encoding
         raise BadInputError(f"{path}: not an XML file ({error})") from None
 
 
@@ -101,9 +101,7 @@ def find_file(uri: str, path: Path) -> Path | None:
     if scheme in ("http", "https"):
         rest = rest.rstrip("/").rpartition("/")[2]
     if os.path.isabs(rest):  # noqa: PTH117 - of a text
-        return Path(rest) if is_file(Path(rest)) or is_dir(Path(rest)) else None
-    for folder in search_folders(path):
-        candidate = folder / rest
-        if is_file(candidate) or is_dir(candidate):
-            return candidate
-    return None
+        candidates = [Path(rest)]
+    else:
+        candidates = [folder / rest for folder in search_folders(path)]
+    return next((candidate for candidate in candidates if is_file(candidate) or is_dir(candidate)), None)

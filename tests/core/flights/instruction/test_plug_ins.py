@@ -21,7 +21,7 @@ from mavfi.flight.host import ArmSetup
 from mavfi.flight.targets import Targets
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from mavfi.levels.level import parse, text_of
-from mavfi.mission import MissionSpec
+from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.numerics.jit import KernelDispatcher
 from tests.core.flights import plug_ins
 from tests.core.flights.plug_ins import Largest
@@ -87,6 +87,21 @@ def test_a_fault_is_read_back_from_its_text_and_its_data():
     again, _ = parse(text_of(fault)).draw(ArmSetup(mission), 0)
     digests = {fly_instruction_faults(mission, [one]).flights[0].log.digest() for one in (fault, again)}
     assert len(digests) == 1
+
+
+def test_setpoint_generators_and_trackers_are_replaced_and_injected():
+    mission = scenario(waypoint=f"{OF}Higher", pid=f"{OF}Proportional")
+    golden = fly(mission).log
+    assert golden.status is MissionStatus.SUCCESS and golden.digest() != fly(scenario()).log.digest()
+    request = InstructionRequest({"Higher": 3, "pid": 3})
+    drawn = draw_instruction_faults(mission, request, seed=2)
+    faults = [*drawn.faults["Higher"], *drawn.faults["pid"]]
+    assert [fault.site for fault in faults[::3]] == ["Higher.shifted", "Proportional.steer"]
+    first, second = (fly_instruction_faults(mission, faults).flights for _ in range(2))
+    assert [flight.log.digest() for flight in first] == [flight.log.digest() for flight in second]
+    assert first[0].log.kernel.effect in ("sdc", "masked", "crash", "exception", "hang")
+    with pytest.raises(BadInputError, match="pid .*allowed: a subclass of mavfi.pipeline.control.Tracker"):
+        scenario(pid=f"{OF}Higher")
 
 
 @pytest.mark.parametrize("name", ["detector", "Largest", "too_large"])

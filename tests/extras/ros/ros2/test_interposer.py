@@ -224,9 +224,9 @@ def test_whole_messages_are_lost_repeated_and_late(relay, page, operation, expec
 def test_what_cannot_be_changed_is_said(relay, page):
     kind = relay.messages.kinds["JointState"]
     faults = [("position[2]", "bit=1"), ("position[0]", "bit=64"), ("name[0]", "bit=1"), ("velocity.x", "bit=1")]
-    page.arm(
-        [InterposedFault("/out/JointState", field, *parse_change([change]), type=kind) for field, change in faults]
-    )
+    planned = [(field, parse_change([change])) for field, change in faults]
+    planned.append(("position[0]", parse_change(["bit=1"], "position[3]>0")))  # a condition that never holds
+    page.arm([InterposedFault("/out/JointState", field, *change, type=kind) for field, change in planned])
     assert relay.relayed("JointState", relay.messages.data["JointState"], 1) == [relay.messages.data["JointState"]]
     reasons = [report.text for report in until(lambda: page.reports())]
     assert reasons == [
@@ -234,6 +234,7 @@ def test_what_cannot_be_changed_is_said(relay, page):
         "the number has no such bit",
         "name is a text: name a character, e.g. name[0]",
         "velocity is a list: name an element, e.g. velocity[0]",
+        "position has 2 elements",
     ]
 
 

@@ -53,7 +53,7 @@ TYPES = {
     "intermittent": "half of all blocks of 0.1 s are lost, as with off",
     "drift": "an error that grows in proportion to time, to that of wrong within 10 s",
 }
-"""Types of failures: MAVLink's FAILURE_TYPE (https://mavlink.io/en/messages/common.html#FAILURE_TYPE), and drift."""
+"""Types of failures: MAVLink's FAILURE_TYPE (https://mavlink.io/en/messages/common.html#FAILURE_TYPE)."""
 NULL = "ok"
 """Type of a null fault: the device works."""
 RANDOM = ("garbage", "intermittent")

@@ -1,12 +1,13 @@
 """Reading OctoMap's files: small ones that the tests write, and a real scan."""
 
 import math
+import warnings
 
 import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import new_loop, resolve
 from mavfi.mission import MissionSpec
 from mavfi.sim.environments import octomap_file as octomap_file_module
 from mavfi.sim.environments.octomap_file import octomap_file
@@ -145,12 +146,24 @@ def test_unknown_space_of_a_map_of_obstacles_can_be_free(tmp_path):
 
 
 def test_the_map_of_a_large_scan_is_as_coarse_as_the_scan_and_a_finer_one_is_refused_with_one_that_is_allowed(tmp_path):
-    field = {(CENTRE, CENTRE, CENTRE + k): False for k in range(4)} | {(CENTRE + 500, CENTRE + 500, CENTRE + 100): True}
+    field = {(CENTRE, CENTRE, CENTRE + k): False for k in range(4)} | {(CENTRE + 500, CENTRE + 500, CENTRE + 50): True}
     large = str(write(tmp_path / "field.bt", field, bits, resolution=0.2))
     assert resolve(MissionSpec(environment=large, start=START, goal=GOAL)).map.resolution == 0.2
     room = {(CENTRE, CENTRE, CENTRE + k): False for k in range(4)}
     small = str(write(tmp_path / "small.bt", room, bits, resolution=0.2))
     assert resolve(MissionSpec(environment=small, start=START, goal=GOAL)).map.resolution == 0.08
+
+
+def test_a_start_that_is_closer_to_a_wall_than_paths_are_is_warned_about(tmp_path):
+    free = {(CENTRE + i, CENTRE + j, CENTRE + k): False for i in range(24) for j in range(16) for k in range(8)}
+    path = str(write(tmp_path / "hall.bt", free, bits))
+    # small_quad: planner's distance 1.4 m x 0.06 / 0.35, a voxel of 0.08 m
+    near = resolve(MissionSpec(environment=path, start=(1.0, 0.25, 1.0), goal=(5.0, 2.0, 1.0)))
+    with pytest.warns(UserWarning, match=r"start \(1, 0.25, 1\): 0.25 m from a wall; less than 0.32 m"):
+        new_loop(near)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        new_loop(near.model_copy(update={"start": (1.0, 0.35, 1.0)}))
 
 
 def hall(wall=()):
