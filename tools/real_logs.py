@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from mavfi.analysis.statistics import wilson
 from mavfi.analysis.table import Table
 from mavfi.errors import BadInputError
 from mavfi.extras.logs.detectors import is_fitted, uses_rules
@@ -138,18 +137,12 @@ def row(name: str, setting: tuple[str, str], judged: Sequence[JudgedLog]) -> tup
 
 def field_rows(name: str, judged: Sequence[JudgedLog]) -> list[tuple[str, ...]]:
     """Detected flips of each field."""
-    flips = [flip for recording in judged for flip in recording.flips]
     rows = []
-    for topic, field in dict.fromkeys((flip.topic, flip.field) for flip in flips):
+    for field, rates in LogRates(judged).flips_by_field.items():
         cells = []
         for bits in BIT_CLASSES:
-            detected = [
-                flip.detected for flip in flips if (flip.topic, flip.field, flip.bit_class) == (topic, field, bits)
-            ]
-            cells.append(ABSENT)
-            if detected:
-                cells[-1] = rate(wilson(sum(detected), len(detected)))
-        rows.append((name, f"{topic} {field}", *cells))
+            cells.append(rate(rates.get(bits)))
+        rows.append((name, field.replace(":", " "), *cells))
     return sorted(rows)
 
 

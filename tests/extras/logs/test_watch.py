@@ -9,7 +9,7 @@ from mavfi.cli.commands import run
 from mavfi.errors import BadInputError
 from mavfi.extras.logs.recording import read_recording
 from mavfi.extras.logs.selection import Wanted, select
-from mavfi.extras.logs.watch import JudgedLog, LogAlarm, LogRates, LogWatch
+from mavfi.extras.logs.watch import Flip, JudgedLog, LogAlarm, LogRates, LogWatch
 from mavfi.flight.log_readers import open_flight_log
 
 
@@ -65,6 +65,15 @@ def test_a_file_that_is_cut_is_named(files, tmp_path, ending):
     assert not recordings[0].cut and recordings[1].cut
     with pytest.raises(BadInputError, match=rf"no numbers in common \(short.{ending}: cut, the last message"):
         select(recordings[1:], recordings)
+
+
+def test_fields_of_which_no_flip_is_found_are_named():
+    flips = [
+        Flip("row", name, 63, "sign", detected) for name, detected in (("x", True), ("y", False)) for _ in range(5)
+    ]
+    rates = LogRates([JudgedLog("x", 60.0, 10, [], [*flips, Flip("row", "z", 63, "sign", False)])])
+    assert rates.blind == ["row:y"]
+    assert rates.to_json()["flips_by_field"]["row:x"]["sign"]["rate"] == 1.0
 
 
 def test_alarms_close_together_are_one_event():

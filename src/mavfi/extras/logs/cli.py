@@ -291,9 +291,12 @@ def _flown(recordings: list[LogRecording]) -> list[LogRecording]:
 
 def _summary(rates: LogRates) -> list[str]:
     """Detection of flips and known faults."""
+    from mavfi.extras.logs.selection import shortened
     from mavfi.report.text import rate
 
     lines = [f"flips detected, {bits} (%): {rate(share)}" for bits, share in rates.flips.items()]
+    if rates.blind:
+        lines.append(shortened("no flipped sign or exponent detected in ", rates.blind))
     if rates.faults.n:
         span = ""
         if rates.delays_s:

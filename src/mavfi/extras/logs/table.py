@@ -411,8 +411,9 @@ class RosReader:
         """All channels, and the messages in order of time."""
         path = self._path
         if path.is_dir() and not (path / "metadata.yaml").is_file():
-            # of a recorder that did not end as it should
-            files = sorted(file for file in path.iterdir() if file.suffix.lower() in (".mcap", ".db3"))
+            # of a recorder that did not end as it should; bag_2 comes before bag_10
+            files = [file for file in path.iterdir() if file.suffix.lower() in (".mcap", ".db3")]
+            files.sort(key=lambda file: (len(file.name), file.name))
             if not files:
                 raise ValueError("no metadata.yaml, .mcap or .db3 in this folder")
         elif path.is_dir():

@@ -368,6 +368,8 @@ def _next_of_topic(samples: Sequence[Sample]) -> list[int | None]:
 # ---- rates -----------------------------------------------------------------------------------------------------------
 
 _MINUTE_S = 60.0
+_ENOUGH = 5
+"""Flips after which a field without any detection is called blind."""
 _HOUR_S = 3600.0
 
 
@@ -397,6 +399,29 @@ class LogRates:
             if detected:
                 rates[name] = wilson(sum(detected), len(detected))
         return rates
+
+    @property
+    def flips_by_field(self) -> dict[str, dict[str, Rate]]:
+        """Share of detected flips by field, "TOPIC:FIELD", and class of the bit."""
+        detected: dict[str, dict[str, list[bool]]] = {}
+        for judged in self.recordings:
+            for flip in judged.flips:
+                of_field = detected.setdefault(f"{flip.topic}:{flip.field}", {})
+                of_field.setdefault(flip.bit_class, []).append(flip.detected)
+        return {
+            field: {bits: wilson(sum(flags), len(flags)) for bits, flags in of_field.items()}
+            for field, of_field in detected.items()
+        }
+
+    @property
+    def blind(self) -> list[str]:
+        """Fields of which no flipped sign or exponent is detected, of `_ENOUGH` or more."""
+        fields = []
+        for field, rates in self.flips_by_field.items():
+            large = [rates[bits] for bits in ("sign", "exponent") if bits in rates]
+            if sum(rate.n for rate in large) >= _ENOUGH and not any(rate.rate for rate in large):
+                fields.append(field)
+        return fields
 
     @property
     def faults(self) -> Rate:
@@ -430,6 +455,10 @@ class LogRates:
             "exposure_s": self.exposure_s,
             "alarms_per_hour": asdict(self.alarms),
             "flips": {name: asdict(rate) for name, rate in self.flips.items()},
+            "flips_by_field": {
+                field: {bits: asdict(rate) for bits, rate in rates.items()}
+                for field, rates in self.flips_by_field.items()
+            },
             "faults": asdict(self.faults),
             "delays_s": self.delays_s,
             "recordings": [
