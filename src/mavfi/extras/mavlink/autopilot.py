@@ -291,9 +291,10 @@ class Autopilot(ABC):
     def handle(self, message: Any) -> None:
         """Execute or answer a message, or note that it is not supported."""
         kind = message.get_type()
-        if not self._is_recipient(message):
-            component = getattr(message, "target_component", 0)
-            self.note_unsupported(f"{kind} to system {message.target_system}, component {component}")
+        system = getattr(message, "target_system", getattr(message, "target", 0))
+        component = getattr(message, "target_component", 0)
+        if not self._is_recipient(system, component):
+            self.note_unsupported(f"{kind} to system {system}, component {component}")
             return
         if kind in _EMPTY:
             return
@@ -306,13 +307,11 @@ class Autopilot(ABC):
         except UnsupportedError as error:
             self.note_unsupported(str(error))
 
-    def _is_recipient(self, message: Any) -> bool:
-        """Whether a message is for this autopilot."""
-        if getattr(message, "target_system", 0) not in (0, self._link.srcSystem):
+    def _is_recipient(self, system: int, component: int) -> bool:
+        """Whether a message to a system and component is for this autopilot; 0 = to all."""
+        if system not in (0, self._link.srcSystem):
             return False
-        if self.answers_all_components:
-            return True
-        return getattr(message, "target_component", 0) in (0, self._link.srcComponent)
+        return self.answers_all_components or component in (0, self._link.srcComponent)
 
     def _command(self, message: Any) -> None:
         """COMMAND_LONG and COMMAND_INT."""
