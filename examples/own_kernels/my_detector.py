@@ -1,7 +1,7 @@
 """A custom detector: an alarm when a command asks for a jump that the vehicle cannot follow, compiled.
 
-    mavfi fly --environment sparse --seed 7 --detector my_detector:Jumps
-    mavfi fly --environment sparse --seed 7 --detector my_detector:Jumps --fault instruction:Jumps
+mavfi fly --environment sparse --seed 7 --detector my_detector:Jumps
+mavfi fly --environment sparse --seed 7 --detector my_detector:Jumps --fault instruction:Jumps
 """
 
 import numpy as np

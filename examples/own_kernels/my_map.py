@@ -1,8 +1,8 @@
 """A custom voxel map: hits and misses of the rays that went through a voxel, compiled.
 
-    mavfi fly --environment sparse --seed 7 --map my_map:VoxelMap
-    mavfi fly --environment sparse --seed 7 --map my_map:VoxelMap --fault instruction:VoxelMap
-    mavfi fly --environment sparse --seed 7 --map my_map:VoxelMap --fault memory:VoxelMap.log_odds
+mavfi fly --environment sparse --seed 7 --map my_map:VoxelMap
+mavfi fly --environment sparse --seed 7 --map my_map:VoxelMap --fault instruction:VoxelMap
+mavfi fly --environment sparse --seed 7 --map my_map:VoxelMap --fault memory:VoxelMap.log_odds
 """
 
 import math

@@ -1,7 +1,7 @@
 """A custom planner: A* on the voxels of the clearance map, compiled.
 
-    mavfi fly --environment sparse --seed 7 --planner my_planner:AStar
-    mavfi fly --environment sparse --seed 7 --planner my_planner:AStar --fault instruction:AStar
+mavfi fly --environment sparse --seed 7 --planner my_planner:AStar
+mavfi fly --environment sparse --seed 7 --planner my_planner:AStar --fault instruction:AStar
 """
 
 import math
@@ -52,6 +52,27 @@ def distance(grid: Grid, a: int, b: int) -> float:
     dy = a // grid.nz % grid.ny - b // grid.nz % grid.ny
     dz = a % grid.nz - b % grid.nz
     return math.sqrt(float(dx * dx + dy * dy + dz * dz))
+
+
+@kernel_jit
+def is_blocked(counter: np.ndarray, grid: Grid, voxel: int, dx: int, dy: int, dz: int) -> bool:
+    """Whether a step to a neighbour touches a blocked voxel: the neighbour, or one beside the way to it."""
+    ix = voxel // (grid.ny * grid.nz) + dx
+    iy = voxel // grid.nz % grid.ny + dy
+    iz = voxel % grid.nz + dz
+    if ix < 0 or iy < 0 or iz < 0 or ix >= grid.nx or iy >= grid.ny or iz >= grid.nz:
+        return True
+    for back_x in range(abs(dx) + 1):
+        for back_y in range(abs(dy) + 1):
+            for back_z in range(abs(dz) + 1):
+                x = ix - back_x * dx
+                y = iy - back_y * dy
+                z = iz - back_z * dz
+                if counter[(x * grid.ny + y) * grid.nz + z] > 0 and not (
+                    x == ix - dx and y == iy - dy and z == iz - dz
+                ):
+                    return True
+    return False
 
 
 @kernel_jit
@@ -109,9 +130,9 @@ def find_path(
                     z = grid.z0 + (iz + dz + 0.5) / grid.inverse
                     if x < lower[0] or y < lower[1] or z < lower[2] or x > upper[0] or y > upper[1] or z > upper[2]:
                         continue
-                    neighbour = voxel_of(grid, x, y, z)
-                    if neighbour < 0 or counter[neighbour] > 0:
+                    if is_blocked(counter, grid, voxel, dx, dy, dz):
                         continue
+                    neighbour = voxel + (dx * grid.ny + dy) * grid.nz + dz
                     total = cost[voxel] + math.sqrt(float(dx * dx + dy * dy + dz * dz))
                     if total < cost[neighbour]:
                         cost[neighbour] = total
@@ -161,12 +182,11 @@ class AStar:
         voxel = find_path(counter, grid, start, goal, lower, upper, came_from)
         if voxel < 0:
             return np.zeros((0, 3))
-        corner = np.array([grid.x0, grid.y0, grid.z0])
-        points = [start]
-        while came_from[voxel] != voxel and len(points) < grid.size:  # bounded: a fault may close the way to a circle
+        way = [voxel]
+        while came_from[voxel] != voxel and len(way) < grid.size:  # bounded: a fault may close the way to a circle
             voxel = came_from[voxel]
-            cell = np.array(np.unravel_index(voxel, (grid.nx, grid.ny, grid.nz)))
-            points.append(corner + (cell + 0.5) * grid.resolution)
-        points[-1] = goal
-        path = np.array([start, *points[1:], goal])
+            way.append(voxel)
+        cells = np.column_stack(np.unravel_index(way, (grid.nx, grid.ny, grid.nz)))
+        centres = (grid.x0, grid.y0, grid.z0) + (cells + 0.5) * grid.resolution
+        path = np.vstack([start, centres, goal])
         return path[: shorten(counter, grid, path, len(path))]

@@ -86,7 +86,9 @@ class MissionSpec(Config):
     model_config = ConfigDict(populate_by_name=True)
 
     environment: str = Field(
-        "sparse", description=f"{_names('environments')}, a YAML file, or a scanned map (.bt, .ot of OctoMap)."
+        "sparse",
+        description=f"{_names('environments')}, a YAML file, a scanned map (.bt, .ot of OctoMap), or a world of "
+        "another simulator (.sdf, .xml, Aerialist's test case).",
     )
     seed: int = Field(0, ge=0, le=LARGEST_SEED, description="All randomness of the mission comes from it.")
     start: Vector | None = Field(None, description="Start position, m; the environment's by default.")
@@ -107,8 +109,13 @@ class MissionSpec(Config):
         None, ge=1.0, le=1e3, description="Range of the depth camera, m; the environment's by default."
     )
     vehicle: str | None = Field(
-        None, description=f"{_names('vehicles')}, or a YAML file; the environment's by default."
+        None,
+        description=f"{_names('vehicles')}, a YAML file, or a model of another simulator (.sdf, .urdf, .xacro, PX4's "
+        "airframe); the environment's by default.",
     )
+    trajectory: str = Field("", description="Custom trajectory generator, package:Class; mavfi's by default.")
+    waypoint: str = Field("", description="Custom setpoint generator, package:Class; mavfi's by default.")
+    pid: str = Field("", description="Custom tracker (from way-point to velocity), package:Class; mavfi's by default.")
     flight_controller: str = Field(
         "cascade", description="From velocity to rotor commands: cascade, betaflight, an entry point, or package:Class."
     )
@@ -210,6 +217,9 @@ OF_A_DETECTOR = (*RECOVERY, "trained_for")
 OF_THE_PIPELINE = (
     "autopilot",
     "planner",
+    "trajectory",
+    "waypoint",
+    "pid",
     "platform",
     "map",
     "map_resolution",
@@ -226,13 +236,23 @@ OF_THE_PIPELINE = (
     *OF_A_DETECTOR,
 )
 """Mission keys without effect where another program flies the vehicle."""
-_LATER_KEYS = ("arrival_radius", "time_limit_factor", "latency_jitter", "detector_place", "unknown_space")
+_LATER_KEYS = (
+    "trajectory",
+    "waypoint",
+    "pid",
+    "arrival_radius",
+    "time_limit_factor",
+    "latency_jitter",
+    "detector_place",
+    "unknown_space",
+)
 """Keys of a mission that its plain data omit at their defaults."""
 _OPTIONS = (
     "wind",
     "localization",
     "dead_node",
     "flight_controller",
+    "kernels",
     "protection",
     "arrival_radius",
     "time_limit_factor",
@@ -262,6 +282,7 @@ class Scenario(Config):
     localization: LocalizationConfig = LocalizationConfig()
     dead_node: DeadNode = "fresh"
     flight_controller: str = "cascade"
+    kernels: dict[str, str] = {}
     protection: SerializeAsAny[Config] | None = None
     arrival_radius: float = ARRIVAL_RADIUS
     time_limit_factor: float = TIME_LIMIT_FACTOR

@@ -27,6 +27,8 @@ _ALL = "all"
 """Word that allows every plug-in."""
 _ADDRESS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 """The form "package.module:object"."""
+_CODE_FILES = (".xacro",)
+"""Extensions of files that are not only data: xacro evaluates their expressions in Python."""
 _OWN = __name__.partition(".")[0]
 """The package of mavfi itself."""
 _loaded: dict[str, dict[str, Any]] = {}
@@ -54,7 +56,9 @@ def allow_names(names: Iterable[str]) -> None:
 
 def allow_typed(words: Iterable[object]) -> None:
     """Allow the plug-ins among the words of a command or the arguments of a call, since the user typed them."""
-    _allow(word for word in words if isinstance(word, str) and _ADDRESS.fullmatch(word))
+    texts = [word for word in words if isinstance(word, str)]
+    _allow(word for word in texts if _ADDRESS.fullmatch(word))
+    _allow(str(Path(word)) for word in texts if word.endswith(_CODE_FILES))
 
 
 def _allow(names: Iterable[str]) -> None:

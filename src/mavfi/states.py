@@ -144,10 +144,15 @@ class PlugInSpec:
 PLUG_INS: dict[str, PlugInSpec] = {
     "planner": PlugInSpec("planner", str(Stage.PLANNING)),
     "map": PlugInSpec("octomap", str(Stage.PERCEPTION)),
+    "trajectory": PlugInSpec("trajectory", str(Stage.PLANNING)),
+    "waypoint": PlugInSpec("waypoint", str(Stage.PLANNING)),
+    "pid": PlugInSpec("pid", str(Stage.CONTROL)),
     "flight_controller": PlugInSpec("", str(Stage.CONTROL)),
     "detector": PlugInSpec(),
 }
 """Kinds of plug-ins by the key of a mission or an arm that names one."""
+REPLACEABLE = ("trajectory", "waypoint", "pid")
+"""Kernels for which a mission may name a class of its own, by a key of the same name."""
 
 PERIODIC = tuple(spec.name for spec in _KERNEL_TABLE if spec.trigger == "periodic")
 """Kernels stepped at the control period, in this order; all others are stepped by their inputs."""

@@ -178,6 +178,9 @@ class Runs:
 _LISTED_KEYS = (
     "vehicle",
     "map",
+    "trajectory",
+    "waypoint",
+    "pid",
     "flight_controller",
     "arrival_radius",
     "time_limit_factor",

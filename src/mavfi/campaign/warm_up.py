@@ -215,6 +215,9 @@ def _bare(campaign: Campaign) -> Campaign:
         custom = custom_detectors(campaign).values()
         in_detectors = {name for name in kernels if any(plug_in.is_called(name) for plug_in in custom)}
         return _with_kernels(campaign, tuple(name for name in kernels if name not in {*DETECTORS, *in_detectors}))
+    if hasattr(campaign.sampling, "kernels"):  # whose memory: of all kernels, since the detectors are missing
+        sampling = campaign.sampling.model_copy(update={"kernels": (), "groups": ()})
+        campaign = campaign.model_copy(update={"sampling": sampling})
     return _with_arms(campaign, ())
 
 

@@ -14,7 +14,7 @@ from mavfi.detectors.detector import Detector
 from mavfi.detectors.features import Events
 from mavfi.detectors.model import Model
 from mavfi.detectors.preprocess import Preprocessor
-from mavfi.detectors.registry import detector_class, figures_of, of_monitored_fields
+from mavfi.detectors.registry import detector_class, figures_of, of_monitored_fields, trainable
 from mavfi.detectors.training import join, sample_of
 from mavfi.errors import BadInputError
 from mavfi.states import Field, Stage, State, StateSpec
@@ -59,8 +59,11 @@ def learn(
     """
     classes: Mapping[str, Any] = of_monitored_fields()
     if kind not in classes:
+        factory = detector_class(kind)
+        if not hasattr(factory, "of_messages"):
+            raise BadInputError(f"detector {kind!r}: is not fitted to messages; allowed: {', '.join(trainable())}")
         _check_sample(recordings, specs)
-        of_messages: Detector = detector_class(kind).of_messages(recordings, specs, figures_of(kind, "tuned"))
+        of_messages: Detector = factory.of_messages(recordings, specs, figures_of(kind, "tuned"))
         return of_messages
     thresholds: list[int] = []
     for spec in specs.values():

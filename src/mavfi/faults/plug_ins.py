@@ -13,10 +13,16 @@ from typing import Any
 from mavfi.config import PlannerConfig, shipped
 from mavfi.errors import BadInputError
 from mavfi.plugins import known
-from mavfi.states import DETECTORS, INJECTABLE, KERNELS, PLANNERS, PLUG_INS
+from mavfi.states import DETECTORS, INJECTABLE, KERNELS, PLANNERS, PLUG_INS, REPLACEABLE
 
-_SHIPPED_MAPS = ("dense", "octree")
-_SHIPPED_CONTROLLER = "cascade"
+_SHIPPED: Mapping[str, Collection[str]] = {
+    "map": ("dense", "octree"),
+    "planner": tuple(PLANNERS),
+    **dict.fromkeys(REPLACEABLE, ("",)),
+    "flight_controller": ("cascade",),
+    "detector": ("",),
+}
+"""What is part of mavfi, by role; a detector is given only if it is not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,24 +70,9 @@ def planner_name(planner: str) -> str:
         return planner
 
 
-def plug_ins(planner: str, map_kind: str, flight_controller: str, detector: str = "") -> list[PlugIn]:
-    """The plug-ins of a mission, in the order of the data flow; each argument is a name in it.
-
-    Args:
-        planner: Its path search.
-        map_kind: Its map.
-        flight_controller: Its flight controller.
-        detector: Its detector, if it is none of mavfi; "" = none.
-    """
-    addresses = {}
-    if map_kind not in _SHIPPED_MAPS:
-        addresses["map"] = map_kind
-    if planner not in PLANNERS:
-        addresses["planner"] = planner
-    if flight_controller != _SHIPPED_CONTROLLER:
-        addresses["flight_controller"] = flight_controller
-    if detector:
-        addresses["detector"] = detector
+def plug_ins(addresses: Mapping[str, str]) -> list[PlugIn]:
+    """The plug-ins among the parts of a mission, which are given by role (`PLUG_INS`) in the order of the data flow."""
+    addresses = {role: address for role, address in addresses.items() if address not in _SHIPPED[role]}
     # One that has the name of another target is called by its role instead.
     names = [*INJECTABLE, *DETECTORS, *KERNELS, *map(short_name, addresses.values())]
     members = []
@@ -91,6 +82,20 @@ def plug_ins(planner: str, map_kind: str, flight_controller: str, detector: str 
             name = role
         members.append(PlugIn(role, address, name))
     return members
+
+
+def plug_ins_of_spec(spec: Any, detector: str = "") -> list[PlugIn]:
+    """The plug-ins of a `MissionSpec`, with a detector that is none of mavfi ("" = none)."""
+    of_kernels = {name: getattr(spec, name) for name in REPLACEABLE}
+    return plug_ins(
+        {
+            "map": spec.map,
+            "planner": planner_name(spec.planner),
+            **of_kernels,
+            "flight_controller": spec.flight_controller,
+            "detector": detector,
+        }
+    )
 
 
 def is_custom_detector(name: str) -> bool:
@@ -104,8 +109,7 @@ def custom_detectors(campaign: Any) -> dict[str, PlugIn]:
     for arm_name, arm in campaign.arms.items():
         if is_custom_detector(arm.detector):
             spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.mission)
-            members = plug_ins(planner_name(spec.planner), spec.map, spec.flight_controller, arm.detector)
-            detectors[arm_name] = members[-1]
+            detectors[arm_name] = plug_ins_of_spec(spec, arm.detector)[-1]
     return detectors
 
 
@@ -119,6 +123,6 @@ def arms_with_plug_ins(campaign: Any) -> list[str]:
         if arm is not None:
             overrides = arm.mission
         spec = campaign.spec(campaign.environments[0], campaign.first_seed, overrides)
-        if name in detectors or plug_ins(planner_name(spec.planner), spec.map, spec.flight_controller):
+        if name in detectors or plug_ins_of_spec(spec):
             arms.append(name)
     return arms

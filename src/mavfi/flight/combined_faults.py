@@ -17,7 +17,7 @@ from mavfi.states import State
 
 
 @dataclass(slots=True)
-class _Member:
+class _ArmedFault:
     """One of the faults.
 
     Attributes:
@@ -54,7 +54,7 @@ class CombinedInjector(Injector):
         self._detector = detector
         self._counters = CounterWatch()  # what a fault in a state needs to know that is armed late
         self._injected_elsewhere_us: list[int] = []
-        self._members = [_Member(fault, start) for fault, start in faults]
+        self._members = [_ArmedFault(fault, start) for fault, start in faults]
         for member in self._members:
             if member.start is None:
                 member.injector = _injector_of_level(loop, member.fault, detector)
@@ -96,7 +96,7 @@ class CombinedInjector(Injector):
         """Note that another injector has injected a fault of this mission at an instant (us)."""
         self._injected_elsewhere_us.append(time_us)
 
-    def _start_if_due(self, member: _Member, now: int) -> None:
+    def _start_if_due(self, member: _ArmedFault, now: int) -> None:
         """Arm a fault if its event has happened; its instant is that of the event plus the delay."""
         start = member.start
         assert start is not None  # it waits for something

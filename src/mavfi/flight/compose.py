@@ -16,7 +16,7 @@ from mavfi.detectors.detector import Detector, check_states
 from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.registry import Loaded, load_detector, mission_keys
 from mavfi.errors import BadInputError
-from mavfi.faults.plug_ins import plug_ins
+from mavfi.faults.plug_ins import plug_ins_of_spec
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.loop import CONTROL_PERIOD_US, Loop, latency, stage_latency
@@ -30,17 +30,16 @@ from mavfi.pipeline.functions import PLAIN, FlightFunctions, KernelFunctions
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 from mavfi.pipeline.maps import find_map
 from mavfi.pipeline.planners import find_search
-from mavfi.pipeline.ppc import build_pipeline
+from mavfi.pipeline.ppc import build_pipeline, find_kernel
 from mavfi.rewriting import rewriter
 from mavfi.sim import imu
 from mavfi.sim.controller import find_controller
 from mavfi.sim.environments import World, build_world, environment_for_file, find_generator
-from mavfi.sim.environments.octomap_file import SOLID
 from mavfi.sim.environments.registry import SCAN_GENERATOR
 from mavfi.sim.imported import ENVIRONMENT_FILES, EnvironmentReader, extensions_of, reader_of
 from mavfi.sim.mjcf import find_vehicle
 from mavfi.sim.simulator import Simulator
-from mavfi.states import INJECTED_KERNEL, PLANNERS, PLUG_INS, Stage
+from mavfi.states import INJECTED_KERNEL, PLANNERS, PLUG_INS, REPLACEABLE, Stage
 
 _DEFAULT_V_MAX = 3.0
 """Speed limit where neither mission nor environment has one (m/s)."""
@@ -100,7 +99,7 @@ def resolve(spec: MissionSpec) -> Scenario:
     """
     # The environment, in which the mission may replace the vehicle.
     environment = find_environment(spec.environment)
-    if spec.unknown_space != SOLID:
+    if spec.unknown_space != MissionSpec.model_fields["unknown_space"].default:
         environment = _with_unknown_space(environment, spec.unknown_space)
     vehicle_source = spec.environment  # the file that names the vehicle, for messages
     if spec.vehicle is not None:
@@ -148,6 +147,7 @@ def resolve(spec: MissionSpec) -> Scenario:
         localization=parse(configs.LocalizationConfig, {"kind": spec.localization}, "localization"),
         dead_node=spec.dead_node,
         flight_controller=_controller(spec.flight_controller),
+        kernels=_own_kernels(spec),
         protection=protection,
         arrival_radius=spec.arrival_radius,
         time_limit_factor=spec.time_limit_factor,
@@ -174,10 +174,18 @@ def _platform(spec: MissionSpec, protection: configs.Config | None) -> configs.P
     absent = set(PLANNERS) - {find_planner(spec.planner).name}
     present = {kernel: row for kernel, row in INJECTED_KERNEL.items() if kernel not in absent}
     times = {row: rewriter().time_of(protection, kernel) for kernel, row in present.items()}
-    for plug_in in plug_ins(find_planner(spec.planner).name, spec.map, spec.flight_controller):
+    for plug_in in plug_ins_of_spec(spec):
         times[PLUG_INS[plug_in.role].kernel] = rewriter().time_of(protection, plug_in.name)
     charged = {kernel: round(us * times.get(kernel, 1.0)) for kernel, us in platform.latency_us.items()}
     return platform.model_copy(update={"latency_us": charged})
+
+
+def _own_kernels(spec: MissionSpec) -> dict[str, str]:
+    """Classes of a user's own, by the kernels in whose place they are, after checking that they can be."""
+    kernels = {name: getattr(spec, name) for name in REPLACEABLE if getattr(spec, name)}
+    for name, address in kernels.items():
+        find_kernel(name, address)
+    return kernels
 
 
 def _controller(name: str) -> str:
@@ -246,6 +254,7 @@ def pipeline_config(
         noise=noise_of(scenario.localization),
         rewindable=rewindable,
         functions=functions,
+        kernels=scenario.kernels,
     )
 
 

@@ -24,7 +24,7 @@ from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.memory import Memory, OpaqueKeeper, Remembers
 from mavfi.pipeline.words import change, words_of
 from mavfi.record import Injection, KernelEffect
-from mavfi.states import PLUG_INS, WATCHING
+from mavfi.states import PLUG_INS, REPLACEABLE, WATCHING
 
 if TYPE_CHECKING:
     from mavfi.sim.simulator import Simulator
@@ -87,8 +87,10 @@ def _memory_of_plug_in(loop: Loop, role: str, detector: Detector | None) -> Reme
     kernel = PLUG_INS[role].kernel
     if kernel in loop.down:
         return None
-    of_kernel = cast(Remembers, loop.kernels[kernel]).keepers
-    return ArrayMemory(*(keeper for keeper in of_kernel if not isinstance(keeper, ClearanceMap)))
+    holder = cast(Remembers, loop.kernels[kernel])
+    if role in REPLACEABLE:
+        return holder  # the kernel itself
+    return ArrayMemory(*(keeper for keeper in holder.keepers if not isinstance(keeper, ClearanceMap)))
 
 
 def flip_bit(word: np.ndarray, bit: int | None) -> None:

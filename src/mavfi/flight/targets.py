@@ -17,7 +17,7 @@ from mavfi.faults.fault import InstructionFault, counter_name
 from mavfi.faults.plug_ins import PlugIn, plug_ins
 from mavfi.numerics.jit import is_compiled
 from mavfi.pipeline.functions import ENTRIES, PLAIN, Compiled, FlightFunctions, KernelFunctions
-from mavfi.states import DETECTORS, KERNELS, PLANNERS, PLUG_INS
+from mavfi.states import DETECTORS, KERNELS, PLANNERS, PLUG_INS, REPLACEABLE
 
 if TYPE_CHECKING:
     from mavfi.mission import Scenario
@@ -47,7 +47,16 @@ def find_plug_in(text: str, scenario: "Scenario", detector: Detector | None) -> 
 
 def plug_ins_of(scenario: "Scenario", detector: Detector | None = None) -> list[PlugIn]:
     """The plug-ins of a mission under a detector."""
-    return plug_ins(scenario.planner.name, scenario.map.kind, scenario.flight_controller, detector_address(detector))
+    of_kernels = {name: scenario.kernels.get(name, "") for name in REPLACEABLE}
+    return plug_ins(
+        {
+            "map": scenario.map.kind,
+            "planner": scenario.planner.name,
+            **of_kernels,
+            "flight_controller": scenario.flight_controller,
+            "detector": detector_address(detector),
+        }
+    )
 
 
 # ---- declared functions ---------------------------------------------------------------------------------------------
@@ -281,6 +290,10 @@ def _factory(plug_in: PlugIn) -> Any:
         from mavfi.pipeline.planners import find_search
 
         return find_search(plug_in.address)
+    if plug_in.role in REPLACEABLE:
+        from mavfi.pipeline.ppc import find_kernel
+
+        return find_kernel(plug_in.role, plug_in.address)
     from mavfi.sim.controller import find_controller
 
     return find_controller(plug_in.address)

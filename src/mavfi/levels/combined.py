@@ -363,5 +363,7 @@ class CombinedLevel(Level):
         how = f"{sampling.number} faults in each mission: {'; '.join(sources)}"
         if sampling.later:
             how += f"; those behind the first one at {sampling.later}"
-        per_mission = f"{sampling.number} faults" if sampling.number > 1 else "one fault"
+        per_mission = "one fault"
+        if sampling.number > 1:
+            per_mission = f"{sampling.number} faults"
         return {"each": unit, "how": how, "per_mission": per_mission}

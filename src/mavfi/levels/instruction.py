@@ -30,7 +30,7 @@ from mavfi.faults.fault import MODELS, MOST_CALLS, NO_SITE, RESTART_S, Fault, In
 from mavfi.faults.levels.instruction import InjectionSite, Profiling, Resolving, budget_for, choose
 from mavfi.faults.levels.instruction.plan import plan
 from mavfi.faults.levels.instruction.table import parse_selection
-from mavfi.faults.plug_ins import custom_detectors, planner_name, plug_ins, without_module
+from mavfi.faults.plug_ins import custom_detectors, planner_name, plug_ins_of_spec, without_module
 from mavfi.faults.sampling import stream
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.targets import Target, Targets
@@ -400,7 +400,7 @@ class InstructionSampler(Sampler):
             first = group[0]
             self.targets[first.name] = dict.fromkeys((target.name for target in group), 1.0)
             self.orders[first.name] = first.stage or first.name
-        replaceable = {"planner": planner, "map": "octomap"}
+        replaceable = {"planner": planner, "map": "octomap", "pid": "pid"}
         replaceable |= {target.role: target.name for target in drawn_from if target.role and not target.arm}
         _check_arms(campaign, kernels, replaceable)
         if campaign.nulls:
@@ -513,7 +513,7 @@ def _campaign_target(campaign: Any, name: str) -> CampaignTarget:
     """See `campaign_targets`: the target of this name."""
     spec = campaign.spec(campaign.environments[0], campaign.first_seed)
     planner = planner_name(spec.planner)
-    members = plug_ins(planner, spec.map, spec.flight_controller)
+    members = plug_ins_of_spec(spec)
     replaced = [PLUG_INS[plug_in.role].kernel for plug_in in members]
     of_mavfi = [kernel for kernel in INJECTABLE if kernel not in replaced]
 
@@ -569,7 +569,7 @@ class InstructionLevel(Level):
     sampling = InstructionSampling
     sampler = InstructionSampler
     local = True
-    form = "instruction:TARGET[:which=CLASS][:model=MODEL][:times=N], or one instruction as printed by mavfi shrink"
+    form = "instruction:KERNEL[:which=CLASS][:model=MODEL][:times=N], or one instruction as printed by mavfi shrink"
     options = {"which": (".+", "a class of instructions", str), "model": (r"\w+", "a model", str), "times": WHOLE}
     reductions = {"width": single_bit_faults, "bit": lower_bits}
     absent = ("executed", "the instruction was not executed")

@@ -18,7 +18,7 @@ from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, hint
 from mavfi.faults.fault import NO_SITE, Fault, MemoryFault
 from mavfi.faults.operations import OPERATIONS, VALUE_OPERATIONS, PlannedChange
-from mavfi.faults.plug_ins import custom_detectors, planner_name, plug_ins, without_module
+from mavfi.faults.plug_ins import custom_detectors, plug_ins_of_spec, without_module
 from mavfi.faults.sampling import stream
 from mavfi.faults.strata import WORD_BITS, bits_of
 from mavfi.flight.targets import find_plug_in, plug_ins_of
@@ -303,7 +303,7 @@ class MemorySampler(Sampler):
         super().__init__(campaign)
         spec = campaign.spec(campaign.environments[0], campaign.first_seed)
         self._kernels = _kernels_with(spec.localization)
-        self._plug_ins = plug_ins(planner_name(spec.planner), spec.map, spec.flight_controller)
+        self._plug_ins = plug_ins_of_spec(spec)
         self._detectors = custom_detectors(campaign)
         self._sites = self._find_targets()
         self.targets = dict.fromkeys(self._sites, self.sampling.strata or {"": 1.0})

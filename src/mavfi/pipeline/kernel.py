@@ -10,9 +10,8 @@ A class may list in `quiet` the inputs that never make a step due, which spares 
 A class whose `rollback` also discards inputs, to be received again, implements `again`, which keeps them: see `repeat`.
 """
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -101,6 +100,7 @@ class PipelineConfig:
         noise: Noise parameters of the state estimator; None = the pipeline receives the true state.
         rewindable: Whether maps keep undo logs, so that they can be restored to any earlier instant.
         functions: Compiled functions of the kernels; a host may supply instrumented ones.
+        kernels: Classes of a user's own, by the names of the kernels in whose place they are, see `pipeline.ppc`.
     """
 
     autopilot: AutopilotConfig
@@ -126,6 +126,7 @@ class PipelineConfig:
     noise: Noise | None = None
     rewindable: bool = False
     functions: KernelFunctions = PLAIN
+    kernels: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def odometry(self) -> str:
@@ -172,11 +173,11 @@ def _grid_corners(config: PipelineConfig, resolution: float) -> tuple[np.ndarray
 
 def _finest(config: PipelineConfig, estimate: float) -> float:
     """The finest resolution of two digits that is allowed (m), from an estimate."""
-    step = 10.0 ** (math.floor(math.log10(estimate)) - 1)
-    digits = math.floor(estimate / step)
+    mantissa, exponent = f"{estimate:.1e}".split("e")
+    tenths = round(10.0 * float(mantissa))
     while True:
-        resolution = float(f"{digits * step:.2g}")
+        resolution = float(f"{0.1 * tenths:.1f}e{exponent}")
         first, last = _grid_corners(config, resolution)
         if np.prod(last - first) <= LARGEST_GRID:
             return resolution
-        digits += 1
+        tenths += 1

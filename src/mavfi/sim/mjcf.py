@@ -116,10 +116,7 @@ def measure(path: Path) -> RigidBody:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     # the free body, and the bodies fixed to it, which have higher numbers
-    if free.name:
-        root = model.body(free.name).id
-    else:
-        root = next(body for body in range(model.nbody) if model.body_dofnum[body])
+    root = _number_of(free, model)
     tree = model.body_rootid[root]
     parts = [body for body in range(root, model.nbody) if model.body_rootid[body] == tree]
 
@@ -130,6 +127,13 @@ def measure(path: Path) -> RigidBody:
     x, y, z = (float(value) for value in np.diag(tensor))
     offset = product(axes.T, (centre - data.xpos[root])[:, None])[:, 0]
     return RigidBody(float(model.body_subtreemass[root]), (x, y, z), offset, _reach(centre, model, data, parts))
+
+
+def _number_of(free: Any, model: Any) -> int:
+    """Number of the free body in the compiled model."""
+    if free.name:
+        return int(model.body(free.name).id)
+    return next(body for body in range(model.nbody) if model.body_dofnum[body])
 
 
 def _inertia_about(centre: np.ndarray, model: Any, data: Any, parts: list[int]) -> np.ndarray:
@@ -263,7 +267,63 @@ def _line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-# ---- scenes ----------------------------------------------------------------------------------------------------------
+# ---- rotors and scenes of other models -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SiteMotor:
+    """An actuator that pushes along an axis of a site.
+
+    Attributes:
+        name: Its name.
+        position: Of the site, in the axes of the free body, from its centre of mass (m). Shape (3,).
+        axis: Direction of the force, same axes. Shape (3,).
+        max_thrust: Largest force (N); None = unlimited.
+        torque_ratio: Torque about the axis / force (m).
+    """
+
+    name: str
+    position: np.ndarray
+    axis: np.ndarray
+    max_thrust: float | None
+    torque_ratio: float
+
+
+def site_motors(path: Path) -> list[SiteMotor]:
+    """Actuators of a vehicle's MJCF file that push at sites, e.g. its rotors.
+
+    Raises:
+        BadInputError: See `measure`.
+    """
+    spec = _read(path)
+    free = _free_body(spec, path)
+    model = _compile(spec, path)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    root = _number_of(free, model)
+    body_axes = data.xmat[root].reshape(3, 3)
+    motors = []
+    for actuator in range(model.nu):
+        force, torque = model.actuator_gear[actuator, :3], model.actuator_gear[actuator, 3:]
+        strength = length(force)
+        if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_SITE or not strength > 0.0:
+            continue
+        site = model.actuator_trnid[actuator, 0]
+        axis = product(data.site_xmat[site].reshape(3, 3), (force / strength)[:, None])
+        offset = data.site_xpos[site] - data.subtree_com[root]
+        limit = None
+        if model.actuator_ctrllimited[actuator]:
+            limit = float(model.actuator_gainprm[actuator, 0] * strength * model.actuator_ctrlrange[actuator, 1])
+        motors.append(
+            SiteMotor(
+                model.actuator(actuator).name,
+                product(body_axes.T, offset[:, None])[:, 0],
+                product(body_axes.T, axis)[:, 0],
+                limit,
+                float((force * torque).sum()) / strength**2,
+            )
+        )
+    return motors
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -239,7 +239,7 @@ class Simulator:
             raise BadInputError(f"time {time_us} us: must be a multiple of {STEP_US} us from {self.time_us} us on")
         if time_us == self.time_us:
             return
-        if isinstance(self.controller, Cascade):
+        if type(self.controller) is Cascade:  # a subclass may have other rotor commands
             self._advance_compiled(time_us, self.controller)
             return
         wind = self._weather.until(1e-6 * time_us)

@@ -55,7 +55,7 @@ ELSEWHERE = ("extras/airsim/runner.py", "extras/ros/ros2/stack/driver.py", "extr
 
 def test_whatever_is_imported_is_asked_for():
     extras = PROJECT["optional-dependencies"]
-    used = ("airsim", "cluster", "bench", "live", "logs", "mavlink")
+    used = ("airsim", "cluster", "bench", "live", "logs", "mavlink", "models")
     wanted_for_all = [*PROJECT["dependencies"], *(wanted for name in used for wanted in extras[name])]
     asked = {canonicalize_name(Requirement(wanted).name) for wanted in wanted_for_all}
     imported = {

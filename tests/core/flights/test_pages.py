@@ -24,6 +24,7 @@ SAYS = {
     "moveToPosition.x:bit=51": r"^effect: deviates\n.* 8\.0 → 12\.0\n",
     "moveByVelocityZ.vx:bit=62@15": r"^effect: deviates\n(.*\n)*alarms: [1-9]\d*, first at 15\.000 s",
     "run examples/airsim/box.yaml": r"",
+    "--settings examples/airsim": r"m apart, the leader sees \['Wing'\]",
     "report out/airsim_box": r"What one bit in a call does to a program",
     "--seed 7 --flight-controller betaflight": r"Reached the goal",
     "--register-seed 3": r"fault +\w+, bit \d+, at 10\.",

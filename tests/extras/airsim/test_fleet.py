@@ -86,7 +86,6 @@ def test_a_vehicle_is_added_while_others_fly(two):
     for given, text in (
         (("New", "SimpleFlight", to_pose((8.0, 8.0, 0.0), LEVEL)), "allowed: a name that no vehicle has"),
         (("Car", "PhysXCar", to_pose((8.0, 8.0, 0.0), LEVEL)), "'PhysXCar': allowed: SimpleFlight"),
-        (("Third", "SimpleFlight", to_pose((0.2, 3.0, 0.0), LEVEL)), "another vehicle stands there"),
     ):
         with pytest.raises(RuntimeError, match=text):
             two("simAddVehicle", *given)
@@ -139,6 +138,15 @@ def test_a_new_world_and_its_objects_are_those_of_all(two):
     assert place_of(two, "Right", "simGetObjectPose") == [4.0, 0.0, 0.0]
 
 
-def test_vehicles_that_overlap_are_refused_in_one_line(tmp_path):
-    with pytest.raises(BadInputError, match=r"settings.json: Vehicles.B: X, Y: 0.5, 0: another vehicle stands there"):
-        client_of({"Vehicles": {"A": {}, "B": {"X": 0.5}}}, tmp_path)
+def test_a_vehicle_stands_beside_one_that_has_its_place(tmp_path):
+    client = client_of({"Vehicles": {"A": {}, "B": {"X": 0.5}}}, tmp_path)
+    assert place_of(client, "B", "simGetObjectPose") == [0.5, 1.0, 0.0] and place_of(client, "B") == [0.0, 0.0, 0.0]
+    client.sleep(0.1)
+    assert not client("simGetCollisionInfo", "B")["has_collided"]
+
+
+def test_a_vehicle_in_an_obstacle_is_refused_in_one_line(tmp_path):
+    world = Client().vehicle.sim.world
+    north, west = 0.5 * (world.lower[0] + world.upper[0])[:2] - world.start[:2]
+    with pytest.raises(BadInputError, match=r"settings.json: Vehicles.B: start on the ground: an obstacle stands at"):
+        client_of({"Vehicles": {"A": {}, "B": {"X": north, "Y": -west}}}, tmp_path)

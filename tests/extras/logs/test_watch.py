@@ -112,7 +112,7 @@ def test_several_logs_that_are_split_are_all_counted(files, capsys):
         (["--train", "{}", "--fault", "mode"], "--fault: 'mode': allowed: TOPIC:FIELD"),
         (["--train", "{}", "--fault", "none:mode"], "holds no topic none; allowed: row"),
         (["--train", "none.csv"], "none.csv: cannot be read"),
-        (["--train", "none.log"], "no reader of flight logs knows this format"),
+        (["--train", "none.xyz"], "no reader of flight logs knows this format"),
     ],
 )
 def test_bad_input_is_one_line(files, arguments, message, capsys):

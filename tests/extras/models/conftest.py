@@ -9,6 +9,7 @@ VEHICLES = {
     "sdf": vehicles.sdf_vehicle,
     "urdf": vehicles.urdf_vehicle,
     "xacro": vehicles.xacro_vehicle,
+    "xml": vehicles.mjcf_vehicle,
     "params": airframe.airframe_vehicle,
     imported.NO_EXTENSION: airframe.airframe_vehicle,
 }

@@ -9,9 +9,11 @@ import pytest
 
 from mavfi.config import VehicleConfig, parse
 from mavfi.errors import BadInputError
+from mavfi.extras.models import cli
 from mavfi.extras.models.geometry import lump
 from mavfi.extras.models.urdf import read_urdf
 from mavfi.extras.models.vehicles import sdf_vehicle
+from mavfi.plugins import allow_typed
 from mavfi.sim.engine import GRAVITY
 from mavfi.sim.mjcf import find_vehicle
 from mavfi.sim.simulator import Simulator
@@ -115,7 +117,34 @@ def test_parts_of_other_files_and_frames_count(tmp_path):
         around = 2.0 * centre**2 + 0.2 * (0.1 - centre) ** 2 + 0.4 * (0.2 + centre) ** 2
         assert found.inertia[0] == pytest.approx(0.02 + around + 0.2 * 0.04, rel=1e-5)
     gone = models.sdf(more="<include><uri>model://absent</uri></include>")
-    assert "includes absent, not on this machine" in refusal(written(tmp_path, "quad.sdf", gone))
+    assert "includes absent (not on this machine)" in refusal(written(tmp_path, "quad.sdf", gone))
+
+
+MJCF = """<mujoco><compiler autolimits="true"/><worldbody><body name="q" pos="0 0 1" euler="0 0 90"><freejoint/>
+  <geom type="box" size="0.1 0.1 0.05" mass="1"/>{sites}</body></worldbody><actuator>{motors}</actuator></mujoco>"""
+
+
+def mjcf(torques):
+    sites = "".join(f'<site name="s{n}" pos="{x} {y} 0.1"/>' for n, (x, y) in enumerate(models.X))
+    motors = "".join(
+        f'<motor name="m{n}" site="s{n}" gear="0 0 2 0 0 {torque}" ctrlrange="0 3"/>'
+        for n, torque in enumerate(torques)
+    )
+    return MJCF.format(sites=sites, motors=motors)
+
+
+def test_motors_at_sites_of_an_mjcf_model_are_rotors(tmp_path):
+    found, said = imported(written(tmp_path, "quad.xml", mjcf((-0.04, -0.04, 0.04, 0.04))))
+    assert (found.mass, found.max_rotor_thrust, found.rotor_torque_ratio) == (1.0, 6.0, 0.02)
+    assert found.arm_length == pytest.approx(0.2 * math.sqrt(2.0), rel=1e-5)
+    assert found.collision_radius == pytest.approx(0.15) and "mirror" not in said and "same way" not in said
+    _, said = imported(written(tmp_path, "quad.xml", mjcf((-0.04, 0.04, 0.04, -0.04))))
+    assert "its neighbouring rotors turn the same way; flown with opposite ones" in said
+    one = '<motor name="all" site="s" gear="0 0 1 0 0 0" ctrlrange="0 24"/>'
+    path = written(tmp_path, "one.xml", MJCF.format(sites='<site name="s"/>', motors=one))
+    assert "does not say: arm_length: " in refusal(path)
+    written(tmp_path, "mine.yaml", "model: one.xml\narm_length: 0.2\n")
+    assert imported(str(tmp_path / "mine.yaml"))[0].max_rotor_thrust == 6.0
 
 
 CRAZYFLIE = (
@@ -139,6 +168,9 @@ def test_properties_of_a_crazyflie(tmp_path):
     assert "assumed rotor_time_constant: 0.02 s" in said
 
 
+SIH = {"SIH_MASS": 2.0, "SIH_T_MAX": 8.0, "SYS_HITL": 2, "CA_ROTOR0_CT": 6.5, "MPC_THR_HOVER": 0.5}
+
+
 def test_an_airframe_asks_for_what_it_lacks_by_key_and_takes_it_from_a_yaml_file(tmp_path):
     path = written(tmp_path, "4001_small", models.AIRFRAME)
     text = refusal(path)
@@ -150,10 +182,19 @@ def test_an_airframe_asks_for_what_it_lacks_by_key_and_takes_it_from_a_yaml_file
     assert found.max_rotor_thrust == pytest.approx(1.5 * GRAVITY / 4.0 / 0.5, rel=1e-5)
     assert found.rotor_torque_ratio == 0.05 and "drag" not in said
     assert "assumed collision_radius: 1.5 x arm_length" in said
-    listed = "".join(f"1\t1\t{key}\t{value}\t9\n" for key, value in (("SIH_MASS", 2.0), ("SIH_T_MAX", 8.0)))
+    listed = "".join(f"1\t1\t{key}\t{value}\t9\n" for key, value in SIH.items())
     found, said = imported(written(tmp_path, "sih.params", "# parameters\n" + listed))
     assert (found.mass, found.max_rotor_thrust) == (2.0, 8.0) and "PX4's defaults of SIH_IXX" in said
     assert found.rate_gain == pytest.approx((9.0, 9.0, 3.0))  # for its motors of 0.05 s
+    # all parameters are listed, also where PX4's own simulation is not used, and defaults say nothing
+    text = refusal(written(tmp_path, "other.params", listed.replace("SYS_HITL\t2", "SYS_HITL\t0")))
+    assert "mass" in text and "max_rotor_thrust: largest" in text and "hovering" not in text
+
+
+def test_files_that_gazebo_reads_although_they_are_no_strict_xml(tmp_path):
+    text = models.sdf().replace("<plugin ", '<gz:order a:b="1">0</gz:order><plugin ', 1)
+    found, _ = imported(written(tmp_path, "quad.sdf", f"\n\n<?xml version='1.0'?>\n{text}"))
+    assert found.mass == pytest.approx(2.2)
 
 
 @pytest.mark.parametrize(
@@ -180,7 +221,7 @@ def test_what_our_vehicle_cannot_be_is_refused_with_the_reason(tmp_path, name, t
         assert message in refusal(written(tmp_path, name, text))
 
 
-def test_xacro_is_expanded_without_ros(tmp_path):
+def test_xacro_is_expanded_without_ros(tmp_path, monkeypatch):
     pytest.importorskip("xacro")
     ns = 'xmlns:xacro="http://ros.org/wiki/xacro"'
     (tmp_path / "parts" / "urdf").mkdir(parents=True)
@@ -197,8 +238,20 @@ def test_xacro_is_expanded_without_ros(tmp_path):
     assert found.mass == pytest.approx(2.45)
     written(tmp_path, "mine.yaml", "model: quad.xacro\nxacro: {extra: 0.5}\n")
     assert imported(str(tmp_path / "mine.yaml"))[0].mass == pytest.approx(2.7)
+    monkeypatch.setenv("MAVFI_ALLOW_PLUGINS", "")
+    assert f"xacro file '{path}': named in a file, and so not run" in refusal(str(tmp_path / "mine.yaml"))
+    allow_typed(["--vehicle", path])
     written(tmp_path, "quad.xacro", text.replace("$(find parts)", "$(find absent)"))
     assert "the package absent is not on this machine" in refusal(path)
+
+
+def test_the_printed_vehicle_is_a_file_that_flies_alike(tmp_path, capsys):
+    path = written(tmp_path, "quad.sdf", models.sdf(models.PLUS))
+    cli.vehicle(tmp_path / "quad.sdf")
+    text = capsys.readouterr().out
+    assert "hovers at 67 % of the largest thrust" in text and "# flown as an X: its front is" in text
+    assert "mass: 2.2 " in text and "# all links with mass (5) as one rigid body" in text
+    assert find_vehicle(written(tmp_path, "same.yaml", text)) == imported(path)[0]
 
 
 @pytest.mark.parametrize("rotors", [models.X, models.PLUS])

@@ -100,7 +100,7 @@ def test_a_world_of_boxes_with_nested_and_included_models(tmp_path):
     path = sdf_file(
         tmp_path, GROUND, "<include><uri>model://sun</uri></include>", sdf_box("a", "10 1 0 0 0 0", "1 4 3"), include
     )
-    with pytest.warns(UserWarning, match="walls.sdf: 2 obstacles$"):
+    with pytest.warns(UserWarning, match="walls.sdf: obstacles: 2$"):
         environment = worlds.sdf_environment(tmp_path / "walls.sdf")
     assert (environment.generator, environment.parameters) == ("sdf_world", {"path": path})
     world = worlds.sdf_world(0, path, START, GOAL)
@@ -108,6 +108,13 @@ def test_a_world_of_boxes_with_nested_and_included_models(tmp_path):
     np.testing.assert_allclose(world.upper, [(10.5, 3.0, 2.0), (7.5, 1.0, 2.0)], atol=1e-9)
     assert (world.flight_lower <= START).all() and (world.flight_upper >= GOAL).all()
     assert len(worlds.sdf_world(0, path, START, GOAL, without=["crate"]).lower) == 1
+
+
+def test_a_saved_world_has_its_models_where_they_were_when_it_was_saved(tmp_path):
+    state = '<state world_name="w"><model name="a"><pose>5 6 0 0 0 1.5707963267948966</pose></model></state>'
+    path = sdf_file(tmp_path, sdf_box("a", "10 1 0 0 0 0", "1 4 2"), state)
+    world = worlds.sdf_world(0, path, START, GOAL)
+    np.testing.assert_allclose((world.lower, world.upper), ([(3, 5.5, -0.5)], [(7, 6.5, 1.5)]), atol=1e-9)
 
 
 def test_what_is_no_box_or_not_there_is_named_and_can_be_left_out(tmp_path):
@@ -137,7 +144,7 @@ SCENE = """<mujoco><compiler angle="degree"/><worldbody>
 def test_distances_in_a_scene_are_mujocos_within_the_width_of_a_cell(tmp_path):
     path = tmp_path / "scene.xml"
     path.write_text(SCENE, encoding="utf-8")
-    with pytest.warns(UserWarning, match="3 obstacles as .* boxes; those that are not along the axes are up to 0.05 m"):
+    with pytest.warns(UserWarning, match="obstacles: 3, as .*; those that are not along the axes are up to 0.05 m"):
         worlds.xml_environment(path)
     world = worlds.mjcf_world(0, str(path), START, GOAL)
     spec = mujoco.MjSpec.from_file(str(path))
@@ -181,7 +188,7 @@ simulation:
     plan = {"mission": {"items": items, "plannedHomePosition": [47.0, 8.0, 488.0]}}
     (tmp_path / "flights" / "there.plan").write_text(json.dumps(plan), encoding="utf-8")
     path = str(tmp_path / "case.yaml")
-    with pytest.warns(UserWarning, match="4 obstacles as .*; flown from above home to the last way-point; 2 between"):
+    with pytest.warns(UserWarning, match="obstacles: 4, as .*; flown from above home to the last way-point; 2 between"):
         environment = aerialist.yaml_environment(tmp_path / "case.yaml")
     assert environment.generator == "aerialist_test"
     world = aerialist.aerialist_test(0, path)

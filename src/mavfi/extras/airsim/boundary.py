@@ -25,6 +25,7 @@ from typing import Any, NamedTuple, TextIO
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec, foreign_state, learn
 from mavfi.errors import BadInputError
+from mavfi.extras.airsim import cameras, flying, scene, sensing
 from mavfi.extras.airsim.calls import RecordedCall
 from mavfi.extras.airsim.table import CALLS
 from mavfi.faults.fault import MessageFault
@@ -211,6 +212,9 @@ def flip(holder: Any, path: Path, bit: int) -> BoundaryFlip:
 
     replaced = replace_number(holder, path, flip_one)
     return BoundaryFlip(*replaced, bits[0])
+
+
+_MODULES = cameras, flying, scene, sensing  # register the calls that faults name
 
 
 # ---- the boundary ----------------------------------------------------------------------------------------------------

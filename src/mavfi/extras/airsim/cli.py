@@ -155,13 +155,14 @@ def serve(  # noqa: PLR0913 - one parameter per option
         raise BadInputError("--settings: allowed: without --in-flight, which is the mission's own vehicle")
     _note_unused(settings, image or IMAGE)
     with compiling():
-        from mavfi.extras.airsim.host import make_api
+        from mavfi.extras.airsim.host import check_fault_vehicle, make_api
         from mavfi.extras.airsim.server import AirsimServer, RealClock, StepClock
 
         api = make_api(mission, image, vehicle_name, version, on_ground=not in_flight, settings=settings)
     with _recording(save) as recording:
         boundary = Boundary.of(planned, recording=recording)
         boundary.vehicle = fault_vehicle
+        check_fault_vehicle(api.scene, fault_vehicle)
         time: StepClock | RealClock = RealClock(speed)
         if steps:
             time = StepClock()
@@ -393,7 +394,7 @@ def _print_output(out: Console, run: ProgramResult) -> None:
     """Print all that a program wrote to stdout, then to stderr."""
     for mark, text in (("|", run.output), ("!", run.error_output)):
         for line in text.splitlines():
-            out.print(f"  {mark} {line}", style="dim", markup=False, soft_wrap=True)
+            out.print(f"  {mark} {line}", style="dim", markup=False, emoji=False, soft_wrap=True)
 
 
 def _print_run(out: Console, label: str, run: ProgramResult) -> None:

@@ -59,10 +59,11 @@ class ProgramConfig(Config):
             raise BadInputError(f"--python: {self.python}: {_no_file(self.python)}; allowed: a Python interpreter")
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data, with a digest of the program's text."""
+        """Plain data, with a digest of the program's text and its settings."""
         text = b""
-        if is_file(Path(self.script)):
-            text = Path(self.script).read_bytes()
+        for name in (self.script, self.settings):
+            if name and is_file(Path(name)):
+                text += Path(name).read_bytes()
         data = {**self.model_dump(mode="json"), "sha256": hashlib.sha256(text).hexdigest()}
         for key in ("settings", "fault_vehicle"):  # ledgers from before these keys have none
             if not data[key]:

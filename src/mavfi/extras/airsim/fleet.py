@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavfi.errors import BadInputError
 from mavfi.flight.compose import resolve
 from mavfi.flight.piloted import PilotedVehicle
 from mavfi.mission import MissionSpec
@@ -33,6 +32,7 @@ class FleetVehicle(PilotedVehicle):
         home: Origin of its NED, in the scene's NED (m), whose origin is the mission's start; it stands on the ground
             there.
         yaw_deg: Heading at the start, clockwise from north (deg); None = towards the mission's goal.
+        is_armed: Whether its motors run at the start.
         number: Among the vehicles, from 0; sensors of each have noise of their own.
         begin_us: Instant at which it appears (us).
         on_ground: See `PilotedVehicle`.
@@ -47,12 +47,14 @@ class FleetVehicle(PilotedVehicle):
         *,
         home: Triple = (0.0, 0.0, 0.0),
         yaw_deg: float | None = None,
+        is_armed: bool = True,
         number: int = 0,
         begin_us: int = 0,
         on_ground: bool = True,
     ) -> None:
         self.home = home
         self._yaw_deg = yaw_deg
+        self._is_armed = is_armed
         self._vehicle_number = number
         super().__init__(spec, on_ground=on_ground)
         self._base_us = begin_us
@@ -72,6 +74,8 @@ class FleetVehicle(PilotedVehicle):
         """See `PilotedVehicle._begin`."""
         super()._begin()
         self.origin[2] -= self.home[2]
+        if not self._is_armed:
+            self.sim.arm(False)
         if self._yaw_deg is not None:
             half = 0.5 * math.radians(self._yaw_deg)
             self.sim.place(self.sim.odometry[:3].copy(), np.array(turned((cos(half), 0.0, 0.0, sin(half)))))
@@ -82,15 +86,22 @@ class FleetVehicle(PilotedVehicle):
         return self.scenario.vehicle.collision_radius
 
 
-def check_free(start: Triple, radius: float, others: Sequence[FleetVehicle]) -> None:
-    """Raise a `BadInputError` if a vehicle would stand where another one is; `start`: as `FleetVehicle.home`."""
-    for other in others:
-        north, east, _ = (place + at for place, at in zip(other.position, other.home, strict=True))
-        least = radius + other.radius
-        if math.hypot(start[0] - north, start[1] - east) < least:
-            raise BadInputError(
-                f"X, Y: {start[0]:g}, {start[1]:g}: another vehicle stands there; allowed: {least:g} m or more from it"
-            )
+def free_place(home: Triple, radius: float, others: Sequence[FleetVehicle]) -> Triple:
+    """The place for a new vehicle: as requested, or the next free one to the east, in steps of 1 m.
+
+    Args:
+        home: The requested place, see `FleetVehicle`.
+        radius: Of the vehicle (m).
+        others: The vehicles that are there.
+    """
+    north, east, down = home
+    standing = [np.array(flipped(other.sim.odometry[:3] - other.origin)) + other.home for other in others]
+    while any(
+        math.dist((north, east, 0.0), place) < radius + other.radius
+        for place, other in zip(standing, others, strict=True)
+    ):
+        east += 1.0
+    return north, east, down
 
 
 def collide(vehicles: Sequence[FleetVehicle]) -> None:

@@ -102,7 +102,8 @@ def simSetKinematics(api: Api, state: Any, ignore_collision: bool) -> None:
         raise BadInputError(f"{state!r}: allowed: a KinematicsState") from None
     if any(any(values) for values in moving):
         raise BadInputError("simSetKinematics: a velocity cannot be set; allowed: 0")
-    api.vehicle.place(*from_pose(state))
+    current = api.vehicle.in_ned(api.vehicle.sim.odometry)[:2]
+    api.vehicle.place(*merged_pose(from_pose(state), current))
 
 
 # ---- tasks -----------------------------------------------------------------------------------------------------------

@@ -93,6 +93,12 @@ def make_api(
     return scene.first
 
 
+def check_fault_vehicle(scene: ApiScene, name: str) -> None:
+    """Raise a `BadInputError` if there is no vehicle of this name, whose calls would be changed; "" = the first one."""
+    if name and name not in scene.vehicles:
+        raise BadInputError(f"--fault-vehicle: {name!r}: not known; allowed: {', '.join(scene.vehicles)}")
+
+
 @dataclass(frozen=True, slots=True)
 class ProgramResult:
     """A program that ran.
@@ -293,6 +299,7 @@ class _Run:
     def _result(self, code: int | None, output: str, errors: str) -> ProgramResult:
         """How the program ended, by its exit code; None = it hangs."""
         scene = self._api.scene
+        check_fault_vehicle(scene, self._program.fault_vehicle)
         reason = _exception_line(errors)
         # a program that crashes before its first call does not work at all: no fault has done that
         if not self._server.calls and code == EXIT_CRASH:
@@ -503,6 +510,9 @@ class ProgramRuns:
                 f"{mission.program.script}: {len(runs)} error-free runs differ; allowed: programs whose randomness is "
                 "seeded, and that measure time with the module time only"
             )
+        if runs[0].errors:
+            refusals = "; ".join(runs[0].errors)
+            raise BadInputError(f"{mission.program.script}: calls are refused without a fault: {refusals}")
         if runs[0].how == "hang":
             raise BadInputError(f"{mission.program.script}: {runs[0].reason} without a fault; allowed: a larger wall_s")
         self._golden[arm] = runs[0]

@@ -4,7 +4,9 @@ It runs in the client's own Python and imports nothing of mavfi.  Reading clocks
 or another thread, become calls on the program's own connections, so that their order is kept; keys are not awaited, and
 no window opens.
 
-Waits of several threads share one time: it passes, up to the next deadline or the end of a task, when all threads wait.
+Threads share one time, and one of them runs at a time, so that the order of their calls is the same in each run: a
+thread has the turn until it waits; then the first one whose wait has ended has it.  When none has, time passes, up to
+the next deadline or the end of a task.
 """
 
 import asyncio
@@ -25,12 +27,14 @@ EXIT_TIME_IS_UP = 75
 EXIT_CRASH = 70
 _START = 1600000000.0  # the simulation's first instant, as a Unix time
 _STEP_US = 4_000  # sleeps are rounded to the physics' period
-_STUCK_S = 0.5  # wall-clock time after which a thread that makes no call is no longer waited for
+_STUCK_S = 0.5  # wall-clock time after which a thread that neither calls nor computes is no longer waited for
+_LONGEST_COMPUTATION_S = 10.0  # the same for a thread that computes
 _POLL_S = 0.001  # wall-clock time between looks at what another thread does
 _FREE_READINGS = 100  # of an event loop's clock between two calls; more of them take time, so that polling ends
 
 _SESSIONS = []  # the program's connections, the first one first
 _TALK = threading.RLock()  # msgpackrpc is not made for threads: one thread talks at a time
+_event_loop_policy = getattr(asyncio.events, "_get_event_loop_policy", asyncio.get_event_loop_policy)
 _real_sleep = time.sleep
 _real_time = time.monotonic
 
@@ -55,7 +59,7 @@ def _talking(loop):
     """Talk to the server, also inside of an event loop of the program; `loop`: asyncio's of the client, or None."""
     with _TALK:
         running = asyncio.events._get_running_loop()
-        local = getattr(asyncio.get_event_loop_policy(), "_local", types.SimpleNamespace())
+        local = getattr(_event_loop_policy(), "_local", types.SimpleNamespace())
         current = getattr(local, "_loop", None), getattr(local, "_set_called", False)
         asyncio.events._set_running_loop(None)
         if loop is not None:
@@ -99,10 +103,16 @@ class _Calls:
 
     def call(self, session, method, *arguments):
         """A call of the program, which lets time pass."""
+        _WAITS.take_turn()
         answer = self.answer_of(self.send(session, method, arguments))
         self.number += 1
         _WAITS.active()
         return answer
+
+    def post(self, session, method, arguments):
+        """A call of the program for a task; the future of its answer."""
+        _WAITS.take_turn()
+        return self.send(session, method, arguments)
 
     def ask(self, method, *arguments, session=None):
         """A call of the runner; None as long as the program has no connection."""
@@ -129,6 +139,8 @@ def _patch(port):
 
     calls = _Calls()
     original_init = airsim.VehicleClient.__init__
+    original_call = Session.call
+    original_call_async = Session.call_async
 
     def connect_to_server(self, ip="", port_=port, timeout_value=3600, *more, **options):
         options.pop("port", None)  # the server's port is not the program's choice
@@ -139,17 +151,33 @@ def _patch(port):
         self.client._mavfi_loop = loop
         _SESSIONS.append(self.client)
 
+    # sessions and futures of another server, if the program talks to one, are left alone
+    def call(session, method, *arguments):
+        if session in _SESSIONS:
+            return calls.call(session, method, *arguments)
+        return original_call(session, method, *arguments)
+
+    def call_async(session, method, *arguments):
+        if session in _SESSIONS:
+            return calls.post(session, method, arguments)
+        return original_call_async(session, method, *arguments)
+
     def wait_for_task(future):
         """Time must pass in the server until the task has ended."""
-        _WAITS.until(lambda: future._set_flag, session=future._mavfi_session)
+        if not hasattr(future, "_mavfi_session"):
+            calls.join(future)
+        elif not future._set_flag:
+            _WAITS.until(lambda: future._set_flag, session=future._mavfi_session)
 
     def wait_and_get(future):
         wait_for_task(future)
+        if not hasattr(future, "_mavfi_session"):
+            return calls.get(future)
         return calls.answer_of(future)
 
     airsim.VehicleClient.__init__ = connect_to_server
-    Session.call = lambda self, method, *arguments: calls.call(self, method, *arguments)
-    Session.call_async = lambda self, method, *arguments: calls.send(self, method, arguments)
+    Session.call = call
+    Session.call_async = call_async
     Future.join = wait_for_task
     Future.get = wait_and_get
     airsim.wait_key = lambda message="": sys.stdout.write(str(message) + "\n")
@@ -162,29 +190,51 @@ class _Waiter:
     """A thread that waits.
 
     Attributes:
+        thread: The thread.
         is_ready: Whether what it waits for is there; asked without effect.
         deadline_us: The instant after which it waits no longer; None = never.
         session: The connection on which the answer of its task comes; None = it waits for no task.
         number: The number of calls when it last looked.
     """
 
-    def __init__(self, is_ready, session):
+    def __init__(self, thread, is_ready, session):
+        self.thread = thread
         self.is_ready = is_ready
         self.deadline_us = None
         self.session = session
         self.number = -1
 
+    def has_ended(self, now_us):
+        """Whether what it waits for is there, or its time is up."""
+        return self.is_ready() or (self.deadline_us is not None and self.deadline_us <= now_us)
+
+
+_ITS_TURN, _TIME_PASSES, _NOT_YET = range(3)  # what a waiting thread does next
+
 
 class _Waits:
-    """The threads that wait, and the time that passes when all of them do."""
+    """The threads that wait, whose turn it is, and the time that passes when all of them wait."""
 
     def __init__(self):
         self.calls = None  # set when the client library is patched
+        self._turn = threading.main_thread()
         self._waiters = {}  # by thread
+        self._started = 0  # number of threads
+
+    def take_turn(self):
+        """Wait until no other thread has the turn."""
+        self.active()
+        if self._turn is not threading.current_thread():
+            self.until(lambda: True)
 
     def active(self):
         """Note that this thread does something."""
         threading.current_thread()._mavfi_active_s = _real_time()
+
+    def number_thread(self, thread):
+        """Number a thread that starts: the order in which they have the turn."""
+        self._started += 1
+        thread._mavfi_number = self._started
 
     def until(self, is_ready, seconds=None, session=None, what=""):
         """Wait until something is there or (if not None) seconds have passed; whether it is there.
@@ -195,31 +245,33 @@ class _Waits:
             session: The connection on which the answer of a task comes, if that is waited for.
             what: What the program does meanwhile; named if its time is up.
         """
-        if is_ready():
+        thread = threading.current_thread()
+        if self._turn is thread and is_ready():
             return True
         self.active()
         if not _SESSIONS:
             return self._without_connection(is_ready, seconds)
-        waiter = _Waiter(is_ready, session)
+        waiter = _Waiter(thread, is_ready, session)
         now_us = self._look(waiter)
         if seconds is not None:
             waiter.deadline_us = now_us + max(_STEP_US, round(seconds * 1e6 / _STEP_US) * _STEP_US)
-        thread = threading.get_ident()
         self._waiters[thread] = waiter
+        if self._turn is thread:
+            self._turn = None
         try:
             while True:
                 # calls of other threads let time pass, and a task's answer comes with the answer to a call
                 if waiter.number != self.calls.number:
                     now_us = self._look(waiter)
-                if is_ready():
-                    return True
-                if waiter.deadline_us is not None and now_us >= waiter.deadline_us:
-                    return False
                 before_us = now_us
                 with _TALK:
-                    if self._may_pass(waiter, now_us):
+                    step = self._next(waiter, now_us)
+                    if step == _ITS_TURN:
+                        self._turn = thread
+                        return is_ready()
+                    if step == _TIME_PASSES:
                         now_us = self._pass(waiter, now_us, what)
-                if now_us == before_us and not is_ready():
+                if now_us == before_us:
                     _real_sleep(_POLL_S)
         finally:
             self.active()  # first, as others look at either
@@ -227,8 +279,10 @@ class _Waits:
 
     def _look(self, waiter):
         """The instant (us); answers of tasks that have come are taken."""
-        waiter.number = self.calls.number
-        return self.calls.ask("mavfiClock", session=waiter.session)
+        number = self.calls.number
+        now_us = self.calls.ask("mavfiClock", session=waiter.session)
+        waiter.number = number  # not before: others rely on that the answers have been taken
+        return now_us
 
     def _without_connection(self, is_ready, seconds):
         """Wait for another thread in wall-clock time: no time is simulated so far."""
@@ -241,27 +295,43 @@ class _Waits:
             _real_sleep(_POLL_S)
         return True
 
-    def _may_pass(self, waiter, now_us):
-        """Whether all threads wait, and none of them for something that is there or an instant that has come."""
-        # no thread does something; the ones that are read here do not begin to, unless what they wait for is there
-        now = _real_time()
-        waiters = [waiter]
+    def _next(self, waiter, now_us):
+        """What a waiting thread does next."""
+        # no thread runs; the ones that wait do not begin to, as this one decides
+        waiters = []
         for thread in threading.enumerate():
-            other = self._waiters.get(thread.ident)
-            if other is not None:
-                waiters.append(other)
-                continue
-            if not hasattr(thread, "_mavfi_active_s"):
-                thread._mavfi_active_s = now
-            if now - thread._mavfi_active_s < _STUCK_S:
-                return False
+            if thread in self._waiters:
+                waiters.append(self._waiters[thread])
+            elif not self._is_stuck(thread):
+                return _NOT_YET
 
         # checked afterwards: a thread may have made something ready, and ended, just before
-        for other in waiters:
-            is_due = other.deadline_us is not None and other.deadline_us <= now_us
-            if is_due or other.number != self.calls.number or other.is_ready():
-                return False
-        return True
+        if any(other.number != self.calls.number for other in waiters):
+            return _NOT_YET
+        ended = [other for other in waiters if other.has_ended(now_us)]
+        if not ended:
+            return _TIME_PASSES
+        if waiter is min(ended, key=lambda other: getattr(other.thread, "_mavfi_number", 0)):
+            return _ITS_TURN
+        return _NOT_YET
+
+    @staticmethod
+    def _is_stuck(thread):
+        """Whether a thread that does not wait here has done nothing for long: it waits for something else."""
+        now = _real_time()
+        cpu_s = 0.0
+        if thread.ident is not None and hasattr(time, "pthread_getcpuclockid"):
+            try:
+                cpu_s = time.clock_gettime(time.pthread_getcpuclockid(thread.ident))
+            except OSError:  # it has just ended
+                return True
+        if not hasattr(thread, "_mavfi_active_s"):
+            thread._mavfi_active_s = now
+        if getattr(thread, "_mavfi_cpu_s", None) != cpu_s:
+            thread._mavfi_cpu_s = cpu_s
+            thread._mavfi_computed_s = now
+        idle_s = now - max(thread._mavfi_active_s, thread._mavfi_computed_s)
+        return idle_s > _STUCK_S or now - thread._mavfi_active_s > _LONGEST_COMPUTATION_S
 
     def _pass(self, waiter, now_us, what):
         """Let time pass to the next deadline, or to the end of a task if one is waited for; the new instant (us)."""
@@ -302,6 +372,12 @@ def _patch_threads(clock):
                 except ValueError:
                     pass
 
+    original_start = threading.Thread.start
+
+    def start_thread(self):
+        _WAITS.number_thread(self)
+        original_start(self)
+
     original_join = threading.Thread.join
 
     def join_thread(self, timeout=None):
@@ -313,6 +389,7 @@ def _patch_threads(clock):
 
     threading.Condition.wait = condition_wait
     threading.Thread.join = join_thread
+    threading.Thread.start = start_thread
     threading._time = clock
     queue.time = clock
     queue.SimpleQueue = queue._PySimpleQueue  # the other one waits outside of Python
@@ -370,6 +447,7 @@ def _clocks(calls):
 
     def now():
         if _SESSIONS:
+            _WAITS.take_turn()
             return 1e-6 * calls.ask("mavfiNow")
         return 0.0
 

@@ -92,6 +92,8 @@ def simAddVehicle(api: Api, vehicle_name: str, vehicle_type: str, pose: Any, paw
     """A vehicle on the ground below the pose, whose position is the origin of its NED."""
     if str(vehicle_type).lower() != "simpleflight":
         raise BadInputError(f"simAddVehicle: {vehicle_type!r}: allowed: SimpleFlight")
+    if pawn_path:
+        raise BadInputError(f"simAddVehicle: pawn_path: {pawn_path!r}: allowed: none, as vehicles have no pictures")
     if not vehicle_name or vehicle_name in api.scene.vehicles:
         raise BadInputError(f"simAddVehicle: {vehicle_name!r}: allowed: a name that no vehicle has")
     if not api.vehicle.on_ground:
@@ -195,6 +197,8 @@ def simListSceneObjects(api: Api, name_regex: str = ".*", tags: Any = None) -> l
 @call
 def simGetObjectPose(api: Api, object_name: str, ned: bool = True) -> Data:
     """NaN for an object that does not exist, as in AirSim."""
+    if not ned:
+        raise BadInputError("simGetObjectPose: ned: False: allowed: True, as there are no coordinates of Unreal here")
     if object_name in api.scene.vehicles:
         other = api.scene.vehicles[object_name]
         return to_pose(other.in_scene(other.vehicle.position), other.vehicle.orientation)

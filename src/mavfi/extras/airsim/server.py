@@ -13,7 +13,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim import cameras, flying, scene, sensing
 from mavfi.extras.airsim.boundary import ARGUMENTS, RETURN, Boundary
 from mavfi.extras.airsim.config import CALL_US
 from mavfi.extras.airsim.runner import TIME_IS_UP
@@ -119,7 +118,6 @@ PORT = 41451
 _REQUEST = 0
 _RESPONSE = 1
 _READ = 1 << 16
-_MODULES = cameras, flying, scene, sensing  # register their calls
 Reply = Callable[[str | None, Any], None]
 
 

@@ -141,11 +141,12 @@ class _Table:
         return float(value)
 
     def choice(self, name: str, allowed: tuple[str, ...]) -> str:
-        """One of some values; the empty one means that none is given."""
+        """One of some values, in any case; the empty one means that none is given."""
         value = self.read(name, "")
-        if value not in allowed:
-            raise BadInputError(f"{self.key(name)}: {value!r}: allowed: {', '.join(filter(None, allowed))}")
-        return str(value)
+        for choice in allowed:
+            if str(value).lower() == choice.lower():
+                return choice
+        raise BadInputError(f"{self.key(name)}: {value!r}: allowed: {', '.join(filter(None, allowed))}")
 
     def tables(self, name: str) -> dict[str, "_Table"]:
         """The objects in an object, by their keys."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim.fleet import FleetVehicle, check_free, collide, nearer
+from mavfi.extras.airsim.fleet import FleetVehicle, collide, free_place, nearer
 from mavfi.extras.airsim.settings import AirsimSettings, CaptureSize, VehicleSettings
 from mavfi.mission import MissionSpec
 from mavfi.numerics.frames import Quaternion, Triple, flipped
@@ -128,25 +128,26 @@ class ApiScene:
         return self.vehicles[name]
 
     def add(self, spec: MissionSpec, settings: VehicleSettings, *, on_ground: bool = True) -> None:
-        """Add a vehicle, in the present world.
+        """Add a vehicle, in the present world; beside its place if another vehicle stands there.
 
         Raises:
-            BadInputError: It would stand where something stands.
+            BadInputError: An obstacle stands there.
         """
         begin_us = 0
+        home = settings.start
         if self.vehicles:
             begin_us = self.now_us
-            check_free(settings.start, self.first.vehicle.radius, [api.vehicle for api in self.vehicles.values()])
+            others = [api.vehicle for api in self.vehicles.values()]
+            home = free_place(home, self.first.vehicle.radius, others)
         vehicle = FleetVehicle(
             spec,
-            home=settings.start,
+            home=home,
             yaw_deg=settings.yaw_deg,
+            is_armed=settings.is_armed,
             number=len(self.vehicles),
             begin_us=begin_us,
             on_ground=on_ground,
         )
-        if not settings.is_armed:
-            vehicle.sim.arm(False)
         if self.vehicles and not np.array_equal(vehicle.sim.world.lower, self.first.vehicle.sim.world.lower):
             world = self.first.vehicle.sim.world
             vehicle.sim.set_boxes(world.lower, world.upper)

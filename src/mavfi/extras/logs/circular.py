@@ -250,7 +250,10 @@ def _turn_by_jumps(columns: Sequence[np.ndarray]) -> float | None:
             if not (begin - spare <= low <= begin + margin and end - margin <= high <= end + spare):
                 continue
             changes = np.concatenate([np.diff(column) for column in finite]) / turn
-            if np.abs(changes).max() > _NEAR_END and np.abs(changes - np.rint(changes)).max() < _LARGEST_STEP:
+            if (
+                np.abs(changes).max(initial=0.0) > _NEAR_END
+                and np.abs(changes - np.rint(changes)).max() < _LARGEST_STEP
+            ):
                 return turn
     return None
 

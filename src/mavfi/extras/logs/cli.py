@@ -9,7 +9,16 @@ import typer
 from rich.table import Table
 
 from mavfi.cli import options
-from mavfi.cli.console import check_name, check_number, check_seed, console, titled_table, write_json
+from mavfi.cli.console import (
+    PICTURES,
+    check_file,
+    check_name,
+    check_number,
+    check_seed,
+    console,
+    titled_table,
+    write_json,
+)
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 
@@ -49,7 +58,9 @@ class LiveOption:
 
 
 def watch(  # noqa: PLR0913 - one parameter per option
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recorded flights: .ulg .tlog .bag .mcap .csv")],
+    logs: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="Recorded flights: .ulg .tlog .bin .bag .mcap .csv, folders")
+    ],
     train: Annotated[
         list[Path] | None, typer.Option(metavar="LOG", help="A recorded flight that is normal; may be repeated.")
     ] = None,
@@ -83,6 +94,9 @@ def watch(  # noqa: PLR0913 - one parameter per option
     ] = "",
     inject: Annotated[int, typer.Option(help="Bits to flip in each LOG, one at a time.")] = 0,
     seed: Annotated[int, typer.Option(help="Seed of these flips.")] = 0,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw the fields that raised alarms, over time.")
+    ] = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Judge recorded flights with a detector, trained on others.
@@ -107,6 +121,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     check_number("--split", split, 0.05, 0.95)
     check_number("--inject", inject, 0, _MAX_FLIPS)
     check_seed("--seed", seed)
+    check_file("--picture", picture, PICTURES)
     if (split is None) == (not train):
         for path in logs:
             if not path.exists():
@@ -121,19 +136,20 @@ def watch(  # noqa: PLR0913 - one parameter per option
         wanted = Wanted(options.listed(fields), parse_kinds(options.listed(kinds)))
         if not is_of_fields:
             wanted = wanted._replace(mapping=mapping, only_mapped=uses_rules(detector))
-        trained, judged = _judge(logs, train or [], split, (detector, profile), wanted, fault, (inject, seed))
+        trained, recordings, judged = _judge(
+            logs, train or [], split, (detector, profile), wanted, fault, (inject, seed)
+        )
     # What was found, and how.
     rates = LogRates(judged)
-    trained_on = sum(log_watch.trained_on for log_watch in trained)
-    names: dict[str, list[str]] = {}
-    geometry: dict[str, str] = {}
-    for log_watch in trained:
-        for topic, probe in log_watch.selection.probes.items():
-            names[topic] = [field.name for field in probe.spec.header]
-            kinds_of_topic = log_watch.selection.geometries[topic].to_json()
-            geometry |= {f"{topic}:{name}": kind for name, kind in kinds_of_topic.items()}
-    not_monitored = list(dict.fromkeys(item for log_watch in trained for item in log_watch.selection.not_monitored))
+    different = list({id(log_watch): log_watch for log_watch in trained}.values())
+    trained_on = sum(log_watch.trained_on for log_watch in different)
+    names, geometry = _selected(different)
+    not_monitored = list(dict.fromkeys(item for log_watch in different for item in log_watch.selection.not_monitored))
     not_monitored += [item for recording in judged for item in recording.not_monitored]
+    if picture is not None:
+        from mavfi.extras.logs.picture import draw_alarms
+
+        draw_alarms(picture, trained, recordings, judged)
     if as_json:
         write_json(
             rates.to_json()
@@ -143,20 +159,65 @@ def watch(  # noqa: PLR0913 - one parameter per option
                 "fields": names,
                 "angles_and_quaternions": geometry,
                 "not_monitored": [item._asdict() for item in not_monitored],
+                "mapping": _mapping_json(trained[0]),
                 "trained_on": trained_on,
             }
         )
         return
+    how = f"{detector} ({profile}), trained on {trained_on} messages"
+    mapped = trained[0].selection.mapping
+    if mapped.name:
+        how += f"; mapping {mapped.name}: {', '.join(mapped.states) or 'no state'}"
     out = console()
     out.print(rates.headline(), style="bold", markup=False)
-    for line in _summary(rates):
-        out.print(line, markup=False, soft_wrap=True)
-    monitored = f"{sum(map(len, names.values()))} fields of {', '.join(names)}"
-    out.print(f"{detector} ({profile}), {monitored}; trained on {trained_on} messages", markup=False, soft_wrap=True)
-    for line in summary(not_monitored):
+    for line in [*_events(judged), *_summary(rates), *_monitored(names), *summary(not_monitored), how]:
         out.print(line, markup=False, soft_wrap=True)
     out.print(_table(judged))
-    _list_alarms(judged)
+
+
+def _selected(log_watches: list[LogWatch]) -> tuple[dict[str, list[str]], dict[str, str]]:
+    """Monitored fields by topic, and what the angles and quaternions among them are."""
+    names: dict[str, list[str]] = {}
+    geometry: dict[str, str] = {}
+    for log_watch in log_watches:
+        for topic, probe in log_watch.selection.probes.items():
+            names[topic] = [field.name for field in probe.spec.header]
+            kinds_of_topic = log_watch.selection.geometries[topic].to_json()
+            geometry |= {f"{topic}:{name}": kind for name, kind in kinds_of_topic.items()}
+    return names, geometry
+
+
+def _mapping_json(log_watch: LogWatch) -> dict[str, Any]:
+    """Which states of missions were made of which fields."""
+    used = log_watch.selection.mapping
+    states = {name: {"topic": mapping.topic, **mapping.fields} for name, mapping in used.states.items()}
+    return {"name": used.name, "states": states, "counters": list(used.counters), "missing": dict(used.missing)}
+
+
+def _events(judged: list[JudgedLog]) -> list[str]:
+    """What raised alarms: the first events of each recording, and the first alarm after a known fault."""
+    lines = []
+    for recording in judged:
+        events = recording.event_list
+        lines += [f"{recording.name} {event.text()}" for event in events[:_MAX_LISTED]]
+        if len(events) > _MAX_LISTED:
+            lines.append(f"{recording.name}: {len(events) - _MAX_LISTED} more events")
+        alarm = recording.fault_alarm
+        if alarm is not None and len(judged) <= _MAX_LISTED:
+            fields = ", ".join(alarm.fields)
+            lines.append(f"{recording.name}, known fault: {alarm.topic} {fields}, {alarm.source}")
+    return lines
+
+
+def _monitored(names: dict[str, list[str]]) -> list[str]:
+    """How much is monitored, in one line."""
+    from mavfi.extras.logs.selection import shortened
+
+    count = sum(map(len, names.values()))
+    noun = "fields"
+    if count == 1:
+        noun = "field"
+    return [shortened(f"monitored, {count} {noun} of ", list(names), "topics")]
 
 
 def _check_apart(logs: list[Path], train: list[Path]) -> None:
@@ -183,8 +244,10 @@ def _judge(
     wanted: Wanted,
     fault: str,
     flips: tuple[int, int],
-) -> tuple[list[LogWatch], list[JudgedLog]]:
-    """Train and judge; each LOG that is split trains its own detector.
+) -> tuple[list[LogWatch], list[LogRecording], list[JudgedLog]]:
+    """Train and judge; returns the detector of each LOG, the LOG, and what was found in it.
+
+    Each LOG that is split trains its own detector.
 
     Args:
         logs: The recordings to be judged.
@@ -211,9 +274,10 @@ def _judge(
     if split is None:
         selection = select(normal, recordings, wanted)
         log_watch = LogWatch(*detector_and_profile, selection, normal, flips[1])
-        return [log_watch], [log_watch.judge(recording, *flips) for recording in recordings]
+        judged = [log_watch.judge(recording, *flips) for recording in recordings]
+        return [log_watch] * len(recordings), recordings, judged
     pairs = [judge_rest(*detector_and_profile, recording, split, wanted, *flips) for recording in recordings]
-    return [log_watch for log_watch, _ in pairs], [judged for _, judged in pairs]
+    return [log_watch for log_watch, _ in pairs], recordings, [judged for _, judged in pairs]
 
 
 def _flown(recordings: list[LogRecording]) -> list[LogRecording]:
@@ -254,21 +318,3 @@ def _table(judged: list[JudgedLog]) -> Table:
             delay_text(recording),
         )
     return table
-
-
-def _list_alarms(judged: list[JudgedLog]) -> None:
-    """The first false alarms of each recording."""
-    from mavfi.extras.logs.monitor import NOT_FINITE_RULE
-
-    out = console()
-    for recording in judged:
-        for alarm in recording.alarms[:_MAX_LISTED]:
-            fields = ", ".join(alarm.fields)
-            text = f"{recording.name} {1e-6 * alarm.time_us:.3f} s: {alarm.topic} {fields}, "
-            if alarm.source == NOT_FINITE_RULE:
-                text += NOT_FINITE_RULE
-            else:
-                text += f"{alarm.source}, score {alarm.score:.3g}"
-            out.print(text, markup=False, soft_wrap=True)
-        if len(recording.alarms) > _MAX_LISTED:
-            out.print(f"{recording.name}: {len(recording.alarms) - _MAX_LISTED} more alarms", markup=False)

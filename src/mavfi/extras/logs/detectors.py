@@ -153,7 +153,7 @@ def _mission_limits(mapping: UsedMapping, training: Sequence[Sequence[TimedState
                         accelerations.append(float(np.linalg.norm(velocity - before)) / period_s)
                 speeds.append(float(np.linalg.norm(velocity)))
                 last[made.spec.name] = time_us, velocity
-                if made.spec.name == ODOMETRY["truth"]:
+                if made.spec.name == ODOMETRY["truth"] and mapper.has(made.spec.name, VECTORS[0]):
                     goal = (values["x"], values["y"], values["z"])
             mapper.accept(state)
     return MissionLimits(

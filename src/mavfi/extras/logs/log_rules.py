@@ -145,11 +145,12 @@ class LogRules(Detector):
         """All quantities of a state whose fields are mapped."""
         name = state.spec.name
         now = values_by_name(state)
-        if _has(now, _VELOCITY):
+        if self._mapper.has(name, _VELOCITY):
             yield Measure(name, "speed", _norm([now[axis] for axis in _VELOCITY]), _largest(now, _VELOCITY))
-        if _has(now, ("yaw_rate",)):
+        if self._mapper.has(name, ("yaw_rate",)):
             yield Measure(name, "yaw rate", abs(now["yaw_rate"]), "yaw_rate")
-        if name != _ODOMETRY and _has(now, _POSITION) and _ODOMETRY in self._last:
+        has_vehicle = _ODOMETRY in self._last and self._mapper.has(_ODOMETRY, _POSITION)
+        if name != _ODOMETRY and has_vehicle and self._mapper.has(name, _POSITION):
             _, vehicle = self._last[_ODOMETRY]
             apart = {axis: now[axis] - vehicle[axis] for axis in _POSITION}
             yield Measure(name, "distance from the vehicle", _norm(apart.values()), _largest(apart, _POSITION))
@@ -160,23 +161,18 @@ class LogRules(Detector):
         period_s = 1e-6 * (time_us - last_us)
         if not 0.0 < period_s <= _LONGEST_STEP_S:
             return
-        if _has(now, _VELOCITY):
+        if self._mapper.has(name, _VELOCITY):
             change = {axis: now[axis] - before[axis] for axis in _VELOCITY}
             yield Measure(name, "velocity change", _norm(change.values()), _largest(change, _VELOCITY))
-        if _has(now, _POSITION):
+        if self._mapper.has(name, _POSITION):
             step = {axis: now[axis] - before[axis] for axis in _POSITION}
-            if _has(now, _VELOCITY):
+            if self._mapper.has(name, _VELOCITY):
                 for axis, speed in zip(_POSITION, _VELOCITY, strict=True):
                     step[axis] -= 0.5 * (now[speed] + before[speed]) * period_s
             yield Measure(name, "step along the velocity", _norm(step.values()), _largest(step, _POSITION))
-        if _has(now, _QUATERNION):
+        if self._mapper.has(name, _QUATERNION):
             change = {part: now[part] - before[part] for part in _QUATERNION}
             yield Measure(name, "turn", 2.0 * _norm(change.values()), _largest(change, _QUATERNION))
-
-
-def _has(values: Mapping[str, float], fields: Sequence[str]) -> bool:
-    """Whether a state has these fields, and they are mapped."""
-    return all(not math.isnan(values.get(name, math.nan)) for name in fields)
 
 
 def _norm(components: Any) -> float:

@@ -9,7 +9,6 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
 from pydantic import Field, field_validator
 
 from mavfi.config import Config, names, shipped
@@ -76,18 +75,18 @@ class StateMapping(Config):
 
     def sources(self) -> dict[str, FieldSource]:
         """Where each mapped field comes from."""
-        found = {}
+        sources = {}
         for name, text in self.fields.items():
             if not isinstance(text, str):
-                found[name] = FieldSource("", "", float(text))
+                sources[name] = FieldSource("", "", float(text))
                 continue
             match = _SOURCE.fullmatch(text)
             assert match is not None  # checked before
             factor = _FACTORS.get(match[4] or "", 1.0)
             if match[1]:
                 factor = -factor
-            found[name] = FieldSource(match[2] or self.topic, match[3], factor)
-        return found
+            sources[name] = FieldSource(match[2] or self.topic, match[3], factor)
+        return sources
 
 
 class LogMapping(Config):
@@ -185,7 +184,7 @@ def _fitting(mapping: LogMapping, available: Mapping[str, Collection[str]]) -> U
 
 
 class Mapper:
-    """Makes states of missions from states of topics; fields that are not mapped are NaN, or 0 if they are integers.
+    """Makes states of missions from states of topics; fields that are not mapped are 0.
 
     Args:
         used: What applies of a mapping.
@@ -212,15 +211,16 @@ class Mapper:
                 continue
             values |= {other: self._last[other] for other in others}
             made = new_state(spec.name)
-            for field in spec.header:
-                if field.dtype == "f8":
-                    made.header[field.name] = np.nan
             for name, source in sources.items():
                 number = source.factor
                 if source.path:
                     number *= values[source.topic][source.path]
                 made.header[name] = number
             yield made
+
+    def has(self, state: str, fields: Collection[str]) -> bool:
+        """Whether these fields of a state are mapped."""
+        return self._sources.get(state, {}).keys() >= set(fields)
 
     def accept(self, state: State) -> None:
         """Remember the numbers of a message."""

@@ -29,6 +29,7 @@ class Monitor(Detector):
         detector: The detector, with the same states.
         geometries: Angles and quaternions by topic.
         scales: Factor of each field by topic, see `fitted`; empty = 1.
+        compares: Whether the detector judges changes only: the first message of a topic, which has none, passes.
     """
 
     def __init__(
@@ -36,15 +37,20 @@ class Monitor(Detector):
         detector: Detector,
         geometries: Mapping[str, Geometry],
         scales: Mapping[str, np.ndarray] | None = None,
+        *,
+        compares: bool = False,
     ) -> None:
         self._detector = detector
         self._unwrapper = Unwrapper(geometries)
         self._scales = scales or {}
+        self._compares = compares
+        self._seen: frozenset[str] = frozenset()
         self._read: State | None = None
 
     def start(self) -> None:
         """Reset the memory at the start of a recording."""
         self._read = None
+        self._seen = frozenset()
         self._unwrapper.start()
         self._detector.start()
 
@@ -61,6 +67,8 @@ class Monitor(Detector):
         if not_finite:
             return Alarm(NOT_FINITE_RULE, state.spec.stage.value, score=NOT_FINITE, fields=not_finite)
         self._prepare(state)
+        if self._compares and state.spec.name not in self._seen:
+            return None
         return self._detector.check(self._shown, time_us)
 
     def accept(self, state: State, time_us: int) -> None:
@@ -70,17 +78,20 @@ class Monitor(Detector):
         self._prepare(state)
         self._detector.accept(self._shown, time_us)
         self._unwrapper.accept(self._continuous)
+        if state.spec.name not in self._seen:
+            self._seen |= {state.spec.name}
         self._read = None
 
-    def memory(self) -> tuple[Any, Any]:
+    def memory(self) -> tuple[Any, ...]:
         """Memory between messages."""
-        return self._detector.memory(), self._unwrapper.memory()
+        return self._detector.memory(), self._unwrapper.memory(), self._seen
 
-    def restore(self, memory: tuple[Any, Any]) -> None:
+    def restore(self, memory: tuple[Any, ...]) -> None:
         """Inverse of `memory`."""
         self._read = None
-        self._detector.restore(memory[0])
-        self._unwrapper.restore(memory[1])
+        detector, unwrapper, self._seen = memory
+        self._detector.restore(detector)
+        self._unwrapper.restore(unwrapper)
 
 
 def fitted(
@@ -109,7 +120,7 @@ def fitted(
         scales = {topic: _scales_of(spec, continuous) for topic, spec in specs.items()}
     circular = {f"{topic}.{name}" for topic, geometry in geometries.items() for name in geometry.fields}
     shown = [[scaled(state, scales) for state in states] for states in continuous]
-    return Monitor(learn(kind, profile, shown, specs, circular), geometries, scales)
+    return Monitor(learn(kind, profile, shown, specs, circular), geometries, scales, compares=True)
 
 
 def _advance(unwrapper: Unwrapper, state: State) -> State:

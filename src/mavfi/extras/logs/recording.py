@@ -33,6 +33,7 @@ class LogRecording:
         recommended: Fields worth monitoring, by topic, as known by the reader; empty = all numbers.
         cut: Whether the file ends within a message.
         notices: What could not be read, one line each.
+        fault: "TOPIC:FIELD" of the number that tells of the known fault, which is not monitored.
     """
 
     name: str
@@ -41,6 +42,7 @@ class LogRecording:
     recommended: Mapping[str, Sequence[str]] = field(default_factory=dict)
     cut: bool = False
     notices: Sequence[str] = ()
+    fault: str = ""
 
     @property
     def normal(self) -> "LogRecording":
@@ -80,17 +82,19 @@ def read_recording(path: Path, fault: str = "", *, required: bool = True) -> Log
         raise BadInputError(f"--fault: {fault!r}: allowed: TOPIC:FIELD, a number that is 0 before the fault")
     reader = open_flight_log(path)
     messages = _by_frame(list(reader.messages([])))
-    # The topic that tells of the fault is not monitored.
+    # The topic that tells of the fault is not monitored; in a table, the column.
     onset = None
     if fault:
+        topics = {message.topic for message in messages}
         if required:
-            check_topics(path, [topic], {message.topic for message in messages})
+            check_topics(path, [topic], topics)
         onset = _onset([message for message in messages if message.topic == topic], number)
-        messages = [message for message in messages if message.topic != topic]
+        if topics != {topic}:
+            messages = [message for message in messages if message.topic != topic]
     is_cut = getattr(reader, "is_cut", None)
     cut = is_cut is not None and is_cut()
     notices = [f"{path.name}: {notice}" for notice in getattr(reader, "notices", ())]
-    return LogRecording(path.name, messages, onset, getattr(reader, "recommended", {}), cut, notices)
+    return LogRecording(path.name, messages, onset, getattr(reader, "recommended", {}), cut, notices, fault)
 
 
 def _onset(messages: Sequence[LoggedMessage], number: str) -> int | None:

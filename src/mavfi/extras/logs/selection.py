@@ -15,7 +15,7 @@ from mavfi.extras.logs.mapping import NO_MAPPING, UsedMapping, choose_mapping
 from mavfi.extras.logs.recording import LogRecording, values_of
 from mavfi.flight.log_readers import LONGEST_LIST, LoggedMessage, Probe
 
-_NOT_RECOMMENDED = "not recommended for this format; name it in --fields"
+_NOT_RECOMMENDED = "not recommended (see --fields)"
 _NOT_WANTED = "not in --fields"
 _NOT_MAPPED = "not in the mapping"
 
@@ -146,6 +146,7 @@ class _Topics:
         self._training = [(recording.name, recording.by_topic()) for recording in training]
         self._judged = [(recording.name, recording.by_topic()) for recording in judged]
         self._wanted = wanted
+        self._faults = {recording.fault for recording in (*training, *judged)}
         self._recommended: Mapping[str, Sequence[str]] = {}
         for recording in training:
             self._recommended = self._recommended or recording.recommended
@@ -155,6 +156,11 @@ class _Topics:
         self.mapping = NO_MAPPING
         if wanted.mapping is not None:
             self.mapping = choose_mapping(wanted.mapping, self._available())
+            if wanted.only_mapped and not self.mapping.states:
+                raise BadInputError(
+                    f"{', '.join(name for name, _ in self._training)}: the rules apply to states of missions, and no "
+                    "shipped mapping fits these topics; allowed: --mapping FILE"
+                )
 
     def _available(self) -> dict[str, list[str]]:
         """Numbers of each topic of the training."""
@@ -190,6 +196,7 @@ class _Topics:
                 read.update(group)
         # Those of them that are finite in the training and exist in the others.
         reasons = _reasons_against_fields(normal, others, [name for name in numbers if name in read])
+        reasons |= {name: "tells of the fault" for name in numbers if f"{topic}:{name}" in self._faults}
         names = [name for name in numbers if name in read and name not in reasons]
         tables = [Numbers(names, values_of(messages, names)[0]) for _, messages in normal]
         units: Mapping[str, str] = getattr(example.layout, "units", {})
@@ -346,18 +353,18 @@ def summary(not_monitored: Sequence[NotMonitored]) -> list[str]:
         name = item.topic
         if item.field:
             name = f"{item.topic}:{item.field}"
-        by_reason.setdefault(item.reason, []).append(name)
+        by_reason.setdefault(item.reason.partition(", first at")[0], []).append(name)
     # A field that is not finite, or absent, says more than one that nobody has asked for.
     reasons = sorted(by_reason, key=lambda reason: reason in (_NOT_WANTED, _NOT_RECOMMENDED, _NOT_MAPPED))
     lines = []
     for reason in reasons[:_MAX_REASONS]:
-        lines.append(_shortened(f"not monitored, {reason}: ", by_reason[reason]))
+        lines.append(shortened(f"not monitored, {reason}: ", by_reason[reason]))
     if len(reasons) > _MAX_REASONS:
         lines.append(f"not monitored, {len(reasons) - _MAX_REASONS} more reasons: see --json")
     return lines
 
 
-def _shortened(head: str, names: Sequence[str]) -> str:
+def shortened(head: str, names: Sequence[str], noun: str = "fields") -> str:
     """A line with as many names as it can hold, and the number of the others."""
     for count in range(len(names), 0, -1):
         line = head + ", ".join(names[:count])
@@ -365,7 +372,10 @@ def _shortened(head: str, names: Sequence[str]) -> str:
             line += f" and {len(names) - count} more"
         if len(line) <= _WIDTH:
             return line
-    line = f"{head}{len(names)} fields"
-    if len(line) <= _WIDTH:
-        return line
-    return line[: _WIDTH - 3] + "..."
+    tail = f": {len(names)} {noun}"
+    if len(names) == 1:
+        tail = f": {names[0]}"
+    head = head.removesuffix(": ").removesuffix(" of ")
+    if len(head) + len(tail) > _WIDTH:
+        head = head[: max(0, _WIDTH - len(tail) - 3)] + "..."
+    return (head + tail)[:_WIDTH]

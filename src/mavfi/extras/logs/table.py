@@ -1,9 +1,11 @@
 """Tables of comma-separated values: one row per instant, with one column for the time."""
 
 import csv
+import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import chain
 from pathlib import Path
@@ -85,8 +87,8 @@ class CsvReader:
         times = self._times(names[clock], [line[clock] for line in lines])
         fraction = _fraction_of(names, clock)
         if fraction is not None:
-            parts = self._times(f"{names[fraction]} [ns]", [line[fraction] for line in lines])
-            times = [seconds + part for seconds, part in zip(times, parts, strict=True)]
+            fractions = self._times(f"{names[fraction]} [ns]", [line[fraction] for line in lines])
+            times = [whole_us + part_us for whole_us, part_us in zip(times, fractions, strict=True)]
         source_of_row = _sources(names, lines)
         check_topics(self._path, topics, [TOPIC, *source_of_row])
         # All other numeric columns, row by row.
@@ -127,7 +129,9 @@ class CsvReader:
         if len(names) > 1 and not names[-1] and all(len(line) < len(names) or not line[-1].strip() for line in lines):
             names = names[:-1]  # each line ends with a separator
             lines = [line[: len(names)] for line in lines]
-        if len(set(names)) < len(names) or not all(names):
+        # as pandas writes the numbers of rows
+        names = [name or f"column {number}" for number, name in enumerate(names, 1)]
+        if len(set(names)) < len(names):
             raise BadInputError(f"{path}: columns: allowed: a different name for each")
         self._is_cut = len(lines) > 1 and len(lines[-1]) < len(names)
         if self._is_cut:
@@ -337,6 +341,9 @@ _Records = Iterator[tuple[_Channel, int, bytes]]
 class RosReader:
     """Reads a bag of ROS 1, or a recording of rosbag2 (folder, mcap or db3 file); see `FlightLogReader`.
 
+    A folder of tables, one for each topic, as `ulog2csv` and exporters of bags write it, is read as well: a topic has
+    the name of its file without what all names begin with.
+
     Attributes:
         notices: Topics that could not be read, and why.
     """
@@ -352,6 +359,10 @@ class RosReader:
         if self._path.suffix.lower() == ".bag":
             kind = "a ROS 1 bag"
         self.notices = []
+        tables = _tables_in(self._path)
+        if tables:
+            yield from self._table_messages(tables, topics)
+            return
         with reading(self._path, kind), ExitStack() as stack:
             channels, records = self._open(stack)
             check_topics(self._path, topics, {channel.topic for channel in channels})
@@ -368,6 +379,25 @@ class RosReader:
     def is_cut(self) -> bool:
         """Whether the file, read by `messages`, ends within a message."""
         return self._is_cut
+
+    def _table_messages(self, tables: Sequence[Path], topics: Sequence[str]) -> Iterator[LoggedMessage]:
+        """The messages of a folder of tables, in order of time; a table that cannot be read is a notice."""
+        start = len(os.path.commonprefix([path.stem for path in tables]))
+        names = {path: path.stem[start:] or path.stem for path in tables}
+        check_topics(self._path, topics, names.values())
+        messages = []
+        for path, topic in names.items():
+            if topics and topic not in topics:
+                continue
+            try:
+                rows = list(CsvReader(path).messages([]))
+            except BadInputError as error:
+                self.notices.append(f"{topic}: not read, {str(error).removeprefix(f'{path}: ')}")
+                continue
+            messages += [replace(row, topic=topic + row.topic.removeprefix(TOPIC)) for row in rows]
+        if not messages:
+            raise BadInputError(f"{self._path}: no table in this folder can be read ({'; '.join(self.notices[:3])})")
+        yield from sorted(messages, key=lambda message: message.time_us)
 
     def _decoder(self, channel: _Channel) -> "_Decoder | None":
         """What reads the messages of a channel; None if that is impossible, with a notice."""
@@ -397,12 +427,12 @@ class RosReader:
             return {channel for channel, _, _ in messages}, iter(messages)
         # One reader for each file of a folder without metadata, in order of their names.
         channels: list[_Channel] = []
-        parts: list[_Records] = []
+        recordings: list[_Records] = []
         for file in files or [path]:
             reader: Any = stack.enter_context(_rosbags_reader(file))
             channels += [_channel_of(connection, reader) for connection in reader.connections]
-            parts.append(_bag_messages(reader))
-        return channels, chain.from_iterable(parts)
+            recordings.append(_bag_messages(reader))
+        return channels, chain.from_iterable(recordings)
 
     def _mcap_messages(self, file: Path) -> _Records:
         """The messages of a file, up to its end, or where it is cut or damaged."""
@@ -430,6 +460,16 @@ class RosReader:
                 elif isinstance(record, Message) and record.channel_id in channels:
                     count += 1
                     yield channels[record.channel_id], record.log_time, record.data
+
+
+def _tables_in(path: Path) -> list[Path]:
+    """The tables in a folder without a recording of rosbag2."""
+    if not path.is_dir():
+        return []
+    files = sorted(path.iterdir())
+    if any(file.name == "metadata.yaml" or file.suffix.lower() in (".mcap", ".db3") for file in files):
+        return []
+    return [file for file in files if file.suffix.lower() == ".csv"]
 
 
 def _is_compressed(metadata: Path) -> bool:

@@ -3,13 +3,14 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mavfi.analysis.statistics import EventRate, Rate, event_rate, wilson
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.extras.logs.detectors import log_detector
+from mavfi.extras.logs.monitor import NOT_FINITE_RULE
 from mavfi.extras.logs.recording import LogRecording, exposure_s, longest_gap_us
 from mavfi.extras.logs.selection import EVERYTHING, NotMonitored, Selection, Wanted, select
 from mavfi.faults.levels.message.definition import Leaf, flip_bit
@@ -20,6 +21,8 @@ from mavfi.states import Field, State
 _EVENT_GAP_US = 1_000_000
 """Alarms that follow each other within this time are one event (us), in logs of more than 1 Hz."""
 BIT_CLASSES = ("sign", "exponent", "mantissa")
+_MAX_NAMED = 4
+"""Most fields that an event names in a line."""
 _FLOATS = {"float32": "f4", "float64": "f8"}
 _INJECTION_STREAM = 1
 
@@ -48,6 +51,44 @@ class LogAlarm:
     score: float
     fields: tuple[str, ...]
     source: str = ""
+
+
+class LogEvent(NamedTuple):
+    """Alarms that follow each other.
+
+    Attributes:
+        begin_us: Time of the first (us).
+        end_us: Time of the last (us).
+        alarms: Their number.
+        topics: Their topics, those with most alarms first.
+        fields: The fields that raised them, in the same order.
+        sources: Their detectors and rules.
+        score: The largest score.
+    """
+
+    begin_us: int
+    end_us: int
+    alarms: int
+    topics: tuple[str, ...]
+    fields: tuple[str, ...]
+    sources: tuple[str, ...]
+    score: float
+
+    def text(self) -> str:
+        """When, which fields, and why."""
+        when = f"{1e-6 * self.begin_us:.3f} s"
+        if self.alarms > 1:
+            when = f"{1e-6 * self.begin_us:.3f} to {1e-6 * self.end_us:.3f} s"
+        fields = ", ".join(self.fields[:_MAX_NAMED])
+        if len(self.fields) > _MAX_NAMED:
+            fields += f" and {len(self.fields) - _MAX_NAMED} more"
+        cause = self.sources[0]
+        if cause != NOT_FINITE_RULE:
+            cause += f", score {self.score:.3g}"
+        messages = ""
+        if self.alarms > 1:
+            messages = f", {self.alarms} messages"
+        return f"{when}: {self.topics[0]} {fields}: {cause}{messages}"
 
 
 @dataclass(frozen=True)
@@ -85,6 +126,7 @@ class JudgedLog:
         cut: Whether the file ends within a message.
         event_gap_us: Alarms that follow each other within this time are one event (us).
         not_monitored: Numbers that are not monitored in this recording, with the reason.
+        fault_alarm: The first alarm after the start of the known fault; None = there is none.
     """
 
     name: str
@@ -98,14 +140,39 @@ class JudgedLog:
     cut: bool = False
     event_gap_us: int = _EVENT_GAP_US
     not_monitored: Sequence[NotMonitored] = ()
+    fault_alarm: LogAlarm | None = None
 
     @property
     def events(self) -> int:
         """Alarms, with those within `event_gap_us` of each other counted as one."""
-        if not self.alarms:
-            return 0
-        times = [alarm.time_us for alarm in self.alarms]
-        return 1 + sum(later - earlier > self.event_gap_us for earlier, later in zip(times, times[1:], strict=False))
+        return len(self.event_list)
+
+    @property
+    def event_list(self) -> list[LogEvent]:
+        """The same, one by one."""
+        groups: list[list[LogAlarm]] = []
+        for alarm in self.alarms:
+            if groups and alarm.time_us - groups[-1][-1].time_us <= self.event_gap_us:
+                groups[-1].append(alarm)
+            else:
+                groups.append([alarm])
+        return [_event_of(group) for group in groups]
+
+
+def _event_of(alarms: Sequence[LogAlarm]) -> LogEvent:
+    """Alarms as one event."""
+    topics = Counter(alarm.topic for alarm in alarms)
+    fields = Counter(name for alarm in alarms for name in alarm.fields)
+    sources = Counter(alarm.source for alarm in alarms)
+    return LogEvent(
+        alarms[0].time_us,
+        alarms[-1].time_us,
+        len(alarms),
+        tuple(topic for topic, _ in topics.most_common()),
+        tuple(name for name, _ in fields.most_common()),
+        tuple(source for source, _ in sources.most_common()),
+        max(alarm.score for alarm in alarms),
+    )
 
 
 class LogWatch:
@@ -160,6 +227,7 @@ class LogWatch:
         normal = samples
         faulty: list[Sample] = []
         false_alarms = alarms
+        fault_alarm = None
         fault_delay_s = None
         if onset is not None:
             count = sum(message.time_us < onset for message, _ in samples)
@@ -168,6 +236,7 @@ class LogWatch:
             false_alarms = [alarm for alarm in alarms if alarm.time_us < onset]
             for alarm in alarms:
                 if alarm.time_us >= onset:
+                    fault_alarm = alarm
                     fault_delay_s = 1e-6 * (alarm.time_us - onset)
                     break
         injected = self._inject(normal, {alarm.place for alarm in false_alarms}, flips, seed)
@@ -184,6 +253,7 @@ class LogWatch:
             cut=recording.cut,
             event_gap_us=gap_us,
             not_monitored=self._silent(recording, samples),
+            fault_alarm=fault_alarm,
         )
 
     def _silent(self, recording: LogRecording, samples: Sequence[Sample]) -> list[NotMonitored]:
@@ -205,8 +275,16 @@ class LogWatch:
         for index, (message, state) in enumerate(samples):
             alarm = self._step(state, message.time_us)
             if alarm is not None:
-                fields = tuple(name.removeprefix(f"{message.topic}.") for name in alarm.fields)
-                yield LogAlarm(index, message.time_us, message.topic, alarm.score, fields, alarm.source)
+                topic, fields = self._names(message.topic, alarm.fields)
+                yield LogAlarm(index, message.time_us, topic, alarm.score, fields, alarm.source)
+
+    def _names(self, topic: str, names: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+        """Topic and names of the fields that an alarm names: "topic.field", or "topic:field" if they are mapped."""
+        for owner in self.selection.probes:
+            fields = tuple(name.removeprefix(f"{owner}:") for name in names if name.startswith(f"{owner}:"))
+            if fields:
+                return owner, fields
+        return topic, tuple(name.removeprefix(f"{topic}.") for name in names)
 
     def _step(self, state: State, time_us: int) -> Alarm | None:
         """The alarm on a message, which the detector accepts in any case; None = there is none."""
@@ -354,7 +432,15 @@ class LogRates:
             "flips": {name: asdict(rate) for name, rate in self.flips.items()},
             "faults": asdict(self.faults),
             "delays_s": self.delays_s,
-            "recordings": [asdict(judged) | {"events": judged.events} for judged in self.recordings],
+            "recordings": [
+                asdict(judged)
+                | {
+                    "events": judged.events,
+                    "not_monitored": [item._asdict() for item in judged.not_monitored],
+                    "event_list": [event._asdict() for event in judged.event_list],
+                }
+                for judged in self.recordings
+            ],
         }
 
 

@@ -21,7 +21,7 @@ from mavfi.extras.models.worlds import say_boxes, world_of
 from mavfi.files import LARGEST_TEXT, is_file, read_file
 from mavfi.sim.environments.world import World
 
-_PARTS = {"robot", "drone", "simulation"}
+_OF_TEST_CASES = {"robot", "drone", "simulation"}
 """Keys of test cases, the second in older ones."""
 _EARTH = 6371000.0
 """Mean radius (m)."""
@@ -48,7 +48,7 @@ class _Mission(NamedTuple):
 def yaml_environment(path: Path) -> EnvironmentConfig | None:
     """The environment of a test case; None = another YAML file.  See `mavfi.sim.imported.EnvironmentReader`."""
     data = read_yaml(path)
-    if "generator" in data or not _PARTS & set(data):
+    if "generator" in data or not _OF_TEST_CASES & set(data):
         return None
     return plan_environment(path)
 
@@ -57,6 +57,8 @@ def plan_environment(path: Path) -> EnvironmentConfig:
     """The environment of a test case or a mission of QGroundControl; a warning says what is not flown."""
     shapes, mission = _read(path)
     remarks = []
+    if path.suffix.lower() != ".plan" and _mapping(read_yaml(path), "simulation", path).get("wind"):
+        remarks.append("its wind is not flown; --wind adds gusts")
     if mission is not None and mission.between:
         remarks.append(f"flown from above home to the last way-point; {mission.between} between are not")
     if shapes:
@@ -145,9 +147,9 @@ def _obstacle(row: Any, path: Path) -> Shape:  # noqa: ANN401 - as in a YAML fil
     """A box, or a cylinder, on its height z."""
     kind = BOX
     if isinstance(row, dict):
-        size, place = _mapping(row, "size", path), _mapping(row, "position", path)
+        size, position = _mapping(row, "size", path), _mapping(row, "position", path)
         kind = row.get("shape") or BOX
-        row = [*(size.get(key, 0.0) for key in "lwh"), *(place.get(key, 0.0) for key in "xyzr")]
+        row = [*(size.get(key, 0.0) for key in "lwh"), *(position.get(key, 0.0) for key in "xyzr")]
         if kind == CYLINDER:
             row[0] = row[1] = 2.0 * size.get("r", 0.0)
     numbers = isinstance(row, list) and len(row) == _NUMBERS_PER_BOX and all(_is_number(value) for value in row)
@@ -155,8 +157,8 @@ def _obstacle(row: Any, path: Path) -> Shape:  # noqa: ANN401 - as in a YAML fil
         raise BadInputError(
             f"{path}: obstacle {row!r} ({kind}): allowed: a box or cylinder with sizes above 0 and finite positions"
         )
-    north, east, height, x, y, z, turn = row
-    centre = np.array([y, x, z + 0.5 * height], float)
+    north, east, height, x, y, z, turn = (float(value) for value in row)
+    centre = np.array([y, x, z + 0.5 * height])
     if kind == CYLINDER:
         return Shape(CYLINDER, (0.5 * north, height), Pose(np.eye(3), centre), "obstacle")
     # angles are clockwise from above, from north to east
@@ -209,8 +211,9 @@ def _simple_items(items: Any) -> Sequence[Mapping[str, Any]]:  # noqa: ANN401 - 
         if not isinstance(item, dict):
             continue
         if item.get("type") == "ComplexItem":
-            inner = item.get("TransectStyleComplexItem", item)
-            commands += _simple_items(inner.get("Items") if isinstance(inner, dict) else None)
+            inner = item.get("TransectStyleComplexItem")
+            if isinstance(inner, dict):
+                commands += _simple_items(inner.get("Items"))
         else:
             commands.append(item)
     return commands
@@ -221,8 +224,8 @@ def _position(item: Mapping[str, Any]) -> tuple[float, float, float] | None:
     parameters = item.get("params")
     if item.get("command") not in (_WAYPOINT, _LAND, _TAKEOFF) or not isinstance(parameters, list):
         return None
-    place = parameters[4:7]
-    if len(place) < 3 or not all(_is_number(value) for value in place) or (place[0] == 0 and place[1] == 0):
+    position = parameters[4:7]
+    if len(position) < 3 or not all(_is_number(value) for value in position) or position[:2] == [0, 0]:
         return None
-    latitude, longitude, altitude = (float(value) for value in place)
+    latitude, longitude, altitude = (float(value) for value in position)
     return latitude, longitude, altitude

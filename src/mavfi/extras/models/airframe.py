@@ -4,6 +4,7 @@ They hold the geometry of the rotors (CA_ROTORn_*), and with PX4's own simulatio
 Axes are forward, right, down; ours are forward, left, up.
 """
 
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,6 +29,8 @@ _QUADS = ("quad_x", "quad_w", "quad_h", "quad_+", "quad_dc", "quad_wide", "quad_
 """Mixers of PX4 until version 1.13 that mean four rotors."""
 _DEFAULT_KM = 0.05
 """PX4's default of CA_ROTORn_KM (m)."""
+_DUMPED_DEFAULTS = {**{f"CA_ROTOR{n}_CT": 6.5 for n in range(4)}, "MPC_THR_HOVER": 0.5}
+"""Defaults of PX4 that say nothing of a vehicle; a parameter file lists them like all others."""
 _SIH = {
     "SIH_MASS": 1.0,
     "SIH_IXX": 0.025,
@@ -50,7 +53,11 @@ _DEEPEST = 5
 def airframe_vehicle(path: Path, chosen: Mapping[str, Any]) -> ImportedVehicle:
     """See `mavfi.sim.imported.VehicleReader`."""
     text = _text(path, 0)
-    parameters = _parameters(text)
+    parameters = _parameters(_SET, text)
+    listed = _parameters(_LISTED, text)
+    in_own_simulation = parameters.get("SYS_HITL", listed.get("SYS_HITL")) == 2
+    in_own_simulation = in_own_simulation or any(key.startswith("SIH_") for key in parameters)
+    parameters |= {key: value for key, value in listed.items() if value != _DUMPED_DEFAULTS.get(key)}
     mixer = _MIXER.findall(text)
     if not parameters and not mixer:
         raise BadInputError(
@@ -63,7 +70,7 @@ def airframe_vehicle(path: Path, chosen: Mapping[str, Any]) -> ImportedVehicle:
     if title:
         name = re.sub(r"\W+", "_", title[-1]).strip("_") or name
     data = MultirotorData(name)
-    if any(key.startswith("SIH_") for key in parameters) or parameters.get("SYS_HITL") == 2:
+    if in_own_simulation:
         _take_simulation(data, parameters, path)
     else:
         _take_geometry(data, parameters, path)
@@ -90,15 +97,16 @@ def _text(path: Path, depth: int) -> str:
     return "\n".join([*before, text])
 
 
-def _parameters(text: str) -> dict[str, float]:
-    """Parameters with their last values; values that are no numbers, e.g. variables of the shell, are left out."""
+def _parameters(pattern: re.Pattern[str], text: str) -> dict[str, float]:
+    """Parameters with their last values, apart from those that are no finite numbers, e.g. variables of the shell."""
     parameters = {}
-    for pattern in (_SET, _LISTED):
-        for key, value in pattern.findall(text):
-            try:
-                parameters[key] = float(value)
-            except ValueError:
-                continue
+    for key, value in pattern.findall(text):
+        try:
+            number = float(value)
+        except ValueError:
+            continue
+        if math.isfinite(number):
+            parameters[key] = number
     return parameters
 
 
@@ -116,6 +124,9 @@ def _check_kind(path: Path, parameters: Mapping[str, float], mixer: list[str]) -
 
 def _take_simulation(data: MultirotorData, parameters: Mapping[str, float], path: Path) -> None:
     """The vehicle of PX4's own simulation; parameters that are not set have PX4's defaults."""
+    kind = parameters.get("SIH_VEHICLE_TYPE", 0)
+    if kind != 0:
+        raise BadInputError(f"{path}: SIH_VEHICLE_TYPE {kind:g}: allowed: 0, a quadrotor")
     values = {key: parameters.get(key, default) for key, default in _SIH.items()}
     absent = [key for key in _SIH if key not in parameters]
     xx, yy, zz = (values[f"SIH_I{axis}"] for axis in ("XX", "YY", "ZZ"))

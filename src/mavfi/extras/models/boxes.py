@@ -7,10 +7,9 @@ cell too far around it.  An upright shape is cut into slices, a tilted one into 
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from mavfi.errors import BadInputError
 from mavfi.extras.models.geometry import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, Shape, half_extents
@@ -19,6 +18,8 @@ from mavfi.numerics.vectors import product
 FINEST_CELL = 0.05
 """Width of slices and columns (m), unless they become too many."""
 _COARSEST_CELL = 2.0
+_FARTHEST = 1e5
+"""Largest coordinate of a shape (m)."""
 _MOST_BOXES = 4000
 _SIDES = 16
 """Sides of the prism around a cylinder."""
@@ -41,30 +42,59 @@ class Boxes(NamedTuple):
     cell: float
 
 
+class _Body(NamedTuple):
+    """A convex body.
+
+    Attributes:
+        vertices: In world axes (m). Shape (n, 3).
+        is_box: Whether it is a box along the axes.
+        is_upright: Whether it is a prism that stands upright.
+    """
+
+    vertices: np.ndarray
+    is_box: bool
+    is_upright: bool
+
+
 def boxes_of(shapes: Sequence[Shape]) -> Boxes:
     """Boxes that cover shapes, with the finest cell for which they are not too many.
 
     Raises:
-        BadInputError: They are too many.
+        BadInputError: They are too many, or a shape is no convex body of finite size.
     """
-    hulls = [_vertices_of(shape) for shape in shapes]
-    exact = [_is_along_axes(shape) for shape in shapes]
+    bodies = []
+    for shape in shapes:
+        vertices = _vertices_of(shape)
+        bodies.append(_Body(vertices, _is_along_axes(shape), _is_upright(vertices)))
     cell = FINEST_CELL
-    while cell <= _COARSEST_CELL:
-        corners: list[tuple[np.ndarray, np.ndarray]] = []
-        for vertices, stays in zip(hulls, exact, strict=True):
-            if stays:
-                corners.append((vertices.min(axis=0), vertices.max(axis=0)))
-            else:
-                corners += _cover(vertices, cell, _MOST_BOXES - len(corners))
-            if len(corners) > _MOST_BOXES:
-                break
-        if len(corners) <= _MOST_BOXES:
-            lower = np.array([low for low, _ in corners]).reshape(-1, 3)
-            upper = np.array([high for _, high in corners]).reshape(-1, 3)
-            return Boxes(lower, upper, 0.0 if all(exact) else cell)
+    while sum(_count(body, cell) for body in bodies) > _MOST_BOXES:
         cell *= 1.5
-    raise BadInputError(f"its {len(shapes)} shapes are more than {_MOST_BOXES:,} boxes; allowed: so many")
+        if cell > _COARSEST_CELL:
+            raise BadInputError(f"{len(shapes)} shapes are more than {_MOST_BOXES:,} boxes; allowed: at most so many")
+    corners: list[tuple[np.ndarray, np.ndarray]] = []
+    for body in bodies:
+        if body.is_box:
+            corners.append((body.vertices.min(axis=0), body.vertices.max(axis=0)))
+        elif body.is_upright:
+            corners += _slices(body.vertices, cell)
+        else:
+            corners += _columns(body.vertices, cell)
+    lower = np.array([low for low, _ in corners]).reshape(-1, 3)
+    upper = np.array([high for _, high in corners]).reshape(-1, 3)
+    if all(body.is_box for body in bodies):
+        cell = 0.0
+    return Boxes(lower, upper, cell)
+
+
+def _count(body: _Body, cell: float) -> int:
+    """Number of boxes that cover a body, at most."""
+    if body.is_box:
+        return 1
+    extent = body.vertices.max(axis=0) - body.vertices.min(axis=0)
+    across = [max(1, math.ceil(float(extent[axis]) / cell - _STRAIGHT)) for axis in (0, 1)]
+    if body.is_upright:
+        return min(across)
+    return across[0] * across[1]
 
 
 def _is_along_axes(shape: Shape) -> bool:
@@ -86,6 +116,8 @@ def _vertices_of(shape: Shape) -> np.ndarray:
     else:
         raise BadInputError(f"{shape.owner}: {shape.kind}: is no box")
     vertices: np.ndarray = product(local, shape.pose.matrix.T) + shape.pose.position
+    if not (np.abs(vertices) <= _FARTHEST).all():  # NaN, too
+        raise BadInputError(f"{shape.owner}: {shape.kind} beyond {_FARTHEST:g} m; allowed: finite sizes and places")
     return vertices
 
 
@@ -116,17 +148,11 @@ def _rounded(shape: Shape) -> np.ndarray:
     return around
 
 
-def _cover(vertices: np.ndarray, cell: float, most: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Boxes around a convex body; stops when they are more than `most`."""
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    at_bottom = vertices[:, 2] < low[2] + _STRAIGHT
-    at_top = vertices[:, 2] > high[2] - _STRAIGHT
-    if (at_bottom | at_top).all() and _same_outline(vertices[at_bottom], vertices[at_top]):
-        return _slices(vertices[at_bottom, :2], low[2], high[2], cell)
-    columns = math.ceil((high[0] - low[0]) / cell) * math.ceil((high[1] - low[1]) / cell)
-    if columns > 4 * most:  # more than any body leaves free
-        return [(low, high)] * (most + 1)
-    return _columns(vertices, cell)
+def _is_upright(vertices: np.ndarray) -> bool:
+    """Whether a body is a prism whose ends are level, and stand above each other."""
+    at_bottom = vertices[:, 2] < vertices[:, 2].min() + _STRAIGHT
+    at_top = vertices[:, 2] > vertices[:, 2].max() - _STRAIGHT
+    return bool((at_bottom | at_top).all()) and _same_outline(vertices[at_bottom], vertices[at_top])
 
 
 def _same_outline(bottom: np.ndarray, top: np.ndarray) -> bool:
@@ -137,16 +163,14 @@ def _same_outline(bottom: np.ndarray, top: np.ndarray) -> bool:
     return bool((gaps.min(axis=1) < _STRAIGHT).all())
 
 
-def _slices(outline: np.ndarray, bottom: float, top: float, cell: float) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Boxes of an upright prism, across the shorter of its extents.
-
-    Args:
-        outline: Corners of its convex base (m). Shape (n, 2).
-        bottom: Its lower end (m).
-        top: Its upper end (m).
-        cell: Largest width of a slice (m).
-    """
-    outline = outline[ConvexHull(outline).vertices]
+def _slices(vertices: np.ndarray, cell: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Boxes of an upright prism, across the shorter of its extents; see `_Body`."""
+    bottom, top = vertices[:, 2].min(), vertices[:, 2].max()
+    base = vertices[vertices[:, 2] < bottom + _STRAIGHT, :2]
+    hull = _hull_of(base)
+    if hull is None:  # without width
+        return []
+    outline = base[hull.vertices]
     extent = outline.max(axis=0) - outline.min(axis=0)
     along = int(np.argmin(extent))
     across = 1 - along
@@ -167,9 +191,8 @@ def _slices(outline: np.ndarray, bottom: float, top: float, cell: float) -> list
 
 def _columns(vertices: np.ndarray, cell: float) -> list[tuple[np.ndarray, np.ndarray]]:
     """Boxes of a convex body in any position: columns over square cells."""
-    try:
-        hull = ConvexHull(vertices)
-    except QhullError:  # flat
+    hull = _hull_of(vertices)
+    if hull is None:  # flat
         return [(vertices.min(axis=0), vertices.max(axis=0))]
     faces = vertices[hull.simplices]
     low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -216,3 +239,13 @@ def _clip(polygon: np.ndarray, axis: int, value: float, side: float) -> np.ndarr
             share = distance[n] / (distance[n] - distance[after])
             points.append(polygon[n] + share * (polygon[after] - polygon[n]))
     return np.array(points).reshape(-1, polygon.shape[1])
+
+
+def _hull_of(points: np.ndarray) -> Any | None:  # noqa: ANN401 - scipy's ConvexHull
+    """Convex hull of points; None = they lie in a plane, or on a line."""
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
+    try:
+        return ConvexHull(points)
+    except QhullError:
+        return None

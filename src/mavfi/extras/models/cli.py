@@ -1,5 +1,6 @@
 """`mavfi vehicle`: what a model's file says of a vehicle, as our YAML file."""
 
+import warnings
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,7 +27,9 @@ def vehicle(
     """
     imported = _import(file)
     config = parse(VehicleConfig, imported.keys, str(file))
-    find_vehicle(str(file))  # refuses what cannot fly
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # says what is printed below
+        find_vehicle(str(file))  # refuses what cannot fly
     share = config.mass * GRAVITY / (4.0 * config.max_rotor_thrust)
     typer.echo(f"# {file}: hovers at {100.0 * share:.0f} % of the largest thrust")
     for remark in imported.remarks:

@@ -139,7 +139,7 @@ def _reach(shape: Shape, point: np.ndarray) -> float:
         return length(point) + shape.size[0]
     if shape.kind == CYLINDER:
         from_axis = length(point[:2]) + shape.size[0]
-        return math.sqrt(from_axis**2 + (abs(point[2]) + 0.5 * shape.size[1]) ** 2)
+        return math.hypot(from_axis, abs(point[2]) + 0.5 * shape.size[1])
     if shape.kind == CAPSULE:
         end = np.array([point[0], point[1], abs(point[2]) + 0.5 * shape.size[1]])
         return length(end) + shape.size[0]

@@ -31,11 +31,14 @@ _BANDWIDTH_LAG = 0.45
 """Largest rate gain x rotor lag: the rate loop is then damped by 0.75."""
 _MOST_LIFT = 8.0
 """Largest thrust / weight: the mixer keeps a tenth of a rotor's range free, below which it cannot hover."""
+_DIRECTIONS = {1: "ccw", -1: "cw"}
 _AMBIGUOUS = math.radians(22.5)
 """An X turned by more than this (rad) is as well one that is turned to the other side."""
 _MOST_EXCESS = 0.5
 """Largest excess of an inertia over the sum of the other two that is cut, relative to that sum."""
 _SMALL_ANGLE = math.radians(1.0)
+_MOST_LENGTH = 1e6
+"""Lengths that are not rounded (m); they are refused later."""
 _SMALL_SHARE = 0.01
 """Differences below these are not worth a remark."""
 _OFF_DIAGONAL = 0.05
@@ -47,6 +50,10 @@ _NEEDED = {
     "max_rotor_thrust": "largest thrust of one rotor (N)",
 }
 """Keys without a default, and what they are."""
+
+
+class OppositeSpinsError(BadInputError):
+    """Neighbouring rotors turn the same way, so that yaw is not controlled apart from roll or pitch."""
 
 
 class Rotor(NamedTuple):
@@ -124,6 +131,40 @@ class _Frame(NamedTuple):
     remarks: list[str]
 
 
+class _Draft:
+    """Keys of a vehicle in the making: the first value of a key stays.
+
+    Attributes:
+        keys: Values, by key.
+        notes: Where they are from, by key.
+        assumed: Keys whose values are not from the file.
+    """
+
+    def __init__(self, data: MultirotorData, chosen: Mapping[str, Any]) -> None:
+        self.keys: dict[str, Any] = {"name": data.name, **data.values, **chosen}
+        self.notes = {"name": "name of the model", **data.notes, **dict.fromkeys(chosen, "chosen")}
+        self.assumed: list[str] = []
+
+    def take(self, key: str, value: Any, note: str) -> None:  # noqa: ANN401 - as in a YAML file
+        """Set a key to a value of the file."""
+        if key not in self.keys:
+            self.keys[key] = value
+            self.notes[key] = note
+
+    def assume(self, key: str, value: Any, note: str) -> None:  # noqa: ANN401 - as in a YAML file
+        """Set a key to a value that is not in the file."""
+        if key not in self.keys:
+            self.take(key, value, note)
+            self.assumed.append(key)
+
+    def number(self, key: str) -> float | None:
+        """A key's value, which may be the user's, if it is a number above 0."""
+        value = self.keys.get(key)
+        if isinstance(value, int | float) and value > 0.0:
+            return float(value)
+        return None
+
+
 def vehicle_from(data: MultirotorData, source: str, chosen: Mapping[str, Any]) -> ImportedVehicle:
     """Our vehicle.
 
@@ -135,54 +176,43 @@ def vehicle_from(data: MultirotorData, source: str, chosen: Mapping[str, Any]) -
     Raises:
         BadInputError: It is no quadrotor that our vehicle can be, or a key is missing that has no default.
     """
-    keys: dict[str, Any] = {"name": data.name, **data.values}
-    notes = {"name": "name of the model", **data.notes}
-    assumed: list[str] = []
-
-    def take(key: str, value: Any, note: str) -> None:  # noqa: ANN401 - as in a YAML file
-        if key not in keys:
-            keys[key] = value
-            notes[key] = note
-
-    def assume(key: str, value: Any, note: str) -> None:  # noqa: ANN401 - as in a YAML file
-        if key not in keys and key not in chosen:
-            take(key, value, note)
-            assumed.append(key)
+    draft = _Draft(data, chosen)
 
     # The frame, which turns the axes of the inertia.
     frame = _frame_of(data, source)
     if frame is not None:
         data.remarks += frame.remarks
         if not data.directions_only:
-            take("arm_length", _rounded(frame.arm), "mean distance of the rotors from their centre")
+            draft.take("arm_length", _rounded(frame.arm), "mean distance of the rotors from their centre")
+    centre = np.zeros(3)
     if data.body is not None:
-        take("mass", _rounded(data.body.mass), data.body_note)
-        take("inertia", _diagonal(data, frame), data.body_note)
+        centre = data.body.centre
+        draft.take("mass", _rounded(data.body.mass), data.body_note)
+        draft.take("inertia", _diagonal(data.body, frame, data.remarks), data.body_note)
 
-    # The rotors.  Thrust may depend on the mass that the user has set.
-    mass = chosen.get("mass", keys.get("mass"))
-    for key, value, note in _of_rotors(data, mass):
-        take(key, value, note)
+    # The rotors.  Thrust and drag may depend on the mass that the user has set.
+    mass = draft.number("mass")
+    _take_rotors(draft, data, mass)
     drag = _drag(data, mass)
     if drag is not None:
-        take("drag", drag, f"{data.linear_drag_note or data.rotor_note}; the same force at {_DRAG_SPEED:g} m/s")
+        note = f"{data.linear_drag_note or data.rotor_note}; the same force at {_DRAG_SPEED:g} m/s"
+        draft.take("drag", drag, note)
 
     # The rest has defaults.
-    arm = chosen.get("arm_length", keys.get("arm_length"))
-    centre = np.zeros(3) if data.body is None else data.body.centre
+    arm = draft.number("arm_length")
     reach = reach_of(data.shapes, centre)
     if reach > 0.0:
         note = f"reach of its {len(data.shapes)} collision shapes from the centre of mass"
-        take("collision_radius", math.ceil(1000.0 * reach) / 1000.0, note)
-    elif isinstance(arm, int | float):
-        assume("collision_radius", _rounded(_RADIUS_PER_ARM * arm), f"{_RADIUS_PER_ARM:g} x arm_length")
-    assume("rotor_torque_ratio", _TORQUE_RATIO, f"{_TORQUE_RATIO:g} m")
-    assume("rotor_time_constant", _LAG, f"{_LAG:g} s")
-    assume("drag", [0.0, 0.0, 0.0], "none")
-    _set_gains(chosen.get("rotor_time_constant", keys.get("rotor_time_constant")), take)
-    _check_complete(source, data, {**keys, **chosen})
-    notes |= {key: "chosen" for key in chosen}
-    return ImportedVehicle({**keys, **chosen}, notes, tuple(assumed), tuple(data.remarks))
+        draft.take("collision_radius", rounded_up(reach), note)
+    elif arm is not None:
+        draft.assume("collision_radius", _rounded(_RADIUS_PER_ARM * arm), f"{_RADIUS_PER_ARM:g} x arm_length")
+    draft.assume("rotor_torque_ratio", _TORQUE_RATIO, f"{_TORQUE_RATIO:g} m")
+    draft.assume("rotor_time_constant", _LAG, f"{_LAG:g} s")
+    draft.assume("drag", [0.0, 0.0, 0.0], "none")
+    _say_top_speed(data, draft)
+    _take_gains(draft)
+    _check_complete(source, data, draft.keys)
+    return ImportedVehicle(draft.keys, draft.notes, tuple(draft.assumed), tuple(data.remarks))
 
 
 class _Corners(NamedTuple):
@@ -273,55 +303,52 @@ def _check_spins(source: str, rotors: list[Rotor]) -> None:
     """Refuse neighbours that turn the same way; in the order of their angles."""
     spins = [rotor.spin for rotor in rotors]
     if all(spins) and any(a == b for a, b in zip(spins, [*spins[1:], spins[0]], strict=True)):
-        words = ", ".join(f"{rotor.name} {'ccw' if rotor.spin > 0 else 'cw'}" for rotor in rotors)
-        raise BadInputError(f"{source}: {words}; allowed: neighbours that turn in opposite directions")
+        directions = ", ".join(f"{rotor.name} {_DIRECTIONS[rotor.spin]}" for rotor in rotors)
+        raise OppositeSpinsError(f"{source}: {directions}; allowed: neighbours that turn in opposite directions")
 
 
-def _diagonal(data: MultirotorData, frame: _Frame | None) -> list[float]:
-    """Inertia in the axes of the X (kg m^2); a remark if what is beside the diagonal counts."""
-    assert data.body is not None
-    turn = matrix_of_rpy(0.0, 0.0, 0.0 if frame is None else frame.turned)
-    tensor = product(product(turn.T, data.body.tensor), turn)
+def _diagonal(body: MassProperties, frame: _Frame | None, remarks: list[str]) -> list[float]:
+    """Inertia in the axes of the X (kg m^2); what of it cannot be flown is added to the remarks."""
+    turned = 0.0
+    if frame is not None:
+        turned = frame.turned
+    turn = matrix_of_rpy(0.0, 0.0, turned)
+    tensor = product(product(turn.T, body.tensor), turn)
     diagonal = np.diag(tensor)
     beside = np.abs(tensor - np.diag(diagonal)).max()
     if beside > _OFF_DIAGONAL * np.abs(diagonal).min():
-        data.remarks.append(f"products of inertia up to {beside:.2g} kg m^2 are left out")
+        remarks.append(f"products of inertia up to {beside:.2g} kg m^2 are left out")
     # some models have more inertia about an axis than any rigid body of the other two can have
     axis = int(np.argmax(diagonal))
     others = float(diagonal.sum() - diagonal[axis])
     if others < diagonal[axis] <= (1.0 + _MOST_EXCESS) * others:
-        data.remarks.append(
-            f"inertia about {'xyz'[axis]} {diagonal[axis]:.3g} is no rigid body's; flown with {others:.3g}"
-        )
+        remarks.append(f"inertia about {'xyz'[axis]} {diagonal[axis]:.3g} is no rigid body's; flown with {others:.3g}")
         diagonal = np.where(np.arange(3) == axis, (1.0 - 1e-5) * others, diagonal)
     return [_rounded(value) for value in diagonal]
 
 
-def _of_rotors(data: MultirotorData, mass: Any) -> list[tuple[str, Any, str]]:  # noqa: ANN401 - unchecked
-    """Keys, values and sources of what rotors have in common."""
-    taken: list[tuple[str, Any, str]] = []
+def _take_rotors(draft: _Draft, data: MultirotorData, mass: float | None) -> None:
+    """What all rotors have in common."""
     thrusts = [rotor.max_thrust for rotor in data.rotors if rotor.max_thrust is not None]
-    has_mass = isinstance(mass, int | float) and mass > 0.0
     if thrusts:
         least = min(thrusts)
         note = data.rotor_note
         if max(thrusts) > (1.0 + _SPREAD_THRUST) * least:
             note += f"; the smallest of {least:.4g} to {max(thrusts):.4g} N"
-        taken.append(("max_rotor_thrust", *_limited(least, mass if has_mass else None, note)))
-    elif data.hover_share is not None and has_mass:
+        draft.take("max_rotor_thrust", *_limited(least, mass, note))
+    elif data.hover_share is not None and mass is not None:
         thrust = mass * GRAVITY / _ROTORS / data.hover_share
-        taken.append(("max_rotor_thrust", _rounded(thrust), f"hovers at {data.hover_share:g} of it"))
+        draft.take("max_rotor_thrust", _rounded(thrust), f"hovers at {data.hover_share:g} of it")
     ratios = [abs(rotor.torque_ratio) for rotor in data.rotors if rotor.torque_ratio]
     if ratios:
-        taken.append(("rotor_torque_ratio", _rounded(float(np.mean(ratios))), data.rotor_note))
+        draft.take("rotor_torque_ratio", _rounded(float(np.mean(ratios))), data.rotor_note)
     lags = [rotor.lag for rotor in data.rotors if rotor.lag is not None]
     if lags:
         up, down = lags[0]
         note = data.rotor_note
         if up != down:
             note += f"; mean of {up:g} s up and {down:g} s down"
-        taken.append(("rotor_time_constant", _rounded(0.5 * (up + down)), note))
-    return taken
+        draft.take("rotor_time_constant", _rounded(0.5 * (up + down)), note)
 
 
 def _limited(thrust: float, mass: float | None, note: str) -> tuple[float, str]:
@@ -332,34 +359,43 @@ def _limited(thrust: float, mass: float | None, note: str) -> tuple[float, str]:
     return _rounded(limit), f"{note}; limited from {thrust:.4g} N to {_MOST_LIFT:g} x weight"
 
 
-def _drag(data: MultirotorData, mass: Any) -> list[float] | None:  # noqa: ANN401 - unchecked
+def _drag(data: MultirotorData, mass: float | None) -> list[float] | None:
     """Coefficients of our drag, which is quadratic, from one that is linear in the speed (N s^2/m^2)."""
     if data.linear_drag is not None:
         return [_rounded(value / _DRAG_SPEED) for value in data.linear_drag]
-    if not isinstance(mass, int | float) or not mass > 0.0:
+    if mass is None or not data.rotors:
         return None
     total = 0.0
     for rotor in data.rotors:
         if rotor.drag is None or not rotor.speed_constant:
             return None
         total += rotor.drag * math.sqrt(mass * GRAVITY / len(data.rotors) / rotor.speed_constant)
-    if not data.rotors:
-        return None
     sideways = _rounded(total / _DRAG_SPEED)
     return [sideways, sideways, 0.0]
 
 
-def _set_gains(lag: Any, take: Any) -> None:  # noqa: ANN401 - unchecked, and a function
+def _say_top_speed(data: MultirotorData, draft: _Draft) -> None:
+    """Remark that drag leaves less speed than missions usually have."""
+    mass, drag = draft.number("mass"), draft.keys["drag"]
+    if mass is None or not isinstance(drag, list) or not isinstance(drag[0], int | float) or not drag[0] > 0.0:
+        return
+    speed = math.sqrt(mass * GRAVITY * math.tan(VehicleConfig.model_fields["max_tilt"].default) / drag[0])
+    if speed < _DRAG_SPEED:
+        data.remarks.append(f"its drag leaves {speed:.2g} m/s at full tilt; choose a lower v_max")
+
+
+def _take_gains(draft: _Draft) -> None:
     """Gains within the bandwidth of slow motors; those of fast ones are the defaults."""
     fields = VehicleConfig.model_fields
     default: tuple[float, float, float] = fields["rate_gain"].default
-    if not isinstance(lag, int | float) or lag * default[0] <= _BANDWIDTH_LAG:
+    lag = draft.number("rotor_time_constant")
+    if lag is None or lag * default[0] <= _BANDWIDTH_LAG:
         return
     share = _BANDWIDTH_LAG / (lag * default[0])
     note = f"reduced to {100.0 * share:.0f} % for motors this slow"
-    take("rate_gain", [_rounded(share * gain) for gain in default], note)
-    take("attitude_gain", _rounded(share * fields["attitude_gain"].default), note)
-    take("velocity_gain", _rounded(share * fields["velocity_gain"].default), note)
+    draft.take("rate_gain", [_rounded(share * gain) for gain in default], note)
+    draft.take("attitude_gain", _rounded(share * fields["attitude_gain"].default), note)
+    draft.take("velocity_gain", _rounded(share * fields["velocity_gain"].default), note)
 
 
 def _check_complete(source: str, data: MultirotorData, keys: Mapping[str, Any]) -> None:
@@ -379,3 +415,10 @@ def _check_complete(source: str, data: MultirotorData, keys: Mapping[str, Any]) 
 def _rounded(value: float) -> float:
     """Six significant digits, as a person would write it."""
     return float(f"{value:.6g}")
+
+
+def rounded_up(length_m: float) -> float:
+    """The next millimetre above a length (m), but for rounding errors."""
+    if not length_m < _MOST_LENGTH:
+        return length_m
+    return math.ceil(1000.0 * length_m - 1e-6) / 1000.0

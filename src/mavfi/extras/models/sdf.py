@@ -12,9 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import jinja2
 import numpy as np
-from jinja2.sandbox import SandboxedEnvironment
 
 from mavfi.errors import BadInputError
 from mavfi.extras.models.geometry import (
@@ -70,7 +68,8 @@ class SdfModel:
         plugins: Its plug-ins (elements).
         is_static: Whether it stands still.
         has_ground: Whether it is, or includes, Gazebo's ground plane.
-        missing: Models that it includes, and that are not on this machine.
+        massless: Links without an element <inertial>.
+        missing: Models that it has, and that cannot be read, with the reason.
     """
 
     name: str
@@ -83,6 +82,7 @@ class SdfModel:
     is_static: bool = False
     has_ground: bool = False
     missing: list[str] = field(default_factory=list)
+    massless: list[str] = field(default_factory=list)
 
     def place(self, pose: Pose) -> None:
         """Express everything in the axes of another frame, in which this model has a pose."""
@@ -115,6 +115,7 @@ class SdfModel:
         self.plugins += other.plugins
         self.has_ground = self.has_ground or other.has_ground
         self.missing += other.missing
+        self.massless += other.massless
 
 
 @dataclass
@@ -153,6 +154,7 @@ class SdfReader:
             for model in self._children(worlds[0], self._path, world, 0):
                 world.frames[model.name] = model.frames["__model__"]
                 models.append(model)
+            self._apply_state(worlds[0], models)
             models.append(SdfModel(world.name, is_static=True, has_ground=world.has_ground, missing=world.missing))
             return SdfFile(worlds[0].get("name") or self._path.stem, models, is_world=True)
         elements = root.findall("model")
@@ -164,6 +166,15 @@ class SdfReader:
             self._place_in(model, element, element, SdfModel(""))
             models.append(model)
         return SdfFile(models[0].name, models, is_world=False)
+
+    def _apply_state(self, world: ET.Element, models: list[SdfModel]) -> None:
+        """Move models to where a world that was saved while it ran has them."""
+        by_name = {model.name: model for model in models}
+        for element in world.findall("state/model"):
+            model = by_name.get(element.get("name", ""))
+            posed = element.find("pose")
+            if model is not None and posed is not None:
+                model.place(_pose(posed, self._what(element)).apply(model.frames["__model__"].inverse()))
 
     # ---- models -----------------------------------------------------------------------------------------------------
     def _model(self, element: ET.Element, path: Path, depth: int) -> SdfModel:
@@ -210,13 +221,15 @@ class SdfReader:
             model = self._model(nested, path, depth + 1)
             self._place_in(model, nested, nested, owner)
             yield model
+        owner.missing += [f"{part.get('name')} (population)" for part in element.findall("population")]
         for include in element.findall("include"):
             uri = _text(include.find("uri"))
             file = _included_file(uri, path)
             if file is None:
                 owner.has_ground = owner.has_ground or _GROUND.search(uri) is not None
                 if not _SUN.search(uri) and not _GROUND.search(uri):
-                    owner.missing.append(_text(include.find("name")) or uri.rstrip("/").rpartition("/")[2])
+                    name = _text(include.find("name")) or uri.rstrip("/").rpartition("/")[2]
+                    owner.missing.append(f"{name} (not on this machine)")
                 continue
             source = _root_of(file).find("model")
             if source is None:
@@ -275,6 +288,8 @@ class SdfReader:
         model.links[name] = frame
         what = f"{self._path}: link {name!r}"
         inertial = link.find("inertial")
+        if inertial is None:
+            model.massless.append(name)
         mass = None if inertial is None else number(inertial.find("mass"), f"{what}: mass")
         if inertial is not None and mass:
             placed = frame.apply(_pose(inertial.find("pose"), what))
@@ -326,25 +341,30 @@ def _kind_of(joint: ET.Element) -> str:
 
 def _root_of(path: Path) -> ET.Element:
     """Root of an SDF file; a template of PX4 is filled with nothing."""
-    if not path.name.endswith(_TEMPLATE):
-        root = read_xml(path)
-    else:
-        if not is_file(path):
-            raise BadInputError(f"{path}: there is no such file")
-        text = read_file(path, LARGEST_TEXT).decode(errors="replace")
-        try:
-            filled = SandboxedEnvironment(autoescape=False).from_string(text).render()
-        except (jinja2.TemplateError, ArithmeticError, TypeError, ValueError) as error:
-            raise BadInputError(
-                f"{path}: the template cannot be filled ({' '.join(str(error).split())}); allowed: the file that "
-                "PX4's jinja_gen.py makes of it"
-            ) from None
-        root = parse_xml(filled, path)
+    root = _filled(path) if path.name.endswith(_TEMPLATE) else read_xml(path)
     if root.tag == "gazebo":  # its name until version 1.2
         return root
     if root.tag != "sdf":
         raise BadInputError(f"{path}: an XML file of <{root.tag}>; allowed: <sdf>")
     return root
+
+
+def _filled(path: Path) -> ET.Element:
+    """Root of a template, without values for its variables."""
+    import jinja2
+    from jinja2.sandbox import SandboxedEnvironment  # slow to import
+
+    if not is_file(path):
+        raise BadInputError(f"{path}: there is no such file")
+    text = read_file(path, LARGEST_TEXT).decode(errors="replace")
+    try:
+        filled = SandboxedEnvironment(autoescape=False).from_string(text).render()
+    except (jinja2.TemplateError, ArithmeticError, TypeError, ValueError) as error:
+        raise BadInputError(
+            f"{path}: the template cannot be filled ({' '.join(str(error).split())}); allowed: the file that PX4's "
+            "jinja_gen.py makes of it"
+        ) from None
+    return parse_xml(filled, path)
 
 
 def _included_file(uri: str, path: Path) -> Path | None:
@@ -423,10 +443,10 @@ def _shape(geometry: ET.Element | None, pose: Pose, owner: str, what: str) -> Sh
     element = geometry[0]
 
     def value(name: str) -> float:
-        found = number(element.find(name), f"{what}: {name}")
-        if found is None:
+        length = number(element.find(name), f"{what}: {name}")
+        if length is None:
             raise BadInputError(f"{what}: {element.tag} without {name}")
-        return found
+        return length
 
     if element.tag == "box":
         return Shape(BOX, numbers(_text(element.find("size")), 3, f"{what}: size"), pose, owner)

@@ -27,6 +27,7 @@ from mavfi.extras.models.geometry import (
 from mavfi.extras.models.xml_files import find_file, numbers, parse_xml, read_xml
 from mavfi.files import is_dir, is_file
 from mavfi.numerics.vectors import product
+from mavfi.plugins import require_allowed
 
 _NAMES = ("namespace", "robot_namespace", "mav_name", "robot_name", "prefix", "tf_prefix", "name", "ns")
 """Arguments of xacro files that are names only; launch files usually give them."""
@@ -175,7 +176,11 @@ def read_xacro(path: Path, arguments: Mapping[str, Any]) -> UrdfRobot:
 
     Raises:
         BadInputError: It cannot be expanded, e.g. as an argument or a package is missing, or is no URDF.
+        NotAllowedError: It was neither typed nor allowed; its expressions are evaluated as Python.
     """
+    if not is_file(path):
+        raise BadInputError(f"{path}: there is no such file")
+    require_allowed("xacro file", str(path))
     try:
         import xacro
         from xacro import substitution_args
@@ -184,8 +189,6 @@ def read_xacro(path: Path, arguments: Mapping[str, Any]) -> UrdfRobot:
             f"{path}: needs the package xacro, which needs no ROS; allowed: after pip install 'mavfi[models]', or a "
             "file that xacro has expanded, .urdf"
         ) from None
-    if not is_file(path):
-        raise BadInputError(f"{path}: there is no such file")
 
     def find_package(name: str) -> str:
         """The folder of a package of ROS: beside or above the file, or as ROS finds it."""
@@ -217,12 +220,15 @@ def _expand(xacro: Any, path: Path, mappings: dict[str, str]) -> str:  # noqa: A
     with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
         try:
             return str(xacro.process_file(str(path), mappings=mappings).toxml())
-        except SystemExit as error:
-            raise BadInputError(f"{path}: cannot be expanded by xacro ({error})") from None
-        except Exception as error:  # noqa: BLE001 - whatever the expressions in the file raise
+        except SystemExit as stopped:
+            raise BadInputError(f"{path}: cannot be expanded by xacro ({stopped})") from None
+        except Exception as wrapped:  # noqa: BLE001 - whatever the expressions in the file raise
+            error: BaseException = wrapped
+            while getattr(error, "exc", None) is not None:
+                error = error.exc  # type: ignore[attr-defined] # xacro wraps it once for each macro
             reason = " ".join(f"{error}".split()) or type(error).__name__
             allowed = ""
-            if "arg" in type(error).__name__.lower() or "Undefined substitution argument" in reason:
+            if "ndefined substitution argument" in reason:
                 allowed = "; allowed: a YAML file with 'model: FILE' and 'xacro: {ARGUMENT: VALUE}'"
             raise BadInputError(f"{path}: cannot be expanded by xacro ({reason}){allowed}") from None
         finally:

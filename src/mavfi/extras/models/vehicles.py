@@ -1,4 +1,4 @@
-"""Readers of vehicles: SDF, URDF and xacro models with the motor plug-ins of Gazebo or the properties of Crazyflies."""
+"""Readers of vehicles: SDF, URDF and xacro with motor plug-ins of Gazebo or properties of Crazyflies, and MJCF."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -6,16 +6,18 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from mavfi.cli.console import counted
+import numpy as np
+
 from mavfi.errors import BadInputError
-from mavfi.extras.models.geometry import Pose, lump
-from mavfi.extras.models.quadrotor import MultirotorData, Rotor, vehicle_from
+from mavfi.extras.models.geometry import MassProperties, Pose, lump
+from mavfi.extras.models.quadrotor import MultirotorData, OppositeSpinsError, Rotor, rounded_up, vehicle_from
 from mavfi.extras.models.sdf import SdfFile, SdfModel, SdfReader
 from mavfi.extras.models.urdf import UrdfRobot, read_urdf, read_xacro
-from mavfi.extras.models.xml_files import PATH_VARIABLES, number, numbers
+from mavfi.extras.models.xml_files import PATH_VARIABLES, number, numbers, read_xml
 from mavfi.numerics.vectors import length
 from mavfi.sim.engine import GRAVITY
 from mavfi.sim.imported import ImportedVehicle
+from mavfi.sim.mjcf import measure, site_motors
 
 _ROTOR_NAME = re.compile(r"(rotor|prop|motor)", re.IGNORECASE)
 """Links of rotors, where no plug-in names them."""
@@ -30,13 +32,15 @@ def sdf_vehicle(path: Path, chosen: Mapping[str, Any]) -> ImportedVehicle:
     model = _only_multirotor(SdfReader(path).read(), path)
     if model.missing:
         raise BadInputError(
-            f"{path}: includes {', '.join(model.missing)}, not on this machine; allowed: models beside the file, or in "
-            f"a folder of {PATH_VARIABLES[0]}"
+            f"{path}: includes {', '.join(model.missing)}; allowed: models beside the file, or in a folder of "
+            f"{PATH_VARIABLES[0]}"
         )
     model.place(model.frames["__model__"].inverse())  # where it stands in its file does not matter
     data = MultirotorData(model.name, shapes=model.shapes)
+    if model.massless:
+        data.remarks.append(f"links without <inertial>, 1 kg in Gazebo, have no mass: {', '.join(model.massless)}")
     data.body = lump(model.masses.values())
-    data.body_note = f"of {counted(len(model.masses), 'link')} as one rigid body"
+    data.body_note = f"all links with mass ({len(model.masses)}) as one rigid body"
     children = {joint.name: joint.child for joint in model.joints}
     data.rotors = _rotors_of(model.plugins, children, model.links, path)
     data.rotor_note = "motor plug-ins"
@@ -87,7 +91,7 @@ def xacro_vehicle(path: Path, chosen: Mapping[str, Any]) -> ImportedVehicle:
 def _of_robot(robot: UrdfRobot, path: Path, chosen: Mapping[str, Any]) -> ImportedVehicle:
     data = MultirotorData(robot.name, shapes=robot.shapes)
     data.body = lump(robot.masses.values())
-    data.body_note = f"of {counted(len(robot.masses), 'link')} as one rigid body"
+    data.body_note = f"all links with mass ({len(robot.masses)}) as one rigid body"
     data.rotors = _rotors_of(robot.plugins, robot.moving, robot.links, path)
     data.rotor_note = "motor plug-ins"
     properties = robot.root.find("properties")
@@ -100,6 +104,42 @@ def _of_robot(robot: UrdfRobot, path: Path, chosen: Mapping[str, Any]) -> Import
     if held:
         data.remarks.append(f"joints held as they stand: {', '.join(held)}")
     return vehicle_from(data, str(path), chosen)
+
+
+# ---- MJCF ------------------------------------------------------------------------------------------------------------
+
+
+def mjcf_vehicle(path: Path, chosen: Mapping[str, Any]) -> ImportedVehicle:
+    """A vehicle from an MJCF model whose rotors are motors at sites; see `mavfi.sim.imported.VehicleReader`."""
+    if read_xml(path).tag == "sdf":
+        return sdf_vehicle(path, chosen)
+    body = measure(path)
+    data = MultirotorData(path.stem)
+    # the motors' positions are from the centre of mass
+    data.body = MassProperties(body.mass, np.zeros(3), np.diag(body.inertia))
+    data.body_note = "its free body"
+    if body.reach > 0.0:
+        data.values["collision_radius"] = rounded_up(body.reach)
+        data.notes["collision_radius"] = "reach of its geoms from the centre of mass"
+    motors = site_motors(path)
+    data.rotor_note = "motors at sites"
+    for motor in motors:
+        # the torque on the body is opposite to the turning of the rotor
+        spin = int(motor.torque_ratio < 0.0) - int(motor.torque_ratio > 0.0)
+        x, y, z = motor.axis.tolist()
+        data.rotors.append(
+            Rotor(motor.name, motor.position, spin, (x, y, z), motor.max_thrust, motor.torque_ratio or None)
+        )
+    if len(motors) == 1 and motors[0].max_thrust is not None:  # one motor for all rotors
+        data.rotors = []
+        data.values["max_rotor_thrust"] = 0.25 * motors[0].max_thrust
+        data.notes["max_rotor_thrust"] = f"a quarter of motor {motors[0].name}"
+    try:
+        return vehicle_from(data, str(path), chosen)
+    except OppositeSpinsError:
+        data.rotors = [rotor._replace(spin=0) for rotor in data.rotors]
+        data.remarks = ["its neighbouring rotors turn the same way; flown with opposite ones"]
+        return vehicle_from(data, str(path), chosen)
 
 
 # ---- motor plug-ins of RotorS, PX4 and Gazebo ------------------------------------------------------------------------
@@ -129,11 +169,15 @@ def _rotors_of(
             raise BadInputError(f"{what}: motorType {_of(plugin, 'motorType')!r}; allowed: velocity")
         constant = number(plugin.find("motorConstant"), f"{what}: motorConstant")
         speed = number(plugin.find("maxRotVelocity"), f"{what}: maxRotVelocity")
+        if constant is not None and not constant > 0.0:
+            raise BadInputError(f"{what}: motorConstant {constant:g}: allowed: above 0")
         up = number(plugin.find("timeConstantUp"), f"{what}: timeConstantUp")
         down = number(plugin.find("timeConstantDown"), f"{what}: timeConstantDown")
         lag = None
-        if up is not None:
-            lag = (up, up if down is None else down)
+        if up is not None and down is None:
+            lag = (up, up)
+        elif up is not None and down is not None:
+            lag = (up, down)
         thrust = None
         if constant is not None and speed is not None:
             thrust = constant * speed * speed

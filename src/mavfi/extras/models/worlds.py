@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavfi.cli.console import counted
 from mavfi.config import EnvironmentConfig, Vector
 from mavfi.errors import BadInputError
 from mavfi.extras.models.boxes import boxes_of
@@ -87,7 +86,7 @@ def sdf_scene(path: Path) -> Scene:
         if not model.is_static and model.shapes:
             moving.append(model.name)
         shapes += [shape._replace(owner=f"{model.name}::{shape.owner}") for shape in model.shapes]
-        shapes += [Shape(MESH, (), IDENTITY, f"{name} (not on this machine)") for name in model.missing]
+        shapes += [Shape(MESH, (), IDENTITY, name) for name in model.missing]
     remarks = []
     if vehicles:
         remarks.append(f"left out, as vehicles: {_listed(vehicles)}")
@@ -159,9 +158,9 @@ def _environment(path: Path, generator: str, read: Callable[[Path], Scene]) -> E
 def say_boxes(path: Path, shapes: Sequence[Shape], remarks: Sequence[str]) -> None:
     """Warn of what becomes of the shapes of a file."""
     boxes = boxes_of(shapes)
-    text = f"{path}: {counted(len(shapes), 'obstacle')}"
+    text = f"{path}: obstacles: {len(shapes)}"
     if len(boxes.lower) != len(shapes):
-        text += f" as {len(boxes.lower)} boxes"
+        text += f", as {len(boxes.lower)} boxes"
     if boxes.cell > 0.0:
         text += f"; those that are not along the axes are up to {boxes.cell:.2g} m thicker"
     warnings.warn("; ".join([text, *remarks]), stacklevel=2)

@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,6 +22,8 @@ PATH_VARIABLES = (
 """Environment variables with folders of models, as Gazebo and ROS use them."""
 _FOLDERS = ("", "models", "share")
 """Where models are inside a folder that is searched."""
+_PREFIX = re.compile(rb"""(</?|\s)([A-Za-z_][\w.-]*):(?=[\w.-]+(?:\s*=\s*["']|[\s/>]))""")
+"""Prefixes of elements and attributes."""
 _NEAR = 4
 """Number of folders above a file that are searched as well."""
 
@@ -31,9 +34,18 @@ def parse_xml(text: bytes | str, path: Path) -> ET.Element:
     Raises:
         BadInputError: It is no XML.
     """
+    data = text.encode() if isinstance(text, str) else text
+    data = (
+        data.lstrip()
+    )  # Gazebo's parser accepts blank lines before the declaration, and prefixes that are not declared
     try:
-        return ET.fromstring(text)  # noqa: S314 - expat limits the expansion of entities
-    except (ET.ParseError, ValueError) as error:
+        try:
+            return ET.fromstring(data)  # noqa: S314 - expat limits the expansion of entities
+        except ET.ParseError as error:
+            if "unbound prefix" not in str(error):
+                raise
+            return ET.fromstring(_PREFIX.sub(rb"\1\2.", data))  # noqa: S314
+    except (ET.ParseError, LookupError, ValueError) as error:  # LookupError: of its encoding
         raise BadInputError(f"{path}: not an XML file ({error})") from None
 
 
@@ -89,9 +101,7 @@ def find_file(uri: str, path: Path) -> Path | None:
     if scheme in ("http", "https"):
         rest = rest.rstrip("/").rpartition("/")[2]
     if os.path.isabs(rest):  # noqa: PTH117 - of a text
-        return Path(rest) if is_file(Path(rest)) or is_dir(Path(rest)) else None
-    for folder in search_folders(path):
-        candidate = folder / rest
-        if is_file(candidate) or is_dir(candidate):
-            return candidate
-    return None
+        candidates = [Path(rest)]
+    else:
+        candidates = [folder / rest for folder in search_folders(path)]
+    return next((candidate for candidate in candidates if is_file(candidate) or is_dir(candidate)), None)

@@ -41,8 +41,12 @@ _AROUND = 5.0
 """Margin of the grid around obstacles and ends where unknown space is free (m)."""
 _USUAL_RESOLUTION = 0.08
 """Resolution of the pipeline's map inside a building (m)."""
+_COARSEST_RESOLUTION = 5.0
+"""Limit of `map_resolution` (m); an arena that is still too large is refused later."""
 _LARGEST_MAP = 1 << 27
 """Voxels of the pipeline's map, at most."""
+_COARSER_MAP = 1 << 26
+"""The same where the resolution is ours to choose; up to 1.7 GB."""
 _MAP_MARGIN = (2.0 * _AROUND + 11.0, 2.0 * _AROUND + 11.0, 6.0)
 """Margins of that map and of ours around the scan (m)."""
 _TRUNCATED, _TOO_DEEP, _NO_LOG_ODDS = -1, -2, -3
@@ -241,11 +245,11 @@ def map_resolution_for(path: str) -> float:
     """
     leaves, resolution = _leaves_of(path, _modified(path))
     lower, upper = _bounds(leaves)
-    extent = (upper - lower) * resolution + _MAP_MARGIN
-    finest = float(np.prod(extent) / _LARGEST_MAP) ** (1.0 / 3.0)
-    if finest <= _USUAL_RESOLUTION:
+    volume = float(np.prod((upper - lower) * resolution + _MAP_MARGIN))
+    if volume <= _LARGEST_MAP * _USUAL_RESOLUTION**3:
         return _USUAL_RESOLUTION
-    return float(max(resolution, math.ceil(100.0 * finest) / 100.0))
+    finest = (volume / _COARSER_MAP) ** (1.0 / 3.0)
+    return float(min(max(resolution, math.ceil(100.0 * finest) / 100.0), _COARSEST_RESOLUTION))
 
 
 @kernel_jit

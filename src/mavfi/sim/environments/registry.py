@@ -15,7 +15,6 @@ from mavfi.errors import BadInputError
 from mavfi.files import is_file
 from mavfi.mission import ARRIVAL_RADIUS
 from mavfi.plugins import load_object, parameters_of
-from mavfi.sim.environments.octomap_file import map_resolution_for
 from mavfi.sim.environments.world import World
 from mavfi.sim.mjcf import find_vehicle
 
@@ -124,6 +123,8 @@ def environment_for_file(path: str | Path) -> EnvironmentConfig:
         raise BadInputError(f"{path}: not a scanned map; allowed: a file ending in {' or '.join(SCAN_ENDINGS)}")
     if not is_file(path):
         raise BadInputError(f"{path}: there is no such file")
+    from mavfi.sim.environments.octomap_file import map_resolution_for  # with scipy.ndimage, which is slow to import
+
     return EnvironmentConfig(
         name=path.stem,
         generator=SCAN_GENERATOR,
@@ -154,7 +155,10 @@ def _check_end(source: str, key: str, point: np.ndarray, world: World, radius: f
         raise BadInputError(f"{source}: {key} {text}: outside of the flight volume; allowed: {limits}")
     clearance = float(world.clearance(point)[0])
     if clearance < radius:
+        obstacle = "an obstacle"
+        if world.is_voxels:
+            obstacle = "solid or unknown space"
         raise BadInputError(
-            f"{source}: {key} {text}: {clearance:.2f} m from an obstacle; allowed: at least {radius:g} m, "
+            f"{source}: {key} {text}: {clearance:.2f} m from {obstacle}; allowed: at least {radius:g} m, "
             "the collision radius of the vehicle"
         )

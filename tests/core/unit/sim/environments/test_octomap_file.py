@@ -145,7 +145,7 @@ def test_unknown_space_of_a_map_of_obstacles_can_be_free(tmp_path):
 
 
 def test_the_map_of_a_large_scan_is_as_coarse_as_the_scan_and_a_finer_one_is_refused_with_one_that_is_allowed(tmp_path):
-    field = {(CENTRE, CENTRE, CENTRE + k): False for k in range(4)} | {(CENTRE + 500, CENTRE + 500, CENTRE + 100): True}
+    field = {(CENTRE, CENTRE, CENTRE + k): False for k in range(4)} | {(CENTRE + 500, CENTRE + 500, CENTRE + 50): True}
     large = str(write(tmp_path / "field.bt", field, bits, resolution=0.2))
     assert resolve(MissionSpec(environment=large, start=START, goal=GOAL)).map.resolution == 0.2
     room = {(CENTRE, CENTRE, CENTRE + k): False for k in range(4)}

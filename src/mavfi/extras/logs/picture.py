@@ -1,0 +1,82 @@
+"""A picture of judged recordings: the fields that raised alarms, over time, with the alarms."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from mavfi.extras.logs.recording import LogRecording, values_of
+from mavfi.extras.logs.watch import JudgedLog, LogWatch
+from mavfi.report.style import BLUE, GREY, ORANGE, house_style, write
+
+_MAX_RECORDINGS = 3
+_MAX_FIELDS = 3
+"""Largest numbers of recordings in a picture, and of fields of each."""
+_WIDTH = 9.0
+_HEIGHT = 1.5
+"""Width of the picture, and height of a field (in)."""
+_MARGIN_S = 0.05
+"""Least width of an alarm event on either side (s)."""
+
+
+def draw_alarms(
+    path: Path, log_watches: Sequence[LogWatch], recordings: Sequence[LogRecording], judged: Sequence[JudgedLog]
+) -> None:
+    """Draw the fields that raise most alarms in the recordings with most alarm events; by default the first ones.
+
+    Args:
+        path: File of the picture.
+        log_watches: What judged each recording.
+        recordings: The recordings.
+        judged: What was found in each.
+    """
+    order = sorted(range(len(judged)), key=lambda index: -judged[index].events)
+    panels = []
+    for index in order[:_MAX_RECORDINGS]:
+        panels += [(index, *field) for field in _fields_of(log_watches[index], judged[index])]
+    with house_style():
+        figure = Figure(figsize=(_WIDTH, _HEIGHT * len(panels) + 0.6), layout="constrained")
+        axes = np.atleast_1d(figure.subplots(len(panels), 1))
+        for axis, (index, topic, field) in zip(axes, panels, strict=True):
+            _draw_field(axis, recordings[index], judged[index], topic, field)
+        axes[-1].set_xlabel("time in the recording (s)")
+        write(figure, path)
+
+
+def _fields_of(log_watch: LogWatch, judged: JudgedLog) -> list[tuple[str, str]]:
+    """Topic and name of the fields to draw."""
+    alarms = list(judged.alarms)
+    if judged.fault_alarm is not None:
+        alarms.append(judged.fault_alarm)
+    named = Counter((alarm.topic, name) for alarm in alarms for name in alarm.fields)
+    monitored = [
+        (topic, field.name) for topic, probe in log_watch.selection.probes.items() for field in probe.spec.header
+    ]
+    chosen = [field for field, _ in named.most_common() if field in monitored]
+    return (chosen or monitored)[:_MAX_FIELDS]
+
+
+def _draw_field(axis: Axes, recording: LogRecording, judged: JudgedLog, topic: str, field: str) -> None:
+    """A field over time; bands are alarm events that name it, a line is the start of the known fault."""
+    messages = [message for message in recording.messages if message.topic == topic]
+    start_us = recording.messages[0].time_us
+    times = np.array([1e-6 * (message.time_us - start_us) for message in messages])
+    values, _ = values_of(messages, [field])
+    axis.plot(times, values[:, 0], color=BLUE, linewidth=0.8)
+    for event in judged.event_list:
+        if field in event.fields and topic in event.topics:
+            begin = 1e-6 * (event.begin_us - start_us)
+            end = 1e-6 * (event.end_us - start_us)
+            axis.axvspan(begin - _MARGIN_S, end + _MARGIN_S, color=ORANGE, alpha=0.35, linewidth=0)
+    if recording.onset_us is not None:
+        axis.axvline(1e-6 * (recording.onset_us - start_us), color=GREY, linestyle="--", linewidth=1.0)
+    axis.set_title(f"{recording.name}: {topic} {field}", fontsize=8.5)
+    # A corrupted value of 1e30 would flatten all others.
+    finite = values[np.isfinite(values)]
+    if len(finite):
+        low, high = np.quantile(finite, (0.001, 0.999))
+        spare = max(0.3 * float(high - low), 1e-9)
+        axis.set_ylim(low - spare, high + spare)

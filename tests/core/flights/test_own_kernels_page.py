@@ -1,0 +1,77 @@
+"""The page on kernels of one's own: its code is that of the example, and its commands fly the example's files."""
+
+import json
+import re
+import shlex
+import shutil
+import sys
+
+import pytest
+
+from mavfi.campaign.config import load_campaign
+from mavfi.cli import run
+from mavfi.levels.instruction import campaign_targets
+from tests.core.architecture.source import ROOT
+from tests.pages import DOCS, commands
+
+PAGE = "how-to/own-kernels.md"
+EXAMPLE = ROOT / "examples" / "own_kernels"
+FLIGHTS = [command for command in commands(PAGE) if command.startswith("mavfi fly")]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A working directory with the files of the example."""
+    shutil.copytree(EXAMPLE, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry] + [str(tmp_path)])
+    before = set(sys.modules)
+    yield tmp_path
+    for name in set(sys.modules) - before:
+        if name.startswith("my_"):
+            del sys.modules[name]
+
+
+def test_every_block_of_code_is_from_the_example():
+    sources = "".join(path.read_text(encoding="utf-8") for path in EXAMPLE.glob("*.py"))
+    blocks = re.findall(r"```python\n(.*?)```", (DOCS / PAGE).read_text(encoding="utf-8"), re.DOTALL)
+    assert len(blocks) == 3
+    for block in blocks:
+        for part in block.split("\n\n\n"):  # as between functions
+            assert part.strip("\n") in sources
+
+
+@pytest.mark.parametrize("command", FLIGHTS[1:2] + FLIGHTS[-1:])
+def test_the_flights_of_the_page_succeed(folder, capsys, command):
+    assert run([*shlex.split(command)[1:], "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["status"] == "success" and all(injection["activated"] for injection in data["injections"])
+
+
+def test_the_campaign_of_the_page_names_the_kernels_of_the_example(folder):
+    campaign = load_campaign("table1.yaml")
+    stages = {target.name: target.stage for target in campaign_targets(campaign)}
+    assert {name: stages[name] for name in ("AStar", "VoxelMap", "Jumps")} == {
+        "AStar": "planning",
+        "VoxelMap": "perception",
+        "Jumps": "",
+    }
+
+
+def test_the_planner_of_the_example_finds_a_free_way():
+    import numpy as np
+    from examples.own_kernels.my_planner import AStar
+
+    from mavfi.config import PlannerConfig
+    from mavfi.numerics.voxels import Grid, segment_free
+
+    grid = Grid(0.0, 0.0, 0.0, 2.0, 20, 20, 8)
+    counter = np.zeros((20, 20, 8), np.int16)
+    counter[10, :16, :] = 1  # a wall with a gap
+    start, goal = np.array([1.0, 1.0, 2.0]), np.array([9.0, 1.0, 2.0])
+    box = np.zeros(3), np.array([10.0, 10.0, 4.0])
+    path = AStar(PlannerConfig(), 1).search(counter.ravel(), grid, start, goal, *box)
+    assert (path[0] == start).all() and (path[-1] == goal).all() and path[:, 1].max() > 8.0
+    assert all(segment_free(counter.ravel(), grid, *leg) for leg in zip(path[:-1], path[1:], strict=True))
+    counter[10] = 1
+    assert len(AStar(PlannerConfig(), 1).search(counter.ravel(), grid, start, goal, *box)) == 0

@@ -1,0 +1,177 @@
+"""Any detector on any recording: fitted ones, rules on what is mapped, and custom ones."""
+
+import json
+
+import numpy as np
+import pytest
+
+from mavfi import Detector
+from mavfi.cli.commands import run
+from mavfi.config import names, shipped
+from mavfi.detectors.detector import Alarm
+from mavfi.errors import BadInputError
+from mavfi.extras.logs.mapping import FOLDER, LogMapping, choose_mapping
+from mavfi.extras.logs.recording import LogRecording, read_recording
+from mavfi.extras.logs.selection import Wanted, select
+from mavfi.extras.logs.watch import LogWatch
+from mavfi.flight.log_readers import LoggedMessage, RecordLayout
+
+
+class SlowOnly(Detector):
+    """Reads commands of missions."""
+
+    states = frozenset({"control.command"})
+
+    def check(self, state, time_us):
+        if not abs(state.value("vx")) < 20.0:
+            return Alarm("slow", "control", score=2.0, fields=("control.command.vx",))
+        return None
+
+
+class SmallOnly(Detector):
+    """Reads messages themselves."""
+
+    def check(self, state, time_us):
+        for field in state.spec.header:
+            if not abs(state.value(field.name)) < 100.0:
+                return Alarm("small", "control", score=2.0, fields=(f"{state.spec.name}.{field.name}",))
+        return None
+
+
+class NeedsLimits(Detector):
+    """Takes limits of the mission, which are measured in the training."""
+
+    def __init__(self, limits):
+        self.v_max = limits.v_max
+
+    def check(self, state, time_us):
+        if state.spec.name == "sensor.odometry" and abs(state.value("vx")) > 1.5 * self.v_max:
+            return Alarm("limits", "perception", score=2.0, fields=("sensor.odometry.vx",))
+        return None
+
+
+def recording(name, columns, topic, period_us=20_000):
+    """Messages of one topic with these columns."""
+    size = len(next(iter(columns.values())))
+    rows = np.zeros(size, [(column, "<f4") for column in columns])
+    for column, values in columns.items():
+        rows[column] = values
+    layout = RecordLayout.of(topic, rows.dtype)
+    messages = [LoggedMessage(topic, period_us * index, layout, row.tobytes()) for index, row in enumerate(rows)]
+    return LogRecording(name, messages)
+
+
+def circle(phase):
+    """A flight on a circle, in PX4's frame."""
+    time = 0.02 * np.arange(400)
+    x, y = 5.0 * np.cos(0.5 * time + phase), 5.0 * np.sin(0.5 * time + phase)
+    velocity = {"vx": -0.5 * y, "vy": 0.5 * x, "vz": np.zeros(400)}
+    resets = np.where(time > 4.0, 1.0, 0.0)
+    return {"x": x, "y": y, "z": -3.0 + 0.0 * x, **velocity, "xy_reset_counter": resets}
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "named", "rule"),
+    [
+        ("x", 30.0, "x", "rule 3, step along the velocity"),
+        ("vy", -40.0, "vy", "rule 3, velocity change"),
+        ("vx", 8.0, "vx", "rule 3, velocity change"),
+        ("xy_reset_counter", 5.0, "xy_reset_counter", "rule 1, counter 0 -> 5"),
+    ],
+)
+def test_rules_name_the_field_and_the_rule(field, value, named, rule):
+    topic = "vehicle_local_position"
+    normal = [recording(f"{phase}.ulg", circle(phase), topic) for phase in (0.0, 1.0)]
+    columns = circle(2.0)
+    columns[field][100] = value
+    wrong = recording("wrong.ulg", columns, topic)
+    selection = select(normal, [wrong], Wanted(mapping="", only_mapped=True))
+    assert selection.mapping.name == "px4" and list(selection.mapping.states) == ["sensor.odometry"]
+    log_watch = LogWatch("recommended", "tuned", selection, normal)
+    assert log_watch.judge(recording("fine.ulg", circle(2.0), topic)).alarms == []
+    first = log_watch.judge(wrong).alarms[0]
+    assert (first.time_us, first.topic, first.fields) == (2_000_000, topic, (named,))
+    assert first.source.startswith(rule)
+
+
+@pytest.mark.parametrize("kind", ["SlowOnly", "SmallOnly", "NeedsLimits"])
+def test_custom_detectors_see_messages_and_states(kind):
+    topic = "vehicle_local_position_setpoint"
+    if kind == "NeedsLimits":
+        topic = "vehicle_local_position"
+    normal = [recording("a.ulg", circle(0.0), topic)]
+    columns = circle(1.0)
+    columns["vx"][50] = 1000.0
+    wrong = recording("b.ulg", columns, topic)
+    selection = select(normal, [wrong], Wanted(mapping=""))
+    judged = LogWatch(f"{__name__}:{kind}", "tuned", selection, normal).judge(wrong)
+    assert [(alarm.time_us, alarm.topic, alarm.fields) for alarm in judged.alarms] == [(1_000_000, topic, ("vx",))]
+
+
+def test_detectors_of_all_fields_learn_from_recordings(files):
+    normal = [read_recording(files("csv", "a"))]
+    judged = [read_recording(files("csv", "b"))]
+    log_watch = LogWatch("limits", "tuned", select(normal, judged, Wanted(["x", "y", "vx", "vy"])), normal)
+    result = log_watch.judge(judged[0], flips=60)
+    assert result.events <= 1
+    found = [flip.detected for flip in result.flips if flip.bit_class == "sign"]
+    assert np.mean(found) >= 0.8
+    assert log_watch.judge(judged[0], flips=60).flips == result.flips
+
+
+def test_a_mapping_of_ones_own(files, tmp_path, capsys):
+    path = tmp_path / "mine.yaml"
+    path.write_text(
+        "name: mine\nstates:\n  - state: sensor.odometry\n    topic: row\n"
+        "    fields: {x: x, y: y, z: z, vx: vx, vy: vy, vz: vz}\n"
+    )
+    logs = [str(files("csv", name)) for name in ("b", "a")]
+    picture = tmp_path / "p.png"
+    options = ["--detector", "recommended", "--mapping", str(path), "--picture", str(picture), "--json"]
+    assert run(["watch", logs[0], "--train", logs[1], "--inject", "60", *options]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["mapping"]["name"] == "mine" and result["alarms_per_hour"]["events"] == 0
+    assert result["flips"]["sign"]["rate"] >= 0.5 and result["fields"] == {"row": ["x", "y", "z", "vx", "vy", "vz"]}
+    assert picture.stat().st_size > 1000
+    assert run(["watch", logs[0], "--train", logs[1], "--detector", "recommended"]) == 2
+    assert "--mapping" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("sensor.odometry", "sensor.nothing", "no such state"),
+        ("vx: vx", "speed: vx", "no field 'speed'"),
+        ("vx: vx", "vx: vx furlong", "allowed: .*cm/s"),
+        ("vx: vx", "vx: none", "nothing can be mapped .sensor.odometry: no row:none"),
+    ],
+)
+def test_mappings_that_are_refused(tmp_path, old, new, message):
+    path = tmp_path / "mine.yaml"
+    text = "name: mine\nstates:\n  - {state: sensor.odometry, topic: row, fields: {vx: vx}}\n"
+    path.write_text(text.replace(old, new))
+    with pytest.raises(BadInputError, match=message):
+        choose_mapping(str(path), {"row": ["vx"]})
+
+
+def test_every_shipped_mapping_is_valid_and_is_chosen_for_its_own_topics():
+    for name in names(FOLDER):
+        available: dict[str, set[str]] = {}
+        for part in shipped(FOLDER, LogMapping, name).states:
+            for source in part.sources().values():
+                available.setdefault(source.topic, set()).add(source.path)
+        assert choose_mapping("", available).name == name
+
+
+def test_a_column_can_tell_of_the_fault(tmp_path, capsys):
+    time = 0.02 * np.arange(600)
+    x = np.sin(time)
+    lines = [f"{t},{v},{int(n == 500)}" for n, (t, v) in enumerate(zip(time, x, strict=True))]
+    normal, faulty = tmp_path / "normal.csv", tmp_path / "faulty.csv"
+    normal.write_text("\n".join(["t,x,label", *lines[:400]]))
+    lines[500] = f"{time[500]},40.0,1"
+    faulty.write_text("\n".join(["t,x,label", *lines]))
+    assert run(["watch", str(faulty), "--train", str(normal), "--fault", "row:label", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["delays_s"] == [0.0] and result["fields"] == {"row": ["x"]}
+    assert result["recordings"][0]["fault_alarm"]["fields"] == ["x"]
