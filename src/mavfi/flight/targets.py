@@ -165,10 +165,11 @@ class Targets:
         if "flight_controller" in by_role:
             targets.append(self._of_plug_in(by_role["flight_controller"]))
 
-        # Detectors of mavfi, or that replace their functions as these do; then others.
+        # Detectors of mavfi, then others.
+        custom = custom_parts(detector)
         for source in DETECTORS:
             part = part_of(detector, source)
-            if part is not None and type(part).instrument is not Detector.instrument:
+            if part is not None and part not in custom:
                 targets.append(Target(source, dict(part.compiled), parts=(part,)))
         if _DETECTOR in by_role:
             targets.append(self._of_detector(by_role[_DETECTOR]))
@@ -203,15 +204,14 @@ class Targets:
         return Target(plug_in.name, functions, "", _DETECTOR, tuple(own_way), refusal)
 
     def _refuse_shared_functions(self) -> None:
-        """Refuse plug-ins that name a function of another one: nothing tells whose call is injected."""
+        """Refuse plug-ins that name a function of another target: nothing tells whose call is injected."""
         owners: dict[int, str] = {}
-        for name, target in self._targets.items():
-            if not target.role:
-                continue
+        of_mavfi_first = sorted(self._targets.items(), key=lambda item: bool(item[1].role))
+        for name, target in of_mavfi_first:
             for entry, function in target.functions.items():
                 other = owners.setdefault(id(function), name)
-                if other != name:
-                    refusal = f"{name}: compiled: {entry!r}: is named by {other}, too; allowed: a function of its own"
+                if target.role and other != name:
+                    refusal = f"{name}: compiled: {entry!r}: is a function of {other}, too; allowed: one of its own"
                     self._targets[name] = replace(target, functions={}, refusal=refusal)
 
     @property
@@ -268,9 +268,10 @@ class Targets:
         for target in self._targets.values():
             instead = {entry: functions[key] for key, entry in target.counters.items() if key in functions}
             for part in target.parts:
-                part.instrument({entry: other for entry, other in instead.items() if entry in part.compiled})
+                replaced = {entry: instead.pop(entry) for entry in list(instead) if entry in part.compiled}
+                part.instrument(replaced)
                 parts.append(part)
-            if target.role and not target.parts:
+            if target.role:
                 stand_ins += [(target.functions[entry], other) for entry, other in instead.items()]
         of_kernels = {name: functions.get(name, getattr(PLAIN, name)) for name in ENTRIES}
         try:
