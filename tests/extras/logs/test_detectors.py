@@ -38,6 +38,13 @@ class SmallOnly(Detector):
         return None
 
 
+class Broken(Detector):
+    """Asks messages for a field that they do not have."""
+
+    def check(self, state, time_us):
+        return state.value("nothing")
+
+
 class NeedsLimits(Detector):
     """Takes limits of the mission, which are measured in the training."""
 
@@ -116,6 +123,13 @@ def test_custom_detectors_see_messages_and_states(kind):
     selection = select(normal, [wrong], Wanted(mapping=""))
     judged = LogWatch(f"{__name__}:{kind}", "tuned", selection, normal).judge(wrong)
     assert [(alarm.time_us, alarm.topic, alarm.fields) for alarm in judged.alarms] == [(1_000_000, topic, ("vx",))]
+
+
+def test_the_exception_of_a_custom_detector_is_one_line(files, capsys):
+    logs = [str(files("csv", name)) for name in ("b", "a")]
+    assert run(["watch", logs[0], "--train", logs[1], "--detector", f"{__name__}:Broken"]) == 2
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1 and ":Broken: check of row: ValueError: no field of name nothing" in printed
 
 
 def test_detectors_of_all_fields_learn_from_recordings(files):
