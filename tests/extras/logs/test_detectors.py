@@ -94,6 +94,16 @@ def test_rules_name_the_field_and_the_rule(field, value, named, rule):
     assert first.source.startswith(rule)
 
 
+def test_another_entry_of_the_mapping_stands_in_for_numbers_that_are_not_finite():
+    topic = "trajectory_setpoint"
+    velocity = dict(zip(("velocity[0]", "velocity[1]", "velocity[2]", "yawspeed"), np.zeros((4, 400)), strict=True))
+    velocity["velocity[0]"][:10] = np.nan
+    parts = [recording("a.ulg", velocity, topic), recording("a.ulg", circle(0.0), "vehicle_local_position_setpoint")]
+    normal = LogRecording("a.ulg", [message for part in parts for message in part.messages])
+    mapping = select([normal], [normal], Wanted(mapping="px4", only_mapped=True)).mapping
+    assert mapping.states["control.command"].topic == "vehicle_local_position_setpoint"
+
+
 @pytest.mark.parametrize("kind", ["SlowOnly", "SmallOnly", "NeedsLimits"])
 def test_custom_detectors_see_messages_and_states(kind):
     topic = "vehicle_local_position_setpoint"
