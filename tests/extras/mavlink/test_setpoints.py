@@ -100,6 +100,19 @@ def test_an_acceleration_beside_a_velocity_is_noted_and_the_velocity_flown(flyin
     assert flying.vehicle.velocity[0] == pytest.approx(1.0, abs=0.2)
 
 
+def test_set_points_before_mode_offboard_are_not_noted(flying):
+    for _ in range(20):
+        flying.send(local_target(1, VELOCITY_ONLY, velocity=(1.0, 0, 0)))
+        flying.wait(0.2)
+    stream(flying, local_target(1, VELOCITY_ONLY, velocity=(1.0, 0, 0)), 3)
+    assert not flying.autopilot.not_supported and flying.vehicle.velocity[0] == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_place_is_not_flown_to_while_disarmed(client):
+    assert client.command(192, -1, 0, 0, NAN, NAN, NAN, 495.0) == MavResult.REJECTED
+    assert client.command(34, 10, 2, 0, 0, NAN, NAN, NAN) == MavResult.REJECTED
+
+
 def test_an_attitude_tilts_the_vehicle(flying):
     pitch = math.radians(-6.0)
     attitude = [math.cos(pitch / 2), 0.0, math.sin(pitch / 2), 0.0]

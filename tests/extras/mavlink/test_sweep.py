@@ -66,6 +66,9 @@ def test_every_message_is_executed_answered_or_noted(dialect):
         if not client.received and len(client.autopilot.not_supported) == before:
             silent.add(message_class.msgname)
     assert silent == EMPTY | EXECUTED[dialect]
+    if dialect == "px4":  # no mode that follows them was set
+        client.wait(2.5)
+        assert {f"{kind} in mode hold" for kind in EXECUTED["px4"]} <= set(client.autopilot.not_supported)
 
 
 @pytest.mark.parametrize(
@@ -92,7 +95,17 @@ def test_what_is_noted_is_told_once():
     for _ in range(3):
         client.send(mavlink.MAVLink_play_tune_message(1, 1, b"A"))
         client.send(mavlink.MAVLink_play_tune_message(9, 1, b"A"))
-    assert told == client.autopilot.not_supported == ["PLAY_TUNE", "PLAY_TUNE to system 9, component 1"]
+        client.send(mavlink.MAVLink_manual_control_message(9, 0, 0, 500, 0, 0))
+    lines = ["PLAY_TUNE", "PLAY_TUNE to system 9, component 1", "MANUAL_CONTROL to system 9, component 0"]
+    assert told == client.autopilot.not_supported == lines
+
+
+def test_a_message_of_another_dialect_is_noted():
+    client = Client()
+    unknown = struct.pack("<BBBBBBBHB", 253, 1, 0, 0, 0, 245, 190, 60_000 & 0xFFFF, 0) + b"\x01\x00\x00"
+    for parsed in client._to_it.parse_buffer(unknown):
+        client.autopilot.handle(parsed)
+    assert client.autopilot.not_supported == ["UNKNOWN_60000"]
 
 
 # ---- commands ------------------------------------------------------------------------------------------------------

@@ -229,5 +229,6 @@ def test_our_own_environment_files_are_left_alone(tmp_path):
 
 def test_a_world_without_a_goal_is_enough_for_a_vehicle_that_others_fly(tmp_path):
     path = sdf_file(tmp_path, GROUND, sdf_box("a", "10 1 0 0 0 0", "1 4 2"))
-    vehicle = MavVehicle(MissionSpec(environment=path, start=(2.0, 2.0, 1.0)))
+    with pytest.warns(UserWarning, match="obstacles: 1"):
+        vehicle = MavVehicle(MissionSpec(environment=path, start=(2.0, 2.0, 1.0)))
     assert vehicle.landed and vehicle.sim.world.start[:2] == pytest.approx((2.0, 2.0))

@@ -100,6 +100,7 @@ _ARMABLE = (
     CopterMode.POSHOLD,
     CopterMode.GUIDED_NOGPS,
 )
+_PILOTED = (CopterMode.STABILIZE, CopterMode.ALT_HOLD, CopterMode.LOITER, CopterMode.POSHOLD)
 _NEEDS_POSITION = (CopterMode.GUIDED, CopterMode.LOITER, CopterMode.POSHOLD)
 _AUTONOMOUS = (CopterMode.AUTO, CopterMode.GUIDED, CopterMode.RTL, CopterMode.CIRCLE, CopterMode.LAND)
 
@@ -165,6 +166,15 @@ class ArduCopter(Autopilot):
     def channels(self) -> list[int]:
         """See `Autopilot.channels`."""
         return self._overrides
+
+    @property
+    def followed(self) -> tuple[str, ...]:
+        """See `Autopilot.followed`."""
+        if self.mode in (CopterMode.GUIDED, CopterMode.GUIDED_NOGPS):
+            return ("SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT", "SET_ATTITUDE_TARGET")
+        if self.mode in _PILOTED:
+            return ("MANUAL_CONTROL", "RC_CHANNELS_OVERRIDE")
+        return ()
 
     def parameter_changed(self, name: str, value: Number) -> None:
         """See `Autopilot.parameter_changed`."""
@@ -409,6 +419,7 @@ class ArduCopter(Autopilot):
             min(1.0, max(-1.0, (value - _CENTRED) / _HALF_RANGE)) for value in self._overrides[:4]
         )
         self.set_sticks(roll, -pitch, throttle, yaw)
+        self.note_use(message)
 
     @property
     def sticks_us(self) -> int:

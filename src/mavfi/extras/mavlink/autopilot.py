@@ -29,6 +29,8 @@ _HOME_LIMIT = 50_000.0
 """Largest distance of home from the origin (m): ArduPilot's."""
 _STICKS_US = 500_000
 """Age of MANUAL_CONTROL from which sticks count as centred (us); PX4: COM_RC_LOSS_T."""
+_UNUSED_US = 2_000_000
+"""Time within which set-points and sticks must be followed, by a change of the mode (us)."""
 _GROUND_SPEED_TYPES = (0, 1)
 """SPEED_TYPE: air and ground speed, which are the same here."""
 _DEFAULT_SPEED = -2.0
@@ -102,6 +104,7 @@ class Autopilot(ABC):
         self._setpoint_us = 0
         self._sticks = Sticks()
         self._sticks_us = -_STICKS_US
+        self._unused: dict[str, int] = {}  # messages that the present mode does not follow: when they came last
         self._task = 0
         self._long_texts = 0
         self._start(hold(vehicle))
@@ -141,6 +144,11 @@ class Autopilot(ABC):
     @abstractmethod
     def channels(self) -> list[int]:
         """Channels of the receiver (us)."""
+
+    @property
+    @abstractmethod
+    def followed(self) -> tuple[str, ...]:
+        """Set-points and sticks that the present mode follows, by the names of their messages."""
 
     @abstractmethod
     def parameter_changed(self, name: str, value: Number) -> None:
@@ -210,12 +218,22 @@ class Autopilot(ABC):
         while self.vehicle.now_us < until_us:
             self.vehicle.step(min(until_us, self.vehicle.now_us + TICK_US))
             self._end_tasks()
+            self._note_unused()
             self.failures.prove()
             self.mission.repeat_request()
             for content in self.schedule.due(self.vehicle.now_us):
                 fields = content(self)
                 if fields is not None:
                     self.send(content.__name__, *fields)
+
+    def _note_unused(self) -> None:
+        """Note set-points and sticks that came for a mode which has not been set."""
+        for kind, time_us in list(self._unused.items()):
+            if kind in self.followed:
+                del self._unused[kind]
+            elif self.vehicle.now_us - time_us > _UNUSED_US:
+                del self._unused[kind]
+                self.note_unsupported(f"{kind} in mode {self.mode_name}")
 
     def _end_tasks(self) -> None:
         """Tell of a task that has ended by itself."""
@@ -273,9 +291,10 @@ class Autopilot(ABC):
     def handle(self, message: Any) -> None:
         """Execute or answer a message, or note that it is not supported."""
         kind = message.get_type()
-        if not self._is_recipient(message):
-            component = getattr(message, "target_component", 0)
-            self.note_unsupported(f"{kind} to system {message.target_system}, component {component}")
+        system = getattr(message, "target_system", getattr(message, "target", 0))
+        component = getattr(message, "target_component", 0)
+        if not self._is_recipient(system, component):
+            self.note_unsupported(f"{kind} to system {system}, component {component}")
             return
         if kind in _EMPTY:
             return
@@ -288,13 +307,11 @@ class Autopilot(ABC):
         except UnsupportedError as error:
             self.note_unsupported(str(error))
 
-    def _is_recipient(self, message: Any) -> bool:
-        """Whether a message is for this autopilot."""
-        if getattr(message, "target_system", 0) not in (0, self._link.srcSystem):
+    def _is_recipient(self, system: int, component: int) -> bool:
+        """Whether a message to a system and component is for this autopilot; 0 = to all."""
+        if system not in (0, self._link.srcSystem):
             return False
-        if self.answers_all_components:
-            return True
-        return getattr(message, "target_component", 0) in (0, self._link.srcComponent)
+        return self.answers_all_components or component in (0, self._link.srcComponent)
 
     def _command(self, message: Any) -> None:
         """COMMAND_LONG and COMMAND_INT."""
@@ -327,10 +344,19 @@ class Autopilot(ABC):
     def _follow_global(self, message: Any) -> None:
         self._follow(global_target(message, self.geography), message)
 
+    def _follow_attitude(self, message: Any) -> None:
+        self.follow_attitude(message)
+        self.note_use(message)
+
     def _follow(self, setpoint: Setpoint, message: Any) -> None:
         if has_acceleration(message):
             self.note_unsupported(f"acceleration in {message.get_type()}")
         self.follow(setpoint, message)
+        self.note_use(message)
+
+    def note_use(self, message: Any) -> None:
+        """Remember a set-point or a position of sticks until a mode follows it."""
+        self._unused[message.get_type()] = self.vehicle.now_us
 
     def set_setpoint(self, setpoint: Setpoint) -> None:
         """Set what a task that follows set-points flies."""
@@ -350,6 +376,7 @@ class Autopilot(ABC):
         """MANUAL_CONTROL: x forward, y right, z up (0 to 1000), r clockwise."""
         axes = (message.y, message.x, 2 * message.z - 1000, message.r)
         self.set_sticks(*(min(1.0, max(-1.0, axis / 1000.0)) for axis in axes))
+        self.note_use(message)
 
     def set_sticks(self, roll: float, pitch: float, throttle: float, yaw: float) -> None:
         """Move the pilot's sticks, -1 to 1."""
@@ -543,7 +570,7 @@ MESSAGES: dict[str, MessageHandler] = {
     "SET_MODE": Autopilot._set_mode,
     "SET_POSITION_TARGET_LOCAL_NED": Autopilot._follow_local,
     "SET_POSITION_TARGET_GLOBAL_INT": Autopilot._follow_global,
-    "SET_ATTITUDE_TARGET": lambda autopilot, message: autopilot.follow_attitude(message),
+    "SET_ATTITUDE_TARGET": Autopilot._follow_attitude,
     "MANUAL_CONTROL": Autopilot._manual_control,
     "TIMESYNC": Autopilot._timesync,
     "PING": Autopilot._ping,

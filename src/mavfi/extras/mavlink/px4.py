@@ -59,6 +59,10 @@ class FlightMode(Enum):
     STABILIZED = (7, 0)
 
 
+_PILOTED = (FlightMode.MANUAL, FlightMode.STABILIZED, FlightMode.ALTITUDE, FlightMode.POSITION)
+"""Modes that follow sticks."""
+
+
 class Px4Autopilot(Autopilot):
     """One vehicle with PX4's modes."""
 
@@ -117,6 +121,15 @@ class Px4Autopilot(Autopilot):
     def channels(self) -> list[int]:
         """See `Autopilot.channels`: there is no receiver."""
         return []
+
+    @property
+    def followed(self) -> tuple[str, ...]:
+        """See `Autopilot.followed`."""
+        if self.mode is FlightMode.OFFBOARD:
+            return ("SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT", "SET_ATTITUDE_TARGET")
+        if self.mode in _PILOTED:
+            return ("MANUAL_CONTROL",)
+        return ()
 
     def parameter_changed(self, name: str, value: Number) -> None:
         """See `Autopilot.parameter_changed`."""
@@ -280,6 +293,9 @@ class Px4Autopilot(Autopilot):
 
     def reposition(self, command: Command) -> int:
         """MAV_CMD_DO_REPOSITION; parameter 4 is a yaw in rad."""
+        if not self.vehicle.sim.armed:
+            self.text("reposition refused: disarmed")
+            return MavResult.REJECTED
         yaw = None
         if math.isfinite(command[4]):
             yaw = command[4]
@@ -293,6 +309,9 @@ class Px4Autopilot(Autopilot):
 
     def do_orbit(self, command: Command) -> int:
         """MAV_CMD_DO_ORBIT; negative radius = counter-clockwise."""
+        if not self.vehicle.sim.armed:
+            self.text("orbit refused: disarmed")
+            return MavResult.REJECTED
         radius = command[1]
         speed = command[2]
         if not (math.isfinite(radius) and abs(radius) >= 1.0):
