@@ -38,6 +38,13 @@ class SmallOnly(Detector):
         return None
 
 
+class Broken(Detector):
+    """Asks messages for a field that they do not have."""
+
+    def check(self, state, time_us):
+        return state.value("nothing")
+
+
 class NeedsLimits(Detector):
     """Takes limits of the mission, which are measured in the training."""
 
@@ -94,6 +101,16 @@ def test_rules_name_the_field_and_the_rule(field, value, named, rule):
     assert first.source.startswith(rule)
 
 
+def test_another_entry_of_the_mapping_stands_in_for_numbers_that_are_not_finite():
+    topic = "trajectory_setpoint"
+    velocity = dict(zip(("velocity[0]", "velocity[1]", "velocity[2]", "yawspeed"), np.zeros((4, 400)), strict=True))
+    velocity["velocity[0]"][:10] = np.nan
+    parts = [recording("a.ulg", velocity, topic), recording("a.ulg", circle(0.0), "vehicle_local_position_setpoint")]
+    normal = LogRecording("a.ulg", [message for part in parts for message in part.messages])
+    mapping = select([normal], [normal], Wanted(mapping="px4", only_mapped=True)).mapping
+    assert mapping.states["control.command"].topic == "vehicle_local_position_setpoint"
+
+
 @pytest.mark.parametrize("kind", ["SlowOnly", "SmallOnly", "NeedsLimits"])
 def test_custom_detectors_see_messages_and_states(kind):
     topic = "vehicle_local_position_setpoint"
@@ -106,6 +123,13 @@ def test_custom_detectors_see_messages_and_states(kind):
     selection = select(normal, [wrong], Wanted(mapping=""))
     judged = LogWatch(f"{__name__}:{kind}", "tuned", selection, normal).judge(wrong)
     assert [(alarm.time_us, alarm.topic, alarm.fields) for alarm in judged.alarms] == [(1_000_000, topic, ("vx",))]
+
+
+def test_the_exception_of_a_custom_detector_is_one_line(files, capsys):
+    logs = [str(files("csv", name)) for name in ("b", "a")]
+    assert run(["watch", logs[0], "--train", logs[1], "--detector", f"{__name__}:Broken"]) == 2
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1 and ":Broken: check of row: ValueError: no field of name nothing" in printed
 
 
 def test_detectors_of_all_fields_learn_from_recordings(files):

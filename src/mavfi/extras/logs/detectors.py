@@ -1,20 +1,22 @@
 """Detectors by name, for recorded messages."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.detector import Alarm, Detector
+from mavfi.detectors.detector import Alarm, Detector, class_of
 from mavfi.detectors.gate import UNKNOWN_ARENA
 from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.registry import detector_class, is_named, load_detector
 from mavfi.detectors.training import TrainedDetector
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.logs.log_rules import LogRules
 from mavfi.extras.logs.mapping import Mapper, UsedMapping, values_by_name
 from mavfi.extras.logs.monitor import Monitor, fitted
 from mavfi.extras.logs.selection import Selection
+from mavfi.plugins import reason
 from mavfi.states import ODOMETRY, STATES, VECTORS, State
 
 TimedState = tuple[int, State]
@@ -99,10 +101,22 @@ class MappedDetector(Detector):
             if states is None or shown.spec.name in states:
                 yield shown
 
+    @contextmanager
+    def _naming(self, method: str, state: State) -> Iterator[None]:
+        """Name the detector and its method in what it raises: its code is a user's own."""
+        try:
+            yield
+        except MavfiError:
+            raise
+        except Exception as error:  # noqa: BLE001 - any exception of a user's code
+            where = f"--detector: {class_of(self._detector)}: {method} of {state.spec.name}"
+            raise BadInputError(f"{where}: {reason(error)}") from error
+
     def check(self, state: State, time_us: int) -> Alarm | None:
         """The first alarm on a message, or on a state that becomes of it."""
         for shown in self._shown(state):
-            alarm = self._detector.check(shown, time_us)
+            with self._naming("check", shown):
+                alarm = self._detector.check(shown, time_us)
             if alarm is not None:
                 return _named(alarm, self._mapper)
         return None
@@ -110,7 +124,8 @@ class MappedDetector(Detector):
     def accept(self, state: State, time_us: int) -> None:
         """Record a message."""
         for shown in self._shown(state):
-            self._detector.accept(shown, time_us)
+            with self._naming("accept", shown):
+                self._detector.accept(shown, time_us)
         self._mapper.accept(state)
 
     def memory(self) -> tuple[Any, Any]:

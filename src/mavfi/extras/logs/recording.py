@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.levels.message.definition import FORMATS, AbsentError, Definition
 from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, open_flight_log
 
@@ -130,14 +130,17 @@ def _by_frame(messages: list[LoggedMessage]) -> list[LoggedMessage]:
     layouts: dict[Definition, Definition] = {}
     split = []
     for message in messages:
-        if not isinstance(message.layout, Definition):
-            split.append((message, ""))
-        elif message.layout.kind in _TRANSFORMS:
-            split += [(transform, "") for transform in _transforms(message, message.layout, layouts)]
-        else:
-            frame = _frame(message.layout, message.data)
-            frames.setdefault(message.topic, set()).add(frame)
-            split.append((message, frame))
+        try:
+            if not isinstance(message.layout, Definition):
+                split.append((message, ""))
+            elif message.layout.kind in _TRANSFORMS:
+                split += [(transform, "") for transform in list(_transforms(message, message.layout, layouts))]
+            else:
+                frame = _frame(message.layout, message.data)
+                frames.setdefault(message.topic, set()).add(frame)
+                split.append((message, frame))
+        except struct.error:
+            raise MavfiError(f"{message.topic}: a message is not a {message.layout.kind}: it is too short") from None
     renamed = []
     for message, frame in split:
         if frame and frame != min(frames[message.topic]):
@@ -212,7 +215,8 @@ def _columns_of(
         leaf = layout.locate(b"", name)
         dtype = np.dtype("<" + FORMATS[leaf.kind])
         part = np.ascontiguousarray(rows[:, leaf.offset : leaf.offset + dtype.itemsize])
-        values[:, column] = part.view(dtype)[:, 0]
+        with np.errstate(invalid="ignore"):  # a corrupted float32 may be a signalling NaN
+            values[:, column] = part.view(dtype)[:, 0]
     return values, np.ones(values.shape, np.bool_)
 
 

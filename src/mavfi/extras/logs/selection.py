@@ -155,12 +155,35 @@ class _Topics:
         self.used_kinds: set[str] = set()
         self.mapping = NO_MAPPING
         if wanted.mapping is not None:
-            self.mapping = choose_mapping(wanted.mapping, self._available())
+            self.mapping = self._usable_mapping(wanted.mapping)
             if wanted.only_mapped and not self.mapping.states:
                 raise BadInputError(
                     f"{', '.join(name for name, _ in self._training)}: the rules apply to states of missions, and no "
                     "shipped mapping fits these topics; allowed: --mapping FILE"
                 )
+
+    def _usable_mapping(self, name: str) -> UsedMapping:
+        """The mapping of this name, see `choose_mapping`, to numbers that can be monitored."""
+        available = self._available()
+        while True:
+            mapping = choose_mapping(name, available)
+            refused = 0
+            for topic, numbers in available.items():
+                read = [number for number in numbers if f"{topic}:{number}" in mapping.fields]
+                reasons = self._reasons(topic, read)
+                available[topic] = [number for number in numbers if number not in reasons]
+                refused += len(reasons)
+            if not refused:
+                return mapping
+
+    def _reasons(self, topic: str, names: Sequence[str]) -> dict[str, str]:
+        """Why numbers of a topic cannot be monitored, by name."""
+        normal = [(name, topics[topic]) for name, topics in self._training if topic in topics]
+        others = [topics[topic] for _, topics in self._judged if topic in topics]
+        reason = self._reason_against(sum(len(messages) for _, messages in normal), others)
+        if reason:
+            return dict.fromkeys(names, reason)
+        return _reasons_against_fields(normal, others, names)
 
     def _available(self) -> dict[str, list[str]]:
         """Numbers of each topic of the training."""

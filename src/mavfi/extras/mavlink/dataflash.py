@@ -55,10 +55,18 @@ class DataFlashReader:
         except ImportError:
             remedy = "allowed: pip install 'mavfi[mavlink]'"
             raise BadInputError(f"{path}: reading logs of ArduPilot needs pymavlink; {remedy}") from None
+
+        class BinaryReader(DFReader_binary):
+            """The library's reader, without its index in C, which prints past `redirect_stderr`."""
+
+            def init_arrays_fast(self, progress_callback: Any = None) -> None:
+                """Make the index in Python."""
+                self.init_arrays(progress_callback)
+
         library_reader: Any = DFReader_text
         first_format = b"FMT"
         if path.suffix.lower() == ".bin":
-            library_reader = DFReader_binary
+            library_reader = BinaryReader
             first_format = _FORMAT_OF_FORMATS
         # The library prints what it skips.
         with reading(path, kind), redirect_stdout(StringIO()), redirect_stderr(StringIO()):

@@ -1,16 +1,17 @@
 """`mavfi vehicle`: what a model's file says of a vehicle, as our YAML file."""
 
+from __future__ import annotations
+
 import warnings
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavfi.config import VehicleConfig, parse, read_yaml
 from mavfi.errors import BadInputError
-from mavfi.sim.engine import GRAVITY
-from mavfi.sim.imported import VEHICLE_FILES, ImportedVehicle, extensions_of, reader_of
-from mavfi.sim.mjcf import find_vehicle
+
+if TYPE_CHECKING:
+    from mavfi.sim.imported import ImportedVehicle
 
 _WIDTH = 64
 """Column of the comments."""
@@ -25,6 +26,10 @@ def vehicle(
 
     Example: [bold]mavfi vehicle model.sdf > mine.yaml[/bold]
     """
+    from mavfi.config import VehicleConfig, parse
+    from mavfi.sim.engine import GRAVITY
+    from mavfi.sim.mjcf import find_vehicle
+
     imported = _import(file)
     config = parse(VehicleConfig, imported.keys, str(file))
     with warnings.catch_warnings():
@@ -46,6 +51,9 @@ def vehicle(
 
 def _import(file: Path) -> ImportedVehicle:
     """What the file, or the model that a YAML file names, says."""
+    from mavfi.config import read_yaml
+    from mavfi.sim.imported import VEHICLE_FILES, extensions_of, reader_of
+
     chosen: dict[str, Any] = {}
     model = file
     if file.suffix.lower() in (".yaml", ".yml"):
