@@ -259,7 +259,8 @@ def make_search(config: PlannerConfig, seed: int, functions: KernelFunctions = P
     """
     factory = find_search(config.name)
     search: PathSearch = build("planner", config.name, factory, config, seed, needs=_METHODS)
-    if not hasattr(search, "random"):
+    random = getattr(search, "random", None)
+    if not isinstance(random, np.ndarray) or random.dtype != np.uint64 or random.shape != (4,):
         raise BadInputError(f"planner {config.name!r}: lacks random, the state of its generator: shape (4,), uint64")
     if isinstance(search, SamplingSearch):
         search.functions = functions

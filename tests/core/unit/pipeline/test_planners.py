@@ -51,9 +51,10 @@ def test_a_planner_without_a_generator_is_refused(monkeypatch):
     monkeypatch.setattr(planners, "find_search", lambda name: Own)
     config = PlannerConfig(name="own")
     assert isinstance(planners.make_search(config, 1), Own)
-    monkeypatch.delattr(Own, "random")
-    with pytest.raises(BadInputError, match=r"^planner 'own': lacks random, .*uint64"):
-        planners.make_search(config, 1)
+    for random in (None, np.random.default_rng(1)):
+        monkeypatch.setattr(Own, "random", random)
+        with pytest.raises(BadInputError, match=r"^planner 'own': lacks random, .*uint64"):
+            planners.make_search(config, 1)
 
 
 @pytest.mark.parametrize(
