@@ -130,9 +130,8 @@ class CsvReader:
         if len(names) > 1 and not names[-1] and all(len(line) < len(names) or not line[-1].strip() for line in lines):
             names = names[:-1]  # each line ends with a separator
             lines = [line[: len(names)] for line in lines]
-        # as pandas writes the numbers of rows
-        names = [name or f"column {number}" for number, name in enumerate(names, 1)]
-        if len(set(names)) < len(names):
+        named = [name for name in names if name]
+        if len(set(named)) < len(named):
             raise BadInputError(f"{path}: columns: allowed: a different name for each")
         self._is_cut = len(lines) > 1 and len(lines[-1]) < len(names)
         if self._is_cut:
