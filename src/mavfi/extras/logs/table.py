@@ -50,6 +50,12 @@ _FIRST_DATE_S = 1e8
 """Smallest value of a time since 1970 (s)."""
 _LONGEST_PERIOD_S = 2.0
 """Longest usual time between two rows (s)."""
+_SLOW_PERIOD_S = 10.0
+"""The same of a slow log, unless a log in milliseconds with as many rows would be a flight (s)."""
+_SLOWEST_PERIOD_S = 60.0
+"""The same of any log in seconds (s)."""
+_SHORTEST_FLIGHT_S = 10.0
+"""A log in milliseconds that is shorter than this may be a slow one in seconds (s)."""
 _FRACTIONS = ("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds")
 """Names of columns with the nanoseconds of a time whose seconds are another column."""
 _SEPARATORS = (",", ";", "\t", "|")
@@ -67,12 +73,13 @@ class CsvReader:
     numeric column is NaN.
 
     Attributes:
-        notices: Columns that were left out.
+        notices: A unit that was guessed, and columns that were left out.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._is_cut = False
+        self._guesses: list[str] = []
         self.notices: list[str] = []
 
     def is_cut(self) -> bool:
@@ -103,9 +110,9 @@ class CsvReader:
                 texts.append(name or f"column {index + 1}")
             else:
                 columns[name] = column
-        self.notices = []
+        self.notices = list(self._guesses)
         if texts:
-            self.notices = [f"columns without numbers or a name: {', '.join(texts[:5])}{'...' * (len(texts) > 5)}"]
+            self.notices += [f"columns without numbers or a name: {', '.join(texts[:5])}{'...' * (len(texts) > 5)}"]
         rows = np.zeros(len(lines), [(name, np.float64) for name in columns])
         for name, column in columns.items():
             rows[name] = column
@@ -152,7 +159,11 @@ class CsvReader:
             if values is not None:
                 return values
             numbers = [_number(cell) for cell in cells]
-            unit = _unit_in_name(name) or _guess_unit(numbers)
+            unit = _unit_in_name(name)
+            if not unit:
+                unit, is_doubtful = _guess_unit(numbers)
+                if is_doubtful:
+                    self._guesses = [f"{name}: taken for {unit}; if wrong, name the column {name}_s or {name}_ms"]
             return [_microseconds(number, unit) for number in numbers]
         except (ValueError, OverflowError) as error:
             raise BadInputError(f"{self._path}: column {name}: is not a time ({error})") from None
@@ -239,25 +250,29 @@ def _number(cell: str) -> int | float:
     return float(cell)
 
 
-def _guess_unit(numbers: Sequence[int | float]) -> str:
-    """Unit of a column of times, from the size of dates, else from the time between rows."""
+def _guess_unit(numbers: Sequence[int | float]) -> tuple[str, bool]:
+    """Unit of a column of times, from the size of dates, else from the time between rows; and whether it is doubtful."""
     first = numbers[0]
     for smallest, unit in _MAGNITUDES:
         if first >= smallest:
-            return unit
+            return unit, False
     steps = np.diff(np.array(numbers, np.float64))
     steps = steps[steps > 0.0]
     is_whole = all(float(number).is_integer() for number in numbers)
     if not len(steps) or not is_whole:
-        return "s"
+        return "s", False
     # Whole numbers since the start of the log or of the vehicle.
     step = float(np.median(steps))
-    if step <= _LONGEST_PERIOD_S or (first >= _FIRST_DATE_S and step <= 60.0):
-        return "s"
+    if step <= _LONGEST_PERIOD_S or (first >= _FIRST_DATE_S and step <= _SLOWEST_PERIOD_S):
+        return "s", False
+    # A slow log in seconds, or a fast and short one in milliseconds.
+    is_short = step <= _SLOWEST_PERIOD_S and 1e-3 * float(steps.sum()) < _SHORTEST_FLIGHT_S
+    if is_short and step <= _SLOW_PERIOD_S:
+        return "s", True
     for unit in ("ms", "us", "ns"):
         if 1e-6 * _MICROSECONDS[unit] * step <= _LONGEST_PERIOD_S:
-            return unit
-    return "s"
+            return unit, is_short
+    return "s", False
 
 
 def _microseconds(value: int | float, unit: str) -> int:

@@ -10,7 +10,7 @@ from mavfi.extras.mavlink.setpoints import completed
 from mavfi.extras.mavlink.vocabulary import (
     COORDINATE_SCALE,
     GLOBAL_FRAMES,
-    Frame,
+    CoordinateFrame,
     MavCommand,
     MissionResult,
     degrees_of,
@@ -111,7 +111,7 @@ class MissionItem:
         """The item of a MISSION_ITEM or MISSION_ITEM_INT."""
         x = float(message.x)
         y = float(message.y)
-        if message.get_type() == "MISSION_ITEM_INT" and message.frame != Frame.MISSION:
+        if message.get_type() == "MISSION_ITEM_INT" and message.frame != CoordinateFrame.MISSION:
             x = degrees_of(message.x)
             y = degrees_of(message.y)
         parameters = (message.param1, message.param2, message.param3, message.param4)
@@ -121,7 +121,7 @@ class MissionItem:
     def integers(self) -> tuple[int, int]:
         """Fifth and sixth parameter as in MISSION_ITEM_INT."""
         scale = COORDINATE_SCALE
-        if self.frame == Frame.MISSION:
+        if self.frame == CoordinateFrame.MISSION:
             scale = 1.0
         return _integer(self.x / scale), _integer(self.y / scale)
 
@@ -305,7 +305,9 @@ class Mission:
         """Home as item 0."""
         geography = self._autopilot.geography
         latitude, longitude, altitude = geography.geodetic(geography.home)
-        return MissionItem(Frame.GLOBAL, MavCommand.WAYPOINT, 1, (0.0, 0.0, 0.0, 0.0), latitude, longitude, altitude)
+        return MissionItem(
+            CoordinateFrame.GLOBAL, MavCommand.WAYPOINT, 1, (0.0, 0.0, 0.0, 0.0), latitude, longitude, altitude
+        )
 
     # ---- where to begin, and deletion -------------------------------------------------------------------------------
     def set_current(self, message: Any) -> None:
