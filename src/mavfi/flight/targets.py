@@ -110,7 +110,7 @@ def _name_of(function: Any) -> str:
 
 # ---- targets --------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, slots=True)
-class Target:
+class InjectionTarget:
     """A kernel, plug-in or detector with its compiled functions.
 
     Attributes:
@@ -161,7 +161,7 @@ class Targets:
             if replacing:
                 targets.append(self._of_plug_in(replacing[0]))
             elif entries:
-                targets.append(Target(name, {entry: getattr(PLAIN, entry) for entry in entries}, row))
+                targets.append(InjectionTarget(name, {entry: getattr(PLAIN, entry) for entry in entries}, row))
         if "flight_controller" in by_role:
             targets.append(self._of_plug_in(by_role["flight_controller"]))
 
@@ -170,23 +170,23 @@ class Targets:
         for source in DETECTORS:
             part = part_of(detector, source)
             if part is not None and part not in custom:
-                targets.append(Target(source, dict(part.compiled), parts=(part,)))
+                targets.append(InjectionTarget(source, dict(part.compiled), parts=(part,)))
         if _DETECTOR in by_role:
             targets.append(self._of_detector(by_role[_DETECTOR]))
         self._targets = {target.name: target for target in targets}
         self._refuse_shared_functions()
 
-    def _of_plug_in(self, plug_in: PlugIn) -> Target:
+    def _of_plug_in(self, plug_in: PlugIn) -> InjectionTarget:
         """A plug-in whose class names its functions."""
         kernel = PLUG_INS[plug_in.role].kernel
         try:
             factory = _factory(plug_in)
             functions = declared_functions(factory, f"{plug_in.role.replace('_', ' ')} {plug_in.address!r}")
         except BadInputError as error:
-            return Target(plug_in.name, {}, kernel, plug_in.role, refusal=str(error))
-        return Target(plug_in.name, functions, kernel, plug_in.role)
+            return InjectionTarget(plug_in.name, {}, kernel, plug_in.role, refusal=str(error))
+        return InjectionTarget(plug_in.name, functions, kernel, plug_in.role)
 
-    def _of_detector(self, plug_in: PlugIn) -> Target:
+    def _of_detector(self, plug_in: PlugIn) -> InjectionTarget:
         """The parts of a detector that are none of mavfi."""
         functions: dict[str, Compiled] = {}
         own_way = []  # those that replace their functions by themselves
@@ -201,7 +201,7 @@ class Targets:
                 own_way.append(part)
         if functions:
             refusal = ""
-        return Target(plug_in.name, functions, "", _DETECTOR, tuple(own_way), refusal)
+        return InjectionTarget(plug_in.name, functions, "", _DETECTOR, tuple(own_way), refusal)
 
     def _refuse_shared_functions(self) -> None:
         """Refuse plug-ins that name a function of another target: nothing tells whose call is injected."""
@@ -219,7 +219,7 @@ class Targets:
         """Names of the kernels and plug-ins that faults can be in; detectors are not among them."""
         return tuple(name for name, target in self._targets.items() if not target.refusal and not target.in_detector)
 
-    def find(self, name: str) -> Target:
+    def find(self, name: str) -> InjectionTarget:
         """The target that a request means.
 
         Raises:
@@ -245,7 +245,7 @@ class Targets:
             return self._scenario.planner.name
         return text
 
-    def of_fault(self, fault: InstructionFault) -> Target:
+    def of_fault(self, fault: InstructionFault) -> InjectionTarget:
         """The target of a fault.
 
         Raises:
