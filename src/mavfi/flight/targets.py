@@ -189,7 +189,7 @@ class Targets:
     def _of_detector(self, plug_in: PlugIn) -> InjectionTarget:
         """The parts of a detector that are none of mavfi."""
         functions: dict[str, Compiled] = {}
-        own_way = []  # those that replace their functions by themselves
+        instrumenting = []  # those that replace their functions by themselves
         refusal = ""
         for part in custom_parts(self._detector):
             try:
@@ -198,10 +198,10 @@ class Targets:
                 refusal = str(error)
                 continue
             if type(part).instrument is not Detector.instrument:
-                own_way.append(part)
+                instrumenting.append(part)
         if functions:
             refusal = ""
-        return InjectionTarget(plug_in.name, functions, "", _DETECTOR, tuple(own_way), refusal)
+        return InjectionTarget(plug_in.name, functions, "", _DETECTOR, tuple(instrumenting), refusal)
 
     def _refuse_shared_functions(self) -> None:
         """Refuse plug-ins that name a function of another target: nothing tells whose call is injected."""
