@@ -104,7 +104,7 @@ def test_rules_name_the_field_and_the_rule(field, value, named, rule):
 def test_another_entry_of_the_mapping_stands_in_for_numbers_that_are_not_finite():
     topic = "trajectory_setpoint"
     velocity = dict(zip(("velocity[0]", "velocity[1]", "velocity[2]", "yawspeed"), np.zeros((4, 400)), strict=True))
-    velocity["velocity[0]"][:10] = np.nan
+    velocity["velocity[0]"][100:110] = np.nan
     parts = [recording("a.ulg", velocity, topic), recording("a.ulg", circle(0.0), "vehicle_local_position_setpoint")]
     normal = LogRecording("a.ulg", [message for part in parts for message in part.messages])
     mapping = select([normal], [normal], Wanted(mapping="px4", only_mapped=True)).mapping

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from typing import NamedTuple
 
@@ -11,6 +11,7 @@ import numpy as np
 from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec
 from mavfi.errors import BadInputError, allowed
 from mavfi.extras.logs.circular import KINDS, Geometry, Numbers, component_groups, recognise
+from mavfi.extras.logs.counting import COUNTS, counts
 from mavfi.extras.logs.mapping import NO_MAPPING, UsedMapping, choose_mapping
 from mavfi.extras.logs.recording import LogRecording, values_of
 from mavfi.flight.log_readers import LONGEST_LIST, LoggedMessage, Probe
@@ -18,6 +19,8 @@ from mavfi.flight.log_readers import LONGEST_LIST, LoggedMessage, Probe
 _NOT_RECOMMENDED = "not recommended (see --fields)"
 _NOT_WANTED = "not in --fields"
 _NOT_MAPPED = "not in the mapping"
+_LATEST_BEGIN = 0.5
+"""Largest share of the messages of a training before the first finite value of a monitored field."""
 
 
 class NotMonitored(NamedTuple):
@@ -62,12 +65,14 @@ class Selection:
         geometries: Angles and quaternions among them, by topic.
         not_monitored: All other numbers, with the reason.
         mapping: Which monitored fields become states of missions.
+        late: Monitored fields, by topic, that are not finite at the beginning of a recording of the training.
     """
 
     probes: Mapping[str, Probe]
     geometries: Mapping[str, Geometry]
     not_monitored: Sequence[NotMonitored] = ()
     mapping: UsedMapping = NO_MAPPING
+    late: Mapping[str, Collection[str]] = field(default_factory=dict)
 
 
 def parse_kinds(texts: Sequence[str]) -> dict[str, str]:
@@ -86,7 +91,7 @@ def parse_kinds(texts: Sequence[str]) -> dict[str, str]:
 
 
 def select(training: Sequence[LogRecording], judged: Sequence[LogRecording], wanted: Wanted = EVERYTHING) -> Selection:
-    """Monitored fields by topic: those that are finite in every message of the training.
+    """Monitored fields by topic: those that are finite in the training, from their first finite value on.
 
     In the recordings to be judged they only need to exist: there a value that is not finite is an alarm.
 
@@ -124,7 +129,7 @@ def select(training: Sequence[LogRecording], judged: Sequence[LogRecording], wan
     if mapping.name:
         monitored = {topic: [field.name for field in probe.spec.header] for topic, probe in probes.items()}
         mapping = choose_mapping(wanted.mapping or mapping.name, monitored)
-    return Selection(probes, geometries, by_topic.left_out, mapping)
+    return Selection(probes, geometries, by_topic.left_out, mapping, by_topic.late)
 
 
 class _Topics:
@@ -140,6 +145,7 @@ class _Topics:
         names: All topics, in the order of their first appearance.
         left_out: What is not monitored in the topics asked for so far.
         used_kinds: Patterns of the wanted kinds that a field of these topics has.
+        late: Monitored fields of these topics that are not finite at the beginning of the training.
     """
 
     def __init__(self, training: Sequence[LogRecording], judged: Sequence[LogRecording], wanted: Wanted) -> None:
@@ -153,6 +159,7 @@ class _Topics:
         self.names = list(dict.fromkeys(topic for _, topics in (*self._training, *self._judged) for topic in topics))
         self.left_out: list[NotMonitored] = []
         self.used_kinds: set[str] = set()
+        self.late: dict[str, set[str]] = {}
         self.mapping = NO_MAPPING
         if wanted.mapping is not None:
             self.mapping = self._usable_mapping(wanted.mapping)
@@ -223,15 +230,25 @@ class _Topics:
         names = [name for name in numbers if name in read and name not in reasons]
         tables = [Numbers(names, values_of(messages, names)[0]) for _, messages in normal]
         units: Mapping[str, str] = getattr(example.layout, "units", {})
-        geometry = recognise(tables, units, _declared(topic, names, self._wanted.kinds, self.used_kinds))
+        declared = _declared(topic, names, self._wanted.kinds, self.used_kinds)
+        # Counters and clocks are no signal, unless the user has named them; rules and custom detectors may read them.
+        if self._wanted.mapping is None and not self._wanted.fields:
+            times_us = [np.array([message.time_us for message in messages], np.int64) for _, messages in normal]
+            for index, name in enumerate(names):
+                if name not in declared and counts(name, [table.values[:, index] for table in tables], times_us):
+                    reasons[name] = COUNTS
+        geometry = recognise(tables, units, declared)
         # The sign of a quaternion follows from all of its components: none is monitored alone.
         for quaternion in geometry.quaternions:
             if candidates.intersection(quaternion):
                 candidates.update(quaternion)
         self._leave_out(topic, numbers, candidates, reasons)
-        names = [name for name in names if name in candidates]
+        names = [name for name in names if name in candidates and name not in reasons]
         if not names:
             return None
+        late = {name for name in names for table in tables if not np.isfinite(table.values[0, table.names.index(name)])}
+        if late:
+            self.late[topic] = late
         return Probe(example.layout, foreign_spec(topic, names)), geometry.restricted(names)
 
     def _reason_against(self, count: int, others: Sequence[Sequence[LoggedMessage]]) -> str:
@@ -297,9 +314,16 @@ def _reasons_against_fields(
         for column, name in enumerate(names):
             if not present[:, column].all():
                 reasons.setdefault(name, f"absent in messages of {recording}")
-            elif not np.isfinite(values[:, column]).all():
-                first = messages[int(np.argmin(np.isfinite(values[:, column])))]
-                reasons.setdefault(name, f"not finite in {recording}, first at {1e-6 * first.time_us:.2f} s")
+                continue
+            # Not finite at the beginning: the value is not yet known, as before an estimator has converged.
+            is_finite = np.isfinite(values[:, column])
+            begin = int(np.argmax(is_finite))
+            if begin <= _LATEST_BEGIN * len(messages) and is_finite[begin:].all():
+                continue
+            if begin > _LATEST_BEGIN * len(messages) or not is_finite.any():
+                begin = 0
+            first = messages[begin + int(np.argmin(is_finite[begin:]))]
+            reasons.setdefault(name, f"not finite in {recording}, first at {1e-6 * first.time_us:.2f} s")
     for messages in others:
         layout = messages[0].layout
         for name in names:

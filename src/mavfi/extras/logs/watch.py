@@ -9,7 +9,9 @@ import numpy as np
 
 from mavfi.analysis.statistics import EventRate, Rate, event_rate, wilson
 from mavfi.detectors.detector import Alarm, Detector
+from mavfi.detectors.foreign import foreign_state
 from mavfi.extras.logs.detectors import log_detector
+from mavfi.extras.logs.mapping import values_by_name
 from mavfi.extras.logs.monitor import NOT_FINITE_RULE
 from mavfi.extras.logs.recording import LogRecording, exposure_s, longest_gap_us
 from mavfi.extras.logs.selection import EVERYTHING, NotMonitored, Selection, Wanted, select
@@ -197,12 +199,21 @@ class LogWatch:
         self.detector: Detector = log_detector(kind, profile, selection, selection.mapping, flights, seed)
         self.trained_on = sum(map(len, flights))
 
-    def _states(self, recording: LogRecording) -> Iterator[Sample]:
-        """The messages of a recording with monitored fields."""
+    def _states(self, recording: LogRecording) -> list[Sample]:
+        """The messages of a recording with monitored fields.
+
+        Fields that are not finite at the beginning of the training have their first finite value before it.
+        """
+        samples = []
         for message in recording.messages:
             state = self._read(message, message.data)
             if state is not None:
-                yield message, state
+                samples.append((message, state))
+        for topic, names in self.selection.late.items():
+            indices = [index for index, (message, _) in enumerate(samples) if message.topic == topic]
+            for name in names:
+                _fill_beginning(samples, indices, name)
+        return samples
 
     def _read(self, message: LoggedMessage, data: bytes) -> State | None:
         """The monitored fields of bytes with the layout of a message, which may differ from file to file."""
@@ -220,7 +231,7 @@ class LogWatch:
                 afterwards, as many in each of `BIT_CLASSES`.
             seed: Draws messages, fields and bits.
         """
-        samples = list(self._states(recording))
+        samples = self._states(recording)
         alarms = list(self._run(samples))
         # The normal part, and what follows the known fault.
         onset = recording.onset_us
@@ -296,7 +307,12 @@ class LogWatch:
         """Flips in order of time; messages that raise an alarm without it, or before such a one, are not drawn."""
         usable = []
         for index, follower in enumerate(_next_of_topic(samples)):
-            if follower is not None and not alarmed & {index, follower} and self._floats(samples[index][0]):
+            message, state = samples[index]
+            if follower is None or alarmed & {index, follower} or not self._floats(message):
+                continue
+            # a message before the first finite value of a field is not judged as it is
+            original = self._read(message, message.data)
+            if original is not None and original.header.tobytes() == state.header.tobytes():
                 usable.append((index, follower))
         if not usable or not count:
             return
@@ -337,6 +353,19 @@ class LogWatch:
                 detected = True
         self.detector.restore(memory)
         return Flip(message.topic, name, bit, bit_class, detected)
+
+
+def _fill_beginning(samples: list[Sample], indices: Sequence[int], name: str) -> None:
+    """Set a field of messages of one topic before its first finite value to this value; `samples` is updated."""
+    values = np.array([samples[index][1].value(name) for index in indices])
+    is_finite = np.isfinite(values)
+    if not is_finite.any():
+        return  # each message is an alarm
+    first = int(np.argmax(is_finite))
+    for index in indices[:first]:
+        message, state = samples[index]
+        numbers = values_by_name(state) | {name: float(values[first])}
+        samples[index] = message, foreign_state(state.spec, list(numbers.values()))
 
 
 def judge_rest(
