@@ -11,6 +11,7 @@ from mavfi.extras.logs.counting import COUNTS, counts
 from mavfi.extras.logs.recording import exposure_s, longest_gap_us
 
 TIME = np.arange(0.0, 30.0, 0.02)
+NUMBER = np.arange(len(TIME), dtype=float)
 
 
 @pytest.fixture
@@ -134,6 +135,26 @@ def test_a_number_that_is_not_finite_any_more_is_an_alarm(table, capsys):
     assert "not monitored, not finite in normal.csv: row:r" in printed
 
 
+def test_a_second_cause_within_a_lasting_alarm_is_named(table, capsys):
+    normal = table("normal.csv", {"time": TIME, "p": np.sin(TIME), "q": np.cos(TIME)})
+    q = np.cos(TIME)
+    q[1200] += 30.0
+    crash = table("crash.csv", {"time": TIME, "p": np.where(TIME >= 20.0, np.nan, np.sin(TIME)), "q": q})
+    assert run(["watch", crash, "--train", normal]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("crash.csv ")]
+    assert len(lines) == 1
+    assert lines[0].startswith("crash.csv 20.000 to 29.980 s: row p: not finite, 498 messages; row q: gaussian, score ")
+    assert lines[0].endswith(", 2 messages from 24.000 s")
+    # events that come again with the same fields leave room for others
+    p = np.sin(TIME)
+    p[200:1400:100] = np.nan
+    crash = table("crash.csv", {"time": TIME, "p": p, "q": np.where(NUMBER == 1450, 30.0, np.cos(TIME))})
+    assert run(["watch", crash, "--train", normal]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("crash.csv ")]
+    assert len(lines) == 2 and "row q: gaussian" in lines[1]
+    assert lines[0].endswith("row p: not finite; 12 events of these fields, the last at 26.000 s")
+
+
 @pytest.mark.parametrize(
     ("gaps", "expected"),
     [
@@ -157,9 +178,6 @@ def test_the_first_message_of_a_recording_has_no_change_to_judge(table, capsys):
     logs = [table("a.csv", near), table("b.csv", {**near, "x": near["x"] + 7e6})]
     result = judged(capsys, logs[1], "--train", logs[0])
     assert result["alarms_per_hour"]["events"] == 0 and result["fields"] == {"row": ["x", "y"]}
-
-
-NUMBER = np.arange(len(TIME), dtype=float)
 
 
 @pytest.mark.parametrize(

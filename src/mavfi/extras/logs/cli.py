@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -195,13 +196,21 @@ def _mapping_json(log_watch: LogWatch) -> dict[str, Any]:
 
 
 def _events(judged: list[JudgedLog]) -> list[str]:
-    """What raised alarms: the first events of each recording, and the first alarm after a known fault."""
+    """What raised alarms: the first events of each recording, and the first alarm after a known fault.
+
+    Events that follow each other with the same fields are one line.
+    """
     lines = []
     for recording in judged:
-        events = recording.event_list
-        lines += [f"{recording.name} {event.text()}" for event in events[:_MAX_LISTED]]
-        if len(events) > _MAX_LISTED:
-            lines.append(f"{recording.name}: {len(events) - _MAX_LISTED} more events")
+        runs = [list(run) for _, run in groupby(recording.event_list, lambda event: (event.topics, set(event.fields)))]
+        for run in runs[:_MAX_LISTED]:
+            line = f"{recording.name} {run[0].text()}"
+            if len(run) > 1:
+                line += f"; {len(run)} events of these fields, the last at {1e-6 * run[-1].begin_us:.3f} s"
+            lines.append(line)
+        remaining = sum(map(len, runs[_MAX_LISTED:]))
+        if remaining:
+            lines.append(f"{recording.name}: {remaining} more events")
         alarm = recording.fault_alarm
         if alarm is not None and len(judged) <= _MAX_LISTED:
             fields = ", ".join(alarm.fields)

@@ -104,4 +104,5 @@ def _unwrapped(values: np.ndarray) -> np.ndarray | None:
         steps = np.where(falls, steps + limit, steps)
         if values.min() < 0.0 or steps.min() < 0.0 or steps.max() > 0.5 * limit:
             return None
-    return values[0] + np.concatenate([[0.0], np.cumsum(steps)])
+    growing: np.ndarray = values[0] + np.concatenate([[0.0], np.cumsum(steps)])
+    return growing

@@ -24,7 +24,9 @@ _EVENT_GAP_US = 1_000_000
 """Alarms that follow each other within this time are one event (us), in logs of more than 1 Hz."""
 BIT_CLASSES = ("sign", "exponent", "mantissa")
 _MAX_NAMED = 4
-"""Most fields that an event names in a line."""
+"""Most fields that a cause of an event names in a line."""
+_MAX_CAUSES = 3
+"""Most causes that an event names in a line."""
 _FLOATS = {"float32": "f4", "float64": "f8"}
 _INJECTION_STREAM = 1
 
@@ -66,6 +68,7 @@ class LogEvent(NamedTuple):
         fields: The fields that raised them, in the same order.
         sources: Their detectors and rules.
         score: The largest score.
+        causes: What raised them, in order of time: one line for each topic and kind of alarm.
     """
 
     begin_us: int
@@ -75,22 +78,17 @@ class LogEvent(NamedTuple):
     fields: tuple[str, ...]
     sources: tuple[str, ...]
     score: float
+    causes: tuple[str, ...]
 
     def text(self) -> str:
         """When, which fields, and why."""
         when = f"{1e-6 * self.begin_us:.3f} s"
         if self.alarms > 1:
             when = f"{1e-6 * self.begin_us:.3f} to {1e-6 * self.end_us:.3f} s"
-        fields = ", ".join(self.fields[:_MAX_NAMED])
-        if len(self.fields) > _MAX_NAMED:
-            fields += f" and {len(self.fields) - _MAX_NAMED} more"
-        cause = self.sources[0]
-        if cause != NOT_FINITE_RULE:
-            cause += f", score {self.score:.3g}"
-        messages = ""
-        if self.alarms > 1:
-            messages = f", {self.alarms} messages"
-        return f"{when}: {self.topics[0]} {fields}: {cause}{messages}"
+        causes = "; ".join(self.causes[:_MAX_CAUSES])
+        if len(self.causes) > _MAX_CAUSES:
+            causes += f"; {len(self.causes) - _MAX_CAUSES} more causes"
+        return f"{when}: {causes}"
 
 
 @dataclass(frozen=True)
@@ -163,6 +161,10 @@ class JudgedLog:
 
 def _event_of(alarms: Sequence[LogAlarm]) -> LogEvent:
     """Alarms as one event."""
+    by_cause: dict[tuple[str, bool], list[LogAlarm]] = {}
+    for alarm in alarms:
+        by_cause.setdefault((alarm.topic, alarm.source == NOT_FINITE_RULE), []).append(alarm)
+    causes = tuple(_cause_text(group, alarms[0].time_us) for group in by_cause.values())
     topics = Counter(alarm.topic for alarm in alarms)
     fields = Counter(name for alarm in alarms for name in alarm.fields)
     sources = Counter(alarm.source for alarm in alarms)
@@ -174,7 +176,24 @@ def _event_of(alarms: Sequence[LogAlarm]) -> LogEvent:
         tuple(name for name, _ in fields.most_common()),
         tuple(source for source, _ in sources.most_common()),
         max(alarm.score for alarm in alarms),
+        causes,
     )
+
+
+def _cause_text(alarms: Sequence[LogAlarm], event_begin_us: int) -> str:
+    """Fields and cause of alarms of one topic and kind, and when they began if this is later than their event."""
+    names = [name for name, _ in Counter(name for alarm in alarms for name in alarm.fields).most_common()]
+    fields = ", ".join(names[:_MAX_NAMED])
+    if len(names) > _MAX_NAMED:
+        fields += f" and {len(names) - _MAX_NAMED} more"
+    cause = Counter(alarm.source for alarm in alarms).most_common(1)[0][0]
+    if cause != NOT_FINITE_RULE:
+        cause += f", score {max(alarm.score for alarm in alarms):.3g}"
+    if len(alarms) > 1:
+        cause += f", {len(alarms)} messages"
+    if alarms[0].time_us > event_begin_us:
+        cause += f" from {1e-6 * alarms[0].time_us:.3f} s"
+    return f"{alarms[0].topic} {fields}: {cause}"
 
 
 class LogWatch:
