@@ -12,7 +12,7 @@ from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec
 from mavfi.errors import BadInputError, allowed
 from mavfi.extras.logs.circular import KINDS, Geometry, Numbers, component_groups, recognise
 from mavfi.extras.logs.counting import COUNTS, counts
-from mavfi.extras.logs.mapping import NO_MAPPING, UsedMapping, choose_mapping
+from mavfi.extras.logs.mapping import NO_MAPPING, UsedMapping, choose_mapping, nearest_mapping
 from mavfi.extras.logs.recording import LogRecording, values_of
 from mavfi.flight.log_readers import LONGEST_LIST, LoggedMessage, Probe
 
@@ -163,23 +163,29 @@ class _Topics:
         self.mapping = NO_MAPPING
         if wanted.mapping is not None:
             self.mapping = self._usable_mapping(wanted.mapping)
-            if wanted.only_mapped and not self.mapping.states:
-                raise BadInputError(
-                    f"{', '.join(name for name, _ in self._training)}: the rules apply to states of missions, and no "
-                    "shipped mapping fits these topics; allowed: --mapping FILE"
-                )
 
     def _usable_mapping(self, name: str) -> UsedMapping:
         """The mapping of this name, see `choose_mapping`, to numbers that can be monitored."""
         available = self._available()
+        refusals: list[str] = []
         while True:
-            mapping = choose_mapping(name, available)
+            try:
+                mapping = choose_mapping(name, available)
+            except BadInputError as error:
+                raise BadInputError("; ".join([str(error), *refusals[:_MAX_REASONS]])) from None
+            if self._wanted.only_mapped and not mapping.states:
+                needs = "; ".join([nearest_mapping(available), *refusals[:_MAX_REASONS]])
+                raise BadInputError(
+                    f"{', '.join(name for name, _ in self._training)}: the rules apply to states of missions, and no "
+                    f"shipped mapping fits ({needs}); allowed: --mapping FILE, see docs/logs.md"
+                )
             refused = 0
             for topic, numbers in available.items():
                 read = [number for number in numbers if f"{topic}:{number}" in mapping.fields]
                 reasons = self._reasons(topic, read)
                 available[topic] = [number for number in numbers if number not in reasons]
                 refused += len(reasons)
+                refusals += [f"{topic}:{number} {reason}" for number, reason in reasons.items()]
             if not refused:
                 return mapping
 
@@ -390,11 +396,13 @@ def _examples(left_out: Sequence[NotMonitored]) -> str:
 
 # ---- what is said about it -------------------------------------------------------------------------------------------
 _WIDTH = 80
+_MIN_NAMES = 3
+"""Names that a line has in any case, if there are so many."""
 _MAX_REASONS = 8
 
 
 def summary(not_monitored: Sequence[NotMonitored]) -> list[str]:
-    """What is not monitored, by reason: lines of at most 80 characters."""
+    """What is not monitored, by reason."""
     by_reason: dict[str, list[str]] = {}
     for item in not_monitored:
         name = item.topic
@@ -411,18 +419,13 @@ def summary(not_monitored: Sequence[NotMonitored]) -> list[str]:
     return lines
 
 
-def shortened(head: str, names: Sequence[str], noun: str = "fields") -> str:
-    """A line with as many names as it can hold, and the number of the others."""
-    for count in range(len(names), 0, -1):
+def shortened(head: str, names: Sequence[str]) -> str:
+    """A line of `_WIDTH` characters with as many names as it can hold, `_MIN_NAMES` at least, and how many more."""
+    count = len(names)
+    while True:
         line = head + ", ".join(names[:count])
         if count < len(names):
             line += f" and {len(names) - count} more"
-        if len(line) <= _WIDTH:
+        if len(line) <= _WIDTH or count <= _MIN_NAMES:
             return line
-    tail = f": {len(names)} {noun}"
-    if len(names) == 1:
-        tail = f": {names[0]}"
-    head = head.removesuffix(": ").removesuffix(" of ")
-    if len(head) + len(tail) > _WIDTH:
-        head = head[: max(0, _WIDTH - len(tail) - 3)] + "..."
-    return (head + tail)[:_WIDTH]
+        count -= 1
