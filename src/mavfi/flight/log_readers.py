@@ -21,6 +21,8 @@ _OLD_GROUP = "mavfi.flight_logs"
 """Name of the group in earlier versions."""
 _FORMAT_OF_FOLDERS = "mcap"
 """Folders are recordings of rosbag2, read by the reader of its files."""
+_DESCRIPTION = "metadata.yaml"
+"""Name of the file in such a folder that describes it."""
 _MOST_FIELDS = 64
 """Largest number of monitored fields."""
 LONGEST_LIST = 16
@@ -139,12 +141,20 @@ class FlightLogReader(Protocol):
         """
 
 
+def recording_at(path: Path) -> Path:
+    """The file or folder that a path means: of the description of a rosbag2 recording, its folder."""
+    if path.name == _DESCRIPTION and path.is_file():
+        return path.resolve().parent
+    return path
+
+
 def open_flight_log(path: Path) -> FlightLogReader:
     """The reader of a file, by its extension, or of a folder; it is opened when messages are asked for.
 
     Raises:
         BadInputError: Nothing reads files with this extension.
     """
+    path = recording_at(path)
     extension = path.suffix.removeprefix(".").lower()
     if path.is_dir():
         extension = _FORMAT_OF_FOLDERS

@@ -104,7 +104,7 @@ def test_rules_name_the_field_and_the_rule(field, value, named, rule):
 def test_another_entry_of_the_mapping_stands_in_for_numbers_that_are_not_finite():
     topic = "trajectory_setpoint"
     velocity = dict(zip(("velocity[0]", "velocity[1]", "velocity[2]", "yawspeed"), np.zeros((4, 400)), strict=True))
-    velocity["velocity[0]"][:10] = np.nan
+    velocity["velocity[0]"][100:110] = np.nan
     parts = [recording("a.ulg", velocity, topic), recording("a.ulg", circle(0.0), "vehicle_local_position_setpoint")]
     normal = LogRecording("a.ulg", [message for part in parts for message in part.messages])
     mapping = select([normal], [normal], Wanted(mapping="px4", only_mapped=True)).mapping
@@ -158,7 +158,22 @@ def test_a_mapping_of_ones_own(files, tmp_path, capsys):
     assert result["flips"]["sign"]["rate"] >= 0.5 and result["fields"] == {"row": ["x", "y", "z", "vx", "vy", "vz"]}
     assert picture.stat().st_size > 1000
     assert run(["watch", logs[0], "--train", logs[1], "--detector", "recommended"]) == 2
-    assert "--mapping" in capsys.readouterr().err
+    refusal = capsys.readouterr().err
+    assert "mavlink needs LOCAL_POSITION_NED;" in refusal and "allowed: --mapping FILE" in refusal
+
+
+def test_the_line_about_rules_names_the_nearest_mapping_and_what_it_lacks():
+    columns = circle(0.0)
+    del columns["vz"]
+    normal = [recording("a.ulg", columns, "vehicle_local_position")]
+    with pytest.raises(BadInputError, match="nearest: px4, which lacks vehicle_local_position:vz, .* and .* more"):
+        select(normal, normal, Wanted(mapping="", only_mapped=True))
+    columns = circle(0.0)
+    columns["vz"][200:] = np.nan
+    normal = [recording("a.ulg", columns, "vehicle_local_position")]
+    reason = r"no vehicle_local_position:vz.*; vehicle_local_position:vz not finite in a.ulg, first at 4.00 s"
+    with pytest.raises(BadInputError, match=reason):
+        select(normal, normal, Wanted(mapping="px4", only_mapped=True))
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,11 @@ import pytest
 
 from mavfi.cli.commands import run
 from mavfi.extras.logs.circular import Numbers, recognise
+from mavfi.extras.logs.counting import COUNTS, counts
 from mavfi.extras.logs.recording import exposure_s, longest_gap_us
 
 TIME = np.arange(0.0, 30.0, 0.02)
+NUMBER = np.arange(len(TIME), dtype=float)
 
 
 @pytest.fixture
@@ -115,7 +117,7 @@ def test_what_a_field_is_can_be_declared(table, capsys):
 
 def test_a_number_that_is_not_finite_any_more_is_an_alarm(table, capsys):
     rates = [np.sin(TIME), np.cos(TIME)]
-    never = np.where(TIME < 1.0, np.nan, 0.0)
+    never = np.where(TIME > 29.0, np.nan, 0.0)
     normal = table("normal.csv", {"time": TIME, "p": rates[0], "q": rates[1], "r": never})
     for value in (np.nan, np.inf):
         lost = np.where(TIME >= 20.0, value, rates[1])
@@ -126,11 +128,31 @@ def test_a_number_that_is_not_finite_any_more_is_an_alarm(table, capsys):
         assert (first["time_us"], first["fields"], first["source"]) == (20_000_000, ["q"], "not finite")
         assert recording["events"] == 1
     assert result["not_monitored"] == [
-        {"topic": "row", "field": "r", "reason": "not finite in normal.csv, first at 0.00 s"}
+        {"topic": "row", "field": "r", "reason": "not finite in normal.csv, first at 29.02 s"}
     ]
     assert run(["watch", crash, "--train", normal]) == 0
     printed = capsys.readouterr().out
     assert "not monitored, not finite in normal.csv: row:r" in printed
+
+
+def test_a_second_cause_within_a_lasting_alarm_is_named(table, capsys):
+    normal = table("normal.csv", {"time": TIME, "p": np.sin(TIME), "q": np.cos(TIME)})
+    q = np.cos(TIME)
+    q[1200] += 30.0
+    crash = table("crash.csv", {"time": TIME, "p": np.where(TIME >= 20.0, np.nan, np.sin(TIME)), "q": q})
+    assert run(["watch", crash, "--train", normal]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("crash.csv ")]
+    assert len(lines) == 1
+    assert lines[0].startswith("crash.csv 20.000 to 29.980 s: row p: not finite, 498 messages; row q: gaussian, score ")
+    assert lines[0].endswith(", 2 messages from 24.000 s")
+    # events that come again with the same fields leave room for others
+    p = np.sin(TIME)
+    p[200:1400:100] = np.nan
+    crash = table("crash.csv", {"time": TIME, "p": p, "q": np.where(NUMBER == 1450, 30.0, np.cos(TIME))})
+    assert run(["watch", crash, "--train", normal]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("crash.csv ")]
+    assert len(lines) == 2 and "row q: gaussian" in lines[1]
+    assert lines[0].endswith("row p: not finite; 12 events of these fields, the last at 26.000 s")
 
 
 @pytest.mark.parametrize(
@@ -152,8 +174,57 @@ def test_exposure_follows_from_the_rate_of_the_log(gaps, expected):
 
 
 def test_the_first_message_of_a_recording_has_no_change_to_judge(table, capsys):
-    ramp = {"time": TIME, "count": 1000.0 * np.arange(len(TIME)), "x": np.sin(TIME)}
-    later = {**ramp, "count": ramp["count"] + 7e6}
-    logs = [table("a.csv", ramp), table("b.csv", later)]
+    near = {"time": TIME, "x": np.sin(TIME), "y": np.cos(TIME)}
+    logs = [table("a.csv", near), table("b.csv", {**near, "x": near["x"] + 7e6})]
     result = judged(capsys, logs[1], "--train", logs[0])
-    assert result["alarms_per_hour"]["events"] == 0 and result["fields"] == {"row": ["count", "x"]}
+    assert result["alarms_per_hour"]["events"] == 0 and result["fields"] == {"row": ["x", "y"]}
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "is_counter"),
+    [
+        ("header.seq", 4000.0 + NUMBER, True),
+        ("loopIteration", 32.0 * NUMBER, True),
+        ("seq", NUMBER % 256, True),
+        ("frame_count", np.floor(1.3 * NUMBER), True),  # some are lost
+        ("msg_id", NUMBER % 800, True),  # the node was restarted
+        ("column 1", NUMBER, True),
+        ("stamp.secs", np.floor(1.7e9 + TIME), True),
+        ("stamp.nsecs", np.floor(1e9 * (TIME % 1.0)), True),
+        ("time_boot_ms", np.floor(1e3 * TIME), True),
+        ("gps_time", 3e5 + TIME + 0.003 * np.sin(50 * NUMBER), True),
+        ("lat", np.floor(4.7e8 + 450.0 * TIME + 20.0 * np.sin(TIME)), False),
+        ("x", TIME, False),
+        ("battery_mah", np.floor(5.0 * TIME), False),
+        ("count", np.floor(TIME / 5.0), False),  # of resets
+        ("pwm", np.floor(1500.0 + 300.0 * np.sin(TIME)), False),
+        ("n", 0.0 * TIME, False),
+    ],
+)
+def test_what_counts_messages_or_time(name, values, is_counter):
+    assert counts(name, [values], [np.rint(1e6 * TIME).astype(np.int64)]) == is_counter
+
+
+def test_counters_are_not_monitored_unless_they_are_named(table, capsys):
+    logs = [table(f"{n}.csv", {"time": TIME, "seq": n + NUMBER, "x": np.sin(TIME + n)}) for n in (0, 9000)]
+    result = judged(capsys, logs[1], "--train", logs[0])
+    assert result["fields"] == {"row": ["x"]}
+    assert result["not_monitored"] == [{"topic": "row", "field": "seq", "reason": COUNTS}]
+    for option in (["--fields", "seq,x"], ["--kinds", "seq=number"]):
+        assert judged(capsys, logs[1], "--train", logs[0], *option)["fields"] == {"row": ["seq", "x"]}
+
+
+def test_a_number_that_is_not_finite_at_first_is_monitored_from_then_on(table, capsys):
+    logs = []
+    for name, begin, phase in (("a", 2.0, 0.0), ("b", 3.0, 1.0)):
+        roll = 1e3 + np.sin(TIME + phase)
+        roll[TIME < begin] = np.nan
+        if name == "b":
+            roll[1000] += 40.0
+        columns = {"time": TIME, "roll": roll, "vx": np.cos(TIME + phase), "dead": np.nan * TIME}
+        logs.append(table(f"{name}.csv", columns))
+    result = judged(capsys, logs[1], "--train", logs[0], "--inject", "90")
+    assert result["fields"] == {"row": ["roll", "vx"]} and result["flips_by_field"]["row:roll"]["sign"]["rate"] == 1.0
+    alarms = result["recordings"][0]["alarms"]
+    assert [alarm["time_us"] for alarm in alarms] == [20_000_000, 20_020_000]
+    assert [item["field"] for item in result["not_monitored"]] == ["dead"]

@@ -153,7 +153,8 @@ def test_recordings_of_rosbag2_are_read_with_and_without_definitions_of_their_me
         with closing(sqlite3.connect(file)) as database, database:
             database.execute("DROP TABLE message_definitions")
             database.execute("DROP TABLE schema")
-    for reader in (open_flight_log(folder), RosReader(folder), RosReader(file)):
+    readers = [open_flight_log(folder), open_flight_log(folder / "metadata.yaml"), RosReader(folder), RosReader(file)]
+    for reader in readers:
         messages = list(reader.messages(["/height"]))
         assert [message.time_us for message in messages] == [0, 1, 2]
         assert [message.layout.locate(message.data, "data").value(message.data) for message in messages] == [0, 0.5, 1]

@@ -141,3 +141,8 @@ def test_a_log_is_not_judged_by_a_detector_trained_on_it(files, tmp_path, capsys
         printed = capsys.readouterr()
         assert printed.err.count("\n") == 1 and f"{log}: is also trained on" in printed.err and not printed.out
         assert (str(train) in printed.err.partition("trained on")[2]) == (train != log)
+    (tmp_path / "bag").mkdir()
+    description = tmp_path / "bag" / "metadata.yaml"
+    description.write_text("rosbag2_bagfile_information: {}")
+    assert run(["watch", str(description), "--train", str(tmp_path / "bag")]) == 2
+    assert "is also trained on" in capsys.readouterr().err

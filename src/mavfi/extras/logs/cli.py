@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -110,8 +111,11 @@ def watch(  # noqa: PLR0913 - one parameter per option
     from mavfi.extras.logs.detectors import is_fitted, uses_rules
     from mavfi.extras.logs.selection import Wanted, parse_kinds, summary
     from mavfi.extras.logs.watch import LogRates
+    from mavfi.flight.log_readers import recording_at
 
     # Check the options.
+    logs = [recording_at(path) for path in logs]
+    train = [recording_at(path) for path in train or []]
     is_of_fields = is_fitted(detector)
     if mapping and is_of_fields:
         raise BadInputError(
@@ -130,15 +134,13 @@ def watch(  # noqa: PLR0913 - one parameter per option
         if split is None:
             reason = "neither given"
         raise BadInputError(f"--train, --split: {reason}; allowed: one of them, what a normal flight is learned from")
-    _check_apart(logs, train or [])
+    _check_apart(logs, train)
     # Train and judge.
     with stoppable("Stopped."):
         wanted = Wanted(options.listed(fields), parse_kinds(options.listed(kinds)))
         if not is_of_fields:
             wanted = wanted._replace(mapping=mapping, only_mapped=uses_rules(detector))
-        trained, recordings, judged = _judge(
-            logs, train or [], split, (detector, profile), wanted, fault, (inject, seed)
-        )
+        trained, recordings, judged = _judge(logs, train, split, (detector, profile), wanted, fault, (inject, seed))
     # What was found, and how.
     rates = LogRates(judged)
     different = list({id(log_watch): log_watch for log_watch in trained}.values())
@@ -195,13 +197,21 @@ def _mapping_json(log_watch: LogWatch) -> dict[str, Any]:
 
 
 def _events(judged: list[JudgedLog]) -> list[str]:
-    """What raised alarms: the first events of each recording, and the first alarm after a known fault."""
+    """What raised alarms: the first events of each recording, and the first alarm after a known fault.
+
+    Events that follow each other with the same fields are one line.
+    """
     lines = []
     for recording in judged:
-        events = recording.event_list
-        lines += [f"{recording.name} {event.text()}" for event in events[:_MAX_LISTED]]
-        if len(events) > _MAX_LISTED:
-            lines.append(f"{recording.name}: {len(events) - _MAX_LISTED} more events")
+        runs = [list(run) for _, run in groupby(recording.event_list, lambda event: (event.topics, set(event.fields)))]
+        for run in runs[:_MAX_LISTED]:
+            line = f"{recording.name} {run[0].text()}"
+            if len(run) > 1:
+                line += f"; {len(run)} events of these fields, the last at {1e-6 * run[-1].begin_us:.3f} s"
+            lines.append(line)
+        remaining = sum(map(len, runs[_MAX_LISTED:]))
+        if remaining:
+            lines.append(f"{recording.name}: {remaining} more events")
         alarm = recording.fault_alarm
         if alarm is not None and len(judged) <= _MAX_LISTED:
             fields = ", ".join(alarm.fields)
@@ -217,7 +227,7 @@ def _monitored(names: dict[str, list[str]]) -> list[str]:
     noun = "fields"
     if count == 1:
         noun = "field"
-    return [shortened(f"monitored, {count} {noun} of ", list(names), "topics")]
+    return [shortened(f"monitored, {count} {noun} of ", list(names))]
 
 
 def _check_apart(logs: list[Path], train: list[Path]) -> None:
@@ -226,7 +236,10 @@ def _check_apart(logs: list[Path], train: list[Path]) -> None:
 
     for log in logs:
         for path in train:
-            if log.is_file() and path.is_file() and (log.samefile(path) or cmp(log, path, shallow=False)):
+            if not (log.exists() and path.exists()):
+                continue
+            is_copy = log.is_file() and path.is_file() and cmp(log, path, shallow=False)
+            if is_copy or log.samefile(path):
                 copy = ""
                 if log != path:
                     copy = f" (it is {path})"

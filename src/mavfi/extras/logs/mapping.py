@@ -132,6 +132,8 @@ class UsedMapping(NamedTuple):
 
 
 NO_MAPPING = UsedMapping("", {}, (), {})
+_MAX_NAMED = 4
+"""Most numbers that a line names."""
 
 
 def choose_mapping(name: str, available: Mapping[str, Collection[str]]) -> UsedMapping:
@@ -181,6 +183,26 @@ def _fitting(mapping: LogMapping, available: Mapping[str, Collection[str]]) -> U
         name for name in mapping.counters if name.rpartition(":")[2] in available.get(name.rpartition(":")[0], ())
     ]
     return UsedMapping(mapping.name, states, counters, missing)
+
+
+def nearest_mapping(available: Mapping[str, Collection[str]]) -> str:
+    """Why no shipped mapping fits, in a line: what that one lacks of which most numbers exist, or what each needs.
+
+    Args:
+        available: Numbers by topic.
+    """
+    tried = [shipped(FOLDER, LogMapping, name) for name in names(FOLDER)]
+    most = 0
+    text = "; ".join(f"{mapping.name} needs {mapping.states[0].topic}" for mapping in tried)
+    for mapping in tried:
+        sources = {source.name: source for part in mapping.states for source in part.sources().values() if source.path}
+        lacking = [name for name, source in sources.items() if source.path not in available.get(source.topic, ())]
+        if len(sources) - len(lacking) > most:
+            most = len(sources) - len(lacking)
+            text = f"nearest: {mapping.name}, which lacks {', '.join(lacking[:_MAX_NAMED])}"
+            if len(lacking) > _MAX_NAMED:
+                text += f" and {len(lacking) - _MAX_NAMED} more"
+    return text
 
 
 class Mapper:

@@ -22,8 +22,9 @@ _ABOVE_OCTAVE = 1.01
 class Monitor(Detector):
     """A detector of the fields of messages.
 
-    A number that is not finite is an alarm, and the detector does not see its message: it was fitted to finite numbers.
-    Of all others it sees angles and quaternions without jumps (see `circular`).
+    A number that is not finite is an alarm.  The detector, which was fitted to finite numbers, sees its last finite
+    value instead: where a number is lost for long, alarms on others are not.  It sees angles and quaternions without
+    jumps (see `circular`).
 
     Args:
         detector: The detector, with the same states.
@@ -45,12 +46,16 @@ class Monitor(Detector):
         self._scales = scales or {}
         self._compares = compares
         self._seen: frozenset[str] = frozenset()
+        self._last: dict[str, State] = {}
+        self._lost: dict[str, list[str]] = {}
         self._read: State | None = None
 
     def start(self) -> None:
         """Reset the memory at the start of a recording."""
         self._read = None
         self._seen = frozenset()
+        self._last = {}
+        self._lost = {}
         self._unwrapper.start()
         self._detector.start()
 
@@ -58,38 +63,60 @@ class Monitor(Detector):
         """Set what the detector sees of a state, unless that is done."""
         if self._read is not state:
             self._read = state
-            self._continuous = self._unwrapper.unwrap(state)
+            self._continuous = self._unwrapper.unwrap(self._finite(state))
             self._shown = scaled(self._continuous, self._scales)
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Check a message."""
-        not_finite = tuple(f"{state.spec.name}.{name}" for name in _not_finite(state))
+        topic = state.spec.name
+        not_finite = _not_finite(state)
+        lost = None
         if not_finite:
-            return Alarm(NOT_FINITE_RULE, state.spec.stage.value, score=NOT_FINITE, fields=not_finite)
+            fields = tuple(f"{topic}.{name}" for name in not_finite)
+            lost = Alarm(NOT_FINITE_RULE, state.spec.stage.value, score=NOT_FINITE, fields=fields)
+            # new, or without a value that could stand for it
+            if self._lost.get(topic) != not_finite or topic not in self._last:
+                return lost
         self._prepare(state)
-        if self._compares and state.spec.name not in self._seen:
-            return None
-        return self._detector.check(self._shown, time_us)
+        if self._compares and topic not in self._seen:
+            return lost
+        return self._detector.check(self._shown, time_us) or lost
 
     def accept(self, state: State, time_us: int) -> None:
         """Record a message."""
-        if _not_finite(state):
+        topic = state.spec.name
+        not_finite = _not_finite(state)
+        self._lost[topic] = not_finite
+        if not_finite and topic not in self._last:
             return
         self._prepare(state)
         self._detector.accept(self._shown, time_us)
         self._unwrapper.accept(self._continuous)
-        if state.spec.name not in self._seen:
-            self._seen |= {state.spec.name}
+        self._last[topic] = self._finite(state)
+        if topic not in self._seen:
+            self._seen |= {topic}
         self._read = None
+
+    def _finite(self, state: State) -> State:
+        """The state with the last finite values of numbers that are not."""
+        last = self._last.get(state.spec.name)
+        if last is None or not _not_finite(state):
+            return state
+        width = len(state.spec.header)
+        values = floats(state.header, width)
+        finite = np.where(np.isfinite(values), values, floats(last.header, width))
+        return foreign_state(state.spec, finite.tolist())
 
     def memory(self) -> tuple[Any, ...]:
         """Memory between messages."""
-        return self._detector.memory(), self._unwrapper.memory(), self._seen
+        return self._detector.memory(), self._unwrapper.memory(), self._seen, dict(self._last), dict(self._lost)
 
     def restore(self, memory: tuple[Any, ...]) -> None:
         """Inverse of `memory`."""
         self._read = None
-        detector, unwrapper, self._seen = memory
+        detector, unwrapper, self._seen, last, lost = memory
+        self._last = dict(last)
+        self._lost = dict(lost)
         self._detector.restore(detector)
         self._unwrapper.restore(unwrapper)
 

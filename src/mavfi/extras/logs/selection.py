@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from typing import NamedTuple
 
@@ -11,13 +11,16 @@ import numpy as np
 from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec
 from mavfi.errors import BadInputError, allowed
 from mavfi.extras.logs.circular import KINDS, Geometry, Numbers, component_groups, recognise
-from mavfi.extras.logs.mapping import NO_MAPPING, UsedMapping, choose_mapping
+from mavfi.extras.logs.counting import COUNTS, counts
+from mavfi.extras.logs.mapping import NO_MAPPING, UsedMapping, choose_mapping, nearest_mapping
 from mavfi.extras.logs.recording import LogRecording, values_of
 from mavfi.flight.log_readers import LONGEST_LIST, LoggedMessage, Probe
 
 _NOT_RECOMMENDED = "not recommended (see --fields)"
 _NOT_WANTED = "not in --fields"
 _NOT_MAPPED = "not in the mapping"
+_LATEST_BEGIN = 0.5
+"""Largest share of the messages of a training before the first finite value of a monitored field."""
 
 
 class NotMonitored(NamedTuple):
@@ -62,12 +65,14 @@ class Selection:
         geometries: Angles and quaternions among them, by topic.
         not_monitored: All other numbers, with the reason.
         mapping: Which monitored fields become states of missions.
+        late: Monitored fields, by topic, that are not finite at the beginning of a recording of the training.
     """
 
     probes: Mapping[str, Probe]
     geometries: Mapping[str, Geometry]
     not_monitored: Sequence[NotMonitored] = ()
     mapping: UsedMapping = NO_MAPPING
+    late: Mapping[str, Collection[str]] = field(default_factory=dict)
 
 
 def parse_kinds(texts: Sequence[str]) -> dict[str, str]:
@@ -86,7 +91,7 @@ def parse_kinds(texts: Sequence[str]) -> dict[str, str]:
 
 
 def select(training: Sequence[LogRecording], judged: Sequence[LogRecording], wanted: Wanted = EVERYTHING) -> Selection:
-    """Monitored fields by topic: those that are finite in every message of the training.
+    """Monitored fields by topic: those that are finite in the training, from their first finite value on.
 
     In the recordings to be judged they only need to exist: there a value that is not finite is an alarm.
 
@@ -124,7 +129,7 @@ def select(training: Sequence[LogRecording], judged: Sequence[LogRecording], wan
     if mapping.name:
         monitored = {topic: [field.name for field in probe.spec.header] for topic, probe in probes.items()}
         mapping = choose_mapping(wanted.mapping or mapping.name, monitored)
-    return Selection(probes, geometries, by_topic.left_out, mapping)
+    return Selection(probes, geometries, by_topic.left_out, mapping, by_topic.late)
 
 
 class _Topics:
@@ -140,6 +145,7 @@ class _Topics:
         names: All topics, in the order of their first appearance.
         left_out: What is not monitored in the topics asked for so far.
         used_kinds: Patterns of the wanted kinds that a field of these topics has.
+        late: Monitored fields of these topics that are not finite at the beginning of the training.
     """
 
     def __init__(self, training: Sequence[LogRecording], judged: Sequence[LogRecording], wanted: Wanted) -> None:
@@ -153,26 +159,33 @@ class _Topics:
         self.names = list(dict.fromkeys(topic for _, topics in (*self._training, *self._judged) for topic in topics))
         self.left_out: list[NotMonitored] = []
         self.used_kinds: set[str] = set()
+        self.late: dict[str, set[str]] = {}
         self.mapping = NO_MAPPING
         if wanted.mapping is not None:
             self.mapping = self._usable_mapping(wanted.mapping)
-            if wanted.only_mapped and not self.mapping.states:
-                raise BadInputError(
-                    f"{', '.join(name for name, _ in self._training)}: the rules apply to states of missions, and no "
-                    "shipped mapping fits these topics; allowed: --mapping FILE"
-                )
 
     def _usable_mapping(self, name: str) -> UsedMapping:
         """The mapping of this name, see `choose_mapping`, to numbers that can be monitored."""
         available = self._available()
+        refusals: list[str] = []
         while True:
-            mapping = choose_mapping(name, available)
+            try:
+                mapping = choose_mapping(name, available)
+            except BadInputError as error:
+                raise BadInputError("; ".join([str(error), *refusals[:_MAX_REASONS]])) from None
+            if self._wanted.only_mapped and not mapping.states:
+                needs = "; ".join([nearest_mapping(available), *refusals[:_MAX_REASONS]])
+                raise BadInputError(
+                    f"{', '.join(name for name, _ in self._training)}: the rules apply to states of missions, and no "
+                    f"shipped mapping fits ({needs}); allowed: --mapping FILE, see docs/logs.md"
+                )
             refused = 0
             for topic, numbers in available.items():
                 read = [number for number in numbers if f"{topic}:{number}" in mapping.fields]
                 reasons = self._reasons(topic, read)
                 available[topic] = [number for number in numbers if number not in reasons]
                 refused += len(reasons)
+                refusals += [f"{topic}:{number} {reason}" for number, reason in reasons.items()]
             if not refused:
                 return mapping
 
@@ -223,15 +236,25 @@ class _Topics:
         names = [name for name in numbers if name in read and name not in reasons]
         tables = [Numbers(names, values_of(messages, names)[0]) for _, messages in normal]
         units: Mapping[str, str] = getattr(example.layout, "units", {})
-        geometry = recognise(tables, units, _declared(topic, names, self._wanted.kinds, self.used_kinds))
+        declared = _declared(topic, names, self._wanted.kinds, self.used_kinds)
+        # Counters and clocks are no signal, unless the user has named them; rules and custom detectors may read them.
+        if self._wanted.mapping is None and not self._wanted.fields:
+            times_us = [np.array([message.time_us for message in messages], np.int64) for _, messages in normal]
+            for index, name in enumerate(names):
+                if name not in declared and counts(name, [table.values[:, index] for table in tables], times_us):
+                    reasons[name] = COUNTS
+        geometry = recognise(tables, units, declared)
         # The sign of a quaternion follows from all of its components: none is monitored alone.
         for quaternion in geometry.quaternions:
             if candidates.intersection(quaternion):
                 candidates.update(quaternion)
         self._leave_out(topic, numbers, candidates, reasons)
-        names = [name for name in names if name in candidates]
+        names = [name for name in names if name in candidates and name not in reasons]
         if not names:
             return None
+        late = {name for name in names for table in tables if not np.isfinite(table.values[0, table.names.index(name)])}
+        if late:
+            self.late[topic] = late
         return Probe(example.layout, foreign_spec(topic, names)), geometry.restricted(names)
 
     def _reason_against(self, count: int, others: Sequence[Sequence[LoggedMessage]]) -> str:
@@ -297,9 +320,16 @@ def _reasons_against_fields(
         for column, name in enumerate(names):
             if not present[:, column].all():
                 reasons.setdefault(name, f"absent in messages of {recording}")
-            elif not np.isfinite(values[:, column]).all():
-                first = messages[int(np.argmin(np.isfinite(values[:, column])))]
-                reasons.setdefault(name, f"not finite in {recording}, first at {1e-6 * first.time_us:.2f} s")
+                continue
+            # Not finite at the beginning: the value is not yet known, as before an estimator has converged.
+            is_finite = np.isfinite(values[:, column])
+            begin = int(np.argmax(is_finite))
+            if begin <= _LATEST_BEGIN * len(messages) and is_finite[begin:].all():
+                continue
+            if begin > _LATEST_BEGIN * len(messages) or not is_finite.any():
+                begin = 0
+            first = messages[begin + int(np.argmin(is_finite[begin:]))]
+            reasons.setdefault(name, f"not finite in {recording}, first at {1e-6 * first.time_us:.2f} s")
     for messages in others:
         layout = messages[0].layout
         for name in names:
@@ -366,11 +396,13 @@ def _examples(left_out: Sequence[NotMonitored]) -> str:
 
 # ---- what is said about it -------------------------------------------------------------------------------------------
 _WIDTH = 80
+_MIN_NAMES = 3
+"""Names that a line has in any case, if there are so many."""
 _MAX_REASONS = 8
 
 
 def summary(not_monitored: Sequence[NotMonitored]) -> list[str]:
-    """What is not monitored, by reason: lines of at most 80 characters."""
+    """What is not monitored, by reason."""
     by_reason: dict[str, list[str]] = {}
     for item in not_monitored:
         name = item.topic
@@ -387,18 +419,13 @@ def summary(not_monitored: Sequence[NotMonitored]) -> list[str]:
     return lines
 
 
-def shortened(head: str, names: Sequence[str], noun: str = "fields") -> str:
-    """A line with as many names as it can hold, and the number of the others."""
-    for count in range(len(names), 0, -1):
+def shortened(head: str, names: Sequence[str]) -> str:
+    """A line of `_WIDTH` characters with as many names as it can hold, `_MIN_NAMES` at least, and how many more."""
+    count = len(names)
+    while True:
         line = head + ", ".join(names[:count])
         if count < len(names):
             line += f" and {len(names) - count} more"
-        if len(line) <= _WIDTH:
+        if len(line) <= _WIDTH or count <= _MIN_NAMES:
             return line
-    tail = f": {len(names)} {noun}"
-    if len(names) == 1:
-        tail = f": {names[0]}"
-    head = head.removesuffix(": ").removesuffix(" of ")
-    if len(head) + len(tail) > _WIDTH:
-        head = head[: max(0, _WIDTH - len(tail) - 3)] + "..."
-    return (head + tail)[:_WIDTH]
+        count -= 1

@@ -251,7 +251,7 @@ def _number(cell: str) -> int | float:
 
 
 def _guess_unit(numbers: Sequence[int | float]) -> tuple[str, bool]:
-    """Unit of a column of times, by the size of dates, else by the time between rows; and whether it is doubtful."""
+    """Unit of a column of times, by the size of dates or the time between rows, and whether it is doubtful."""
     first = numbers[0]
     for smallest, unit in _MAGNITUDES:
         if first >= smallest:

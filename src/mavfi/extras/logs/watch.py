@@ -9,7 +9,9 @@ import numpy as np
 
 from mavfi.analysis.statistics import EventRate, Rate, event_rate, wilson
 from mavfi.detectors.detector import Alarm, Detector
+from mavfi.detectors.foreign import foreign_state
 from mavfi.extras.logs.detectors import log_detector
+from mavfi.extras.logs.mapping import values_by_name
 from mavfi.extras.logs.monitor import NOT_FINITE_RULE
 from mavfi.extras.logs.recording import LogRecording, exposure_s, longest_gap_us
 from mavfi.extras.logs.selection import EVERYTHING, NotMonitored, Selection, Wanted, select
@@ -22,7 +24,9 @@ _EVENT_GAP_US = 1_000_000
 """Alarms that follow each other within this time are one event (us), in logs of more than 1 Hz."""
 BIT_CLASSES = ("sign", "exponent", "mantissa")
 _MAX_NAMED = 4
-"""Most fields that an event names in a line."""
+"""Most fields that a cause of an event names in a line."""
+_MAX_CAUSES = 3
+"""Most causes that an event names in a line."""
 _FLOATS = {"float32": "f4", "float64": "f8"}
 _INJECTION_STREAM = 1
 
@@ -64,6 +68,7 @@ class LogEvent(NamedTuple):
         fields: The fields that raised them, in the same order.
         sources: Their detectors and rules.
         score: The largest score.
+        causes: What raised them, in order of time: one line for each topic and kind of alarm.
     """
 
     begin_us: int
@@ -73,22 +78,17 @@ class LogEvent(NamedTuple):
     fields: tuple[str, ...]
     sources: tuple[str, ...]
     score: float
+    causes: tuple[str, ...]
 
     def text(self) -> str:
         """When, which fields, and why."""
         when = f"{1e-6 * self.begin_us:.3f} s"
         if self.alarms > 1:
             when = f"{1e-6 * self.begin_us:.3f} to {1e-6 * self.end_us:.3f} s"
-        fields = ", ".join(self.fields[:_MAX_NAMED])
-        if len(self.fields) > _MAX_NAMED:
-            fields += f" and {len(self.fields) - _MAX_NAMED} more"
-        cause = self.sources[0]
-        if cause != NOT_FINITE_RULE:
-            cause += f", score {self.score:.3g}"
-        messages = ""
-        if self.alarms > 1:
-            messages = f", {self.alarms} messages"
-        return f"{when}: {self.topics[0]} {fields}: {cause}{messages}"
+        causes = "; ".join(self.causes[:_MAX_CAUSES])
+        if len(self.causes) > _MAX_CAUSES:
+            causes += f"; {len(self.causes) - _MAX_CAUSES} more causes"
+        return f"{when}: {causes}"
 
 
 @dataclass(frozen=True)
@@ -161,6 +161,10 @@ class JudgedLog:
 
 def _event_of(alarms: Sequence[LogAlarm]) -> LogEvent:
     """Alarms as one event."""
+    by_cause: dict[tuple[str, bool], list[LogAlarm]] = {}
+    for alarm in alarms:
+        by_cause.setdefault((alarm.topic, alarm.source == NOT_FINITE_RULE), []).append(alarm)
+    causes = tuple(_cause_text(group, alarms[0].time_us) for group in by_cause.values())
     topics = Counter(alarm.topic for alarm in alarms)
     fields = Counter(name for alarm in alarms for name in alarm.fields)
     sources = Counter(alarm.source for alarm in alarms)
@@ -172,7 +176,24 @@ def _event_of(alarms: Sequence[LogAlarm]) -> LogEvent:
         tuple(name for name, _ in fields.most_common()),
         tuple(source for source, _ in sources.most_common()),
         max(alarm.score for alarm in alarms),
+        causes,
     )
+
+
+def _cause_text(alarms: Sequence[LogAlarm], event_begin_us: int) -> str:
+    """Fields and cause of alarms of one topic and kind, and when they began if this is later than their event."""
+    names = [name for name, _ in Counter(name for alarm in alarms for name in alarm.fields).most_common()]
+    fields = ", ".join(names[:_MAX_NAMED])
+    if len(names) > _MAX_NAMED:
+        fields += f" and {len(names) - _MAX_NAMED} more"
+    cause = Counter(alarm.source for alarm in alarms).most_common(1)[0][0]
+    if cause != NOT_FINITE_RULE:
+        cause += f", score {max(alarm.score for alarm in alarms):.3g}"
+    if len(alarms) > 1:
+        cause += f", {len(alarms)} messages"
+    if alarms[0].time_us > event_begin_us:
+        cause += f" from {1e-6 * alarms[0].time_us:.3f} s"
+    return f"{alarms[0].topic} {fields}: {cause}"
 
 
 class LogWatch:
@@ -197,12 +218,21 @@ class LogWatch:
         self.detector: Detector = log_detector(kind, profile, selection, selection.mapping, flights, seed)
         self.trained_on = sum(map(len, flights))
 
-    def _states(self, recording: LogRecording) -> Iterator[Sample]:
-        """The messages of a recording with monitored fields."""
+    def _states(self, recording: LogRecording) -> list[Sample]:
+        """The messages of a recording with monitored fields.
+
+        Fields that are not finite at the beginning of the training have their first finite value before it.
+        """
+        samples = []
         for message in recording.messages:
             state = self._read(message, message.data)
             if state is not None:
-                yield message, state
+                samples.append((message, state))
+        for topic, names in self.selection.late.items():
+            indices = [index for index, (message, _) in enumerate(samples) if message.topic == topic]
+            for name in names:
+                _fill_beginning(samples, indices, name)
+        return samples
 
     def _read(self, message: LoggedMessage, data: bytes) -> State | None:
         """The monitored fields of bytes with the layout of a message, which may differ from file to file."""
@@ -220,7 +250,7 @@ class LogWatch:
                 afterwards, as many in each of `BIT_CLASSES`.
             seed: Draws messages, fields and bits.
         """
-        samples = list(self._states(recording))
+        samples = self._states(recording)
         alarms = list(self._run(samples))
         # The normal part, and what follows the known fault.
         onset = recording.onset_us
@@ -296,7 +326,12 @@ class LogWatch:
         """Flips in order of time; messages that raise an alarm without it, or before such a one, are not drawn."""
         usable = []
         for index, follower in enumerate(_next_of_topic(samples)):
-            if follower is not None and not alarmed & {index, follower} and self._floats(samples[index][0]):
+            message, state = samples[index]
+            if follower is None or alarmed & {index, follower} or not self._floats(message):
+                continue
+            # a message before the first finite value of a field is not judged as it is
+            original = self._read(message, message.data)
+            if original is not None and original.header.tobytes() == state.header.tobytes():
                 usable.append((index, follower))
         if not usable or not count:
             return
@@ -337,6 +372,19 @@ class LogWatch:
                 detected = True
         self.detector.restore(memory)
         return Flip(message.topic, name, bit, bit_class, detected)
+
+
+def _fill_beginning(samples: list[Sample], indices: Sequence[int], name: str) -> None:
+    """Set a field of messages of one topic before its first finite value to this value; `samples` is updated."""
+    values = np.array([samples[index][1].value(name) for index in indices])
+    is_finite = np.isfinite(values)
+    if not is_finite.any():
+        return  # each message is an alarm
+    first = int(np.argmax(is_finite))
+    for index in indices[:first]:
+        message, state = samples[index]
+        numbers = values_by_name(state) | {name: float(values[first])}
+        samples[index] = message, foreign_state(state.spec, list(numbers.values()))
 
 
 def judge_rest(
