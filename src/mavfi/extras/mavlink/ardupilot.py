@@ -158,6 +158,11 @@ class ArduCopter(Autopilot):
         return self.mode is CopterMode.LAND
 
     @property
+    def is_in_mission_mode(self) -> bool:
+        """See `Autopilot.is_in_mission_mode`."""
+        return self.mode is CopterMode.AUTO
+
+    @property
     def default_speed(self) -> float:
         """See `Autopilot.default_speed`."""
         return _CENTIMETRES * self.parameters["WPNAV_SPEED"]

@@ -145,6 +145,11 @@ class Autopilot(ABC):
 
     @property
     @abstractmethod
+    def is_in_mission_mode(self) -> bool:
+        """Whether the present mode flies the mission."""
+
+    @property
+    @abstractmethod
     def default_speed(self) -> float:
         """Speed of flights to places unless a command changes it (m/s)."""
 

@@ -113,6 +113,11 @@ class Px4Autopilot(Autopilot):
         return self.mode is FlightMode.LAND
 
     @property
+    def is_in_mission_mode(self) -> bool:
+        """See `Autopilot.is_in_mission_mode`."""
+        return self.mode is FlightMode.MISSION
+
+    @property
     def default_speed(self) -> float:
         """See `Autopilot.default_speed`."""
         return self.parameters["MPC_XY_CRUISE"]
