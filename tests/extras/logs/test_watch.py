@@ -90,6 +90,34 @@ def test_gaps_are_no_exposure(recordings, watching):
     assert watching.judge(gap).exposure_s == pytest.approx(99 * 0.02 + 199 * 0.02)
 
 
+def test_topics_that_fall_silent_are_named(files):
+    normal = [read_recording(files("mcap", name)) for name in ("a", "b")]
+    log_watch = LogWatch("gaussian", "tuned", select(normal, normal), normal)
+    assert all(log_watch.judge(recording).silences == [] for recording in normal)
+    begin, pause = 4_000_000, range(6_000_000, 8_000_001)
+
+    def is_recorded(message):
+        if message.topic == "/command" and message.time_us > begin:
+            return False
+        return not (message.topic == "/tf[base_link]" and message.time_us in pause)
+
+    lost = replace(normal[1], messages=[message for message in normal[1].messages if is_recorded(message)])
+    judged = log_watch.judge(lost)
+    assert [(silence.topic, silence.lasts) for silence in judged.silences] == [
+        ("/command", True),
+        ("/tf[base_link]", False),
+    ]
+    assert judged.silences[0].text() == "/command silent from 4.000 s to the end, 11.980 s"
+    # a pause of the whole recording is no silence of a topic
+    paused = [message for message in normal[1].messages if message.time_us not in pause]
+    assert log_watch.judge(replace(normal[1], messages=paused)).silences == []
+    # nor is a topic that comes rarely in the training
+    rare = [message for message in normal[0].messages if message.topic != "/command" or message.time_us < begin]
+    rare += [message for message in normal[0].messages if message.topic == "/command"][-1:]
+    training = [replace(normal[0], messages=rare)]
+    assert len(LogWatch("gaussian", "tuned", log_watch.selection, training).judge(lost).silences) == 1
+
+
 @pytest.mark.parametrize("wanted", ["row:no_such", "vy:x"])
 def test_fields_that_are_not_in_all_recordings_are_refused(recordings, wanted):
     pair = list(recordings.values())

@@ -197,7 +197,7 @@ def _mapping_json(log_watch: LogWatch) -> dict[str, Any]:
 
 
 def _events(judged: list[JudgedLog]) -> list[str]:
-    """What raised alarms: the first events of each recording, and the first alarm after a known fault.
+    """What raised alarms in each recording, which topics fell silent, and the first alarm after a known fault.
 
     Events that follow each other with the same fields are one line.
     """
@@ -212,6 +212,9 @@ def _events(judged: list[JudgedLog]) -> list[str]:
         remaining = sum(map(len, runs[_MAX_LISTED:]))
         if remaining:
             lines.append(f"{recording.name}: {remaining} more events")
+        lines += [f"{recording.name} {silence.text()}" for silence in recording.silences[:_MAX_LISTED]]
+        if len(recording.silences) > _MAX_LISTED:
+            lines.append(f"{recording.name}: {len(recording.silences) - _MAX_LISTED} more silences, see --json")
         alarm = recording.fault_alarm
         if alarm is not None and len(judged) <= _MAX_LISTED:
             fields = ", ".join(alarm.fields)

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -221,7 +222,7 @@ def _columns_of(
 
 
 # ---- time ------------------------------------------------------------------------------------------------------------
-def longest_gap_us(times_us: Sequence[int]) -> int:
+def longest_gap_us(times_us: Sequence[int] | np.ndarray) -> int:
     """Longest time without a message that is still flight (us), from the rate of the log.
 
     One second, unless longer times without a message are usual: at a rate of 1 Hz or less, or in messages that come in
@@ -238,7 +239,79 @@ def longest_gap_us(times_us: Sequence[int]) -> int:
     return max(_SHORTEST_LIMIT_US, round(_SPARE * usual))
 
 
-def exposure_s(times_us: Sequence[int], longest_us: int) -> float:
+def exposure_s(times_us: Sequence[int] | np.ndarray, longest_us: int) -> float:
     """Duration of some messages without longer gaps (s)."""
     gaps = np.diff(np.array(times_us, np.int64)).astype(np.float64)
     return 1e-6 * float(gaps[(gaps > 0) & (gaps <= longest_us)].sum())
+
+
+# ---- topics that fall silent -----------------------------------------------------------------------------------------
+_MIN_REGULAR = 10
+"""Fewest messages of a topic whose silence is told from its rate."""
+_REGULAR_SHARE = 0.9
+"""Share of the times between messages of a regular topic that are at most `_SPARE` times the usual one."""
+
+
+class Silence(NamedTuple):
+    """A time without messages of a topic, in which those of others go on.
+
+    Attributes:
+        topic: The topic.
+        begin_us: Time of its last message before (us).
+        end_us: Time of its next message, or of the last message of all (us).
+        lasts: Whether there is no next message.
+    """
+
+    topic: str
+    begin_us: int
+    end_us: int
+    lasts: bool
+
+    def text(self) -> str:
+        """What is silent, and when."""
+        end = f"{1e-6 * self.end_us:.3f} s"
+        if self.lasts:
+            end = f"the end, {end}"
+        return f"{self.topic} silent from {1e-6 * self.begin_us:.3f} s to {end}"
+
+
+def silences(recording: LogRecording, training: Sequence[LogRecording]) -> list[Silence]:
+    """Where topics of a regular rate fall silent, for longer than they do in normal recordings.
+
+    Args:
+        recording: The recording.
+        training: Normal recordings.
+    """
+    times_us = _times_by_topic(recording)
+    if not times_us:
+        return []
+    all_us = np.sort(np.concatenate(list(times_us.values())))
+    all_gap_us = longest_gap_us(all_us)
+    usual_us = dict.fromkeys(times_us, 0.0)
+    for normal in training:
+        for topic, times in _times_by_topic(normal).items():
+            if topic in usual_us and len(times) > 1:
+                usual_us[topic] = max(usual_us[topic], _SPARE * float(np.diff(times).max()))
+    silent = []
+    for topic, times in times_us.items():
+        gaps = np.diff(times)
+        if len(times) < _MIN_REGULAR or np.mean(gaps <= _SPARE * np.median(gaps)) < _REGULAR_SHARE:
+            continue
+        limit_us = max(longest_gap_us(times), usual_us[topic])
+        ends = np.append(times[1:], all_us[-1])
+        for begin, end in zip(times, ends, strict=True):
+            if end - begin <= limit_us:
+                continue
+            # without a pause of the whole recording
+            between = all_us[(all_us >= begin) & (all_us <= end)]
+            if 1e6 * exposure_s(between, all_gap_us) > limit_us:
+                silent.append(Silence(topic, int(begin), int(end), bool(begin == times[-1])))
+    return sorted(silent, key=lambda silence: silence.begin_us)
+
+
+def _times_by_topic(recording: LogRecording) -> dict[str, np.ndarray]:
+    """Times of the messages of each topic (us), in order."""
+    times_us = {}
+    for topic, messages in recording.by_topic().items():
+        times_us[topic] = np.sort(np.array([message.time_us for message in messages], np.int64))
+    return times_us

@@ -13,7 +13,7 @@ from mavfi.detectors.foreign import foreign_state
 from mavfi.extras.logs.detectors import log_detector
 from mavfi.extras.logs.mapping import values_by_name
 from mavfi.extras.logs.monitor import NOT_FINITE_RULE
-from mavfi.extras.logs.recording import LogRecording, exposure_s, longest_gap_us
+from mavfi.extras.logs.recording import LogRecording, Silence, exposure_s, longest_gap_us, silences
 from mavfi.extras.logs.selection import EVERYTHING, NotMonitored, Selection, Wanted, select
 from mavfi.faults.levels.message.definition import Leaf, flip_bit
 from mavfi.faults.strata import bits_of
@@ -127,6 +127,7 @@ class JudgedLog:
         event_gap_us: Alarms that follow each other within this time are one event (us).
         not_monitored: Numbers that are not monitored in this recording, with the reason.
         fault_alarm: The first alarm after the start of the known fault; None = there is none.
+        silences: Where topics fall silent.
     """
 
     name: str
@@ -141,6 +142,7 @@ class JudgedLog:
     event_gap_us: int = _EVENT_GAP_US
     not_monitored: Sequence[NotMonitored] = ()
     fault_alarm: LogAlarm | None = None
+    silences: Sequence[Silence] = ()
 
     @property
     def events(self) -> int:
@@ -214,6 +216,7 @@ class LogWatch:
         self, kind: str, profile: str, selection: Selection, training: Sequence[LogRecording], seed: int = 0
     ) -> None:
         self.selection = selection
+        self._training = training
         flights = [[(message.time_us, state) for message, state in self._states(recording)] for recording in training]
         self.detector: Detector = log_detector(kind, profile, selection, selection.mapping, flights, seed)
         self.trained_on = sum(map(len, flights))
@@ -284,6 +287,7 @@ class LogWatch:
             event_gap_us=gap_us,
             not_monitored=self._silent(recording, samples),
             fault_alarm=fault_alarm,
+            silences=silences(recording, self._training),
         )
 
     def _silent(self, recording: LogRecording, samples: Sequence[Sample]) -> list[NotMonitored]:
@@ -514,6 +518,7 @@ class LogRates:
                 | {
                     "events": judged.events,
                     "not_monitored": [item._asdict() for item in judged.not_monitored],
+                    "silences": [silence._asdict() for silence in judged.silences],
                     "event_list": [event._asdict() for event in judged.event_list],
                 }
                 for judged in self.recordings
