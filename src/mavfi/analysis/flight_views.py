@@ -521,7 +521,7 @@ def _estimand(runs: Runs) -> str:
         stage: sorted(part.values("kernel"), key=lambda name: planned.get(name, len(planned)))
         for (stage,), part in stages.items()
     }
-    shares = "; ".join(f"{stage}: {', '.join(names)}" for stage, names in kernels.items())
+    shares = "; ".join(f"{stage or 'detector'}: {', '.join(names)}" for stage, names in kernels.items())
     which = runs.campaign.get("which", "all")
     drawn = "dynamic instructions"
     if which != "all":
