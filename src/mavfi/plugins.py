@@ -154,7 +154,8 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
     else:
         names = known(group, shipped)
         if name not in names:
-            text = f"not known{hint(name, names)}; allowed: {', '.join(sorted(names))}, or package:object"
+            allowed = ", ".join([*sorted(names), "or package:object"])
+            text = f"not known{hint(name, names)}; allowed: {allowed.removeprefix('or ')}"
             raise BadInputError(f"{what} {name!r}: {text}")
         address = names[name]
     module, _, attribute = address.partition(":")

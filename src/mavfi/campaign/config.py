@@ -42,8 +42,9 @@ _RENAMED = {
     "kind": "host",
     "trials": "faults",
     "command": "node.command",
+    "faults_per_mission": "sampling.faults_per_mission (with level: combined)",
 }
-"""Keys of campaign schema 1, with their replacements."""
+"""Keys of campaign schema 1, and keys in another part of the file, with what is written instead."""
 _SETTINGS = ("golden", "fi", "dr", "null")
 """Settings, and the beginnings of their names."""
 _STORED_WITHOUT_VALUE = ("until_halfwidth", "node", "program")

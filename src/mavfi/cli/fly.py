@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from mavfi.cli import observing, options
 from mavfi.cli.console import FLIGHTS, PAGES, PICTURES, check_file, check_seed, console, write_json
 from mavfi.errors import BadInputError
-from mavfi.faults.combined import AND, levels_in
+from mavfi.faults.combined import AND, levels_in, waits_for_alarm
 from mavfi.mission import OF_A_DETECTOR, MissionSpec
 from mavfi.plugins import extensions
 
@@ -188,6 +188,8 @@ def check_option_dependencies(
             raise BadInputError(f"--fault-seed: {fault_seed}: no fault to draw; allowed: together with --fault")
     if detector != "none":
         return
+    if waits_for_alarm(fault):
+        raise BadInputError(f"--fault: {fault}: nothing raises an alarm; allowed: together with --detector")
     of_a_detector = {"--profile": profile, "--models": models}
     for key in OF_A_DETECTOR:
         if _is_chosen(mission, key):

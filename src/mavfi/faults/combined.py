@@ -56,6 +56,12 @@ class Start:
         return cls(event, delay_s)
 
 
+def waits_for_alarm(text: str | None) -> bool:
+    """Whether a fault in a text waits for an alarm."""
+    starts = [Start.parse(member.rpartition("@")[2]) for member in (text or "").split(AND)]
+    return any(start is not None and start.event == "alarm" for start in starts)
+
+
 @dataclass(frozen=True, slots=True)
 class CombinedFault(Fault):
     """Several faults in one mission.

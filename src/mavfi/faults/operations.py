@@ -27,6 +27,8 @@ OperationName = Literal["flip", "set", "bias", "scale", "drop", "delay", "duplic
 VALUE_OPERATIONS: tuple[str, ...] = get_args(ValueOperation)
 MESSAGE_OPERATIONS: tuple[str, ...] = get_args(MessageOperation)
 OPERATIONS: tuple[str, ...] = get_args(OperationName)
+SYNONYMS = {"value": "set"}
+"""Other names of operations: faults in instructions have a `value=`, too."""
 
 _MEANING = {
     "flip": "0 = least significant; drawn if not given",
@@ -372,6 +374,7 @@ def parse_change(parts: list[str], instant: str = "") -> PlannedChange:
     keys: set[str] = set()
     for part in parts:
         name, equals, text = part.partition("=")
+        name = SYNONYMS.get(name, name)
         key = name
         if name == "bit" or name in OPERATIONS:
             key = "operation"

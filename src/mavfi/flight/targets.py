@@ -110,7 +110,7 @@ def _name_of(function: Any) -> str:
 
 # ---- targets --------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, slots=True)
-class Target:
+class InjectionTarget:
     """A kernel, plug-in or detector with its compiled functions.
 
     Attributes:
@@ -161,34 +161,35 @@ class Targets:
             if replacing:
                 targets.append(self._of_plug_in(replacing[0]))
             elif entries:
-                targets.append(Target(name, {entry: getattr(PLAIN, entry) for entry in entries}, row))
+                targets.append(InjectionTarget(name, {entry: getattr(PLAIN, entry) for entry in entries}, row))
         if "flight_controller" in by_role:
             targets.append(self._of_plug_in(by_role["flight_controller"]))
 
-        # Detectors of mavfi, or that replace their functions as these do; then others.
+        # Detectors of mavfi, then others.
+        custom = custom_parts(detector)
         for source in DETECTORS:
             part = part_of(detector, source)
-            if part is not None and type(part).instrument is not Detector.instrument:
-                targets.append(Target(source, dict(part.compiled), parts=(part,)))
+            if part is not None and part not in custom:
+                targets.append(InjectionTarget(source, dict(part.compiled), parts=(part,)))
         if _DETECTOR in by_role:
             targets.append(self._of_detector(by_role[_DETECTOR]))
         self._targets = {target.name: target for target in targets}
         self._refuse_shared_functions()
 
-    def _of_plug_in(self, plug_in: PlugIn) -> Target:
+    def _of_plug_in(self, plug_in: PlugIn) -> InjectionTarget:
         """A plug-in whose class names its functions."""
         kernel = PLUG_INS[plug_in.role].kernel
         try:
             factory = _factory(plug_in)
             functions = declared_functions(factory, f"{plug_in.role.replace('_', ' ')} {plug_in.address!r}")
         except BadInputError as error:
-            return Target(plug_in.name, {}, kernel, plug_in.role, refusal=str(error))
-        return Target(plug_in.name, functions, kernel, plug_in.role)
+            return InjectionTarget(plug_in.name, {}, kernel, plug_in.role, refusal=str(error))
+        return InjectionTarget(plug_in.name, functions, kernel, plug_in.role)
 
-    def _of_detector(self, plug_in: PlugIn) -> Target:
+    def _of_detector(self, plug_in: PlugIn) -> InjectionTarget:
         """The parts of a detector that are none of mavfi."""
         functions: dict[str, Compiled] = {}
-        own_way = []  # those that replace their functions by themselves
+        instrumenting = []  # those that replace their functions by themselves
         refusal = ""
         for part in custom_parts(self._detector):
             try:
@@ -197,21 +198,20 @@ class Targets:
                 refusal = str(error)
                 continue
             if type(part).instrument is not Detector.instrument:
-                own_way.append(part)
+                instrumenting.append(part)
         if functions:
             refusal = ""
-        return Target(plug_in.name, functions, "", _DETECTOR, tuple(own_way), refusal)
+        return InjectionTarget(plug_in.name, functions, "", _DETECTOR, tuple(instrumenting), refusal)
 
     def _refuse_shared_functions(self) -> None:
-        """Refuse plug-ins that name a function of another one: nothing tells whose call is injected."""
+        """Refuse plug-ins that name a function of another target: nothing tells whose call is injected."""
         owners: dict[int, str] = {}
-        for name, target in self._targets.items():
-            if not target.role:
-                continue
+        of_mavfi_first = sorted(self._targets.items(), key=lambda item: bool(item[1].role))
+        for name, target in of_mavfi_first:
             for entry, function in target.functions.items():
                 other = owners.setdefault(id(function), name)
-                if other != name:
-                    refusal = f"{name}: compiled: {entry!r}: is named by {other}, too; allowed: a function of its own"
+                if target.role and other != name:
+                    refusal = f"{name}: compiled: {entry!r}: is a function of {other}, too; allowed: one of its own"
                     self._targets[name] = replace(target, functions={}, refusal=refusal)
 
     @property
@@ -219,7 +219,7 @@ class Targets:
         """Names of the kernels and plug-ins that faults can be in; detectors are not among them."""
         return tuple(name for name, target in self._targets.items() if not target.refusal and not target.in_detector)
 
-    def find(self, name: str) -> Target:
+    def find(self, name: str) -> InjectionTarget:
         """The target that a request means.
 
         Raises:
@@ -245,7 +245,7 @@ class Targets:
             return self._scenario.planner.name
         return text
 
-    def of_fault(self, fault: InstructionFault) -> Target:
+    def of_fault(self, fault: InstructionFault) -> InjectionTarget:
         """The target of a fault.
 
         Raises:
@@ -268,9 +268,10 @@ class Targets:
         for target in self._targets.values():
             instead = {entry: functions[key] for key, entry in target.counters.items() if key in functions}
             for part in target.parts:
-                part.instrument({entry: other for entry, other in instead.items() if entry in part.compiled})
+                replaced = {entry: instead.pop(entry) for entry in list(instead) if entry in part.compiled}
+                part.instrument(replaced)
                 parts.append(part)
-            if target.role and not target.parts:
+            if target.role:
                 stand_ins += [(target.functions[entry], other) for entry, other in instead.items()]
         of_kernels = {name: functions.get(name, getattr(PLAIN, name)) for name in ENTRIES}
         try:

@@ -33,7 +33,7 @@ from mavfi.faults.levels.instruction.table import parse_selection
 from mavfi.faults.plug_ins import custom_detectors, planner_name, plug_ins_of_spec, without_module
 from mavfi.faults.sampling import stream
 from mavfi.flight.decide import INLINE, RecoveryPolicy
-from mavfi.flight.targets import Target, Targets
+from mavfi.flight.targets import InjectionTarget, Targets
 from mavfi.ir.module import DIGEST_VERSION
 from mavfi.levels.level import DECIMAL, WHOLE, Draw, Golden, Level, Sampled, Sampler, Sampling, check_distinct
 from mavfi.mission import Scenario
@@ -233,7 +233,7 @@ class _KernelDraw:
 
     def __init__(
         self,
-        target: Target,
+        target: InjectionTarget,
         number: int,
         request: InstructionRequest,
         counters: Mapping[str, Profiling],

@@ -19,7 +19,7 @@ from mavfi.errors import BadInputError, hint
 from mavfi.faults.combined import AND, Start
 from mavfi.faults.fault import Fault, find_level, level_names
 from mavfi.faults.injector import Injector
-from mavfi.faults.operations import OPERATIONS, PlannedChange, is_trigger, parse_change, parse_text
+from mavfi.faults.operations import OPERATIONS, SYNONYMS, PlannedChange, is_trigger, parse_change, parse_text
 from mavfi.faults.sampling import share_out
 from mavfi.faults.strata import EACH_CLASS, STRATA
 from mavfi.record import Injection
@@ -456,7 +456,7 @@ def is_change(text: str) -> bool:
     """Whether the text of a fault in a value has more than the flip of bits from an instant on."""
     body, _, instant = text.partition("@")
     names = {part.partition("=")[0] for part in body.split(":")[1:]}
-    return bool(names & {*OPERATIONS, "every"}) or is_trigger(instant)
+    return bool(names & {*OPERATIONS, *SYNONYMS, "every"}) or is_trigger(instant)
 
 
 def parse_value_change(parts: Sequence[str], instant: str, *, has_instant: bool) -> ChangeText:
@@ -483,7 +483,7 @@ def parse_value_change(parts: Sequence[str], instant: str, *, has_instant: bool)
             raise BadInputError(f"lasts: {value!r}: allowed: {description}")
         lasts_s = kind(value)
     names = [part.partition("=")[0] for part in rest]
-    if not {*OPERATIONS, "bit"} & set(names):
+    if not {*OPERATIONS, *SYNONYMS, "bit"} & set(names):
         rest.insert(0, "flip")
     change, time_us = planned_at(parse_change(rest, instant), is_given=has_instant)
     if lasts_s > 0.0 and "times" not in names:

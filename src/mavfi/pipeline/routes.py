@@ -112,7 +112,8 @@ class Routes:
             return None
         if not paths.nearest_clear(clearance.wide, clearance.narrow, core, clearance.grid, goal, *box, _REACH, last):
             last[:] = goal
-        path = checked_path(self.search, self.search.search(counter, clearance.grid, first, last, *box))
+        vertices = self.search.search(counter, clearance.grid, first, last, *box)
+        path = checked_path(self.search, vertices, clearance.grid, first, last)
         if len(path):
             return path
         return None
@@ -217,7 +218,8 @@ class Routes:
         if not self._is_tight(stretch[-1]):
             local = self._searches.content[1]
             ends = stretch[0], stretch[-1]
-            bypass = checked_path(local, local.search(clearance.wide, clearance.grid, *ends, lower, upper))
+            vertices = local.search(clearance.wide, clearance.grid, *ends, lower, upper)
+            bypass = checked_path(local, vertices, clearance.grid, *ends)
             still = np.zeros(3)
             if len(bypass) and self._time(bypass, still) < self._time(stretch, still):
                 return bypass[1:]

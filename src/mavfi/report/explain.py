@@ -220,6 +220,8 @@ def _fault(injection: Injection, fault: Fault | None) -> str:
     never, reason = find_level(injection.level).absent
     if fault is not None and not fault.has_site:
         return f"{injection.site}: no site, the golden run never {never} it"
+    if "start" in injection.details:
+        return f"{injection.site}: not activated, its {injection.details['start']} did not come"
     if not injection.activated:
         return f"{injection.site}: not activated, {reason}"
     if injection.bit is None:

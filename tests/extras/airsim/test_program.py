@@ -14,8 +14,9 @@ from mavfi.errors import BadInputError
 from mavfi.extras.airsim.boundary import Boundary, parse_fault
 from mavfi.extras.airsim.cameras import PERSPECTIVE, SKY, view
 from mavfi.extras.airsim.config import ProgramConfig
-from mavfi.extras.airsim.host import ProgramInput, client_version, effect_on, make_api, run_program
+from mavfi.extras.airsim.host import AirsimProgramHost, ProgramInput, client_version, effect_on, make_api, run_program
 from mavfi.mission import MissionSpec
+from mavfi.plugins import allow_typed
 from mavfi.record import Injection
 
 pytestmark = pytest.mark.skipif(
@@ -195,3 +196,15 @@ def test_what_cannot_run_is_refused_in_one_line(tmp_path):
     without.write_text("import no_such_package\n")
     with pytest.raises(BadInputError, match="made no call .*no_such_package"):
         run(without)
+
+
+def test_a_vehicle_that_does_not_exist_is_refused_before_a_campaign_and_one_that_is_added_is_not(tmp_path):
+    script = tmp_path / "adds.py"
+    script.write_text(
+        "import airsim\nclient = airsim.MultirotorClient()\n"
+        "client.simAddVehicle('Late', 'simpleflight', airsim.Pose(airsim.Vector3r(0, 4, 0)), '')\n"
+    )
+    allow_typed(str(script))
+    AirsimProgramHost(ProgramConfig(script=str(script), fault_vehicle="Late")).check()
+    with pytest.raises(BadInputError, match="^--fault-vehicle: 'Nope': not known; allowed: SimpleFlight, Late$"):
+        AirsimProgramHost(ProgramConfig(script=str(script), fault_vehicle="Nope")).check()

@@ -161,6 +161,15 @@ def test_recordings_of_rosbag2_are_read_with_and_without_definitions_of_their_me
 
 
 # ---- what users bring ------------------------------------------------------------------------------------------------
+def test_a_column_without_a_name_is_left_out(tmp_path):
+    path = tmp_path / "pandas.csv"
+    path.write_text(",time,x\n0,0.0,1.5\n1,0.02,1.6\n")
+    reader = open_flight_log(path)
+    message = next(iter(reader.messages([])))
+    assert list(message.layout.numbers(message.data, 16)) == ["x"]
+    assert reader.notices == ["columns without numbers or a name: column 1"]
+
+
 @pytest.mark.parametrize(
     ("head", "cells", "second_us"),
     [
@@ -172,6 +181,7 @@ def test_recordings_of_rosbag2_are_read_with_and_without_definitions_of_their_me
         ("Time_ms\tx", ("0", "20"), 20000),
         ("x,timestamp (us)", ("0", "20000"), 20000),
         ("header.stamp.sec,header.stamp.nanosec,x", ("5,0", "5,20000000"), 5020000),
+        ("sep=;\r\ntime;x", ("0.0", "0.02"), 20000),
         ("date_time,x", ("2024-05-01T12:00:00", "2024-05-01T12:00:00.020"), 1714564800020000),
     ],
 )
@@ -213,7 +223,7 @@ def test_cells_without_a_number_are_nan_and_a_cut_row_is_left_out(tmp_path):
         for m in reader.messages([])
     ]
     assert [row["ok"] for row in rows] == [1.0, 0.0, 1.0] and np.isnan(rows[1]["a"]) and rows[2]["a"] == 4.5
-    assert reader.is_cut() and reader.notices == ["columns without numbers: mode"]
+    assert reader.is_cut() and reader.notices == ["columns without numbers or a name: mode"]
 
 
 def test_rows_of_several_vehicles_are_told_apart(tmp_path):

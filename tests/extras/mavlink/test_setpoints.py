@@ -201,6 +201,36 @@ def test_a_mission_of_floats_flies_with_a_wait_and_a_jump(client):
     assert client.vehicle.landed and client.vehicle.position[:2] == pytest.approx((4.0, 4.0), abs=0.8)
 
 
+@pytest.mark.parametrize(
+    ("dialect", "mission_mode", "hold_mode", "first"), [("px4", (4, 4), (4, 3), 0), ("ardupilot", (3,), (4,), 1)]
+)
+def test_mission_current_tells_the_number_of_items_and_how_far_the_mission_is(dialect, mission_mode, hold_mode, first):
+    client = Client(dialect)
+
+    def status():
+        client.received.clear()
+        client.wait(1.1)
+        message = client.of("MISSION_CURRENT")[-1]
+        return message.total, message.mission_state, message.mission_mode
+
+    assert status() == (65535, 1, 2), "no mission"
+    home = [float_item(0, 16, (0, 0, 0))][:first]
+    delay = float_item(first + 1, 93, (0, 0, 0), (9.0, 0, 0, 0), frame=2)
+    upload(client, [*home, float_item(first, 22, (0, 0, 3)), delay])
+    assert status() == (2, 2, 2), "not started"
+    client.command(176, 1, *hold_mode)
+    client.command(400, 1)
+    client.command(300)
+    assert status() == (2, 3, 1), "active"
+    client.command(176, 1, *hold_mode)
+    assert status() == (2, 4, 2), "paused"
+    client.command(176, 1, *mission_mode)
+    client.wait(40, lambda: "Mission finished" in client.texts())
+    assert status()[1] == 5, "complete"
+    client.send(mavlink.MAVLink_mission_clear_all_message(1, 1))
+    assert status()[:2] == (65535, 1)
+
+
 def test_items_are_asked_for_in_the_older_form_when_they_do_not_come(client):
     client.send(mavlink.MAVLink_mission_count_message(1, 1, 1))
     assert len(client.of("MISSION_REQUEST_INT")) == 1

@@ -193,8 +193,22 @@ def test_an_airframe_asks_for_what_it_lacks_by_key_and_takes_it_from_a_yaml_file
 
 def test_files_that_gazebo_reads_although_they_are_no_strict_xml(tmp_path):
     text = models.sdf().replace("<plugin ", '<gz:order a:b="1">0</gz:order><plugin ', 1)
-    found, _ = imported(written(tmp_path, "quad.sdf", f"\n\n<?xml version='1.0'?>\n{text}"))
-    assert found.mass == pytest.approx(2.2)
+    for before in ("\n\n", "\ufeff\n", "<!-- generated from\n a template -->\n"):
+        found, _ = imported(written(tmp_path, "quad.sdf", f"{before}<?xml version='1.0'?>\n{text}"))
+        assert found.mass == pytest.approx(2.2)
+    for before in ("{# from a template #}\n", "{%- set mass = 2 -%}\n\n<!-- note -->\n"):
+        written(tmp_path, "quad.sdf.jinja", f"{before}<?xml version='1.0'?>\n{text}")
+        assert sdf_vehicle(tmp_path / "quad.sdf.jinja", {}).keys["mass"] == pytest.approx(2.2)
+
+
+def test_rotors_without_collision_shapes_are_said_to_reach_out(tmp_path):
+    bare = models.urdf().replace('<cylinder radius="0.1" length="0.01"/>', "<mesh filename='x.dae'/>")
+    found, said = imported(written(tmp_path, "quad.urdf", bare))
+    assert found.collision_radius < found.arm_length + 0.1
+    assert f"rotor tips may be outside of collision_radius ({found.collision_radius:g} m)" in said
+    written(tmp_path, "mine.yaml", "model: quad.urdf\ncollision_radius: 0.2\n")
+    assert "rotor tips" not in imported(str(tmp_path / "mine.yaml"))[1]
+    assert "rotor tips" not in imported(written(tmp_path, "whole.urdf", models.urdf()))[1]
 
 
 @pytest.mark.parametrize(

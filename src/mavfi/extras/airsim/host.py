@@ -485,6 +485,14 @@ class AirsimProgramHost(Host):
         msgpack()
         self._program.check()
         client_version(self._program.python, self._program.script)
+        # only a program that has run tells which vehicles it adds
+        vehicles: Sequence[str] = (self._program.vehicle,)
+        if self._program.settings:
+            capture = CaptureSize(*pixels(self._program.image), FIELD_OF_VIEW)
+            settings = read_settings(Path(self._program.settings), capture)
+            vehicles = [vehicle.name for vehicle in settings.vehicles] or vehicles
+        if self._program.fault_vehicle not in ("", *vehicles):
+            run_program(self._program, MissionSpec(), Boundary())
 
 
 class ProgramRuns:

@@ -69,7 +69,8 @@ class CsvReader:
 
     The first line has the names of the columns.  The time is the column with the best name, like `time`, `timestamp` or
     `t`, with or without a unit; else the unit follows from the size of its values and the time between rows.  Columns
-    that are not numeric are left out; a cell without a number in a numeric column is NaN.
+    that are not numeric or have no name, like the index that pandas writes, are left out; a cell without a number in a
+    numeric column is NaN.
 
     Attributes:
         notices: A unit that was guessed, and columns that were left out.
@@ -105,13 +106,13 @@ class CsvReader:
             if index in (clock, fraction):
                 continue
             column = _column(lines, index)
-            if column is None:
-                texts.append(name)
+            if not name or column is None:
+                texts.append(name or f"column {index + 1}")
             else:
                 columns[name] = column
         self.notices = list(self._guesses)
         if texts:
-            self.notices += [f"columns without numbers: {', '.join(texts[:5])}{'...' * (len(texts) > 5)}"]
+            self.notices += [f"columns without numbers or a name: {', '.join(texts[:5])}{'...' * (len(texts) > 5)}"]
         rows = np.zeros(len(lines), [(name, np.float64) for name in columns])
         for name, column in columns.items():
             rows[name] = column
@@ -127,7 +128,7 @@ class CsvReader:
         """Names of the columns and the rows."""
         path = self._path
         try:
-            text = _decoded(read_file(path, _MAX_BYTES))
+            text = _without_hint(_decoded(read_file(path, _MAX_BYTES)))
             separator = _separator_of(text)
             names, *lines = (line for line in csv.reader(text.splitlines(), delimiter=separator) if line)
         except (UnicodeDecodeError, ValueError, csv.Error) as error:
@@ -136,9 +137,8 @@ class CsvReader:
         if len(names) > 1 and not names[-1] and all(len(line) < len(names) or not line[-1].strip() for line in lines):
             names = names[:-1]  # each line ends with a separator
             lines = [line[: len(names)] for line in lines]
-        # as pandas writes the numbers of rows
-        names = [name or f"column {number}" for number, name in enumerate(names, 1)]
-        if len(set(names)) < len(names):
+        named = [name for name in names if name]
+        if len(set(named)) < len(named):
             raise BadInputError(f"{path}: columns: allowed: a different name for each")
         self._is_cut = len(lines) > 1 and len(lines[-1]) < len(names)
         if self._is_cut:
@@ -177,6 +177,14 @@ def _decoded(content: bytes) -> str:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
         return content.decode("cp1252")
+
+
+def _without_hint(text: str) -> str:
+    """Text without the first line "sep=;" by which Excel knows the separator."""
+    first, _, rest = text.partition("\n")
+    if re.fullmatch(r"sep=.\s*", first):
+        return rest
+    return text
 
 
 def _separator_of(text: str) -> str:

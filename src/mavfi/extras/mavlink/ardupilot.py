@@ -30,7 +30,7 @@ from mavfi.extras.mavlink.telemetry import ALL_GROUPS, ARDUPILOT_STREAMS, STREAM
 from mavfi.extras.mavlink.vocabulary import (
     GLOBAL_FRAMES,
     Command,
-    Frame,
+    CoordinateFrame,
     MavCommand,
     MavResult,
     MissionResult,
@@ -115,7 +115,7 @@ class ArduCopter(Autopilot):
     streams: ClassVar[dict[Content, float]] = ARDUPILOT_STREAMS
     version: ClassVar[int] = 0x040500FF
     capabilities: ClassVar[int] = 0x1 | 0x2 | 0x4 | 0x8 | 0x40 | 0x80 | 0x100 | 0x800 | 0x2000 | 0x20000
-    long_frame: ClassVar[Frame] = Frame.RELATIVE
+    long_frame: ClassVar[CoordinateFrame] = CoordinateFrame.RELATIVE
     answers_all_components: ClassVar[bool] = True
     ignores_mission_yaw: ClassVar[bool] = True
     home_is_item: ClassVar[bool] = True
@@ -156,6 +156,11 @@ class ArduCopter(Autopilot):
     def is_landing(self) -> bool:
         """See `Autopilot.is_landing`."""
         return self.mode is CopterMode.LAND
+
+    @property
+    def is_in_mission_mode(self) -> bool:
+        """See `Autopilot.is_in_mission_mode`."""
+        return self.mode is CopterMode.AUTO
 
     @property
     def default_speed(self) -> float:
@@ -342,7 +347,7 @@ class ArduCopter(Autopilot):
         """MAV_CMD_NAV_TAKEOFF: to a height above home; in GUIDED, armed and on the ground."""
         frame = command.frame
         if frame is None:
-            frame = Frame.RELATIVE
+            frame = CoordinateFrame.RELATIVE
         reason = ""
         if self.mode is not CopterMode.GUIDED:
             reason = f"mode {self.mode.name}; allowed: GUIDED"

@@ -16,7 +16,15 @@ from mavfi.extras.mavlink.parameters import Number, Parameters
 from mavfi.extras.mavlink.setpoints import Geography, completed, global_target, has_acceleration, local_target
 from mavfi.extras.mavlink.telemetry import Content, Schedule
 from mavfi.extras.mavlink.tlog import chunks_of, mavlink_dialect
-from mavfi.extras.mavlink.vocabulary import Command, Frame, MavCommand, MavResult, Severity, UnsupportedError, whole
+from mavfi.extras.mavlink.vocabulary import (
+    Command,
+    CoordinateFrame,
+    MavCommand,
+    MavResult,
+    Severity,
+    UnsupportedError,
+    whole,
+)
 from mavfi.flight.piloted import TICK_US, EndedTask, Task
 from mavfi.numerics.frames import Triple
 
@@ -63,7 +71,7 @@ class Autopilot(ABC):
         streams: Periodic messages and their rates (Hz).
         version: `flight_sw_version` of AUTOPILOT_VERSION.
         capabilities: MAV_PROTOCOL_CAPABILITY.
-        long_frame: Frame of the altitude in a COMMAND_LONG.
+        long_frame: CoordinateFrame of the altitude in a COMMAND_LONG.
         answers_all_components: Whether messages to other components of its system are answered too.
         ignores_mission_yaw: Whether the fourth parameter of a way-point means nothing.
         home_is_item: Whether item 0 of a mission is home.
@@ -81,7 +89,7 @@ class Autopilot(ABC):
     streams: ClassVar[dict[Content, float]]
     version: ClassVar[int]
     capabilities: ClassVar[int]
-    long_frame: ClassVar[Frame]
+    long_frame: ClassVar[CoordinateFrame]
     answers_all_components: ClassVar[bool]
     ignores_mission_yaw: ClassVar[bool]
     home_is_item: ClassVar[bool]
@@ -134,6 +142,11 @@ class Autopilot(ABC):
     @abstractmethod
     def is_landing(self) -> bool:
         """Whether it lands."""
+
+    @property
+    @abstractmethod
+    def is_in_mission_mode(self) -> bool:
+        """Whether the present mode flies the mission."""
 
     @property
     @abstractmethod
@@ -464,7 +477,7 @@ class Autopilot(ABC):
                 return MavResult.DENIED
             frame = command.frame
             if frame is None:
-                frame = Frame.GLOBAL
+                frame = CoordinateFrame.GLOBAL
             home = self.geography.place(command[5], command[6], command[7], frame)
         if not self.set_home(home):
             self.text("home refused: allowed: within 50 km")

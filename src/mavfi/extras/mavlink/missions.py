@@ -3,6 +3,7 @@
 import math
 from collections import defaultdict
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
 from mavfi.extras.mavlink.flying import FOREVER_S, climb, go_to, hold, orbit, wait, yaw_of_condition
@@ -10,7 +11,7 @@ from mavfi.extras.mavlink.setpoints import completed
 from mavfi.extras.mavlink.vocabulary import (
     COORDINATE_SCALE,
     GLOBAL_FRAMES,
-    Frame,
+    CoordinateFrame,
     MavCommand,
     MissionResult,
     degrees_of,
@@ -35,6 +36,10 @@ _CIRCLE_SPEED = 3.0
 _CIRCLE_RADIUS = 10.0
 """Its radius where an item gives none (m)."""
 _LARGEST = 2**31 - 1
+_NO_ITEMS = 65_535
+_IN_MISSION_MODE = 1
+_OUT_OF_MISSION_MODE = 2
+"""Fields `total` and `mission_mode` of MISSION_CURRENT."""
 _TURN_S = 15.0
 """Longest duration of CONDITION_YAW (s)."""
 _TURN_MARGIN = math.radians(3.0)
@@ -84,6 +89,16 @@ PAYLOAD = {
 """Items for a camera or gimbal, which this vehicle lacks: stored, skipped in flight, and said at the upload."""
 
 
+class MissionState(IntEnum):
+    """MISSION_STATE, in MISSION_CURRENT."""
+
+    NO_MISSION = 1
+    NOT_STARTED = 2
+    ACTIVE = 3
+    PAUSED = 4  # begun, and another mode has been set
+    COMPLETE = 5
+
+
 @dataclass(frozen=True, slots=True)
 class MissionItem:
     """An item, in either form of the protocol.
@@ -111,7 +126,7 @@ class MissionItem:
         """The item of a MISSION_ITEM or MISSION_ITEM_INT."""
         x = float(message.x)
         y = float(message.y)
-        if message.get_type() == "MISSION_ITEM_INT" and message.frame != Frame.MISSION:
+        if message.get_type() == "MISSION_ITEM_INT" and message.frame != CoordinateFrame.MISSION:
             x = degrees_of(message.x)
             y = degrees_of(message.y)
         parameters = (message.param1, message.param2, message.param3, message.param4)
@@ -121,7 +136,7 @@ class MissionItem:
     def integers(self) -> tuple[int, int]:
         """Fifth and sixth parameter as in MISSION_ITEM_INT."""
         scale = COORDINATE_SCALE
-        if self.frame == Frame.MISSION:
+        if self.frame == CoordinateFrame.MISSION:
             scale = 1.0
         return _integer(self.x / scale), _integer(self.y / scale)
 
@@ -154,6 +169,8 @@ class Mission:
         self._asked_us = 0
         self._uploaded_us = -_REPEATED_US
         self._is_repeated = False
+        self._has_begun = False
+        self._is_complete = False
         self.current = self.first
 
     @property
@@ -170,6 +187,34 @@ class Mission:
     def count(self) -> int:
         """Number of items, home included if it is one."""
         return len(self._items[_MISSION])
+
+    @property
+    def status(self) -> tuple[int, int, MissionState, int]:
+        """Content of MISSION_CURRENT: current item, number of items without home, state, and whether in its mode."""
+        total = self.count - self.first
+        if self.is_empty:
+            total = _NO_ITEMS
+        mode = _OUT_OF_MISSION_MODE
+        if self._autopilot.is_in_mission_mode:
+            mode = _IN_MISSION_MODE
+        return self.current, total, self._state, mode
+
+    @property
+    def _state(self) -> MissionState:
+        if self.is_empty:
+            return MissionState.NO_MISSION
+        if self._is_complete:
+            return MissionState.COMPLETE
+        if not self._has_begun:
+            return MissionState.NOT_STARTED
+        if self._autopilot.is_in_mission_mode:
+            return MissionState.ACTIVE
+        return MissionState.PAUSED
+
+    def _reset_state(self) -> None:
+        """Nothing of the items has been flown."""
+        self._has_begun = False
+        self._is_complete = False
 
     # ---- upload -----------------------------------------------------------------------------------------------------
     def begin_upload(self, message: Any) -> None:
@@ -240,6 +285,7 @@ class Mission:
             if self._home_first and items:
                 items[0] = self._home_item()
             self.current = self.first
+            self._reset_state()
         self.acknowledge(self._uploader, MissionResult.ACCEPTED, self._upload_type)
 
     def _request(self, *, as_float: bool) -> None:
@@ -305,7 +351,9 @@ class Mission:
         """Home as item 0."""
         geography = self._autopilot.geography
         latitude, longitude, altitude = geography.geodetic(geography.home)
-        return MissionItem(Frame.GLOBAL, MavCommand.WAYPOINT, 1, (0.0, 0.0, 0.0, 0.0), latitude, longitude, altitude)
+        return MissionItem(
+            CoordinateFrame.GLOBAL, MavCommand.WAYPOINT, 1, (0.0, 0.0, 0.0, 0.0), latitude, longitude, altitude
+        )
 
     # ---- where to begin, and deletion -------------------------------------------------------------------------------
     def set_current(self, message: Any) -> None:
@@ -315,7 +363,8 @@ class Mission:
             autopilot.text(f"mission: no item {message.seq}")
             return
         self.current = max(self.first, message.seq)
-        autopilot.send("mission_current", self.current)
+        self._is_complete = False
+        autopilot.send("mission_current", *self.status)
         autopilot.restart_mission()
 
     def clear(self, message: Any) -> None:
@@ -326,6 +375,8 @@ class Mission:
             stored_lists = list(self._items.values())
         for stored in stored_lists:
             stored.clear()
+        if self.is_empty:
+            self._reset_state()
         sender = (message.get_srcSystem(), message.get_srcComponent())
         self.acknowledge(sender, MissionResult.ACCEPTED, message.mission_type)
 
@@ -337,11 +388,13 @@ class Mission:
         jumps: dict[int, int] = {}  # how often each DO_JUMP has jumped
         yield from self._motors()
         self.current = max(self.current, self.first)
+        self._has_begun = True
+        self._is_complete = False
         while self.current < len(items):
             yield from self._motors()
             number = self.current
             item = items[number]
-            autopilot.send("mission_current", number)
+            autopilot.send("mission_current", *self.status)
             if item.command == MavCommand.DO_JUMP:
                 self.current = self._after_jump(number, item, jumps)
                 yield  # a jump to itself must not stop time
@@ -350,6 +403,7 @@ class Mission:
             autopilot.send("mission_item_reached", number)
             self.current = number + 1
         self.current = self.first
+        self._is_complete = True
         autopilot.text("Mission finished")
         return True
 

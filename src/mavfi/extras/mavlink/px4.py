@@ -22,7 +22,7 @@ from mavfi.extras.mavlink.parameters import PX4_DEFAULTS, Number
 from mavfi.extras.mavlink.setpoints import attitude_target
 from mavfi.extras.mavlink.shell import SHELL, Shell
 from mavfi.extras.mavlink.telemetry import STREAMS, Content
-from mavfi.extras.mavlink.vocabulary import Command, Frame, MavCommand, MavResult, MissionResult, whole
+from mavfi.extras.mavlink.vocabulary import Command, CoordinateFrame, MavCommand, MavResult, MissionResult, whole
 from mavfi.flight.piloted import EndedTask, Task, Vertical, land
 from mavfi.numerics.frames import HOME, Triple
 
@@ -73,7 +73,7 @@ class Px4Autopilot(Autopilot):
     streams: ClassVar[dict[Content, float]] = STREAMS
     version: ClassVar[int] = 0x010E0000
     capabilities: ClassVar[int] = 0x1 | 0x2 | 0x4 | 0x8 | 0x10 | 0x40 | 0x80 | 0x100 | 0x800 | 0x2000
-    long_frame: ClassVar[Frame] = Frame.GLOBAL
+    long_frame: ClassVar[CoordinateFrame] = CoordinateFrame.GLOBAL
     answers_all_components: ClassVar[bool] = False
     ignores_mission_yaw: ClassVar[bool] = False
     home_is_item: ClassVar[bool] = False
@@ -111,6 +111,11 @@ class Px4Autopilot(Autopilot):
     def is_landing(self) -> bool:
         """See `Autopilot.is_landing`."""
         return self.mode is FlightMode.LAND
+
+    @property
+    def is_in_mission_mode(self) -> bool:
+        """See `Autopilot.is_in_mission_mode`."""
+        return self.mode is FlightMode.MISSION
 
     @property
     def default_speed(self) -> float:
@@ -250,7 +255,7 @@ class Px4Autopilot(Autopilot):
         altitude = command[7]
         frame = command.frame
         if frame is None:
-            frame = Frame.GLOBAL
+            frame = CoordinateFrame.GLOBAL
         place = list(self.vehicle.position)
         lowest = self.geography.home[2] - self.parameters["MIS_TAKEOFF_ALT"]
         place[2] = lowest

@@ -9,16 +9,16 @@ from mavfi.extras.mavlink.vocabulary import (
     GLOBAL_FRAMES,
     RELATIVE_FRAMES,
     TERRAIN_FRAMES,
-    Frame,
+    CoordinateFrame,
     UnsupportedError,
     degrees_of,
 )
 from mavfi.flight.piloted import Vertical, at_attitude, at_rates, from_body
 from mavfi.numerics.frames import Triple, euler, geodetic, local
 
-_BODY_FRAMES = (Frame.BODY_NED, Frame.BODY_OFFSET_NED, Frame.BODY_FRD)
+_BODY_FRAMES = (CoordinateFrame.BODY_NED, CoordinateFrame.BODY_OFFSET_NED, CoordinateFrame.BODY_FRD)
 """Velocities and offsets along the heading."""
-_OFFSET_FRAMES = (Frame.LOCAL_OFFSET_NED, *_BODY_FRAMES)
+_OFFSET_FRAMES = (CoordinateFrame.LOCAL_OFFSET_NED, *_BODY_FRAMES)
 """Positions from where the vehicle is."""
 
 # POSITION_TARGET_TYPEMASK: fields that a set-point's sender leaves out.
@@ -89,7 +89,7 @@ def local_target(message: Any, vehicle: MavVehicle) -> Setpoint:
         UnsupportedError: Its frame or its fields are not supported.
     """
     frame = message.coordinate_frame
-    if frame not in (Frame.LOCAL_NED, *_OFFSET_FRAMES):
+    if frame not in (CoordinateFrame.LOCAL_NED, *_OFFSET_FRAMES):
         raise UnsupportedError(f"{message.get_type()} in frame {frame}")
     position = (message.x, message.y, message.z)
     if frame in _OFFSET_FRAMES:

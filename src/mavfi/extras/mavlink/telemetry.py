@@ -196,7 +196,7 @@ def system_time(autopilot: "Autopilot") -> Arguments:
 
 def mission_current(autopilot: "Autopilot") -> Arguments:
     """MISSION_CURRENT."""
-    return (autopilot.mission.current,)
+    return autopilot.mission.status
 
 
 def gps_global_origin(autopilot: "Autopilot") -> Arguments:

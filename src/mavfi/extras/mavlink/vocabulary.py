@@ -70,7 +70,7 @@ class Severity(IntEnum):
     INFO = 6
 
 
-class Frame(IntEnum):
+class CoordinateFrame(IntEnum):
     """MAV_FRAME; each global one has a second number, for messages with integer coordinates."""
 
     GLOBAL = 0
@@ -88,16 +88,16 @@ class Frame(IntEnum):
 
 
 GLOBAL_FRAMES = (
-    Frame.GLOBAL,
-    Frame.GLOBAL_INT,
-    Frame.RELATIVE,
-    Frame.RELATIVE_INT,
-    Frame.TERRAIN,
-    Frame.TERRAIN_INT,
+    CoordinateFrame.GLOBAL,
+    CoordinateFrame.GLOBAL_INT,
+    CoordinateFrame.RELATIVE,
+    CoordinateFrame.RELATIVE_INT,
+    CoordinateFrame.TERRAIN,
+    CoordinateFrame.TERRAIN_INT,
 )
-RELATIVE_FRAMES = (Frame.RELATIVE, Frame.RELATIVE_INT)
+RELATIVE_FRAMES = (CoordinateFrame.RELATIVE, CoordinateFrame.RELATIVE_INT)
 """Altitude above home."""
-TERRAIN_FRAMES = (Frame.TERRAIN, Frame.TERRAIN_INT)
+TERRAIN_FRAMES = (CoordinateFrame.TERRAIN, CoordinateFrame.TERRAIN_INT)
 """Altitude above the ground, which is a plane in our environments."""
 COORDINATE_SCALE = 1e-7
 """Degrees of a latitude or longitude that is sent as an integer."""
@@ -126,7 +126,7 @@ class Command:
     Attributes:
         number: MAV_CMD.
         parameters: The seven parameters; of a COMMAND_INT, the fifth and sixth in degrees.
-        frame: Frame of the location; None = not given.
+        frame: CoordinateFrame of the location; None = not given.
         sender: System and component.
     """
 

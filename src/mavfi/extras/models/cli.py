@@ -19,7 +19,10 @@ _WIDTH = 64
 
 def vehicle(
     file: Annotated[
-        Path, typer.Argument(help="Model: .sdf, .urdf, .xacro, an airframe of PX4, or a YAML file with the key model.")
+        Path,
+        typer.Argument(
+            help="Model: .sdf, .urdf, .xacro, MuJoCo's .xml, an airframe of PX4, or a YAML file with the key model."
+        ),
     ],
 ) -> None:
     """Print the vehicle that a model is flown as, as a YAML file: each value with its source.

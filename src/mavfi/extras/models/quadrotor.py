@@ -9,7 +9,7 @@ import numpy as np
 
 from mavfi.config import VehicleConfig
 from mavfi.errors import BadInputError
-from mavfi.extras.models.geometry import MassProperties, Shape, matrix_of_rpy, reach_of
+from mavfi.extras.models.geometry import MESH, MassProperties, Shape, matrix_of_rpy, reach_of
 from mavfi.numerics.vectors import length, product
 from mavfi.sim.engine import GRAVITY
 from mavfi.sim.imported import ImportedVehicle
@@ -138,12 +138,14 @@ class _Draft:
         keys: Values, by key.
         notes: Where they are from, by key.
         assumed: Keys whose values are not from the file.
+        chosen: Keys whose values are the user's.
     """
 
     def __init__(self, data: MultirotorData, chosen: Mapping[str, Any]) -> None:
         self.keys: dict[str, Any] = {"name": data.name, **data.values, **chosen}
         self.notes = {"name": "name of the model", **data.notes, **dict.fromkeys(chosen, "chosen")}
         self.assumed: list[str] = []
+        self.chosen = frozenset(chosen)
 
     def take(self, key: str, value: Any, note: str) -> None:  # noqa: ANN401 - as in a YAML file
         """Set a key to a value of the file."""
@@ -206,6 +208,7 @@ def vehicle_from(data: MultirotorData, source: str, chosen: Mapping[str, Any]) -
         draft.take("collision_radius", rounded_up(reach), note)
     elif arm is not None:
         draft.assume("collision_radius", _rounded(_RADIUS_PER_ARM * arm), f"{_RADIUS_PER_ARM:g} x arm_length")
+    _say_bare_rotors(data, draft)
     draft.assume("rotor_torque_ratio", _TORQUE_RATIO, f"{_TORQUE_RATIO:g} m")
     draft.assume("rotor_time_constant", _LAG, f"{_LAG:g} s")
     draft.assume("drag", [0.0, 0.0, 0.0], "none")
@@ -372,6 +375,21 @@ def _drag(data: MultirotorData, mass: float | None) -> list[float] | None:
         total += rotor.drag * math.sqrt(mass * GRAVITY / len(data.rotors) / rotor.speed_constant)
     sideways = _rounded(total / _DRAG_SPEED)
     return [sideways, sideways, 0.0]
+
+
+def _say_bare_rotors(data: MultirotorData, draft: _Draft) -> None:
+    """Remark that rotors without collision shapes may reach out of a sphere that is the file's."""
+    radius, arm = draft.number("collision_radius"), draft.number("arm_length")
+    if radius is None or arm is None or "collision_radius" in (*draft.assumed, *draft.chosen):
+        return
+    solid_links = {shape.owner.rpartition("::")[2] for shape in data.shapes if shape.kind != MESH}
+    is_bare = not any(rotor.name.rpartition("::")[2] in solid_links for rotor in data.rotors)
+    is_of_shapes = "collision_radius" not in data.values
+    if radius < arm or (is_of_shapes and is_bare and radius < _RADIUS_PER_ARM * arm):
+        data.remarks.append(
+            f"rotor tips may be outside of collision_radius ({radius:g} m): rotors, {arm:.3g} m from their centre, "
+            "have no collision shape"
+        )
 
 
 def _say_top_speed(data: MultirotorData, draft: _Draft) -> None:

@@ -24,6 +24,8 @@ _FOLDERS = ("", "models", "share")
 """Where models are inside a folder that is searched."""
 _PREFIX = re.compile(rb"""(</?|\s)([A-Za-z_][\w.-]*):(?=[\w.-]+(?:\s*=\s*["']|[\s/>]))""")
 """Prefixes of elements and attributes."""
+_BEFORE_DECLARATION = re.compile(rb"\A(?:\xef\xbb\xbf|\s|<!--.*?-->)+(?=<\?xml\s)", re.DOTALL)
+"""A byte-order mark of UTF-8, blank lines and comments that come before the declaration."""
 _NEAR = 4
 """Number of folders above a file that are searched as well."""
 
@@ -35,9 +37,8 @@ def parse_xml(text: bytes | str, path: Path) -> ET.Element:
         BadInputError: It is no XML.
     """
     data = text.encode() if isinstance(text, str) else text
-    data = (
-        data.lstrip()
-    )  # Gazebo's parser accepts blank lines before the declaration, and prefixes that are not declared
+    # Gazebo's parser accepts blank lines and comments before the declaration, and prefixes that are not declared
+    data = _BEFORE_DECLARATION.sub(b"", data).lstrip()
     try:
         try:
             return ET.fromstring(data)  # noqa: S314 - expat limits the expansion of entities

@@ -182,3 +182,9 @@ def test_a_fault_that_comes_after_the_flight_has_no_effect_and_is_not_called_mas
     assert run(["fly", "--environment", "sparse", "--seed", "7", "--fault", fault]) == 0
     out = " ".join(capsys.readouterr().out.split())
     assert "not activated" in out and "none: nothing was injected" in out and "masked" not in out
+
+
+def test_a_fault_at_an_alarm_needs_a_detector(capsys):
+    words = "fly --fault state:control.command.vx:value=nan@1 --fault state:control.command.vx:bit=62@alarm"
+    assert run(words.split()) == 2
+    assert "nothing raises an alarm; allowed: together with --detector" in capsys.readouterr().err

@@ -1,7 +1,7 @@
 """Which flights of a mission are fast-forwarded, and what becomes of those that cannot be flown."""
 
 from contextlib import contextmanager
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 
 import pytest
 
@@ -29,7 +29,8 @@ WATCHER = NoDetector()
 
 
 class Scenario(SimpleNamespace):
-    flight_controller, protection = "cascade", None
+    flight_controller, protection, kernels = "cascade", None, MappingProxyType({})
+    planner, map = SimpleNamespace(name="rrt_connect"), SimpleNamespace(kind="dense")
 
     def key(self):
         return self.name
@@ -208,4 +209,4 @@ def test_a_fault_that_cannot_be_flown_ends_its_own_flight_only(calls, arms):
     found = dict(flights.injected([("", DATA), ("", WRONG), ("", RegisterFault()), ("", DATA), ("", FAULT)]))
     assert {place for place, flight in found.items() if isinstance(flight, Exception)} == {1, 2}
     assert "other machine code" in str(found[1])
-    assert "level 'register': allowed: instruction, memory, message, sensor, state" in str(found[2])
+    assert "level 'register': allowed: combined, instruction, memory, message, sensor, state" in str(found[2])

@@ -9,7 +9,7 @@ from mavfi.campaign.mission import MissionPlan, fly_mission
 from mavfi.campaign.plan import Plan, arms_of
 from mavfi.faults.fault import NO_SITE, InstructionFault
 from mavfi.flight.host import ArmSetup
-from mavfi.flight.targets import Target
+from mavfi.flight.targets import InjectionTarget
 from mavfi.levels import instruction
 from mavfi.levels.instruction import DrawnFaults, InstructionRequest, InstructionSampling
 from mavfi.levels.level import draws_of, sampler_for
@@ -166,7 +166,7 @@ def test_draws_begin_at_the_given_calls_and_are_else_those_of_stored_campaigns()
     request = InstructionRequest({"pid": 200})
 
     def positions(first):
-        target = Target("pid", {}, "pid")
+        target = InjectionTarget("pid", {}, "pid")
         return instruction._KernelDraw(target, 200, request, {"track": counter}, {"track": first}, 3, ()).positions()
 
     assert [(place.call, place.index) for place in positions(0)[:4]] == [(3, 34), (1, 86), (3, 5), (1, 8)]

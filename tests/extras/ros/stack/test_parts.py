@@ -171,5 +171,5 @@ def test_detectors_learn_error_free_runs_and_notice_values_that_are_far_away():
         assert (alarm.state, alarm.time_s) == ("/out", 12.0)
     with pytest.raises(BadInputError, match="no number to watch"):
         train({"gad": ("gaussian", "tuned")}, [[Publication("/out", {"names": ["a"]}, 1.0)]])
-    with pytest.raises(BadInputError, match="detector 'checksum': not known; allowed: "):
+    with pytest.raises(BadInputError, match="detector 'checksum': is not fitted to messages; allowed: "):
         train({"gad": ("checksum", "tuned")}, [publications()])
