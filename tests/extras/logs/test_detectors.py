@@ -101,6 +101,17 @@ def test_rules_name_the_field_and_the_rule(field, value, named, rule):
     assert first.source.startswith(rule)
 
 
+def test_rules_judge_the_steps_of_slow_logs():
+    topic = "vehicle_local_position"
+    normal = [recording("a.ulg", circle(0.0), topic, 5_000_000)]
+    columns = circle(1.0)
+    columns["x"][100] = 300.0
+    wrong = recording("b.ulg", columns, topic, 5_000_000)
+    selection = select(normal, [wrong], Wanted(mapping="px4", only_mapped=True))
+    alarms = LogWatch("recommended", "tuned", selection, normal).judge(wrong).alarms
+    assert [alarm.time_us for alarm in alarms] == [500_000_000, 505_000_000]
+
+
 def test_another_entry_of_the_mapping_stands_in_for_numbers_that_are_not_finite():
     topic = "trajectory_setpoint"
     velocity = dict(zip(("velocity[0]", "velocity[1]", "velocity[2]", "yawspeed"), np.zeros((4, 400)), strict=True))

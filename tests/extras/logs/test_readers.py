@@ -202,6 +202,7 @@ def test_columns_of_time_that_other_programs_write(tmp_path, head, cells, second
         (5, 400, 1_000_000, True),  # 33 minutes with a row each 5 s, not 2 s with a row each 5 ms
         (5, 12_000, 1000, False),
         (20, 200, 1000, True),
+        (5000, 400, 1, True),
         (20, 3000, 1000, False),
         (1, 600, 1_000_000, False),
     ],
@@ -211,7 +212,9 @@ def test_whole_times_without_a_unit_are_those_of_a_flight(tmp_path, period, rows
     path.write_text("time,x\n" + "".join(f"{period * row},1.5\n" for row in range(rows)))
     recording = read_recording(path)
     assert recording.messages[1].time_us == period * unit_us
-    assert any("if wrong, name the column time_s or time_ms" in notice for notice in recording.notices) == is_doubtful
+    assert (
+        any("if wrong, put the unit in its name, like time_ms" in notice for notice in recording.notices) == is_doubtful
+    )
 
 
 def test_cells_without_a_number_are_nan_and_a_cut_row_is_left_out(tmp_path):

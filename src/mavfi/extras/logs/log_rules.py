@@ -14,6 +14,7 @@ from mavfi.detectors.acceptance import COUNTERS, DYNAMICS
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.detectors.gate import IMPLAUSIBLE, SPEED_MARGIN
 from mavfi.extras.logs.mapping import Mapper, UsedMapping, values_by_name
+from mavfi.extras.logs.recording import longest_gap_us
 from mavfi.states import ODOMETRY, VECTORS, State
 
 _ODOMETRY = ODOMETRY["truth"]
@@ -21,8 +22,6 @@ _POSITION, _VELOCITY, _ = VECTORS
 _QUATERNION = ("qw", "qx", "qy", "qz")
 _FLOOR = 1e-3
 """Smallest limit: of values that are constant in the training (m, m/s, rad)."""
-_LONGEST_STEP_S = 1.0
-"""Steps after longer times without a message are not judged (s)."""
 _UNITS = {
     "speed": "m/s",
     "velocity change": "m/s",
@@ -70,6 +69,9 @@ class LogRules(Detector):
             topic, _, path = name.rpartition(":")
             self._counters.setdefault(topic, []).append(path)
         self.limits: dict[tuple[str, str], float] = {}
+        # Steps after longer times without a message are not judged.
+        gaps_us = [longest_gap_us([time_us for time_us, _ in recording]) for recording in training]
+        self._longest_step_s = 1e-6 * max(gaps_us)
         self.start()
         for recording in training:
             self._learn(recording)
@@ -159,7 +161,7 @@ class LogRules(Detector):
             return
         last_us, before = self._last[name]
         period_s = 1e-6 * (time_us - last_us)
-        if not 0.0 < period_s <= _LONGEST_STEP_S:
+        if not 0.0 < period_s <= self._longest_step_s:
             return
         if self._mapper.has(name, _VELOCITY):
             change = {axis: now[axis] - before[axis] for axis in _VELOCITY}

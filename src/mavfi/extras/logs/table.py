@@ -163,7 +163,7 @@ class CsvReader:
             if not unit:
                 unit, is_doubtful = _guess_unit(numbers)
                 if is_doubtful:
-                    self._guesses = [f"{name}: taken for {unit}; if wrong, name the column {name}_s or {name}_ms"]
+                    self._guesses = [f"{name}: taken for {unit}; if wrong, put the unit in its name, like {name}_ms"]
             return [_microseconds(number, unit) for number in numbers]
         except (ValueError, OverflowError) as error:
             raise BadInputError(f"{self._path}: column {name}: is not a time ({error})") from None
@@ -265,13 +265,15 @@ def _guess_unit(numbers: Sequence[int | float]) -> tuple[str, bool]:
     step = float(np.median(steps))
     if step <= _LONGEST_PERIOD_S or (first >= _FIRST_DATE_S and step <= _SLOWEST_PERIOD_S):
         return "s", False
-    # A slow log in seconds, or a fast and short one in milliseconds.
-    is_short = step <= _SLOWEST_PERIOD_S and 1e-3 * float(steps.sum()) < _SHORTEST_FLIGHT_S
-    if is_short and step <= _SLOW_PERIOD_S:
-        return "s", True
     for unit in ("ms", "us", "ns"):
-        if 1e-6 * _MICROSECONDS[unit] * step <= _LONGEST_PERIOD_S:
-            return unit, is_short
+        unit_s = 1e-6 * _MICROSECONDS[unit]
+        if unit_s * step > _LONGEST_PERIOD_S:
+            continue
+        # A fast and short log in this unit, or a slow one in the unit before it, a thousand times as long.
+        is_doubtful = 1e3 * unit_s * step <= _SLOWEST_PERIOD_S and unit_s * float(steps.sum()) < _SHORTEST_FLIGHT_S
+        if is_doubtful and unit == "ms" and step <= _SLOW_PERIOD_S:
+            return "s", True
+        return unit, is_doubtful
     return "s", False
 
 
