@@ -651,26 +651,30 @@ def _say_what_is_real():
     """Say on stderr, once each, which time-outs of the program are in wall-clock time."""
     said = set()
 
-    def say(owner, name, is_used):
+    def say(owner, name, what, is_used):
         real = getattr(owner, name, None)
         if real is None:
             return
 
         def function(*arguments, **options):
-            what = owner.__name__ + "." + name
-            if is_used(*arguments, **options) and what not in said:
+            if what not in said and is_used(*arguments, **options):
                 said.add(what)
                 sys.stderr.write("mavfi: " + what + ": takes wall-clock time, not simulated time\n")
             return real(*arguments, **options)
 
         setattr(owner, name, function)
 
-    say(signal, "alarm", lambda seconds: seconds > 0)
-    say(signal, "setitimer", lambda which, seconds, interval=0.0: seconds > 0)
-    say(signal, "sigtimedwait", lambda signals, timeout: timeout > 0)
-    say(socket.socket, "settimeout", lambda this, seconds: bool(seconds))
-    say(subprocess.Popen, "wait", lambda this, timeout=None: bool(timeout))
-    say(subprocess.Popen, "communicate", lambda this, input=None, timeout=None: bool(timeout))  # noqa: A006
+    say(signal, "alarm", "signal.alarm", lambda seconds: seconds > 0)
+    say(signal, "setitimer", "signal.setitimer", lambda which, seconds, interval=0.0: seconds > 0)
+    say(signal, "sigtimedwait", "signal.sigtimedwait", lambda signals, timeout: timeout > 0)
+    say(socket.socket, "settimeout", "socket.settimeout", lambda this, seconds: bool(seconds))
+    say(subprocess.Popen, "wait", "timeout= of subprocess", lambda this, timeout=None: bool(timeout))
+    say(
+        subprocess.Popen,
+        "communicate",
+        "timeout= of subprocess",
+        lambda this, *arguments, **options: bool(arguments[1:] or options.get("timeout")),
+    )
     if hasattr(signal, "pause"):
         signal.pause = lambda: _WAITS.until(lambda: False, what="signal.pause") and None
 

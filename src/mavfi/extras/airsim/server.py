@@ -279,6 +279,8 @@ class AirsimServer:
             until_us, for_task, what = arguments
             if until_us is None and not for_task:
                 clock.end(scene)
+                if scene.paused:
+                    what = f"{what}, while the simulation is paused"
                 self._refuse_more(what)
             clock.wait(scene, until_us, for_task=for_task)
             tasks = [waiting.name for waiting in self._waiting.values()]
