@@ -4,6 +4,7 @@ import hashlib
 import importlib.util
 import json
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -131,12 +132,22 @@ def test_the_worst_that_a_fault_does_comes_first(box):
             "time is up",
             "it waited for time.sleep; more time: --seconds above 20",
         ),
-        ("endless", ("spin",), {"wall_s": 2.0}, "hang", "still running after 2 s of wall-clock time"),
+        (
+            "endless",
+            ("spin",),
+            {"wall_s": 3.0, "seconds": 20.0},
+            "time is up",
+            r"it waited for what is not simulated, or computed, since its call ping at 0.00\d s \(\d s of wall-clock "
+            r"time\); more time: --seconds above 20",
+        ),
+        ("endless", ("event",), {"seconds": 20.0}, "time is up", "it waited for Event.wait; more time: .*"),
+        ("endless", ("input",), {"seconds": 2.0}, "time is up", r"it waited for input\(\); more time: .*"),
     ],
 )
 def test_how_a_program_ends(name, arguments, options, how, reason):
     ended = run(PROGRAMS / f"{name}.py", *arguments, **options)
-    assert (ended.how, ended.reason) == (how, reason)
+    assert ended.how == how and re.fullmatch(reason, ended.reason)
+    assert how != "time is up" or ended.seconds == options["seconds"]
     assert not any("time is up" in text for text in ended.errors), "the end of the run is no refused call"
 
 
@@ -150,6 +161,11 @@ def test_all_waits_take_simulated_time():
         assert seconds - 0.02 < shortest <= longest <= seconds, f"{name}: the clocks agree"
     results = {name: result for name, (*_, result) in took.items() if result is not None}
     assert results == {
+        "Lock.acquire": False,
+        "RLock.acquire": False,
+        "select": [],
+        "poll object": [],
+        "selector": [],
         "Event.wait": False,
         "Condition.wait": False,
         "Timer": True,
@@ -208,3 +224,34 @@ def test_a_vehicle_that_does_not_exist_is_refused_before_a_campaign_and_one_that
     AirsimProgramHost(ProgramConfig(script=str(script), fault_vehicle="Late")).check()
     with pytest.raises(BadInputError, match="^--fault-vehicle: 'Nope': not known; allowed: SimpleFlight, Late$"):
         AirsimProgramHost(ProgramConfig(script=str(script), fault_vehicle="Nope")).check()
+
+
+def test_dates_show_simulated_time_and_stay_what_they_are(tmp_path):
+    script = tmp_path / "dates.py"
+    script.write_text(
+        """
+import copy, datetime, pickle, socket, time
+from datetime import date, datetime as moment, timezone
+import airsim
+client = airsim.MultirotorClient()
+begin = moment.now()
+time.sleep(90)
+now, day, utc = moment.now(), date.today(), moment.utcnow()
+assert 90 <= (now - begin).total_seconds() < 91
+assert day == now.date() and day >= begin.date() and abs(moment.now(timezone.utc).timestamp() - time.time()) < 0.1
+assert abs(utc.replace(tzinfo=timezone.utc).timestamp() - time.time()) < 0.1 and moment.today() > now
+assert time.strftime("%Y-%m-%d") == time.strftime("%Y-%m-%d", time.localtime()) == f"{day}"
+assert time.ctime() == time.asctime() and abs(time.clock_gettime(time.CLOCK_REALTIME) - time.time()) < 0.1
+assert all(isinstance(value, date) for value in (now, day, moment(2020, 1, 1))) and not isinstance(day, moment)
+assert issubclass(moment, date) and pickle.loads(pickle.dumps([now, day])) == copy.deepcopy([now, day])
+assert repr(moment(2020, 1, 2)) == "datetime.datetime(2020, 1, 2, 0, 0)" and moment.strptime("3", "%d").day == 3
+class Mine(moment):
+    pass
+assert type(Mine.now()) is Mine and not isinstance(now, Mine)
+for _ in range(2):
+    socket.socket().settimeout(1.0)
+"""
+    )
+    ended = run(script)
+    assert (ended.how, ended.reason) == ("ended", "")
+    assert ended.error_output == "mavfi: socket.settimeout: takes wall-clock time, not simulated time\n"

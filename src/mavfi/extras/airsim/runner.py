@@ -12,9 +12,16 @@ the next deadline or the end of a task.
 import asyncio
 import builtins
 import concurrent.futures.thread
+import copyreg
+import datetime
 import io
 import os
 import queue
+import select
+import selectors
+import signal
+import socket
+import subprocess
 import sys
 import threading
 import time
@@ -29,6 +36,8 @@ _START = 1600000000.0  # the simulation's first instant, as a Unix time
 _STEP_US = 4_000  # sleeps are rounded to the physics' period
 _STUCK_S = 0.5  # wall-clock time after which a thread that neither calls nor computes is no longer waited for
 _LONGEST_COMPUTATION_S = 10.0  # the same for a thread that computes
+_LONGEST_DEADLOCK_S = 2.0  # wall-clock time in which all wait for one another, after which time passes to its end
+_LONGEST_SILENCE_S = 30.0  # the same if one waits for what may come from outside, e.g. a file
 _POLL_S = 0.001  # wall-clock time between looks at what another thread does
 _FREE_READINGS = 100  # of an event loop's clock between two calls; more of them take time, so that polling ends
 
@@ -194,14 +203,18 @@ class _Waiter:
         is_ready: Whether what it waits for is there; asked without effect.
         deadline_us: The instant after which it waits no longer; None = never.
         session: The connection on which the answer of its task comes; None = it waits for no task.
+        what: What the program does meanwhile.
+        watches_files: Whether it waits for files, which may come from outside of the program.
         number: The number of calls when it last looked.
     """
 
-    def __init__(self, thread, is_ready, session):
+    def __init__(self, thread, is_ready, session, what, watches_files):
         self.thread = thread
         self.is_ready = is_ready
         self.deadline_us = None
         self.session = session
+        self.what = what
+        self.watches_files = watches_files
         self.number = -1
 
     def has_ended(self, now_us):
@@ -236,7 +249,7 @@ class _Waits:
         self._started += 1
         thread._mavfi_number = self._started
 
-    def until(self, is_ready, seconds=None, session=None, what=""):
+    def until(self, is_ready, seconds=None, session=None, what="", *, watches_files=False):
         """Wait until something is there or (if not None) seconds have passed; whether it is there.
 
         Args:
@@ -244,6 +257,7 @@ class _Waits:
             seconds: Simulated time.
             session: The connection on which the answer of a task comes, if that is waited for.
             what: What the program does meanwhile; named if its time is up.
+            watches_files: Whether it waits for files.
         """
         thread = threading.current_thread()
         if self._turn is thread and is_ready():
@@ -251,7 +265,7 @@ class _Waits:
         self.active()
         if not _SESSIONS:
             return self._without_connection(is_ready, seconds)
-        waiter = _Waiter(thread, is_ready, session)
+        waiter = _Waiter(thread, is_ready, session, what, watches_files)
         now_us = self._look(waiter)
         if seconds is not None:
             waiter.deadline_us = now_us + max(_STEP_US, round(seconds * 1e6 / _STEP_US) * _STEP_US)
@@ -270,7 +284,7 @@ class _Waits:
                         self._turn = thread
                         return is_ready()
                     if step == _TIME_PASSES:
-                        now_us = self._pass(waiter, now_us, what)
+                        now_us = self._pass(waiter, now_us)
                 if now_us == before_us:
                     _real_sleep(_POLL_S)
         finally:
@@ -333,21 +347,87 @@ class _Waits:
         idle_s = now - max(thread._mavfi_active_s, thread._mavfi_computed_s)
         return idle_s > _STUCK_S or now - thread._mavfi_active_s > _LONGEST_COMPUTATION_S
 
-    def _pass(self, waiter, now_us, what):
+    def _pass(self, waiter, now_us):
         """Let time pass to the next deadline, or to the end of a task if one is waited for; the new instant (us)."""
         waiters = list(self._waiters.values())
         deadlines = [other.deadline_us for other in waiters if other.deadline_us is not None]
         waits_for_task = any(other.session is not None for other in waiters)
-        if not deadlines and not waits_for_task:
-            return now_us  # all wait for what is not simulated
+        if not deadlines and not waits_for_task and not self._is_for_ever():
+            return now_us  # what all wait for may still come from outside
         until_us = min(deadlines, default=None)
+        what = self._waiters.get(threading.main_thread(), waiter).what
         now_us = self.calls.ask("mavfiPass", until_us, waits_for_task, what, session=waiter.session)
         self.calls.number += 1
         waiter.number = self.calls.number
         return now_us
 
+    def _is_for_ever(self):
+        """Whether all threads have waited without an end for so long that nothing from outside will end that."""
+        threads = threading.enumerate()
+        waiters = [self._waiters.get(thread) for thread in threads]
+        longest_s = _LONGEST_DEADLOCK_S
+        if any(waiter is None or waiter.watches_files for waiter in waiters):
+            longest_s = _LONGEST_SILENCE_S
+        last_s = max(getattr(thread, "_mavfi_active_s", 0.0) for thread in threads)
+        return _real_time() - last_s > longest_s
+
 
 _WAITS = _Waits()
+
+
+def _name_of_wait():
+    """The method that waits by a condition as the program has called it, e.g. "Event.wait"."""
+    frame = sys._getframe(2)
+    caller = None
+    while frame is not None and frame.f_globals.get("__name__") in ("threading", "queue", "concurrent.futures._base"):
+        caller = frame
+        frame = frame.f_back
+    if caller is None:
+        return "Condition.wait"
+    return type(caller.f_locals.get("self")).__name__ + "." + caller.f_code.co_name
+
+
+class _Lock:
+    """A `threading.Lock` for which threads wait in simulated time."""
+
+    def __init__(self):
+        self._lock = threading._allocate_lock()
+        self.release = self._lock.release
+        self.locked = self._lock.locked
+        self._at_fork_reinit = getattr(self._lock, "_at_fork_reinit", None)
+
+    def acquire(self, blocking=True, timeout=-1):
+        if self._lock.acquire(False):
+            return True
+        if not blocking or timeout == 0 or not _SESSIONS:
+            return self._lock.acquire(blocking, timeout)
+        if timeout < 0 and timeout != -1:
+            raise ValueError("timeout value must be a non-negative number")
+        if timeout == -1:
+            timeout = None
+        end = None
+        if timeout is not None:
+            end = threading._time() + timeout
+        # another thread may have it just before, so that it is waited for again
+        while _WAITS.until(lambda: not self._lock.locked(), timeout, what="Lock.acquire"):
+            if self._lock.acquire(False):
+                return True
+            if end is not None:
+                timeout = max(0.0, end - threading._time())
+        return False
+
+    __enter__ = acquire
+
+    def __exit__(self, *error):
+        self.release()
+
+
+class _ReentrantLock(threading._PyRLock):
+    """A `threading.RLock` for which threads wait in simulated time."""
+
+    def __init__(self):
+        super().__init__()
+        self._block = _Lock()
 
 
 def _patch_threads(clock):
@@ -362,7 +442,7 @@ def _patch_threads(clock):
         state = self._release_save()
         is_notified = False
         try:
-            is_notified = _WAITS.until(lambda: not waiter.locked(), timeout, what="a wait")
+            is_notified = _WAITS.until(lambda: not waiter.locked(), timeout, what=_name_of_wait())
             return is_notified
         finally:
             self._acquire_restore(state)
@@ -391,8 +471,90 @@ def _patch_threads(clock):
     threading.Thread.join = join_thread
     threading.Thread.start = start_thread
     threading._time = clock
+    threading.Lock = _Lock
+    threading.RLock = _ReentrantLock
     queue.time = clock
     queue.SimpleQueue = queue._PySimpleQueue  # the other one waits outside of Python
+
+
+def _wait_for_files(poll, seconds, what):
+    """Wait in simulated time for one of several files; what `poll`, which takes the longest time (s), returns then."""
+    ready = poll(0)
+    if any(ready) or not _SESSIONS or (seconds is not None and seconds <= 0):
+        return ready if any(ready) else poll(seconds)
+    last = [ready]
+
+    def is_ready():
+        if not any(last[0]):
+            last[0] = poll(0)
+        return any(last[0])
+
+    _WAITS.until(is_ready, seconds, what=what, watches_files=True)
+    return last[0]
+
+
+class _Poll:
+    """A poll object of the module `select` that waits in simulated time.
+
+    Args:
+        real: The object.
+        unit: Of its time-outs (s).
+        name: Of its type.
+    """
+
+    def __init__(self, real, unit, name):
+        self._real = real
+        self._unit = unit
+        self._name = name
+
+    def __getattr__(self, name):
+        return getattr(self._real, name)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        self._real.close()
+
+    def poll(self, timeout=None, *more):
+        seconds = None
+        if timeout is not None and timeout >= 0:
+            seconds = timeout * self._unit
+
+        def poll(seconds):
+            if seconds is None:
+                return self._real.poll(-1, *more)
+            return self._real.poll(seconds / self._unit, *more)
+
+        return _wait_for_files(poll, seconds, self._name + ".poll")
+
+
+def _patch_files():
+    """Let the program wait for files in simulated time; what was imported before keeps the real functions."""
+    real_select = select.select
+
+    def wait_by_select(readable, writable, exceptional, timeout=None):
+        return _wait_for_files(
+            lambda seconds: real_select(readable, writable, exceptional, seconds), timeout, "select.select"
+        )
+
+    select.select = wait_by_select
+    for name, unit in (("poll", 0.001), ("epoll", 1.0)):
+        make = getattr(select, name, None)
+        if make is not None:
+
+            def wrapped(*arguments, _make=make, _unit=unit, _name="select." + name, **options):
+                return _Poll(_make(*arguments, **options), _unit, _name)
+
+            setattr(select, name, wrapped)
+
+    class Selector(selectors.DefaultSelector):
+        def select(self, timeout=None):
+            if asyncio.events._get_running_loop() is not None:  # the loop itself takes care
+                return super().select(timeout)
+            return _wait_for_files(super().select, timeout, "a selector")
+
+    selectors.DefaultSelector = Selector
 
 
 def _patch_loops(clock):
@@ -421,19 +583,100 @@ def _patch_loops(clock):
         if not is_of_client(self) and not hasattr(selector, "_mavfi_select"):
             real_select = selector.select
             selector._mavfi_select = real_select
-
-            def select(timeout=None):
-                events = real_select(0)
-                if events or not _SESSIONS or (timeout is not None and timeout <= 0):
-                    return events or real_select(timeout)
-                _WAITS.until(lambda: bool(real_select(0)), timeout, what="the event loop")
-                return real_select(0)
-
-            selector.select = select
+            selector.select = lambda timeout=None: _wait_for_files(real_select, timeout, "the event loop")
         return real_run_forever(self)
 
     base.time = loop_time
     base.run_forever = run_forever
+
+
+def _patch_dates(clock):
+    """Let `now`, `utcnow` and `today` of the module `datetime` show the time of `clock`, a module like `time`.
+
+    The classes cannot be changed: the program gets others, which make objects of the real ones.
+    """
+    real_date = datetime.date
+    real_datetime = datetime.datetime
+
+    class OfSimulation(type):
+        """Of a class that stands for a real one; classes that a program derives from it are its own."""
+
+        def __instancecheck__(cls, value):
+            real = cls.__dict__.get("_mavfi_real")
+            return isinstance(value, real) if real else type.__instancecheck__(cls, value)
+
+        def __subclasscheck__(cls, other):
+            real = cls.__dict__.get("_mavfi_real")
+            return issubclass(other, real) if real else type.__subclasscheck__(cls, other)
+
+    class Date(real_date, metaclass=OfSimulation):
+        _mavfi_real = real_date
+
+        def __new__(cls, *arguments, **options):
+            return real_date.__new__(cls.__dict__.get("_mavfi_real", cls), *arguments, **options)
+
+        @classmethod
+        def today(cls):
+            return cls.fromtimestamp(clock.time())
+
+    class Datetime(real_datetime, metaclass=OfSimulation):
+        _mavfi_real = real_datetime
+
+        def __new__(cls, *arguments, **options):
+            return real_datetime.__new__(cls.__dict__.get("_mavfi_real", cls), *arguments, **options)
+
+        @classmethod
+        def now(cls, tz=None):
+            return cls.fromtimestamp(clock.time(), tz)
+
+        @classmethod
+        def utcnow(cls):
+            utc = datetime.timezone.utc  # noqa: UP017 - older Pythons run this file
+            return cls.fromtimestamp(clock.time(), utc).replace(tzinfo=None)
+
+        @classmethod
+        def today(cls):
+            return cls.fromtimestamp(clock.time())
+
+    # objects are pickled by the name of their class, which is that of the other one now
+    for real, other in ((real_date, Date), (real_datetime, Datetime)):
+        other.__name__ = other.__qualname__ = real.__name__
+        other.__module__ = real.__module__
+        copyreg.pickle(real, lambda value, _other=other: (_other, value.__reduce_ex__(4)[1]))
+    datetime.date = Date
+    datetime.datetime = Datetime
+
+
+def _say_what_is_real():
+    """Say on stderr, once each, which time-outs of the program are in wall-clock time."""
+    said = set()
+
+    def say(owner, name, what, is_used):
+        real = getattr(owner, name, None)
+        if real is None:
+            return
+
+        def function(*arguments, **options):
+            if what not in said and is_used(*arguments, **options):
+                said.add(what)
+                sys.stderr.write("mavfi: " + what + ": takes wall-clock time, not simulated time\n")
+            return real(*arguments, **options)
+
+        setattr(owner, name, function)
+
+    say(signal, "alarm", "signal.alarm", lambda seconds: seconds > 0)
+    say(signal, "setitimer", "signal.setitimer", lambda which, seconds, interval=0.0: seconds > 0)
+    say(signal, "sigtimedwait", "signal.sigtimedwait", lambda signals, timeout: timeout > 0)
+    say(socket.socket, "settimeout", "socket.settimeout", lambda this, seconds: bool(seconds))
+    say(subprocess.Popen, "wait", "timeout= of subprocess", lambda this, timeout=None: bool(timeout))
+    say(
+        subprocess.Popen,
+        "communicate",
+        "timeout= of subprocess",
+        lambda this, *arguments, **options: bool(arguments[1:] or options.get("timeout")),
+    )
+    if hasattr(signal, "pause"):
+        signal.pause = lambda: _WAITS.until(lambda: False, what="signal.pause") and None
 
 
 def _clocks(calls):
@@ -460,10 +703,27 @@ def _clocks(calls):
     proxy.sleep = sleep
     proxy.time = lambda: _START + now()
     proxy.time_ns = lambda: round(1e9 * proxy.time())
-    proxy.perf_counter = proxy.monotonic = proxy.process_time = now
-    proxy.perf_counter_ns = proxy.monotonic_ns = lambda: round(1e9 * now())
+    proxy.perf_counter = proxy.monotonic = proxy.process_time = proxy.thread_time = now
+    proxy.perf_counter_ns = proxy.monotonic_ns = proxy.process_time_ns = proxy.thread_time_ns = lambda: round(
+        1e9 * now()
+    )
+    if hasattr(time, "clock_gettime"):
+        proxy.clock_gettime = lambda clock_id: proxy.time() if clock_id == time.CLOCK_REALTIME else now()
+        proxy.clock_gettime_ns = lambda clock_id: round(1e9 * proxy.clock_gettime(clock_id))
+
+    # without an argument, these are of the present time
+    def of_now(function):
+        return lambda seconds=None: function(proxy.time() if seconds is None else seconds)
+
+    for name in ("localtime", "gmtime", "ctime"):
+        setattr(proxy, name, of_now(getattr(time, name)))
+    proxy.asctime = lambda moment=None: time.asctime(proxy.localtime() if moment is None else moment)
+    proxy.strftime = lambda form, moment=None: time.strftime(form, proxy.localtime() if moment is None else moment)
     sys.modules["time"] = proxy
     concurrent.futures._base.time = proxy
+    _patch_dates(proxy)
+    _patch_files()
+    _say_what_is_real()
     _patch_threads(clock)
     _patch_loops(clock)
 
@@ -475,7 +735,7 @@ def _without_terminal(calls):
         sys.stdout.write(str(prompt))
         line = sys.stdin.readline()
         if not line:  # nobody is there to press a key; a program that asks for ever runs out of time
-            calls.ask("mavfiNow")
+            calls.ask("mavfiNow", "input()")
         sys.stdout.write("\n")
         return line.rstrip("\n")
 

@@ -10,7 +10,7 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 from mavfi.errors import BadInputError
 from mavfi.extras.airsim.boundary import ARGUMENTS, RETURN, Boundary
@@ -68,6 +68,10 @@ class StepClock:
             self._pass(scene, self._call_us)  # for a task that does not end, e.g. because of a pause
         else:
             self._pass(scene, until_us - self.now(scene))
+
+    def end(self, scene: ApiScene) -> None:
+        """The program waits for ever: time passes to the limit, unless the simulation is paused."""
+        self._pass(scene, self.limit_us - scene.now_us)
 
     def _pass(self, scene: ApiScene, duration_us: int) -> None:
         if scene.paused:
@@ -159,6 +163,8 @@ class AirsimServer:
         errors: Number of errors by message.
         finished: Set while no client is connected, once there was one.
         last_wait: What the program waited for when its time was up; "" = it was not.
+        last_call: The last call of the program, and the instant of the simulation; "" = there was none.
+        last_call_s: Wall-clock time of the last call of program or runner (s).
     """
 
     def __init__(
@@ -180,10 +186,13 @@ class AirsimServer:
         self.errors: Counter[str] = Counter()
         self.finished = asyncio.Event()
         self.last_wait = ""
+        self.last_call = ""
+        self.last_call_s = 0.0
 
     # ---- calls ------------------------------------------------------------------------------------------------------
     def serve_call(self, name: Any, arguments: list[Any], reply: Reply) -> None:
         """Serve one call; `reply` is called with error and result, now or when its task ends."""
+        self.last_call_s = time.monotonic()
         try:
             if isinstance(self.clock, StepClock) and isinstance(name, str) and name.startswith("mavfi"):
                 result = self._of_runner(self.clock, name, arguments)
@@ -209,6 +218,7 @@ class AirsimServer:
         scene = self.api.scene
         call = find_call(name)
         self.calls[name] += 1
+        self.last_call = f"{name} at {1e-6 * scene.now_us:.3f} s"
         self.clock.before_call(scene)
         self._check_time(name)
         call.check(arguments)
@@ -267,13 +277,18 @@ class AirsimServer:
         scene = self.api.scene
         if name == "mavfiPass":
             until_us, for_task, what = arguments
+            if until_us is None and not for_task:
+                clock.end(scene)
+                if scene.paused:
+                    what = f"{what}, while the simulation is paused"
+                self._refuse_more(what)
             clock.wait(scene, until_us, for_task=for_task)
             tasks = [waiting.name for waiting in self._waiting.values()]
             if for_task and tasks:
                 what = ", ".join(tasks)
             self._check_time(what)
         elif name == "mavfiNow":  # takes the time of a call, so that polling ends
-            self._check_time("a clock")
+            self._check_time(*arguments or ("a clock",))
             clock.before_call(scene)
         elif name == "mavfiClock":
             self._check_time("a clock")
@@ -284,8 +299,12 @@ class AirsimServer:
     def _check_time(self, what: str) -> None:
         """Refuse a call after the time limit; `what`: the call, or what the program waits for."""
         if isinstance(self.clock, StepClock) and self.api.scene.now_us >= self.clock.limit_us:
-            self.last_wait = self.last_wait or what
-            raise BadInputError(f"{TIME_IS_UP} ({1e-6 * self.clock.limit_us:g} s)")
+            self._refuse_more(what)
+
+    def _refuse_more(self, what: str) -> NoReturn:
+        """Refuse a call, as the program's time is up; `what`: see `_check_time`."""
+        self.last_wait = self.last_wait or what
+        raise BadInputError(f"{TIME_IS_UP} ({1e-6 * self.api.scene.now_us:g} s)")
 
     def flush(self) -> None:
         """Answer the tasks that have ended."""

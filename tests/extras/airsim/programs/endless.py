@@ -1,6 +1,7 @@
-"""Never ends: argument `sleep` (simulated time passes) or `spin` (only wall-clock time passes)."""
+"""Never ends: argument `sleep` (simulated time passes), `spin` (only wall-clock time passes), `event`, `input`."""
 
 import sys
+import threading
 import time
 
 import airsim
@@ -10,3 +11,8 @@ client.ping()
 while True:
     if sys.argv[1] == "sleep":
         time.sleep(1.0)
+    if sys.argv[1] == "event":
+        threading.Thread(target=threading.Lock().acquire, daemon=True).start()
+        threading.Event().wait()
+    if sys.argv[1] == "input":
+        input("more? ")

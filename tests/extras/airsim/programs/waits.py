@@ -2,8 +2,11 @@
 
 import asyncio
 import concurrent.futures
+import datetime
 import json
 import queue
+import select
+import selectors
 import threading
 import time
 
@@ -73,6 +76,27 @@ async def poll():
         await asyncio.sleep(0)
 
 
+def wait_for_lock(lock):
+    lock.acquire()
+    return concurrent.futures.ThreadPoolExecutor(1).submit(lock.acquire, True, 1.0).result()
+
+
+def wait_for_select():
+    return select.select([], [], [], 1.0)
+
+
+def wait_for_date():
+    end = datetime.datetime.now() + datetime.timedelta(seconds=1)
+    while datetime.datetime.now() < end:
+        pass
+
+
+measured("Lock.acquire", lambda: wait_for_lock(threading.Lock()))
+measured("RLock.acquire", lambda: wait_for_lock(threading.RLock()))
+measured("select", lambda: wait_for_select()[0])
+measured("poll object", lambda: select.poll().poll(1000))
+measured("selector", lambda: selectors.DefaultSelector().select(1.0))
+measured("datetime", wait_for_date)
 measured("time.sleep", lambda: time.sleep(1.0))
 measured("Event.wait", lambda: threading.Event().wait(1.0))
 measured("Condition.wait", wait_for_condition)
