@@ -113,7 +113,7 @@ class Routes:
         if not paths.nearest_clear(clearance.wide, clearance.narrow, core, clearance.grid, goal, *box, _REACH, last):
             last[:] = goal
         vertices = self.search.search(counter, clearance.grid, first, last, *box)
-        path = checked_path(self.search, vertices, clearance.grid, first, last)
+        path = checked_path(self.search, vertices)
         if len(path):
             return path
         return None
@@ -219,7 +219,7 @@ class Routes:
             local = self._searches.content[1]
             ends = stretch[0], stretch[-1]
             vertices = local.search(clearance.wide, clearance.grid, *ends, lower, upper)
-            bypass = checked_path(local, vertices, clearance.grid, *ends)
+            bypass = checked_path(local, vertices)
             still = np.zeros(3)
             if len(bypass) and self._time(bypass, still) < self._time(stretch, still):
                 return bypass[1:]
