@@ -31,8 +31,6 @@ MOST_VERTICES = CURVE_LIMIT // 40
 """Vertices of a path up to which it is timed."""
 
 
-
-
 class PathSearch(Protocol):
     """Finds paths on a clearance map."""
 

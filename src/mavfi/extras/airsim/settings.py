@@ -104,7 +104,7 @@ def read_settings(path: Path, default: CaptureSize) -> AirsimSettings:
     except (UnicodeDecodeError, ValueError, RecursionError) as error:
         raise BadInputError(f"--settings: {path}: is no JSON ({error})") from None
     try:
-        return _Reader(default).read(_Table("", content))
+        return _SettingsReader(default).read(_Table("", content))
     except BadInputError as error:
         raise BadInputError(f"--settings: {path}: {error}") from None
 
@@ -158,7 +158,7 @@ class _Table:
         return [self.key(name) for name in self._unread]
 
 
-class _Reader:
+class _SettingsReader:
     """Reads the objects of the file."""
 
     def __init__(self, default: CaptureSize) -> None:

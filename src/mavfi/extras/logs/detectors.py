@@ -15,7 +15,7 @@ from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.logs.log_rules import LogRules
 from mavfi.extras.logs.mapping import Mapper, UsedMapping, values_by_name
 from mavfi.extras.logs.monitor import Monitor, fitted
-from mavfi.extras.logs.selection import Selection
+from mavfi.extras.logs.selection import LogSelection
 from mavfi.plugins import reason
 from mavfi.states import ODOMETRY, STATES, VECTORS, State
 
@@ -43,7 +43,7 @@ def is_fitted(kind: str) -> bool:
 def log_detector(
     kind: str,
     profile: str,
-    selection: Selection,
+    selection: LogSelection,
     mapping: UsedMapping,
     training: Sequence[Sequence[TimedState]],
     seed: int = 0,

@@ -33,7 +33,7 @@ _UNITS = {
 """What rule 3 limits, with units."""
 
 
-class Measure(NamedTuple):
+class RuleInput(NamedTuple):
     """A quantity that a rule limits.
 
     Attributes:
@@ -97,7 +97,7 @@ class LogRules(Detector):
         counter = self._wrong_counter(state)
         if counter is not None:
             return counter
-        worst: Measure | None = None
+        worst: RuleInput | None = None
         worst_ratio = 1.0
         for made in self._mapper.made_of(state):
             for measure in self._measures(made, time_us):
@@ -143,19 +143,19 @@ class LogRules(Detector):
         self._last = dict(memory[0])
         self._mapper.restore(memory[1])
 
-    def _measures(self, state: State, time_us: int) -> Iterator[Measure]:
+    def _measures(self, state: State, time_us: int) -> Iterator[RuleInput]:
         """All quantities of a state whose fields are mapped."""
         name = state.spec.name
         now = values_by_name(state)
         if self._mapper.has(name, _VELOCITY):
-            yield Measure(name, "speed", _norm([now[axis] for axis in _VELOCITY]), _largest(now, _VELOCITY))
+            yield RuleInput(name, "speed", _norm([now[axis] for axis in _VELOCITY]), _largest(now, _VELOCITY))
         if self._mapper.has(name, ("yaw_rate",)):
-            yield Measure(name, "yaw rate", abs(now["yaw_rate"]), "yaw_rate")
+            yield RuleInput(name, "yaw rate", abs(now["yaw_rate"]), "yaw_rate")
         has_vehicle = _ODOMETRY in self._last and self._mapper.has(_ODOMETRY, _POSITION)
         if name != _ODOMETRY and has_vehicle and self._mapper.has(name, _POSITION):
             _, vehicle = self._last[_ODOMETRY]
             apart = {axis: now[axis] - vehicle[axis] for axis in _POSITION}
-            yield Measure(name, "distance from the vehicle", _norm(apart.values()), _largest(apart, _POSITION))
+            yield RuleInput(name, "distance from the vehicle", _norm(apart.values()), _largest(apart, _POSITION))
         # Changes since the last message.
         if name not in self._last:
             return
@@ -165,16 +165,16 @@ class LogRules(Detector):
             return
         if self._mapper.has(name, _VELOCITY):
             change = {axis: now[axis] - before[axis] for axis in _VELOCITY}
-            yield Measure(name, "velocity change", _norm(change.values()), _largest(change, _VELOCITY))
+            yield RuleInput(name, "velocity change", _norm(change.values()), _largest(change, _VELOCITY))
         if self._mapper.has(name, _POSITION):
             step = {axis: now[axis] - before[axis] for axis in _POSITION}
             if self._mapper.has(name, _VELOCITY):
                 for axis, speed in zip(_POSITION, _VELOCITY, strict=True):
                     step[axis] -= 0.5 * (now[speed] + before[speed]) * period_s
-            yield Measure(name, "step along the velocity", _norm(step.values()), _largest(step, _POSITION))
+            yield RuleInput(name, "step along the velocity", _norm(step.values()), _largest(step, _POSITION))
         if self._mapper.has(name, _QUATERNION):
             change = {part: now[part] - before[part] for part in _QUATERNION}
-            yield Measure(name, "turn", 2.0 * _norm(change.values()), _largest(change, _QUATERNION))
+            yield RuleInput(name, "turn", 2.0 * _norm(change.values()), _largest(change, _QUATERNION))
 
 
 def _norm(components: Any) -> float:

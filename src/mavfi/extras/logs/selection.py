@@ -57,7 +57,7 @@ EVERYTHING = Wanted()
 
 
 @dataclass(frozen=True)
-class Selection:
+class LogSelection:
     """What is monitored.
 
     Attributes:
@@ -90,7 +90,9 @@ def parse_kinds(texts: Sequence[str]) -> dict[str, str]:
     return kinds
 
 
-def select(training: Sequence[LogRecording], judged: Sequence[LogRecording], wanted: Wanted = EVERYTHING) -> Selection:
+def select(
+    training: Sequence[LogRecording], judged: Sequence[LogRecording], wanted: Wanted = EVERYTHING
+) -> LogSelection:
     """Monitored fields by topic: those that are finite in the training, from their first finite value on.
 
     In the recordings to be judged they only need to exist: there a value that is not finite is an alarm.
@@ -129,7 +131,7 @@ def select(training: Sequence[LogRecording], judged: Sequence[LogRecording], wan
     if mapping.name:
         monitored = {topic: [field.name for field in probe.spec.header] for topic, probe in probes.items()}
         mapping = choose_mapping(wanted.mapping or mapping.name, monitored)
-    return Selection(probes, geometries, by_topic.left_out, mapping, by_topic.late)
+    return LogSelection(probes, geometries, by_topic.left_out, mapping, by_topic.late)
 
 
 class _Topics:

@@ -14,7 +14,7 @@ from mavfi.extras.logs.detectors import log_detector
 from mavfi.extras.logs.mapping import values_by_name
 from mavfi.extras.logs.monitor import NOT_FINITE_RULE
 from mavfi.extras.logs.recording import LogRecording, Silence, exposure_s, longest_gap_us, silences
-from mavfi.extras.logs.selection import EVERYTHING, NotMonitored, Selection, Wanted, select
+from mavfi.extras.logs.selection import EVERYTHING, LogSelection, NotMonitored, Wanted, select
 from mavfi.faults.levels.message.definition import Leaf, flip_bit
 from mavfi.faults.strata import bits_of
 from mavfi.flight.log_readers import LoggedMessage
@@ -213,7 +213,7 @@ class LogWatch:
     """
 
     def __init__(
-        self, kind: str, profile: str, selection: Selection, training: Sequence[LogRecording], seed: int = 0
+        self, kind: str, profile: str, selection: LogSelection, training: Sequence[LogRecording], seed: int = 0
     ) -> None:
         self.selection = selection
         self._training = training

@@ -31,7 +31,7 @@ _NUMBERS_PER_BOX = 7
 _LEAST_HEIGHT = 0.5
 
 
-class _Mission(NamedTuple):
+class _TestMission(NamedTuple):
     """Ends of a mission, from home, in our axes (m).
 
     Attributes:
@@ -92,7 +92,7 @@ def aerialist_test(seed: int, path: str, start: Vector | None = None, goal: Vect
     return world_of(path, shapes, start, goal)
 
 
-def _read(path: Path) -> tuple[list[Shape], _Mission | None]:
+def _read(path: Path) -> tuple[list[Shape], _TestMission | None]:
     """Obstacles and mission of a file."""
     if path.suffix.lower() == ".plan":
         return [], _mission(path, None)
@@ -173,7 +173,7 @@ def _is_number(value: object) -> bool:
 # ---- missions --------------------------------------------------------------------------------------------------------
 
 
-def _mission(path: Path, home: Any) -> _Mission:  # noqa: ANN401 - as in a YAML file
+def _mission(path: Path, home: Any) -> _TestMission:  # noqa: ANN401 - as in a YAML file
     """Ends of a mission of QGroundControl; `home` = latitude, longitude (degrees), ... instead of the planned home."""
     try:
         plan = json.loads(read_file(path, LARGEST_TEXT))
@@ -199,7 +199,7 @@ def _mission(path: Path, home: Any) -> _Mission:  # noqa: ANN401 - as in a YAML 
         north = math.radians(latitude - home[0]) * _EARTH
         east = math.radians(longitude - home[1]) * _EARTH * math.cos(math.radians(home[0]))
         points.append((round(east, 3), round(north, 3), height))
-    return _Mission((0.0, 0.0, points[0][2]), points[-1], len(points) - 1)
+    return _TestMission((0.0, 0.0, points[0][2]), points[-1], len(points) - 1)
 
 
 def _simple_items(items: Any) -> Sequence[Mapping[str, Any]]:  # noqa: ANN401 - as in a JSON file

@@ -42,7 +42,7 @@ class Boxes(NamedTuple):
     cell: float
 
 
-class _Body(NamedTuple):
+class _ConvexBody(NamedTuple):
     """A convex body.
 
     Attributes:
@@ -65,7 +65,7 @@ def boxes_of(shapes: Sequence[Shape]) -> Boxes:
     bodies = []
     for shape in shapes:
         vertices = _vertices_of(shape)
-        bodies.append(_Body(vertices, _is_along_axes(shape), _is_upright(vertices)))
+        bodies.append(_ConvexBody(vertices, _is_along_axes(shape), _is_upright(vertices)))
     cell = FINEST_CELL
     while sum(_count(body, cell) for body in bodies) > _MOST_BOXES:
         cell *= 1.5
@@ -86,7 +86,7 @@ def boxes_of(shapes: Sequence[Shape]) -> Boxes:
     return Boxes(lower, upper, cell)
 
 
-def _count(body: _Body, cell: float) -> int:
+def _count(body: _ConvexBody, cell: float) -> int:
     """Number of boxes that cover a body, at most."""
     if body.is_box:
         return 1
@@ -164,7 +164,7 @@ def _same_outline(bottom: np.ndarray, top: np.ndarray) -> bool:
 
 
 def _slices(vertices: np.ndarray, cell: float) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Boxes of an upright prism, across the shorter of its extents; see `_Body`."""
+    """Boxes of an upright prism, across the shorter of its extents; see `_ConvexBody`."""
     bottom, top = vertices[:, 2].min(), vertices[:, 2].max()
     base = vertices[vertices[:, 2] < bottom + _STRAIGHT, :2]
     hull = _hull_of(base)
