@@ -12,7 +12,7 @@ from mavfi.config import EnvironmentConfig
 from mavfi.detectors.detector import part_of
 from mavfi.detectors.registry import detector_names, of_monitored_fields
 from mavfi.flight.compose import detector_for, new_loop, resolve
-from mavfi.flight.memory_faults import DetectorMemory
+from mavfi.flight.memory_faults import ArrayMemory
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.ppc import build_pipeline
@@ -95,7 +95,7 @@ class DetectorTape:
     def play(self, random):
         """Yields the label of the flip first, then what each check says."""
         self.detector.restore(self.memory)
-        holder = DetectorMemory(part_of(self.detector, self.name))
+        holder = ArrayMemory(part_of(self.detector, self.name))
         yield f"{self.name}.{flip_memory(holder, random)}"
         for state, time_us in self.events:
             yield self.detector.check(state, time_us)

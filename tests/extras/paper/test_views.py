@@ -52,9 +52,7 @@ def test_flight_times_are_of_pairs_that_succeed_in_all_settings(fake):
         assert watched["recovered_p95"].rate == pytest.approx(faulty["p95"], abs=1e-3)
         assert watched["recovered"].low <= watched["recovered"].rate <= watched["recovered"].high
         assert 0 < watched["recovered"].p_value <= 1
-        assert watched["paper_recovered"] == paper.figure(
-            "worst_time_recovered", environment=environment, setting="dr_gaussian"
-        )
+        assert watched["paper_recovered"] is None  # the arm's detector is a custom one
         assert faulty["recovered"] is bare["recovered"] is None
         assert faulty["time_limit"] == 150.0
 

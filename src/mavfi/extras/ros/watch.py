@@ -208,7 +208,11 @@ def train_on_file(
         BadInputError: It cannot be read, lacks a topic, has another type for it, or has an invalid message.
     """
     try:
-        messages = list(open_flight_log(source).messages(topics))
+        reader = open_flight_log(source)
+        messages = list(reader.messages(topics))
+        for notice in getattr(reader, "notices", ()):
+            if any(notice.startswith(f"{topic}: not read") for topic in topics):
+                raise BadInputError(notice)
         first = {message.topic: (message.layout, message.data) for message in reversed(messages)}
         for topic, definition in definitions.items():
             if topic in first and definition != first[topic][0]:
