@@ -148,7 +148,8 @@ def test_a_command_says_what_it_should(page, command, folder, capsys):
     said = capsys.readouterr().out
     assert re.search(SAYS[part_of(SAYS, command)], said)
     if "mavfi watch" in command:
-        shown = re.findall(r"^    (\d+ false .*|flight.ulg, .*|(?:no )?flip.*|known .*\n)", (DOCS / page).read_text(encoding="utf-8"), re.M)
+        text = (DOCS / page).read_text(encoding="utf-8")
+        shown = re.findall(r"^    (\d+ false .*|flight.ulg, .*|(?:no )?flip.*|known .*\n)", text, re.M)
         assert len(shown) == 7 and "\n".join(shown) in said
 
 
