@@ -12,9 +12,9 @@ from rosbags.typesys import Stores, get_typestore
 from mavfi.cli.commands import run
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.airsim.calls import RecordedCall, read_calls
+from mavfi.extras.logs.bags import RosReader
 from mavfi.extras.logs.files import write_mcap
 from mavfi.extras.logs.recording import read_recording
-from mavfi.extras.logs.table import RosReader
 from mavfi.extras.logs.timeline import Message
 from mavfi.extras.mavlink.dataflash import DataFlashReader
 from mavfi.flight.log_readers import open_flight_log
