@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from mavfi.detectors.detector import Detector, split_noting_calls
+from mavfi.detectors.detector import Detector
 from mavfi.faults.combined import CombinedFault, Start
 from mavfi.faults.fault import Fault, InstructionFault
 from mavfi.faults.levels.instruction import ForkPoint
@@ -26,17 +26,13 @@ from mavfi.faults.levels.instruction.variant import variant_for
 from mavfi.flight.combined_faults import CombinedInjector
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.fast_forward import CallResult
-from mavfi.flight.forks import TIMEOUT, WAITING, FaultCase, Forks, FromTakeOff, Published, case_of
+from mavfi.flight.forks import WAITING, FaultCase, Forks, FromTakeOff, Published, case_of, split_at_call
 from mavfi.flight.host import Flight
-from mavfi.ir.forked import WALL_CLOCK
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import Kernel
 from mavfi.record import FlightLog, Injection, KernelEffect
 from mavfi.rewriting import check_flown
 from mavfi.states import State
-
-_ATTEMPTS = 3
-"""Attempts under the wall-clock limit: each finds the code that the previous child compiled in the cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,11 +151,7 @@ class SerialForks(Forks):
         progress.next_call = call + 1
 
         # 2. The child makes the call with the fault, and flies on.
-        point = ForkPoint()
-        for _ in range(_ATTEMPTS):
-            ended = split_noting_calls(point, TIMEOUT)
-            if ended is None or ended.detail != WALL_CLOCK:
-                break
+        point, ended = split_at_call()
         if ended is None:
             self._point = point
             self._loop.forked = True

@@ -24,7 +24,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from typing import Any, NoReturn, cast
+from typing import Any, NamedTuple, NoReturn, cast
 
 import numpy as np
 
@@ -484,15 +484,11 @@ class Forks(Listener):
 
     def _fork(self, case: FaultCase, *, step_fails: bool) -> ChildEnd | None:
         """None in the child; in the golden flight the child's termination, retried after a wall-clock timeout."""
-        for _ in range(_ATTEMPTS):
-            point = ForkPoint()
-            ended = split_noting_calls(point, TIMEOUT)
-            if ended is None:
-                self.child = Child(point, case, step_fails)
-                self._loop.forked = True
-            if ended is None or ended.detail != WALL_CLOCK:
-                break
-        return ended
+        split = split_at_call()
+        if split.ended is None:
+            self.child = Child(split.point, case, step_fails)
+            self._loop.forked = True
+        return split.ended
 
     def after_step(self, kernel: Kernel, states: list[State], now: int) -> None:
         """After a step: store the output of an injected one; end the node of one that died, repeat a detected one."""
@@ -559,6 +555,23 @@ class Forks(Listener):
         """End this child with a report."""
         assert self.child is not None  # called in children only
         self.child.point.finish(pickle.dumps(report))
+
+
+class Split(NamedTuple):
+    """A fork at an injected call: the point, and how the child ended; None = this is the child."""
+
+    point: ForkPoint
+    ended: ChildEnd | None
+
+
+def split_at_call() -> Split:
+    """Fork; a child that exceeds the wall-clock limit is followed by others."""
+    for _ in range(_ATTEMPTS):
+        point = ForkPoint()
+        ended = split_noting_calls(point, TIMEOUT)
+        if ended is None or ended.detail != WALL_CLOCK:
+            break
+    return Split(point, ended)
 
 
 def _report_of(ended: ChildEnd) -> ChildReport:
