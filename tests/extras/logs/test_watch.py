@@ -174,3 +174,10 @@ def test_a_log_is_not_judged_by_a_detector_trained_on_it(files, tmp_path, capsys
     description.write_text("rosbag2_bagfile_information: {}")
     assert run(["watch", str(description), "--train", str(tmp_path / "bag")]) == 2
     assert "is also trained on" in capsys.readouterr().err
+
+
+def test_flips_that_no_field_can_have_are_said_to_be_none(files, capsys):
+    log, train = (str(files("tlog", name)) for name in ("b", "a"))
+    words = ["watch", log, "--train", train, "--fields", "GLOBAL_POSITION_INT:vx", "--inject", "6"]
+    assert run(words) == 0
+    assert "no bit flipped: only floating-point numbers are" in capsys.readouterr().out

@@ -172,7 +172,8 @@ def watch(  # noqa: PLR0913 - one parameter per option
         how += f"; mapping {mapped.name}: {', '.join(mapped.states) or 'no state'}"
     out = console()
     out.print(rates.headline(), style="bold", markup=False)
-    for line in [*_events(judged), *_summary(rates), *_monitored(names), *summary(not_monitored), how]:
+    detection = _summary(rates, has_flips=inject > 0)
+    for line in [*_events(judged), *detection, *_monitored(names), *summary(not_monitored), how]:
         out.print(line, markup=False, soft_wrap=True)
     out.print(_table(judged))
 
@@ -305,12 +306,14 @@ def _flown(recordings: list[LogRecording]) -> list[LogRecording]:
     return flown
 
 
-def _summary(rates: LogRates) -> list[str]:
-    """Detection of flips and known faults."""
+def _summary(rates: LogRates, *, has_flips: bool) -> list[str]:
+    """Detection of flips, if they were asked for, and of known faults."""
     from mavfi.extras.logs.selection import shortened
     from mavfi.report.text import rate
 
     lines = [f"flips detected, {bits} (%): {rate(share)}" for bits, share in rates.flips.items()]
+    if has_flips and not lines:
+        lines.append("no bit flipped: only floating-point numbers are, and no monitored field is one")
     if rates.blind:
         lines.append(shortened("no flipped sign or exponent detected in ", rates.blind))
     if rates.faults.n:
