@@ -414,7 +414,9 @@ def _unknown_name(kind: str, name: str, endings: Iterable[str]) -> str:
     """The message on a name that is none of a kind of shipped configurations."""
     what = "is a folder" if is_dir(Path(name)) else "not known"
     *others, last = dict.fromkeys([".yaml", *endings])
-    files = " or ".join([", ".join(others), last]) if others else last
+    files = last
+    if others:
+        files = " or ".join([", ".join(others), last])
     singular = "study" if kind == "studies" else kind.rstrip("s")
     allowed = ", ".join(names(kind))
     text = f"{what}{hint(name, names(kind))}; allowed: {allowed}, or a path to a {files} file"

@@ -351,9 +351,11 @@ class MemoryFault(Fault):
     role: str = ""
 
     def __post_init__(self) -> None:
-        owner, owners = self.kernel, (*KERNELS, *WATCHING)
+        owner = self.kernel
+        owners = (*KERNELS, *WATCHING)
         if self.role:
-            owner, owners = self.role, tuple(PLUG_INS)
+            owner = self.role
+            owners = tuple(PLUG_INS)
         for value, allowed in ((owner, owners), (self.dtype, strata.WORD_BITS)):
             if value not in allowed:
                 raise BadInputError(f"fault in {self.site}: {value!r}: allowed: {', '.join(allowed)}")

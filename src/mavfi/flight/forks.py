@@ -557,21 +557,21 @@ class Forks(Listener):
         self.child.point.finish(pickle.dumps(report))
 
 
-class Split(NamedTuple):
+class ForkedCall(NamedTuple):
     """A fork at an injected call: the point, and how the child ended; None = this is the child."""
 
     point: ForkPoint
     ended: ChildEnd | None
 
 
-def split_at_call() -> Split:
+def split_at_call() -> ForkedCall:
     """Fork; a child that exceeds the wall-clock limit is followed by others."""
     for _ in range(_ATTEMPTS):
         point = ForkPoint()
         ended = split_noting_calls(point, TIMEOUT)
         if ended is None or ended.detail != WALL_CLOCK:
             break
-    return Split(point, ended)
+    return ForkedCall(point, ended)
 
 
 def _report_of(ended: ChildEnd) -> ChildReport:

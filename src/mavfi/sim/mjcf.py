@@ -304,7 +304,8 @@ def site_motors(path: Path) -> list[SiteMotor]:
     body_axes = data.xmat[root].reshape(3, 3)
     motors = []
     for actuator in range(model.nu):
-        force, torque = model.actuator_gear[actuator, :3], model.actuator_gear[actuator, 3:]
+        force = model.actuator_gear[actuator, :3]
+        torque = model.actuator_gear[actuator, 3:]
         strength = length(force)
         if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_SITE or not strength > 0.0:
             continue

@@ -114,7 +114,8 @@ def looking(yaw_deg: float, pitch_deg: float, roll_deg: float = 0.0) -> Quaterni
 
 def merged_pose(pose: tuple[Triple, Quaternion], current: tuple[Triple, Quaternion]) -> tuple[Triple, Quaternion]:
     """A pose, with what is NaN kept: each coordinate by itself, the orientation as a whole."""
-    position, orientation = list(pose[0]), pose[1]
+    position = list(pose[0])
+    orientation = pose[1]
     for axis, value in enumerate(position):
         if math.isnan(value):
             position[axis] = current[0][axis]

@@ -28,6 +28,7 @@ import time
 import traceback
 import types
 from contextlib import contextmanager
+from functools import partial
 
 TIME_IS_UP = "mavfi: time is up"  # begins the error of every call after the time limit
 EXIT_TIME_IS_UP = 75
@@ -483,7 +484,9 @@ def _wait_for_files(poll, seconds, what):
         return poll(seconds)
     ready = poll(0)
     if any(ready) or not _SESSIONS or (seconds is not None and seconds <= 0):
-        return ready if any(ready) else poll(seconds)
+        if any(ready):
+            return ready
+        return poll(seconds)
     last = [ready]
 
     def is_ready():
@@ -605,11 +608,15 @@ def _patch_dates(clock):
 
         def __instancecheck__(cls, value):
             real = cls.__dict__.get("_mavfi_real")
-            return isinstance(value, real) if real else type.__instancecheck__(cls, value)
+            if real:
+                return isinstance(value, real)
+            return type.__instancecheck__(cls, value)
 
         def __subclasscheck__(cls, other):
             real = cls.__dict__.get("_mavfi_real")
-            return issubclass(other, real) if real else type.__subclasscheck__(cls, other)
+            if real:
+                return issubclass(other, real)
+            return type.__subclasscheck__(cls, other)
 
     class Date(real_date, metaclass=OfSimulation):
         _mavfi_real = real_date
@@ -681,6 +688,17 @@ def _say_what_is_real():
         signal.pause = lambda: _WAITS.until(lambda: False, what="signal.pause") and None
 
 
+def _of_present(function, present):
+    """A function of a moment, that of the present one if it is called without a moment or with None."""
+
+    def of_moment(moment=None):
+        if moment is None:
+            moment = present()
+        return function(moment)
+
+    return of_moment
+
+
 def _clocks(calls):
     """A module `time` for the program and what it imports; libraries loaded before keep the real one."""
 
@@ -710,17 +728,15 @@ def _clocks(calls):
         1e9 * now()
     )
     if hasattr(time, "clock_gettime"):
-        proxy.clock_gettime = lambda clock_id: proxy.time() if clock_id == time.CLOCK_REALTIME else now()
+        clocks = {time.CLOCK_REALTIME: lambda: proxy.time()}
+        proxy.clock_gettime = lambda clock_id: clocks.get(clock_id, now)()
         proxy.clock_gettime_ns = lambda clock_id: round(1e9 * proxy.clock_gettime(clock_id))
 
     # without an argument, these are of the present time
-    def of_now(function):
-        return lambda seconds=None: function(proxy.time() if seconds is None else seconds)
-
     for name in ("localtime", "gmtime", "ctime"):
-        setattr(proxy, name, of_now(getattr(time, name)))
-    proxy.asctime = lambda moment=None: time.asctime(proxy.localtime() if moment is None else moment)
-    proxy.strftime = lambda form, moment=None: time.strftime(form, proxy.localtime() if moment is None else moment)
+        setattr(proxy, name, _of_present(getattr(time, name), lambda: proxy.time()))
+    proxy.asctime = _of_present(time.asctime, lambda: proxy.localtime())
+    proxy.strftime = lambda form, *moment: _of_present(partial(time.strftime, form), lambda: proxy.localtime())(*moment)
     sys.modules["time"] = proxy
     concurrent.futures._base.time = proxy
     _patch_dates(proxy)

@@ -62,7 +62,10 @@ class StepClock:
             for_task: Whether the end of a task is waited for too.
         """
         if for_task and not scene.paused and scene.busy:
-            until_us = self.limit_us if until_us is None else until_us - self.waited_us
+            if until_us is None:
+                until_us = self.limit_us
+            else:
+                until_us = until_us - self.waited_us
             scene.finish(min(self.limit_us, until_us))
         elif until_us is None:
             self._pass(scene, self._call_us)  # for a task that does not end, e.g. because of a pause

@@ -40,7 +40,10 @@ def measure_message(values: np.ndarray, slot: int, measured: ResidualState) -> N
     measured.after[seen] = 1.0
     finite = residuals.quantize(measured.values[first:last], measured.quanta[first:last], measured.codes[first:last])
     measured.status[SLOT] = slot
-    measured.status[REGIME] = 0 if finite else -1
+    if finite:
+        measured.status[REGIME] = 0
+    else:
+        measured.status[REGIME] = -1
 
 
 class MessageCodes(FieldCodes):

@@ -242,7 +242,8 @@ def _turn_by_jumps(columns: Sequence[np.ndarray]) -> float | None:
     values = np.concatenate(finite)
     if not len(values):
         return None
-    low, high = float(values.min()), float(values.max())
+    low = float(values.min())
+    high = float(values.max())
     for turn in TURNS.values():
         for begin, end in ((-0.5 * turn, 0.5 * turn), (0.0, turn)):
             margin = (1.0 - _NEAR_END) * turn

@@ -30,7 +30,7 @@ _CLOCK_DRIFT = 1e-3
 _CLOCK_JITTER_S = 0.05
 """Largest difference between a clock and the time of the log, in nearly all messages (s)."""
 _MIN_SECONDS = 10
-"""Shortest log in which whole seconds are told from other numbers (s)."""
+"""Shortest log in which a count of whole seconds can be distinguished from other numbers (s)."""
 
 
 def counts(name: str, columns: Sequence[np.ndarray], times_us: Sequence[np.ndarray]) -> bool:

@@ -247,7 +247,7 @@ def exposure_s(times_us: Sequence[int] | np.ndarray, longest_us: int) -> float:
 
 # ---- topics that fall silent -----------------------------------------------------------------------------------------
 _MIN_REGULAR = 10
-"""Fewest messages of a topic whose silence is told from its rate."""
+"""Fewest messages from which the rate of a topic is known well enough to notice that it falls silent."""
 _REGULAR_SHARE = 0.9
 """Share of the times between messages of a regular topic that are at most `_SPARE` times the usual one."""
 

@@ -37,9 +37,12 @@ _FIRST_DATE_S = 1e8
 _LONGEST_PERIOD_S = 2.0
 """Longest usual time between two rows (s)."""
 _SLOW_PERIOD_S = 10.0
-"""The same of a slow log, unless a log in milliseconds with as many rows would be a flight (s)."""
+"""Longest usual time between two rows of a slow log (s).
+
+Longer times in seconds are read as milliseconds if the log would still be long enough for a flight.
+"""
 _SLOWEST_PERIOD_S = 60.0
-"""The same of any log in seconds (s)."""
+"""Longest usual time between two rows of any log whose times are in seconds (s)."""
 _SHORTEST_FLIGHT_S = 10.0
 """A log in milliseconds that is shorter than this may be a slow one in seconds (s)."""
 _FRACTIONS = ("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds")

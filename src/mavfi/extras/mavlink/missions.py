@@ -106,7 +106,7 @@ class MissionItem:
     Attributes:
         frame: MAV_FRAME.
         command: MAV_CMD.
-        autocontinue: Whether the mission goes on after it.
+        autocontinue: Whether the mission continues with the next item.
         parameters: Parameters 1 to 4.
         x: Latitude (degrees), or the fifth parameter.
         y: Longitude (degrees), or the sixth.
@@ -357,7 +357,7 @@ class Mission:
 
     # ---- where to begin, and deletion -------------------------------------------------------------------------------
     def set_current(self, message: Any) -> None:
-        """MISSION_SET_CURRENT; a mission that is being flown goes on from there."""
+        """MISSION_SET_CURRENT; a mission that is being flown continues from there."""
         autopilot = self._autopilot
         if message.seq >= max(1, self.count):
             autopilot.text(f"mission: no item {message.seq}")

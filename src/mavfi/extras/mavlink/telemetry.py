@@ -264,7 +264,7 @@ ARDUPILOT_STREAMS: dict[Content, float] = {
     highres_imu: 0.0,
     attitude_quaternion: 0.0,
 }
-"""The same of ArduCopter, which has no messages of PX4's estimator."""
+"""Messages of ArduCopter and their rates at the start (Hz); it has no messages of PX4's estimator."""
 STREAM_GROUPS: dict[int, tuple[Content, ...]] = {
     1: (highres_imu, gps_raw_int),
     2: (sys_status, mission_current, gps_raw_int, battery_status),

@@ -25,7 +25,9 @@ _OF_TEST_CASES = {"robot", "drone", "simulation"}
 """Keys of test cases, the second in older ones."""
 _EARTH = 6371000.0
 """Mean radius (m)."""
-_WAYPOINT, _LAND, _TAKEOFF = 16, 21, 22
+_WAYPOINT = 16
+_LAND = 21
+_TAKEOFF = 22
 """Commands of MAVLink with a position that a mission flies to."""
 _NUMBERS_PER_BOX = 7
 _LEAST_HEIGHT = 0.5
@@ -147,7 +149,8 @@ def _obstacle(row: Any, path: Path) -> Shape:  # noqa: ANN401 - as in a YAML fil
     """A box, or a cylinder, on its height z."""
     kind = BOX
     if isinstance(row, dict):
-        size, position = _mapping(row, "size", path), _mapping(row, "position", path)
+        size = _mapping(row, "size", path)
+        position = _mapping(row, "position", path)
         kind = row.get("shape") or BOX
         row = [*(size.get(key, 0.0) for key in "lwh"), *(position.get(key, 0.0) for key in "xyzr")]
         if kind == CYLINDER:

@@ -139,7 +139,9 @@ def _take_simulation(data: MultirotorData, parameters: Mapping[str, float], path
         data.remarks.append(f"PX4's defaults of {', '.join(absent)}")
     if not values["SIH_T_MAX"] > 0.0:
         raise BadInputError(f"{path}: SIH_T_MAX {values['SIH_T_MAX']:g}: allowed: above 0")
-    side, front, lag = values["SIH_L_ROLL"], values["SIH_L_PITCH"], values["SIH_T_TAU"]
+    side = values["SIH_L_ROLL"]
+    front = values["SIH_L_PITCH"]
+    lag = values["SIH_T_TAU"]
     for name, x, y, spin in (
         ("0", front, -side, 1),
         ("1", -front, side, 1),
@@ -177,7 +179,10 @@ def _take_geometry(data: MultirotorData, parameters: Mapping[str, float], path: 
             for name, default in zip("XYZ", (0.0, 0.0, -1.0), strict=True)
         )
         ratios.append(abs(ratio))
-        spin = 0 if ratio == 0.0 else int(np.sign(ratio))
+        if ratio == 0.0:
+            spin = 0
+        else:
+            spin = int(np.sign(ratio))
         data.rotors.append(
             Rotor(
                 str(n),

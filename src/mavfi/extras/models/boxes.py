@@ -165,7 +165,8 @@ def _same_outline(bottom: np.ndarray, top: np.ndarray) -> bool:
 
 def _slices(vertices: np.ndarray, cell: float) -> list[tuple[np.ndarray, np.ndarray]]:
     """Boxes of an upright prism, across the shorter of its extents; see `_ConvexBody`."""
-    bottom, top = vertices[:, 2].min(), vertices[:, 2].max()
+    bottom = vertices[:, 2].min()
+    top = vertices[:, 2].max()
     base = vertices[vertices[:, 2] < bottom + _STRAIGHT, :2]
     hull = _hull_of(base)
     if hull is None:  # without width
@@ -181,10 +182,14 @@ def _slices(vertices: np.ndarray, cell: float) -> list[tuple[np.ndarray, np.ndar
         inside = _clip(_clip(outline, along, first, 1.0), along, last, -1.0)
         if not len(inside):
             continue
-        low, high = np.empty(3), np.empty(3)
-        low[along], high[along] = first, last
-        low[across], high[across] = inside[:, across].min(), inside[:, across].max()
-        low[2], high[2] = bottom, top
+        low = np.empty(3)
+        high = np.empty(3)
+        low[along] = first
+        high[along] = last
+        low[across] = inside[:, across].min()
+        high[across] = inside[:, across].max()
+        low[2] = bottom
+        high[2] = top
         boxes.append((low, high))
     return boxes
 
@@ -195,11 +200,13 @@ def _columns(vertices: np.ndarray, cell: float) -> list[tuple[np.ndarray, np.nda
     if hull is None:  # flat
         return [(vertices.min(axis=0), vertices.max(axis=0))]
     faces = vertices[hull.simplices]
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    low = vertices.min(axis=0)
+    high = vertices.max(axis=0)
     nx, ny = (max(1, math.ceil((high[axis] - low[axis]) / cell - _STRAIGHT)) for axis in (0, 1))
     xs = low[0] + (high[0] - low[0]) * np.arange(nx + 1) / nx
     ys = low[1] + (high[1] - low[1]) * np.arange(ny + 1) / ny
-    bottom, top = np.full((nx, ny), np.inf), np.full((nx, ny), -np.inf)
+    bottom = np.full((nx, ny), np.inf)
+    top = np.full((nx, ny), -np.inf)
     for face in faces:
         for i in range(*_range(face[:, 0], xs)):
             strip = _clip(_clip(face, 0, xs[i], 1.0), 0, xs[i + 1], -1.0)

@@ -41,7 +41,12 @@ IDENTITY = Pose(np.eye(3), np.zeros(3))
 
 def matrix_of_rpy(roll: float, pitch: float, yaw: float) -> np.ndarray:
     """Rotation about the fixed axes x, y, z, in this order, as in SDF and URDF (rad). Shape (3, 3)."""
-    cr, sr, cp, sp, cy, sy = cos(roll), sin(roll), cos(pitch), sin(pitch), cos(yaw), sin(yaw)
+    cr = cos(roll)
+    sr = sin(roll)
+    cp = cos(pitch)
+    sp = sin(pitch)
+    cy = cos(yaw)
+    sy = sin(yaw)
     return np.array(
         [
             [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],

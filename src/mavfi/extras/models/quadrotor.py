@@ -379,7 +379,8 @@ def _drag(data: MultirotorData, mass: float | None) -> list[float] | None:
 
 def _say_bare_rotors(data: MultirotorData, draft: _Draft) -> None:
     """Remark that rotors without collision shapes may reach out of a sphere that is the file's."""
-    radius, arm = draft.number("collision_radius"), draft.number("arm_length")
+    radius = draft.number("collision_radius")
+    arm = draft.number("arm_length")
     if radius is None or arm is None or "collision_radius" in (*draft.assumed, *draft.chosen):
         return
     solid_links = {shape.owner.rpartition("::")[2] for shape in data.shapes if shape.kind != MESH}
@@ -394,7 +395,8 @@ def _say_bare_rotors(data: MultirotorData, draft: _Draft) -> None:
 
 def _say_top_speed(data: MultirotorData, draft: _Draft) -> None:
     """Remark that drag leaves less speed than missions usually have."""
-    mass, drag = draft.number("mass"), draft.keys["drag"]
+    mass = draft.number("mass")
+    drag = draft.keys["drag"]
     if mass is None or not isinstance(drag, list) or not isinstance(drag[0], int | float) or not drag[0] > 0.0:
         return
     speed = math.sqrt(mass * GRAVITY * math.tan(VehicleConfig.model_fields["max_tilt"].default) / drag[0])

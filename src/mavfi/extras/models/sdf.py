@@ -238,7 +238,9 @@ class SdfReader:
             model.name = _text(include.find("name")) or model.name
             model.is_static = model.is_static or _is_true(include.find("static"))
             model.plugins += include.findall("plugin")
-            posed = include if include.find("pose") is not None else source
+            posed = source
+            if include.find("pose") is not None:
+                posed = include
             self._place_in(model, posed, include, owner)
             if _is_true_text(include.get("merge", "")):
                 model.frames.pop("__model__", None)
@@ -250,7 +252,10 @@ class SdfReader:
         """Apply the pose of a model, of the frame `placement_frame` if it names one."""
         element = posed.find("pose")
         pose = _pose(element, self._what(posed))
-        base = "" if element is None else element.get("relative_to", "")
+        if element is None:
+            base = ""
+        else:
+            base = element.get("relative_to", "")
         if base and base not in ("world", "__model__"):
             if base not in owner.frames:
                 raise BadInputError(
@@ -290,7 +295,10 @@ class SdfReader:
         inertial = link.find("inertial")
         if inertial is None:
             model.massless.append(name)
-        mass = None if inertial is None else number(inertial.find("mass"), f"{what}: mass")
+        if inertial is None:
+            mass = None
+        else:
+            mass = number(inertial.find("mass"), f"{what}: mass")
         if inertial is not None and mass:
             placed = frame.apply(_pose(inertial.find("pose"), what))
             tensor = _tensor(inertial.find("inertia"), what)
@@ -333,7 +341,8 @@ def _resolve_frames(model: SdfModel, pending: dict[str, Callable[[], Pose]]) -> 
 
 def _kind_of(joint: ET.Element) -> str:
     """The kind of a joint; one whose limits are equal is fixed, as old versions of the format wrote it."""
-    lower, upper = joint.findtext("axis/limit/lower"), joint.findtext("axis/limit/upper")
+    lower = joint.findtext("axis/limit/lower")
+    upper = joint.findtext("axis/limit/upper")
     if lower is not None and lower == upper:
         return "fixed"
     return joint.get("type", "")
@@ -341,7 +350,10 @@ def _kind_of(joint: ET.Element) -> str:
 
 def _root_of(path: Path) -> ET.Element:
     """Root of an SDF file; a template of PX4 is filled with nothing."""
-    root = _filled(path) if path.name.endswith(_TEMPLATE) else read_xml(path)
+    if path.name.endswith(_TEMPLATE):
+        root = _filled(path)
+    else:
+        root = read_xml(path)
     if root.tag == "gazebo":  # its name until version 1.2
         return root
     if root.tag != "sdf":

@@ -231,12 +231,17 @@ def _take_properties(data: MultirotorData, robot: UrdfRobot, properties: ET.Elem
 
     # positions are those of the propellers' masses, which the simulation uses
     centres = {name: centre for name, centre in robot.centres.items() if _ROTOR_NAME.search(name)}
-    middle = sum(centres.values()) / len(centres) if centres else 0.0
+    middle: Any = 0.0
+    if centres:
+        middle = sum(centres.values()) / len(centres)
     if centres and max(length(centre - middle) for centre in centres.values()) > 0.0:
         data.rotors = [Rotor(name, centre) for name, centre in centres.items()]
     elif value("arm") is not None:
-        data.values["arm_length"], data.notes["arm_length"] = value("arm"), "<properties>: arm"
-    kf, km, lift = value("kf"), value("km"), value("thrust2weight")
+        data.values["arm_length"] = value("arm")
+        data.notes["arm_length"] = "<properties>: arm"
+    kf = value("kf")
+    km = value("km")
+    lift = value("thrust2weight")
     if kf and km:
         data.values["rotor_torque_ratio"] = float(f"{km / kf:.6g}")
         data.notes["rotor_torque_ratio"] = "<properties>: km / kf"
@@ -248,7 +253,8 @@ def _take_properties(data: MultirotorData, robot: UrdfRobot, properties: ET.Elem
         reach = max(length(rotor.position - centre) for rotor in data.rotors) + (value("prop_radius") or 0.0)
         data.values["collision_radius"] = float(f"{reach:.4g}")
         data.notes["collision_radius"] = "tips of the propellers: <properties>: prop_radius"
-    sideways, vertical = value("drag_coeff_xy"), value("drag_coeff_z")
+    sideways = value("drag_coeff_xy")
+    vertical = value("drag_coeff_z")
     if sideways is not None and kf and data.body is not None:
         # force = coefficient x sum of rotor speeds (rad/s) x speed of the vehicle, at hover
         speed = (data.body.mass * GRAVITY / 4.0 / kf) ** 0.5 * _PER_MINUTE

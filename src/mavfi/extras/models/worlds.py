@@ -23,7 +23,8 @@ LEAST_MARGIN = 20.0
 """Arena around start and goal, at least (m)."""
 _EDGE = 1.0
 """Distance of the flight volume from the edge of the arena (m)."""
-_LOWEST, _HIGHEST = 1.6, 9.6
+_LOWEST = 1.6
+_HIGHEST = 9.6
 """Heights of planned paths, as in our own worlds, unless start or goal is outside (m)."""
 _ABOVE = 2.4
 """Of the arena above the highest path (m), as in our own worlds."""
@@ -78,7 +79,8 @@ def sdf_scene(path: Path) -> Scene:
     """Obstacles of an SDF file: of all its models but vehicles."""
     file = SdfReader(path).read()
     shapes: list[Shape] = []
-    vehicles, moving = [], []
+    vehicles = []
+    moving = []
     for model in file.models:
         if is_multirotor(model):
             vehicles.append(model.name)
@@ -245,7 +247,8 @@ def _slab(path: str, shape: Shape) -> tuple[np.ndarray, np.ndarray]:
     axis = int(np.argmax(np.abs(normal)))
     if abs(normal[axis]) < 1.0 - _STRAIGHT:
         raise BadInputError(f"{path}: {shape.owner}: a tilted plane; allowed: planes along the axes, or boxes")
-    lower, upper = np.full(3, -math.inf), np.full(3, math.inf)
+    lower = np.full(3, -math.inf)
+    upper = np.full(3, math.inf)
     if normal[axis] > 0.0:
         upper[axis] = shape.pose.position[axis]
     else:

@@ -36,7 +36,10 @@ def parse_xml(text: bytes | str, path: Path) -> ET.Element:
     Raises:
         BadInputError: It is no XML.
     """
-    data = text.encode() if isinstance(text, str) else text
+    if isinstance(text, str):
+        data = text.encode()
+    else:
+        data = text
     # Gazebo's parser accepts blank lines and comments before the declaration, and prefixes that are not declared
     data = _BEFORE_DECLARATION.sub(b"", data).lstrip()
     try:

@@ -35,8 +35,9 @@ _NODE_BYTES = {"OcTree": 4, "1": 4, "OcTreeStamped": 4, "ColorOcTree": 7}
 _WITHOUT_OCCUPANCY = ("CountingOcTree", "BoundingBoxOcTree", "EcgOcTree")
 _LARGEST_LOG_ODDS = 1e4
 """Larger values are no log-odds."""
-SOLID, FREE = "solid", "free"
-"""What unknown space is."""
+SOLID = "solid"
+FREE = "free"
+"""What the space is taken for that a map does not know."""
 _AROUND = 5.0
 """Margin of the grid around obstacles and ends where unknown space is free (m)."""
 _USUAL_RESOLUTION = 0.08
@@ -49,7 +50,9 @@ _COARSER_MAP = 1 << 26
 """The same where the resolution is ours to choose; up to 1.7 GB."""
 _MAP_MARGIN = (2.0 * _AROUND + 11.0, 2.0 * _AROUND + 11.0, 6.0)
 """Margins of that map and of ours around the scan (m)."""
-_TRUNCATED, _TOO_DEEP, _NO_LOG_ODDS = -1, -2, -3
+_TRUNCATED = -1
+_TOO_DEEP = -2
+_NO_LOG_ODDS = -3
 _SOLID, _INNER = 2, 3
 """Kinds of children in a `.bt` file; 0 is unknown, 1 free."""
 _PASSAGE, _NEAR = 0.2, 1.0
@@ -128,7 +131,9 @@ def octomap_file(
     voxels = Voxels(occupied, origin, resolution)
     box = _flight_box(voxels, ends, band)
     if box is None:
-        why = "; unknown space counts as solid, --unknown-space free takes it as free" if unknown == SOLID else ""
+        why = ""
+        if unknown == SOLID:
+            why = "; unknown space counts as solid, --unknown-space free takes it as free"
         raise BadInputError(
             f"{path}: no way from {start} to {goal} for a sphere of {_PASSAGE} m within {band} m of their heights{why}"
         )
@@ -215,7 +220,7 @@ def _read_grid(path: str, modified_ns: int) -> tuple[np.ndarray, np.ndarray, flo
 
 
 def _grid_around(path: str, ends: np.ndarray, band: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """The same of a map in which unknown space is free: around its obstacles and both ends, with a margin."""
+    """Grid of a map in which unknown space is free: around its obstacles and both ends, with a margin."""
     leaves, resolution = _leaves_of(path, _modified(path))
     lower, upper = _bounds(leaves)
     margin = np.array([_AROUND, _AROUND, band + 1.0])
@@ -361,7 +366,10 @@ def _parse(nodes: np.ndarray, node_bytes: int, leaves: Leaves) -> int:
         x, y, z, level = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
         if level == 0 and not has_values:
             return _TOO_DEEP
-        if at + (node_bytes + 1 if has_values else 2) > len(nodes):
+        node_size = 2
+        if has_values:
+            node_size = node_bytes + 1
+        if at + node_size > len(nodes):
             return _TRUNCATED
         if has_values:
             log_odds = nodes[at : at + 4].copy().view(np.float32)[0]
