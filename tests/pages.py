@@ -66,3 +66,15 @@ def serving(command, says, folder, patience_s=120.0):
             assert process.returncode in (0, 130)
         finally:
             process.kill()
+
+
+@contextmanager
+def importing_from(folder, monkeypatch):
+    """Modules of a folder can be imported, those named `my_...` only meanwhile."""
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry] + [str(folder)])
+    before = set(sys.modules)
+    yield
+    for name in set(sys.modules) - before:
+        if name.startswith("my_"):
+            del sys.modules[name]

@@ -3,14 +3,13 @@
 import json
 import re
 import shlex
-import sys
 from pathlib import Path
 
 import pytest
 
 from mavfi.analysis.runs import Runs
 from mavfi.cli import run
-from tests.pages import DOCS, commands, files
+from tests.pages import DOCS, commands, files, importing_from
 
 PAGE = "extending.md"
 COMMANDS = [command.removeprefix("mavfi ") for command in commands(PAGE) if command.startswith("mavfi ")]
@@ -21,14 +20,9 @@ def folder(tmp_path, monkeypatch):
     """An empty working directory with the page's files in it."""
     for name, content in files(PAGE):
         (tmp_path / name).write_text(content, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("MAVFI_ALLOW_PLUGINS")
-    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry] + [str(tmp_path)])
-    before = set(sys.modules)
-    yield tmp_path
-    for name in set(sys.modules) - before:
-        if name.startswith("my_"):
-            del sys.modules[name]
+    with importing_from(tmp_path, monkeypatch):
+        yield tmp_path
 
 
 def test_every_block_names_its_file():

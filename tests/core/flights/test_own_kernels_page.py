@@ -4,7 +4,6 @@ import json
 import re
 import shlex
 import shutil
-import sys
 
 import pytest
 
@@ -12,7 +11,7 @@ from mavfi.campaign.config import load_campaign
 from mavfi.cli import run
 from mavfi.levels.instruction import campaign_targets
 from tests.core.architecture.source import ROOT
-from tests.pages import DOCS, commands
+from tests.pages import DOCS, commands, importing_from
 
 PAGE = "how-to/own-kernels.md"
 EXAMPLE = ROOT / "examples" / "own_kernels"
@@ -23,13 +22,8 @@ FLIGHTS = [command for command in commands(PAGE) if command.startswith("mavfi fl
 def folder(tmp_path, monkeypatch):
     """A working directory with the files of the example."""
     shutil.copytree(EXAMPLE, tmp_path, dirs_exist_ok=True)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry] + [str(tmp_path)])
-    before = set(sys.modules)
-    yield tmp_path
-    for name in set(sys.modules) - before:
-        if name.startswith("my_"):
-            del sys.modules[name]
+    with importing_from(tmp_path, monkeypatch):
+        yield tmp_path
 
 
 def test_every_block_of_code_is_from_the_example():

@@ -19,24 +19,12 @@ from mavfi.extras.mavlink.vocabulary import MavResult  # noqa: E402
 from mavfi.mission import MissionSpec  # noqa: E402
 from mavfi.numerics.frames import geodetic  # noqa: E402
 from tests.core.unit.sim.environments.octrees import bits, tree_of  # noqa: E402
-from tests.extras.mavlink.client import Client  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
 NAN = math.nan
 GYRO, POSITION, MOTOR = 0, 4, 101
 OFF, STUCK = 1, 2
-
-
-@pytest.fixture
-def client():
-    return Client()
-
-
-@pytest.fixture
-def flying(client):
-    client.fly_up()
-    return client
 
 
 def test_take_off_and_land(client):

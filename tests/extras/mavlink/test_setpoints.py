@@ -18,17 +18,6 @@ POSITION_ONLY = 0b0000_1101_1111_1000
 VELOCITY_ONLY = 0b0000_0101_1100_0111
 
 
-@pytest.fixture
-def client():
-    return Client()
-
-
-@pytest.fixture
-def flying(client):
-    client.fly_up()
-    return client
-
-
 def stream(client, message, seconds):
     """Send a set-point at 5 Hz, in mode offboard."""
     for _ in range(round(seconds / 0.2)):
