@@ -51,6 +51,17 @@ class NotInstalledError(BadInputError):
     """An optional package is needed, but not installed."""
 
 
+def not_installed(what: str, package: str, extra: str) -> NotInstalledError:
+    """Return the error for a feature whose optional package is missing.
+
+    Args:
+        what: What the user asked for, as typed: an option, a command, or a file.
+        package: The package that is missing.
+        extra: The extra of mavfi that brings it.
+    """
+    return NotInstalledError(f"{what}: needs {package}; install it with: pip install 'mavfi[{extra}]'")
+
+
 class MachineError(MavfiError):
     """A failure of the machine (disk, memory, file handles, external signal), not of the flight; never recorded.
 
