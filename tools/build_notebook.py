@@ -1,4 +1,4 @@
-"""Write `examples/python_api.ipynb` from the code blocks of `docs/python-api.md`, with their outputs."""
+"""Write `examples/python_api.ipynb` from the code blocks of `docs/how-to/python-api.md`, with their outputs."""
 
 import ast
 import base64
@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from tools.markers import DOCS, ROOT
 
-PAGE = DOCS / "python-api.md"
+PAGE = DOCS / "how-to" / "python-api.md"
 NOTEBOOK = ROOT / "examples" / "python_api.ipynb"
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\((?!https?:)([^)]+)\)")
@@ -37,8 +37,8 @@ def cells(page: str) -> list[tuple[str, str]]:
 
 
 def _relink(text: str) -> str:
-    """Relocate links from `docs` to `examples`."""
-    return LINK.sub(lambda link: f"]({os.path.relpath(DOCS / link[1], NOTEBOOK.parent)})", text)
+    """Relocate links from the page to `examples`."""
+    return LINK.sub(lambda link: f"]({os.path.relpath(PAGE.parent / link[1], NOTEBOOK.parent)})", text)
 
 
 def execute(source: str, names: dict[str, Any]) -> Any:  # noqa: ANN401 (whatever a cell answers)

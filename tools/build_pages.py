@@ -185,13 +185,16 @@ def sensor_table() -> str:
     absent = [f"`{kind}`" for kind in TYPES if kind not in MAVLINK_TYPES.values()]
     if absent:
         rows += ["", f"MAVLink has no command for {', '.join(absent)}."]
-    rows += ["", "Over MAVLink, `ok` ends failures, and `wrong` of `position` is [PX4's](mavlink.md#failures)."]
+    rows += [
+        "",
+        "Over MAVLink, `ok` ends failures, and `wrong` of `position` is [PX4's](../how-to/mavlink.md#failures).",
+    ]
     return "\n".join(rows)
 
 
 def ros_page() -> str:
     """The ROS page with its generated parts."""
-    page = (DOCS / "ros.md").read_text(encoding="utf-8")
+    page = (DOCS / "how-to" / "ros.md").read_text(encoding="utf-8")
     for name, block in (("graph", ros_graph()), ("topics", ros_topics()), ("views", ros_views())):
         page = between(page, name, block)
     return page
@@ -199,12 +202,12 @@ def ros_page() -> str:
 
 def pages() -> dict[Path, str]:
     """Every generated page with its current content."""
-    fault_model = DOCS / "fault-model.md"
+    fault_model = DOCS / "concepts" / "fault-model.md"
     model = between(fault_model.read_text(encoding="utf-8"), "states", state_table())
     model = between(model, "sensors", sensor_table())
     model = between(model, "levels", level_table())
     return {
-        DOCS / "ros.md": ros_page(),
+        DOCS / "how-to" / "ros.md": ros_page(),
         fault_model: between(model, "memory", memory_table()),
         **build_reference.pages(),
     }
