@@ -88,14 +88,8 @@ docs: setup  ## write the pages and tables that are derived from the code
 	@$(BIN)/python -m tools.build_pages
 	@$(BIN)/python -m tools.build_notebook
 
-wheel: setup  ## build the wheel, install it in an empty environment, run it
-	@rm -rf dist build/wheel-venv
-	@$(BIN)/python -m build --wheel --no-isolation --outdir dist . > /dev/null
-	@$(PYTHON) -m venv build/wheel-venv
-	@build/wheel-venv/bin/python -m pip install -qq --constraint requirements.lock dist/*.whl
-	@cd build && wheel-venv/bin/mavfi --help > /dev/null && wheel-venv/bin/mavfi states > /dev/null
-	@rm -rf build/wheel-venv
-	@ls dist/*.whl
+wheel: setup  ## build sdist and wheel, use them in empty environments (ARGS="python3.11 python3.12 python3.13 --write")
+	@$(BIN)/python -m tools.check_release $(ARGS)
 
 lock:  ## renew requirements.lock from the ranges in pyproject.toml
 	@rm -rf build/lock-venv
