@@ -395,7 +395,7 @@ def about(bench: Bench) -> list[str]:
         f"[detection against false alarms](tables/{PAGE}/{SCORES}.csv) at any threshold, as curves: "
         "[this project's detectors](../images/curves-paper.png), "
         "[other libraries' and bounds](../images/curves-paper-others.png)",
-        "cost of detection: [models](../concepts/models.md#recommended); "
+        "cost of detection: [detectors](../reference/detectors.md#cost); "
         "alarms that come late: [ROS](../how-to/ros.md#coupling); "
         "faults that last: [their page](lasting.md)",
     ]

@@ -202,13 +202,14 @@ def ros_page() -> str:
 
 def pages() -> dict[Path, str]:
     """Every generated page with its current content."""
-    fault_model = DOCS / "concepts" / "fault-model.md"
-    model = between(fault_model.read_text(encoding="utf-8"), "states", state_table())
-    model = between(model, "sensors", sensor_table())
-    model = between(model, "levels", level_table())
+    faults = DOCS / "reference" / "faults.md"
+    fault_page = between(faults.read_text(encoding="utf-8"), "states", state_table())
+    fault_page = between(fault_page, "sensors", sensor_table())
+    levels = DOCS / "concepts" / "levels.md"
     return {
         DOCS / "how-to" / "ros.md": ros_page(),
-        fault_model: between(model, "memory", memory_table()),
+        faults: between(fault_page, "memory", memory_table()),
+        levels: between(levels.read_text(encoding="utf-8"), "levels", level_table()),
         **build_reference.pages(),
     }
 

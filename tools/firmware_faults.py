@@ -281,7 +281,7 @@ def write_page(campaign: Path) -> Path:
 
 
 def headline() -> str:
-    """The table of both patterns, for docs/concepts/fault-model.md."""
+    """The table of both patterns, for docs/reference/registers.md."""
     excerpt = results.Excerpt("patterns", lambda row: row["by"] == "flight", ("group", "n", *patterns.OUTCOMES))
     return excerpt.markdown(pattern_table())
 
@@ -297,7 +297,8 @@ def main() -> None:
         healthy_missions(environment, _FIRST_MISSION, 10, 1)
         healthy_missions(environment, 1, 4, 3)
     page = write_page(results.fly("firmware", scale=""))
-    fill(DOCS / "concepts" / "fault-model.md", {"firmware": headline(), "levels": level_table()})
+    fill(DOCS / "reference" / "registers.md", {"firmware": headline()})
+    fill(DOCS / "concepts" / "levels.md", {"levels": level_table()})
     print(f"wrote {page.relative_to(ROOT)}")
 
 

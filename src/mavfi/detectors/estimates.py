@@ -63,7 +63,7 @@ last published estimate, its time, time of the last re-initialization in flight 
 def judge_estimate(content: np.ndarray, now: int, record: np.ndarray) -> int:
     """Index of the field of an estimate that violates the rule, or -1.
 
-    See docs/concepts/models.md: finite values, unit quaternion; flight box and speed for the first estimate; IMU range
+    See docs/reference/detectors.md: finite values, unit quaternion; flight box and speed for the first estimate; IMU range
     and corrections by fixes for later ones.
 
     Args:

@@ -6,6 +6,7 @@ import shlex
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -105,7 +106,7 @@ def test_the_pages_have_no_command_that_is_not_known_here():
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
     """A folder for each page, empty but for the examples and configurations that the page names."""
-    made = {page: tmp_path_factory.mktemp(page.removesuffix(".md")) for page in PAGES}
+    made = {page: tmp_path_factory.mktemp(Path(page).stem) for page in PAGES}
     for folder in made.values():
         for name in ("examples", "configs"):
             (folder / name).symlink_to(ROOT / name)
