@@ -163,7 +163,7 @@ def table(runs: "Runs", view: str) -> "Table":
     Raises:
         BadInputError: Unknown view, or these runs have nothing to show in it.
     """
-    from mavfi.analysis import table_asked_for
+    from mavfi.analysis.views import table_asked_for
 
     return table_asked_for(runs, view)
 

@@ -18,7 +18,7 @@ from typer.core import TyperCommand, TyperGroup
 from mavfi.cli.console import complain
 from mavfi.cli.stopping import EXIT_STOPPED
 from mavfi.dropped import COMMANDS, OPTIONS
-from mavfi.errors import BadInputError, MavfiError, machine_failure
+from mavfi.errors import BadInputError, MavfiError, machine_failure, missing_package
 from mavfi.plugins import allow_plugins, allow_typed, known, plugin_failure
 
 _ALLOW_PLUGINS = "--allow-plugins"
@@ -177,15 +177,25 @@ def run(arguments: Sequence[str]) -> int:
     except typer.Abort:
         return EXIT_STOPPED
     except (Exception, SystemExit) as error:
-        # a full disk and the like, then plug-ins; all other exceptions are defects of mavfi
+        # a full disk and the like, then what the user installed or not; all others are defects of mavfi
         if failure := machine_failure(error):
             return _refused(failure, EXIT_FAILURE)
-        if failure := plugin_failure(error):
+        if failure := _missing_package(error, arguments) or plugin_failure(error):
             return _refused(failure, EXIT_BAD_INPUT)
         raise
     if isinstance(code, int):
         return code
     return EXIT_DONE
+
+
+def _missing_package(error: BaseException, arguments: Sequence[str]) -> str:
+    """The refusal of a command that needs an optional package; "" = the error is another."""
+    if not isinstance(error, ModuleNotFoundError):
+        return ""
+    refusal = missing_package(error, f"mavfi {_verb(arguments)}".rstrip())
+    if refusal is None:
+        return ""
+    return str(refusal)
 
 
 def _dropped(arguments: Sequence[str]) -> str:

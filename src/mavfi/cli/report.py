@@ -174,8 +174,8 @@ def _listed(files: Sequence[Path]) -> str:
 
 def _show_view(directory: Path, name: str, *, as_csv: bool, as_json: bool) -> None:
     """Print a view of a campaign, or the list of views."""
-    from mavfi.analysis import Runs, table_asked_for
-    from mavfi.analysis.views import applicable
+    from mavfi.analysis.runs import Runs
+    from mavfi.analysis.views import applicable, table_asked_for
     from mavfi.report.text import show_table
 
     runs = Runs.read(directory)

@@ -138,7 +138,8 @@ def overheads(
 
     Example: [bold]mavfi bench overheads out/reproduce[/bold]
     """
-    from mavfi.analysis import Runs, table
+    from mavfi.analysis.runs import Runs
+    from mavfi.analysis.views import table
     from mavfi.campaign.ledger import stored_campaign
     from mavfi.campaign.store import Store
     from mavfi.cli.progress import Bar

@@ -265,7 +265,7 @@ def failures(
     """
     from rich.text import Text
 
-    from mavfi.analysis import Runs
+    from mavfi.analysis.runs import Runs
     from mavfi.extras.paper.failure_rate import failure_table, find_upsets, summary
     from mavfi.report.text import show_table
 

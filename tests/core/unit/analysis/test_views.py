@@ -7,11 +7,11 @@ import json
 import polars as pl
 import pytest
 
-from mavfi.analysis import VIEWS, View, table, views_for
 from mavfi.analysis import published as paper
 from mavfi.analysis.measures import Measure, count, rate
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import NUMBER, RATE, UNKNOWN
+from mavfi.analysis.views import VIEWS, View, table, views_for
 from mavfi.config import config_root, read_yaml
 from mavfi.errors import BadInputError
 from mavfi.report.text import FORMS
