@@ -37,6 +37,7 @@ VERBS = {
     "shrink": "mavfi.cli.runs:shrink",
     "train": "mavfi.cli.train:train",
     "states": "mavfi.cli.states:states",
+    "docs": "mavfi.cli.docs:docs",
 }
 """Commands of the core: a function, or a Typer application with commands of its own."""
 
