@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from mavfi.campaign.ledger import Status
     from mavfi.campaign.requirement import Requirement
 
+HELP_PANEL = "Campaigns"
 EXIT_REQUIREMENT = 3
 """Exit code if a requirement does not hold, or too few runs show that it does."""
 Require = Annotated[

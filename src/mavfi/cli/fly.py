@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from mavfi.mission import Scenario
     from mavfi.report.flight_result import FlightResult
 
+HELP_PANEL = "Fly and look"
 DEFAULT_PROFILE = "paper"
 FLY_OPTIONS = "mavfi.fly_options"
 """Group of entry points: objects with `options`, see `with_extra_options`, and `chosen(mission, values)`.
@@ -48,7 +49,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
     pace: observing.Pace = observing.REAL_TIME,
     **extra: Any,  # noqa: ANN401 - of the options of extras
 ) -> None:
-    """Fly one mission and report its result; with a fault, compare it with the golden run.
+    """Fly one mission, with or without a fault and a detector.
+
+    With a fault, it is compared with the golden run: the same mission without it.
 
     Example: [bold]mavfi fly --environment dense --seed 10007 --fault state:planning.waypoint.x:bit=62@20.0[/bold]
     """

@@ -4,6 +4,7 @@ import functools
 import inspect
 import math
 from collections.abc import Callable, Collection, Mapping
+from copy import copy
 from enum import Enum
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -12,11 +13,22 @@ import typer
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
+from mavfi.cli.panels import DETECTION, FAULT, MISSION, OF_OPTIONS, OUTPUT, PIPELINE
 from mavfi.config import Vector
 from mavfi.dropped import VALUES
 from mavfi.errors import BadInputError
-from mavfi.mission import LARGEST_SEED, MissionSpec
+from mavfi.mission import LARGEST_SEED, OF_A_DETECTOR, MissionSpec
 from mavfi.plugins import extensions, known
+
+_PANEL_OF = {
+    **dict.fromkeys(
+        ("environment", "seed", "start", "goal", "v_max", "wind", "arrival_radius", "time_limit_factor"), MISSION
+    ),
+    **dict.fromkeys(("faults", "fault", "fault_seed", "dead_node", "protection"), FAULT),
+    **dict.fromkeys(("detector", "profile", "models", *OF_A_DETECTOR), DETECTION),
+    **dict.fromkeys(("as_json", "save", "picture", "html", "pace"), OUTPUT),
+}
+"""Panels by parameter, in the order of the help; all other fields of missions are of the pipeline."""
 
 FORMS = "with bits, instants and more: see fault-specs.md in the documentation."
 Faults = Annotated[
@@ -24,23 +36,23 @@ Faults = Annotated[
     typer.Option(
         "--fault",
         metavar="SPEC",
-        help="state:PLACE, memory:PLACE, instruction:KERNEL, sensor:UNIT:TYPE, message:STATE:OPERATION, or null; "
+        help="state:PLACE, memory:PLACE, instruction:KERNEL, sensor:UNIT:TYPE, message:STATE:OPERATION, or null, "
         f"{FORMS} Several times: all in one mission.",
         show_default=False,
     ),
 ]
 FaultSeed = Annotated[
     int | None,
-    typer.Option(help="Draws what the fault does not name: instant, element, instruction, bit; 0 by default."),
+    typer.Option(help="Draws instant, element, bit, ... that --fault does not name; 0 by default."),
 ]
 DETECTORS = ", ".join(sorted(known("mavfi.detectors", {})))
 """Names of entry points; importing the registry, which loads them, would slow down `--help`."""
 Detector = Annotated[str, typer.Option(help=f"{DETECTORS}, or package:Class.")]
-Profile = Annotated[str | None, typer.Option(help="Of the detector: paper (the default) or tuned.")]
+Profile = Annotated[str | None, typer.Option(help="Of the detector: paper (default) or tuned.")]
 WatchProfile = Annotated[str, typer.Option(help="paper (signs and exponents of values) or tuned (of changes).")]
 """Of detectors of foreign messages."""
 Duration = Annotated[float | None, typer.Option(help="Duration, s; until Ctrl-C by default.")]
-Models = Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")]
+Models = Annotated[Path | None, typer.Option(help="Folder of trained models; shipped ones by default.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object instead of text.")]
 Save = Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Write the whole record of the flight.")]
 Picture = Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the flight from above and from the side.")]
@@ -79,6 +91,7 @@ def with_mission_options(verb: Callable[..., None], without: Collection[str] = (
         verb(mission_of(set_by_user), **values)
 
     parameters = [*(_parameter(name, field) for name, field in fields.items()), *others.values()]
+    parameters = sorted(map(_in_its_panel, parameters), key=_position_in_help)
     wrapped.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     wrapped.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return wrapped
@@ -146,9 +159,35 @@ def _parameter(name: str, field: FieldInfo) -> inspect.Parameter:
     """The option of a field; words are checked by `mission_of`, whose message names those that are allowed."""
     kind: Any = str if _words(field) else field.annotation
     metavar = "X Y Z" if kind == Vector | None else None
-    option = typer.Option(option_name(name), help=field.description, metavar=metavar)
+    help_text, _, _ = str(field.description).partition(". ")  # the rest is for the reference
+    option = typer.Option(option_name(name), help=f"{help_text.rstrip('.')}.", metavar=metavar)
     annotation = Annotated[kind, option]
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=annotation)
+
+
+def _in_its_panel(parameter: inspect.Parameter) -> inspect.Parameter:
+    """A parameter of a command, in the help panel of its name; others keep theirs."""
+    panel = _PANEL_OF.get(parameter.name)
+    if panel is None:
+        if parameter.name not in MissionSpec.model_fields:
+            return parameter
+        panel = PIPELINE
+    kind, option = get_args(parameter.annotation)
+    option = copy(option)
+    option.rich_help_panel = panel
+    return parameter.replace(annotation=Annotated[kind, option])
+
+
+def _position_in_help(parameter: inspect.Parameter) -> tuple[int, int]:
+    """Positions of a parameter's panel, and in it; parameters without a panel are the first, those of extras last."""
+    panel = -1
+    for option in get_args(parameter.annotation)[1:]:
+        if option.rich_help_panel in OF_OPTIONS:
+            panel = OF_OPTIONS.index(option.rich_help_panel)
+    names = list(_PANEL_OF)
+    if parameter.name in names:
+        return panel, names.index(parameter.name)
+    return panel, len(names)
 
 
 def _words(field: FieldInfo) -> tuple[str, ...]:

@@ -16,6 +16,8 @@ from mavfi.report.numbers import outcome
 if TYPE_CHECKING:
     from mavfi.campaign.replay import Replay
 
+HELP_PANEL = "Campaigns"
+
 
 def runs(
     directory: options.Ledger,
@@ -23,7 +25,7 @@ def runs(
     as_csv: Annotated[bool, typer.Option("--csv", help="All columns as comma-separated values.")] = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """List the runs of a campaign: fault, effect, and mission status.
+    """List the runs of a campaign: fault, effect, mission status.
 
     Example: [bold]mavfi runs out/states --failed[/bold]
     """
@@ -41,9 +43,9 @@ def runs(
 
 
 def replay(directory: options.Ledger, run_id: options.RunId, as_json: options.AsJson = False) -> None:
-    """Replay a run from its specification, and report whether the digest is the same.
+    """Fly a run again, and check that its digest is the same.
 
-    Exit code 1 if it is another run.
+    It is flown from its specification. Exit code 1 if it is another run.
 
     Example: [bold]mavfi replay out/reproduce sparse-10003-golden-[/bold]
     """
@@ -106,7 +108,9 @@ def explain(
     html: options.Html = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Replay a run and its golden run, and explain the effect of the fault on values, path and mission.
+    """Explain what the fault of a run did to values and mission.
+
+    The run and its golden run are flown again.
 
     Example: [bold]mavfi explain out/reproduce dense-10000-fi-planning-0[/bold]
     """
@@ -141,9 +145,10 @@ def shrink(
     directory: options.Ledger,
     run_id: options.RunId,
 ) -> None:
-    """Reduce the fault of a lost mission: shorter, fewer bits, a less significant bit.
+    """Make the fault of a lost mission as small as possible.
 
-    Prints the command that flies the smallest fault found that still loses the mission.
+    It becomes shorter, flips fewer bits, or a less significant one. Prints the command that flies the smallest fault
+    found that still loses the mission.
 
     Example: [bold]mavfi shrink out/reproduce dense-10000-fi-planning-0[/bold]
     """

@@ -15,9 +15,11 @@ from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 from mavfi.files import check_folder
 
+HELP_PANEL = "Detectors"
 _DEFAULT_BENCH = "mavfi-bench-1"
 app = typer.Typer(
-    help="Compare schemes on the same flights and faults.\n\nExample: [bold]mavfi bench detectors --level state[/bold]",
+    help="Compare detectors on the same flights and faults.\n\n"
+    "Example: [bold]mavfi bench detectors --level state[/bold]",
     no_args_is_help=False,
 )
 

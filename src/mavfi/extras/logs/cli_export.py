@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from mavfi.record import FlightLog
 
 
+HELP_PANEL = "Fly and look"
 _GROUP = "mavfi.exporters"
 """Writers of other formats: functions (log, path) -> number of messages, by file name extension."""
 ROS_ENDINGS = (".bag", ".mcap")

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from mavfi.record import FlightLog, Injection
     from mavfi.report.flight_result import FlightResult
 
+HELP_PANEL = "Other programs"
 _KillOption = Annotated[list[str] | None, typer.Option(metavar="NODE@SECONDS", help="Kill a node; it is restarted.")]
 _FaultOption = Annotated[
     list[str] | None,
@@ -48,7 +49,9 @@ app.command("watch")(watch)
 
 @app.callback()
 def _ros() -> None:
-    """The pipeline as real nodes of ROS 2 or ROS 1, and tools for any ROS application.
+    """The pipeline as ROS nodes; faults in any ROS application.
+
+    ROS 2 or ROS 1.
 
     Example: [bold]mavfi ros fly --environment sparse --seed 7 --kill octomap@20[/bold]
     """
