@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.cli import options
+from mavfi.cli import completion, options
 from mavfi.cli.console import check_name, check_seed, check_writable, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, MavfiError
@@ -45,7 +45,12 @@ app = typer.Typer(
 @app.command("run")
 def run(  # noqa: PLR0913 - options
     config: Annotated[
-        str, typer.Argument(metavar="CONFIG.yaml", help="A YAML file, or the name of a shipped campaign.")
+        str,
+        typer.Argument(
+            metavar="CONFIG.yaml",
+            help="A YAML file, or the name of a shipped campaign.",
+            autocompletion=completion.of_configs("campaigns"),
+        ),
     ],
     out: Annotated[
         Path | None,

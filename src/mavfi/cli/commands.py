@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import typer
+from typer.completion import completion_init
 from typer.core import TyperCommand, TyperGroup
 
 from mavfi.cli import panels
@@ -23,6 +24,8 @@ from mavfi.errors import BadInputError, MavfiError, machine_failure
 from mavfi.plugins import allow_plugins, allow_typed, known, plugin_failure
 
 _ALLOW_PLUGINS = "--allow-plugins"
+_COMPLETE = "_MAVFI_COMPLETE"
+"""Environment variable by which a shell's script asks for completions, instead of a command."""
 _TRACEBACK = "MAVFI_TRACEBACK"
 """Environment variable: if set, a refusal is preceded by its traceback."""
 EXIT_DONE = 0
@@ -38,6 +41,7 @@ VERBS = {
     "shrink": "mavfi.cli.runs:shrink",
     "train": "mavfi.cli.train:train",
     "states": "mavfi.cli.states:states",
+    "completion": "mavfi.cli.completion:completion",
 }
 """Commands of the core: a function, or a Typer application with commands of its own."""
 
@@ -185,6 +189,10 @@ def run(arguments: Sequence[str]) -> int:
         arguments = [word for word in arguments if word != _ALLOW_PLUGINS]
     allow_typed(word.rpartition("=")[2] for word in arguments)
 
+    if os.environ.get(_COMPLETE):
+        completion_init()
+        os.environ["COLUMNS"] = "1000"  # each completion is one line
+
     # every known kind of failure becomes a line and an exit code
     try:
         code = _command().main(args=arguments or ["--help"], prog_name="mavfi", standalone_mode=False)
@@ -290,11 +298,12 @@ def _shorten_help(parameter: Any) -> None:
 
 def _parse_once(command: Any, ctx: Any, args: list[str]) -> list[str]:
     """Parse the words of a command; an option of one value that is given twice is refused: one would be dropped."""
-    _, _, order = command.make_parser(ctx).parse_args(args=list(args))
-    for parameter, times in Counter(order).items():
-        is_option = parameter.param_type_name == "option"
-        if times > 1 and is_option and not parameter.multiple and not parameter.is_flag:
-            raise BadInputError(f"{parameter.opts[0]}: given {times} times; allowed: once")
+    if not ctx.resilient_parsing:  # as in completions
+        _, _, order = command.make_parser(ctx).parse_args(args=list(args))
+        for parameter, times in Counter(order).items():
+            is_option = parameter.param_type_name == "option"
+            if times > 1 and is_option and not parameter.multiple and not parameter.is_flag:
+                raise BadInputError(f"{parameter.opts[0]}: given {times} times; allowed: once")
     words: list[str] = type(command).parse_args(command, ctx, args)
     return words
 

@@ -13,6 +13,7 @@ import typer
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
+from mavfi.cli import completion
 from mavfi.cli.panels import DETECTION, FAULT, MISSION, OF_OPTIONS, OUTPUT, PIPELINE
 from mavfi.config import Vector
 from mavfi.dropped import VALUES
@@ -30,6 +31,19 @@ _PANEL_OF = {
 }
 """Panels by parameter, in the order of the help; all other fields of missions are of the pipeline."""
 
+_COMPLETERS = {
+    "environment": completion.of_configs("environments"),
+    "autopilot": completion.of_configs("autopilots"),
+    "planner": completion.of_configs("planners"),
+    "platform": completion.of_configs("platforms"),
+    "vehicle": completion.of_configs("vehicles"),
+    "protection": completion.of_configs("protections"),
+    "map": completion.of_entry_points("mavfi.maps"),
+    "flight_controller": completion.of_entry_points("mavfi.flight_controllers"),
+    "trained_for": completion.trained_for,
+}
+"""What completes the values of fields of missions; words of others are known from their type."""
+
 FORMS = "with bits, instants and more: see fault-specs.md in the documentation."
 Faults = Annotated[
     list[str] | None,
@@ -39,6 +53,7 @@ Faults = Annotated[
         help="state:PLACE, memory:PLACE, instruction:KERNEL, sensor:UNIT:TYPE, message:STATE:OPERATION, or null, "
         f"{FORMS} Several times: all in one mission.",
         show_default=False,
+        autocompletion=completion.fault,
     ),
 ]
 FaultSeed = Annotated[
@@ -47,8 +62,18 @@ FaultSeed = Annotated[
 ]
 DETECTORS = ", ".join(sorted(known("mavfi.detectors", {})))
 """Names of entry points; importing the registry, which loads them, would slow down `--help`."""
-Detector = Annotated[str, typer.Option(help=f"{DETECTORS}, or package:Class.")]
-Profile = Annotated[str | None, typer.Option(help="Of the detector: paper (default) or tuned.")]
+Detector = Annotated[
+    str,
+    typer.Option(
+        help=f"{DETECTORS}, or package:Class.", autocompletion=completion.of_entry_points("mavfi.detectors", "none")
+    ),
+]
+Profile = Annotated[
+    str | None,
+    typer.Option(
+        help="Of the detector: paper (default) or tuned.", autocompletion=completion.of_words(("paper", "tuned"))
+    ),
+]
 WatchProfile = Annotated[str, typer.Option(help="paper (signs and exponents of values) or tuned (of changes).")]
 """Of detectors of foreign messages."""
 Duration = Annotated[float | None, typer.Option(help="Duration, s; until Ctrl-C by default.")]
@@ -61,7 +86,14 @@ Html = Annotated[
     typer.Option(metavar="FILE.html", help="Write a page with the flight in 3-D, its time lines, the story."),
 ]
 Ledger = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")]
-RunId = Annotated[str, typer.Argument(metavar="RUN_ID", help="The run, or an unambiguous beginning of its id.")]
+RunId = Annotated[
+    str,
+    typer.Argument(
+        metavar="RUN",
+        help="Its number in `mavfi runs DIR`, or the beginning of its id.",
+        autocompletion=completion.run_id,
+    ),
+]
 AllTables = Annotated[bool, typer.Option("--all", help="Print all tables, not only the headline.")]
 Workers = Annotated[int, typer.Option(help="Processes; the result does not depend on them.")]
 
@@ -160,7 +192,12 @@ def _parameter(name: str, field: FieldInfo) -> inspect.Parameter:
     kind: Any = str if _words(field) else field.annotation
     metavar = "X Y Z" if kind == Vector | None else None
     help_text, _, _ = str(field.description).partition(". ")  # the rest is for the reference
-    option = typer.Option(option_name(name), help=f"{help_text.rstrip('.')}.", metavar=metavar)
+    completer = _COMPLETERS.get(name)
+    if _words(field):
+        completer = completion.of_words(_words(field))
+    option = typer.Option(
+        option_name(name), help=f"{help_text.rstrip('.')}.", metavar=metavar, autocompletion=completer
+    )
     annotation = Annotated[kind, option]
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=annotation)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.text import Text
 
-from mavfi.cli import options
+from mavfi.cli import completion, options
 from mavfi.cli.console import console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
@@ -40,7 +40,14 @@ TIMED_FLIGHTS = 3
 
 
 def reproduce(  # noqa: PLR0913 - one parameter per option
-    study: Annotated[str, typer.Argument(metavar="[STUDY.yaml]", help="A YAML file, or a shipped study.")] = "paper",
+    study: Annotated[
+        str,
+        typer.Argument(
+            metavar="[STUDY.yaml]",
+            help="A YAML file, or a shipped study.",
+            autocompletion=completion.of_configs("studies"),
+        ),
+    ] = "paper",
     scale: Annotated[
         str, typer.Option(help="quick: minutes on two cores; paper: as many missions as the paper, about 21,500.")
     ] = "quick",
