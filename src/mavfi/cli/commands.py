@@ -20,7 +20,7 @@ from mavfi.cli import panels
 from mavfi.cli.console import complain
 from mavfi.cli.stopping import EXIT_STOPPED
 from mavfi.dropped import COMMANDS, OPTIONS
-from mavfi.errors import BadInputError, MavfiError, machine_failure
+from mavfi.errors import BadInputError, MavfiError, hint, machine_failure, not_known
 from mavfi.plugins import allow_plugins, allow_typed, known, plugin_failure
 
 _ALLOW_PLUGINS = "--allow-plugins"
@@ -205,7 +205,7 @@ def run(arguments: Sequence[str]) -> int:
         dropped = _dropped(arguments)
         if dropped:
             return complain(dropped, EXIT_BAD_INPUT)
-        message = _refused_value(error) or error.format_message().rstrip(".")
+        message = _unknown_word(error, arguments) or _refused_value(error) or error.format_message().rstrip(".")
         return complain(f"{message}; see `mavfi {_verb(arguments)}--help`", EXIT_BAD_INPUT)
     except typer.Abort:
         return EXIT_STOPPED
@@ -232,6 +232,21 @@ def _dropped(arguments: Sequence[str]) -> str:
     for command, replacement in COMMANDS.items():
         if line.startswith(command):
             return f"{command}: dropped; {replacement}"
+    return ""
+
+
+def _unknown_word(error: typer.TyperException, arguments: Sequence[str]) -> str:
+    """The refusal of an option or command that does not exist, if that is the error; "" for others."""
+    option = getattr(error, "option_name", "")
+    if option and hasattr(error, "possibilities"):
+        return f"{option}: not known{hint(option, error.possibilities or ())}"
+    if not error.format_message().startswith("No such command"):
+        return ""
+    group = _command()
+    for word in arguments:
+        if word not in group.commands:
+            return f"command {not_known(word, list(group.commands))}"
+        group = group.commands[word]
     return ""
 
 

@@ -17,7 +17,7 @@ from mavfi.cli import completion
 from mavfi.cli.panels import DETECTION, FAULT, MISSION, OF_OPTIONS, OUTPUT, PIPELINE
 from mavfi.config import Vector
 from mavfi.dropped import VALUES
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.mission import LARGEST_SEED, OF_A_DETECTOR, MissionSpec
 from mavfi.plugins import extensions, known
 
@@ -171,6 +171,9 @@ def mission_of(values: Mapping[str, Any]) -> MissionSpec:
         value = first["input"]
         shown = repr(value) if isinstance(value, str) else str(value)
         reason = f"allowed: {_allowed(name)}"
+        words = _words(MissionSpec.model_fields[name])
+        if words:
+            reason = not_known(value, words).removeprefix(f"{shown}: ")
         replacement = VALUES.get((name, str(value)))
         if replacement:
             reason = f"dropped; use {replacement!r}"

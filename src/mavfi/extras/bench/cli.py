@@ -12,7 +12,7 @@ from rich.text import Text
 from mavfi.cli import options
 from mavfi.cli.console import check_number, console, write_json
 from mavfi.cli.stopping import stoppable
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.files import check_folder
 
 HELP_PANEL = "Detectors"
@@ -70,9 +70,7 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     # Check the options, and select schemes and parts.
     chosen = load_bench(bench)
     if scale not in scales(chosen):
-        raise BadInputError(
-            f"--scale: {scale!r}: not known in bench {chosen.name}; allowed: {', '.join(scales(chosen))}"
-        )
+        raise BadInputError(f"--scale: bench {chosen.name}: {not_known(scale, scales(chosen))}")
     if scheme and detector:
         raise BadInputError("--scheme and --detector: allowed: one of them")
     if profile is not None and not detector:

@@ -11,7 +11,7 @@ from mavfi.cli import options
 from mavfi.cli.console import check_number, console, write_json
 from mavfi.cli.panels import OUTPUT
 from mavfi.cli.stopping import stoppable
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.mission import OF_THE_PIPELINE, MissionSpec
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def serve(
     from mavfi.extras.mavlink.server import DIALECTS, MavlinkServer
 
     if dialect not in DIALECTS:
-        raise BadInputError(f"--dialect: {dialect!r}: not known; allowed: {', '.join(DIALECTS)}")
+        raise BadInputError(f"--dialect: {not_known(dialect, DIALECTS)}")
     server = MavlinkServer(mission, port, speed=speed, dialect=dialect, tell=_tell)
     if not as_json:
         console().print(f"autopilot at udp://127.0.0.1:{server.port}, telemetry to 14540 and 14550", markup=False)
