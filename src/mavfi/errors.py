@@ -113,14 +113,30 @@ def machine_failure(error: BaseException | None) -> str:
 
 
 def allowed(names: Collection[str], wanted: str = "") -> str:
-    """The allowed names for a message: the likeliest first, at most one line."""
-    likely = get_close_matches(wanted, names, 3, 0.5)
-    ordered = [*likely, *sorted(set(names) - set(likely))]
+    """The allowed names for a message, at most one line: of many, the likeliest first."""
+    ordered = list(dict.fromkeys(names))
     if not ordered:
         return "none, there are none"
+    if len(ordered) > _MOST_SHOWN:
+        likely = get_close_matches(wanted, ordered, 3, 0.5)
+        ordered = [*likely, *sorted(set(ordered) - set(likely))]
     text = ", ".join(ordered[:_MOST_SHOWN])
     if len(ordered) > _MOST_SHOWN:
         text += f", and {len(ordered) - _MOST_SHOWN} more"
+    return text
+
+
+def not_known(name: object, names: Collection[str], also: str = "") -> str:
+    """The end of a message on a name that is none of those that are allowed.
+
+    Args:
+        name: The name.
+        names: All that are allowed.
+        also: What else is allowed, in words, e.g. "or a path to a .yaml file".
+    """
+    text = f"{name!r}: not known{hint(name, names)}; allowed: {allowed(names, str(name))}"
+    if also:
+        text += f", {also}"
     return text
 
 
@@ -128,7 +144,7 @@ def hint(wanted: object, names: Iterable[str]) -> str:
     """A question after an unknown name: whether the most similar of some names is meant; "" = none is similar."""
     if not isinstance(wanted, str):
         return ""
-    similar = get_close_matches(wanted, list(names), 1, 0.7)
+    similar = get_close_matches(wanted, list(names), 1, 0.6)
     if similar:
         return f" (did you mean {similar[0]!r}?)"
     return ""

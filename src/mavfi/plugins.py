@@ -19,7 +19,7 @@ from traceback import walk_tb
 from types import FrameType
 from typing import Any
 
-from mavfi.errors import BadInputError, MavfiError, hint, machine_failure, missing_package
+from mavfi.errors import BadInputError, MavfiError, machine_failure, missing_package, not_known
 
 _VARIABLE = "MAVFI_ALLOW_PLUGINS"
 """Allowed names, separated by spaces; an environment variable, inherited by child processes."""
@@ -163,9 +163,7 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
     else:
         names = known(group, shipped)
         if name not in names:
-            allowed = ", ".join([*sorted(names), "or package:object"])
-            text = f"not known{hint(name, names)}; allowed: {allowed.removeprefix('or ')}"
-            raise BadInputError(f"{what} {name!r}: {text}")
+            raise BadInputError(f"{what} {not_known(name, sorted(names), 'or package:object')}")
         address = names[name]
     module, _, attribute = address.partition(":")
 

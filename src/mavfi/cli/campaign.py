@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.cli import options
+from mavfi.cli import completion, options
 from mavfi.cli.console import check_name, check_seed, check_writable, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, MavfiError
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from mavfi.campaign.ledger import Status
     from mavfi.campaign.requirement import Requirement
 
+HELP_PANEL = "Campaigns"
 EXIT_REQUIREMENT = 3
 """Exit code if a requirement does not hold, or too few runs show that it does."""
 Require = Annotated[
@@ -44,7 +45,12 @@ app = typer.Typer(
 @app.command("run")
 def run(  # noqa: PLR0913 - options
     config: Annotated[
-        str, typer.Argument(metavar="CONFIG.yaml", help="A YAML file, or the name of a shipped campaign.")
+        str,
+        typer.Argument(
+            metavar="CONFIG.yaml",
+            help="A YAML file, or the name of a shipped campaign.",
+            autocompletion=completion.of_configs("campaigns"),
+        ),
     ],
     out: Annotated[
         Path | None,

@@ -17,6 +17,7 @@ from mavfi.errors import BadInputError
 from mavfi.files import check_folder
 from mavfi.plugins import extensions
 
+HELP_PANEL = "Campaigns"
 MAX_FLIGHTS = 10_000
 
 if TYPE_CHECKING:
@@ -43,9 +44,10 @@ def report(  # noqa: PLR0913 - one parameter per option
     ] = None,
     workers: options.Workers = 2,
 ) -> None:
-    """Print the headline of a campaign, and write report.md, figures, summary.json and readme_block.md to its folder.
+    """Print the headline of a campaign; write report and figures.
 
-    The folder of a study (`mavfi reproduce`) gives the report of the study; `--view` shows the campaign in it.
+    Written to its folder: report.md, figures, summary.json and readme_block.md. The folder of a study (`mavfi
+    reproduce`) gives the report of the study; `--view` shows the campaign in it.
 
     Example: [bold]mavfi report out/states --view by_state --csv[/bold]
     """
