@@ -183,7 +183,7 @@ def _show_view(directory: Path, name: str, *, as_csv: bool, as_json: bool) -> No
         views = applicable(runs)
         width = max(len(view.name) for view in views)
         for view in views:
-            typer.echo(f"{view.name:{width}}  {view.title}")
+            typer.echo(f"{view.name:{width}}  {view.title_of(runs)}")
         return
     table = table_asked_for(runs, name)
     if as_csv:
