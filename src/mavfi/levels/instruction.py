@@ -628,8 +628,14 @@ class InstructionLevel(Level):
         how = f"instructions: {sampling.which}, model {sampling.model}"
         if sampling.when != "uniform":
             how += f", calls: {sampling.when}"
-        kernels = [target.name for target in campaign_targets(campaign)]
-        return {"each": sampling.share, "how": how, "kernels": kernels, "which": sampling.which}
+        targets = campaign_targets(campaign)
+        return {
+            "each": sampling.share,
+            "how": how,
+            "kernels": [target.name for target in targets],
+            "stages": list(dict.fromkeys(target.stage for target in targets)),
+            "which": sampling.which,
+        }
 
 
 def _fault_in(match: re.Match[str]) -> InstructionFault:

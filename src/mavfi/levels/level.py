@@ -370,7 +370,8 @@ class Level:
     def about(self, campaign: Any) -> dict[str, Any]:
         """How a campaign draws, for the notes of tables: `each` (what `faults` counts), `how`, and further keys.
 
-        `per_mission` is the number of faults in a mission in words, unless it is one.
+        `per_mission` is the number of faults in a mission in words, unless it is one; `stages` are those with faults,
+        where a fault is in one of them.
 
         With `title` and `lines`, the level describes what is under test itself.
         """

@@ -33,7 +33,7 @@ MODELS = "models"
 PAGE = "report.html"
 FLIGHTS_EACH = 5
 """Name of the study's page, and its number of flights of each campaign: 1.5 MB and less than a minute of two
-processors for the paper's study.  `mavfi report --html` fills the page up to its largest size, in several minutes."""
+processors for the paper's study; `mavfi report DIR --html FILE --flights N` writes it with more."""
 TIMED = "overheads_as_in_the_paper"
 TIMED_FLIGHTS = 3
 """View whose overheads are measured, and golden flights per environment and detector for it."""

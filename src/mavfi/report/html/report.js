@@ -39,8 +39,9 @@ function showRun(id) {
     place.append(document.getElementById("flight-template").content.cloneNode(true));
     shownPlayer = new Player(place.querySelector(".flight"), flight);
   } else if (run >= 0) {
-    place.append(element("p", {}, "This flight is not stored in this file. These commands fly it again:"));
     const folder = runList.text("folder", run);
+    place.append(element("p", {}, "This flight is not stored in this file. The first command shows any run that is clicked, the others fly this one again:"));
+    place.append(element("code", { class: "command", tabindex: "0" }, `mavfi serve ${folder}`));
     for (const verb of ["replay", "explain"]) {
       const html = verb === "explain" ? " --html flight.html" : "";
       place.append(element("code", { class: "command", tabindex: "0" }, `mavfi ${verb} ${folder} ${id}${html}`));

@@ -85,7 +85,7 @@ class RunList {
     const source = this.set === null ? "" : " behind the chosen cell or point";
     document.getElementById("runs-summary").textContent =
       `${this.found.length} of ${this.data.ids.length} runs${source}${filters.length ? `; ${filters.join(", ")}` : ""}.`
-      + ` ${this.stored.size} have their flight in this file (●).`;
+      + ` ${this.stored.size} have their flight in this file (●); the commands above show the others.`;
     const rows = this.found.slice(ROWS * this.page, ROWS * (this.page + 1));
     this.columns = this.shownFilters.filter((name) => this.found.some((run) => this.text(name, run) !== ""));
     this.buildHead();
