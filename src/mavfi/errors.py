@@ -42,6 +42,10 @@ FROM_OUTSIDE = frozenset({"SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", "SIGQUIT"})
 class MavfiError(Exception):
     """Base of every error that mavfi raises on purpose."""
 
+    def _render_traceback_(self) -> list[str]:
+        """What IPython shows in place of a traceback, whose lines tell nothing about a user's error: one line."""
+        return [f"{type(self).__name__}: {self}"]
+
 
 class BadInputError(MavfiError):
     """User input is wrong: the text names item, place, value and what is allowed (exit code 2)."""
