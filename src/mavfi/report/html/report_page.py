@@ -315,6 +315,35 @@ def headline_of(report: CampaignReport) -> Headline:
     return Headline("campaign", campaign[0].upper() + campaign[1:], [mission, *lines], {"": report.findings})
 
 
+def page_values(
+    campaigns: Sequence[ReportedCampaign],
+    sections: Sequence[PageSection],
+    commands: Sequence[tuple[str, str]],
+    headline: Headline | None = None,
+) -> dict[str, Any]:
+    """Values of the template of the page, except its `flights`; arguments: see `write_report_page`."""
+    reports = [campaign.report for campaign in campaigns]
+    # the list of runs, tables and figures; these two collect the sets of runs to which they link
+    listed_runs = run_list({str(campaign.directory): campaign.report.runs for campaign in campaigns})
+    sets = RunSets({run_id: index for index, run_id in enumerate(listed_runs["ids"])})
+    section_data = [_section_data(number, section, sets) for number, section in enumerate(sections)]
+    csv = {table["id"]: table.pop("csv") for section in section_data for table in section["tables"]}
+    # checks and remarks; with several campaigns, also what each of them is
+    remarks: list[str] = []
+    if len(reports) > 1:
+        remarks += ["; ".join(header(report.runs.campaign)) for report in reports]
+    for report in reports:
+        remarks += checks(report.runs)
+    return {
+        "headline": headline or headline_of(reports[0]),
+        "commands": commands,
+        "sections": section_data,
+        "checks": [*remarks, *remarks_on(reports[0].runs)],
+        "csv": csv,
+        "runs": listed_runs | {"sets": list(sets.texts)},
+    }
+
+
 def write_report_page(
     path: Path,
     campaigns: Sequence[ReportedCampaign],
@@ -342,26 +371,7 @@ def write_report_page(
     Raises:
         BadInputError: The file cannot be written, or exceeds the maximum size even without flights.
     """
-    reports = [campaign.report for campaign in campaigns]
-    # the list of runs, tables and figures; these two collect the sets of runs to which they link
-    listed_runs = run_list({str(campaign.directory): campaign.report.runs for campaign in campaigns})
-    sets = RunSets({run_id: index for index, run_id in enumerate(listed_runs["ids"])})
-    section_data = [_section_data(number, section, sets) for number, section in enumerate(sections)]
-    csv = {table["id"]: table.pop("csv") for section in section_data for table in section["tables"]}
-    # checks and remarks; with several campaigns, also what each of them is
-    remarks: list[str] = []
-    if len(reports) > 1:
-        remarks += ["; ".join(header(report.runs.campaign)) for report in reports]
-    for report in reports:
-        remarks += checks(report.runs)
-    values: dict[str, Any] = {
-        "headline": headline or headline_of(reports[0]),
-        "commands": commands,
-        "sections": section_data,
-        "checks": [*remarks, *remarks_on(reports[0].runs)],
-        "csv": csv,
-        "runs": listed_runs | {"sets": list(sets.texts)},
-    }
+    values = page_values(campaigns, sections, commands, headline)
     text = page.render("report.html.j2", **values, flights={})
     size = len(text.encode())
     if size > largest:
@@ -382,7 +392,7 @@ def _section_data(number: int, section: PageSection, sets: RunSets) -> dict[str,
     figures = []
     for figure in section.figures:
         svg = svg_of(figure.figure, f"s{number}-{figure.name}", figure.caption, sets)
-        figures.append({"svg": svg, "caption": figure.caption})
+        figures.append({"name": figure.name, "svg": svg, "caption": figure.caption})
     return {
         "id": f"section-{number}",
         "title": section.title,
