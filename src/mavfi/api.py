@@ -107,6 +107,7 @@ def run(
     workers: int = 2,
     models: Path | str | None = None,
     executor: "Executor | None" = None,
+    extend: bool = False,
     progress: "Callable[[Progress], None] | None" = None,
 ) -> "Runs":
     """Fly a campaign or its remaining runs, and load its ledger.
@@ -117,6 +118,7 @@ def run(
         workers: Number of processes; the ledger does not depend on it.
         models: Folder of trained models; None = that of the ledger, or the shipped ones.
         executor: Alternative executor, e.g. a `mavfi.extras.dask.executor.DaskExecutor`.
+        extend: Whether the ledger may be that of a smaller campaign, whose runs are kept.
         progress: Called after every run.
 
     Raises:
@@ -137,6 +139,7 @@ def run(
         Path(directory),
         executor=executor or LocalExecutor(workers),
         models_dir=_path(models),
+        extend=extend,
         progress=progress,
     )
     return load(directory)
