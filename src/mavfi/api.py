@@ -30,6 +30,7 @@ from mavfi.report.flight_result import FlightResult
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from mavfi.analysis.comparison import CampaignComparison
     from mavfi.analysis.runs import Runs
     from mavfi.analysis.table import Table
     from mavfi.campaign.config import Campaign
@@ -184,6 +185,21 @@ def figure(runs: "Runs", name: str) -> "Figure":
     from mavfi.report.figures import figure as figure_of
 
     return figure_of(runs, name)
+
+
+def compare(runs_a: "Runs", runs_b: "Runs") -> "CampaignComparison":
+    """Compare two campaigns: differences of failures, flight time and energy, B - A, in pairs where runs are shared.
+
+    Args:
+        runs_a: See `load`.
+        runs_b: The other one.
+
+    Raises:
+        BadInputError: They have nothing in common.
+    """
+    from mavfi.analysis.comparison import compare as compare_runs
+
+    return compare_runs(runs_a, runs_b)
 
 
 def fly_request(
