@@ -229,6 +229,8 @@ def describe(store: Store) -> dict[str, Any]:
         "missions": campaign.missions,
         "faults": campaign.faults,
         "monitored_set": campaign.monitored_set,
+        "mission": dict(campaign.mission),
+        "sampling": campaign.sampling.to_json(),
         "parts": {name: part.model_dump(exclude_none=True) for name, part in campaign.parts.items()},
         "arms": {name: arm.model_dump(mode="json") for name, arm in campaign.arms.items()},
         "models": store.meta("identity")["models"],

@@ -12,7 +12,7 @@ import json
 import os
 import sqlite3
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -348,7 +348,8 @@ class Store:
         wanted = json.loads(canonical(identity))
         if stored != wanted:
             where = f"{self.directory}: holds another campaign"
-            raise BadInputError(f"{where} (differs in: {differences(stored, wanted)}); choose another directory")
+            differing = differences(stored, wanted)
+            raise BadInputError(f"{where} (differs in: {differing}); choose another directory, or add to it: --extend")
 
     def _check_content(self) -> None:
         """Refuse a ledger that fails its integrity check twice, since a disk may fail temporarily."""
@@ -437,6 +438,47 @@ class Store:
         with self.writing():
             row = *world, mission_checksum(self._connection, world, salt_of(self._connection))
             self._connection.execute("INSERT OR IGNORE INTO missions VALUES (?, ?, ?)", row)
+
+    def replan(
+        self,
+        identity: Mapping[str, Any],
+        rows: Sequence[Row],
+        planned: Iterable[tuple[str, int]],
+        unflown: Collection[str],
+    ) -> None:
+        """Make this the ledger of another campaign, which has all of its runs, at other positions.
+
+        Args:
+            identity: That of the campaign.
+            rows: The stored runs as the campaign plans them.
+            planned: Missions that have no further runs in it, by environment and seed.
+            unflown: Ids of runs that are to be flown again.
+        """
+        with self.writing():
+            # The identity comes first: it is the salt of all other checksums.
+            keys = [key for (key,) in self._connection.execute("SELECT key FROM meta")]
+            metadata = {key: self.meta(key) for key in keys if key not in (IDENTITY, BOUND)}
+            self.write_meta({IDENTITY: identity, BOUND: True})
+            self.write_meta(metadata)
+            salt = salt_of(self._connection)
+
+            # Positions are unique at every instant: the old ones make room by becoming negative.
+            self._connection.execute("UPDATE runs SET position = -1 - position")
+            for row in rows:
+                result = None, "", None
+                if row.run_id not in unflown:
+                    query = "SELECT record, note, wall_s FROM runs WHERE run_id = ?"
+                    result = self._connection.execute(query, (row.run_id,)).fetchone()
+                self._connection.execute(
+                    "UPDATE runs SET position = ?, spec = ?, record = ?, note = ?, wall_s = ?, checksum = ? "
+                    "WHERE run_id = ?",
+                    (row.position, row.text, *result, checksum_of(*row, *result, *salt), row.run_id),
+                )
+
+            # A mission is completely planned if nothing is added to it.
+            self._connection.execute("DELETE FROM missions")
+            for world in planned:
+                self.end_plan(world)
 
     def done(self, world: tuple[str, int]) -> frozenset[str]:
         """Ids of the completed runs of a mission, given by environment and seed."""

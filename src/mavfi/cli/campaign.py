@@ -80,6 +80,10 @@ def run(  # noqa: PLR0913 - options
             help="Begin injected runs at checkpoints of their golden run; the result does not depend on it.",
         ),
     ] = True,
+    extend: Annotated[
+        bool,
+        typer.Option("--extend", help="Keep the runs of a smaller campaign in --out: fly what CONFIG has in addition."),
+    ] = False,
     allow_unknown: Annotated[
         bool, typer.Option("--allow-unknown", help="Exit with 0 even if runs have status unknown.")
     ] = False,
@@ -117,6 +121,7 @@ def run(  # noqa: PLR0913 - options
             models_dir=models,
             fast_forward=fast_forward,
             shard=chosen_shard,
+            extend=extend,
             progress=bar.show_campaign,
         )
     # report; unknown runs first, they make the figures incomplete

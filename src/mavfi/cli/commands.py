@@ -34,6 +34,7 @@ EXIT_BAD_INPUT = 2
 VERBS = {
     "fly": "mavfi.cli.fly:fly",
     "campaign": "mavfi.cli.campaign:app",
+    "compare": "mavfi.cli.runs:compare",
     "report": "mavfi.cli.report:report",
     "runs": "mavfi.cli.runs:runs",
     "replay": "mavfi.cli.runs:replay",
