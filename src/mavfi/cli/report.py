@@ -16,7 +16,7 @@ from mavfi.cli import options
 from mavfi.cli.console import PAGES, check_file, check_number, console, counted, write_json
 from mavfi.cli.stopping import EXIT_STOPPED, stoppable
 from mavfi.errors import BadInputError
-from mavfi.files import check_folder
+from mavfi.files import check_folder, make_folder
 from mavfi.plugins import extensions
 
 HELP_PANEL = "Campaigns"
@@ -161,6 +161,7 @@ def _write_figures(drawn: Sequence["Drawn"], folder: Path) -> str:
     from mavfi.report.style import write_figure
 
     paths: list[Path] = []
+    make_folder(folder)
     with Bar("figures", "figures") as bar:
         for done, result in enumerate(drawn, start=1):
             paths += write_figure(result.figure, folder, result.name)

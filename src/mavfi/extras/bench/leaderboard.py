@@ -21,7 +21,7 @@ from mavfi.errors import write_text
 from mavfi.extras.bench.bench import SCORES, Bench, SelectedPart, checksum, faults_of, frozen_faults, published_rows
 from mavfi.extras.bench.scores import Scores, scores, unscored
 from mavfi.extras.bench.scores import table as table_of_scores
-from mavfi.files import is_file
+from mavfi.files import is_file, make_folder
 from mavfi.report import style
 from mavfi.report.campaign_report import markdown_table
 
@@ -128,6 +128,7 @@ def write_leaderboard(
     Raises:
         BadInputError: A file cannot be written.
     """
+    make_folder(flights.folder)
     texts = {"leaderboard.md": leaderboard(shown, flights.bench.name, flights.scale, command)}
     texts |= {f"{name}.csv": table.to_csv() for name, table in flown.items()}
     if scores_by_arm:
