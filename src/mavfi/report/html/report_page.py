@@ -171,6 +171,9 @@ def run_list(ledgers: Mapping[str, Runs]) -> dict[str, Any]:
         place=pl.when(pl.col("state") != "").then(pl.col("state")).otherwise(pl.col("kernel")),
         status=pl.col("status").str.replace_all("_", " "),
         bit=pl.col("bit").cast(pl.String).fill_null(""),
+        effect=pl.when((pl.col("level") == "sensor") & (pl.col("effect") == "sdc"))
+        .then(pl.lit("changed"))
+        .otherwise(pl.col("effect")),
     )
     texts = {name: _coded(frame[name]) for name in FILTERS}
     numbers = {name: _rounded(frame[name], digits) for name, digits in NUMBERS.items()}
