@@ -87,6 +87,7 @@ ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a
 docs: setup  ## write the pages and tables that are derived from the code
 	@$(BIN)/python -m tools.build_pages
 	@$(BIN)/python -m tools.build_notebook
+	@$(BIN)/python -m tools.build_demo
 
 wheel: setup  ## build the wheel, install it in an empty environment, run it
 	@rm -rf dist build/wheel-venv
