@@ -14,7 +14,7 @@ _INTRODUCTION = f"""
 flies these faults and prints what follows; `mavfi demo 3` flies one of them and draws it, and
 `mavfi demo --html demo.html` writes a page on which each flight can be seen in three dimensions. Every fault is flown
 three times: without it (the golden run), with it, and with it under the detector `{DETECTOR}`
-([detectors](detectors.md)). The command below a picture repeats these flights.
+([detectors](reference/detectors.md)). The command below a picture repeats these flights.
 """
 
 

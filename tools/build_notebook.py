@@ -1,8 +1,9 @@
-"""Write `examples/python_api.ipynb` from the code blocks of `docs/python-api.md`, with their outputs in a kernel."""
+"""Write `examples/python_api.ipynb` from the code blocks of `docs/how-to/python-api.md`, executed in a kernel."""
 
 import os
 import re
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import nbformat
@@ -11,7 +12,7 @@ from nbformat import NotebookNode
 
 from tools.markers import DOCS, ROOT
 
-PAGE = DOCS / "python-api.md"
+PAGE = DOCS / "how-to" / "python-api.md"
 NOTEBOOK = ROOT / "examples" / "python_api.ipynb"
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\((?!https?:)([^)]+)\)")
@@ -33,15 +34,15 @@ def cells(page: str) -> list[tuple[str, str]]:
 
 
 def _relink(text: str) -> str:
-    """Relocate links from `docs` to `examples`."""
-    return LINK.sub(lambda link: f"]({os.path.relpath(DOCS / link[1], NOTEBOOK.parent)})", text)
+    """Relocate links from the page to `examples`."""
+    return LINK.sub(lambda link: f"]({os.path.relpath(PAGE.parent / link[1], NOTEBOOK.parent)})", text)
 
 
 def notebook(page: str) -> NotebookNode:
     """The notebook of the page, without outputs."""
     notebook_cells = []
     for index, (kind, text) in enumerate(cells(page)):
-        make = nbformat.v4.new_markdown_cell
+        make: Callable[..., NotebookNode] = nbformat.v4.new_markdown_cell
         if kind == "code":
             make = nbformat.v4.new_code_cell
         notebook_cells.append(make(text, id=f"cell-{index}"))

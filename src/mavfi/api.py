@@ -32,6 +32,7 @@ from mavfi.report.flight_result import FlightResult, FlownAs
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from mavfi.analysis.comparison import CampaignComparison
     from mavfi.analysis.runs import Runs
     from mavfi.analysis.table import Table
     from mavfi.campaign.config import Campaign
@@ -118,6 +119,7 @@ def run(
     workers: int = 2,
     models: Path | str | None = None,
     executor: "Executor | None" = None,
+    extend: bool = False,
     progress: "Callable[[Progress], None] | None" = None,
 ) -> "Runs":
     """Fly a campaign or its remaining runs, and load its ledger.
@@ -128,6 +130,7 @@ def run(
         workers: Number of processes; the ledger does not depend on it.
         models: Folder of trained models; None = that of the ledger, or the shipped ones.
         executor: Alternative executor, e.g. a `mavfi.extras.dask.executor.DaskExecutor`.
+        extend: Whether the ledger may be that of a smaller campaign, whose runs are kept.
         progress: Called after every run; None = one line is updated in notebooks and terminals.
 
     Raises:
@@ -150,6 +153,7 @@ def run(
             Path(directory),
             executor=executor or LocalExecutor(workers),
             models_dir=_path(models),
+            extend=extend,
             progress=progress or line,
         )
     return load(directory)
@@ -176,7 +180,7 @@ def table(runs: "Runs", view: str) -> "Table":
     Raises:
         BadInputError: Unknown view, or these runs have nothing to show in it.
     """
-    from mavfi.analysis import table_asked_for
+    from mavfi.analysis.views import table_asked_for
 
     return table_asked_for(runs, view)
 
@@ -194,6 +198,21 @@ def figure(runs: "Runs", name: str) -> "Figure":
     from mavfi.report.figures import figure as figure_of
 
     return figure_of(runs, name)
+
+
+def compare(runs_a: "Runs", runs_b: "Runs") -> "CampaignComparison":
+    """Compare two campaigns: differences of failures, flight time and energy, B - A, in pairs where runs are shared.
+
+    Args:
+        runs_a: See `load`.
+        runs_b: The other one.
+
+    Raises:
+        BadInputError: They have nothing in common.
+    """
+    from mavfi.analysis.comparison import compare as compare_runs
+
+    return compare_runs(runs_a, runs_b)
 
 
 def fly_request(

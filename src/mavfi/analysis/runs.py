@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
+from mavfi.analysis.likeness import differences
 from mavfi.analysis.rows import GOLDEN, INJECTED, NULL, SCHEMA, row_of
 from mavfi.analysis.statistics import CONFIDENCE
 from mavfi.campaign.config import ArmConfig, Campaign, label_of
 from mavfi.campaign.ledger import status, stored_campaign
 from mavfi.campaign.plan import FI
 from mavfi.campaign.store import Run, Store
-from mavfi.faults.plug_ins import arms_with_plug_ins, custom_detectors
+from mavfi.faults.plug_ins import custom_detectors
 from mavfi.mission import MissionSpec
 from mavfi.plugins import extensions
 from mavfi.record import FlightRecord
@@ -214,8 +215,8 @@ def describe(store: Store) -> dict[str, Any]:
 
     Returns:
         `title` and `lines` are text; views need `profile` (of the autopilot), `monitored_set`, `each` (unit to which
-        the number of faults applies), `kernels` and `which`, `parts`, `arms_with_plug_ins`, and what
-        extras add, e.g. measured `overheads`.
+        the number of faults applies), `kernels` and `which`, `parts`, `unlike_the_paper` (of flights, see
+        `likeness.Differences`), and what extras add, e.g. measured `overheads`.
     """
     campaign = stored_campaign(store)
     progress = status(store.directory)
@@ -228,6 +229,8 @@ def describe(store: Store) -> dict[str, Any]:
         "missions": campaign.missions,
         "faults": campaign.faults,
         "monitored_set": campaign.monitored_set,
+        "mission": dict(campaign.mission),
+        "sampling": campaign.sampling.to_json(),
         "parts": {name: part.model_dump(exclude_none=True) for name, part in campaign.parts.items()},
         "arms": {name: arm.model_dump(mode="json") for name, arm in campaign.arms.items()},
         "models": store.meta("identity")["models"],
@@ -237,7 +240,6 @@ def describe(store: Store) -> dict[str, Any]:
         "digest": store.digest(),
         "done": progress.done,
         "total": progress.total,
-        "arms_with_plug_ins": arms_with_plug_ins(campaign),
         "custom_detectors": [plug_in.name for plug_in in custom_detectors(campaign).values()],
         **drawn(campaign),
     }
@@ -249,7 +251,8 @@ def drawn(campaign: Campaign) -> dict[str, Any]:
     if "title" in about:  # of processes, not of flights
         return about
     how = about.pop("how")
-    return about | _flights(campaign, about["each"], how)
+    unlike = differences(campaign, about).to_json()
+    return about | {"unlike_the_paper": unlike} | _flights(campaign, about["each"], how)
 
 
 def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:

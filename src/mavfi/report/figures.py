@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from mavfi.analysis.runs import Runs
 from mavfi.dropped import dropped_name
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.plugins import Catalogue
 from mavfi.report import style
 from mavfi.report.notebook import NotebookFigure
@@ -43,7 +43,7 @@ def drawing(name: str) -> Drawing:
         BadInputError: The figure does not exist.
     """
     if name not in FIGURES:
-        refusal = f"figure {name!r}: not known; allowed: {', '.join(FIGURES)}"
+        refusal = f"figure {not_known(name, FIGURES)}"
         raise BadInputError(dropped_name("figures", name) or refusal)
     return FIGURES[name]
 
