@@ -45,6 +45,7 @@ def serve(
         raise not_installed("mavfi serve", error.name, "serve") from None
     from mavfi.extras.serve.flights import Flights
     from mavfi.extras.serve.ledgers import find_ledgers
+    from mavfi.extras.serve.server import Server
 
     token = secrets.token_urlsafe(16)
     flights = Flights()
@@ -54,14 +55,10 @@ def serve(
     typer.echo(f"{counted(len(find_ledgers(directory)), 'campaign')} in {directory}, until Ctrl-C, at\n{address}")
     if open_browser:
         webbrowser.open(address)
-    config = uvicorn.Config(
-        app, log_level="warning", access_log=False, lifespan="off", timeout_graceful_shutdown=_PATIENCE_S
-    )
+    # the application itself prints what fails; uvicorn would add the requests that Ctrl-C cuts short
+    config = uvicorn.Config(app, log_level="critical", lifespan="off", timeout_graceful_shutdown=_PATIENCE_S)
     with stoppable("Stopped."):
-        try:
-            uvicorn.Server(config).run(sockets=[listening])
-        finally:
-            flights.close()
+        Server(config, flights).run(sockets=[listening])
 
 
 def _listen(host: str, port: int) -> socket.socket:
