@@ -12,7 +12,7 @@ import json
 import os
 import sqlite3
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -348,7 +348,8 @@ class Store:
         wanted = json.loads(canonical(identity))
         if stored != wanted:
             where = f"{self.directory}: holds another campaign"
-            raise BadInputError(f"{where} (differs in: {differences(stored, wanted)}); choose another directory")
+            differing = differences(stored, wanted)
+            raise BadInputError(f"{where} (differs in: {differing}); choose another directory, or add to it: --extend")
 
     def _check_content(self) -> None:
         """Refuse a ledger that fails its integrity check twice, since a disk may fail temporarily."""
@@ -438,6 +439,47 @@ class Store:
             row = *world, mission_checksum(self._connection, world, salt_of(self._connection))
             self._connection.execute("INSERT OR IGNORE INTO missions VALUES (?, ?, ?)", row)
 
+    def replan(
+        self,
+        identity: Mapping[str, Any],
+        rows: Sequence[Row],
+        planned: Iterable[tuple[str, int]],
+        unflown: Collection[str],
+    ) -> None:
+        """Make this the ledger of another campaign, which has all of its runs, at other positions.
+
+        Args:
+            identity: That of the campaign.
+            rows: The stored runs as the campaign plans them.
+            planned: Missions that have no further runs in it, by environment and seed.
+            unflown: Ids of runs that are to be flown again.
+        """
+        with self.writing():
+            # The identity comes first: it is the salt of all other checksums.
+            keys = [key for (key,) in self._connection.execute("SELECT key FROM meta")]
+            metadata = {key: self.meta(key) for key in keys if key not in (IDENTITY, BOUND)}
+            self.write_meta({IDENTITY: identity, BOUND: True})
+            self.write_meta(metadata)
+            salt = salt_of(self._connection)
+
+            # Positions are unique at every instant: the old ones make room by becoming negative.
+            self._connection.execute("UPDATE runs SET position = -1 - position")
+            for row in rows:
+                result = None, "", None
+                if row.run_id not in unflown:
+                    query = "SELECT record, note, wall_s FROM runs WHERE run_id = ?"
+                    result = self._connection.execute(query, (row.run_id,)).fetchone()
+                self._connection.execute(
+                    "UPDATE runs SET position = ?, spec = ?, record = ?, note = ?, wall_s = ?, checksum = ? "
+                    "WHERE run_id = ?",
+                    (row.position, row.text, *result, checksum_of(*row, *result, *salt), row.run_id),
+                )
+
+            # A mission is completely planned if nothing is added to it.
+            self._connection.execute("DELETE FROM missions")
+            for world in planned:
+                self.end_plan(world)
+
     def done(self, world: tuple[str, int]) -> frozenset[str]:
         """Ids of the completed runs of a mission, given by environment and seed."""
         query = "SELECT run_id FROM runs WHERE environment = ? AND seed = ? AND record IS NOT NULL"
@@ -486,16 +528,25 @@ class Store:
         return text
 
     def run(self, run_id: str) -> Run:
-        """One row by its id or a prefix of it.
+        """One row by its id, with or without the hash at its end, by a prefix of it, or by its number in `mavfi runs`.
 
         Raises:
             BadInputError: No row matches, or several do; the message lists some.
         """
+        if run_id.isdecimal():
+            numbered = f"SELECT {_RUN} FROM runs WHERE record IS NOT NULL ORDER BY position LIMIT 1 OFFSET ?"
+            row = self._connection.execute(numbered, (min(int(run_id), 2**32) - 1,)).fetchone()
+            if row is not None and int(run_id) > 0:
+                return self._run(*row)
         query = f"SELECT run_id, {_RUN} FROM runs WHERE run_id = ? OR instr(run_id, ?) = 1 ORDER BY position"
         rows = self._connection.execute(query, (run_id, run_id)).fetchall()
-        rows = [row for row in rows if row[0] == run_id] or rows
+        exact = [row for row in rows if row[0] == run_id]
+        without_hash = [row for row in rows if row[0].rpartition("-")[0] == run_id]
+        rows = exact or without_hash or rows
         if not rows:
-            raise BadInputError(f"{self.directory}: run {run_id!r}: no run of that name; `mavfi runs` lists them")
+            raise BadInputError(
+                f"{self.directory}: run {run_id!r}: not known; `mavfi runs {self.directory}` lists them with numbers"
+            )
         if len(rows) > 1:
             some = ", ".join(row[0] for row in rows[:_CANDIDATES])
             raise BadInputError(f"{self.directory}: run {run_id!r}: ambiguous, {len(rows)} runs match, e.g. {some}")

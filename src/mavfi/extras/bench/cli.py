@@ -12,12 +12,14 @@ from rich.text import Text
 from mavfi.cli import options
 from mavfi.cli.console import check_number, console, write_json
 from mavfi.cli.stopping import stoppable
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.files import check_folder
 
+HELP_PANEL = "Detectors"
 _DEFAULT_BENCH = "mavfi-bench-1"
 app = typer.Typer(
-    help="Compare schemes on the same flights and faults.\n\nExample: [bold]mavfi bench detectors --level state[/bold]",
+    help="Compare detectors on the same flights and faults.\n\n"
+    "Example: [bold]mavfi bench detectors --level state[/bold]",
     no_args_is_help=False,
 )
 
@@ -68,9 +70,7 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     # Check the options, and select schemes and parts.
     chosen = load_bench(bench)
     if scale not in scales(chosen):
-        raise BadInputError(
-            f"--scale: {scale!r}: not known in bench {chosen.name}; allowed: {', '.join(scales(chosen))}"
-        )
+        raise BadInputError(f"--scale: bench {chosen.name}: {not_known(scale, scales(chosen))}")
     if scheme and detector:
         raise BadInputError("--scheme and --detector: allowed: one of them")
     if profile is not None and not detector:
@@ -138,7 +138,8 @@ def overheads(
 
     Example: [bold]mavfi bench overheads out/reproduce[/bold]
     """
-    from mavfi.analysis import Runs, table
+    from mavfi.analysis.runs import Runs
+    from mavfi.analysis.views import table
     from mavfi.campaign.ledger import stored_campaign
     from mavfi.campaign.store import Store
     from mavfi.cli.progress import Bar

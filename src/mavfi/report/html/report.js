@@ -36,7 +36,7 @@ function showRun(id) {
   const place = document.querySelector("#run .place");
   if (flight) showFlight(flight);
   else if (run >= 0 && FLIES) flyRun(id, place);
-  else if (run >= 0) place.append(...repeating("This flight is not stored in this file. These commands fly it again:", run));
+  else if (run >= 0) place.append(...repeating("This flight is not stored in this file. The first command shows any run that is clicked, the others fly this one again:", run));
   scrollTo(0, 0);
   document.querySelector("#run h1").focus({ preventScroll: true });
 }
@@ -54,7 +54,7 @@ function showFlight(flight) {
 function repeating(sentence, run) {
   const folder = runList.text("folder", run);
   const id = runList.data.ids[run];
-  const commands = [`mavfi replay ${folder} ${id}`, `mavfi explain ${folder} ${id} --html flight.html`];
+  const commands = [`mavfi serve ${folder}`, `mavfi replay ${folder} ${id}`, `mavfi explain ${folder} ${id} --html flight.html`];
   const lines = commands.map((command) => element("code", { class: "command", tabindex: "0" }, command));
   return [element("p", {}, sentence), ...lines];
 }

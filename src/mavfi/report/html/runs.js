@@ -155,7 +155,7 @@ class RunList {
     const chosen = { ...this.shared(), ...this.chosen };
     const filters = Object.entries(chosen).map(([name, value]) => `${this.data.filters[name] ?? name} ${value}`);
     const source = this.members === null ? "" : " behind the chosen cell or point";
-    const flights = FLIES ? " A click on a run flies it again." : ` ${this.stored.size} have their flight in this file (●).`;
+    const flights = FLIES ? " A click on a run flies it again." : ` ${this.stored.size} have their flight in this file (●); the commands above show the others.`;
     document.getElementById("runs-summary").textContent =
       `${this.found.length} of ${this.data.ids.length} runs${source}${filters.length ? `; ${filters.join(", ")}` : ""}.${flights}`;
     const rows = this.found.slice(ROWS * this.page, ROWS * (this.page + 1));
