@@ -10,9 +10,10 @@ import typer
 
 from mavfi.cli.console import counted
 from mavfi.cli.stopping import stoppable
-from mavfi.errors import BadInputError, not_installed
+from mavfi.errors import BadInputError
 from mavfi.files import is_dir
 
+HELP_PANEL = "Campaigns"
 PORT = 8321
 _LARGEST_PORT = 65_535
 _PATIENCE_S = 1
@@ -35,14 +36,9 @@ def serve(
         raise BadInputError(f"--port: {port}: allowed: 0 to {_LARGEST_PORT}")
     if not is_dir(directory):
         raise BadInputError(f"{directory}: is no folder; allowed: a ledger, or a folder with ledgers in it")
-    try:
-        import uvicorn
+    import uvicorn
 
-        from mavfi.extras.serve.app import HOST, application
-    except ModuleNotFoundError as error:
-        if error.name not in ("starlette", "uvicorn"):
-            raise
-        raise not_installed("mavfi serve", error.name, "serve") from None
+    from mavfi.extras.serve.app import HOST, application
     from mavfi.extras.serve.flights import Flights
     from mavfi.extras.serve.ledgers import find_ledgers
     from mavfi.extras.serve.server import Server
