@@ -10,8 +10,6 @@ from mavfi.extras.serve.app import HOST, application
 from mavfi.extras.serve.flights import Flights
 from tests.extras.serve.conftest import TOKEN
 
-pytestmark = pytest.mark.slow  # starts a browser, and flies
-
 
 @pytest.fixture
 def address(flown):
