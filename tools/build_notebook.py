@@ -1,8 +1,9 @@
-"""Write `examples/python_api.ipynb` from the code blocks of `docs/how-to/python-api.md`, with their outputs in a kernel."""
+"""Write `examples/python_api.ipynb` from the code blocks of `docs/how-to/python-api.md`, executed in a kernel."""
 
 import os
 import re
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import nbformat
@@ -41,7 +42,7 @@ def notebook(page: str) -> NotebookNode:
     """The notebook of the page, without outputs."""
     notebook_cells = []
     for index, (kind, text) in enumerate(cells(page)):
-        make = nbformat.v4.new_markdown_cell
+        make: Callable[..., NotebookNode] = nbformat.v4.new_markdown_cell
         if kind == "code":
             make = nbformat.v4.new_code_cell
         notebook_cells.append(make(text, id=f"cell-{index}"))
