@@ -25,6 +25,7 @@ from mavfi.config import checked
 from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
 from mavfi.files import is_file
 from mavfi.mission import MissionStatus
+from mavfi.plugins import permission_for, use_ledger
 from mavfi.record import FlightRecord, canonical, without_source
 
 
@@ -275,6 +276,7 @@ class Store:
             store._begin_log()
             store._connection.execute("PRAGMA synchronous = NORMAL")
             store._take_over()
+            use_ledger(directory, identity)
         except BaseException:
             store.close()
             raise
@@ -293,6 +295,7 @@ class Store:
         try:
             store._check_schema()
             store._check_content()
+            use_ledger(directory, store.meta(IDENTITY))
         except BaseException:
             store.close()
             raise
@@ -588,6 +591,11 @@ class Store:
         if path is None:
             return None
         return self.directory / path
+
+    @property
+    def permission(self) -> str:
+        """The option, with a space before it, that commands need to run the ledger's plug-ins; "" = none."""
+        return permission_for(self.directory, self.meta(IDENTITY))
 
     @contextmanager
     def snapshot(self) -> Iterator[None]:

@@ -507,10 +507,12 @@ def _page(case: Case) -> "FlightPage":
 
 def _commands(directory: Path, path: Path) -> list[tuple[str, str]]:
     """Commands that reproduce a campaign and its report, with their descriptions."""
+    with Store.open(directory) as store:
+        permission = store.permission
     return [
         *_flying(directory),
-        (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {directory} --share 0.02"),
-        ("Write this page", f"mavfi report {directory} --html {path}"),
+        (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {directory} --share 0.02{permission}"),
+        ("Write this page", f"mavfi report {directory} --html {path}{permission}"),
     ]
 
 
