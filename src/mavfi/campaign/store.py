@@ -351,8 +351,7 @@ class Store:
         wanted = json.loads(canonical(identity))
         if stored != wanted:
             where = f"{self.directory}: holds another campaign"
-            differing = differences(stored, wanted)
-            raise BadInputError(f"{where} (differs in: {differing}); choose another directory, or add to it: --extend")
+            raise BadInputError(f"{where} (differs in: {differences(stored, wanted)}); choose another directory")
 
     def _check_content(self) -> None:
         """Refuse a ledger that fails its integrity check twice, since a disk may fail temporarily."""
