@@ -25,6 +25,7 @@ from mavfi.config import checked
 from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
 from mavfi.files import absent_folders, is_file, remove_folders
 from mavfi.mission import MissionStatus
+from mavfi.plugins import permission_for, use_ledger
 from mavfi.record import FlightRecord, canonical, without_source
 
 
@@ -288,6 +289,7 @@ class Store:
             store._begin_log()
             store._connection.execute("PRAGMA synchronous = NORMAL")
             store._take_over()
+            use_ledger(directory, identity)
         except BaseException:
             store.close()
             raise
@@ -306,6 +308,7 @@ class Store:
         try:
             store._check_schema()
             store._check_content()
+            use_ledger(directory, store.meta(IDENTITY))
         except BaseException:
             store.close()
             raise
@@ -361,8 +364,7 @@ class Store:
         wanted = json.loads(canonical(identity))
         if stored != wanted:
             where = f"{self.directory}: holds another campaign"
-            differing = differences(stored, wanted)
-            raise BadInputError(f"{where} (differs in: {differing}); choose another directory, or add to it: --extend")
+            raise BadInputError(f"{where} (differs in: {differences(stored, wanted)}); choose another directory")
 
     def _check_content(self) -> None:
         """Refuse a ledger that fails its integrity check twice, since a disk may fail temporarily."""
@@ -610,6 +612,11 @@ class Store:
         if path is None:
             return None
         return self.directory / path
+
+    @property
+    def permission(self) -> str:
+        """The option, with a space before it, that commands need to run the ledger's plug-ins; "" = none."""
+        return permission_for(self.directory, self.meta(IDENTITY))
 
     @contextmanager
     def snapshot(self) -> Iterator[None]:

@@ -79,7 +79,13 @@ class BenchFlights:
         return tables
 
     def _table(self, name: str, selected: SelectedPart) -> Table:
-        """The table of a part, with notes on agreement with the frozen faults and on omitted schemes."""
+        """The table of a part, with its remarks among the notes."""
+        view = table(Runs.read(self.folder / name), selected.part.view)
+        return replace(view, name=name, title=selected.part.title, notes=(*self.remarks(name), *view.notes))
+
+    def remarks(self, name: str) -> tuple[str, ...]:
+        """Agreement of the faults of a part with the frozen ones, and omitted schemes; the faults are written, too."""
+        selected = self.parts[name]
         ledger = self.folder / name
         faults = faults_of(ledger)
         write_text(ledger / "faults.csv", faults)
@@ -96,9 +102,7 @@ class BenchFlights:
         arms_of_reason = defaultdict[str, list[str]](list)
         for arm, reason in selected.left_out.items():
             arms_of_reason[reason].append(arm)
-        left_out = [f"{', '.join(arms)}: not flown ({reason})" for reason, arms in arms_of_reason.items()]
-        view = table(Runs.read(ledger), selected.part.view)
-        return replace(view, name=name, title=selected.part.title, notes=(drawn, *left_out, *view.notes))
+        return drawn, *(f"{', '.join(arms)}: not flown ({reason})" for reason, arms in arms_of_reason.items())
 
     def beside_published(self, name: str, flown: Table) -> Table:
         """The table of a part with the published rows, if its faults are the published ones."""

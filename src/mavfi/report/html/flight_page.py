@@ -296,10 +296,12 @@ def page_of_explanation(directory: Path, explanation: Explanation, partner: str 
         heading = f"with {detector_name(other)}" if other.detector else "without a detector"
         story.append((heading, f"{end_of(log)}, run {partner}"))
     courses.sort(key=lambda course: (GOLDEN, INJECTED, RECOVERED).index(course.role))
+    with Store.open(directory) as store:
+        permission = store.permission
     commands = [
-        ("fly it again, compare digests", f"mavfi replay {shown} {spec.run_id}"),
-        ("explain it step by step", f"mavfi explain {shown} {spec.run_id}"),
-        ("draw it", f"mavfi explain {shown} {spec.run_id} --picture flight.png"),
+        ("fly it again, compare digests", f"mavfi replay {shown} {spec.run_id}{permission}"),
+        ("explain it step by step", f"mavfi explain {shown} {spec.run_id}{permission}"),
+        ("draw it", f"mavfi explain {shown} {spec.run_id} --picture flight.png{permission}"),
     ]
     context = f"{spec.environment} · seed {spec.seed} · {spec.setting} · {spec.run_id}"
     return FlightPage.of(context, story, commands, courses, explanation.flight.world, _site(spec.fault))
