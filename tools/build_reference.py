@@ -70,7 +70,7 @@ As text, for `--fault` of `mavfi fly` and `mavfi ros fly`; whatever is left out 
 | `sensor:gyro:drift@10` | the gyro's error grows from 10 s ([types](../reference/faults.md#sensors-and-motors)) |
 | `sensor:motor2:off:lasts=0.5` | motor 2 stands still for 0.5 s, from an instant of the golden flight on |
 | `instruction:octomap` | one bit in the result of one instruction that the kernel executes |
-| `instruction:pid:which=floating_point` | of this [class of instructions](../reference/instruction-level.md) |
+| `instruction:pid:which=floating_point` | of this class ([instruction level](../reference/instruction-level.md)) |
 | `instruction:pid:model=zero` | the value becomes zero; other models: `one_bit`, `bits`, `random`, \
 `low_byte`, `high_bits` |
 | `instruction:pid.track:call=7:index=42:bit=3:budget=N:ir=DIGEST` | one instruction of one call, as `mavfi shrink` \
