@@ -21,7 +21,7 @@ from mavfi.pipeline.memory import Remembers
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.pipeline.words import words_of
 from mavfi.states import AUTOPILOTS, STATES, Field, StateSpec
-from tools import build_reference
+from tools import build_reference, build_schemas
 from tools.fault_levels import level_table
 from tools.markers import DOCS, between
 
@@ -207,6 +207,7 @@ def pages() -> dict[Path, str]:
         DOCS / "ros.md": ros_page(),
         fault_model: between(model, "memory", memory_table()),
         **build_reference.pages(),
+        **build_schemas.schemas(),
     }
 
 

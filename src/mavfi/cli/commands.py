@@ -41,6 +41,7 @@ VERBS = {
     "shrink": "mavfi.cli.runs:shrink",
     "train": "mavfi.cli.train:train",
     "states": "mavfi.cli.states:states",
+    "init": "mavfi.cli.init:init",
     "completion": "mavfi.cli.completion:completion",
 }
 """Commands of the core: a function, or a Typer application with commands of its own."""
