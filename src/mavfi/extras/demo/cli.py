@@ -53,9 +53,9 @@ def _show_one(number: int) -> None:
     check_writable(picture)
     with compiling(instrumented="instruction" in chosen.fault, flight=True):
         flown = faults.FlownDemo(number, chosen, chosen.fly())
+    _show(flown)
     flown.result.plot().savefig(picture)
     out = console()
-    _show(flown)
     out.print(Text(chosen.command, style="dim"), soft_wrap=True)
     say_written(picture)
 
