@@ -190,7 +190,7 @@ def compare(runs_a: Runs, runs_b: Runs) -> CampaignComparison:
         raise BadInputError(f"A and B have nothing to compare: {'; '.join(notes) or 'no common setting'}")
     left_out = sum(sample.left_out for _, sample in samples)
     if left_out:
-        notes.append(f"{left_out} runs have no partner in the other campaign, and are left out of the pairs")
+        notes.append(f"{left_out} runs have no partner (another seed, or the draw hit another bit), and are left out")
     return CampaignComparison(_answer(samples), _groups(samples), _differing(runs_a, runs_b), tuple(notes))
 
 

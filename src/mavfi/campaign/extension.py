@@ -16,11 +16,17 @@ from mavfi.campaign.plan import Plan, Row, RunSpec, Shard
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
 from mavfi.levels.level import NULL, Draw
-from mavfi.record import canonical
 
 _MAY_GROW = ("missions", "faults", "null_runs", "environments", "arms", "parts", "scales")
 """Keys of a campaign that may differ in an extension; `scales` name sizes, and do not matter to the runs."""
 _ALLOWED = "allowed with --extend: more missions, faults, null_runs, environments and arms"
+
+
+def differ_in_size(stored_identity: Mapping[str, Any], identity: Mapping[str, Any]) -> bool:
+    """Whether two campaigns differ only in what may grow."""
+    stored_keys = stored_identity["campaign"]
+    keys = identity["campaign"]
+    return all(stored_keys.get(key) == keys.get(key) or key in _MAY_GROW for key in {*stored_keys, *keys})
 
 
 def extend_ledger(store: Store, plan: Plan, identity: Mapping[str, Any], shard: Shard) -> None:
@@ -38,7 +44,7 @@ def extend_ledger(store: Store, plan: Plan, identity: Mapping[str, Any], shard: 
     stored = stored_campaign(store)
     stored_plan = plan_of(stored, {}, {})  # only what its runs are, not where they are flown
     extension = _Extension(str(store.directory), stored_plan, plan)
-    extension.check_keys(store.meta("identity"), json.loads(canonical(identity)))
+    extension.check_keys(store.meta("identity"), identity)
     extension.check_draws()
     worlds = set(store.planned())
     left_out = {world for world in worlds if world not in set(shard.worlds(plan.campaign))}
@@ -90,9 +96,9 @@ class _Extension:
         """
         stored_keys = stored_identity["campaign"]
         keys = identity["campaign"]
-        for key in sorted({*stored_keys, *keys}):
-            if stored_keys.get(key) != keys.get(key) and key not in _MAY_GROW:
-                raise self.refusal(key, f"differs from the ledger's; {_ALLOWED}")
+        if not differ_in_size(stored_identity, identity):
+            changed = {key for key in {*stored_keys, *keys} - {*_MAY_GROW} if stored_keys.get(key) != keys.get(key)}
+            raise self.refusal(min(changed), f"differs from the ledger's; {_ALLOWED}")
         self._check_sizes(self._stored.campaign, self._extended.campaign)
         for key in ("arms", "parts"):
             self._check_members(key, stored_keys.get(key, {}), keys.get(key, {}))

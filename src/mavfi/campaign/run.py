@@ -19,7 +19,7 @@ from typing import Any
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Done, Executor, Lost
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.extension import extend_ledger
+from mavfi.campaign.extension import differ_in_size, extend_ledger
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.ledger import ORDERED, Progress, Status, check_shard, check_versions, status
 from mavfi.campaign.log import Log
@@ -39,7 +39,7 @@ from mavfi.campaign.store import IDENTITY, Store, held
 from mavfi.campaign.warm_up import fly_missions_anywhere, is_compiled, warm_up
 from mavfi.config import STORED
 from mavfi.detectors.registry import detector_options, mission_keys
-from mavfi.errors import FROM_OUTSIDE, MachineError, machine_failure
+from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError, machine_failure
 from mavfi.flight.host import require_level
 from mavfi.mission import Scenario
 from mavfi.record import End, FlightRecord, canonical
@@ -392,13 +392,18 @@ def _session(  # noqa: PLR0913 - what `run_campaigns` is given
     plan = plan_of(campaign, models, scenarios)
 
     # The ledger; one that exists must hold the same campaign, or a smaller one that is extended.
-    identity = identity_of(campaign, scenarios, models)
+    identity: dict[str, Any] = json.loads(canonical(identity_of(campaign, scenarios, models)))
     stored_identity = held(directory, IDENTITY)
-    extends = extend and stored_identity not in (None, json.loads(canonical(identity)))
+    extends = extend and stored_identity not in (None, identity)
     identity_to_open = identity
     if extends:
         identity_to_open = stored_identity
-    store = stack.enter_context(Store.create(directory, identity_to_open))
+    try:
+        store = stack.enter_context(Store.create(directory, identity_to_open))
+    except BadInputError as error:
+        if stored_identity in (None, identity_to_open) or not differ_in_size(stored_identity, identity):
+            raise
+        raise BadInputError(f"{error}, or keep its runs with --extend") from None
     check_versions(store, {**versions(), **plan.sampler.versions}, adds_runs=extends)
     check_shard(store, shard)
     with store.writing():

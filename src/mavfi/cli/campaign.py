@@ -12,6 +12,7 @@ from mavfi.cli import completion, options
 from mavfi.cli.console import check_name, check_seed, check_writable, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, MavfiError
+from mavfi.files import is_file
 from mavfi.plugins import known, load_object
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 HELP_PANEL = "Campaigns"
 EXIT_REQUIREMENT = 3
 """Exit code if a requirement does not hold, or too few runs show that it does."""
+_LOOSE_BOUND = 0.1
+"""Share of wrong records above which a verification hardly says anything."""
 Require = Annotated[
     list[str] | None,
     typer.Option(
@@ -100,6 +103,7 @@ def run(  # noqa: PLR0913 - options
     from mavfi.campaign.mission import check_names
     from mavfi.campaign.plan import WHOLE, Shard
     from mavfi.campaign.run import run_campaign
+    from mavfi.campaign.store import FILE
     from mavfi.cli.progress import Bar
 
     # check all options before the first flight
@@ -107,6 +111,8 @@ def run(  # noqa: PLR0913 - options
     check_names(campaign, config)
     requirements = _requirements(campaign, [*campaign.require, *(require or ())], junit)
     ledger = out or Path("out") / campaign.name
+    if extend and not is_file(ledger / FILE):
+        raise BadInputError(f"--extend: {ledger} holds no campaign; allowed: the folder of one, or without --extend")
     chosen_executor = _executor(executor, scheduler, workers)
     chosen_shard = Shard.parse(shard, "--shard")
     if chosen_shard != WHOLE and (require or junit):
@@ -262,7 +268,9 @@ def status(
         text += f" of shard {progress.shard}"
     if progress.complete:
         text += ", complete"
-    console().print(text)
+    else:
+        text += f"; `mavfi campaign run CONFIG --out {directory}` flies the rest"
+    console().print(text, markup=False, soft_wrap=True)
     _show_counts(directory, progress)
     _exit_unless_all_hold(verdicts)
 
@@ -286,7 +294,7 @@ def _settings(directory: Path, status: "Status") -> dict[str, dict[str, Any]]:
 @app.command("verify")
 def verify(
     directory: options.Ledger,
-    share: Annotated[float, typer.Option(help="Sample size; 1 = all runs.")] = 0.02,
+    share: Annotated[float, typer.Option(help="Share of the runs that is replayed; 1 = all.")] = 0.02,
     seed: Annotated[int, typer.Option(help="Seed of the sample.")] = 0,
     as_json: options.AsJson = False,
 ) -> None:
@@ -306,6 +314,8 @@ def verify(
     if as_json:
         write_json({**asdict(sample), "upper_bound": sample.upper_bound})
     elif not sample.differing:
+        if sample.flown < sample.runs and sample.upper_bound > _LOOSE_BOUND:
+            bound += "; a larger --share shows more"
         console().print(f"{sample.flown} of {sample.runs} runs replayed, all records equal; {bound}")
     if sample.differing:
         raise MavfiError(

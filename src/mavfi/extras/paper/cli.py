@@ -283,12 +283,22 @@ def failures(
     runs = Runs.read(directory)
     table = failure_table(runs, chosen)
     if not table.rows:
-        raise BadInputError(f"{directory}: no faults in instructions whose golden runs were counted; needed: some")
+        raise BadInputError(f"{directory}: {_why_no_failures(runs)}; `mavfi campaign run failure_rate` flies such ones")
     out = console()
     for sentence in summary(runs, chosen):
         out.print(Text(sentence))
     out.print()
     show_table(table, out)
+
+
+def _why_no_failures(runs: "Runs") -> str:
+    """Why failures per flight hour cannot be computed from runs."""
+    levels = runs.injected.values("level")
+    if not levels:
+        return "holds no faults; allowed: a campaign with faults in instructions"
+    if "instruction" not in levels:
+        return f"holds faults of level {', '.join(levels)}; allowed: a campaign with faults in instructions"
+    return "holds no golden run whose instructions were counted; allowed: a campaign with such runs"
 
 
 # ---- `mavfi redundancy`: flight time and energy of a UAV with redundant processors, compared with a detector -------

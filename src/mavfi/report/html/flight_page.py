@@ -24,6 +24,7 @@ from mavfi.report.explain import Story, around, detector_name, end_of, lines, pu
 from mavfi.report.flight_result import FlightResult
 from mavfi.report.html import page
 from mavfi.report.html.page import AFTER, BEFORE, encoded
+from mavfi.report.numbers import is_failure
 from mavfi.sim.environments import World
 from mavfi.states import STATES, Stage
 
@@ -179,7 +180,12 @@ class FlightPage:
     ) -> "FlightPage":
         """Create the page of flights of one mission; the first sentence of the story is the verdict."""
         (_, verdict), *rest = story
-        title = f"Fault in {site}" if site else "A flight without a fault"
+        if not site:
+            title = "A flight without a fault"
+        elif is_failure(courses[-1].log.injections):
+            title = f"Failure: {site}"
+        else:
+            title = f"Fault in {site}"
         return FlightPage(title, context, verdict, rest, commands, flight_data(courses, world, site))
 
     def to_json(self) -> dict[str, Any]:
@@ -290,10 +296,12 @@ def page_of_explanation(directory: Path, explanation: Explanation, partner: str 
         heading = f"with {detector_name(other)}" if other.detector else "without a detector"
         story.append((heading, f"{end_of(log)}, run {partner}"))
     courses.sort(key=lambda course: (GOLDEN, INJECTED, RECOVERED).index(course.role))
+    with Store.open(directory) as store:
+        permission = store.permission
     commands = [
-        ("fly it again, compare digests", f"mavfi replay {shown} {spec.run_id}"),
-        ("explain it step by step", f"mavfi explain {shown} {spec.run_id}"),
-        ("draw it", f"mavfi explain {shown} {spec.run_id} --picture flight.png"),
+        ("fly it again, compare digests", f"mavfi replay {shown} {spec.run_id}{permission}"),
+        ("explain it step by step", f"mavfi explain {shown} {spec.run_id}{permission}"),
+        ("draw it", f"mavfi explain {shown} {spec.run_id} --picture flight.png{permission}"),
     ]
     context = f"{spec.environment} · seed {spec.seed} · {spec.setting} · {spec.run_id}"
     return FlightPage.of(context, story, commands, courses, explanation.flight.world, _site(spec.fault))

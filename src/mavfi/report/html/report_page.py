@@ -171,6 +171,9 @@ def run_list(ledgers: Mapping[str, Runs]) -> dict[str, Any]:
         place=pl.when(pl.col("state") != "").then(pl.col("state")).otherwise(pl.col("kernel")),
         status=pl.col("status").str.replace_all("_", " "),
         bit=pl.col("bit").cast(pl.String).fill_null(""),
+        effect=pl.when((pl.col("level") == "sensor") & (pl.col("effect") == "sdc"))
+        .then(pl.lit("changed"))
+        .otherwise(pl.col("effect")),
     )
     texts = {name: _coded(frame[name]) for name in FILTERS}
     numbers = {name: _rounded(frame[name], digits) for name, digits in NUMBERS.items()}
@@ -487,10 +490,12 @@ def write_html(
 ) -> EmbeddedFlights:
     """Write the page of the campaign whose ledger is in `directory`; other arguments: see `write_page`."""
     campaigns = [ReportedCampaign(directory, report)]
+    with Store.open(directory) as store:
+        permission = store.permission
     commands = [
         *_flying(directory),
-        (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {directory} --share 0.02"),
-        *more_flights(directory, path),
+        (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {directory} --share 0.02{permission}"),
+        *more_flights(directory, path, permission),
     ]
     return write_page(path, campaigns, sections_of(report), commands, flights, workers, show)
 
@@ -579,11 +584,17 @@ def _page(case: Case) -> "FlightPage":
     return page_of_explanation(directory, explain(directory, run_id), other, directory)
 
 
-def more_flights(directory: Path, path: Path) -> list[tuple[str, str]]:
-    """Commands that show the flights of a folder which are not in a page, with their descriptions."""
+def more_flights(directory: Path, path: Path, permission: str = "") -> list[tuple[str, str]]:
+    """Commands that show the flights of a folder which are not in a page, with their descriptions.
+
+    Args:
+        directory: Folder of a ledger or a study.
+        path: The page.
+        permission: What the commands need to run plug-ins of the ledger, see `Store.permission`.
+    """
     return [
-        ("See any flight: a run is flown when it is clicked", f"mavfi serve {directory}"),
-        ("Write this page with more flights", f"mavfi report {directory} --html {path} --flights 200"),
+        ("See any flight: a run is flown when it is clicked", f"mavfi serve {directory}{permission}"),
+        ("Write this page with more flights", f"mavfi report {directory} --html {path} --flights 200{permission}"),
     ]
 
 
