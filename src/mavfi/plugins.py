@@ -19,13 +19,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.machinery import PathFinder
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from traceback import walk_tb
 from types import FrameType
 from typing import Any, NamedTuple
 
-from mavfi.errors import BadInputError, MavfiError, hint, machine_failure
+from mavfi.errors import BadInputError, MavfiError, machine_failure, missing_package, not_known
 
 _VARIABLE = "MAVFI_ALLOW_PLUGINS"
 """Allowed names, separated by spaces; an environment variable, inherited by child processes."""
@@ -102,12 +102,21 @@ def extensions(group: str) -> dict[str, Any]:
     for point in sorted(entry_points(group=group), key=lambda point: point.name):
         try:
             loaded[point.name] = point.load()
+        except ModuleNotFoundError as error:
+            missing = missing_package(error, f"{point.name} ({group})")
+            if missing is not None:
+                raise missing from None
+            raise _not_importable(point, group, error) from None
         except Exception as error:  # noqa: BLE001 - whatever another package raises while it is imported
-            raise BadInputError(
-                f"entry point {point.name!r} of {group}: {point.value} cannot be imported ({reason(error)}); allowed: "
-                "without the package that brings it"
-            ) from None
+            raise _not_importable(point, group, error) from None
     return loaded
+
+
+def _not_importable(point: EntryPoint, group: str, error: Exception) -> BadInputError:
+    return BadInputError(
+        f"entry point {point.name!r} of {group}: {point.value} cannot be imported ({reason(error)}); allowed: without "
+        "the package that brings it"
+    )
 
 
 @dataclass(frozen=True)
@@ -165,9 +174,7 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
     else:
         names = known(group, shipped)
         if name not in names:
-            allowed = ", ".join([*sorted(names), "or package:object"])
-            text = f"not known{hint(name, names)}; allowed: {allowed.removeprefix('or ')}"
-            raise BadInputError(f"{what} {name!r}: {text}")
+            raise BadInputError(f"{what} {not_known(name, sorted(names), 'or package:object')}")
         address = names[name]
     module, _, attribute = address.partition(":")
 

@@ -13,7 +13,6 @@ from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # loads its modules at first use
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
@@ -75,14 +74,21 @@ def score_bounds(rate: float, n: float) -> tuple[float, float]:
     return low, high
 
 
+def _quantile(distribution: str, probability: float, *parameters: float) -> float:
+    """Quantile of a distribution of `scipy.stats`, which is in the extra `report` and takes long to import."""
+    from scipy import stats
+
+    return float(getattr(stats, distribution).ppf(probability, *parameters))
+
+
 def exact_bounds(hits: float, misses: float, tail: float = TAIL) -> tuple[float, float]:
     """Interval of a proportion after Clopper and Pearson (1934), with probability `tail` outside on each side."""
     low = 0.0
     high = 1.0
     if hits > 0:
-        low = float(scipy.stats.beta.ppf(tail, hits, misses + 1))
+        low = _quantile("beta", tail, hits, misses + 1)
     if misses > 0:
-        high = float(scipy.stats.beta.ppf(1 - tail, hits + 1, misses))
+        high = _quantile("beta", 1 - tail, hits + 1, misses)
     return low, high
 
 
@@ -136,7 +142,7 @@ def rate_in_further_worlds(success: Sequence[bool], world: Sequence[object], fur
     correlation = min((excess + _TYPICAL_CORRELATION * typical_pairs) / (pairs + typical_pairs), 1.0)
 
     # 2. The error of what was seen, and the difference of the further worlds, whose sizes vary as much.
-    t2 = float(scipy.stats.t.ppf(1 - TAIL, equal_worlds - 1)) ** 2
+    t2 = _quantile("t", 1 - TAIL, equal_worlds - 1) ** 2
     worlds_term = 1 / equal_worlds - 1 / n + len(sizes) / (equal_worlds * further)
     inverse = 1 / n + correlation * t2 / _Z2 * worlds_term
     return Rate(n, rate, *score_bounds(rate, 1 / inverse), int(successes.sum()))
@@ -153,7 +159,7 @@ def further_worlds_half_width(contributions: np.ndarray, further: float) -> floa
     if k < 2:
         return 0.0
     variance = k / (k - 1) * float(contributions @ contributions) * (1 + k / further)
-    return float(scipy.stats.t.ppf(1 - TAIL, k - 1)) * float(np.sqrt(variance))
+    return _quantile("t", 1 - TAIL, k - 1) * float(np.sqrt(variance))
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,9 +307,9 @@ def event_rate(events: int, hours: float) -> EventRate:
         return EventRate(events, hours, None, None, None, None)
     low = 0.0
     if events:
-        low = float(scipy.stats.chi2.ppf(TAIL, 2 * events)) / 2 / hours
-    high = float(scipy.stats.chi2.ppf(1 - TAIL, 2 * events + 2)) / 2 / hours
-    upper = float(scipy.stats.chi2.ppf(CONFIDENCE, 2 * events + 2)) / 2 / hours
+        low = _quantile("chi2", TAIL, 2 * events) / 2 / hours
+    high = _quantile("chi2", 1 - TAIL, 2 * events + 2) / 2 / hours
+    upper = _quantile("chi2", CONFIDENCE, 2 * events + 2) / 2 / hours
     return EventRate(events, hours, events / hours, low, high, upper)
 
 

@@ -530,16 +530,25 @@ class Store:
         return text
 
     def run(self, run_id: str) -> Run:
-        """One row by its id or a prefix of it.
+        """One row by its id, with or without the hash at its end, by a prefix of it, or by its number in `mavfi runs`.
 
         Raises:
             BadInputError: No row matches, or several do; the message lists some.
         """
+        if run_id.isdecimal():
+            numbered = f"SELECT {_RUN} FROM runs WHERE record IS NOT NULL ORDER BY position LIMIT 1 OFFSET ?"
+            row = self._connection.execute(numbered, (min(int(run_id), 2**32) - 1,)).fetchone()
+            if row is not None and int(run_id) > 0:
+                return self._run(*row)
         query = f"SELECT run_id, {_RUN} FROM runs WHERE run_id = ? OR instr(run_id, ?) = 1 ORDER BY position"
         rows = self._connection.execute(query, (run_id, run_id)).fetchall()
-        rows = [row for row in rows if row[0] == run_id] or rows
+        exact = [row for row in rows if row[0] == run_id]
+        without_hash = [row for row in rows if row[0].rpartition("-")[0] == run_id]
+        rows = exact or without_hash or rows
         if not rows:
-            raise BadInputError(f"{self.directory}: run {run_id!r}: no run of that name; `mavfi runs` lists them")
+            raise BadInputError(
+                f"{self.directory}: run {run_id!r}: not known; `mavfi runs {self.directory}` lists them with numbers"
+            )
         if len(rows) > 1:
             some = ", ".join(row[0] for row in rows[:_CANDIDATES])
             raise BadInputError(f"{self.directory}: run {run_id!r}: ambiguous, {len(rows)} runs match, e.g. {some}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.cli import options
+from mavfi.cli import completion, options
 from mavfi.cli.console import check_name, check_seed, check_writable, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, MavfiError
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from mavfi.campaign.ledger import Status
     from mavfi.campaign.requirement import Requirement
 
+HELP_PANEL = "Campaigns"
 EXIT_REQUIREMENT = 3
 """Exit code if a requirement does not hold, or too few runs show that it does."""
 _LOOSE_BOUND = 0.1
@@ -47,7 +48,12 @@ app = typer.Typer(
 @app.command("run")
 def run(  # noqa: PLR0913 - options
     config: Annotated[
-        str, typer.Argument(metavar="CONFIG.yaml", help="A YAML file, or the name of a shipped campaign.")
+        str,
+        typer.Argument(
+            metavar="CONFIG.yaml",
+            help="A YAML file, or the name of a shipped campaign.",
+            autocompletion=completion.of_configs("campaigns"),
+        ),
     ],
     out: Annotated[
         Path | None,
@@ -163,11 +169,11 @@ def _judge(
     directory: Path, name: str, requirements: "Sequence[Requirement]", junit: Path | None
 ) -> "list[RequirementVerdict]":
     """Judge requirements by the runs of a ledger, and write the verdicts if a file is given."""
-    from mavfi.analysis import Runs
-    from mavfi.analysis.requirements import judge, write_junit
-
     if not requirements:
         return []
+    from mavfi.analysis.requirements import judge, write_junit
+    from mavfi.analysis.runs import Runs
+
     verdicts = judge(Runs.read(directory), requirements)
     if junit is not None:
         write_junit(junit, name, verdicts)
@@ -181,6 +187,8 @@ def _show_verdicts(verdicts: "Sequence[RequirementVerdict]") -> None:
 
 
 def _exit_unless_all_hold(verdicts: "Sequence[RequirementVerdict]") -> None:
+    if not verdicts:
+        return
     from mavfi.analysis.requirements import Holds
 
     if any(verdict.holds is not Holds.YES for verdict in verdicts):
@@ -189,11 +197,12 @@ def _exit_unless_all_hold(verdicts: "Sequence[RequirementVerdict]") -> None:
 
 def _show_counts(directory: Path, status: "Status") -> None:
     """Print how flights ended by setting; of runs that are no flights, the effects of their faults."""
-    from mavfi.analysis import Runs
-    from mavfi.analysis.effects import effect_rates
     from mavfi.cli.progress import effect_counts, run_counts
 
     if not status.flies:
+        from mavfi.analysis.effects import effect_rates
+        from mavfi.analysis.runs import Runs
+
         effects = effect_rates(Runs.read(directory))
         if effects:
             console().print(effect_counts(effects))
@@ -268,15 +277,15 @@ def status(
 
 def _settings(directory: Path, status: "Status") -> dict[str, dict[str, Any]]:
     """Counts by setting as plain data: successful flights, or effects of faults where runs are no flights."""
-    from mavfi.analysis import Runs
-    from mavfi.analysis.effects import effect_rates
-
     settings: dict[str, dict[str, Any]] = {}
     for name, (planned, done, success) in status.settings.items():
         settings[name] = {"planned": planned, "flown": done}
         if status.flies:
             settings[name]["succeeded"] = success
     if not status.flies:
+        from mavfi.analysis.effects import effect_rates
+        from mavfi.analysis.runs import Runs
+
         for name, rates in effect_rates(Runs.read(directory)).items():
             settings[name]["effects"] = {effect: asdict(rate) for effect, rate in rates.items()}
     return settings

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from mavfi.config import Config
 from mavfi.dropped import dropped_name
-from mavfi.errors import BadInputError, hint
+from mavfi.errors import BadInputError, not_known
 from mavfi.faults.combined import AND, Start
 from mavfi.faults.fault import Fault, find_level, level_names
 from mavfi.faults.injector import Injector
@@ -385,7 +385,8 @@ class Level:
     def about(self, campaign: Any) -> dict[str, Any]:
         """How a campaign draws, for the notes of tables: `each` (what `faults` counts), `how`, and further keys.
 
-        `per_mission` is the number of faults in a mission in words, unless it is one.
+        `per_mission` is the number of faults in a mission in words, unless it is one; `stages` are those with faults,
+        where a fault is in one of them.
 
         With `title` and `lines`, the level describes what is under test itself.
         """
@@ -414,9 +415,8 @@ class Level:
         # Check names and values, then the order.
         for name, value in options.items():
             if name not in self.options:
-                allowed = ", ".join([*(f"{option}=" for option in self.options), *self.operations])
-                known = [*self.options, *self.operations]
-                raise BadInputError(f"{name!r}: not known{hint(name, known)}; allowed: {allowed}")
+                known = [*(f"{option}=" for option in self.options), *self.operations]
+                raise BadInputError(not_known(name, known))
             pattern, description, kind = self.options[name]
             if not re.fullmatch(pattern, value):
                 raise BadInputError(f"{name}: {value!r}: allowed: {description}")
@@ -537,7 +537,7 @@ def check_known(key: str, names: Iterable[str], allowed: Collection[str]) -> Non
         if key.endswith("kernels") and dropped_name("kernels", name):
             raise ValueError(f"{key}: {dropped_name('kernels', name)}")
         if name not in allowed:
-            raise ValueError(f"{key}: {name!r}: not known; allowed: {', '.join(allowed)}")
+            raise ValueError(f"{key}: {not_known(name, allowed)}")
 
 
 def check_distinct(key: str, names: Iterable[str]) -> None:

@@ -152,9 +152,7 @@ def _rates(runs: Runs, setting: str, names: list[str]) -> dict[str, Rate]:
 def _published(runs: Runs, environment: str, setting: str) -> float | None:
     """The paper's success rate, if it is comparable with these runs."""
     missions = runs.where(environment=environment, setting=setting)
-    if not len(missions):
-        return None
-    if not paper.comparable(runs.campaign, missions.first("detector_profile"), missions.first("arm")):
+    if not paper.comparable(missions):
         return None
     return paper.success(environment, setting)
 
@@ -173,6 +171,12 @@ def _points(axes: Axes, x: np.ndarray, rates: list[Rate], look: Mapping[str, Any
         x, values, yerr=errors, fmt="", linestyle="", markersize=6, elinewidth=1.8, clip_on=False, zorder=4, **look
     )
     links.points(axes, x, values, urls)
+
+
+def _success_caption(runs: Runs) -> str:
+    if paper.compared(runs.campaign):
+        return "Success with 95 % intervals; horizontal bars: the paper's figures."
+    return "Success with 95 % intervals."
 
 
 # ---- flight time -------------------------------------------------------------------------------------------------
@@ -246,7 +250,7 @@ def _signed(share: float, _: float) -> str:
 CHAPTER = Chapter(
     10,
     (
-        Drawing("success", success, "Success with 95 % intervals; horizontal bars: the paper's figures.", general=True),
+        Drawing("success", success, _success_caption, general=True),
         Drawing("flight_time", flight_time, _arrival_caption, general=True),
     ),
 )

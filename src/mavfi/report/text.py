@@ -204,7 +204,7 @@ def markdown_grid(headings: Sequence[str], rows: Iterable[Iterable[str]], left: 
 
 # ---- in a terminal ---------------------------------------------------------------------------------------------------
 
-_SPACING = 2
+SPACING = 2
 """Spacing of columns (characters)."""
 _ROW_NUMBER = Column("number", "#")
 
@@ -287,7 +287,7 @@ def _blocks(limits: Sequence[_WidthLimits], keys: Sequence[int], width: int) -> 
 
 def _total_width(limits: Sequence[_WidthLimits]) -> int:
     """Width of columns at their minimum, with spacing."""
-    return sum(limit.minimum for limit in limits) + _SPACING * len(limits)
+    return sum(limit.minimum for limit in limits) + SPACING * len(limits)
 
 
 def _widths(limits: Sequence[_WidthLimits], width: int) -> list[int]:

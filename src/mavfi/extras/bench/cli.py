@@ -12,7 +12,7 @@ from rich.text import Text
 from mavfi.cli import options
 from mavfi.cli.console import check_number, console, write_json
 from mavfi.cli.stopping import stoppable
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.files import check_folder
 
 if TYPE_CHECKING:
@@ -20,9 +20,11 @@ if TYPE_CHECKING:
     from mavfi.extras.bench.bench import Bench
     from mavfi.extras.bench.leaderboard import BenchFlights
 
+HELP_PANEL = "Detectors"
 _DEFAULT_BENCH = "mavfi-bench-1"
 app = typer.Typer(
-    help="Compare schemes on the same flights and faults.\n\nExample: [bold]mavfi bench detectors --level state[/bold]",
+    help="Compare detectors on the same flights and faults.\n\n"
+    "Example: [bold]mavfi bench detectors --level state[/bold]",
     no_args_is_help=False,
 )
 
@@ -120,7 +122,7 @@ def _chosen_bench(
 
     bench = load_bench(name)
     if scale not in scales(bench):
-        raise BadInputError(f"--scale: {scale!r}: not known in bench {bench.name}; allowed: {', '.join(scales(bench))}")
+        raise BadInputError(f"--scale: bench {bench.name}: {not_known(scale, scales(bench))}")
     if schemes and detectors:
         raise BadInputError("--scheme and --detector: allowed: one of them")
     if profile is not None and not detectors:
@@ -186,7 +188,8 @@ def overheads(
 
     Example: [bold]mavfi bench overheads out/reproduce[/bold]
     """
-    from mavfi.analysis import Runs, table
+    from mavfi.analysis.runs import Runs
+    from mavfi.analysis.views import table
     from mavfi.campaign.ledger import stored_campaign
     from mavfi.campaign.store import Store
     from mavfi.cli.progress import Bar

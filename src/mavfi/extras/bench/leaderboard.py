@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from mavfi.analysis import Runs, table
+from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import Table
+from mavfi.analysis.views import table
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import versions

@@ -254,17 +254,21 @@ def _drawings() -> Iterable[Drawing]:
         "left: flight times of missions that succeed, each flight, median and quartiles (dashed: median of the golden "
         "run); right: success with 95 % intervals; n missions each."
     )
-    for name, title, select, column in (
-        ("kernels", "Fig. 3, one fault in one instruction of one kernel", by_kernel, "kernel"),
-        ("states", "Fig. 4, one fault in one inter-kernel state", by_state, "target"),
-        ("bit_fields", "Section III-B, one fault by class of the flipped bit", by_bits, "bits"),
+    for name, in_the_paper, title, select, column in (
+        ("kernels", "Fig. 3, ", "one fault in one instruction of one kernel", by_kernel, "kernel"),
+        ("states", "Fig. 4, ", "one fault in one inter-kernel state", by_state, "target"),
+        ("bit_fields", "Section III-B, ", "one fault by class of the flipped bit", by_bits, "bits"),
     ):
-        yield Drawing(name, lambda runs, s=select, c=column: _rows(runs, s, c), f"{title}; {about}")  # type: ignore[misc]
+        caption = paper.titled(in_the_paper, f"{title}; {about}")
+        yield Drawing(name, lambda runs, s=select, c=column: _rows(runs, s, c), caption)  # type: ignore[misc]
     yield Drawing(
         "flight_time_distribution",
         distributions,
-        "Fig. 6, flight times of missions that succeed, worst cases in seconds; below each setting: successes / n; the "
-        "time limit of missions bounds every worst case.",
+        paper.titled(
+            "Fig. 6, ",
+            "flight times of missions that succeed, worst cases in seconds; below each setting: successes / n; the "
+            "time limit of missions bounds every worst case.",
+        ),
     )
 
 
@@ -289,7 +293,7 @@ def flight_times(runs: Runs) -> Figure | None:
         for column, setting in enumerate(settings):
             flights = all_flights.where(environment=environment, setting=setting)
             _time_column(axes, flights, column, looks[setting], {"platform": platform, "setting": setting})
-        if paper.comparable(runs.campaign, ""):
+        if paper.compared(runs.campaign):
             _printed_time(axes, platform, len(settings) - 0.5)
         names = [style.setting_label(setting).replace(" + ", " +\n") for setting in settings]
         axes.set_xticks(range(len(settings)), names, fontsize=8)
@@ -687,14 +691,21 @@ def _caption(runs: Runs) -> str:
     where = ""
     if cases:
         where = f" in {cases[0].environment}"
-    return f"Fig. 7, paths{where}, from above and in 3-D (heights drawn three times as large). {RULE} Shown: {faults}."
+    title = paper.titled("Fig. 7, ", f"paths{where}, from above and in 3-D (heights drawn three times as large).")
+    return f"{title(runs)} {RULE} Shown: {faults}."
+
+
+def _platforms_caption(runs: Runs) -> str:
+    if paper.compared(runs.campaign):
+        return "Flight times on each platform; dashed: the paper's."
+    return "Flight times on each platform."
 
 
 CHAPTER = Chapter(
     20,
     (
         *_drawings(),
-        Drawing("platforms", flight_times, "Flight times on each platform; dashed: the paper's.", general=True),
+        Drawing("platforms", flight_times, _platforms_caption, general=True),
         Drawing(
             "redundancy",
             lambda _: redundancy(shipped_designs()),

@@ -189,8 +189,13 @@ class FlightPage:
 
 def write_flight_page(path: Path, flight: FlightPage) -> Path:
     """Write the page of one flight; `BadInputError` if the file cannot be written."""
-    write_text(path, page.render("flight.html.j2", flight=flight.to_json()))
+    write_text(path, rendered_flight_page(flight))
     return path
+
+
+def rendered_flight_page(flight: FlightPage) -> str:
+    """The page of one flight, as HTML."""
+    return page.render("flight.html.j2", flight=flight.to_json())
 
 
 # ---- of a flight, and of a run of a ledger, with all publications recorded -------------------------------------------
@@ -210,7 +215,9 @@ def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, comman
     """
     mission = result.scenario
     context = f"{mission.environment.name} · seed {mission.seed} · autopilot {mission.autopilot.name}"
-    commands = [("fly it again", command)]
+    commands = []
+    if command:
+        commands.append(("fly it again", command))
     world = result.flight.world
     if result.golden is None or result.effect is None:
         story: Story = [("verdict", end_of(result.log)), ("flight", f"without a fault; {end_of(result.log)}")]

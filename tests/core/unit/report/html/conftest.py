@@ -44,7 +44,7 @@ def flight_html(flight, tmp_path_factory):
 @pytest.fixture(scope="session")
 def report_html(flown, runs, tmp_path_factory):
     path = tmp_path_factory.mktemp("pages") / "report.html"
-    assert write_html(path, flown, report_of(runs), 2, 1) == 2
+    assert write_html(path, flown, report_of(runs), 2, 1).stored == 2
     return path
 
 
