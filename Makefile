@@ -90,6 +90,7 @@ ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a
 docs: setup  ## write the pages and tables that are derived from the code
 	@$(BIN)/python -m tools.build_pages
 	@$(BIN)/python -m tools.build_notebook
+	@$(BIN)/python -m tools.build_demo
 
 site: setup  ## build the documentation as a site, which the wheel ships and `mavfi docs` opens
 	@$(BIN)/python -m mkdocs build --quiet

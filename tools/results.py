@@ -190,6 +190,7 @@ CAMPAIGNS = {
 MODULES = {
     "assumptions": "tools.build_assumptions",
     "leaderboard": "tools.build_leaderboard",
+    "figures": "tools.draw_results",
     "five-rules": "tools.build_rules",
     "hardening": "tools.build_hardening",
     "golden-rates": "tools.golden_rates",

@@ -123,7 +123,7 @@ def allowed(names: Collection[str], wanted: str = "") -> str:
         return "none, there are none"
     if len(ordered) > _MOST_SHOWN:
         likely = get_close_matches(wanted, ordered, 3, 0.5)
-        ordered = [*likely, *sorted(set(ordered) - set(likely))]
+        ordered = [*likely, *(name for name in ordered if name not in likely)]
     text = ", ".join(ordered[:_MOST_SHOWN])
     if len(ordered) > _MOST_SHOWN:
         text += f", and {len(ordered) - _MOST_SHOWN} more"
@@ -150,7 +150,7 @@ def hint(wanted: object, names: Iterable[str]) -> str:
         return ""
     similar = get_close_matches(wanted, list(names), 1, 0.6)
     if similar:
-        return f" (did you mean {similar[0]!r}?)"
+        return f" (did you mean '{similar[0]}'?)"
     return ""
 
 

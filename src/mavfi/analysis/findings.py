@@ -113,9 +113,12 @@ def _effects(runs: Runs) -> list[str]:
     }
     rest = "".join(f", {_percent(rate)} {words}" for words, rate in others.items() if rate.successes)
     result = "flight" if runs.has_missions else "output"
+    change = "change it silently"
+    if faulty.values("level") == ["sensor"]:  # what fails is no data
+        change = "change it"
     return [
         f"{_percent(share('masked'))} of {len(faulty)} faults leave the {result} as it was, bit for bit, "
-        f"{_percent(share('sdc'))} change it silently{rest}."
+        f"{_percent(share('sdc'))} {change}{rest}."
     ]
 
 

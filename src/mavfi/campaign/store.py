@@ -23,7 +23,7 @@ from mavfi.campaign.fingerprint import differences
 from mavfi.campaign.plan import CompletedRun, Row, RunSpec, reason_of
 from mavfi.config import checked
 from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
-from mavfi.files import is_file
+from mavfi.files import absent_folders, is_file, remove_folders
 from mavfi.mission import MissionStatus
 from mavfi.plugins import permission_for, use_ledger
 from mavfi.record import FlightRecord, canonical, without_source
@@ -204,6 +204,7 @@ def _types(connection: sqlite3.Connection) -> str:
 SCHEMA = 3
 FILE = "campaign.sqlite"
 LOCK = "campaign.lock"
+LOG = "log.jsonl"
 _CANDIDATES = 5
 """Runs that a message about an ambiguous prefix names."""
 _CHUNK = 1 << 20
@@ -231,12 +232,21 @@ class Store:
         self._lock = lock
         self._has_log = False
         self._generation = 0
+        self._is_new = False
+        self._absent: list[Path] = []
+        """Folders that were made for a new ledger."""
 
     def __enter__(self) -> "Store":
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, _: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        was_refused = self._is_new and isinstance(error, BadInputError)
+        has_runs = was_refused and self._ask("SELECT COUNT(*) FROM runs WHERE record IS NOT NULL") > 0
         self.close()
+        if was_refused and not has_runs:  # what was refused before the first flight leaves nothing
+            for name in (FILE, LOCK, LOG):
+                (self.directory / name).unlink(missing_ok=True)
+            remove_folders(self._absent)
 
     def close(self) -> None:
         """Close; an unclosed ledger keeps its data, but cannot be read from read-only media."""
@@ -255,6 +265,7 @@ class Store:
             BadInputError: The directory cannot be written, holds a campaign of another identity, or another
                 process writes to it.
         """
+        absent = absent_folders(directory)
         try:
             directory.mkdir(parents=True, exist_ok=True)
             lock = (directory / LOCK).open("w", encoding="utf-8")
@@ -267,8 +278,10 @@ class Store:
             lock.close()
             raise BadInputError(f"{directory}: another process is writing this campaign") from None
         store = Store(directory, connect(directory / FILE, "rwc"), lock)
+        store._absent = absent
         try:
             if store._ask("SELECT COUNT(*) FROM sqlite_master") == 0:
+                store._is_new = True
                 store._connection.executescript(f"BEGIN; {TABLES} PRAGMA user_version = {SCHEMA};")
                 store.write_meta({IDENTITY: identity, BOUND: True})
             else:

@@ -202,7 +202,7 @@ def run(arguments: Sequence[str]) -> int:
         code = EXIT_FAILURE
         if isinstance(error, BadInputError) and not machine_failure(error):
             code = EXIT_BAD_INPUT
-        return _refused(str(error), code)
+        return _refused(_as_typed(str(error), arguments), code)
     except typer.TyperException as error:  # missing argument, unknown option, invalid number
         dropped = _dropped(arguments)
         if dropped:
@@ -231,6 +231,15 @@ def _missing_package(error: BaseException, arguments: Sequence[str]) -> str:
     if refusal is None:
         return ""
     return str(refusal)
+
+
+def _as_typed(text: str, arguments: Sequence[str]) -> str:
+    """A message that begins with the name of a key, with that of its option instead if the option was typed."""
+    key, colon, rest = text.partition(":")
+    option = "--" + key.replace("_", "-")
+    if colon and option in {word.partition("=")[0] for word in arguments}:
+        return f"{option}:{rest}"
+    return text
 
 
 def _dropped(arguments: Sequence[str]) -> str:

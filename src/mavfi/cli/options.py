@@ -249,4 +249,4 @@ def _allowed(name: str) -> str:
         for side in ("ge", "le"):
             if hasattr(constraint, side):
                 bounds.append(f"{float(str(getattr(constraint, side))):g}")
-    return " to ".join(bounds) or str(field.description)
+    return " to ".join(bounds) or str(field.description).partition(". ")[0]

@@ -1,7 +1,7 @@
 """`mavfi report`: print the headline or tables of a campaign; write report.md and figures to its folder."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -15,14 +15,15 @@ from mavfi.campaign.executors.local import MOST_WORKERS
 from mavfi.cli import options
 from mavfi.cli.console import PAGES, check_file, check_number, console, counted, write_json
 from mavfi.cli.stopping import EXIT_STOPPED, stoppable
-from mavfi.errors import BadInputError
-from mavfi.files import check_folder
+from mavfi.errors import BadInputError, write_text
+from mavfi.files import check_folder, make_folder
 from mavfi.plugins import extensions
 
 HELP_PANEL = "Campaigns"
 MAX_FLIGHTS = 10_000
 
 if TYPE_CHECKING:
+    from mavfi.analysis.table import Table
     from mavfi.cli.progress import Bar
     from mavfi.report.campaign_report import CampaignReport
     from mavfi.report.figures import Drawn
@@ -45,7 +46,8 @@ def report(  # noqa: PLR0913 - one parameter per option
         typer.Option(help="Flights in the page, flown again for it; by default up to 30, within a minute."),
     ] = None,
     figures: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Write each figure as PDF and PNG in column width.")
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Write figures for papers and for talks (16:9), and tables in LaTeX."),
     ] = None,
     workers: options.Workers = 2,
 ) -> None:
@@ -71,7 +73,7 @@ def report(  # noqa: PLR0913 - one parameter per option
     if html is not None:
         written_files.append(_said_of_page(html, reported.flights, directory))
     if figures is not None:
-        written_files.append(_write_figures(reported.draw(), figures))
+        written_files.append(_write_figures(reported, figures))
     if as_json:
         write_json(reported.written.to_json())
         return
@@ -92,12 +94,14 @@ class Reported:
         written: The report; it has `files` and `to_json`.
         flights: The flights in its page.
         draw: Draws its figures.
+        tables: Its tables, by name.
         show: Prints it: its headline, or with True all of it.
     """
 
     written: Any
     flights: "EmbeddedFlights"
     draw: Callable[[], Sequence["Drawn"]]
+    tables: Mapping[str, "Table"]
     show: Callable[[bool], None]
 
 
@@ -128,7 +132,8 @@ def report_campaign(directory: Path, html: Path | None, flights: int | None, wor
     if html is not None:
         with page_bar() as bar:
             page_flights = write_html(html, directory, written, flights, workers, bar.show)
-    return Reported(written, page_flights, partial(drawn, written.runs), partial(show_report, written))
+    tables = {table.name: table for table in written.tables}
+    return Reported(written, page_flights, partial(drawn, written.runs), tables, partial(show_report, written))
 
 
 @contextmanager
@@ -155,17 +160,25 @@ def _said_of_page(path: Path, flights: "EmbeddedFlights", directory: Path) -> st
     return f"{said} (any other: mavfi serve {directory}; more in the page: --flights 200)"
 
 
-def _write_figures(drawn: Sequence["Drawn"], folder: Path) -> str:
-    """Write figures; return one line of text."""
+def _write_figures(reported: Reported, folder: Path) -> str:
+    """Write figures and tables; return one line of text."""
     from mavfi.cli.progress import Bar
-    from mavfi.report.style import write_figure
+    from mavfi.report.latex import latex_table
+    from mavfi.report.style import write_figure, write_talk_figure
 
     paths: list[Path] = []
+    make_folder(folder)
     with Bar("figures", "figures") as bar:
-        for done, result in enumerate(drawn, start=1):
-            paths += write_figure(result.figure, folder, result.name)
-            bar.show(done, len(drawn))
-    return f"{', '.join(path.name for path in paths) or 'no figure'} in {folder}"
+        for write in (write_figure, write_talk_figure):
+            drawn = reported.draw()  # once for each, since it is resized
+            for done, result in enumerate(drawn, start=1):
+                paths += write(result.figure, folder, result.name)
+                bar.show(done, len(drawn))
+    for name, table in reported.tables.items():
+        paths.append(folder / f"{name}.tex")
+        write_text(paths[-1], latex_table(table))
+    kinds = Counter(path.suffix.removeprefix(".") for path in paths)
+    return f"{', '.join(f'{count} {kind}' for kind, count in kinds.items()) or 'nothing'} in {folder}"
 
 
 def _check_files(html: Path | None, flights: int | None, figures: Path | None, workers: int, view: str) -> None:

@@ -282,7 +282,7 @@ def _model_of(
         raise SpecMismatchError(
             f"{shown}: no model is trained for this autopilot and platform; train one (mavfi train {baselines}"
             "--autopilot ... --platform ... --out FOLDER), then name the folder with --models; "
-            "or take that of another mission, key trained_for"
+            "or take that of another mission (--trained-for, key trained_for)"
         )
     model = Model.load(path)
     if (model.kind, model.profile) != (factory.model_kind, profile):

@@ -102,6 +102,8 @@ def parse(text: str, localization: str = "truth", levels: Collection[str] = ()) 
             request: Request = find_level("state").null()
         elif name in level_names():
             request = find_level(name).parse(rest, localization)
+        elif rest:
+            raise BadInputError(f"level {not_known(name, level_names())}")
         else:
             _refuse()
     except BadInputError as error:

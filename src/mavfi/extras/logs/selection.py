@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec
-from mavfi.errors import BadInputError, allowed
+from mavfi.errors import BadInputError, allowed, hint
 from mavfi.extras.logs.circular import KINDS, Geometry, Numbers, component_groups, recognise
 from mavfi.extras.logs.counting import COUNTS, counts
 from mavfi.extras.logs.mapping import NO_MAPPING, UsedMapping, choose_mapping, nearest_mapping
@@ -385,7 +385,7 @@ def _check_wanted(
                 names.append(f"{owner}:{number}")
             else:
                 names.append(number)
-        raise BadInputError(f"--fields: {name}: {reason}{cut}; allowed: {allowed(names, name)}")
+        raise BadInputError(f"--fields: {name}: {reason}{cut}{hint(name, names)}; allowed: {allowed(names, name)}")
 
 
 def _examples(left_out: Sequence[NotMonitored]) -> str:

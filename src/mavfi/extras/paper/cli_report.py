@@ -129,7 +129,8 @@ def report_study(directory: Path, html: Path | None, flights: int | None, worker
         Store.open(directory / folder).close()  # fails before writing
     check_folder(directory)
     report, page_flights = write_study_report(study, scale, directory, html, flights, workers)
-    return Reported(report, page_flights, partial(drawn_of_study, report), partial(show_study_report, report))
+    show = partial(show_study_report, report)
+    return Reported(report, page_flights, partial(drawn_of_study, report), report.tables, show)
 
 
 def _polars_has_threads() -> bool:

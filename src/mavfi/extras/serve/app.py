@@ -2,15 +2,16 @@
 
 import asyncio
 import secrets
+import threading
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from starlette.applications import Starlette
-from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.middleware.base import BaseHTTPMiddleware, RequestResponseEndpoint
@@ -21,11 +22,13 @@ from starlette.routing import Route
 from starlette.types import ASGIApp
 
 from mavfi.analysis.listing import partner
+from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.serve import pages
 from mavfi.extras.serve.flights import Flights, RunKey
 from mavfi.extras.serve.ledgers import ReadLedger, ServedLedger, find_ledgers
 
+T = TypeVar("T")
 HOST = "127.0.0.1"
 """The only address that is served."""
 _NAMES = [HOST, "localhost"]
@@ -105,7 +108,7 @@ class _Site:
 
     async def overview(self, request: Request) -> Response:
         """All campaigns, with the headline of each; that of the only one is its own page."""
-        ledgers = await run_in_threadpool(self.ledgers)
+        ledgers = await _in_thread(self.ledgers)
         if list(ledgers) == [""]:
             return RedirectResponse("/campaign/")
         return HTMLResponse(pages.overview(self._folder, list(ledgers)))
@@ -113,24 +116,24 @@ class _Site:
     async def row(self, request: Request) -> Response:
         """The row of a campaign in the overview."""
         named = self._find(request.path_params["key"])
-        return HTMLResponse(await run_in_threadpool(_row, named))
+        return HTMLResponse(await _in_thread(_row, named))
 
     async def campaign(self, request: Request) -> Response:
         """The page of a campaign."""
         named = self._find(request.path_params["key"])
-        others = [key for key in await run_in_threadpool(self.ledgers) if key != named.key]
-        return HTMLResponse(await run_in_threadpool(_campaign, self._folder, named, others))
+        others = [key for key in await _in_thread(self.ledgers) if key != named.key]
+        return HTMLResponse(await _in_thread(_campaign, self._folder, named, others))
 
     async def state(self, request: Request) -> Response:
         """Stamp and progress of a campaign, which its page asks for while it is open."""
         named = self._find(request.path_params["key"])
-        return JSONResponse(await run_in_threadpool(_state, named))
+        return JSONResponse(await _in_thread(_state, named))
 
     async def flight(self, request: Request) -> Response:
         """The page of a run as JSON, after flying it; 422 = it cannot be flown, and why."""
         named = self._find(request.path_params["key"])
         run_id = request.query_params.get("run", "")
-        read = await run_in_threadpool(named.ledger.read)
+        read = await _in_thread(named.ledger.read)
         if run_id not in read.report.runs.records:
             raise HTTPException(404, f"no run {run_id!r} in {named.ledger.directory}")
         key = _run_key(named.ledger.directory, read, run_id)
@@ -147,7 +150,21 @@ class _Site:
         """Two campaigns side by side."""
         keys = [request.query_params.get("first", ""), request.query_params.get("second", "")]
         named = [self._find(key) for key in keys]
-        return HTMLResponse(await run_in_threadpool(_compare, self._folder, named))
+        return HTMLResponse(await _in_thread(_compare, self._folder, named))
+
+
+async def _in_thread(function: Callable[..., T], *arguments: object) -> T:
+    """Call a function in a thread that, unlike those of Starlette, does not delay the end of the program."""
+    result: Future[T] = Future()
+
+    def work() -> None:
+        try:
+            result.set_result(function(*arguments))
+        except Exception as error:  # noqa: BLE001 - raised below
+            result.set_exception(error)
+
+    threading.Thread(target=work, daemon=True).start()
+    return await asyncio.wrap_future(result)
 
 
 def _row(named: _Found) -> str:
@@ -212,7 +229,7 @@ def application(folder: Path, token: str, flights: Flights) -> Starlette:
     if not ledgers:
         raise BadInputError(f"{folder}: holds no campaign, nor does a folder in it; `mavfi campaign run` flies one")
     if list(ledgers) == [""]:
-        ledgers[""].pace()
+        Store.open(folder).close()
     routes = [
         Route("/", site.overview, methods=["GET"]),
         Route("/row/{key:path}", site.row, methods=["GET"]),

@@ -10,9 +10,10 @@ import typer
 
 from mavfi.cli.console import counted
 from mavfi.cli.stopping import stoppable
-from mavfi.errors import BadInputError, not_installed
+from mavfi.errors import BadInputError
 from mavfi.files import is_dir
 
+HELP_PANEL = "Campaigns"
 PORT = 8321
 _LARGEST_PORT = 65_535
 _PATIENCE_S = 1
@@ -35,16 +36,12 @@ def serve(
         raise BadInputError(f"--port: {port}: allowed: 0 to {_LARGEST_PORT}")
     if not is_dir(directory):
         raise BadInputError(f"{directory}: is no folder; allowed: a ledger, or a folder with ledgers in it")
-    try:
-        import uvicorn
+    import uvicorn
 
-        from mavfi.extras.serve.app import HOST, application
-    except ModuleNotFoundError as error:
-        if error.name not in ("starlette", "uvicorn"):
-            raise
-        raise not_installed("mavfi serve", error.name, "serve") from None
+    from mavfi.extras.serve.app import HOST, application
     from mavfi.extras.serve.flights import Flights
     from mavfi.extras.serve.ledgers import find_ledgers
+    from mavfi.extras.serve.server import Server
 
     token = secrets.token_urlsafe(16)
     flights = Flights()
@@ -54,14 +51,10 @@ def serve(
     typer.echo(f"{counted(len(find_ledgers(directory)), 'campaign')} in {directory}, until Ctrl-C, at\n{address}")
     if open_browser:
         webbrowser.open(address)
-    config = uvicorn.Config(
-        app, log_level="warning", access_log=False, lifespan="off", timeout_graceful_shutdown=_PATIENCE_S
-    )
+    # the application itself prints what fails; uvicorn would add the requests that Ctrl-C cuts short
+    config = uvicorn.Config(app, log_level="critical", lifespan="off", timeout_graceful_shutdown=_PATIENCE_S)
     with stoppable("Stopped."):
-        try:
-            uvicorn.Server(config).run(sockets=[listening])
-        finally:
-            flights.close()
+        Server(config, flights).run(sockets=[listening])
 
 
 def _listen(host: str, port: int) -> socket.socket:

@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import sqlite3
 import struct
 import threading
 import time
@@ -31,7 +32,8 @@ MAX_DEPTH = 4
 _READ_SHARE = 0.2
 """Largest share of wall time spent on reading the ledger of a running campaign."""
 _RATE_WINDOW_S = 60.0
-"""The rate of a running campaign is that of the last minute (s)."""
+_RATE_FROM_S = 5.0
+"""The rate of a running campaign is that of the last minute, and shown after some seconds of it (s)."""
 
 Stamp = tuple[int, ...]
 """Time of the last change (ns) and size (bytes) of a ledger's file and of its log; () = there is none."""
@@ -191,18 +193,25 @@ class ServedLedger:
         """Counts of runs; checksums are left to `read`."""
         stamp = _stamp_of(self.directory)
         if self._status is None or self._status[0] != stamp:
-            if not is_file(self.directory / FILE):
-                raise BadInputError(f"{self.directory}: holds no campaign (no {FILE})")
-            with closing(Store(self.directory, connect(self.directory / FILE, "ro"))) as store:
-                self._status = stamp, status_of(store)
+            self._status = stamp, self._count()
         return self._status[1]
+
+    def _count(self) -> Status:
+        if not is_file(self.directory / FILE):
+            raise BadInputError(f"{self.directory}: holds no campaign (no {FILE})")
+        try:
+            with closing(Store(self.directory, connect(self.directory / FILE, "ro"))) as store:
+                return status_of(store)
+        except sqlite3.DatabaseError as error:
+            Store.open(self.directory).close()  # says what is damaged
+            raise BadInputError(f"{self.directory / FILE}: cannot be read now ({error})") from None
 
     def _rate_text(self, status: Status) -> str:
         """Rate of a running campaign and the time left, to be appended to its progress."""
         since, done_before = self._done[0]
         seconds = time.monotonic() - since
         flown = status.done - done_before
-        if not flown:
+        if not flown or seconds < _RATE_FROM_S:
             return ", running"
         rate = flown / seconds
         return f", {speed(rate, 'runs')}, {duration((status.total - status.done) / rate)} left"

@@ -6,10 +6,14 @@ from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
+from mavfi.analysis.comparison import compare as compare_runs
+from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate
 from mavfi.analysis.table import RATE
+from mavfi.errors import BadInputError
 from mavfi.extras.serve.ledgers import Answer, Pace, ReadLedger, Recovered, Stamp
 from mavfi.report.html import page
+from mavfi.report.html.report_page import RunSets, table_data
 from mavfi.report.text import ABSENT, cell
 
 HTML = Path(__file__).parent / "html"
@@ -23,6 +27,14 @@ class ComparedCampaign(NamedTuple):
     key: str
     pace: Pace
     read: ReadLedger
+
+
+class Differences(NamedTuple):
+    """How the second of two campaigns differs from the first: sentences, a table, and keys with both values."""
+
+    sentences: Sequence[str]
+    table: Mapping[str, Any] | None
+    keys: Mapping[str, tuple[Any, Any]]
 
 
 class ComparedItem(NamedTuple):
@@ -161,7 +173,20 @@ def compare(folder: Path, columns: Sequence[ComparedCampaign]) -> str:
             for figure in section["figures"]:
                 row = rows.setdefault(("figure", figure["name"]), ComparedItem("figure", "", [None] * 2))
                 row.members[index] = {**figure, "svg": _moved(figure["svg"], index, column.key)}
-    return _render("compare.html.j2", campaigns=campaigns, rows=rows.values())
+    differences = _differences(*(column.read.report.runs for column in columns))
+    return _render("compare.html.j2", campaigns=campaigns, differences=differences, rows=rows.values())
+
+
+def _differences(first: Runs, second: Runs) -> Differences:
+    """What `mavfi compare` says of two campaigns; where they have nothing in common, only why."""
+    try:
+        comparison = compare_runs(first, second)
+    except BadInputError as error:
+        return Differences([str(error)], None, {})
+    table = None
+    if not comparison.are_same:
+        table = {**table_data(comparison.table, RunSets({})), "id": ""}
+    return Differences(comparison.sentences, table, comparison.differing)
 
 
 def _linked(table: Mapping[str, Any], key: str) -> dict[str, Any]:

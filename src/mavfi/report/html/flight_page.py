@@ -24,6 +24,7 @@ from mavfi.report.explain import Story, around, detector_name, end_of, lines, pu
 from mavfi.report.flight_result import FlightResult
 from mavfi.report.html import page
 from mavfi.report.html.page import AFTER, BEFORE, encoded
+from mavfi.report.numbers import is_failure
 from mavfi.sim.environments import World
 from mavfi.states import STATES, Stage
 
@@ -179,7 +180,12 @@ class FlightPage:
     ) -> "FlightPage":
         """Create the page of flights of one mission; the first sentence of the story is the verdict."""
         (_, verdict), *rest = story
-        title = f"Fault in {site}" if site else "A flight without a fault"
+        if not site:
+            title = "A flight without a fault"
+        elif is_failure(courses[-1].log.injections):
+            title = f"Failure: {site}"
+        else:
+            title = f"Fault in {site}"
         return FlightPage(title, context, verdict, rest, commands, flight_data(courses, world, site))
 
     def to_json(self) -> dict[str, Any]:

@@ -171,6 +171,9 @@ def run_list(ledgers: Mapping[str, Runs]) -> dict[str, Any]:
         place=pl.when(pl.col("state") != "").then(pl.col("state")).otherwise(pl.col("kernel")),
         status=pl.col("status").str.replace_all("_", " "),
         bit=pl.col("bit").cast(pl.String).fill_null(""),
+        effect=pl.when((pl.col("level") == "sensor") & (pl.col("effect") == "sdc"))
+        .then(pl.lit("changed"))
+        .otherwise(pl.col("effect")),
     )
     texts = {name: _coded(frame[name]) for name in FILTERS}
     numbers = {name: _rounded(frame[name], digits) for name, digits in NUMBERS.items()}
@@ -584,7 +587,10 @@ def _page(case: Case) -> "FlightPage":
 def more_flights(directory: Path, path: Path, permission: str = "") -> list[tuple[str, str]]:
     """Commands that show the flights of a folder which are not in a page, with their descriptions.
 
-    `permission` is the option that they need, see `Store.permission`.
+    Args:
+        directory: Folder of a ledger or a study.
+        path: The page.
+        permission: What the commands need to run plug-ins of the ledger, see `Store.permission`.
     """
     return [
         ("See any flight: a run is flown when it is clicked", f"mavfi serve {directory}{permission}"),

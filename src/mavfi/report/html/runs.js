@@ -159,7 +159,8 @@ class RunList {
     document.getElementById("runs-summary").textContent =
       `${this.found.length} of ${this.data.ids.length} runs${source}${filters.length ? `; ${filters.join(", ")}` : ""}.${flights}`;
     const rows = this.found.slice(ROWS * this.page, ROWS * (this.page + 1));
-    this.columns = this.shownFilters.filter((name) => this.found.some((run) => this.text(name, run) !== ""));
+    const isOpen = (name) => !(name in this.chosen) && this.found.some((run) => this.text(name, run) !== "");
+    this.columns = this.shownFilters.filter(isOpen); // without those that a filter makes equal in all rows
     this.buildHead();
     document.querySelector(".runs tbody").replaceChildren(...rows.map((run) => this.row(run)));
     this.showPager();
@@ -175,7 +176,7 @@ class RunList {
 
   row(run) {
     const id = this.data.ids[run];
-    const link = element("a", { href: `#run/${encodeURIComponent(id)}` }, id);
+    const link = element("a", { href: `#run/${encodeURIComponent(id)}`, title: id }, id);
     const mark = this.stored.has(id) ? element("span", { class: "has", title: "with its flight" }, " ●") : "";
     const texts = this.columns.map((name) => {
       const bad = name === "status" && this.text(name, run) !== "success";

@@ -67,7 +67,7 @@ def test_each_cell_knows_the_runs_that_it_was_computed_from(own):
 
 def test_views_are_found_by_name_and_an_unknown_one_is_refused(own):
     assert table(own, "endings").title == "How missions ended"
-    with pytest.raises(BadInputError, match="view 'nothing': not known; allowed: success_as_in_the_paper, success"):
+    with pytest.raises(BadInputError, match="view 'nothing': not known; allowed: endings, success_as_in_the_paper"):
         table(own, "nothing")
 
 

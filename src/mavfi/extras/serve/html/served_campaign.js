@@ -2,6 +2,7 @@
 // The page of a campaign follows its ledger.
 
 const FOLLOW_MS = 2000;
+let isRenewing = false;
 
 async function follow() {
   try {
@@ -10,7 +11,7 @@ async function follow() {
       if (answer.ok) {
         const state = await answer.json();
         showPace(state);
-        if (state.stamp !== served.stamp && !isRead()) await renew();
+        if (state.stamp !== served.stamp && !isRenewing && !isRead()) renew(); // meanwhile the progress goes on
       }
     }
   } catch {
@@ -34,13 +35,19 @@ function isRead() {
   return focus.closest("#report > section:not(#runs)") !== null && !focus.matches(".theme");
 }
 
-/** Replace tables, figures and runs by those of the ledger now; filters, order, place and open parts stay. */
+/** Replace tables, figures and runs by those of the ledger now; filters, order, position and open parts stay. */
 async function renew() {
-  const answer = await fetch(`/campaign/${servedPath}`);
-  const page = new DOMParser().parseFromString(await answer.text(), "text/html");
-  const fresh = page.getElementById("served");
-  if (fresh === null) return; // damaged, or gone
-  served.stamp = fresh.dataset.stamp;
+  isRenewing = true;
+  try {
+    const answer = await fetch(`/campaign/${servedPath}`);
+    if (answer.ok) replaceBy(new DOMParser().parseFromString(await answer.text(), "text/html"));
+  } finally {
+    isRenewing = false;
+  }
+}
+
+function replaceBy(page) {
+  served.stamp = page.getElementById("served").dataset.stamp;
   const place = scrollY;
   const openParts = new Map(Array.from(document.querySelectorAll("#report summary"), (summary) => [summary.textContent, summary.parentElement.open]));
 
