@@ -293,7 +293,7 @@ def write_page(study: HardeningStudy, advice: AdviceSummary, curves: Table, chec
     about = [
         f"campaign `{campaign.name}` ({', '.join(campaign.environments)}, {campaign.missions} missions from seed "
         f"{campaign.first_seed}, {campaign.faults} faults per kernel); {processor()}; method: "
-        "[hardening](../hardening.md)",
+        "[hardening](../how-to/hardening.md)",
         f"golden digests of protected flights: {check.same} of {check.flights} equal; {check.alarms} false alarms in "
         f"{check.calls:,} calls (without charged time: with it the longer latency changes the flight)",
     ]

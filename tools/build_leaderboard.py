@@ -40,7 +40,7 @@ RULES = {
     "path vertices": 3,
     "way-point": 4,
 }
-"""Rule of docs/engineers.md that protects each site of the part `sites`."""
+"""Rule of docs/concepts/engineers.md that protects each site of the part `sites`."""
 LEVELS = {
     "state": "a value between kernels, every stage alike",
     "sites": "a value between kernels, fields and bits that lose most",
@@ -352,7 +352,7 @@ def headline(bench: Path) -> str:
             *lines,
             "",
             f"{_alarms(bench)}{remark}`recommended` consists of rules of physics and protocol; nothing is trained. "
-            f"[Leaderboard](docs/results/{PAGE}.md), with intervals; [five rules](docs/engineers.md) for a "
+            f"[Leaderboard](docs/results/{PAGE}.md), with intervals; [five rules](docs/concepts/engineers.md) for a "
             "stack of your own.",
         ]
     )
@@ -395,7 +395,8 @@ def about(bench: Bench) -> list[str]:
         f"[detection against false alarms](tables/{PAGE}/{SCORES}.csv) at any threshold, as curves: "
         "[this project's detectors](../images/curves-paper.png), "
         "[other libraries' and bounds](../images/curves-paper-others.png)",
-        "cost of detection: [models](../models.md#recommended); alarms that come late: [ROS](../ros.md#coupling); "
+        "cost of detection: [detectors](../reference/detectors.md#cost); "
+        "alarms that come late: [ROS](../how-to/ros.md#coupling); "
         "faults that last: [their page](lasting.md)",
     ]
     return lines
@@ -456,7 +457,7 @@ def main(arguments: Sequence[str]) -> int:
             shutil.copy(folder / "curves.png", IMAGES / picture)
         print(f"wrote {write_page(bench).relative_to(ROOT)}")
         if {PAPERS, PAPERS_OTHER, OURS} <= arms and (folder / "instruction").is_dir():
-            fill(DOCS / "engineers.md", {"rules": rules(folder / "sites", folder / "instruction")})
+            fill(DOCS / "concepts" / "engineers.md", {"rules": rules(folder / "sites", folder / "instruction")})
             fill(ROOT / "README.md", {"recovery": headline(folder)})
     except (BadInputError, OSError) as error:
         print(f"bad input: {error}", file=sys.stderr)

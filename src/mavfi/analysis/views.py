@@ -8,7 +8,7 @@ from mavfi.analysis.measures import Measure, MeasureFactory
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import RATE, UNKNOWN, Cell, Column, Table
 from mavfi.dropped import dropped_name
-from mavfi.errors import BadInputError, allowed
+from mavfi.errors import BadInputError, allowed, not_known
 from mavfi.plugins import Catalogue
 
 DEVIATIONS = (
@@ -37,7 +37,7 @@ class View:
     """Definition of a table over the runs of a campaign."""
 
     name: str  # for `mavfi report --view`
-    title: str  # of its table
+    title: str | Callable[[Runs], str]  # of its table; called where it depends on what was flown
     by: tuple[str, ...]  # columns of the frame to group by: one row per group
     measures: tuple[Measure | MeasureFactory, ...]  # the other columns
     where: Callable[[Runs], Runs] = field(default=lambda runs: runs)  # selects rows of the frame; may add columns
@@ -53,6 +53,12 @@ class View:
     leads: bool = False  # placed first in reports, as the headline
     applies: Callable[[Runs], bool] = field(default=lambda _: True)  # whether these runs have what it shows
     by_name: bool = False  # not in reports on a campaign: only in studies, benches, and by its name
+
+    def title_of(self, runs: Runs) -> str:
+        """The title for these runs."""
+        if isinstance(self.title, str):
+            return self.title
+        return self.title(runs)
 
     def table(self, runs: Runs) -> Table:
         """Compute the table; if a measure raises an exception, its cell is `UNKNOWN` and a note gives the reason."""
@@ -71,7 +77,7 @@ class View:
         rows = self._ordered(grid)
         return Table(
             self.name,
-            self.title,
+            self.title_of(runs),
             tuple(grid.columns),
             [row.cells for row in rows],
             max(1, len(self.by)),
@@ -174,7 +180,7 @@ def table(runs: Runs, name: str) -> Table:
         BadInputError: The view does not exist.
     """
     if name not in VIEWS:
-        raise BadInputError(dropped_name("views", name) or f"view {name!r}: not known; allowed: {', '.join(VIEWS)}")
+        raise BadInputError(dropped_name("views", name) or f"view {not_known(name, VIEWS)}")
     return VIEWS[name].table(runs)
 
 
@@ -186,15 +192,14 @@ def table_asked_for(runs: Runs, name: str) -> Table:
     """
     if dropped_name("views", name):
         raise BadInputError(dropped_name("views", name))
-    problem = "not known"
-    if name in VIEWS:
-        if VIEWS[name].applies(runs):
-            requested = table(runs, name)
-            if requested.rows:
-                return requested
-        problem = "these runs have nothing to show in it"
     names = [view.name for view in applicable(runs)]
-    raise BadInputError(f"view {name!r}: {problem}; allowed: {allowed(names, name)}")
+    if name not in VIEWS:
+        raise BadInputError(f"view {not_known(name, names)}")
+    if VIEWS[name].applies(runs):
+        requested = table(runs, name)
+        if requested.rows:
+            return requested
+    raise BadInputError(f"view {name!r}: these runs have nothing to show in it; allowed: {allowed(names, name)}")
 
 
 def applicable(runs: Runs) -> list[View]:

@@ -1,7 +1,7 @@
 """The only module that sets Numba flags and the location of compiled code.
 
 `fastmath` would remove NaN guards and break replay, the default error model would raise where C++ yields an
-infinity, and `parallel` would reorder sums: none of them is available here (see docs/fault-model.md).
+infinity, and `parallel` would reorder sums: none of them is available here (see docs/reference/faults.md).
 
 Numba's own cache checks the file of a function, but not those of its callees, and has an index of signatures per
 function, in which two processes that compile at the same time overwrite each other's entries.  Here each signature of

@@ -22,7 +22,7 @@ from mavfi.record import (
     Injection,
     KernelEffect,
 )
-from mavfi.report.numbers import change, corruption, outcome, signed_percent
+from mavfi.report.numbers import change, corruption, is_failure, outcome, signed_percent
 
 if TYPE_CHECKING:
     from mavfi.campaign.divergence import Departure, FirstDifference, StateSpread
@@ -145,6 +145,8 @@ def verdict(effect: Effect, log: FlightLog, golden: FlightLog) -> str:
         victim = "the firmware" if log.count(CONTROLLER_LOST) else "a kernel"
         return f"{death} of {victim}, {after_death(log)}; {_mission(log, golden)}"
     text = _EFFECTS.get(effect, effect.label)
+    if effect is Effect.SDC and is_failure(log.injections):
+        text = "another flight than the golden run"
     # masked because the protection has computed the step again
     if kernel is not None and kernel.effect == Effect.DETECTED.label and effect is Effect.MASKED:
         text = f"{_EFFECTS[Effect.DETECTED]}; {text}"

@@ -6,12 +6,12 @@ import re
 import pytest
 from matplotlib.figure import Figure
 
-from mavfi.analysis import table as table_of
 from mavfi.analysis.table import Table
+from mavfi.analysis.views import table as table_of
 from mavfi.errors import BadInputError
 from mavfi.report import links
 from mavfi.report.campaign_report import report_of
-from mavfi.report.html import page
+from mavfi.report.html import page, report_page
 from mavfi.report.html.report_page import (
     PageSection,
     ReportedCampaign,
@@ -21,6 +21,7 @@ from mavfi.report.html.report_page import (
     sections_of,
     svg_of,
     table_data,
+    write_page,
     write_report_page,
 )
 
@@ -84,6 +85,26 @@ def test_flights_are_taken_while_they_fit(tmp_path, report, flown, flight):
     assert len(asked) == count + 1
     with pytest.raises(BadInputError, match="without any flight; allowed: 1000"):
         written(tmp_path, report, flown, largest=1000)
+
+
+@pytest.mark.parametrize("at_once", [False, True])
+def test_what_is_done_is_in_the_page_when_the_time_is_up_or_at_ctrl_c(
+    tmp_path, report, flown, flight, monkeypatch, at_once
+):
+    path = tmp_path / "report.html"
+
+    def show(done, total):
+        assert path.is_file() and 'class="flight-data"' not in path.read_text(encoding="utf-8"), "written before"
+        if at_once and done == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(report_page, "_page", lambda case: flight)
+    if not at_once:
+        monkeypatch.setattr(report_page, "DEFAULT_SECONDS", 0.0)
+    campaigns = [ReportedCampaign(flown, report)]
+    found = write_page(path, campaigns, sections_of(report)[:1], COMMANDS, None, 1, show)
+    assert (found.stored, found.is_stopped) == ((3, True) if at_once else (1, False)) and found.chosen > 3
+    assert path.read_text(encoding="utf-8").count('class="flight-data"') == found.stored
 
 
 def test_the_libraries_are_there_with_their_licences(flight_html):
