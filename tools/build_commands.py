@@ -16,6 +16,8 @@ Every command has `--help`, which prints the same. `--version` and `--allow-plug
 name) stand before or after any command.
 
 """
+_DEFAULT = re.compile(r" ?\[dim\].*?\[/dim\]")
+"""What the terminal shows of a default, which has a column of its own here."""
 _STYLE = re.compile(r"\[bold\](.*?)\[/bold\]", re.DOTALL)
 
 
@@ -47,8 +49,12 @@ def _section(name: str, command: Any) -> Iterator[str]:  # noqa: ANN401
 
 
 def text_of(help_text: str) -> str:
-    """A help text in Markdown: its examples are code."""
-    return _STYLE.sub(lambda match: f"`{' '.join(match[1].split())}`", help_text).replace("\\[", "[")
+    """A help text in Markdown: its examples are code, its brackets are no links."""
+    plain = help_text.replace("\\[", "[")
+    coded = _STYLE.sub(lambda match: f"`{' '.join(match[1].split())}`", plain)
+    parts = coded.split("`")
+    parts[::2] = [part.replace("[", "\\[") for part in parts[::2]]  # every second one is code
+    return "`".join(parts)
 
 
 def _row(parameter: Any) -> str:  # noqa: ANN401
@@ -62,7 +68,7 @@ def _row(parameter: Any) -> str:  # noqa: ANN401
         default = "required"
     elif parameter.default is not False and parameter.default not in (None, "", (), []):
         default = f"`{parameter.default}`"
-    meaning = " ".join(text_of(parameter.help or "").split())
+    meaning = " ".join(text_of(_DEFAULT.sub("", parameter.help or "")).split())
     return f"| {label} | {default} | {meaning} |"
 
 
