@@ -371,7 +371,7 @@ def _alarm(alarm: AlarmRecord, *, in_golden: bool) -> str:
 
 def end_of(log: FlightLog) -> str:
     """Final status and end time of a flight."""
-    return f"{log.status.value} ({log.status.words}) after {_duration(log):.2f} s"
+    return f"{log.status.value.removesuffix('.')} ({log.status.words}) after {_duration(log):.2f} s"
 
 
 def _duration(log: FlightLog) -> float:

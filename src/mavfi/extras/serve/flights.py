@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from mavfi.report.html.flight_page import FlightPage
 
 MAX_FLIGHTS = 200
-"""Flights that are kept in memory, of about 100 kB each; those used last."""
+"""RequestedFlights that are kept in memory, of about 100 kB each; those used last."""
 
 
 class RunKey(NamedTuple):
@@ -43,7 +43,7 @@ class FlownPage(NamedTuple):
     refusal: str
 
 
-class Flights:
+class RequestedFlights:
     """Flies runs again, one at a time, and keeps their pages; a run that is being flown is not flown twice."""
 
     def __init__(self) -> None:
