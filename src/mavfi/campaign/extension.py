@@ -2,7 +2,8 @@
 
 What is flown stays: ids, seeds and records.  Only positions change, which number the runs of the whole campaign.  The
 larger campaign must therefore draw the same faults where the smaller one has drawn any: then its ledger, once the
-missing runs are flown, is that of the larger campaign flown from the start.
+missing runs are flown, is that of the larger campaign flown from the start.  Null runs, which take the arms in turn and
+only check the injector, are the exception: with further arms, those of the larger campaign take their place.
 """
 
 import json
@@ -53,13 +54,18 @@ def extend_ledger(store: Store, plan: Plan, identity: Mapping[str, Any], shard: 
 
     rows = []
     unflown = set()
+    replaced = []
     for row, _ in store.rows():
         spec = RunSpec.from_json(json.loads(row.text))
-        rows.append(extension.row_of(spec))
+        new_row = extension.row_of(spec)
+        if new_row is None:
+            replaced.append(row.run_id)
+            continue
+        rows.append(new_row)
         if spec.kind == "golden" and extension.counts_now(spec):
             unflown.add(row.run_id)
     unchanged = [world for world in worlds if extension.adds_nothing_to(*world)]
-    store.replan(identity, rows, unchanged, unflown)
+    store.replan(identity, rows, unchanged, unflown, replaced)
 
 
 class _MissionDraws(NamedTuple):
@@ -157,8 +163,8 @@ class _Extension:
             text = "the strata have exact shares of all faults, in an order drawn for their number: other faults"
             return self.refusal(
                 "faults",
-                f"{extended.faults}: {text} would take the place of those flown; allowed: {stored.faults}, or in a new "
-                "folder a group for each stratum (sampling.groups)",
+                f"{extended.faults}: {text} would take the place of those flown; allowed: {stored.faults} (campaigns "
+                "with one stratum for each target can grow), more environments and arms",
             )
         text = f"the faults of a mission are drawn together: with more of them, {name} would be another one"
         return self.refusal(
@@ -166,8 +172,8 @@ class _Extension:
             f"{extended.faults}: {text}; allowed: as many faults in each of the flown missions as before",
         )
 
-    def row_of(self, spec: RunSpec) -> Row:
-        """A stored run, as the larger campaign plans it.
+    def row_of(self, spec: RunSpec) -> Row | None:
+        """A stored run, as the larger campaign plans it; None = a null run that it flies in another arm.
 
         Raises:
             BadInputError: The larger campaign has another run in its place.
@@ -176,8 +182,7 @@ class _Extension:
             if planned.run_id == spec.run_id:
                 return planned.row()
         if spec.target == NULL:
-            text = f"null runs take the arms in turn, so that {spec.run_id} would be another one"
-            raise self.refusal("arms", f"{text}; allowed: the arms of the ledger, or a new folder")
+            return None
         raise self.refusal("arms", f"run {spec.run_id} would be another one; {_ALLOWED}")
 
     def _runs_at(self, spec: RunSpec) -> Iterator[RunSpec]:

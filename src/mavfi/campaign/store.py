@@ -460,14 +460,16 @@ class Store:
         rows: Sequence[Row],
         planned: Iterable[tuple[str, int]],
         unflown: Collection[str],
+        replaced: Collection[str],
     ) -> None:
         """Make this the ledger of another campaign, which has all of its runs, at other positions.
 
         Args:
             identity: That of the campaign.
-            rows: The stored runs as the campaign plans them.
+            rows: The stored runs as the campaign plans them, except the replaced ones.
             planned: Missions that have no further runs in it, by environment and seed.
             unflown: Ids of runs that are to be flown again.
+            replaced: Ids of runs that it does not have.
         """
         with self.writing():
             # The identity comes first: it is the salt of all other checksums.
@@ -477,6 +479,7 @@ class Store:
             self.write_meta(metadata)
             salt = salt_of(self._connection)
 
+            self._connection.executemany("DELETE FROM runs WHERE run_id = ?", [(run_id,) for run_id in replaced])
             # Positions are unique at every instant: the old ones make room by becoming negative.
             self._connection.execute("UPDATE runs SET position = -1 - position")
             for row in rows:

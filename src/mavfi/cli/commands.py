@@ -43,6 +43,7 @@ VERBS = {
     "train": "mavfi.cli.train:train",
     "states": "mavfi.cli.states:states",
     "docs": "mavfi.cli.docs:docs",
+    "init": "mavfi.cli.init:init",
     "completion": "mavfi.cli.completion:completion",
 }
 """Commands of the core: a function, or a Typer application with commands of its own."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
+from textwrap import fill, indent
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.padding import Padding
 from rich.text import Text
 
 from mavfi.cli.console import PAGES, check_file, check_writable, console, say_written
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from mavfi.extras.demo.faults import FlownDemo
 
 _WIDTH = 80
+"""Width of the text (characters)."""
+_INDENT = " " * 5
 
 
 def demo(
@@ -51,9 +53,9 @@ def _show_one(number: int) -> None:
     check_writable(picture)
     with compiling(instrumented="instruction" in chosen.fault, flight=True):
         flown = faults.FlownDemo(number, chosen, chosen.fly())
+    _show(flown)
     flown.result.plot().savefig(picture)
     out = console()
-    _show(flown)
     out.print(Text(chosen.command, style="dim"), soft_wrap=True)
     say_written(picture)
 
@@ -72,7 +74,7 @@ def _show_all(html: Path | None) -> None:
             flown.append(faults.FlownDemo(number, chosen, chosen.fly()))
         bar.show(len(flown), len(faults.DEMOS))
     out = console()
-    out.print(Text(faults.headline(flown), style="bold"), width=_WIDTH)
+    out.print(Text(fill(faults.headline(flown), _WIDTH), style="bold"))
     for each in flown:
         _show(each)
     if html is not None:
@@ -89,4 +91,4 @@ def _show(flown: FlownDemo) -> None:
         mark = Text("✗", style="red")
     out = console()
     out.print(Text.assemble(f"{flown.number:2} ", mark, " ", (flown.demo.title, "bold")))
-    out.print(Padding(Text(flown.sentence), (0, 0, 0, 5), expand=False), width=_WIDTH)
+    out.print(Text(indent(fill(flown.sentence, _WIDTH - len(_INDENT)), _INDENT)))
