@@ -187,7 +187,9 @@ def compare(runs_a: Runs, runs_b: Runs) -> CampaignComparison:
             continue
         samples.append((key, sample))
     if not samples:
-        raise BadInputError(f"A and B have nothing to compare: {'; '.join(notes) or 'no common setting'}")
+        raise BadInputError(f"A and B have nothing to compare: {'; '.join(notes)}")
+    if judged_a.injected.frame["stratum"].n_unique() > 1:
+        notes.append("shares are those of the faults as drawn: strata are not weighted")
     left_out = sum(sample.left_out for _, sample in samples)
     if left_out:
         notes.append(f"{left_out} runs have no partner (another seed, or the draw hit another bit), and are left out")
