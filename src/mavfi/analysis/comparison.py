@@ -5,6 +5,7 @@ least the share `_SHARED` has a partner are compared in pairs, whose differences
 samples.  All runs of a mission, also those with different faults, are one cluster.
 """
 
+import html
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -71,7 +72,7 @@ class ComparedGroup:
     energy: Rate
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class CampaignComparison:
     """Two campaigns, A and B.
 
@@ -98,6 +99,13 @@ class CampaignComparison:
         if self.are_same:
             return [f"B flies as A: all {sum(_compared_alone(self.groups))} shared runs are equal bit for bit."]
         return [_failures_sentence(self.answer), _cost_sentence(self.answer)]
+
+    def __repr__(self) -> str:
+        return "\n".join(self.sentences)
+
+    def _repr_html_(self) -> str:
+        """The answer and the table in a notebook."""
+        return "".join(f"<p>{html.escape(sentence)}</p>" for sentence in self.sentences) + self.table._repr_html_()
 
     @property
     def table(self) -> Table:
