@@ -190,18 +190,7 @@ def run(arguments: Sequence[str]) -> int:
 
     Bad input, known failures and exceptions of plug-ins print one line on stderr; those of mavfi itself are raised.
     """
-    # the permission comes first: commands of plug-ins are looked up already while the words are parsed
-    if _ALLOW_PLUGINS in arguments:
-        allow_plugins()
-        arguments = [word for word in arguments if word != _ALLOW_PLUGINS]
-    allow_typed(word.rpartition("=")[2] for word in arguments)
-
-    if os.environ.get(_COMPLETE):
-        completion_init()
-        os.environ["COLUMNS"] = "1000"  # each completion is one line
-
-    if not arguments or "--help" in arguments:
-        _import_help()
+    arguments = _prepared(arguments)
 
     # every known kind of failure becomes a line and an exit code
     try:
@@ -229,6 +218,23 @@ def run(arguments: Sequence[str]) -> int:
     if isinstance(code, int):
         return code
     return EXIT_DONE
+
+
+def _prepared(arguments: Sequence[str]) -> Sequence[str]:
+    """Prepare for the words of a command: permission, completion, help; returns those that are left to parse."""
+    # the permission comes first: commands of plug-ins are looked up already while the words are parsed
+    if _ALLOW_PLUGINS in arguments:
+        allow_plugins()
+        arguments = [word for word in arguments if word != _ALLOW_PLUGINS]
+    allow_typed(word.rpartition("=")[2] for word in arguments)
+
+    if os.environ.get(_COMPLETE):
+        completion_init()
+        os.environ["COLUMNS"] = "1000"  # each completion is one line
+
+    if not arguments or "--help" in arguments:
+        _import_help()
+    return arguments
 
 
 def _missing_package(error: BaseException, arguments: Sequence[str]) -> str:
