@@ -16,8 +16,6 @@ Every command has `--help`, which prints the same. `--version` and `--allow-plug
 name) stand before or after any command.
 
 """
-_DEFAULT = re.compile(r" ?\[dim\].*?\[/dim\]")
-"""What the terminal shows of a default, which has a column of its own here."""
 _STYLE = re.compile(r"\[bold\](.*?)\[/bold\]", re.DOTALL)
 
 
@@ -68,7 +66,8 @@ def _row(parameter: Any) -> str:  # noqa: ANN401
         default = "required"
     elif parameter.default is not False and parameter.default not in (None, "", (), []):
         default = f"`{parameter.default}`"
-    meaning = " ".join(text_of(_DEFAULT.sub("", parameter.help or "")).split())
+    help_text, *_ = (parameter.help or "").split("[dim]")  # the default stands in its own column
+    meaning = " ".join(text_of(help_text).split())
     return f"| {label} | {default} | {meaning} |"
 
 
