@@ -97,10 +97,10 @@ def findings(blocks: Mapping[str, str], claims: Sequence[Mapping[str, str]]) -> 
             + ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS)
             + " at this number of flights ([every one](docs/results/study.md#findings-of-the-paper-tested)).",
             "- **Its detectors,** under the reading of the paper that fits its table best, leave "
-            f"{lost(fitted['Gaussian-based', 'here'])} missions lost (ranges of values, Gaussian) and "
+            f"{lost(fitted['Gaussian-based', 'here'])} missions lost (Gaussian, ranges of values) and "
             f"{lost(fitted['Autoencoder-based', 'here'])} (autoencoder). By the letter of its text, faults in executed "
-            f"instructions, that they bring missions back is {verdicts['gaussian_recovers']} for the first, "
-            f"{verdicts['autoencoder_recovers']} for the second ([by assumption](#what-was-found)).",
+            f"instructions, that they bring any back is {verdicts['gaussian_recovers']} (Gaussian) and "
+            f"{verdicts['autoencoder_recovers']} (autoencoder) ([by assumption](#what-was-found)).",
         ]
     )
 
