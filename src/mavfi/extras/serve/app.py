@@ -25,7 +25,7 @@ from mavfi.analysis.listing import partner
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.serve import pages
-from mavfi.extras.serve.flights import RequestedFlights, RunKey
+from mavfi.extras.serve.flights import FlownPage, RequestedFlights, RunKey
 from mavfi.extras.serve.ledgers import ReadLedger, ServedLedger, find_ledgers
 
 T = TypeVar("T")
@@ -144,11 +144,12 @@ class _Site:
             raise HTTPException(404, f"no run {run_id!r} in {named.ledger.directory}")
         key = _run_key(named.ledger.directory, read, run_id)
         try:
-            page = await asyncio.wrap_future(self._flights.page(key))
+            # shielded: others may wait for the same flight
+            page = await asyncio.shield(asyncio.wrap_future(self._flights.page(key)))
         except BrokenProcessPool:
-            self._flights.forget(key)
-            return PlainTextResponse("The process that flew this run has died; the next click starts another one.", 422)
+            page = FlownPage("", "The process that flew this run has died; the next click starts another one.")
         if page.refusal:
+            self._flights.forget(key)
             return PlainTextResponse(page.refusal, 422)
         return Response(page.json, media_type="application/json")
 

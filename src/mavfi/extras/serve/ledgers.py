@@ -188,6 +188,8 @@ class ServedLedger:
         while self._done[0][0] < now - _RATE_WINDOW_S:
             self._done.popleft()
         text = f"{status.done} of {status.total} runs"
+        if status.complete:
+            text = f"{status.done} runs"
         if running:
             text += self._rate_text(status)
         elif not status.complete:

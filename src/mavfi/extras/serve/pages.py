@@ -78,7 +78,7 @@ def tiles(answer: CampaignAnswer) -> list[Tile]:
 
 def _tile(heading: str, rate: Rate, noun: str) -> Tile:
     if rate.rate is None:
-        return Tile(heading, ABSENT, "", f"of 0 {noun}")
+        return Tile(heading, ABSENT, "", f"0 {noun}")
     value, _, rest = cell(rate, RATE).partition(" ")
     interval, _, _ = rest.rpartition(" ")
     counts = f"{rate.n} {noun}"
