@@ -26,6 +26,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.bench.bench import FOLDER, ROWS, SCORES, Bench, BenchPart, level_of, load_bench, published_rows
 from mavfi.report.text import rate, shown
 from tools import results
+from tools.build_readme import recommended_item
 from tools.markers import DOCS, IMAGES, ROOT, fill
 
 NAME = "mavfi-bench-1"
@@ -324,7 +325,7 @@ def headline(bench: Path) -> str:
     """
     # a row for each level that was flown with all three schemes
     lines = [
-        "| flipped bit in | lost | GAD of the paper | its AAD | `--detector recommended` |",
+        "| one flipped bit in | lost | the paper's Gaussian detector | its autoencoder | `recommended` |",
         "|---|---:|---:|---:|---:|",
     ]
     for part, where in LEVELS.items():
@@ -346,8 +347,8 @@ def headline(bench: Path) -> str:
         remark = _MOVED
     return "\n".join(
         [
-            "**And what brings them back?** Missions in `dense` and `factory` lost to one flipped bit, and how many of "
-            "them a detector saves:",
+            "Missions in the worlds `dense` and `factory` lost to one flipped bit, and how many of them a detector "
+            "brings back:",
             "",
             *lines,
             "",
@@ -458,7 +459,8 @@ def main(arguments: Sequence[str]) -> int:
         print(f"wrote {write_page(bench).relative_to(ROOT)}")
         if {PAPERS, PAPERS_OTHER, OURS} <= arms and (folder / "instruction").is_dir():
             fill(DOCS / "concepts" / "engineers.md", {"rules": rules(folder / "sites", folder / "instruction")})
-            fill(ROOT / "README.md", {"recovery": headline(folder)})
+            recovery = headline(folder)
+            fill(ROOT / "README.md", {"recovery": recovery, "recommended": recommended_item(recovery)})
     except (BadInputError, OSError) as error:
         print(f"bad input: {error}", file=sys.stderr)
         return 2

@@ -21,7 +21,7 @@ from mavfi.pipeline.memory import Remembers
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.pipeline.words import words_of
 from mavfi.states import AUTOPILOTS, STATES, Field, StateSpec
-from tools import build_commands, build_reference
+from tools import build_commands, build_reference, build_schemas
 from tools.fault_levels import level_table
 from tools.markers import DOCS, between
 
@@ -212,6 +212,7 @@ def pages() -> dict[Path, str]:
         levels: between(levels.read_text(encoding="utf-8"), "levels", level_table()),
         **build_commands.pages(),
         **build_reference.pages(),
+        **build_schemas.schemas(),
     }
 
 

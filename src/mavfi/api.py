@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 from mavfi.config import parse as parse_config
 from mavfi.detectors.detector import Detector, require_detector
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, naming_extra
 from mavfi.faults.fault import Fault
 from mavfi.flight.compose import resolve, watched
 from mavfi.flight.host import ArmSetup, Flight, Host, host_for
@@ -136,11 +136,13 @@ def run(
     Raises:
         BadInputError: See `campaign.run.run_campaign`.
     """
+    with naming_extra("mavfi.run"):  # before the flights
+        from mavfi.analysis.runs import Runs
     from mavfi.campaign.config import Campaign, load_campaign
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.mission import check_names
     from mavfi.campaign.run import run_campaign
-    from mavfi.report.notebook import ProgressLine
+    from mavfi.report.progress_line import ProgressLine
 
     if isinstance(campaign, Campaign):
         loaded_campaign = campaign
@@ -156,7 +158,7 @@ def run(
             extend=extend,
             progress=progress or line,
         )
-    return load(directory)
+    return Runs.read(Path(directory))
 
 
 def load(directory: Path | str) -> "Runs":
@@ -165,7 +167,8 @@ def load(directory: Path | str) -> "Runs":
     Raises:
         BadInputError: The folder has no ledger.
     """
-    from mavfi.analysis.runs import Runs
+    with naming_extra("mavfi.load"):
+        from mavfi.analysis.runs import Runs
 
     return Runs.read(Path(directory))
 

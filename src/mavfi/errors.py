@@ -91,6 +91,18 @@ def missing_package(error: ModuleNotFoundError, what: str) -> NotInstalledError 
     return not_installed(what, package, smallest)
 
 
+@contextmanager
+def naming_extra(what: str) -> Iterator[None]:
+    """Convert an import that does not find an optional package to the error that names the extra of mavfi."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        missing = missing_package(error, what)
+        if missing is None:
+            raise
+        raise missing from None
+
+
 class MachineError(MavfiError):
     """A failure of the machine (disk, memory, file handles, external signal), not of the flight; never recorded.
 

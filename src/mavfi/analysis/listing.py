@@ -27,7 +27,13 @@ _COLUMNS = (
     Column("kernel_effect", "kernel"),
     Column("reason", "reason", TEXT),
 )
-_USUAL = {"kernel_effect": {""}, "site_outcome": {"", ACTIVATED}, "reason": {""}}
+_USUAL: dict[str, set[object]] = {
+    "flight_time_s": {0.0},
+    "alarms_total": {0},
+    "kernel_effect": {""},
+    "site_outcome": {"", ACTIVATED},
+    "reason": {""},
+}
 """Values of columns that are hidden if they have no others."""
 
 

@@ -66,7 +66,7 @@ def success(runs: Runs) -> Figure | None:
     conditions = "95 % intervals, n below each"
     if has(chosen, level="instruction"):
         conditions = f"nodes that die are restarted; {conditions}"
-    if names:
+    if names and chosen.injected.values("level") != ["sensor"]:  # those of sensors are in no bits
         conditions = f"faults in {POPULATIONS.get(names[0], names[0])}; {conditions}"
     title = "Success"
     if runs.campaign.get("profile"):

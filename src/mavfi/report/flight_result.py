@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mavfi.errors import BadInputError, write_text
+from mavfi.errors import BadInputError, NotInstalledError, naming_extra, write_text
 from mavfi.outcomes import Effect, QoF, effect_of, quality_of
 from mavfi.record import COLUMNS, FlightRecord, record_of
 
@@ -115,8 +115,9 @@ class FlightResult:
         Returns:
             A matplotlib figure, for `savefig` or further drawing.
         """
-        from mavfi.report.notebook import NotebookFigure
-        from mavfi.report.picture import flight_figure
+        with naming_extra("plot"):
+            from mavfi.report.notebook import NotebookFigure
+            from mavfi.report.picture import flight_figure
 
         if self.unwatched is None:
             figure = flight_figure(self.flight, self.golden, detector=self.detector)
@@ -140,7 +141,8 @@ class FlightResult:
 
     @cached_property
     def _page(self) -> str:
-        from mavfi.report.html.flight_page import page_of_result, rendered_flight_page
+        with naming_extra("html"):
+            from mavfi.report.html.flight_page import page_of_result, rendered_flight_page
 
         if self.flown_as is None:
             raise BadInputError("html: this flight cannot be repeated here; allowed: flights of the host 'local'")
@@ -149,12 +151,16 @@ class FlightResult:
         return rendered_flight_page(page)
 
     def _repr_html_(self) -> str | None:
-        """The page in a notebook; None = the text of `repr`, since there is no page."""
-        from mavfi.report.notebook import framed
-
+        """The page in a notebook; None = the text of `repr`, since there is no page, or not without an extra."""
         if self.flown_as is None:
             return None
-        return framed(self._page)
+        try:
+            page = self._page
+        except NotInstalledError:
+            return None
+        from mavfi.report.notebook import framed
+
+        return framed(page)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data, the output of `mavfi fly --json`.

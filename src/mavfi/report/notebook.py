@@ -1,16 +1,11 @@
-"""What notebooks show: figures, pages in frames of their own, and a line of progress; without importing IPython."""
+"""What notebooks show: figures, and pages in frames of their own; neither needs IPython."""
 
 import base64
 import gzip
 import io
-import sys
-import time
-from datetime import timedelta
-from typing import Any, Self
 
 from matplotlib.figure import Figure
 
-from mavfi.campaign.ledger import Progress
 from mavfi.report import style
 
 _DOTS_PER_INCH = 110
@@ -21,8 +16,6 @@ _COMPACT = """<style>
 .stage canvas { height: clamp(240px, 100vh - 15rem, 620px); } footer { display: none; }
 </style></head>"""
 """Style of a page in so small a frame: the scene leaves room for its controls."""
-_UPDATE_EVERY = 0.5
-"""Least interval between updates of the progress (s): a notebook keeps up with a few messages a second."""
 _LOADER = """<!DOCTYPE html><script>
 (async () => {
   const bytes = Uint8Array.from(atob("%s"), (letter) => letter.charCodeAt(0));
@@ -72,69 +65,3 @@ def framed(page: str) -> str:
         f'<iframe srcdoc="{document}" sandbox="allow-scripts" loading="lazy" '
         f'style="width: 100%; height: {_FRAME_HEIGHT}px; border: 0"></iframe>'
     )
-
-
-class ProgressLine:
-    """Progress of a campaign in one line that is updated: in a notebook, or on stderr of a terminal; else nowhere.
-
-    It is called with the progress after every run.
-    """
-
-    def __init__(self, label: str) -> None:
-        """Prepare without showing anything.
-
-        Args:
-            label: What is being flown.
-        """
-        self._label = label
-        self._output = _output_of_notebook()
-        self._is_shown = self._output is not None or sys.stderr.isatty()
-        self._has_line = False
-        self._started = time.perf_counter()
-        self._next_update = 0.0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._has_line and self._output is None:
-            sys.stderr.write("\n")
-
-    def __call__(self, progress: Progress) -> None:
-        """Show the progress if the last update is old enough, or if it is complete."""
-        now = time.perf_counter()
-        if not self._is_shown or (now < self._next_update and not progress.complete):
-            return
-        self._next_update = now + _UPDATE_EVERY
-        self._write(f"{self._label}: {self._text(progress, now - self._started)}")
-        self._has_line = True
-
-    def _text(self, progress: Progress, elapsed_s: float) -> str:
-        """Runs that are done, and the time left at the mean rate of this session, which has lasted `elapsed_s`."""
-        if progress.compiling and not progress.flown:
-            return "compiling kernels and flying the first mission ..."
-        text = f"{progress.done} of {progress.total} runs"
-        if progress.complete or not progress.flown:
-            return text
-        left_s = elapsed_s * (progress.total - progress.done) / progress.flown
-        return f"{text}, {timedelta(seconds=round(left_s))} left"
-
-    def _write(self, line: str) -> None:
-        """Replace the line that was shown."""
-        if self._output is None:
-            sys.stderr.write(f"\r{line}\x1b[K")
-            sys.stderr.flush()
-        elif self._has_line:
-            self._output.update({"text/plain": line}, raw=True)
-        else:
-            self._output.display({"text/plain": line}, raw=True)
-
-
-def _output_of_notebook() -> Any:  # noqa: ANN401 - IPython is no dependency
-    """A display of a notebook whose content can be replaced; None outside of notebooks."""
-    ipython = sys.modules.get("IPython")
-    if ipython is None or getattr(ipython.get_ipython(), "kernel", None) is None:
-        return None
-    from IPython.display import DisplayHandle
-
-    return DisplayHandle()

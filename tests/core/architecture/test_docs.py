@@ -17,6 +17,13 @@ PAGES = [
     *sorted((ROOT / "docs").rglob("*.md")),
 ]
 DOCS = ROOT / "docs"
+MAX_WORDS = 35_000
+"""Hand-written words of all pages: what a reader can be expected to find a way through."""
+NOT_PROSE = (
+    r"<!-- ([\w-]+):begin.*?<!-- \1:end -->",  # written by a tool
+    r"^```.*?^```",
+    r"(?<=\n\n)(?: {4}[^\n]*\n)+",  # commands
+)
 
 
 def text(path: Path) -> str:
@@ -44,6 +51,22 @@ def test_a_page_of_results_links_all_of_its_tables(page):
     tables = {path.relative_to(page.parent).as_posix() for path in (results.TABLES / page.stem).glob("*.csv")}
     if page.stem != "study":  # copied from the study, which writes its tables beside it
         assert tables and tables <= set(re.findall(r"\]\(([^)#]+)", text(page)))
+
+
+def count_words(page: str) -> int:
+    """Words that a person wrote: tokens with a letter or a digit, without code and without what tools write."""
+    for pattern in NOT_PROSE:
+        page = re.sub(pattern, "", page, flags=re.DOTALL | re.MULTILINE)
+    return sum(any(character.isalnum() for character in token) for token in page.split())
+
+
+def test_pages_are_no_longer_than_somebody_reads():
+    pages = [*(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md"))]
+    pages += [page for page in DOCS.rglob("*.md") if not text(page).startswith("<!-- Written by")]
+    words = {page.relative_to(ROOT).as_posix(): count_words(text(page)) for page in pages}
+    longest = sorted(words, key=lambda name: -words[name])[:5]
+    assert sum(words.values()) <= MAX_WORDS, f"longest: {longest}"
+    assert count_words("one two\n\n    mavfi fly\n\n<!-- a:begin -->\nthree\n<!-- a:end -->\n| - | 4 |\n") == 3
 
 
 def test_every_detector_is_listed():

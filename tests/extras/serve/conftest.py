@@ -7,7 +7,7 @@ from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
 from mavfi.extras.serve.app import application
-from mavfi.extras.serve.flights import Flights, flown_page
+from mavfi.extras.serve.flights import RequestedFlights, flown_page
 from tests.core.unit.campaign.fakes import HOST
 from tests.core.unit.report.html.conftest import browser, driver  # noqa: F401
 
@@ -22,7 +22,7 @@ CAMPAIGN = {
 }
 
 
-class WaitingFlights(Flights):
+class WaitingFlights(RequestedFlights):
     """Does not fly; what was asked for is in `asked`."""
 
     def __init__(self):
@@ -34,7 +34,7 @@ class WaitingFlights(Flights):
         return Future()
 
 
-class FlightsHere(Flights):
+class FlightsHere(RequestedFlights):
     """Flies in this process."""
 
     def _fly(self, run):
@@ -64,7 +64,7 @@ def flown(tmp_path_factory):
 @pytest.fixture
 def stranger(study):
     """A client without the token."""
-    return client_of(study, Flights())
+    return client_of(study, RequestedFlights())
 
 
 @pytest.fixture

@@ -49,7 +49,8 @@ def test_pages_begin_with_the_answer_and_change_no_file(client, study):
     overview = client.get("/").text
     assert re.findall(r'href="/campaign/([^"]+)"', overview) == ["first", "more/second"]
     assert "of 1 missions" in client.get("/row/first").text
-    campaign = client.get("/campaign/more/second").text
+    assert "Reading more/second" in client.get("/campaign/more/second").text
+    campaign = client.get("/campaign/more/second", headers={"mavfi-waits": "yes"}).text
     assert campaign.index("Without a fault") < campaign.index("2 missions per environment")
     assert client.get("/state/more/second").json()["complete"]
     both = client.get("/compare", params={"first": "first", "second": "more/second"}).text

@@ -7,13 +7,13 @@ import pytest
 import uvicorn
 
 from mavfi.extras.serve.app import HOST, application
-from mavfi.extras.serve.flights import Flights
+from mavfi.extras.serve.flights import RequestedFlights
 from tests.extras.serve.conftest import TOKEN
 
 
 @pytest.fixture
 def address(flown):
-    flights = Flights()
+    flights = RequestedFlights()
     config = uvicorn.Config(application(flown, TOKEN, flights), host=HOST, port=0, lifespan="off", log_level="critical")
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mavfi.errors import BadInputError, not_known
+from mavfi.errors import BadInputError
 from mavfi.extras.airsim.frames import looking
 from mavfi.files import read_file
 from mavfi.numerics.frames import Quaternion, Triple
@@ -146,7 +146,7 @@ class _Table:
         for choice in allowed:
             if str(value).lower() == choice.lower():
                 return choice
-        raise BadInputError(f"{self.key(name)}: {not_known(value, [*filter(None, allowed)])}")
+        raise BadInputError(f"{self.key(name)}: {value!r}: allowed: {', '.join(filter(None, allowed))}")
 
     def tables(self, name: str) -> dict[str, "_Table"]:
         """The objects in an object, by their keys."""

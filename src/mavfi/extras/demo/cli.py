@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
+from textwrap import fill, indent
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.padding import Padding
 from rich.text import Text
 
 from mavfi.cli.console import PAGES, check_file, check_writable, console, say_written
@@ -15,7 +15,10 @@ from mavfi.errors import BadInputError
 if TYPE_CHECKING:
     from mavfi.extras.demo.faults import FlownDemo
 
+HELP_PANEL = "Fly and look"
 _WIDTH = 80
+"""Width of the text (characters)."""
+_INDENT = " " * 5
 
 
 def demo(
@@ -26,9 +29,10 @@ def demo(
         Path | None, typer.Option(metavar="FILE.html", help="Write a page with pictures, and flights in 3-D.")
     ] = None,
 ) -> None:
-    """Fly ten telling faults, each without a fault, with it, and with it under the detector recommended.
+    """Fly ten telling faults, or draw one of them.
 
-    With a number it draws this one to demo-NUMBER.png.
+    Each is flown without the fault, with it, and with it under the detector recommended. With a number, this one is
+    drawn to demo-NUMBER.png.
 
     Example: [bold]mavfi demo 3[/bold]
     """
@@ -51,9 +55,9 @@ def _show_one(number: int) -> None:
     check_writable(picture)
     with compiling(instrumented="instruction" in chosen.fault, flight=True):
         flown = faults.FlownDemo(number, chosen, chosen.fly())
+    _show(flown)
     flown.result.plot().savefig(picture)
     out = console()
-    _show(flown)
     out.print(Text(chosen.command, style="dim"), soft_wrap=True)
     say_written(picture)
 
@@ -72,7 +76,7 @@ def _show_all(html: Path | None) -> None:
             flown.append(faults.FlownDemo(number, chosen, chosen.fly()))
         bar.show(len(flown), len(faults.DEMOS))
     out = console()
-    out.print(Text(faults.headline(flown), style="bold"), width=_WIDTH)
+    out.print(Text(fill(faults.headline(flown), _WIDTH), style="bold"))
     for each in flown:
         _show(each)
     if html is not None:
@@ -89,4 +93,4 @@ def _show(flown: FlownDemo) -> None:
         mark = Text("✗", style="red")
     out = console()
     out.print(Text.assemble(f"{flown.number:2} ", mark, " ", (flown.demo.title, "bold")))
-    out.print(Padding(Text(flown.sentence), (0, 0, 0, 5), expand=False), width=_WIDTH)
+    out.print(Text(indent(fill(flown.sentence, _WIDTH - len(_INDENT)), _INDENT)))

@@ -10,7 +10,6 @@ from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.record import FlightLog, Injection
 from mavfi.report.explain import after_death
 from mavfi.report.flight_result import FlightResult
-from mavfi.report.html.flight_page import fly_command
 from mavfi.report.numbers import corruption, outcome, signed_percent
 
 MISSION = MissionSpec(environment="dense", seed=10007)
@@ -34,6 +33,8 @@ class Demo:
     @property
     def command(self) -> str:
         """The command that repeats its flights."""
+        from mavfi.report.html.flight_page import fly_command  # needs an extra, which the flights do not
+
         fault_seed = None
         if self.fault_seed:
             fault_seed = self.fault_seed

@@ -25,7 +25,7 @@ from mavfi.analysis.listing import partner
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.serve import pages
-from mavfi.extras.serve.flights import Flights, RunKey
+from mavfi.extras.serve.flights import FlownPage, RequestedFlights, RunKey
 from mavfi.extras.serve.ledgers import ReadLedger, ServedLedger, find_ledgers
 
 T = TypeVar("T")
@@ -33,6 +33,8 @@ HOST = "127.0.0.1"
 """The only address that is served."""
 _NAMES = [HOST, "localhost"]
 """Host names of requests: a page of another site whose name is bound to loopback has another one."""
+_WAITS = "mavfi-waits"
+"""Header of requests whose page shows already that it waits; see reading.html.j2."""
 _HEADERS = {
     "Cache-Control": "no-store",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -67,7 +69,7 @@ class _TokenMiddleware(BaseHTTPMiddleware):
 
 
 @dataclass(frozen=True)
-class _Found:
+class _NamedLedger:
     """The ledger that a request names.
 
     Attributes:
@@ -87,7 +89,7 @@ class _Site:
         flights: Flies runs.
     """
 
-    def __init__(self, folder: Path, flights: Flights) -> None:
+    def __init__(self, folder: Path, flights: RequestedFlights) -> None:
         self._folder = folder
         self._flights = flights
         self._ledgers: dict[str, ServedLedger] = {}
@@ -100,11 +102,11 @@ class _Site:
         }
         return self._ledgers
 
-    def _find(self, key: str) -> _Found:
+    def _find(self, key: str) -> _NamedLedger:
         ledger = self._ledgers.get(key) or self.ledgers().get(key)
         if ledger is None:
             raise HTTPException(404, f"no campaign {key!r} in {self._folder}")
-        return _Found(key, ledger)
+        return _NamedLedger(key, ledger)
 
     async def overview(self, request: Request) -> Response:
         """All campaigns, with the headline of each; that of the only one is its own page."""
@@ -119,8 +121,10 @@ class _Site:
         return HTMLResponse(await _in_thread(_row, named))
 
     async def campaign(self, request: Request) -> Response:
-        """The page of a campaign."""
+        """The page of a campaign; before its ledger is read, one that says so and asks again."""
         named = self._find(request.path_params["key"])
+        if named.ledger.last_read is None and _WAITS not in request.headers:
+            return HTMLResponse(pages.reading(self._folder, named.key))
         others = [key for key in await _in_thread(self.ledgers) if key != named.key]
         return HTMLResponse(await _in_thread(_campaign, self._folder, named, others))
 
@@ -133,16 +137,19 @@ class _Site:
         """The page of a run as JSON, after flying it; 422 = it cannot be flown, and why."""
         named = self._find(request.path_params["key"])
         run_id = request.query_params.get("run", "")
-        read = await _in_thread(named.ledger.read)
+        read = named.ledger.last_read
+        if read is None or run_id not in read.report.runs.records:
+            read = await _in_thread(named.ledger.read)
         if run_id not in read.report.runs.records:
             raise HTTPException(404, f"no run {run_id!r} in {named.ledger.directory}")
         key = _run_key(named.ledger.directory, read, run_id)
         try:
-            page = await asyncio.wrap_future(self._flights.page(key))
+            # shielded: others may wait for the same flight
+            page = await asyncio.shield(asyncio.wrap_future(self._flights.page(key)))
         except BrokenProcessPool:
-            self._flights.forget(key)
-            return PlainTextResponse("The process that flew this run has died; the next click starts another one.", 422)
+            page = FlownPage("", "The process that flew this run has died; the next click starts another one.")
         if page.refusal:
+            self._flights.forget(key)
             return PlainTextResponse(page.refusal, 422)
         return Response(page.json, media_type="application/json")
 
@@ -167,18 +174,18 @@ async def _in_thread(function: Callable[..., T], *arguments: object) -> T:
     return await asyncio.wrap_future(result)
 
 
-def _row(named: _Found) -> str:
+def _row(named: _NamedLedger) -> str:
     try:
         return pages.overview_row(named.ledger.pace(), named.ledger.read().answer)
     except MavfiError as error:
         return pages.refused_row(str(error))
 
 
-def _campaign(folder: Path, named: _Found, others: Sequence[str]) -> str:
+def _campaign(folder: Path, named: _NamedLedger, others: Sequence[str]) -> str:
     return pages.campaign(folder, named.key, named.ledger.pace(), named.ledger.read(), others)
 
 
-def _state(named: _Found) -> dict[str, Any]:
+def _state(named: _NamedLedger) -> dict[str, Any]:
     pace = named.ledger.pace()
     return {
         "stamp": pages.stamp_text(named.ledger.stamp()),
@@ -190,7 +197,7 @@ def _state(named: _Found) -> dict[str, Any]:
     }
 
 
-def _compare(folder: Path, named: Sequence[_Found]) -> str:
+def _compare(folder: Path, named: Sequence[_NamedLedger]) -> str:
     columns = [pages.ComparedCampaign(entry.key, entry.ledger.pace(), entry.ledger.read()) for entry in named]
     return pages.compare(folder, columns)
 
@@ -213,7 +220,7 @@ def _failed(request: Request, error: Exception) -> Response:
     return PlainTextResponse(f"A failure of mavfi, see the terminal: {type(error).__name__}: {error}", 500)
 
 
-def application(folder: Path, token: str, flights: Flights) -> Starlette:
+def application(folder: Path, token: str, flights: RequestedFlights) -> Starlette:
     """The application.
 
     Args:

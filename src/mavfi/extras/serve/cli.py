@@ -39,12 +39,12 @@ def serve(
     import uvicorn
 
     from mavfi.extras.serve.app import HOST, application
-    from mavfi.extras.serve.flights import Flights
+    from mavfi.extras.serve.flights import RequestedFlights
     from mavfi.extras.serve.ledgers import find_ledgers
     from mavfi.extras.serve.server import Server
 
     token = secrets.token_urlsafe(16)
-    flights = Flights()
+    flights = RequestedFlights()
     app = application(directory, token, flights)
     listening = _listen(HOST, port)
     address = f"http://{HOST}:{listening.getsockname()[1]}/?token={token}"

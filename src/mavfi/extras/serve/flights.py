@@ -5,6 +5,7 @@ import signal
 from collections import OrderedDict
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from mavfi.report.html.flight_page import FlightPage
 
 MAX_FLIGHTS = 200
-"""Flights that are kept in memory, of about 100 kB each; those used last."""
+"""RequestedFlights that are kept in memory, of about 100 kB each; those used last."""
 
 
 class RunKey(NamedTuple):
@@ -43,12 +44,13 @@ class FlownPage(NamedTuple):
     refusal: str
 
 
-class Flights:
+class RequestedFlights:
     """Flies runs again, one at a time, and keeps their pages; a run that is being flown is not flown twice."""
 
     def __init__(self) -> None:
         self._pages: OrderedDict[RunKey, Future[FlownPage]] = OrderedDict()
         self._process: ProcessPoolExecutor | None = None
+        self._workers: set[BaseProcess] = set()
 
     def page(self, run: RunKey) -> "Future[FlownPage]":
         """The page of a run, ready or under way."""
@@ -60,14 +62,14 @@ class Flights:
         return self._pages[run]
 
     def forget(self, run: RunKey) -> None:
-        """Forget a run whose process was lost, so that it is flown again on the next request."""
+        """Forget a run that was not flown, so that the next request tries it again."""
         self._pages.pop(run, None)
 
     def close(self) -> None:
         """End the process that flies, also within a flight."""
         if self._process is not None:
-            for child in multiprocessing.active_children():
-                child.terminate()
+            for worker in self._workers:
+                worker.terminate()
             self._process.shutdown(wait=False, cancel_futures=True)
 
     def _fly(self, run: RunKey) -> "Future[FlownPage]":
@@ -75,8 +77,11 @@ class Flights:
         if self._process is None:
             spawning = multiprocessing.get_context("spawn")
             self._process = ProcessPoolExecutor(1, mp_context=spawning, initializer=_leave_ctrl_c_to_the_server)
+        others = set(multiprocessing.active_children())
         try:
-            return self._process.submit(flown_page, run)
+            flight = self._process.submit(flown_page, run)
+            self._workers |= set(multiprocessing.active_children()) - others  # the first flight starts it
+            return flight
         except BrokenProcessPool:  # it ended in an earlier flight, e.g. was killed
             self._process = None
             return self._fly(run)
@@ -108,19 +113,21 @@ def _page_of(run: RunKey) -> "FlightPage":
     with Store.open(run.directory) as store:
         spec = store.run(run.run_id).spec
         if spec.fault is None:
-            return _page_without_fault(run.directory, spec, flight_again(store, spec))
+            return _page_without_fault(run, spec, flight_again(store, spec))
     return page_of_explanation(run.directory, explain(run.directory, run.run_id), run.partner, run.directory)
 
 
-def _page_without_fault(directory: Path, spec: "RunSpec", flight: "Flight") -> "FlightPage":
+def _page_without_fault(run: RunKey, spec: "RunSpec", flight: "Flight") -> "FlightPage":
     """The page of a golden run."""
-    from mavfi.report.explain import Story, detector_name, end_of
+    from mavfi.report.explain import OTHER_DIGEST, Story, detector_name, end_of
     from mavfi.report.html.flight_page import GOLDEN, NO_FAULT, Course, FlightPage
 
     label = NO_FAULT
     if spec.detector:
         label += f" with detector {detector_name(spec)}"
     story: Story = [("verdict", end_of(flight.log)), ("flight", f"without a fault; {end_of(flight.log)}")]
-    commands = [("fly it again, compare digests", f"mavfi replay {directory} {spec.run_id}")]
+    if flight.log.digest() != run.digest:
+        story.append(("note", OTHER_DIGEST))
+    commands = [("fly it again, compare digests", f"mavfi replay {run.directory} {spec.run_id}")]
     context = f"{spec.environment} · seed {spec.seed} · {spec.setting} · {spec.run_id}"
     return FlightPage.of(context, story, commands, [Course(GOLDEN, label, flight.log)], flight.world)

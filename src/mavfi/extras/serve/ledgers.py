@@ -62,7 +62,7 @@ class Recovered(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class CampaignAnswer:
     """What a campaign answers first.
 
     Attributes:
@@ -80,7 +80,7 @@ class Answer:
     findings: Sequence[str]
 
     @staticmethod
-    def of(report: CampaignReport) -> "Answer":
+    def of(report: CampaignReport) -> "CampaignAnswer":
         """The answer of a campaign."""
         golden, faulty = compared_missions(report.runs)
         recovered = []
@@ -92,7 +92,9 @@ class Answer:
         bits = m.population_text(faulty.values("population"))
         if bits:
             fault += f" ({bits} bits)"
-        return Answer(m.rate_of(golden, "success"), m.rate_of(faulty, "success"), fault, recovered, report.findings)
+        return CampaignAnswer(
+            m.rate_of(golden, "success"), m.rate_of(faulty, "success"), fault, recovered, report.findings
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,10 +111,10 @@ class ReadLedger:
     stamp: Stamp
     report: CampaignReport
     values: dict[str, Any]
-    answer: Answer
+    answer: CampaignAnswer
 
 
-class Pace(NamedTuple):
+class CampaignPace(NamedTuple):
     """Progress of a campaign, and whether a process is flying it now.
 
     Attributes:
@@ -135,11 +137,14 @@ class ServedLedger:
 
     Args:
         directory: Its folder.
+
+    Attributes:
+        last_read: Result of the last call of `read`, which takes seconds for thousands of runs; None = not called yet.
     """
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
-        self._read: ReadLedger | None = None
+        self.last_read: ReadLedger | None = None
         self._read_until = 0.0
         self._read_duration_s = 0.0
         self._status: tuple[Stamp, Status] | None = None
@@ -155,26 +160,26 @@ class ServedLedger:
         """
         with _reading:
             stamp = self.stamp()
-            if self._read is not None and stamp == self._read.stamp:
-                return self._read
+            if self.last_read is not None and stamp == self.last_read.stamp:
+                return self.last_read
             begin = time.monotonic()
             report = report_of(Runs.read(self.directory))
             commands = [("Write this page to a file", f"mavfi report {self.directory} --html report.html")]
             values = page_values([ReportedCampaign(self.directory, report)], sections_of(report), commands)
-            self._read = ReadLedger(stamp, report, values, Answer.of(report))
+            self.last_read = ReadLedger(stamp, report, values, CampaignAnswer.of(report))
             self._read_until = time.monotonic()
             self._read_duration_s = self._read_until - begin
-            return self._read
+            return self.last_read
 
     def stamp(self) -> Stamp:
         """Stamp of what `read` gives: that of the file, or of the last reading if the next one is not due yet."""
-        if self._read is not None:
+        if self.last_read is not None:
             rest_s = self._read_duration_s * (1 - _READ_SHARE) / _READ_SHARE
             if time.monotonic() < self._read_until + rest_s:
-                return self._read.stamp
+                return self.last_read.stamp
         return _stamp_of(self.directory)
 
-    def pace(self) -> Pace:
+    def pace(self) -> CampaignPace:
         """Progress; raises a BadInputError if the ledger is absent or not readable yet."""
         status = self._counted()
         running = _is_written(self.directory / LOCK)
@@ -183,11 +188,13 @@ class ServedLedger:
         while self._done[0][0] < now - _RATE_WINDOW_S:
             self._done.popleft()
         text = f"{status.done} of {status.total} runs"
+        if status.complete:
+            text = f"{status.done} runs"
         if running:
             text += self._rate_text(status)
         elif not status.complete:
             text += "; stopped, `mavfi campaign run` flies the rest"
-        return Pace(status, running, text)
+        return CampaignPace(status, running, text)
 
     def _counted(self) -> Status:
         """Counts of runs; checksums are left to `read`."""

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
+from urllib.parse import quote
 
 from markupsafe import Markup
 
@@ -11,7 +12,7 @@ from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate
 from mavfi.analysis.table import RATE
 from mavfi.errors import BadInputError
-from mavfi.extras.serve.ledgers import Answer, Pace, ReadLedger, Recovered, Stamp
+from mavfi.extras.serve.ledgers import CampaignAnswer, CampaignPace, ReadLedger, Recovered, Stamp
 from mavfi.report.html import page
 from mavfi.report.html.report_page import RunSets, table_data
 from mavfi.report.text import ABSENT, cell
@@ -25,11 +26,11 @@ class ComparedCampaign(NamedTuple):
     """One of two campaigns side by side: its name, its progress, and what was read of it."""
 
     key: str
-    pace: Pace
+    pace: CampaignPace
     read: ReadLedger
 
 
-class Differences(NamedTuple):
+class ShownDifferences(NamedTuple):
     """How the second of two campaigns differs from the first: sentences, a table, and keys with both values."""
 
     sentences: Sequence[str]
@@ -64,7 +65,7 @@ def stamp_text(stamp: Stamp) -> str:
     return "-".join(map(str, stamp))
 
 
-def tiles(answer: Answer) -> list[Tile]:
+def tiles(answer: CampaignAnswer) -> list[Tile]:
     """What a campaign answers first; empty if its runs are no flights."""
     shown = []
     if answer.without_fault.n:
@@ -77,7 +78,7 @@ def tiles(answer: Answer) -> list[Tile]:
 
 def _tile(heading: str, rate: Rate, noun: str) -> Tile:
     if rate.rate is None:
-        return Tile(heading, ABSENT, "", f"of 0 {noun}")
+        return Tile(heading, ABSENT, "", f"0 {noun}")
     value, _, rest = cell(rate, RATE).partition(" ")
     interval, _, _ = rest.rpartition(" ")
     counts = f"{rate.n} {noun}"
@@ -100,12 +101,17 @@ def refusal(text: str) -> str:
     return _render("refusal.html.j2", text=text)
 
 
+def reading(folder: Path, key: str) -> str:
+    """A page that waits for that of a campaign."""
+    return _render("reading.html.j2", name=name_of(folder, key))
+
+
 def overview(folder: Path, keys: Sequence[str]) -> str:
     """The campaigns of a folder; their rows are asked for one after the other."""
     return _render("overview.html.j2", folder=folder, campaigns={key: name_of(folder, key) for key in keys})
 
 
-def overview_row(pace: Pace, answer: Answer) -> str:
+def overview_row(pace: CampaignPace, answer: CampaignAnswer) -> str:
     """Cells of a campaign in the overview, behind its name."""
     best = None
     if answer.recovered:
@@ -127,7 +133,7 @@ def refused_row(text: str) -> str:
     return _render("row.html.j2", refusal=text)
 
 
-def campaign(folder: Path, key: str, pace: Pace, read: ReadLedger, others: Sequence[str]) -> str:
+def campaign(folder: Path, key: str, pace: CampaignPace, read: ReadLedger, others: Sequence[str]) -> str:
     """The page of a campaign.
 
     Args:
@@ -177,16 +183,16 @@ def compare(folder: Path, columns: Sequence[ComparedCampaign]) -> str:
     return _render("compare.html.j2", campaigns=campaigns, differences=differences, rows=rows.values())
 
 
-def _differences(first: Runs, second: Runs) -> Differences:
+def _differences(first: Runs, second: Runs) -> ShownDifferences:
     """What `mavfi compare` says of two campaigns; where they have nothing in common, only why."""
     try:
         comparison = compare_runs(first, second)
     except BadInputError as error:
-        return Differences([str(error)], None, {})
+        return ShownDifferences([str(error)], None, {})
     table = None
     if not comparison.are_same:
         table = {**table_data(comparison.table, RunSets({})), "id": ""}
-    return Differences(comparison.sentences, table, comparison.differing)
+    return ShownDifferences(comparison.sentences, table, comparison.differing)
 
 
 def _linked(table: Mapping[str, Any], key: str) -> dict[str, Any]:
@@ -197,7 +203,7 @@ def _linked(table: Mapping[str, Any], key: str) -> dict[str, Any]:
         for entry in table_row["cells"]:
             link = entry["link"]
             if link:
-                link = f"/campaign/{key}{link}"
+                link = f"/campaign/{quote(key)}{link}"
             cells.append({**entry, "link": link})
         rows.append({**table_row, "cells": cells})
     return {**table, "rows": rows}
@@ -208,4 +214,4 @@ def _moved(svg: str, index: int, key: str) -> Markup:
     text = str(svg)
     for start in ('id="s', "url(#s", 'href="#s'):
         text = text.replace(start, f"{start[:-1]}c{index}-s")
-    return Markup(text.replace('href="#run', f'href="/campaign/{key}#run'))  # noqa: S704 - drawn by matplotlib
+    return Markup(text.replace('href="#run', f'href="/campaign/{quote(key)}#run'))  # noqa: S704 - drawn by matplotlib

@@ -4,7 +4,7 @@ from types import FrameType
 
 import uvicorn
 
-from mavfi.extras.serve.flights import Flights
+from mavfi.extras.serve.flights import RequestedFlights
 
 
 class Server(uvicorn.Server):
@@ -15,7 +15,7 @@ class Server(uvicorn.Server):
         flights: Closed at the end.
     """
 
-    def __init__(self, config: uvicorn.Config, flights: Flights) -> None:
+    def __init__(self, config: uvicorn.Config, flights: RequestedFlights) -> None:
         super().__init__(config)
         self._flights = flights
 

@@ -272,6 +272,8 @@ MAX_PAGE_SIZE = 15_000_000
 """Maximum size of a page (bytes)."""
 _MAX_OPEN_ROWS = 30
 """Tables with more rows than this are collapsed."""
+_MAX_HALF_WIDTH = 7.5
+"""Width (in) up to which two figures stand side by side."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -395,7 +397,8 @@ def _section_data(number: int, section: PageSection, sets: RunSets) -> dict[str,
     figures = []
     for figure in section.figures:
         svg = svg_of(figure.figure, f"s{number}-{figure.name}", figure.caption, sets)
-        figures.append({"name": figure.name, "svg": svg, "caption": figure.caption})
+        is_wide = figure.figure.get_figwidth() > _MAX_HALF_WIDTH
+        figures.append({"name": figure.name, "svg": svg, "caption": figure.caption, "is_wide": is_wide})
     return {
         "id": f"section-{number}",
         "title": section.title,

@@ -18,14 +18,13 @@ async function flyRun(id, place) {
   const tell = () => { note.textContent = waitingText((performance.now() - begin) / 1000); };
   tell();
   const clock = setInterval(tell, 1000);
-  const run = runList.data.ids.indexOf(id);
   try {
     const answer = await fetch(`/flight/${servedPath}?${new URLSearchParams({ run: id })}`);
     const text = await answer.text();
     if (answer.ok) flownPages.set(id, JSON.parse(text));
     if (!place.isConnected) return;
     if (answer.ok) showFlight(flownPages.get(id));
-    else place.replaceChildren(element("p", { class: "refused" }, text), ...repeating("These commands fly it again:", run));
+    else place.replaceChildren(element("p", { class: "refused" }, text));
   } catch (error) {
     place.replaceChildren(element("p", { class: "refused" }, `No flight (${error}): is mavfi serve still running?`));
   } finally {
