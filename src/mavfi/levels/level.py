@@ -222,13 +222,14 @@ class Sampler:
         versions: Versions on which draws depend, in addition to those of flights.
         profile: Whether draws need the publication times of golden runs.
         instruments: Whether golden flights are flown with instrumented kernels.
-        draws_together: Whether the faults of a mission in one target are drawn together, and so depend on their number.
+        draws_together: Whether the faults of a mission in one target are drawn together, and so depend on their number;
+            not if each has a random stream of its own, whose campaigns can have more faults in a mission.
     """
 
     alternates = False
     profile = False
     instruments = False
-    draws_together = False
+    draws_together = True
 
     def __init__(self, campaign: Any) -> None:
         self.campaign = campaign

@@ -92,6 +92,8 @@ class SensorSampler(Sampler):
         BadInputError: The sampling names a unit that nothing in the mission reads.
     """
 
+    draws_together = False
+
     def __init__(self, campaign: Any) -> None:
         super().__init__(campaign)
         mission = campaign.spec(campaign.environments[0], campaign.first_seed)
