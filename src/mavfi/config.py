@@ -21,7 +21,7 @@ from pydantic import (
 )
 
 from mavfi.dropped import KEYS, dropped_key, dropped_name
-from mavfi.errors import BadInputError, hint
+from mavfi.errors import BadInputError, allowed, not_known
 from mavfi.files import LARGEST_TEXT, is_dir, is_file, read_file
 from mavfi.wording import finding, refuse_other_kind, shown
 
@@ -122,7 +122,7 @@ def _size(node: yaml.Node, known: dict[int, float]) -> float:
 
 
 class VehicleConfig(Config):
-    """Airframe, rotors and the gains of its flight controller (reference values and sources: docs/models.md).
+    """Airframe, rotors and the gains of its flight controller (reference values and sources: docs/reference/models.md).
 
     The inner loop is a cascade: velocity -> attitude -> rate.  Contact of the sphere `collision_radius` is a collision.
     """
@@ -412,15 +412,15 @@ def shipped(kind: str, model: type[ConfigType], name: str, endings: Iterable[str
 
 def _unknown_name(kind: str, name: str, endings: Iterable[str]) -> str:
     """The message on a name that is none of a kind of shipped configurations."""
-    what = "is a folder" if is_dir(Path(name)) else "not known"
     *others, last = dict.fromkeys([".yaml", *endings])
     files = last
     if others:
         files = " or ".join([", ".join(others), last])
     singular = "study" if kind == "studies" else kind.rstrip("s")
-    allowed = ", ".join(names(kind))
-    text = f"{what}{hint(name, names(kind))}; allowed: {allowed}, or a path to a {files} file"
-    return f"{singular} {name!r}: {text}"
+    also = f"or a path to a {files} file"
+    if is_dir(Path(name)):
+        return f"{singular} {name!r}: is a folder; allowed: {allowed(names(kind), name)}, {also}"
+    return f"{singular} {not_known(name, names(kind), also)}"
 
 
 def names(kind: str) -> list[str]:

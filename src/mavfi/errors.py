@@ -2,10 +2,12 @@
 
 import errno
 import os
+import re
 import sqlite3
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
+from importlib import metadata
 from pathlib import Path
 
 _MOST_SHOWN = 12
@@ -28,6 +30,8 @@ _MACHINE_OF_SQLITE = {
     sqlite3.SQLITE_PROTOCOL,
     sqlite3.SQLITE_CORRUPT,  # EIO while reading a ledger that was sound when opened
 }
+_PACKAGE_OF_MODULE = {"foxglove": "foxglove-sdk", "sklearn": "scikit-learn"}
+"""Optional packages whose module has another name."""
 _NO_MEMORY = "could not allocate"
 """MuJoCo's message; it raises no MemoryError."""
 
@@ -37,6 +41,10 @@ FROM_OUTSIDE = frozenset({"SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", "SIGQUIT"})
 
 class MavfiError(Exception):
     """Base of every error that mavfi raises on purpose."""
+
+    def _render_traceback_(self) -> list[str]:
+        """What IPython shows in place of a traceback, whose lines tell nothing about a user's error: one line."""
+        return [f"{type(self).__name__}: {self}"]
 
 
 class BadInputError(MavfiError):
@@ -60,6 +68,39 @@ def not_installed(what: str, package: str, extra: str) -> NotInstalledError:
         extra: The extra of mavfi that brings it.
     """
     return NotInstalledError(f"{what}: needs {package}; install it with: pip install 'mavfi[{extra}]'")
+
+
+def missing_package(error: ModuleNotFoundError, what: str) -> NotInstalledError | None:
+    """Return the error for an optional package of mavfi that an import did not find; None for other modules.
+
+    Args:
+        error: Raised by the import.
+        what: What the user asked for, as typed.
+    """
+    module = (error.name or "").partition(".")[0]
+    package = _PACKAGE_OF_MODULE.get(module, module)
+    packages_by_extra: dict[str, set[str]] = {}
+    for requirement in metadata.requires("mavfi") or ():
+        optional = re.match(r"([\w.-]+).*; extra == ['\"]([\w-]+)['\"]", requirement)
+        if optional:
+            packages_by_extra.setdefault(optional[2], set()).add(optional[1])
+    extras = [extra for extra, packages in packages_by_extra.items() if package in packages]
+    if not extras:
+        return None
+    smallest = min(extras, key=lambda extra: len(packages_by_extra[extra]))
+    return not_installed(what, package, smallest)
+
+
+@contextmanager
+def naming_extra(what: str) -> Iterator[None]:
+    """Convert an import that does not find an optional package to the error that names the extra of mavfi."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        missing = missing_package(error, what)
+        if missing is None:
+            raise
+        raise missing from None
 
 
 class MachineError(MavfiError):
@@ -88,14 +129,30 @@ def machine_failure(error: BaseException | None) -> str:
 
 
 def allowed(names: Collection[str], wanted: str = "") -> str:
-    """The allowed names for a message: the likeliest first, at most one line."""
-    likely = get_close_matches(wanted, names, 3, 0.5)
-    ordered = [*likely, *sorted(set(names) - set(likely))]
+    """The allowed names for a message, at most one line: of many, the likeliest first."""
+    ordered = list(dict.fromkeys(names))
     if not ordered:
         return "none, there are none"
+    if len(ordered) > _MOST_SHOWN:
+        likely = get_close_matches(wanted, ordered, 3, 0.5)
+        ordered = [*likely, *(name for name in ordered if name not in likely)]
     text = ", ".join(ordered[:_MOST_SHOWN])
     if len(ordered) > _MOST_SHOWN:
         text += f", and {len(ordered) - _MOST_SHOWN} more"
+    return text
+
+
+def not_known(name: object, names: Collection[str], also: str = "") -> str:
+    """The end of a message on a name that is none of those that are allowed.
+
+    Args:
+        name: The name.
+        names: All that are allowed.
+        also: What else is allowed, in words, e.g. "or a path to a .yaml file".
+    """
+    text = f"{name!r}: not known{hint(name, names)}; allowed: {allowed(names, str(name))}"
+    if also:
+        text += f", {also}"
     return text
 
 
@@ -103,9 +160,9 @@ def hint(wanted: object, names: Iterable[str]) -> str:
     """A question after an unknown name: whether the most similar of some names is meant; "" = none is similar."""
     if not isinstance(wanted, str):
         return ""
-    similar = get_close_matches(wanted, list(names), 1, 0.7)
+    similar = get_close_matches(wanted, list(names), 1, 0.6)
     if similar:
-        return f" (did you mean {similar[0]!r}?)"
+        return f" (did you mean '{similar[0]}'?)"
     return ""
 
 

@@ -2,6 +2,8 @@
 
 import os
 import stat
+from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 from mavfi.errors import BadInputError, writing
@@ -55,9 +57,33 @@ def check_regular(path: Path) -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Create a folder, and refuse one that cannot be written."""
+    """Refuse a folder that cannot be written, or made; one that is absent stays so until something is written."""
+    absent = absent_folders(folder)
     with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         probe = folder / ".mavfi-probe"
         probe.touch()
         probe.unlink()
+    remove_folders(absent)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for what is written to it; raises a `BadInputError` if it cannot be made."""
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+
+
+def absent_folders(folder: Path) -> list[Path]:
+    """A folder and those around it, as far as they do not exist, the innermost first."""
+    absent = []
+    while not exists(folder):
+        absent.append(folder)
+        folder = folder.parent
+    return absent
+
+
+def remove_folders(folders: Iterable[Path]) -> None:
+    """Remove folders, the innermost first, as far as they are empty."""
+    for folder in folders:
+        with suppress(OSError):
+            folder.rmdir()

@@ -87,105 +87,113 @@ class MissionSpec(Config):
 
     environment: str = Field(
         "sparse",
-        description=f"{_names('environments')}, a YAML file, a scanned map (.bt, .ot of OctoMap), or a world of "
-        "another simulator (.sdf, .xml, Aerialist's test case).",
+        description=f"{_names('environments')}, or a file. A file is YAML, a scanned map (.bt, .ot of OctoMap), or a "
+        "world of another simulator (.sdf, .xml, Aerialist's test case).",
     )
-    seed: int = Field(0, ge=0, le=LARGEST_SEED, description="All randomness of the mission comes from it.")
-    start: Vector | None = Field(None, description="Start position, m; the environment's by default.")
-    goal: Vector | None = Field(None, description="Goal position, m; the environment's by default.")
-    autopilot: str = Field("published", description="Autopilot profile: published, hardened, or a YAML file.")
+    seed: int = Field(0, ge=0, le=LARGEST_SEED, description="Source of all randomness of the mission.")
+    start: Vector | None = Field(None, description="Start position, m. The environment's by default.")
+    goal: Vector | None = Field(None, description="Goal position, m. The environment's by default.")
+    autopilot: str = Field("published", description="Profile: published, hardened, or a YAML file.")
     planner: str = Field("rrt_connect", description="rrt, rrt_connect, rrt_star, a YAML file, or package:Class.")
     platform: str = Field(
-        "i9-9940x", description=f"Computer whose latencies are charged: {_names('platforms')}, or a YAML file."
+        "i9-9940x",
+        description=f"Computer: {_names('platforms')}, or a YAML file. Its latencies are charged to the kernels.",
     )
-    map: str = Field("dense", description="Where the map keeps its log-odds: dense, octree, or package:Class.")
+    map: str = Field("dense", description="Store of log-odds: dense, octree, or package:Class.")
     map_resolution: float | None = Field(
-        None, ge=0.02, le=5.0, description="Voxel edge, m; the environment's by default."
+        None, ge=0.02, le=5.0, description="Voxel edge, m. The environment's by default."
     )
     unknown_space: Literal["solid", "free"] = Field(
-        "solid", description="Space that a scanned map does not know: solid, or free (maps of obstacles only)."
+        "solid", description="Unknown space of a scanned map: solid, free. Free suits maps that hold obstacles only."
     )
     camera_range: float | None = Field(
-        None, ge=1.0, le=1e3, description="Range of the depth camera, m; the environment's by default."
+        None, ge=1.0, le=1e3, description="Range of the depth camera, m. The environment's by default."
     )
     vehicle: str | None = Field(
         None,
-        description=f"{_names('vehicles')}, a YAML file, or a model of another simulator (.sdf, .urdf, .xacro, PX4's "
-        "airframe); the environment's by default.",
+        description=f"{_names('vehicles')}, or a file. A file is YAML, or a model of another simulator (.sdf, .urdf, "
+        ".xacro, PX4's airframe); the environment's vehicle by default.",
     )
-    trajectory: str = Field("", description="Custom trajectory generator, package:Class; mavfi's by default.")
-    waypoint: str = Field("", description="Custom setpoint generator, package:Class; mavfi's by default.")
-    pid: str = Field("", description="Custom tracker (from way-point to velocity), package:Class; mavfi's by default.")
+    trajectory: str = Field("", description="Custom trajectory generator, package:Class. mavfi's by default.")
+    waypoint: str = Field("", description="Custom setpoint generator, package:Class. mavfi's by default.")
+    pid: str = Field("", description="Custom tracker, package:Class. From way-point to velocity; mavfi's by default.")
     flight_controller: str = Field(
-        "cascade", description="From velocity to rotor commands: cascade, betaflight, an entry point, or package:Class."
+        "cascade",
+        description="cascade, betaflight, or package:Class. From velocity to rotor commands; also an entry point.",
     )
-    v_max: float | None = Field(None, ge=0.1, le=20.0, description="Speed limit, m/s; the environment's by default.")
+    v_max: float | None = Field(None, ge=0.1, le=20.0, description="Speed limit, m/s. The environment's by default.")
     arrival_radius: float = Field(
-        ARRIVAL_RADIUS, ge=0.5, le=20.0, description="Distance from the goal that counts as arrival, m."
+        ARRIVAL_RADIUS, ge=0.5, le=20.0, description="Distance to the goal that is an arrival, m."
     )
     time_limit_factor: float = Field(
         TIME_LIMIT_FACTOR,
         ge=1.0,
         le=100.0,
-        description="Time limit / (course / v_max); on a slow computer multiplied by the platform's factor.",
+        description="Time limit / (course / v_max). On a slow computer multiplied by the platform's factor.",
     )
     latency_jitter: float = Field(
         0.0,
         ge=0.0,
         le=4.0,
-        description="Each charged latency is multiplied by a factor drawn from 1 / (1 + jitter) to 1 + jitter.",
+        description="Spread of latencies. Each is multiplied by a factor drawn from 1 / (1 + jitter) to 1 + jitter.",
     )
     depth_noise: float = Field(
-        0.0, ge=0.0, le=1.0, description="Noise of the depth camera: standard deviation / range."
+        0.0, ge=0.0, le=1.0, description="Noise of the depth camera / range. One standard deviation."
     )
     wind: float = Field(0.0, ge=0.0, le=STRONGEST_WIND, description="Amplitude of gusts, m/s.")
     localization: Literal["truth", "estimator"] = Field(
-        "truth", description="truth, or estimator (from IMU and position fixes)."
+        "truth", description="truth, or estimator. The latter fuses IMU and position fixes."
     )
     coupling: Literal["inline", "observer"] = Field(
         "inline",
-        description="Coupling of a detector: inline (a gate before the value is seen) or observer (one step late).",
+        description="inline (before a value is seen), or observer (late). An observer judges one step late.",
     )
     detector_place: DetectorPlace = Field(
         "consumer",
-        description="Where a detector checks a value: consumer (after a fault on the way), producer (before: it never "
-        "sees the fault; values of sensors at the consumer), or published, as the authors' code: commands at the "
-        "producer, others at the consumer.",
+        description="Where values are checked: consumer, producer, published. At the consumer, after a fault on the "
+        "way; at the producer, which never sees that fault (values of sensors at the consumer); or published, as in "
+        "the authors' code: commands at the producer, others at the consumer.",
     )
     grain: Literal["stage", "kernel", "message"] = Field(
         "stage",
-        description="Repeated after an alarm: the stage, only the kernel that wrote the value, or its message: the "
-        "producer's copy is sent again, also if the message is unreadable; if that is no better the kernel runs again.",
+        description="Repeated after an alarm: stage, kernel, message. The whole stage, only the kernel that wrote the "
+        "value, or its message: the producer's copy is sent again, also if the message is unreadable; if that is no "
+        "better the kernel runs again.",
     )
     same_twice: Literal["accept", "escalate", "limit"] = Field(
         "accept",
-        description="A recomputation that breaks a rule again: accept, escalate to a restart of the node (inline), or "
-        "limit: accept, and recompute without a change at most 5 times in 10 s; default of a custom detector.",
+        description="If a repetition alarms again: accept, escalate, limit. Accept it; escalate to a restart of the "
+        "node (inline); or limit: accept, and recompute without a change at most 5 times in 10 s, the default of a "
+        "custom detector.",
     )
     answer_s: float = Field(
-        0.0, ge=0.0, le=60.0, description="Time for a path to answer an alarm, s; then the planner restarts; 0 = never."
+        0.0, ge=0.0, le=60.0, description="Time for a path to answer an alarm, s. Then the planner restarts; 0 = never."
     )
     degraded: Literal["none", "hold"] = Field(
-        "none", description="Where restarts do not help: none (fly on), or hold (the position)."
+        "none", description="If restarts do not help: none (fly on), or hold. Hold keeps the position."
     )
     trained_for: str = Field(
         "",
         pattern=r"^([^/\s]+/[^/\s]+)?$",
-        description="AUTOPILOT/PLATFORM whose model a trained detector uses, on whatever mission; by default the "
-        "mission's own, which must fit its planner and speed limit, too.",
+        description="AUTOPILOT/PLATFORM whose trained model is used. On whatever mission; by default the mission's "
+        "own, which must fit its planner and speed limit, too.",
     )
     dead_node: DeadNode = Field(
         "fresh",
-        description="What becomes of a node that dies: end (of the mission), fresh (restarted without memory), or "
-        "readback (restarted, gets an unanswered alarm again, and reads its last outputs back).",
+        description="If a node dies: end (the mission), fresh, readback. Fresh restarts it without memory; readback "
+        "restarts it, gives it an unanswered alarm again, and lets it read its last outputs back.",
     )
-    protection: str = Field("", description="Plan of protected kernels: a name, or a YAML file; none by default.")
+    protection: str = Field("", description="Plan of protected kernels: a name, or a YAML file. None by default.")
     alarm: Literal["one_shot", "repeated"] | None = Field(
         None,
-        description="Alarm of the collision check: one_shot, or repeated until answered; the profile's by default.",
+        description="Alarm of the collision check: one_shot, repeated. Repeated until it is answered; the profile's "
+        "by default.",
     )
     epoch_liveness: float | None = Field(
-        None, ge=0, le=1e6, description="Time until a refused sequence number is accepted, s, 0 = never; the profile's."
+        None,
+        ge=0,
+        le=1e6,
+        description="Time until a refused sequence number is accepted, s. 0 = never; the profile's by default.",
     )
 
     @model_validator(mode="before")

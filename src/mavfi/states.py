@@ -5,13 +5,14 @@ voxels).  Both are packed NumPy structured arrays, so that a field is a byte ran
 The leading float64 fields of a header can be read as a plain vector with `floats`.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Literal
 
 import numpy as np
 
-from mavfi.errors import BadInputError, hint
+from mavfi.errors import BadInputError, allowed, not_known
 
 _BYTE = np.dtype(np.uint8)
 """Type of a byte."""
@@ -255,8 +256,7 @@ class StateSpec:
         for candidate in self.fields + self.lengths:
             if candidate.name == name:
                 return candidate
-        allowed = ", ".join(f.name for f in self.fields)
-        raise BadInputError(f"state {self.name}: no field {name!r}; allowed: {allowed}")
+        raise BadInputError(f"state {self.name}: field {not_known(name, [field.name for field in self.fields])}")
 
 
 @dataclass(slots=True)
@@ -464,5 +464,25 @@ def find_state(name: str) -> StateSpec:
         BadInputError: Unknown state.
     """
     if name not in STATES:
-        raise BadInputError(f"no state {name!r}{hint(name, STATES)}; allowed: {', '.join(STATES)}")
+        raise BadInputError(unknown("state", name, STATES))
     return STATES[name]
+
+
+def unknown(kind: str, name: str, names: Collection[str]) -> str:
+    """The message on a name that is no state or no kernel, which tells what it is instead.
+
+    Args:
+        kind: "state" or "kernel".
+        name: The name.
+        names: States or kernels that are allowed.
+    """
+    if name in set(Stage):
+        of_states = {state.name: state.stage for state in STATES.values()}
+        stages = KERNEL_STAGES | {kernel.name: kernel.stage for kernel in KERNELS.values()} | of_states
+        in_stage = [each for each in names if stages.get(each) == name]
+        return f"{kind} {name!r}: is a stage; allowed: {allowed(in_stage)}"
+    if name in STATES:
+        return f"{kind} {name!r}: is a state; allowed: {allowed(names)}"
+    if name in KERNEL_STAGES or name in KERNELS:
+        return f"{kind} {name!r}: is a kernel; allowed: {allowed(names)}"
+    return f"{kind} {not_known(name, names)}"

@@ -14,28 +14,37 @@ from mavfi.campaign.store import Store
 from mavfi.record import End
 
 _COLUMNS = (
+    Column("number", "#", NUMBER),
     Column("run_id", "run"),
     Column("status", "status"),
-    Column("flight_time_s", "flight time", "number .1f s"),
-    Column("inflation", "against golden", SIGNED),
     Column("effect", "effect"),
+    Column("flight_time_s", "time", "number .1f s"),
     Column("alarms_total", "alarms", NUMBER),
+    Column("inflation", "against golden", SIGNED),
     Column("bit", "bit", NUMBER),
     Column("site", "site"),
     Column("site_outcome", "injection"),
     Column("kernel_effect", "kernel"),
     Column("reason", "reason", TEXT),
 )
-_USUAL = {"kernel_effect": {""}, "site_outcome": {"", ACTIVATED}, "reason": {""}}
+_USUAL: dict[str, set[object]] = {
+    "flight_time_s": {0.0},
+    "alarms_total": {0},
+    "kernel_effect": {""},
+    "site_outcome": {"", ACTIVATED},
+    "reason": {""},
+}
 """Values of columns that are hidden if they have no others."""
 
 
 def listing(runs: Runs, *, failed: bool = False) -> Table:
-    """List runs in plan order.  CSV and JSON contain all columns of the frame.
+    """List runs in plan order, with their numbers in it.  CSV and JSON contain all columns of the frame.
 
     `failed` selects missions that did not succeed, and runs that could not be judged.
     """
-    listed = runs.where(~pl.col("success")) if failed else runs
+    listed = replace(runs, frame=runs.frame.with_row_index("number", offset=1))
+    if failed:
+        listed = listed.where(~pl.col("success"))
     frame = listed.frame
     empty = [key for key, usual in _USUAL.items() if set(frame[key]) <= usual]
     shown = [column for column in _COLUMNS if column.key not in empty]

@@ -1,5 +1,6 @@
 """`Runs`: a campaign as a frame with one row per run, with the complete records."""
 
+import html
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from mavfi.flight.host import Flight
 
 DEFAULT_MONITORED = "paper-13"
+_TELLING = ("run_id", "setting", "environment", "seed", "site", "bit", "time_s", "effect", "status", "flight_time_s")
+"""Columns that a notebook shows."""
 ALL = "all"  # label of total rows, e.g. over all environments
 
 
@@ -34,7 +37,7 @@ def condition(test: pl.Expr | str) -> pl.Expr:
     return test
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Runs:
     """Completed runs, in plan order.
 
@@ -83,6 +86,14 @@ class Runs:
             rows.append(row_of(run, record, arm_golden, reference, monitored))
         frame = pl.DataFrame(rows, schema=SCHEMA).with_columns(pl.col(pl.String).fill_null(""))
         return Runs(frame, {run.spec.run_id: record for run, record in done}, description)
+
+    def __repr__(self) -> str:
+        return f"<Runs: {self.campaign.get('title', 'no campaign')}, {len(self)} rows>"
+
+    def _repr_html_(self) -> str:
+        """The rows in a notebook, without the columns that few readers need."""
+        columns = [name for name in _TELLING if name in self.frame.columns]
+        return f"<p>{html.escape(repr(self)[1:-1])}</p>{self.frame.select(columns)._repr_html_()}"
 
     def __len__(self) -> int:
         return self.frame.height
@@ -218,6 +229,8 @@ def describe(store: Store) -> dict[str, Any]:
         "missions": campaign.missions,
         "faults": campaign.faults,
         "monitored_set": campaign.monitored_set,
+        "mission": dict(campaign.mission),
+        "sampling": campaign.sampling.to_json(),
         "parts": {name: part.model_dump(exclude_none=True) for name, part in campaign.parts.items()},
         "arms": {name: arm.model_dump(mode="json") for name, arm in campaign.arms.items()},
         "models": store.meta("identity")["models"],

@@ -8,7 +8,7 @@ from mavfi.analysis.measures import Measure, MeasureFactory
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import RATE, UNKNOWN, Cell, Column, Table
 from mavfi.dropped import dropped_name
-from mavfi.errors import BadInputError, allowed
+from mavfi.errors import BadInputError, allowed, not_known
 from mavfi.plugins import Catalogue
 
 DEVIATIONS = (
@@ -180,7 +180,7 @@ def table(runs: Runs, name: str) -> Table:
         BadInputError: The view does not exist.
     """
     if name not in VIEWS:
-        raise BadInputError(dropped_name("views", name) or f"view {name!r}: not known; allowed: {', '.join(VIEWS)}")
+        raise BadInputError(dropped_name("views", name) or f"view {not_known(name, VIEWS)}")
     return VIEWS[name].table(runs)
 
 
@@ -192,15 +192,14 @@ def table_asked_for(runs: Runs, name: str) -> Table:
     """
     if dropped_name("views", name):
         raise BadInputError(dropped_name("views", name))
-    problem = "not known"
-    if name in VIEWS:
-        if VIEWS[name].applies(runs):
-            requested = table(runs, name)
-            if requested.rows:
-                return requested
-        problem = "these runs have nothing to show in it"
     names = [view.name for view in applicable(runs)]
-    raise BadInputError(f"view {name!r}: {problem}; allowed: {allowed(names, name)}")
+    if name not in VIEWS:
+        raise BadInputError(f"view {not_known(name, names)}")
+    if VIEWS[name].applies(runs):
+        requested = table(runs, name)
+        if requested.rows:
+            return requested
+    raise BadInputError(f"view {name!r}: these runs have nothing to show in it; allowed: {allowed(names, name)}")
 
 
 def applicable(runs: Runs) -> list[View]:

@@ -16,7 +16,7 @@ from pydantic import (
 
 from mavfi.campaign.requirement import Requirement
 from mavfi.config import STORED, Config, Name, names, parse, parse_part, shipped
-from mavfi.errors import BadInputError, hint
+from mavfi.errors import BadInputError, not_known
 from mavfi.faults.fault import find_level, level_names
 from mavfi.levels.level import Sampling, check_distinct, check_known, sampler_for
 from mavfi.mission import MissionSpec
@@ -223,8 +223,7 @@ class Campaign(Config):
         if name == "quick":
             return self
         if name not in self.scales:
-            allowed = ", ".join(["quick", *self.scales])
-            raise BadInputError(f"campaign {self.name}: scale {name!r}: not known; allowed: {allowed}")
+            raise BadInputError(f"campaign {self.name}: scale {not_known(name, ['quick', *self.scales])}")
         return self.resized(self.scales[name])
 
     def resized(self, size: Scale) -> "Campaign":
@@ -369,8 +368,7 @@ def _sampling(data: Any, info: ValidationInfo | None, host_name: Any = _LOCAL) -
     if level in levels:
         model = _level_at(host_name, level).sampling
     if model is None:
-        text = f"not known{hint(level, levels)}; allowed: {', '.join(levels)}"
-        raise ValueError(f"key 'sampling.level': {level!r}: {text}")
+        raise ValueError(f"key 'sampling.level': {not_known(level, levels)}")
     context = None if info is None else info.context
     sampling: Sampling = parse_part(model, data, "sampling", context)
     return sampling

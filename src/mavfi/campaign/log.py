@@ -18,9 +18,9 @@ from typing import Any
 from mavfi.campaign.executors.executor import Done, Lost
 from mavfi.campaign.mission import MissionPlan
 from mavfi.campaign.plan import CompletedRun, reason_of
+from mavfi.campaign.store import LOG as FILE
 from mavfi.errors import MavfiError
 
-FILE = "log.jsonl"
 MOST_UNKNOWN = 100
 """Runs with status unknown logged individually per session; the others are only counted at its end."""
 _LONGEST_TEXT = 500

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy  # loads its modules at first use
 
 from mavfi.campaign.divergence import (
     Departure,
@@ -22,7 +21,7 @@ from mavfi.campaign.mission import MissionPlan, host_of, setup_of
 from mavfi.campaign.plan import RunSpec, arms_of, reason_of
 from mavfi.campaign.store import Run, Store
 from mavfi.config import parse
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.faults.fault import Fault
 from mavfi.flight import mission_flights
 from mavfi.flight.host import ArmSetup, Flight, Host, Recorded
@@ -103,7 +102,7 @@ def setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
         raise BadInputError(f"{store.directory}: host {host.name} is not deterministic: runs cannot be flown again")
     arms = {arm.name: arm for arm in arms_of(campaign)}
     if spec.arm not in arms:
-        raise BadInputError(f"{store.directory}: run {spec.run_id}: arm {spec.arm!r}: allowed: {', '.join(arms)}")
+        raise BadInputError(f"{store.directory}: run {spec.run_id}: arm {not_known(spec.arm, arms)}")
     stored = store.meta("identity")["scenarios"][f"{spec.environment}/{spec.arm}"]
     scenario = None
     if host.flies:
@@ -242,10 +241,12 @@ class Verification:
     @property
     def upper_bound(self) -> float:
         """One-sided upper confidence bound on the share of wrong records (Clopper and Pearson 1934)."""
+        from scipy.stats import beta  # in the extra `report`
+
         wrong = len(self.differing)
         equal = self.flown - wrong
         if equal:
-            return float(scipy.stats.beta.ppf(CONFIDENCE, wrong + 1, equal))
+            return float(beta.ppf(CONFIDENCE, wrong + 1, equal))
         return 1.0
 
 

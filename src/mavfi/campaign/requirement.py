@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mavfi.errors import BadInputError, allowed
+from mavfi.errors import BadInputError, not_known
 
 if TYPE_CHECKING:
     from mavfi.campaign.config import Campaign
@@ -51,7 +51,7 @@ class Requirement:
         arm, measure, comparison, number = match.groups()
         name = " ".join(measure.lower().split())
         if name not in MEASURES:
-            raise BadInputError(f"{text!r}: measure {measure!r}: not known; allowed: {allowed(MEASURES, name)}")
+            raise BadInputError(f"{text!r}: measure {not_known(measure, MEASURES)}")
         percent = float(number)
         if percent > 100.0:
             raise BadInputError(f"{text!r}: {number} %: allowed: 0 to 100")
@@ -69,8 +69,7 @@ class Requirement:
             BadInputError: The campaign has no such arm, or the measure needs one.
         """
         if self.arm and self.arm not in campaign.arms:
-            arms = ", ".join(campaign.arms) or "none, as the campaign has no arms"
-            raise BadInputError(f"{self.text!r}: arm {self.arm!r}: not known; allowed: {arms}")
+            raise BadInputError(f"{self.text!r}: arm {not_known(self.arm, campaign.arms)}")
         if self.measure not in WATCHED:
             return self
         watched = [name for name, arm in campaign.arms.items() if arm.detector]

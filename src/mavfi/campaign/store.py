@@ -12,7 +12,7 @@ import json
 import os
 import sqlite3
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -23,8 +23,9 @@ from mavfi.campaign.fingerprint import differences
 from mavfi.campaign.plan import CompletedRun, Row, RunSpec, reason_of
 from mavfi.config import checked
 from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
-from mavfi.files import is_file
+from mavfi.files import absent_folders, is_file, remove_folders
 from mavfi.mission import MissionStatus
+from mavfi.plugins import permission_for, use_ledger
 from mavfi.record import FlightRecord, canonical, without_source
 
 
@@ -203,6 +204,7 @@ def _types(connection: sqlite3.Connection) -> str:
 SCHEMA = 3
 FILE = "campaign.sqlite"
 LOCK = "campaign.lock"
+LOG = "log.jsonl"
 _CANDIDATES = 5
 """Runs that a message about an ambiguous prefix names."""
 _CHUNK = 1 << 20
@@ -230,12 +232,21 @@ class Store:
         self._lock = lock
         self._has_log = False
         self._generation = 0
+        self._is_new = False
+        self._absent: list[Path] = []
+        """Folders that were made for a new ledger."""
 
     def __enter__(self) -> "Store":
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, _: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        was_refused = self._is_new and isinstance(error, BadInputError)
+        has_runs = was_refused and self._ask("SELECT COUNT(*) FROM runs WHERE record IS NOT NULL") > 0
         self.close()
+        if was_refused and not has_runs:  # what was refused before the first flight leaves nothing
+            for name in (FILE, LOCK, LOG):
+                (self.directory / name).unlink(missing_ok=True)
+            remove_folders(self._absent)
 
     def close(self) -> None:
         """Close; an unclosed ledger keeps its data, but cannot be read from read-only media."""
@@ -254,6 +265,7 @@ class Store:
             BadInputError: The directory cannot be written, holds a campaign of another identity, or another
                 process writes to it.
         """
+        absent = absent_folders(directory)
         try:
             directory.mkdir(parents=True, exist_ok=True)
             lock = (directory / LOCK).open("w", encoding="utf-8")
@@ -266,8 +278,10 @@ class Store:
             lock.close()
             raise BadInputError(f"{directory}: another process is writing this campaign") from None
         store = Store(directory, connect(directory / FILE, "rwc"), lock)
+        store._absent = absent
         try:
             if store._ask("SELECT COUNT(*) FROM sqlite_master") == 0:
+                store._is_new = True
                 store._connection.executescript(f"BEGIN; {TABLES} PRAGMA user_version = {SCHEMA};")
                 store.write_meta({IDENTITY: identity, BOUND: True})
             else:
@@ -275,6 +289,7 @@ class Store:
             store._begin_log()
             store._connection.execute("PRAGMA synchronous = NORMAL")
             store._take_over()
+            use_ledger(directory, identity)
         except BaseException:
             store.close()
             raise
@@ -293,6 +308,7 @@ class Store:
         try:
             store._check_schema()
             store._check_content()
+            use_ledger(directory, store.meta(IDENTITY))
         except BaseException:
             store.close()
             raise
@@ -438,6 +454,50 @@ class Store:
             row = *world, mission_checksum(self._connection, world, salt_of(self._connection))
             self._connection.execute("INSERT OR IGNORE INTO missions VALUES (?, ?, ?)", row)
 
+    def replan(
+        self,
+        identity: Mapping[str, Any],
+        rows: Sequence[Row],
+        planned: Iterable[tuple[str, int]],
+        unflown: Collection[str],
+        replaced: Collection[str],
+    ) -> None:
+        """Make this the ledger of another campaign, which has all of its runs, at other positions.
+
+        Args:
+            identity: That of the campaign.
+            rows: The stored runs as the campaign plans them, except the replaced ones.
+            planned: Missions that have no further runs in it, by environment and seed.
+            unflown: Ids of runs that are to be flown again.
+            replaced: Ids of runs that it does not have.
+        """
+        with self.writing():
+            # The identity comes first: it is the salt of all other checksums.
+            keys = [key for (key,) in self._connection.execute("SELECT key FROM meta")]
+            metadata = {key: self.meta(key) for key in keys if key not in (IDENTITY, BOUND)}
+            self.write_meta({IDENTITY: identity, BOUND: True})
+            self.write_meta(metadata)
+            salt = salt_of(self._connection)
+
+            self._connection.executemany("DELETE FROM runs WHERE run_id = ?", [(run_id,) for run_id in replaced])
+            # Positions are unique at every instant: the old ones make room by becoming negative.
+            self._connection.execute("UPDATE runs SET position = -1 - position")
+            for row in rows:
+                result = None, "", None
+                if row.run_id not in unflown:
+                    query = "SELECT record, note, wall_s FROM runs WHERE run_id = ?"
+                    result = self._connection.execute(query, (row.run_id,)).fetchone()
+                self._connection.execute(
+                    "UPDATE runs SET position = ?, spec = ?, record = ?, note = ?, wall_s = ?, checksum = ? "
+                    "WHERE run_id = ?",
+                    (row.position, row.text, *result, checksum_of(*row, *result, *salt), row.run_id),
+                )
+
+            # A mission is completely planned if nothing is added to it.
+            self._connection.execute("DELETE FROM missions")
+            for world in planned:
+                self.end_plan(world)
+
     def done(self, world: tuple[str, int]) -> frozenset[str]:
         """Ids of the completed runs of a mission, given by environment and seed."""
         query = "SELECT run_id FROM runs WHERE environment = ? AND seed = ? AND record IS NOT NULL"
@@ -486,16 +546,25 @@ class Store:
         return text
 
     def run(self, run_id: str) -> Run:
-        """One row by its id or a prefix of it.
+        """One row by its id, with or without the hash at its end, by a prefix of it, or by its number in `mavfi runs`.
 
         Raises:
             BadInputError: No row matches, or several do; the message lists some.
         """
+        if run_id.isdecimal():
+            numbered = f"SELECT {_RUN} FROM runs WHERE record IS NOT NULL ORDER BY position LIMIT 1 OFFSET ?"
+            row = self._connection.execute(numbered, (min(int(run_id), 2**32) - 1,)).fetchone()
+            if row is not None and int(run_id) > 0:
+                return self._run(*row)
         query = f"SELECT run_id, {_RUN} FROM runs WHERE run_id = ? OR instr(run_id, ?) = 1 ORDER BY position"
         rows = self._connection.execute(query, (run_id, run_id)).fetchall()
-        rows = [row for row in rows if row[0] == run_id] or rows
+        exact = [row for row in rows if row[0] == run_id]
+        without_hash = [row for row in rows if row[0].rpartition("-")[0] == run_id]
+        rows = exact or without_hash or rows
         if not rows:
-            raise BadInputError(f"{self.directory}: run {run_id!r}: no run of that name; `mavfi runs` lists them")
+            raise BadInputError(
+                f"{self.directory}: run {run_id!r}: not known; `mavfi runs {self.directory}` lists them with numbers"
+            )
         if len(rows) > 1:
             some = ", ".join(row[0] for row in rows[:_CANDIDATES])
             raise BadInputError(f"{self.directory}: run {run_id!r}: ambiguous, {len(rows)} runs match, e.g. {some}")
@@ -546,6 +615,11 @@ class Store:
         if path is None:
             return None
         return self.directory / path
+
+    @property
+    def permission(self) -> str:
+        """The option, with a space before it, that commands need to run the ledger's plug-ins; "" = none."""
+        return permission_for(self.directory, self.meta(IDENTITY))
 
     @contextmanager
     def snapshot(self) -> Iterator[None]:

@@ -4,24 +4,30 @@ import ast
 import functools
 import inspect
 import os
+import sys
 import traceback
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from types import ModuleType
+from typing import Annotated, Any, NamedTuple
 
 import typer
+from typer.completion import completion_init  # type: ignore[attr-defined]
 from typer.core import TyperCommand, TyperGroup
 
+from mavfi.cli import panels
 from mavfi.cli.console import complain
 from mavfi.cli.stopping import EXIT_STOPPED
 from mavfi.dropped import COMMANDS, OPTIONS
-from mavfi.errors import BadInputError, MavfiError, machine_failure
+from mavfi.errors import BadInputError, MavfiError, hint, machine_failure, missing_package, not_known
 from mavfi.plugins import allow_plugins, allow_typed, known, plugin_failure
 
 _ALLOW_PLUGINS = "--allow-plugins"
+_COMPLETE = "_MAVFI_COMPLETE"
+"""Environment variable by which a shell's script asks for completions, instead of a command."""
 _TRACEBACK = "MAVFI_TRACEBACK"
 """Environment variable: if set, a refusal is preceded by its traceback."""
 EXIT_DONE = 0
@@ -30,6 +36,7 @@ EXIT_BAD_INPUT = 2
 VERBS = {
     "fly": "mavfi.cli.fly:fly",
     "campaign": "mavfi.cli.campaign:app",
+    "compare": "mavfi.cli.runs:compare",
     "report": "mavfi.cli.report:report",
     "runs": "mavfi.cli.runs:runs",
     "replay": "mavfi.cli.runs:replay",
@@ -37,6 +44,11 @@ VERBS = {
     "shrink": "mavfi.cli.runs:shrink",
     "train": "mavfi.cli.train:train",
     "states": "mavfi.cli.states:states",
+    "docs": "mavfi.cli.docs:docs",
+    "init": "mavfi.cli.init:init",
+    "doctor": "mavfi.cli.doctor:doctor",
+    "cache": "mavfi.cli.doctor:cache",
+    "completion": "mavfi.cli.completion:completion",
 }
 """Commands of the core: a function, or a Typer application with commands of its own."""
 
@@ -80,12 +92,16 @@ class _Application(TyperGroup):
         self.commands: Any = _Commands()
 
     def list_commands(self, ctx: Any) -> list[str]:
-        return list(self.commands)
+        def rank(name: str) -> int:
+            return panels.OF_COMMANDS.index(_help_in_source(self.commands.addresses[name]).panel)
+
+        return sorted(self.commands, key=rank)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         if cmd_name not in self.commands:
             return None
-        return TyperCommand(cmd_name, help=_paragraphs(_help_in_source(self.commands.addresses[cmd_name])))
+        described = _help_in_source(self.commands.addresses[cmd_name])
+        return TyperCommand(cmd_name, help=_paragraphs(described.text), rich_help_panel=described.panel)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         name, _, rest = super().resolve_command(ctx, args)
@@ -94,29 +110,50 @@ class _Application(TyperGroup):
         return name, self.commands[name], rest  # with its options, which `get_command` leaves out
 
 
-def _help_in_source(address: str) -> str:
-    """Help of a command, read from the source of its module; empty if there is none.
+class _Help(NamedTuple):
+    """What `mavfi --help` says of a command.
+
+    Attributes:
+        text: Its help; "" = none was found.
+        panel: The panel that it stands in.
+    """
+
+    text: str
+    panel: str
+
+
+@functools.cache
+def _help_in_source(address: str) -> _Help:
+    """Help of a command, read from the source of its module.
 
     It is that of the function, or of a Typer application: the docstring of its callback or the option `help`.
     """
     module, _, name = address.partition(":")
     package, *path = module.split(".")
+    text = ""
+    panel = panels.OTHERS
     try:
         root = Path(find_spec(package).origin).parent  # type: ignore[union-attr, arg-type]
         tree = ast.parse(root.joinpath(*path).with_suffix(".py").read_text("utf-8"))
     except (ImportError, AttributeError, OSError, SyntaxError):  # a broken plug-in is reported when it is called
-        return ""
-    # the definition of that name, or the application assigned to it
+        return _Help(text, panel)
+    # the definition of that name, or the application assigned to it; the panel of the module's commands
     for node in tree.body:
         if isinstance(node, ast.FunctionDef):
             decorators = map(ast.unparse, node.decorator_list)
             if node.name == name or f"{name}.callback()" in decorators:
-                return ast.get_docstring(node) or ""
-        elif isinstance(node, ast.Assign) and isinstance(node.value, ast.Call) and ast.unparse(node.targets[0]) == name:
-            for option in node.value.keywords:
-                if option.arg == "help" and isinstance(option.value, ast.Constant):
-                    return str(option.value.value)
-    return ""
+                text = ast.get_docstring(node) or text
+        elif isinstance(node, ast.Assign):
+            target = ast.unparse(node.targets[0])
+            if target == name and isinstance(node.value, ast.Call):
+                for option in node.value.keywords:
+                    if option.arg == "help":
+                        text = ast.literal_eval(option.value)
+            elif target == "HELP_PANEL" and isinstance(node.value, ast.Constant):
+                panel = str(node.value.value)
+    if panel not in panels.OF_COMMANDS:
+        panel = panels.OTHERS
+    return _Help(text, panel)
 
 
 app = typer.Typer(
@@ -159,6 +196,13 @@ def run(arguments: Sequence[str]) -> int:
         arguments = [word for word in arguments if word != _ALLOW_PLUGINS]
     allow_typed(word.rpartition("=")[2] for word in arguments)
 
+    if os.environ.get(_COMPLETE):
+        completion_init()
+        os.environ["COLUMNS"] = "1000"  # each completion is one line
+
+    if not arguments or "--help" in arguments:
+        _import_help()
+
     # every known kind of failure becomes a line and an exit code
     try:
         code = _command().main(args=arguments or ["--help"], prog_name="mavfi", standalone_mode=False)
@@ -166,25 +210,44 @@ def run(arguments: Sequence[str]) -> int:
         code = EXIT_FAILURE
         if isinstance(error, BadInputError) and not machine_failure(error):
             code = EXIT_BAD_INPUT
-        return _refused(str(error), code)
+        return _refused(_as_typed(str(error), arguments), code)
     except typer.TyperException as error:  # missing argument, unknown option, invalid number
         dropped = _dropped(arguments)
         if dropped:
             return complain(dropped, EXIT_BAD_INPUT)
-        message = _refused_value(error) or error.format_message().rstrip(".")
+        message = _unknown_word(error, arguments) or _refused_value(error) or error.format_message().rstrip(".")
         return complain(f"{message}; see `mavfi {_verb(arguments)}--help`", EXIT_BAD_INPUT)
     except typer.Abort:
         return EXIT_STOPPED
     except (Exception, SystemExit) as error:
-        # a full disk and the like, then plug-ins; all other exceptions are defects of mavfi
+        # a full disk and the like, then what the user installed or not; all others are defects of mavfi
         if failure := machine_failure(error):
             return _refused(failure, EXIT_FAILURE)
-        if failure := plugin_failure(error):
+        if failure := _missing_package(error, arguments) or plugin_failure(error):
             return _refused(failure, EXIT_BAD_INPUT)
         raise
     if isinstance(code, int):
         return code
     return EXIT_DONE
+
+
+def _missing_package(error: BaseException, arguments: Sequence[str]) -> str:
+    """The refusal of a command that needs an optional package; "" = the error is another."""
+    if not isinstance(error, ModuleNotFoundError):
+        return ""
+    refusal = missing_package(error, f"mavfi {_verb(arguments)}".rstrip())
+    if refusal is None:
+        return ""
+    return str(refusal)
+
+
+def _as_typed(text: str, arguments: Sequence[str]) -> str:
+    """A message that begins with the name of a key, with that of its option instead if the option was typed."""
+    key, colon, rest = text.partition(":")
+    option = "--" + key.replace("_", "-")
+    if colon and option in {word.partition("=")[0] for word in arguments}:
+        return f"{option}:{rest}"
+    return text
 
 
 def _dropped(arguments: Sequence[str]) -> str:
@@ -198,6 +261,21 @@ def _dropped(arguments: Sequence[str]) -> str:
     for command, replacement in COMMANDS.items():
         if line.startswith(command):
             return f"{command}: dropped; {replacement}"
+    return ""
+
+
+def _unknown_word(error: typer.TyperException, arguments: Sequence[str]) -> str:
+    """The refusal of an option or command that does not exist, if that is the error; "" for others."""
+    option = getattr(error, "option_name", "")
+    if option and hasattr(error, "possibilities"):
+        return f"{option}: not known{hint(option, error.possibilities or ())}"
+    if not error.format_message().startswith("No such command"):
+        return ""
+    group = _command()
+    for word in arguments:
+        if word not in group.commands:
+            return f"command {not_known(word, list(group.commands))}"
+        group = group.commands[word]
     return ""
 
 
@@ -222,15 +300,47 @@ def _refused(text: str, code: int) -> int:
     return complain(text, code)
 
 
+def _import_help() -> None:
+    """Import Typer's help without rich's Markdown and tracebacks, which take a fifth of its time and are not used."""
+    stubs = {}
+    for module, name in (("rich.markdown", "Markdown"), ("rich.traceback", "Traceback")):
+        if module not in sys.modules:
+            stubs[module] = ModuleType(module)
+            setattr(stubs[module], name, _class_imported_later(module, name))
+    sys.modules.update(stubs)
+    try:
+        import_module("typer.rich_utils")
+    finally:
+        for module in stubs:
+            del sys.modules[module]
+
+
+def _class_imported_later(module: str, name: str) -> type:
+    """A class in the place of another, which is imported when an object is made, e.g. for the help of a plug-in."""
+
+    def make(_: type, *arguments: Any, **named: Any) -> Any:
+        return getattr(import_module(module), name)(*arguments, **named)
+
+    return type(name, (), {"__new__": make})
+
+
 @functools.cache
 def _command() -> Any:
     """The application with all commands."""
-    return typer.main.get_command(app)
+    command = typer.main.get_command(app)
+    for parameter in _with_help_option(command):
+        _shorten_help(parameter)
+    return command
 
 
 def _prepare(command: Any) -> None:
-    """Prepare a command, and those in its group: paragraphs of help fill any width, options are not given twice."""
+    """Prepare a command, and those in its group: short help that fills any width, options are not given twice."""
     command.help = _paragraphs(command.help or "")
+    parameters = _with_help_option(command)
+    for parameter in parameters:
+        _shorten_help(parameter)
+    if any(parameter.rich_help_panel == panels.OUTPUT for parameter in parameters):
+        parameters[-1].rich_help_panel = panels.OUTPUT  # otherwise a panel with --help alone would stand first
     members = getattr(command, "commands", {})
     for member in members.values():
         _prepare(member)
@@ -238,13 +348,30 @@ def _prepare(command: Any) -> None:
         command.parse_args = functools.partial(_parse_once, command)
 
 
+def _with_help_option(command: Any) -> list[Any]:
+    """The parameters of a command, and last the option `--help`."""
+    return [*command.params, command.get_help_option(typer.Context(command))]
+
+
+def _shorten_help(parameter: Any) -> None:
+    """Leave out what says nothing: the type of flags; the default stands in the line of the help, not below it."""
+    if parameter.param_type_name != "option":
+        return
+    if parameter.is_flag:
+        parameter.metavar = ""
+    elif parameter.show_default is True and parameter.default not in (None, ""):
+        parameter.help += rf" [dim]\[{parameter.default}][/dim]"
+        parameter.show_default = False
+
+
 def _parse_once(command: Any, ctx: Any, args: list[str]) -> list[str]:
     """Parse the words of a command; an option of one value that is given twice is refused: one would be dropped."""
-    _, _, order = command.make_parser(ctx).parse_args(args=list(args))
-    for parameter, times in Counter(order).items():
-        is_option = parameter.param_type_name == "option"
-        if times > 1 and is_option and not parameter.multiple and not parameter.is_flag:
-            raise BadInputError(f"{parameter.opts[0]}: given {times} times; allowed: once")
+    if not ctx.resilient_parsing:  # as in completions
+        _, _, order = command.make_parser(ctx).parse_args(args=list(args))
+        for parameter, times in Counter(order).items():
+            is_option = parameter.param_type_name == "option"
+            if times > 1 and is_option and not parameter.multiple and not parameter.is_flag:
+                raise BadInputError(f"{parameter.opts[0]}: given {times} times; allowed: once")
     words: list[str] = type(command).parse_args(command, ctx, args)
     return words
 

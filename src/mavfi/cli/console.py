@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from mavfi.errors import BadInputError, writing
+from mavfi.errors import BadInputError, not_known, writing
 from mavfi.files import exists
 
 WIDE = 140
@@ -100,7 +100,7 @@ def check_seed(option: str, value: int) -> None:
 def check_name(option: str, value: str, names: Iterable[str]) -> None:
     """Refuse a name that is not in the list."""
     if value not in (allowed := tuple(names)):
-        raise BadInputError(f"{option}: {value!r}: allowed: {', '.join(allowed)}")
+        raise BadInputError(f"{option}: {not_known(value, allowed)}")
 
 
 def check_file(option: str, path: Path | None, endings: Sequence[str]) -> None:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from mavfi.cli import observing, options
 from mavfi.cli.console import FLIGHTS, PAGES, PICTURES, check_file, check_seed, console, write_json
 from mavfi.errors import BadInputError
-from mavfi.faults.combined import AND, levels_in, waits_for_alarm
 from mavfi.mission import OF_A_DETECTOR, MissionSpec
 from mavfi.plugins import extensions
 
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from mavfi.mission import Scenario
     from mavfi.report.flight_result import FlightResult
 
+HELP_PANEL = "Fly and look"
 DEFAULT_PROFILE = "paper"
 FLY_OPTIONS = "mavfi.fly_options"
 """Group of entry points: objects with `options`, see `with_extra_options`, and `chosen(mission, values)`.
@@ -48,7 +48,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
     pace: observing.Pace = observing.REAL_TIME,
     **extra: Any,  # noqa: ANN401 - of the options of extras
 ) -> None:
-    """Fly one mission and report its result; with a fault, compare it with the golden run.
+    """Fly one mission, with or without a fault and a detector.
+
+    With a fault, it is compared with the golden run: the same mission without it.
 
     Example: [bold]mavfi fly --environment dense --seed 10007 --fault state:planning.waypoint.x:bit=62@20.0[/bold]
     """
@@ -95,12 +97,16 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
 def fault_text(faults: Sequence[str] | None) -> str | None:
     """The text of all faults of a mission; None without any."""
+    from mavfi.faults.combined import AND
+
     if not faults:
         return None
     return AND.join(faults)
 
 
 def _is_instrumented(mission: MissionSpec, fault: str | None) -> bool:
+    from mavfi.faults.combined import levels_in
+
     return bool(mission.protection) or "instruction" in levels_in(fault)
 
 
@@ -114,6 +120,8 @@ def _compile(scenario: Scenario) -> None:
 
 def _check_dead_node(mission: MissionSpec, fault: str | None) -> None:
     """Reject a policy for dead nodes without a fault that can kill one."""
+    from mavfi.faults.combined import levels_in
+
     can_kill = levels_in(fault) & {"instruction", "memory"}
     if mission.dead_node != "fresh" and not can_kill:
         reason = "no node can die; allowed: together with --fault instruction:KERNEL or memory:KERNEL"
@@ -182,6 +190,8 @@ def check_option_dependencies(
     models: Path | None,
 ) -> None:
     """Reject options that have no effect without another one."""
+    from mavfi.faults.combined import waits_for_alarm
+
     if fault_seed is not None:
         check_seed("--fault-seed", fault_seed)
         if fault is None:

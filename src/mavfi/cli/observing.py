@@ -10,7 +10,6 @@ import typer
 
 from mavfi.cli.console import check_number, console
 from mavfi.errors import BadInputError
-from mavfi.faults.combined import levels_in
 from mavfi.plugins import extensions
 
 if TYPE_CHECKING:
@@ -39,6 +38,8 @@ class FlightObserver(Protocol):
 
 def chosen_observers(values: Mapping[str, Any], pace: float, fault: str | None) -> list[FlightObserver]:
     """The observers whose options are set; refuses values that are not allowed, before the flight."""
+    from mavfi.faults.combined import levels_in
+
     observers = extensions(OBSERVERS)
     chosen = {name: observer for name, observer in observers.items() if observer.chosen(values)}
     check_number("--pace", pace, 0, 1000)

@@ -4,6 +4,7 @@ import functools
 import inspect
 import math
 from collections.abc import Callable, Collection, Mapping
+from copy import copy
 from enum import Enum
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -12,11 +13,36 @@ import typer
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
+from mavfi.cli import completion
+from mavfi.cli.panels import DETECTION, FAULT, MISSION, OF_OPTIONS, OUTPUT, PIPELINE
 from mavfi.config import Vector
 from mavfi.dropped import VALUES
-from mavfi.errors import BadInputError
-from mavfi.mission import LARGEST_SEED, MissionSpec
+from mavfi.errors import BadInputError, not_known
+from mavfi.mission import LARGEST_SEED, OF_A_DETECTOR, MissionSpec
 from mavfi.plugins import extensions, known
+
+_PANEL_OF = {
+    **dict.fromkeys(
+        ("environment", "seed", "start", "goal", "v_max", "wind", "arrival_radius", "time_limit_factor"), MISSION
+    ),
+    **dict.fromkeys(("faults", "fault", "fault_seed", "dead_node", "protection"), FAULT),
+    **dict.fromkeys(("detector", "profile", "models", *OF_A_DETECTOR), DETECTION),
+    **dict.fromkeys(("as_json", "save", "picture", "html", "pace"), OUTPUT),
+}
+"""Panels by parameter, in the order of the help; all other fields of missions are of the pipeline."""
+
+_COMPLETERS = {
+    "environment": completion.of_configs("environments"),
+    "autopilot": completion.of_configs("autopilots"),
+    "planner": completion.of_configs("planners"),
+    "platform": completion.of_configs("platforms"),
+    "vehicle": completion.of_configs("vehicles"),
+    "protection": completion.of_configs("protections"),
+    "map": completion.of_entry_points("mavfi.maps"),
+    "flight_controller": completion.of_entry_points("mavfi.flight_controllers"),
+    "trained_for": completion.trained_for,
+}
+"""What completes the values of fields of missions; words of others are known from their type."""
 
 FORMS = "with bits, instants and more: see fault-specs.md in the documentation."
 Faults = Annotated[
@@ -24,23 +50,34 @@ Faults = Annotated[
     typer.Option(
         "--fault",
         metavar="SPEC",
-        help="state:PLACE, memory:PLACE, instruction:KERNEL, sensor:UNIT:TYPE, message:STATE:OPERATION, or null; "
+        help="state:PLACE, memory:PLACE, instruction:KERNEL, sensor:UNIT:TYPE, message:STATE:OPERATION, or null, "
         f"{FORMS} Several times: all in one mission.",
         show_default=False,
+        autocompletion=completion.fault,
     ),
 ]
 FaultSeed = Annotated[
     int | None,
-    typer.Option(help="Draws what the fault does not name: instant, element, instruction, bit; 0 by default."),
+    typer.Option(help="Draws instant, element, bit, ... that --fault does not name; 0 by default."),
 ]
 DETECTORS = ", ".join(sorted(known("mavfi.detectors", {})))
 """Names of entry points; importing the registry, which loads them, would slow down `--help`."""
-Detector = Annotated[str, typer.Option(help=f"{DETECTORS}, or package:Class.")]
-Profile = Annotated[str | None, typer.Option(help="Of the detector: paper (the default) or tuned.")]
+Detector = Annotated[
+    str,
+    typer.Option(
+        help=f"{DETECTORS}, or package:Class.", autocompletion=completion.of_entry_points("mavfi.detectors", "none")
+    ),
+]
+Profile = Annotated[
+    str | None,
+    typer.Option(
+        help="Of the detector: paper (default) or tuned.", autocompletion=completion.of_words(("paper", "tuned"))
+    ),
+]
 WatchProfile = Annotated[str, typer.Option(help="paper (signs and exponents of values) or tuned (of changes).")]
 """Of detectors of foreign messages."""
 Duration = Annotated[float | None, typer.Option(help="Duration, s; until Ctrl-C by default.")]
-Models = Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")]
+Models = Annotated[Path | None, typer.Option(help="Folder of trained models; shipped ones by default.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object instead of text.")]
 Save = Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Write the whole record of the flight.")]
 Picture = Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the flight from above and from the side.")]
@@ -49,7 +86,14 @@ Html = Annotated[
     typer.Option(metavar="FILE.html", help="Write a page with the flight in 3-D, its time lines, the story."),
 ]
 Ledger = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")]
-RunId = Annotated[str, typer.Argument(metavar="RUN_ID", help="The run, or an unambiguous beginning of its id.")]
+RunId = Annotated[
+    str,
+    typer.Argument(
+        metavar="RUN",
+        help="Its number in `mavfi runs DIR`, or the beginning of its id.",
+        autocompletion=completion.run_id,
+    ),
+]
 AllTables = Annotated[bool, typer.Option("--all", help="Print all tables, not only the headline.")]
 Workers = Annotated[int, typer.Option(help="Processes; the result does not depend on them.")]
 
@@ -72,13 +116,14 @@ def with_mission_options(verb: Callable[..., None], without: Collection[str] = (
     def wrapped(context: typer.Context, **values: Any) -> None:
         mission_values = {name: values.pop(name) for name in fields}
         set_by_user = {
-            name: value for name, value in mission_values.items() if _is_users(context.get_parameter_source(name))
+            name: value for name, value in mission_values.items() if is_users(context.get_parameter_source(name))
         }
         if passes_context:
             values["context"] = context
         verb(mission_of(set_by_user), **values)
 
     parameters = [*(_parameter(name, field) for name, field in fields.items()), *others.values()]
+    parameters = sorted(map(_in_its_panel, parameters), key=_position_in_help)
     wrapped.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     wrapped.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return wrapped
@@ -104,7 +149,8 @@ def with_extra_options(*groups: str) -> Callable[[Callable[..., None]], Callable
     return decorate
 
 
-def _is_users(source: Enum | None) -> bool:
+def is_users(source: Enum | None) -> bool:
+    """Whether the value of a parameter, given by its source, is the user's, not the default."""
     return source is not None and source.name != "DEFAULT"
 
 
@@ -126,6 +172,9 @@ def mission_of(values: Mapping[str, Any]) -> MissionSpec:
         value = first["input"]
         shown = repr(value) if isinstance(value, str) else str(value)
         reason = f"allowed: {_allowed(name)}"
+        words = _words(MissionSpec.model_fields[name])
+        if words:
+            reason = not_known(value, words).removeprefix(f"{shown}: ")
         replacement = VALUES.get((name, str(value)))
         if replacement:
             reason = f"dropped; use {replacement!r}"
@@ -146,9 +195,40 @@ def _parameter(name: str, field: FieldInfo) -> inspect.Parameter:
     """The option of a field; words are checked by `mission_of`, whose message names those that are allowed."""
     kind: Any = str if _words(field) else field.annotation
     metavar = "X Y Z" if kind == Vector | None else None
-    option = typer.Option(option_name(name), help=field.description, metavar=metavar)
+    help_text, _, _ = str(field.description).partition(". ")  # the rest is for the reference
+    completer = _COMPLETERS.get(name)
+    if _words(field):
+        completer = completion.of_words(_words(field))
+    option = typer.Option(
+        option_name(name), help=f"{help_text.rstrip('.')}.", metavar=metavar, autocompletion=completer
+    )
     annotation = Annotated[kind, option]
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=annotation)
+
+
+def _in_its_panel(parameter: inspect.Parameter) -> inspect.Parameter:
+    """A parameter of a command, in the help panel of its name; others keep theirs."""
+    panel = _PANEL_OF.get(parameter.name)
+    if panel is None:
+        if parameter.name not in MissionSpec.model_fields:
+            return parameter
+        panel = PIPELINE
+    kind, option = get_args(parameter.annotation)
+    option = copy(option)
+    option.rich_help_panel = panel
+    return parameter.replace(annotation=Annotated[kind, option])
+
+
+def _position_in_help(parameter: inspect.Parameter) -> tuple[int, int]:
+    """Positions of a parameter's panel, and in it; parameters without a panel are the first, those of extras last."""
+    panel = -1
+    for option in get_args(parameter.annotation)[1:]:
+        if option.rich_help_panel in OF_OPTIONS:
+            panel = OF_OPTIONS.index(option.rich_help_panel)
+    names = list(_PANEL_OF)
+    if parameter.name in names:
+        return panel, names.index(parameter.name)
+    return panel, len(names)
 
 
 def _words(field: FieldInfo) -> tuple[str, ...]:
@@ -170,4 +250,4 @@ def _allowed(name: str) -> str:
         for side in ("ge", "le"):
             if hasattr(constraint, side):
                 bounds.append(f"{float(str(getattr(constraint, side))):g}")
-    return " to ".join(bounds) or str(field.description)
+    return " to ".join(bounds) or str(field.description).partition(". ")[0]

@@ -16,9 +16,10 @@ from mavfi.cli import options
 from mavfi.cli.console import PAGES, check_file, check_number, console, counted, write_json
 from mavfi.cli.stopping import EXIT_STOPPED, stoppable
 from mavfi.errors import BadInputError, write_text
-from mavfi.files import check_folder
+from mavfi.files import check_folder, make_folder
 from mavfi.plugins import extensions
 
+HELP_PANEL = "Campaigns"
 MAX_FLIGHTS = 10_000
 
 if TYPE_CHECKING:
@@ -50,9 +51,10 @@ def report(  # noqa: PLR0913 - one parameter per option
     ] = None,
     workers: options.Workers = 2,
 ) -> None:
-    """Print the headline of a campaign, and write report.md, figures, summary.json and readme_block.md to its folder.
+    """Print the headline of a campaign; write report and figures.
 
-    The folder of a study (`mavfi reproduce`) gives the report of the study; `--view` shows the campaign in it.
+    Written to its folder: report.md, figures, summary.json and readme_block.md. The folder of a study (`mavfi
+    reproduce`) gives the report of the study; `--view` shows the campaign in it.
 
     Example: [bold]mavfi report out/states --view by_state --csv[/bold]
     """
@@ -165,6 +167,7 @@ def _write_figures(reported: Reported, folder: Path) -> str:
     from mavfi.report.style import write_figure, write_talk_figure
 
     paths: list[Path] = []
+    make_folder(folder)
     with Bar("figures", "figures") as bar:
         for write in (write_figure, write_talk_figure):
             drawn = reported.draw()  # once for each, since it is resized
@@ -215,8 +218,8 @@ def _listed(files: Sequence[Path]) -> str:
 
 def _show_view(directory: Path, name: str, *, as_csv: bool, as_json: bool) -> None:
     """Print a view of a campaign, or the list of views."""
-    from mavfi.analysis import Runs, table_asked_for
-    from mavfi.analysis.views import applicable
+    from mavfi.analysis.runs import Runs
+    from mavfi.analysis.views import applicable, table_asked_for
     from mavfi.report.text import show_table
 
     runs = Runs.read(directory)

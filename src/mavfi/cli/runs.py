@@ -1,20 +1,24 @@
-"""`mavfi runs | replay | explain | shrink`: the runs of a campaign, and one of them flown again."""
+"""`mavfi runs | compare | replay | explain | shrink`: the runs of campaigns, and one of them flown again."""
 
+from __future__ import annotations
+
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.text import Text
 
-from mavfi.campaign.shrink import CandidateFlight, Shrunk
 from mavfi.cli import options
 from mavfi.cli.console import PAGES, PICTURES, check_file, console, write_json
 from mavfi.errors import MavfiError
-from mavfi.levels.level import text_of
-from mavfi.report.numbers import outcome
 
 if TYPE_CHECKING:
+    from mavfi.analysis.table import Table
     from mavfi.campaign.replay import Replay
+    from mavfi.campaign.shrink import CandidateFlight, Shrunk
+
+HELP_PANEL = "Campaigns"
 
 
 def runs(
@@ -23,7 +27,7 @@ def runs(
     as_csv: Annotated[bool, typer.Option("--csv", help="All columns as comma-separated values.")] = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """List the runs of a campaign: fault, effect, and mission status.
+    """List the runs of a campaign: fault, effect, mission status.
 
     Example: [bold]mavfi runs out/states --failed[/bold]
     """
@@ -37,13 +41,79 @@ def runs(
     elif as_json:
         write_json(table.to_json())
     else:
-        show_table(table, console())
+        out = console()
+        show_table(_fitted(_with_short_ids(table), out.width), out)
+
+
+def _with_short_ids(table: Table) -> Table:
+    """A list of runs whose ids have no hash, where that tells them apart."""
+    column = [column.key for column in table.columns].index("run_id")
+    ids = [row[column].rpartition("-")[0] for row in table.rows]
+    if len(set(ids)) < len(ids):
+        return table
+    rows = [(*row[:column], short, *row[column + 1 :]) for row, short in zip(table.rows, ids, strict=True)]
+    return replace(table, rows=rows)
+
+
+def _fitted(table: Table, width: int) -> Table:
+    """A list of runs in one block: with the first columns that fit into a width; the reason always, as a note."""
+    from mavfi.report.text import SPACING, shown
+
+    headings, cells = shown(table)
+    columns = []
+    notes = list(table.notes)
+    is_complete = True
+    for index, column in enumerate(headings):
+        texts = [row[index] for row in cells]
+        width -= SPACING + max(map(len, [column.heading, *texts]))
+        is_complete = is_complete and width >= 0
+        if column.key == "reason":
+            notes += [f"# {row[0]}: {text}" for row, text in zip(cells, texts, strict=True) if text]
+        elif not is_complete:
+            columns.append(column.key)
+    if not is_complete:
+        notes.append("More columns: in a wider terminal, or with --csv.")
+    hidden = {*columns, "reason"}
+    shown_columns = [replace(column, hidden=column.hidden or column.key in hidden) for column in table.columns]
+    return replace(table, columns=tuple(shown_columns), notes=tuple(notes))
+
+
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="A", help="Folder of a ledger.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Folder of another one.")],
+    as_json: options.AsJson = False,
+) -> None:
+    """Compare two campaigns: how often missions fail in B and in A, how long they fly, what energy they need.
+
+    Runs with the same seed and fault are compared in pairs, others as independent samples; intervals are 95 %.
+
+    Example: [bold]mavfi compare out/before out/after[/bold]
+    """
+    from mavfi.analysis.comparison import compare as compare_runs
+    from mavfi.analysis.runs import Runs
+    from mavfi.report.text import show_table
+
+    comparison = compare_runs(Runs.read(first), Runs.read(second))
+    if as_json:
+        write_json({"a": str(first), "b": str(second), **comparison.to_json()})
+        return
+    for sentence in comparison.sentences:
+        console().print(sentence, markup=False)
+    console().print(f"\nA: {first}\nB: {second}", markup=False, soft_wrap=True)
+    for key, (value_a, value_b) in comparison.differing.items():
+        console().print(f"   {key}: {value_a} in A, {value_b} in B", markup=False)
+    if comparison.are_same:
+        for note in comparison.notes:
+            console().print(note, style="dim", markup=False)
+        return
+    console().print()
+    show_table(comparison.table, console())
 
 
 def replay(directory: options.Ledger, run_id: options.RunId, as_json: options.AsJson = False) -> None:
-    """Replay a run from its specification, and report whether the digest is the same.
+    """Fly a run again, and check that its digest is the same.
 
-    Exit code 1 if it is another run.
+    It is flown from its specification. Exit code 1 if it is another run.
 
     Example: [bold]mavfi replay out/reproduce sparse-10003-golden-[/bold]
     """
@@ -69,7 +139,7 @@ def replay(directory: options.Ledger, run_id: options.RunId, as_json: options.As
         console().print(Text.assemble(("✓", "green"), f" the same run, bit for bit: {digest}"))
 
 
-def _is_replayable(again: "Replay") -> bool:
+def _is_replayable(again: Replay) -> bool:
     """Whether all injections of the stored run can be repeated bit for bit."""
     stored = again.run.record
     if stored is None:
@@ -77,7 +147,7 @@ def _is_replayable(again: "Replay") -> bool:
     return all(injection.details.get("replayable", True) for injection in stored.injections)
 
 
-def _replay_json(again: "Replay") -> dict[str, Any]:
+def _replay_json(again: Replay) -> dict[str, Any]:
     """A replayed run beside its stored record, as plain data."""
     record = again.record
     data = {
@@ -106,7 +176,9 @@ def explain(
     html: options.Html = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Replay a run and its golden run, and explain the effect of the fault on values, path and mission.
+    """Explain what the fault of a run did to values and mission.
+
+    The run and its golden run are flown again.
 
     Example: [bold]mavfi explain out/reproduce dense-10000-fi-planning-0[/bold]
     """
@@ -141,9 +213,10 @@ def shrink(
     directory: options.Ledger,
     run_id: options.RunId,
 ) -> None:
-    """Reduce the fault of a lost mission: shorter, fewer bits, a less significant bit.
+    """Make the fault of a lost mission as small as possible.
 
-    Prints the command that flies the smallest fault found that still loses the mission.
+    It becomes shorter, flips fewer bits, or a less significant one. Prints the command that flies the smallest fault
+    found that still loses the mission.
 
     Example: [bold]mavfi shrink out/reproduce dense-10000-fi-planning-0[/bold]
     """
@@ -199,6 +272,9 @@ def shrink_lines(shrunk: Shrunk) -> list[tuple[str, str]]:
 
 
 def _trial(trial: CandidateFlight) -> str:
+    from mavfi.levels.level import text_of
+    from mavfi.report.numbers import outcome
+
     text = text_of(trial.fault)
     end = f"{trial.status.replace('_', ' ')} after {trial.time_s:.2f} s"
     if trial.injection is None:

@@ -12,6 +12,7 @@ from rich.text import Text
 from mavfi.cli.console import check_name, console
 from mavfi.states import AUTOPILOTS, MONITORED_SETS, ODOMETRY, Field, StateSpec, states_with
 
+HELP_PANEL = "Fly and look"
 _MONITORED = "paper-13"
 """Set of fields that the paper's detectors watch."""
 _VEHICLE = "flight controller"
@@ -24,7 +25,9 @@ def states(
     ] = "published",
     localization: Annotated[str, typer.Option(help="Whose states are shown: truth or estimator.")] = "truth",
 ) -> None:
-    """Print every inter-kernel state: its writer and readers, and its injectable and monitored fields.
+    """Print the states between kernels, which faults can hit.
+
+    Of each: its writer and readers, and its injectable and monitored fields.
 
     Example: [bold]mavfi states --autopilot hardened[/bold]
     """

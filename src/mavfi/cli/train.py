@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from mavfi.analysis.statistics import EventRate
     from mavfi.detectors.model import Model
 
+HELP_PANEL = "Detectors"
+
 
 @partial(
     options.with_mission_options,
@@ -45,12 +47,15 @@ def train(  # noqa: PLR0913 - one for each option
     check_environments: Annotated[
         str, typer.Option(help="Where false alarms are counted; where the missions are flown by default.")
     ] = "",
-    baselines: Annotated[bool, typer.Option(help="Fit those of other libraries (extra bench), too.")] = False,
+    baselines: Annotated[
+        bool, typer.Option("--baselines", help="Fit those of other libraries (extra bench), too.")
+    ] = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """Fly error-free missions, by default in randomised worlds not used for evaluation; fit every detector to them.
+    """Fly error-free missions, and fit the detectors to them.
 
-    Ctrl-C stops (exit code 130); the same command resumes.
+    By default in randomised worlds that are not used for evaluation. Ctrl-C stops (exit code 130); the same command
+    resumes.
 
     Example: [bold]mavfi train --flights 100 --autopilot hardened --out out/models[/bold]
     """

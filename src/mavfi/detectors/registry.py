@@ -15,11 +15,11 @@ from mavfi.detectors.model import FITTED_TO, Model, check_fits, model_name
 from mavfi.detectors.preprocess import FEATURES, PROFILES
 from mavfi.detectors.training import MonitoredFields, TrainedDetector
 from mavfi.dropped import dropped_name
-from mavfi.errors import BadInputError, SpecMismatchError, hint
+from mavfi.errors import BadInputError, SpecMismatchError, not_known
 from mavfi.files import is_file
 from mavfi.mission import RECOVERY
 from mavfi.plugins import build, known, load_object
-from mavfi.states import DETECTORS, INJECTABLE, PLANNERS
+from mavfi.states import DETECTORS, INJECTABLE, PLANNERS, unknown
 
 GROUP = "mavfi.detectors"
 """Entry points of this group are classes that inherit `Detector`; `mavfi train` fits those that inherit
@@ -109,8 +109,7 @@ def check_detector(name: str, profile: str) -> None:
     _refuse_dropped(name)
     every = detector_names()
     if name not in every:
-        text = f"not known{hint(name, every)}; allowed: {', '.join(every)}, or package:object"
-        raise BadInputError(f"detector {name!r}: {text}")
+        raise BadInputError(f"detector {not_known(name, every, 'or package:object')}")
 
 
 def check_kernel(
@@ -134,11 +133,11 @@ def check_kernel(
     if dropped_name("kernels", kernel):
         raise BadInputError(dropped_name("kernels", kernel))
     if kernel not in INJECTABLE:
-        why = "not known"
         configured = next((source for source in DETECTORS if is_named(kernel, source)), "")
         if configured:
             why = f"is a configuration of {configured!r}, whose instructions can be injected"
-        raise BadInputError(f"kernel {kernel!r}: {why}; allowed: {', '.join(targets)}")
+            raise BadInputError(f"kernel {kernel!r}: {why}; allowed: {', '.join(targets)}")
+        raise BadInputError(unknown("kernel", kernel, targets))
     if kernel in PLANNERS and kernel != planner:
         raise BadInputError(f"kernel {kernel!r}: the planner of this mission is {planner!r}; allowed: planner {kernel}")
 
@@ -242,7 +241,7 @@ def load_detector(
         features = chosen.pop("features", None)
     if features is not None:
         if features not in FEATURES:
-            raise BadInputError(f"detector {name!r}: features: {features!r}: allowed: {', '.join(FEATURES)}")
+            raise BadInputError(f"detector {name!r}: features: {not_known(features, FEATURES)}")
         model_profile = FEATURES[features]
 
     path, model = _model_of(factory, model_profile, models_dir, mission, trained_for)
@@ -283,7 +282,7 @@ def _model_of(
         raise SpecMismatchError(
             f"{shown}: no model is trained for this autopilot and platform; train one (mavfi train {baselines}"
             "--autopilot ... --platform ... --out FOLDER), then name the folder with --models; "
-            "or take that of another mission, key trained_for"
+            "or take that of another mission (--trained-for, key trained_for)"
         )
     model = Model.load(path)
     if (model.kind, model.profile) != (factory.model_kind, profile):
@@ -296,7 +295,7 @@ def _model_of(
 def _check_profile(profile: str) -> None:
     """Refuse an unknown profile."""
     if profile not in PROFILES:
-        raise BadInputError(f"detector profile {profile!r}: not known; allowed: {', '.join(PROFILES)}")
+        raise BadInputError(f"detector profile {not_known(profile, PROFILES)}")
 
 
 def _refuse_dropped(name: str) -> None:

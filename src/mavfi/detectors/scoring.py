@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mavfi.detectors.detector import Alarm, Detector
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.numerics.jit import kernel_jit
 from mavfi.states import Stage, State
 
@@ -260,7 +260,7 @@ def find_policy(name: str) -> Policy:
 def checked_name(name: str, allowed: Collection[str], what: str) -> str:
     """The name, or a `BadInputError` if it is not allowed."""
     if name not in allowed:
-        raise BadInputError(f"{what} {name!r}: not known; allowed: {', '.join(allowed)}")
+        raise BadInputError(f"{what} {not_known(name, allowed)}")
     return name
 
 

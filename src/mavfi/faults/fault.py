@@ -11,7 +11,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, get_args
 
 from mavfi.config import checked
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.faults import strata
 from mavfi.faults.levels.transit import is_length
 from mavfi.faults.operations import (
@@ -53,7 +53,7 @@ DEFAULT_WALK = 16
 """Default of `RegisterFault.walk` with a symbol.
 
 It is longer than the loops at whose few instructions stops occur.  Longer walks spread injections no further, and stop
-the target for longer (docs/fault-model.md).
+the target for longer (docs/reference/registers.md).
 """
 LIFETIME: Mapping[str, float | int] = {"lasts_s": 0.0, "share": 1.0, "width": 1, "times": 1}
 """Defaults of the duration and width of a `StateFault`."""
@@ -358,7 +358,7 @@ class MemoryFault(Fault):
             owners = tuple(PLUG_INS)
         for value, allowed in ((owner, owners), (self.dtype, strata.WORD_BITS)):
             if value not in allowed:
-                raise BadInputError(f"fault in {self.site}: {value!r}: allowed: {', '.join(allowed)}")
+                raise BadInputError(f"fault in {self.site}: {not_known(value, allowed)}")
         bits = strata.WORD_BITS[self.dtype]
         if self.bit is not None and not 0 <= self.bit < bits:
             raise BadInputError(f"fault in {self.site}: bit {self.bit}; allowed: 0 to {bits - 1}")
@@ -693,9 +693,9 @@ class RegisterFault(Fault):
         object.__setattr__(self, "access", self.access or default_access)
         object.__setattr__(self, "walk", self.walk or default_walk)
         if self.registers not in REGISTERS:
-            raise BadInputError(f"registers: {self.registers!r}: allowed: {', '.join(REGISTERS)}")
+            raise BadInputError(f"registers: {not_known(self.registers, REGISTERS)}")
         if self.access not in ACCESSES:
-            raise BadInputError(f"access: {self.access!r}: allowed: {', '.join(ACCESSES)}")
+            raise BadInputError(f"access: {not_known(self.access, ACCESSES)}")
         if not 1 <= self.walk <= MAX_WALK:
             raise BadInputError(f"walk: {self.walk}: allowed: 0 to {MAX_WALK} instructions")
         if not 0.0 < self.timeout <= MAX_TIMEOUT_S:
@@ -740,6 +740,6 @@ def fault_from_json(data: dict[str, Any]) -> Fault:
         content = dict(data)
     level = content.pop("level", None)
     if not isinstance(level, str) or level not in level_names():
-        raise BadInputError(f"fault: level {level!r}: not known; allowed: {', '.join(level_names())}")
+        raise BadInputError(f"fault: level {not_known(level, level_names())}")
     fault: Fault = find_level(level).fault.from_json(content)
     return fault

@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 import numpy as np
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 
 ValueOperation = Literal["flip", "set", "bias", "scale", "freeze"]
 """What can be done to one number of a message."""
@@ -82,7 +82,7 @@ class Operation:
 
     def __post_init__(self) -> None:
         if self.name not in OPERATIONS:
-            raise BadInputError(f"operation: {self.name!r}: allowed: {', '.join(OPERATIONS)}")
+            raise BadInputError(f"operation: {not_known(self.name, OPERATIONS)}")
         if self.value is None and self.name in ("set", "bias", "scale", "delay"):
             raise BadInputError(f"{self.name}: needs a number; allowed: {self.name}={_MEANING[self.name]}")
         if self.name in ("bias", "scale") and not math.isfinite(self.value or 0.0):
@@ -388,8 +388,7 @@ def parse_change(parts: list[str], instant: str = "") -> PlannedChange:
         elif name == "share":
             options[name] = _number(name, text)
         else:
-            allowed = ", ".join(("bit=", *OPERATIONS, "times=", "every=", "share="))
-            raise BadInputError(f"{part!r}: not known; allowed: {allowed}")
+            raise BadInputError(not_known(part, ("bit=", *OPERATIONS, "times=", "every=", "share=")))
     if operation is None:
         raise BadInputError(f"no operation; allowed: bit=N, {', '.join(OPERATIONS)}")
     if operation.name == "freeze" and "times" not in keys:

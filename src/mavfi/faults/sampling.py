@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
 from mavfi.faults.strata import CLASS_STRATA, EACH_CLASS, WORD_BITS, bits_of, word_share
 from mavfi.record import Profile
@@ -93,13 +93,13 @@ def stage_target(stage: str, autopilot: str, monitored_set: str | None = None, l
     restricts them to its own fields. Raises a BadInputError for an unknown stage or set.
     """
     if stage not in PPC_STAGES:
-        raise BadInputError(f"stage {stage!r}: not known; allowed: {', '.join(PPC_STAGES)}")
+        raise BadInputError(f"stage {not_known(stage, PPC_STAGES)}")
     fields = {
         spec.name: live_fields(spec, autopilot) for spec in states_with(localization).values() if spec.stage == stage
     }
     if monitored_set is not None:
         if monitored_set not in MONITORED_SETS:
-            raise BadInputError(f"monitored set {monitored_set!r}: not known; allowed: {', '.join(MONITORED_SETS)}")
+            raise BadInputError(f"monitored set {not_known(monitored_set, MONITORED_SETS)}")
         monitored = set(MONITORED_SETS[monitored_set])
         fields = {state: tuple(name for name in names if (state, name) in monitored) for state, names in fields.items()}
     return Target(stage, {state: names for state, names in fields.items() if names})

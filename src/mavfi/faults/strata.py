@@ -6,7 +6,7 @@ drawn per stratum, and each draw has the weight that restores the whole-word rat
 
 from typing import Protocol
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 
 WORD_BITS = {"f8": 64, "f4": 32, "i8": 64, "i4": 32, "i2": 16, "u8": 64, "u4": 32, "u1": 8, "?": 1}
 """Bits of a word by its type; a flag has one, and flipping it inverts the flag."""
@@ -66,7 +66,7 @@ SIGN_EXPONENT = (HEADLINE, "sign", "exponent")
 def bits_of(field: HasType, stratum: str) -> range:
     """Bits of a field in a stratum, empty if its type has none; a BadInputError for an unknown stratum."""
     if stratum not in STRATA:
-        raise BadInputError(f"stratum {stratum!r}: not known; allowed: {', '.join(STRATA)}")
+        raise BadInputError(f"stratum {not_known(stratum, STRATA)}")
     ranges = [bits for name, bits in _CLASSES[field.dtype].items() if name in STRATA[stratum]]
     if not ranges:
         return range(0)

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from mavfi.detectors.foreign import foreign_spec, foreign_state
-from mavfi.errors import BadInputError, MavfiError, allowed
+from mavfi.errors import BadInputError, MavfiError, allowed, not_known
 from mavfi.faults.levels.message.definition import FORMATS, AbsentError, Leaf
 from mavfi.files import check_regular
 from mavfi.plugins import build, known, load_object, reason
@@ -89,7 +89,7 @@ class RecordLayout:
     def check(self, path: str) -> str:
         """Kind of a number, e.g. "float32", or a BadInputError."""
         if path not in self._leaves:
-            raise BadInputError(f"field {path}: {self.kind} has no such number; allowed: {allowed(self._leaves, path)}")
+            raise BadInputError(f"field of {self.kind} {not_known(path, self._leaves)}")
         return self._leaves[path].kind
 
     def locate(self, data: bytes, path: str) -> Leaf:
@@ -184,7 +184,7 @@ def check_topics(path: Path, topics: Sequence[str], topics_of_file: Collection[s
     """Refuse topics that a file does not hold."""
     for topic in topics:
         if topic not in topics_of_file:
-            raise BadInputError(f"{path}: holds no topic {topic}; allowed: {allowed(topics_of_file, topic)}")
+            raise BadInputError(f"{path}: topic {not_known(topic, topics_of_file)}")
 
 
 # ---- monitored numbers ------------------------------------------------------------------------------------------

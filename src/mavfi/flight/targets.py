@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from mavfi.detectors.detector import Detector, custom_parts, part_of
 from mavfi.detectors.registry import check_kernel
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.faults.fault import InstructionFault, counter_name
 from mavfi.faults.plug_ins import PlugIn, plug_ins
 from mavfi.numerics.jit import is_compiled
@@ -253,8 +253,7 @@ class Targets:
         """
         target = self.find(fault.kernel)
         if fault.has_site and fault.entry not in target.functions:
-            allowed = ", ".join(target.functions)
-            raise BadInputError(f"kernel {fault.kernel!r}: no function {fault.entry!r}; allowed: {allowed}")
+            raise BadInputError(f"kernel {fault.kernel!r}: function {not_known(fault.entry, target.functions)}")
         return target
 
     @contextmanager

@@ -25,7 +25,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from mavfi.config import STORED
 from mavfi.dropped import dropped_name
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.faults.fault import MODELS, MOST_CALLS, NO_SITE, RESTART_S, Fault, InstructionFault, Model
 from mavfi.faults.levels.instruction import InjectionSite, Profiling, Resolving, budget_for, choose
 from mavfi.faults.levels.instruction.plan import plan
@@ -39,7 +39,7 @@ from mavfi.levels.level import DECIMAL, WHOLE, Draw, Golden, Level, Sampled, Sam
 from mavfi.mission import Scenario
 from mavfi.record import Injection
 from mavfi.rewriting import rewriting_of
-from mavfi.states import DETECTORS, INJECTABLE, KERNEL_STAGES, PLANNERS, PLUG_INS, PPC_STAGES
+from mavfi.states import DETECTORS, INJECTABLE, KERNEL_STAGES, PLANNERS, PLUG_INS, PPC_STAGES, unknown
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
@@ -376,6 +376,7 @@ class InstructionSampler(Sampler):
     """
 
     instruments = True
+    draws_together = True
 
     def __init__(self, campaign: Any) -> None:
         super().__init__(campaign)
@@ -538,7 +539,7 @@ def _campaign_target(campaign: Any, name: str) -> CampaignTarget:
     refusal = dropped_name("kernels", name)
     if not refusal:
         names = [*of_mavfi, *(plug_in.name for plug_in in (*members, *detectors.values()))]
-        refusal = f"{name!r}: not known; allowed: {', '.join(dict.fromkeys(names))}"
+        refusal = unknown("kernel", name, dict.fromkeys(names))
     raise BadInputError(f"sampling.kernels: {refusal}")
 
 
@@ -662,5 +663,5 @@ def _fault_in(match: re.Match[str]) -> InstructionFault:
 def _model(name: str | None) -> Any:
     """A fault model; by default, one bit."""
     if name is not None and name not in MODELS:
-        raise BadInputError(f"no model {name!r}; allowed: {', '.join(MODELS)}")
+        raise BadInputError(f"model {not_known(name, MODELS)}")
     return name or "one_bit"

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from mavfi.config import Config
 from mavfi.dropped import dropped_name
-from mavfi.errors import BadInputError, hint
+from mavfi.errors import BadInputError, not_known
 from mavfi.faults.combined import AND, Start
 from mavfi.faults.fault import Fault, find_level, level_names
 from mavfi.faults.injector import Injector
@@ -102,6 +102,8 @@ def parse(text: str, localization: str = "truth", levels: Collection[str] = ()) 
             request: Request = find_level("state").null()
         elif name in level_names():
             request = find_level(name).parse(rest, localization)
+        elif rest:
+            raise BadInputError(f"level {not_known(name, level_names())}")
         else:
             _refuse()
     except BadInputError as error:
@@ -220,11 +222,13 @@ class Sampler:
         versions: Versions on which draws depend, in addition to those of flights.
         profile: Whether draws need the publication times of golden runs.
         instruments: Whether golden flights are flown with instrumented kernels.
+        draws_together: Whether the faults of a mission in one target are drawn together, and so depend on their number.
     """
 
     alternates = False
     profile = False
     instruments = False
+    draws_together = False
 
     def __init__(self, campaign: Any) -> None:
         self.campaign = campaign
@@ -235,6 +239,8 @@ class Sampler:
         self.variants: Mapping[str, Mapping[str, Any]] = {}
         self.versions: Mapping[str, str] = {}
         self._blocks: dict[str, Sequence[FaultBlock]] = {}
+        self._companions: dict[str, Counter[tuple[int, str]]] = {}
+        """By environment: number of faults that are drawn together, by seed of their mission and target."""
 
     def blocks(self, environment: str) -> Sequence[FaultBlock]:
         """All faults of an environment, one block per target, with exact shares of the strata in each."""
@@ -260,6 +266,17 @@ class Sampler:
     def numbered(self, target: str, index: int, seed: int, stratum: str) -> Draw:
         """The draw with this number in a target."""
         return Draw(target, index, seed, self.arms.get(target, ""), stratum)
+
+    def basis(self, environment: str, draw: Draw) -> tuple[Any, ...]:
+        """What a fault depends on besides its golden run; campaigns in which it is equal draw the same fault."""
+        missions = self.campaign.missions
+        repetition = draw.index // missions
+        if not self.draws_together:
+            return draw, repetition
+        if environment not in self._companions:
+            all_draws = draws_of(self.blocks(environment), range(missions), missions)
+            self._companions[environment] = Counter((other.seed, other.target) for _, other in all_draws)
+        return draw, repetition, self._companions[environment][draw.seed, draw.target]
 
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: "MissionFlights", setup: "ArmSetup"
@@ -400,9 +417,8 @@ class Level:
         # Check names and values, then the order.
         for name, value in options.items():
             if name not in self.options:
-                allowed = ", ".join([*(f"{option}=" for option in self.options), *self.operations])
-                known = [*self.options, *self.operations]
-                raise BadInputError(f"{name!r}: not known{hint(name, known)}; allowed: {allowed}")
+                known = [*(f"{option}=" for option in self.options), *self.operations]
+                raise BadInputError(not_known(name, known))
             pattern, description, kind = self.options[name]
             if not re.fullmatch(pattern, value):
                 raise BadInputError(f"{name}: {value!r}: allowed: {description}")
@@ -523,7 +539,7 @@ def check_known(key: str, names: Iterable[str], allowed: Collection[str]) -> Non
         if key.endswith("kernels") and dropped_name("kernels", name):
             raise ValueError(f"{key}: {dropped_name('kernels', name)}")
         if name not in allowed:
-            raise ValueError(f"{key}: {name!r}: not known; allowed: {', '.join(allowed)}")
+            raise ValueError(f"{key}: {not_known(name, allowed)}")
 
 
 def check_distinct(key: str, names: Iterable[str]) -> None:

@@ -40,7 +40,7 @@ from mavfi.levels.level import (
 )
 from mavfi.levels.state import SiteGroup, group_json, smaller_changes
 from mavfi.pipeline.words import Words, collapsed, words_of
-from mavfi.states import KERNEL_STAGES, KERNELS, PLUG_INS, WATCHING
+from mavfi.states import KERNEL_STAGES, KERNELS, PLUG_INS, WATCHING, unknown
 
 if TYPE_CHECKING:
     from mavfi.flight.host import ArmSetup, Flight, MissionFlights
@@ -418,7 +418,7 @@ def _owner(name: str, setup: "ArmSetup") -> _Owner:
 
 def _refusal(kernel: str, allowed: Sequence[str]) -> str:
     """Why there is no such memory."""
-    return dropped_name("kernels", kernel) or f"no kernel {kernel!r}; allowed: {', '.join(allowed)}"
+    return dropped_name("kernels", kernel) or unknown("kernel", kernel, allowed)
 
 
 def _site(text: str) -> MemorySite:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.faults.fault import NO_SITE, Fault
 from mavfi.faults.levels.sensor.fault import FAILING, NULL, RANDOM, UNITS, SensorFault, check_read
 from mavfi.faults.sampling import stream
@@ -154,14 +154,14 @@ class SensorLevel(Level):
         unit = unit.partition("@")[0]
         if not unit:
             self.not_understood()
+        device = _DEVICE.fullmatch(unit)
+        if device is None or device["unit"] not in UNITS:
+            raise BadInputError(f"sensor {not_known(unit, UNITS)}")
         if not rest or "=" in rest.partition(":")[0]:
             raise BadInputError(
                 f"no type of failure; allowed: sensor:{unit}:TYPE, with TYPE one of {', '.join(FAILING)}"
             )
         parts = self.parts_of(rest)
-        device = _DEVICE.fullmatch(unit)
-        if device is None:
-            self.not_understood()
         fault = SensorFault(
             device["unit"],
             parts.site,

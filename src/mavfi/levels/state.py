@@ -62,7 +62,7 @@ from mavfi.levels.level import (
     parse_value_change,
 )
 from mavfi.record import Injection, Profile
-from mavfi.states import PPC_STAGES, STATES, Field, StateSpec, states_with
+from mavfi.states import PPC_STAGES, STATES, Field, StateSpec, states_with, unknown
 
 if TYPE_CHECKING:
     from mavfi.flight.host import ArmSetup, Flight
@@ -734,7 +734,7 @@ def find_published(name: str, localization: str) -> StateSpec:
     """A state that is published with this localization, or a BadInputError."""
     published = states_with(localization)
     if name not in STATES:
-        raise BadInputError(f"no state {name!r}; allowed: {', '.join(published)}")
+        raise BadInputError(unknown("state", name, published))
     if name not in published:
         only = STATES[name].only_with
         raise BadInputError(f"{name} is published with localization {only} only, not {localization}")
@@ -748,7 +748,7 @@ def _find_state(path: str, localization: str) -> tuple[StateSpec, str | None]:
     if path not in STATES:
         state, _, field = path.rpartition(".")
     if state not in STATES:
-        raise BadInputError(f"no state {path!r}; allowed: {', '.join(states_with(localization))}")
+        raise BadInputError(unknown("state", path, states_with(localization)))
     spec = find_published(state, localization)
     if not field:
         return spec, None

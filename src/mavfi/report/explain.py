@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 MAX_ALARMS = 8
 """Maximum number of alarms listed individually."""
+OTHER_DIGEST = "another digest than the stored one: other versions or another machine flew it"
+"""Note on a flight that is not the one of the ledger."""
 _SHORTEST_DELAY = 0.01
 """Shortest reported delay (s): half a control period."""
 _EFFECTS = {
@@ -69,7 +71,7 @@ def lines(explanation: Explanation) -> Story:
         run = f"{run}, detector {detector_name(spec)}"
     story.append(("run", run))
     if not explanation.same:
-        story.append(("note", "another digest than the stored one: other versions or another machine flew it"))
+        story.append(("note", OTHER_DIGEST))
     return story + steps(
         log, golden, spec.fault, spec.detector, explanation.first, explanation.departure, explanation.spread
     )
@@ -371,7 +373,7 @@ def _alarm(alarm: AlarmRecord, *, in_golden: bool) -> str:
 
 def end_of(log: FlightLog) -> str:
     """Final status and end time of a flight."""
-    return f"{log.status.value} ({log.status.words}) after {_duration(log):.2f} s"
+    return f"{log.status.value.removesuffix('.')} ({log.status.words}) after {_duration(log):.2f} s"
 
 
 def _duration(log: FlightLog) -> float:

@@ -8,9 +8,10 @@ from matplotlib.figure import Figure
 
 from mavfi.analysis.runs import Runs
 from mavfi.dropped import dropped_name
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.plugins import Catalogue
 from mavfi.report import style
+from mavfi.report.notebook import NotebookFigure
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +43,7 @@ def drawing(name: str) -> Drawing:
         BadInputError: The figure does not exist.
     """
     if name not in FIGURES:
-        refusal = f"figure {name!r}: not known; allowed: {', '.join(FIGURES)}"
+        refusal = f"figure {not_known(name, FIGURES)}"
         raise BadInputError(dropped_name("figures", name) or refusal)
     return FIGURES[name]
 
@@ -77,7 +78,7 @@ def drawn(runs: Runs, names: Sequence[str] | None = None) -> list[Drawn]:
     return figures
 
 
-def figure(runs: Runs, name: str) -> Figure:
+def figure(runs: Runs, name: str) -> NotebookFigure:
     """Draw one figure of a report.
 
     Raises:
@@ -86,7 +87,7 @@ def figure(runs: Runs, name: str) -> Figure:
     figures = drawn(runs, [name])
     if not figures:
         raise BadInputError(f"figure {name!r}: these runs have nothing to show in it; needed: runs with a fault")
-    return figures[0].figure
+    return NotebookFigure.of(figures[0].figure)
 
 
 def draw(runs: Runs, directory: Path, names: Sequence[str] | None = None, start: str = "") -> Mapping[str, str]:

@@ -65,17 +65,25 @@ class _Drawn:
 def draw_flight(
     path: Path, flight: Flight, golden: Flight | None = None, recovered: Flight | None = None, *, detector: str = ""
 ) -> Path:
+    """Write the picture of `flight_figure` to a file: .png, .svg or .pdf.
+
+    Raises:
+        BadInputError: The file cannot be written.
+    """
+    with style.house_style():
+        return style.write(flight_figure(flight, golden, recovered, detector=detector), path)
+
+
+def flight_figure(
+    flight: Flight, golden: Flight | None = None, recovered: Flight | None = None, *, detector: str = ""
+) -> Figure:
     """Draw a flight and its map, with its golden run and the flight with the same fault and a detector, if given.
 
     Args:
-        path: File to write: .png, .svg or .pdf.
         flight: The flight.
         golden: The golden run.
         recovered: The flight with the same fault and a detector.
         detector: Name of the detector of `recovered` or, if that is None, of `flight`; "" = none.
-
-    Raises:
-        BadInputError: The file cannot be written.
     """
     courses = _courses(flight, golden, recovered, detector)
     with style.house_style():
@@ -96,7 +104,7 @@ def draw_flight(
         for axes, index in views:
             axes.set_xlim(lower[0], upper[0])
             axes.set_ylim(lower[index], upper[index])
-        return style.write(figure, path)
+    return figure
 
 
 def _courses(flight: Flight, golden: Flight | None, recovered: Flight | None, detector: str) -> list[_Drawn]:

@@ -3,6 +3,7 @@ import pytest
 
 from mavfi.errors import BadInputError
 from mavfi.states import (
+    KERNELS,
     MONITORED_SETS,
     ODOMETRY,
     STATES,
@@ -11,6 +12,7 @@ from mavfi.states import (
     new_state,
     rows,
     states_with,
+    unknown,
 )
 
 
@@ -60,8 +62,16 @@ def test_each_localization_says_where_the_vehicle_is_in_its_own_state():
 
 def test_what_does_not_exist_is_refused_with_what_does():
     with pytest.raises(
-        BadInputError, match=r"no state 'planning.magic' \(did you mean 'planning.path'\?\); allowed: sensor"
+        BadInputError, match=r"'planning.magic': not known \(did you mean 'planning.path'\?\); allowed: "
     ):
         find_state("planning.magic")
-    with pytest.raises(BadInputError, match="state control.command: no field 'vw'; allowed: vx, vy, vz, yaw_rate"):
+    with pytest.raises(
+        BadInputError, match="state 'planning': is a stage; allowed: planning.path, planning.trajectory"
+    ):
+        find_state("planning")
+    assert unknown("kernel", "planning", KERNELS).endswith("is a stage; allowed: planner, trajectory, waypoint")
+    assert unknown("state", "octomap", STATES).startswith("state 'octomap': is a kernel; allowed: sensor.depth")
+    with pytest.raises(
+        BadInputError, match="state control.command: field 'vw': not known; allowed: vx, vy, vz, yaw_rate"
+    ):
         find_state("control.command").find("vw")

@@ -7,7 +7,7 @@ from mavfi.detectors import load_detector
 from mavfi.detectors.autoencoder import INPUT_LIMIT
 from mavfi.detectors.model import Model
 from mavfi.detectors.training import join
-from mavfi.errors import BadInputError
+from mavfi.errors import NotInstalledError
 from mavfi.extras.bench import library, trees
 from mavfi.extras.bench.field_codes import MONITORED, FieldCodes, sample_of
 from mavfi.extras.bench.library import (
@@ -119,9 +119,8 @@ def test_a_library_that_is_not_installed_is_named_before_its_model_is_looked_for
     monkeypatch.setattr(library, "find_spec", lambda name: None)
     packages = {"pca": "pyod", "half_space_trees": "river", "gradient_boosting": "lightgbm", "matrix_profile": "stumpy"}
     for name, package in packages.items():
-        with pytest.raises(
-            BadInputError, match=rf"{package}.*not installed; install it with: pip install 'mavfi\[bench\]'"
-        ):
+        message = rf"'{name}': needs {package}; install it with: pip install 'mavfi\[bench\]'"
+        with pytest.raises(NotInstalledError, match=message):
             load_detector(name, "paper", None, FITS)
 
 

@@ -191,7 +191,7 @@ def test_the_line_about_rules_names_the_nearest_mapping_and_what_it_lacks():
     ("old", "new", "message"),
     [
         ("sensor.odometry", "sensor.nothing", "no such state"),
-        ("vx: vx", "speed: vx", "no field 'speed'"),
+        ("vx: vx", "speed: vx", "field 'speed': not known"),
         ("vx: vx", "vx: vx furlong", "allowed: .*cm/s"),
         ("vx: vx", "vx: none", "nothing can be mapped .sensor.odometry: no row:none"),
     ],

@@ -218,3 +218,23 @@ def test_the_command_tells_what_it_did(spin, capsys):
     assert {"address", "symbol", "instruction", "register"} <= set(record["injections"][0]["details"])
     assert run(["inject", "--pid", str(spin.pid), "--null"]) == 0
     assert ", unchanged" in capsys.readouterr().out
+
+
+IDLE = """
+import select, os
+reader, _ = os.pipe()
+print("ready", flush=True)
+while True:
+    select.select([reader], [], [], 0.05)
+"""
+
+
+def test_a_python_process_that_waits_is_injected_when_its_call_ends():
+    with subprocess.Popen([sys.executable, "-c", IDLE], stdout=subprocess.PIPE, text=True) as target:
+        try:
+            assert target.stdout.readline() == "ready\n"
+            for injection in inject(target.pid, RegisterFault(null=True), count=2):
+                assert injection.activated and injection.details["symbol"].partition("+")[0] in ("select", "__select")
+            assert target.poll() is None
+        finally:
+            target.kill()

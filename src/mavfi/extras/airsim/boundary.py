@@ -24,7 +24,7 @@ from typing import Any, NamedTuple, TextIO
 
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec, foreign_state, learn
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.extras.airsim import cameras, flying, scene, sensing
 from mavfi.extras.airsim.calls import RecordedCall
 from mavfi.extras.airsim.table import CALLS
@@ -304,11 +304,11 @@ def parse_fault(text: str, seed: int = 0) -> BoundaryFault | SensorFault:
 def _check_site(text: str, name: str, path: str) -> None:
     """Refuse a call or argument that does not exist; `path`: "" = the whole call."""
     if name not in CALLS:
-        raise BadInputError(f"--fault: {text!r}: call {name!r}: not known; allowed: calls of docs/airsim.md")
+        raise BadInputError(f"--fault: {text!r}: call {name!r}: not known; allowed: calls of docs/how-to/airsim.md")
     head = path.partition(".")[0]
     arguments = CALLS[name].arguments
     if head and "#" not in head and head not in (*arguments, RETURN):
-        raise BadInputError(f"--fault: {text!r}: {head!r}: not known; allowed: {', '.join([*arguments, RETURN])}")
+        raise BadInputError(f"--fault: {text!r}: {not_known(head, [*arguments, RETURN])}")
 
 
 def _parse_change(text: str, seed: int) -> BoundaryFault:

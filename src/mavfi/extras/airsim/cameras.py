@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.config import CameraConfig
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.extras.airsim.frames import (
     Data,
     from_pose,
@@ -235,10 +235,7 @@ def find_camera(api: Api, name: Any) -> ApiCamera:  # noqa: ANN401 - a client's
         camera_name = _NUMBERS.get(camera_name, camera_name)
     if camera_name not in {**_CAMERAS, **configured}:
         names = dict.fromkeys([*_NUMBERS, *_CAMERAS, *configured])
-        raise BadInputError(
-            f"camera {name!r}: not known; allowed: {', '.join(names)}; "
-            "more by --settings with the program's settings.json"
-        )
+        raise BadInputError(f"camera {not_known(name, names)}; more by --settings with the program's settings.json")
     if camera_name not in api.cameras:
         api.cameras[camera_name] = _new_camera(api, camera_name)
     return api.cameras[camera_name]

@@ -13,6 +13,7 @@ import typer
 
 from mavfi.cli import options
 from mavfi.cli.console import check_file, check_name, check_number, check_seed, console, counted, write_json
+from mavfi.cli.panels import MISSION
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, MavfiError, writing
 from mavfi.extras.airsim.config import IMAGE, VEHICLE, ProgramConfig, pixels
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from mavfi.faults.levels.sensor.fault import SensorFault
     from mavfi.flight.mission_flights import LocalHost
 
+HELP_PANEL = "Other programs"
 _CLOCKS = ("real", "steps")
 
 Fault = Annotated[
@@ -64,7 +66,11 @@ class WorldOption:
     options = {
         "world": Annotated[
             str | None,
-            typer.Option(metavar="ADDRESS", help="A server of AirSim's API as the world, airsim://127.0.0.1:41451."),
+            typer.Option(
+                metavar="ADDRESS",
+                help="A server of AirSim's API as the world, airsim://127.0.0.1:41451.",
+                rich_help_panel=MISSION,
+            ),
         ]
     }
 
@@ -98,7 +104,9 @@ app = typer.Typer(no_args_is_help=True)
 
 @app.callback()
 def _airsim() -> None:
-    r"""Programs for AirSim fly our vehicle, unmodified, with faults in their calls (pip install 'mavfi\[airsim]').
+    r"""Programs for AirSim fly our vehicle, with faulty calls.
+
+    They are not modified. Needs pip install 'mavfi\[airsim]'.
 
     Example: [bold]mavfi airsim serve --environment sparse --seed 7 --speed 10[/bold]
     """

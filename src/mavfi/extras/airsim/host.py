@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-from mavfi.errors import BadInputError, SpecMismatchError
+from mavfi.errors import BadInputError, SpecMismatchError, not_known
 from mavfi.extras.airsim.boundary import Boundary
 from mavfi.extras.airsim.config import IMAGE, VEHICLE, ProgramConfig, pixels
 from mavfi.extras.airsim.level import CallLevel
@@ -98,7 +98,7 @@ def make_api(
 def check_fault_vehicle(scene: ApiScene, name: str) -> None:
     """Raise a `BadInputError` if there is no vehicle of this name, whose calls would be changed; "" = the first one."""
     if name and name not in scene.vehicles:
-        raise BadInputError(f"--fault-vehicle: {name!r}: not known; allowed: {', '.join(scene.vehicles)}")
+        raise BadInputError(f"--fault-vehicle: {not_known(name, scene.vehicles)}")
 
 
 @dataclass(frozen=True, slots=True)

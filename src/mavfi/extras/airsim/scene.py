@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.config import names
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.extras.airsim.cameras import DUST, FOG
 from mavfi.extras.airsim.frames import (
     LEVEL,
@@ -289,7 +289,7 @@ def simGetSegmentationObjectID(api: Api, mesh_name: str) -> int:
 def simLoadLevel(api: Api, level_name: str) -> bool:
     """Fly in another shipped environment, with the same seed."""
     if level_name not in names("environments"):
-        raise BadInputError(f"level {level_name!r}: not known; allowed: {', '.join(names('environments'))}")
+        raise BadInputError(f"level {not_known(level_name, names('environments'))}")
     for other in api.scene.vehicles.values():
         other.vehicle.load(other.vehicle.spec.model_copy(update={"environment": level_name}))
     api.scene.name_objects()

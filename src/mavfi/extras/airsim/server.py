@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any, NamedTuple, NoReturn
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_installed
 from mavfi.extras.airsim.boundary import ARGUMENTS, RETURN, Boundary
 from mavfi.extras.airsim.config import CALL_US
 from mavfi.extras.airsim.runner import TIME_IS_UP
@@ -132,15 +132,13 @@ def msgpack() -> Any:
     """The package msgpack.
 
     Raises:
-        BadInputError: It is not installed.
+        NotInstalledError: It is not installed.
     """
     try:
-        import msgpack as found
+        import msgpack as package
     except ImportError:
-        raise BadInputError(
-            "the package msgpack is not installed; allowed: after pip install 'mavfi[airsim]'"
-        ) from None
-    return found
+        raise not_installed("AirSim's API", "msgpack", "airsim") from None
+    return package
 
 
 class WaitingTask(NamedTuple):

@@ -19,7 +19,7 @@ from mavfi.campaign.mission import check_names, scenarios_of
 from mavfi.campaign.plan import FI, arms_of
 from mavfi.campaign.store import Store
 from mavfi.config import Config, Name, config_root, parse, shipped
-from mavfi.errors import BadInputError, NotInstalledError, SpecMismatchError
+from mavfi.errors import BadInputError, NotInstalledError, SpecMismatchError, not_known
 from mavfi.files import is_file
 from mavfi.flight.compose import detector_for
 
@@ -110,7 +110,7 @@ def with_schemes(bench: Bench, names: Sequence[str]) -> Bench:
     """
     for name in names:
         if name not in bench.arms:
-            raise BadInputError(f"bench {bench.name}: scheme {name!r}: not known; allowed: {', '.join(bench.arms)}")
+            raise BadInputError(f"bench {bench.name}: scheme {not_known(name, bench.arms)}")
     return bench.model_copy(update={"arms": {name: bench.arms[name] for name in bench.arms if name in names}})
 
 
@@ -137,7 +137,7 @@ def select_parts(
     """
     for name in parts:
         if name not in bench.parts:
-            raise BadInputError(f"bench {bench.name}: part {name!r}: not known; allowed: {', '.join(bench.parts)}")
+            raise BadInputError(f"bench {bench.name}: part {not_known(name, bench.parts)}")
     campaigns = {name: _campaign(bench, name, scale) for name in parts or bench.parts}
     all_levels = {level_of(campaign) for campaign in campaigns.values()}
     for level in levels:
@@ -145,7 +145,7 @@ def select_parts(
             where = f"bench {bench.name}: "
             if parts:
                 where += f"in part {', '.join(parts)}: "
-            raise BadInputError(f"{where}level {level!r}: not known; allowed: {', '.join(sorted(all_levels))}")
+            raise BadInputError(f"{where}level {not_known(level, sorted(all_levels))}")
 
     # A part in which no scheme can fly is left out; it is an error if that holds for all of them.
     selected = {}

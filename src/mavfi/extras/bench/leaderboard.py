@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from mavfi.analysis import Runs, table
+from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import Table
+from mavfi.analysis.views import table
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import versions
@@ -20,7 +21,7 @@ from mavfi.errors import write_text
 from mavfi.extras.bench.bench import SCORES, Bench, SelectedPart, checksum, faults_of, frozen_faults, published_rows
 from mavfi.extras.bench.scores import Scores, scores, unscored
 from mavfi.extras.bench.scores import table as table_of_scores
-from mavfi.files import is_file
+from mavfi.files import is_file, make_folder
 from mavfi.report import style
 from mavfi.report.campaign_report import markdown_table
 
@@ -78,7 +79,13 @@ class BenchFlights:
         return tables
 
     def _table(self, name: str, selected: SelectedPart) -> Table:
-        """The table of a part, with notes on agreement with the frozen faults and on omitted schemes."""
+        """The table of a part, with its remarks among the notes."""
+        view = table(Runs.read(self.folder / name), selected.part.view)
+        return replace(view, name=name, title=selected.part.title, notes=(*self.remarks(name), *view.notes))
+
+    def remarks(self, name: str) -> tuple[str, ...]:
+        """Agreement of the faults of a part with the frozen ones, and omitted schemes; the faults are written, too."""
+        selected = self.parts[name]
         ledger = self.folder / name
         faults = faults_of(ledger)
         write_text(ledger / "faults.csv", faults)
@@ -95,9 +102,7 @@ class BenchFlights:
         arms_of_reason = defaultdict[str, list[str]](list)
         for arm, reason in selected.left_out.items():
             arms_of_reason[reason].append(arm)
-        left_out = [f"{', '.join(arms)}: not flown ({reason})" for reason, arms in arms_of_reason.items()]
-        view = table(Runs.read(ledger), selected.part.view)
-        return replace(view, name=name, title=selected.part.title, notes=(drawn, *left_out, *view.notes))
+        return drawn, *(f"{', '.join(arms)}: not flown ({reason})" for reason, arms in arms_of_reason.items())
 
     def beside_published(self, name: str, flown: Table) -> Table:
         """The table of a part with the published rows, if its faults are the published ones."""
@@ -127,6 +132,7 @@ def write_leaderboard(
     Raises:
         BadInputError: A file cannot be written.
     """
+    make_folder(flights.folder)
     texts = {"leaderboard.md": leaderboard(shown, flights.bench.name, flights.scale, command)}
     texts |= {f"{name}.csv": table.to_csv() for name, table in flown.items()}
     if scores_by_arm:

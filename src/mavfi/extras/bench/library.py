@@ -17,7 +17,7 @@ from numba.extending import overload
 from mavfi.detectors.autoencoder import INPUT_LIMIT, representative
 from mavfi.detectors.model import Model
 from mavfi.detectors.training import Sample, regime_limits
-from mavfi.errors import NotInstalledError
+from mavfi.errors import not_installed
 from mavfi.extras.bench.all_fields import (
     AllFieldsDetector,
     CodeScorer,
@@ -38,10 +38,10 @@ RATES: dict[type, Callable[..., float]] = {}
 """Score functions, by the type of a model's tables, see `rate`."""
 
 
-def require(package: str) -> None:
-    """Check that a package of the extra `bench` is installed; `NotInstalledError` if not."""
+def require(detector: str, package: str) -> None:
+    """Check that the package of a detector of the extra `bench` is installed; `NotInstalledError` if not."""
     if find_spec(package) is None:
-        raise NotInstalledError(f"package {package!r}: not installed; install it with: pip install 'mavfi[bench]'")
+        raise not_installed(f"detector {detector!r}", package, "bench")
 
 
 class Inputs(NamedTuple):
@@ -190,7 +190,7 @@ class LibraryDetector(AllFieldsDetector):
     @classmethod
     def check_installed(cls) -> None:
         """Check that the library is installed; the `NotInstalledError` names the extra to install."""
-        require(cls.package)
+        require(cls.model_kind, cls.package)
 
     @classmethod
     @abstractmethod

@@ -225,7 +225,7 @@ class MatrixProfileDetector(AllFieldsDetector):
     @classmethod
     def check_installed(cls) -> None:
         """See `LibraryDetector`."""
-        require("stumpy")
+        require(cls.model_kind, "stumpy")
 
     @classmethod
     def fit(cls, sample: Sample, features: FieldCodes, figures: Mapping[str, Any]) -> dict[str, Any]:

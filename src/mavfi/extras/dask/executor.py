@@ -19,7 +19,7 @@ from mavfi.campaign.executors.executor import Done, Lost
 from mavfi.campaign.executors.local import TIME_LIMIT
 from mavfi.campaign.executors.process import Raised, Worker, is_last
 from mavfi.campaign.fingerprint import difference, fingerprint
-from mavfi.errors import BadInputError, MachineError, MavfiError
+from mavfi.errors import BadInputError, MachineError, MavfiError, not_installed
 from mavfi.plugins import allow_names, allowed_names
 
 if TYPE_CHECKING:
@@ -50,7 +50,8 @@ class DaskExecutor:
         workers: Number of processes of the local cluster.
 
     Raises:
-        BadInputError: Dask is not installed, or `workers` is below 1.
+        NotInstalledError: Dask is not installed.
+        BadInputError: `workers` is below 1.
     """
 
     forks = False
@@ -59,7 +60,7 @@ class DaskExecutor:
         try:
             import distributed  # noqa: F401 - an extra
         except ImportError:
-            raise BadInputError("executor 'dask': is not installed; allowed with: pip install mavfi[cluster]") from None
+            raise not_installed("--executor dask", "distributed", "cluster") from None
         if workers < 1:
             raise BadInputError(f"executor 'dask': workers: {workers}: allowed: >= 1")
         self._scheduler = scheduler

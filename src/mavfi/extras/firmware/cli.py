@@ -9,6 +9,7 @@ import typer
 
 from mavfi.cli import options
 from mavfi.cli.console import console, write_json
+from mavfi.cli.panels import FAULT
 from mavfi.errors import BadInputError
 from mavfi.extras.registers.options import RegistersOption, SeedOption, instant, register_options
 
@@ -16,11 +17,13 @@ if TYPE_CHECKING:
     from mavfi.faults.fault import RegisterFault
     from mavfi.mission import MissionSpec
 
+HELP_PANEL = "Other programs"
 _FaultOption = Annotated[
     str | None,
     typer.Option(
-        metavar="firmware@SECONDS",
-        help="Flip a bit in a register of the flight controller's firmware, e.g. firmware@10.",
+        metavar="NODE@S",
+        help="Flip a bit in a register of the flight controller, firmware@10: at 10 s.",
+        rich_help_panel=FAULT,
     ),
 ]
 app = typer.Typer(no_args_is_help=True)
@@ -28,7 +31,9 @@ app = typer.Typer(no_args_is_help=True)
 
 @app.callback()
 def _firmware() -> None:
-    """The firmware of a real flight controller (Betaflight), as the vehicle's controller and as a target of faults.
+    """Betaflight as the flight controller, and as a target.
+
+    Its firmware flies the vehicle, and faults are injected into its registers.
 
     Example: [bold]mavfi firmware setup --betaflight .venv-betaflight[/bold]
     """

@@ -25,7 +25,7 @@ from mavfi.campaign.fingerprint import processor
 from mavfi.campaign.ledger import stored_campaign
 from mavfi.campaign.mission import host_of
 from mavfi.campaign.store import Store
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.extras.hardening.choose import NOTHING, Choice
 from mavfi.extras.hardening.compiled import Timed, compare
 from mavfi.extras.hardening.duplicate import protect
@@ -471,7 +471,7 @@ class HardeningStudy:
             raise BadInputError(f"{directory}: no kernels are sampled; allowed: a campaign of level instruction")
         for kernel in kernels:
             if kernel not in sampled:
-                raise BadInputError(f"--kernels: {kernel!r}: allowed: {', '.join(sampled)}")
+                raise BadInputError(f"--kernels: {not_known(kernel, sampled)}")
         return HardeningStudy(directory, campaign, digest, tuple(kernels) or sampled)
 
     @cached_property

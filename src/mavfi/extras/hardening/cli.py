@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from mavfi.analysis.table import Table
     from mavfi.extras.hardening.advise import HardeningStudy
 
+HELP_PANEL = "Campaigns"
 EXIT_REFUTED = 3
 DEFAULT_BUDGET = 0.10
 DEFAULT_FAULTS = 400
@@ -49,9 +50,10 @@ def harden(  # noqa: PLR0913 - one parameter per option
     faults: Annotated[int | None, typer.Option(metavar="N", help="Per function; 400 by default.")] = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Advise which instructions of the kernels to duplicate within a budget of time, or certify such a plan.
+    """Advise which instructions to duplicate, or certify a plan.
 
-    The exit code is 3 if the certificate refutes the plan: its prediction, its budget, or a golden flight.
+    The advice keeps to a budget of time. The exit code is 3 if the certificate refutes the plan: its prediction, its
+    budget, or a golden flight.
 
     Example: [bold]mavfi harden out/kernels --budget 0.10 --plan plan.yaml --html harden.html[/bold]
 

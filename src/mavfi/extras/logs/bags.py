@@ -16,7 +16,7 @@ from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.extras.logs.table import TOPIC, CsvReader
 from mavfi.faults.levels.message.definition import Definition
 from mavfi.flight.log_readers import LoggedMessage, check_topics, reading
@@ -249,7 +249,7 @@ class _Decoder:
 
     def __init__(self, channel: _Channel) -> None:
         if channel.encoding not in _ENCODINGS:
-            raise ValueError(f"serialized as {channel.encoding!r}; allowed: {', '.join(_ENCODINGS)}")
+            raise ValueError(f"serialized as {not_known(channel.encoding, _ENCODINGS)}")
         self._is_ros2 = _ENCODINGS[channel.encoding]
         name = channel.kind.replace("/msg/", "/")
         self._kind = name.replace("/", "/msg/")

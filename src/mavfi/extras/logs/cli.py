@@ -20,6 +20,7 @@ from mavfi.cli.console import (
     titled_table,
     write_json,
 )
+from mavfi.cli.panels import OUTPUT
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from mavfi.extras.logs.selection import Wanted
     from mavfi.extras.logs.watch import JudgedLog, LogRates, LogWatch
 
+HELP_PANEL = "Detectors"
 _MAX_FLIPS = 100_000
 _MAX_LISTED = 10
 
@@ -39,7 +41,7 @@ class LiveOption:
     options = {
         "live": Annotated[
             bool | None,
-            typer.Option("--live", help="Serve the running flight to Foxglove and Lichtblick (extra live)."),
+            typer.Option("--live", help="Serve the running flight to Foxglove and Lichtblick.", rich_help_panel=OUTPUT),
         ]
     }
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from mavfi.cli import options
+from mavfi.cli import completion, options
 from mavfi.cli.console import check_writable, console, write_json
 from mavfi.config import Config, parse
 from mavfi.errors import BadInputError, MavfiError
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from mavfi.record import FlightLog
 
 
+HELP_PANEL = "Fly and look"
 _GROUP = "mavfi.exporters"
 """Writers of other formats: functions (log, path) -> number of messages, by file name extension."""
 ROS_ENDINGS = (".bag", ".mcap")
@@ -51,7 +52,13 @@ def export(
         Path, typer.Argument(metavar="FLIGHT.npz|DIR", help="What `mavfi fly --save` wrote, or a campaign's folder.")
     ],
     run_id: Annotated[
-        str, typer.Argument(metavar="[RUN_ID]", help="Run of the campaign; it is flown again.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="[RUN]",
+            help="Run of the campaign, by number or id; it is flown again.",
+            show_default=False,
+            autocompletion=completion.run_id,
+        ),
     ] = "",
     to: Annotated[
         Path,

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_installed
 from mavfi.extras.logs.files import Maker
 from mavfi.extras.logs.timeline import (
     TICK_TOPICS,
@@ -88,7 +88,7 @@ class LiveView:
         try:
             import foxglove
         except ImportError:
-            raise BadInputError("--live: needs foxglove-sdk; allowed: pip install 'mavfi[live]'") from None
+            raise not_installed("--live", "foxglove-sdk", "live") from None
         self._sdk: Any = foxglove
         self._context: Any = foxglove.Context()
         try:

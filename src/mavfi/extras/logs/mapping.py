@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from pydantic import Field, field_validator
 
 from mavfi.config import Config, names, shipped
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.states import STATES, State, StateSpec, new_state
 
 FOLDER = "log_mappings"
@@ -105,7 +105,7 @@ class LogMapping(Config):
             fields = [field.name for field in STATES[mapping.state].header]
             for name in mapping.fields:
                 if name not in fields:
-                    raise ValueError(f"{mapping.state}: no field {name!r}; allowed: {', '.join(fields)}")
+                    raise ValueError(f"{mapping.state}: field {not_known(name, fields)}")
         return states
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec
-from mavfi.errors import BadInputError, allowed
+from mavfi.errors import BadInputError, allowed, hint
 from mavfi.extras.logs.circular import KINDS, Geometry, Numbers, component_groups, recognise
 from mavfi.extras.logs.counting import COUNTS, counts
 from mavfi.extras.logs.mapping import NO_MAPPING, UsedMapping, choose_mapping, nearest_mapping
@@ -179,7 +179,7 @@ class _Topics:
                 needs = "; ".join([nearest_mapping(available), *refusals[:_MAX_REASONS]])
                 raise BadInputError(
                     f"{', '.join(name for name, _ in self._training)}: the rules apply to states of missions, and no "
-                    f"shipped mapping fits ({needs}); allowed: --mapping FILE, see docs/logs.md"
+                    f"shipped mapping fits ({needs}); allowed: --mapping FILE, see docs/how-to/logs.md"
                 )
             refused = 0
             for topic, numbers in available.items():
@@ -385,7 +385,7 @@ def _check_wanted(
                 names.append(f"{owner}:{number}")
             else:
                 names.append(number)
-        raise BadInputError(f"--fields: {name}: {reason}{cut}; allowed: {allowed(names, name)}")
+        raise BadInputError(f"--fields: {name}: {reason}{cut}{hint(name, names)}; allowed: {allowed(names, name)}")
 
 
 def _examples(left_out: Sequence[NotMonitored]) -> str:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.errors import BadInputError, writing
+from mavfi.errors import not_installed, writing
 from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, numeric, reading
 from mavfi.numerics.frames import ned_of
 from mavfi.record import FlightLog
@@ -111,8 +111,7 @@ class UlogReader:
         try:
             import pyulog
         except ImportError:
-            remedy = "allowed: pip install 'mavfi[logs]'"
-            raise BadInputError(f"{path}: reading ULog files needs pyulog; {remedy}") from None
+            raise not_installed(f"{path}, a ULog file", "pyulog", "logs") from None
         with reading(path, "a ULog file"):
             with path.open("rb") as file, redirect_stdout(StringIO()):
                 log: Any = pyulog.ULog(file)

@@ -9,14 +9,16 @@ import typer
 
 from mavfi.cli import options
 from mavfi.cli.console import check_number, console, write_json
+from mavfi.cli.panels import OUTPUT
 from mavfi.cli.stopping import stoppable
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.mission import OF_THE_PIPELINE, MissionSpec
 
 if TYPE_CHECKING:
     from mavfi.extras.mavlink.server import MavlinkServer
     from mavfi.extras.mavlink.tlog import Telemetry
 
+HELP_PANEL = "Other programs"
 _MAX_DURATION_S = 7 * 86_400.0
 _MAX_PORT = 65_535
 
@@ -27,7 +29,11 @@ class GroundStationOption:
     options = {
         "mavlink": Annotated[
             int | None,
-            typer.Option(metavar="PORT", help="Send the flight to a ground station's UDP port on loopback: 14550."),
+            typer.Option(
+                metavar="PORT",
+                help="Send the flight to a ground station's UDP port on loopback, 14550.",
+                rich_help_panel=OUTPUT,
+            ),
         ]
     }
 
@@ -51,7 +57,9 @@ app = typer.Typer(no_args_is_help=True)
 
 @app.callback()
 def _mavlink() -> None:
-    r"""Programs for MAVLink autopilots fly our vehicle, with failures on command (pip install 'mavfi\[mavlink]').
+    r"""Programs for MAVLink autopilots fly our vehicle.
+
+    Failures are injected on command. Needs pip install 'mavfi\[mavlink]'.
 
     Example: [bold]mavfi mavlink serve --environment farm --seed 7[/bold]
     """
@@ -80,7 +88,7 @@ def serve(
     from mavfi.extras.mavlink.server import DIALECTS, MavlinkServer
 
     if dialect not in DIALECTS:
-        raise BadInputError(f"--dialect: {dialect!r}: not known; allowed: {', '.join(DIALECTS)}")
+        raise BadInputError(f"--dialect: {not_known(dialect, DIALECTS)}")
     server = MavlinkServer(mission, port, speed=speed, dialect=dialect, tell=_tell)
     if not as_json:
         console().print(f"autopilot at udp://127.0.0.1:{server.port}, telemetry to 14540 and 14550", markup=False)

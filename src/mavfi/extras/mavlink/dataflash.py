@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_installed
 from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, reading
 
 _CODES = {**{code: code for code in "bBhHiIqQfd"}, "g": "f", **dict.fromkeys("cCeEL", "d")}
@@ -53,8 +53,7 @@ class DataFlashReader:
         try:
             from pymavlink.DFReader import DFReader_binary, DFReader_text
         except ImportError:
-            remedy = "allowed: pip install 'mavfi[mavlink]'"
-            raise BadInputError(f"{path}: reading logs of ArduPilot needs pymavlink; {remedy}") from None
+            raise not_installed(f"{path}, a log of ArduPilot", "pymavlink", "mavlink") from None
 
         class BinaryReader(DFReader_binary):
             """The library's reader, without its index in C, which prints past `redirect_stderr`."""

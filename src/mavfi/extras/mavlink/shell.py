@@ -6,6 +6,7 @@ Forms: https://docs.px4.io/main/en/debug/failure_injection and https://docs.px4.
 import math
 from typing import TYPE_CHECKING, Any
 
+from mavfi.errors import not_known
 from mavfi.extras.mavlink.failures import TYPES
 from mavfi.extras.mavlink.vocabulary import Command, MavCommand, MavResult, UnsupportedError
 
@@ -90,7 +91,7 @@ class Shell:
             return
         commands = {"failure": self._fail, "commander": self._command, "param": self._parameter}
         if words[0] not in commands:
-            self.print(f"{words[0]}: not supported; allowed: {', '.join(commands)}")
+            self.print(not_known(words[0], commands))
             return
         commands[words[0]](words[1:])
 
@@ -101,9 +102,10 @@ class Shell:
         if len(words) % 2 or len(words) < 2 or not set(options) <= {"-i", "-m"}:
             self.print(f"allowed: {_FAILURE_FORM}")
             return
-        if words[0] not in _COMPONENTS or words[1] not in names:
-            self.print(f"not known; allowed: {', '.join(_COMPONENTS)}; {', '.join(names)}")
-            return
+        for word, known in ((words[0], _COMPONENTS), (words[1], names)):
+            if word not in known:
+                self.print(not_known(word, known))
+                return
         try:
             mask = float(int(options.get("-m", "0"), 0))
             instance = float(int(options.get("-i", "0")))

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.errors import BadInputError, writing
+from mavfi.errors import BadInputError, not_installed, writing
 from mavfi.faults.levels.message.definition import FORMATS, Leaf
 from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, reading
 from mavfi.flight.loop import FlightItem, Loop
@@ -43,16 +43,19 @@ _UNKNOWN = "UNKNOWN"
 """Start of the name of messages that the dialect does not define."""
 
 
-def mavlink_dialect() -> Any:
+def mavlink_dialect(what: str = "MAVLink") -> Any:
     """The messages of MAVLink's dialect `ardupilotmega`, which includes `common`, from pymavlink.
 
+    Args:
+        what: What needs it, for the message if it is missing.
+
     Raises:
-        BadInputError: It is not installed.
+        NotInstalledError: It is not installed.
     """
     try:
         from pymavlink.dialects.v20 import ardupilotmega
     except ImportError:
-        raise BadInputError("MAVLink needs pymavlink; allowed: pip install 'mavfi[mavlink]'") from None
+        raise not_installed(what, "pymavlink", "mavlink") from None
     return ardupilotmega
 
 
@@ -89,7 +92,7 @@ class TlogReader:
         """See `FlightLogReader`."""
         path = self._path
         kind = "a telemetry log"
-        mavlink_dialect()
+        mavlink_dialect(f"{path}, {kind}")
         from pymavlink.mavutil import mavlogfile
 
         with reading(path, kind), closing(mavlogfile(str(path), notimestamps=False)) as link:

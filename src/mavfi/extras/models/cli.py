@@ -13,6 +13,7 @@ from mavfi.errors import BadInputError
 if TYPE_CHECKING:
     from mavfi.sim.imported import ImportedVehicle
 
+HELP_PANEL = "Fly and look"
 _WIDTH = 64
 """Column of the comments."""
 
@@ -25,7 +26,9 @@ def vehicle(
         ),
     ],
 ) -> None:
-    """Print the vehicle that a model is flown as, as a YAML file: each value with its source.
+    """Print the vehicle that a model is flown as, in YAML.
+
+    Each value has its source.
 
     Example: [bold]mavfi vehicle model.sdf > mine.yaml[/bold]
     """

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.errors import BadInputError, NotInstalledError
+from mavfi.errors import BadInputError, not_installed
 from mavfi.extras.models.geometry import (
     BOX,
     CAPSULE,
@@ -185,10 +185,7 @@ def read_xacro(path: Path, arguments: Mapping[str, Any]) -> UrdfRobot:
         import xacro
         from xacro import substitution_args
     except ImportError:
-        raise NotInstalledError(
-            f"{path}: needs the package xacro, which needs no ROS; allowed: after pip install 'mavfi[models]', or a "
-            "file that xacro has expanded, .urdf"
-        ) from None
+        raise not_installed(str(path), "xacro (no ROS)", "models") from None
 
     def find_package(name: str) -> str:
         """The folder of a package of ROS: beside or above the file, or as ROS finds it."""

@@ -14,7 +14,7 @@ from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import holm
 from mavfi.analysis.table import TEXT, Column, Table
 from mavfi.campaign.plan import FI, GOLDEN
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.extras.paper.overhead_views import ALL
 from mavfi.extras.paper.redundancy import TMR, band, between, ratio, shipped_designs
 from mavfi.extras.paper.views import by_bits, compared
@@ -66,7 +66,7 @@ def claims_table(
     """
     unknown = next((name for name in names if name not in CLAIMS), None)
     if unknown is not None:
-        raise BadInputError(f"claim {unknown!r}: not known; allowed: {', '.join(CLAIMS)}")
+        raise BadInputError(f"claim {not_known(unknown, CLAIMS)}")
 
     # each claim is tested on the runs of its campaign
     claims = [CLAIMS[name] for name in names]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.text import Text
 
-from mavfi.cli import options
+from mavfi.cli import completion, options
 from mavfi.cli.console import console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 from mavfi.cli.console import PICTURES, check_file, say_written
 
+HELP_PANEL = "Campaigns"
 MODELS = "models"
 """Subfolder of the study for the trained models."""
 PAGE = "report.html"
@@ -39,7 +40,14 @@ TIMED_FLIGHTS = 3
 
 
 def reproduce(  # noqa: PLR0913 - one parameter per option
-    study: Annotated[str, typer.Argument(metavar="[STUDY.yaml]", help="A YAML file, or a shipped study.")] = "paper",
+    study: Annotated[
+        str,
+        typer.Argument(
+            metavar="[STUDY.yaml]",
+            help="A YAML file, or a shipped study.",
+            autocompletion=completion.of_configs("studies"),
+        ),
+    ] = "paper",
     scale: Annotated[
         str, typer.Option(help="quick: minutes on two cores; paper: as many missions as the paper, about 21,500.")
     ] = "quick",
@@ -48,10 +56,11 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     show_all: options.AllTables = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """Train detectors, fly the campaigns of a study, and compare the results with the paper's tables and findings.
+    """Fly a study, and compare its results with the paper's.
 
-    Each campaign has a separate folder; those that fly the same missions share their golden flights. Writes
-    report.html, study.md, study.json, figures and tables (CSV).
+    Trains detectors, flies the campaigns, and compares tables and findings. Each campaign has a separate folder; those
+    that fly the same missions share their golden flights. Writes report.html, study.md, study.json, figures and tables
+    (CSV).
 
     Ctrl-C stops (exit code 130); the same command resumes.
 
@@ -256,16 +265,17 @@ def failures(
         str, typer.Option(metavar="NAME|FILE.yaml", help="Upset rates: shipped (configs/upsets), or your own.")
     ] = "low_altitude",
 ) -> None:
-    """Compare settings by failures per flight hour: upset rate x instructions x harm, of detectors and recovery too.
+    """Compare settings by failures per flight hour.
 
-    Harm is the increase in mission failures per fault. Needs a campaign with instruction faults in which the golden
-    runs of every arm are counted, e.g. failure_rate.
+    They are upset rate x instructions x harm, of detectors and recovery too. Harm is the increase in mission failures
+    per fault. Needs a campaign with instruction faults in which the golden runs of every arm are counted, e.g.
+    failure_rate.
 
     Example: [bold]mavfi failures out/failure_rate --upsets my_upsets.yaml[/bold]
     """
     from rich.text import Text
 
-    from mavfi.analysis import Runs
+    from mavfi.analysis.runs import Runs
     from mavfi.extras.paper.failure_rate import failure_table, find_upsets, summary
     from mavfi.report.text import show_table
 
@@ -273,12 +283,22 @@ def failures(
     runs = Runs.read(directory)
     table = failure_table(runs, chosen)
     if not table.rows:
-        raise BadInputError(f"{directory}: no faults in instructions whose golden runs were counted; needed: some")
+        raise BadInputError(f"{directory}: {_why_no_failures(runs)}; `mavfi campaign run failure_rate` flies such ones")
     out = console()
     for sentence in summary(runs, chosen):
         out.print(Text(sentence))
     out.print()
     show_table(table, out)
+
+
+def _why_no_failures(runs: "Runs") -> str:
+    """Why failures per flight hour cannot be computed from runs."""
+    levels = runs.injected.values("level")
+    if not levels:
+        return "holds no faults; allowed: a campaign with faults in instructions"
+    if "instruction" not in levels:
+        return f"holds faults of level {', '.join(levels)}; allowed: a campaign with faults in instructions"
+    return "holds no golden run whose instructions were counted; allowed: a campaign with such runs"
 
 
 # ---- `mavfi redundancy`: flight time and energy of a UAV with redundant processors, compared with a detector -------
@@ -295,9 +315,10 @@ def redundancy(
     ] = None,
     picture: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the comparison.")] = None,
 ) -> None:
-    """Compare flight time and energy with redundant processors (DMR, TMR) and with detection, by a performance model.
+    """Compare redundant processors with detection, by a model.
 
-    Needs no flights. A vehicle file needs name, mass (kg) and max_thrust (N).
+    Flight time and energy with DMR, TMR and detection, by a performance model. Needs no flights. A vehicle file needs
+    name, mass (kg) and max_thrust (N).
 
     Example: [bold]mavfi redundancy --vehicle my_drone.yaml --picture redundancy.png[/bold]
     """

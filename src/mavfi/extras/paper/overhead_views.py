@@ -155,8 +155,8 @@ def _overhead_notes(runs: Runs) -> list[str]:
         "flights with the detector and a fault, as the paper's",
         "detection, modelled: time of the detector, measured as below / compute time of the pipeline in these golden "
         "flights with the latencies of the platform; no latency of a detector is published, so it is taken to be as "
-        "fast on the platform as here, a lower bound for a slower processor (docs/models.md); the modelled computer is "
-        "not charged for it",
+        "fast on the platform as here, a lower bound for a slower processor (docs/reference/models.md); the modelled "
+        "computer is not charged for it",
         *not_modelled,
         where,
         "the paper does not say what its times are divided by; its figures below 0.0001 % stand as that bound; an "

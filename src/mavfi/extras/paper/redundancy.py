@@ -19,6 +19,7 @@ from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import TEXT, Table
 from mavfi.analysis.views import View
 from mavfi.config import Config, names, shipped
+from mavfi.errors import not_known
 from mavfi.plugins import Chapter
 
 GRAVITY = 9.80665
@@ -67,7 +68,7 @@ class DesignConfig(Config):
         for key, allowed in (("bands", NUMBERS), ("sources", tuple(type(self).model_fields))):
             for name in getattr(self, key):
                 if name not in allowed:
-                    raise ValueError(f"{key}: {name!r}: not known; allowed: {', '.join(allowed)}")
+                    raise ValueError(f"{key}: {not_known(name, allowed)}")
         if not max_acceleration(self, self.mass + payload(self, 1)) > 0:
             weight = GRAVITY * (self.mass + payload(self, 1))
             raise ValueError(

@@ -8,14 +8,14 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from mavfi.analysis import VIEWS, table, views_for
 from mavfi.analysis.findings import findings
 from mavfi.analysis.listing import with_flights
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import PERCENT, Column, Table
+from mavfi.analysis.views import VIEWS, table, views_for
 from mavfi.config import parse
 from mavfi.dropped import dropped_name
-from mavfi.errors import BadInputError, write_text, writing
+from mavfi.errors import BadInputError, not_known, write_text, writing
 from mavfi.extras.paper.claims import CLAIMS, claims_table
 from mavfi.extras.paper.steps import FLIGHTS, SET_UP, StepTimes
 from mavfi.extras.paper.study import Study, StudySection
@@ -175,9 +175,7 @@ def check_names(study: Study, where: str) -> None:
                 if dropped_name(key, name):
                     raise BadInputError(f"{where}: section {section.title!r}: {dropped_name(key, name)}")
                 if name not in allowed:
-                    raise BadInputError(
-                        f"{where}: section {section.title!r}: {key}: {name!r}: not known; allowed: {', '.join(allowed)}"
-                    )
+                    raise BadInputError(f"{where}: section {section.title!r}: {key}: {not_known(name, allowed)}")
 
 
 def study_report(study: Study, folder: Path) -> StudyReport:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from mavfi.campaign.fingerprint import processor
 from mavfi.errors import BadInputError, writing
+from mavfi.files import make_folder
 from mavfi.version import __version__
 
 FILE = "steps.json"
@@ -75,6 +76,7 @@ class StepTimes:
             self.seconds[step] = self.seconds.get(step, 0.0) + time.perf_counter() - begun
             path = self.folder / FILE
             new = self.folder / f".{FILE}"
+            make_folder(self.folder)
             with writing(path):
                 new.write_text(json.dumps({"seconds": self.seconds, "runs": self.runs}, indent=1) + "\n", "utf-8")
                 os.replace(new, path)

@@ -16,6 +16,7 @@ from mavfi.plugins import extensions
 if TYPE_CHECKING:
     from mavfi.record import Injection
 
+HELP_PANEL = "Other programs"
 PROCESSES = "mavfi.processes"
 """Group of entry points: objects with `options` (see `with_extra_options`), each of which names a process in another
 way than its id, and `pid_of(values)`, the process id; None = their options are not set."""
@@ -49,10 +50,10 @@ def inject(  # noqa: PLR0913 - one parameter per option
     as_json: options.AsJson = False,
     **others: Any,  # noqa: ANN401 - of the options of extras
 ) -> None:
-    """Flip one bit in one register of a running process (x86-64 Linux), and report the injection.
+    """Flip one bit in a register of a running process.
 
-    The process needs no preparation. Its busiest thread, or the first to call --symbol, is injected. It is stopped for
-    about a millisecond, then continues.
+    On x86-64 Linux; the injection is reported. The process needs no preparation. Its busiest thread, or the first to
+    call --symbol, is injected. It is stopped for about a millisecond, then continues.
 
     Example: [bold]mavfi inject --pid 1234 --registers fp --seed 3[/bold]
     """

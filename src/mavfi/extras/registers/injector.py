@@ -9,6 +9,7 @@ with `RegisterFault.walk` a random number of instructions is single-stepped befo
 injections over the code near the stop, not over the program: for rates per instruction use the level `instruction`.
 """
 
+import errno
 import os
 import random
 import time
@@ -33,6 +34,12 @@ _STEP_LIMIT_S = 2.0
 """Longest wait for a thread to stop."""
 _NAP_S = 1e-3
 """Time between two looks whether the search is over."""
+_MOST_IN_CALLS = 20
+"""Stops inside of system calls after which the end of a call is waited for: the target is idle nearly all the time."""
+_CALL_LIMIT_S = 1.0
+"""Longest wait for the end of a system call; after it, the busiest thread may be another one."""
+_AT_ENTRY = 2**64 - errno.ENOSYS
+"""Value of rax when a system call begins; at its end it is the result."""
 _MAX_INSTRUCTION_BYTES = 15  # Intel SDM, vol. 2, 2.3.11
 _VERBS = {"read": "reads", "write": "writes", "either": "reads or writes"}
 """What an instruction does with a register, for messages, by `RegisterFault.access`."""
@@ -76,6 +83,7 @@ class _Attempt:
         tracee: The thread.
         memory: File of its memory.
         since: Start of the stop (s).
+        is_after_call: Whether the stop is at the end of a system call: the registers are those of the thread again.
         walked: Number of instructions that have been single-stepped.
         flip: The injection; None = there is none yet.
         stop_s: Duration of the stop (s), after it.
@@ -84,6 +92,7 @@ class _Attempt:
     tracee: Tracee
     memory: int
     since: float
+    is_after_call: bool = False
     walked: int = 0
     flip: RegisterFlip | None = None
     stop_s: float = 0.0
@@ -117,7 +126,7 @@ def inject_once(pid: int, fault: RegisterFault, number: int, tool: int, cancelle
         while True:
             attempts += 1
             with closing(AddressSpace(pid)) as space:
-                with _stopped(search, space) as attempt:
+                with _stopped(search, space, is_idle=attempts > _MOST_IN_CALLS) as attempt:
                     attempt.flip = _try(search, attempt)
                     if attempt.flip is not None:
                         space.read()  # as it was at the injection
@@ -151,7 +160,10 @@ def _try(search: _Search, attempt: _Attempt) -> RegisterFlip | None:
     """Walk, and flip a bit at the first eligible instruction; None if there is none."""
     fault = search.fault
     choices = search.choices
-    if attempt.tracee.in_system_call() or not attempt.walk(choices.randrange(fault.walk)):
+    tracee = attempt.tracee
+    if not tracee.is_stopped or (tracee.in_system_call() and not attempt.is_after_call):
+        return None
+    if not attempt.walk(choices.randrange(fault.walk)):
         return None
     return flip_here(fault, choices, attempt.tracee, attempt.memory, attempt.walk)
 
@@ -251,8 +263,8 @@ def injection_of(
 
 
 @contextmanager
-def _stopped(search: _Search, space: AddressSpace) -> Iterator[_Attempt]:
-    """Stop the thread to be injected; it is released in any case."""
+def _stopped(search: _Search, space: AddressSpace, *, is_idle: bool) -> Iterator[_Attempt]:
+    """Stop the thread to be injected, an idle one at the end of a system call; it is released in any case."""
     pid = search.pid
     fault = search.fault
     with ExitStack() as cleanup:
@@ -267,9 +279,28 @@ def _stopped(search: _Search, space: AddressSpace) -> Iterator[_Attempt]:
             since = time.perf_counter()
             tracee.interrupt(_STEP_LIMIT_S)
         attempt = _Attempt(tracee, memory, since)
+        if is_idle and tracee.in_system_call():
+            attempt.is_after_call = _finish_call(tracee)
+            attempt.since = time.perf_counter()  # in the call it was not held up
         yield attempt
         tracee.detach()
-        attempt.stop_s = time.perf_counter() - since
+        attempt.stop_s = time.perf_counter() - attempt.since
+
+
+def _finish_call(tracee: Tracee) -> bool:
+    """Let a thread that was stopped in a system call finish it, and stop it there; False = it takes too long."""
+    tracee.trace_system_calls()
+    number = 0
+    try:
+        while True:
+            tracee.resume_to_system_call(number)
+            stop = tracee.wait(_CALL_LIMIT_S)
+            # The interrupted call begins once more, and then ends.
+            if stop.system_call and tracee.general()["rax"] != _AT_ENTRY:
+                return True
+            number = stop.signal
+    except TracerTimeoutError:
+        return False
 
 
 def _stop_at(search: _Search, space: AddressSpace, cleanup: ExitStack) -> tuple[Tracee, float]:

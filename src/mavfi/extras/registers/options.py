@@ -5,16 +5,22 @@ from typing import Annotated
 import typer
 
 from mavfi.cli.console import check_name, check_seed
+from mavfi.cli.panels import FAULT
 from mavfi.errors import BadInputError
 
 _LONGEST_S = 1e6
 """Instants from this one on are refused (s)."""
 
 RegistersOption = Annotated[
-    str | None, typer.Option(help="Of register faults: general (with the flags), fp (XMM, YMM), or all (the default).")
+    str | None,
+    typer.Option(help="Of register faults: general, fp, or all (default).", rich_help_panel=FAULT),
 ]
 SeedOption = Annotated[
-    int | None, typer.Option(help="Draws instruction, register and bit of register faults; 0 by default.")
+    int | None,
+    typer.Option(
+        help="Draws instruction, register, bit of --register-fault; 0 by default.",
+        rich_help_panel=FAULT,
+    ),
 ]
 
 

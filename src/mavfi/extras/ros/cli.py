@@ -12,7 +12,7 @@ from mavfi.cli import options
 from mavfi.cli.console import FLIGHTS, check_file, check_number, console, write_json
 from mavfi.cli.fly import check_option_dependencies, watched
 from mavfi.cli.stopping import stoppable
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.extras.registers.options import RegistersOption, SeedOption, instant, register_options
 from mavfi.extras.ros.cli_graph import list_graphs, setup, watch
 from mavfi.extras.ros.cli_inject import inject, run
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from mavfi.record import FlightLog, Injection
     from mavfi.report.flight_result import FlightResult
 
+HELP_PANEL = "Other programs"
 _KillOption = Annotated[list[str] | None, typer.Option(metavar="NODE@SECONDS", help="Kill a node; it is restarted.")]
 _FaultOption = Annotated[
     list[str] | None,
@@ -48,7 +49,9 @@ app.command("watch")(watch)
 
 @app.callback()
 def _ros() -> None:
-    """The pipeline as real nodes of ROS 2 or ROS 1, and tools for any ROS application.
+    """The pipeline as ROS nodes; faults in any ROS application.
+
+    ROS 2 or ROS 1.
 
     Example: [bold]mavfi ros fly --environment sparse --seed 7 --kill octomap@20[/bold]
     """
@@ -199,7 +202,7 @@ def middleware_of(ros: str) -> Middleware:
     from mavfi.extras.ros.ros2.transport import Ros2
 
     if ros not in ("", "1", "2"):
-        raise BadInputError(f"--ros: {ros!r}; allowed: 2, 1")
+        raise BadInputError(f"--ros: {not_known(ros, ('2', '1'))}")
     is_ros2 = ros == "2"
     if ros == "":
         is_ros2 = any(installations())
@@ -263,7 +266,7 @@ def check(plan: FlightPlan) -> None:
     named += [("--register-fault", fault.node) for fault in plan.register_faults]
     for option, node in named:
         if node not in plan.nodes:
-            raise BadInputError(f"{option}: no node {node!r} in this flight; allowed: {', '.join(plan.nodes)}")
+            raise BadInputError(f"{option}: node {not_known(node, plan.nodes)}")
 
 
 def without_registers(plan: FlightPlan, with_fault: bool) -> Flight:

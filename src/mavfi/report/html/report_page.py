@@ -320,6 +320,35 @@ def headline_of(report: CampaignReport) -> Headline:
     return Headline("campaign", campaign[0].upper() + campaign[1:], [mission, *lines], {"": report.findings})
 
 
+def page_values(
+    campaigns: Sequence[ReportedCampaign],
+    sections: Sequence[PageSection],
+    commands: Sequence[tuple[str, str]],
+    headline: Headline | None = None,
+) -> dict[str, Any]:
+    """Values of the template of the page, except its `flights`; arguments: see `write_report_page`."""
+    reports = [campaign.report for campaign in campaigns]
+    # the list of runs, tables and figures; these two collect the sets of runs to which they link
+    listed_runs = run_list({str(campaign.directory): campaign.report.runs for campaign in campaigns})
+    sets = RunSets({run_id: index for index, run_id in enumerate(listed_runs["ids"])})
+    section_data = [_section_data(number, section, sets) for number, section in enumerate(sections)]
+    csv = {table["id"]: table.pop("csv") for section in section_data for table in section["tables"]}
+    # checks and remarks; with several campaigns, also what each of them is
+    remarks: list[str] = []
+    if len(reports) > 1:
+        remarks += ["; ".join(header(report.runs.campaign)) for report in reports]
+    for report in reports:
+        remarks += checks(report.runs)
+    return {
+        "headline": headline or headline_of(reports[0]),
+        "commands": commands,
+        "sections": section_data,
+        "checks": [*remarks, *remarks_on(reports[0].runs)],
+        "csv": csv,
+        "runs": listed_runs | {"sets": list(sets.texts)},
+    }
+
+
 def write_report_page(
     path: Path,
     campaigns: Sequence[ReportedCampaign],
@@ -347,26 +376,7 @@ def write_report_page(
     Raises:
         BadInputError: The file cannot be written, or exceeds the maximum size even without flights.
     """
-    reports = [campaign.report for campaign in campaigns]
-    # the list of runs, tables and figures; these two collect the sets of runs to which they link
-    listed_runs = run_list({str(campaign.directory): campaign.report.runs for campaign in campaigns})
-    sets = RunSets({run_id: index for index, run_id in enumerate(listed_runs["ids"])})
-    section_data = [_section_data(number, section, sets) for number, section in enumerate(sections)]
-    csv = {table["id"]: table.pop("csv") for section in section_data for table in section["tables"]}
-    # checks and remarks; with several campaigns, also what each of them is
-    remarks: list[str] = []
-    if len(reports) > 1:
-        remarks += ["; ".join(header(report.runs.campaign)) for report in reports]
-    for report in reports:
-        remarks += checks(report.runs)
-    values: dict[str, Any] = {
-        "headline": headline or headline_of(reports[0]),
-        "commands": commands,
-        "sections": section_data,
-        "checks": [*remarks, *remarks_on(reports[0].runs)],
-        "csv": csv,
-        "runs": listed_runs | {"sets": list(sets.texts)},
-    }
+    values = page_values(campaigns, sections, commands, headline)
     text = page.render("report.html.j2", **values, flights={})
     size = len(text.encode())
     if size > largest:
@@ -388,7 +398,7 @@ def _section_data(number: int, section: PageSection, sets: RunSets) -> dict[str,
     for figure in section.figures:
         svg = svg_of(figure.figure, f"s{number}-{figure.name}", figure.caption, sets)
         is_wide = figure.figure.get_figwidth() > _MAX_HALF_WIDTH
-        figures.append({"svg": svg, "caption": figure.caption, "is_wide": is_wide})
+        figures.append({"name": figure.name, "svg": svg, "caption": figure.caption, "is_wide": is_wide})
     return {
         "id": f"section-{number}",
         "title": section.title,
@@ -483,10 +493,12 @@ def write_html(
 ) -> EmbeddedFlights:
     """Write the page of the campaign whose ledger is in `directory`; other arguments: see `write_page`."""
     campaigns = [ReportedCampaign(directory, report)]
+    with Store.open(directory) as store:
+        permission = store.permission
     commands = [
         *_flying(directory),
-        (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {directory} --share 0.02"),
-        *more_flights(directory, path),
+        (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {directory} --share 0.02{permission}"),
+        *more_flights(directory, path, permission),
     ]
     return write_page(path, campaigns, sections_of(report), commands, flights, workers, show)
 
@@ -575,11 +587,17 @@ def _page(case: Case) -> "FlightPage":
     return page_of_explanation(directory, explain(directory, run_id), other, directory)
 
 
-def more_flights(directory: Path, path: Path) -> list[tuple[str, str]]:
-    """Commands that show the flights of a folder which are not in a page, with their descriptions."""
+def more_flights(directory: Path, path: Path, permission: str = "") -> list[tuple[str, str]]:
+    """Commands that show the flights of a folder which are not in a page, with their descriptions.
+
+    Args:
+        directory: Folder of a ledger or a study.
+        path: The page.
+        permission: What the commands need to run plug-ins of the ledger, see `Store.permission`.
+    """
     return [
-        ("See any flight: a run is flown when it is clicked", f"mavfi serve {directory}"),
-        ("Write this page with more flights", f"mavfi report {directory} --html {path} --flights 200"),
+        ("See any flight: a run is flown when it is clicked", f"mavfi serve {directory}{permission}"),
+        ("Write this page with more flights", f"mavfi report {directory} --html {path} --flights 200{permission}"),
     ]
 
 

@@ -17,8 +17,8 @@ def own():
 def test_every_run_is_a_row_with_all_columns_in_files(own):
     found = listing(own)
     assert len(found.rows) == 5 and found.title == "5 of 5 runs"
-    assert {column.key for column in found.columns} == set(SCHEMA)
-    assert [column.key for column in found.columns if not column.hidden][:3] == ["run_id", "status", "flight_time_s"]
+    assert {column.key for column in found.columns} == {"number", *SCHEMA}
+    assert [column.key for column in found.columns if not column.hidden][:4] == ["number", "run_id", "status", "effect"]
 
 
 def test_the_reason_is_shown_where_a_run_could_not_be_judged(own):
@@ -30,7 +30,9 @@ def test_the_reason_is_shown_where_a_run_could_not_be_judged(own):
 
 
 def test_failed_are_those_that_did_not_succeed(own):
-    assert listing(own, failed=True).column("status") == ["collision", "unknown"]
+    failed = listing(own, failed=True)
+    assert failed.column("status") == ["collision", "unknown"]
+    assert failed.column("number") == [4, 5]  # as in the list of all
 
 
 def _row(index, success, *, arm="", time=100.0, distance=50.0, **changes):

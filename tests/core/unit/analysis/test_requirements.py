@@ -58,7 +58,7 @@ def test_arms_alarms_and_recovery_are_those_of_the_arm():
     ("text", "message"),
     [
         ("sdc < 5", "not understood; allowed: MEASURE < 5 %"),
-        ("sdk < 5 %", "measure 'sdk': not known; allowed: sdc"),
+        ("sdk < 5 %", r"measure 'sdk': not known \(did you mean 'sdc'\?\); allowed: masked, sdc"),
         ("sdc < 101 %", "101 %: allowed: 0 to 100"),
     ],
 )

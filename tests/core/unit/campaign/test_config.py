@@ -92,7 +92,7 @@ def test_the_instruction_level_has_the_size_of_the_papers_table():
         (groups(GROUP, GROUP), "groups: 'g': named 2 times; allowed: once"),
         (
             groups(GROUP, {"name": "h", "sites": ["planning.waypont.x"]}),
-            "sampling.groups.1.sites: no state 'planning.waypont' (did you mean 'planning.waypoint'?)",
+            "sampling.groups.1.sites: state 'planning.waypont': not known (did you mean 'planning.waypoint'?)",
         ),
         (groups({"name": "g", "sites": ["perception.odometry.x"]}), "only flights with localization estimator"),
         (groups({**GROUP, "strata": {"high": 1}}), "strata: 'high': not known; allowed: sign_exponent"),
@@ -103,7 +103,7 @@ def test_the_instruction_level_has_the_size_of_the_papers_table():
             "flag: no field has bits of the stratum 'mantissa'",
         ),
         # sampling: instructions and registers
-        (instructions("lidar"), "kernels: 'lidar': not known; allowed: point_cloud"),
+        (instructions("lidar"), "kernels: kernel 'lidar': not known; allowed: point_cloud"),
         (
             {**instructions("pid", "rrt"), "arms": GAUSSIAN},
             "kernels: 'rrt': detectors are trained with one planner; allowed with arms: kernels of missions with "
@@ -162,7 +162,7 @@ def test_keys_of_before_name_the_new_one(old, new):
 
 
 def test_unknown_names_say_what_is_known():
-    with pytest.raises(BadInputError, match="allowed: .*kernels.*smoke.*states.*table1"):
+    with pytest.raises(BadInputError, match="did you mean 'table1'.*allowed: table1, .* more, or a path"):
         load_campaign("table2")
     with pytest.raises(BadInputError, match="allowed: quick, paper"):
         load_campaign("table1").at_scale("huge")

@@ -98,7 +98,7 @@ def test_all_options_together(fly):
         ({"seed": -1}, f"--seed: -1: allowed: 0 to {LARGEST_SEED}"),
         ({"wind": 31.0}, "--wind: 31.0: allowed: 0 to 30"),
         ({"v_max": float("inf")}, "--v-max: inf: allowed: 0.1 to 20"),
-        ({"localization": "gps"}, "--localization: 'gps': allowed: truth, estimator"),
+        ({"localization": "gps"}, "--localization: 'gps': not known; allowed: truth, estimator"),
         ({"start": (float("nan"), 0.0, 1.0)}, "--start: nan 0.0 1.0: allowed: three finite numbers (m)"),
     ],
 )

@@ -9,6 +9,7 @@ import pytest
 
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
+from mavfi.campaign.store import Store
 from mavfi.cli import run
 from tests.core.unit.campaign.fakes import small
 
@@ -59,18 +60,21 @@ def test_runs_are_listed(capsys, flown):
     failed = printed(capsys, "runs", flown, "--failed", "--csv")
     rows = list(csv.DictReader(io.StringIO(failed)))
     assert rows and {row["status"] for row in rows} == {"collision"}
-    assert rows[0]["run_id"] in printed(capsys, "runs", flown, "--failed")
+    assert rows[0]["run_id"].rpartition("-")[0] in printed(capsys, "runs", flown, "--failed")
     assert len(json.loads(printed(capsys, "runs", flown, "--json"))["rows"]) == 2 * (2 * (5 + 30) + 3)
     frame = pl.read_csv(io.StringIO(printed(capsys, "runs", flown, "--csv")))
     assert frame.height == 146 and {"run_id", "effect", "inflation"} <= set(frame.columns)
 
 
-def test_names_stay_whole(capsys, flown, monkeypatch):
+def test_runs_fit_a_terminal_and_are_named_by_number_or_short_id(capsys, flown, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     text = printed(capsys, "runs", flown)
-    with_ids = json.loads(printed(capsys, "runs", flown, "--json"))["rows"]
-    assert all(row["run_id"] in text for row in with_ids)
-    assert all(len(line) <= 80 for line in text.splitlines())
+    rows = json.loads(printed(capsys, "runs", flown, "--json"))["rows"]
+    lines = [line.split() for line in text.splitlines() if "-1000" in line]
+    assert len(lines) == len(rows) and all(len(line) <= 80 for line in text.splitlines())
+    with Store.open(flown) as store:
+        for (number, short, *_), row in zip(lines, rows, strict=True):
+            assert store.run(number).spec.run_id == store.run(short).spec.run_id == row["run_id"]
 
 
 @pytest.mark.parametrize(

@@ -295,7 +295,7 @@ def test_stored_faults_have_a_change_as_text_and_published_ones_none():
         (lambda: replace(value_fault("bit=3"), bit=None), "bit: None: allowed: of a flip"),
         (lambda: replace(value_fault("set=1"), bit=3), "bit: 3: allowed: of a flip, and none of another"),
         (lambda: value_fault("bit=64"), "control.command.vx: bit 64: allowed: 0 to 63"),
-        (lambda: value_fault("set=1@speed>1"), "no field 'speed'; allowed: vx"),
+        (lambda: value_fault("set=1@speed>1"), "field 'speed': not known; allowed: vx"),
         (
             lambda: StateFault(FaultSite("planning.path", "length_x"), change=parse_text("set=1")),
             "set: is the length of a list; allowed: flips of a bit",

@@ -124,7 +124,7 @@ def test_what_cannot_be_drawn_is_refused():
         group_target("flag", ["perception.collision_status.collision"]).within("mantissa")
     with pytest.raises(BadInputError, match="names no site"):
         group_target("empty", [])
-    with pytest.raises(BadInputError, match="no state"):
+    with pytest.raises(BadInputError, match="state 'planning.waipoint': not known"):
         group_target("typo", ["planning.waipoint.x"])
     with pytest.raises(BadInputError, match="monitored set"):
         stage_target("control", "published", "all-99")

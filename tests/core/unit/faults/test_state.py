@@ -70,8 +70,8 @@ def test_flip_clamps_the_element_to_what_is_there():
         (waypoint(), FaultSite("planning.waypoint", "x"), 64, "no bit 64"),
         (waypoint(), FaultSite("planning.waypoint", "trajectory_seq"), 32, "no bit 32"),
         (trajectory(0), FaultSite("planning.trajectory", "y", 0), 3, "no point"),
-        (waypoint(), FaultSite("planning.nowhere", "x"), 3, "no state"),
-        (waypoint(), FaultSite("planning.waypoint", "roll"), 3, "no field"),
+        (waypoint(), FaultSite("planning.nowhere", "x"), 3, "state 'planning.nowhere': not known"),
+        (waypoint(), FaultSite("planning.waypoint", "roll"), 3, "field 'roll': not known"),
     ],
 )
 def test_what_is_not_there_is_not_flipped(state, site, bit, message):

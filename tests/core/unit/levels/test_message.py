@@ -58,7 +58,10 @@ def test_null_runs_have_an_empty_mask():
 @pytest.mark.parametrize(
     ("sampling", "message"),
     [
-        ({"states": ["planning.pth"]}, "sampling.states: 'planning.pth': not known; allowed: sensor.depth"),
+        (
+            {"states": ["planning.pth"]},
+            r"sampling.states: 'planning.pth': not known \(did you mean 'planning.path'\?\)",
+        ),
         ({"states": [PATH, PATH]}, "named 2 times; allowed: once"),
         ({"states": ["sensor.imu"]}, "sensor.imu is published with localization estimator only, not truth"),
         ({"operations": ["set=1"]}, "sampling.operations: 'set=1': .*set: allowed: drop, delay"),

@@ -98,7 +98,7 @@ def test_null_is_an_empty_mask_at_a_drawn_instant():
         ("state:planning.waypoint.x:share=2", "share: 2.0: allowed: above 0, to 1"),
         ("state:planning.waypoint.x:times=0", "times: 0: allowed: 1 or more"),
         ("state:planning.waypoint.x:lasts=long", "lasts: 'long': allowed: a number of seconds, or inf"),
-        ("state:planning.waypoint.x:bits=3", "'bits': not known (did you mean 'bit'?); allowed: bit=, also=, width="),
+        ("state:planning.waypoint.x:bits=3", "'bits': not known (did you mean 'bit='?); allowed: bit=, also=, width="),
         ("state:planning.waypoint.x:share=half@3", "share: 'half': allowed: a number above 0, to 1"),
         ("state:planning.waypoint.x[two]", "not understood; allowed: state:STATE[.FIELD][[ELEMENT]]"),
         ("planning.waypoint.x", "not understood; allowed: null, state:STATE"),
@@ -108,9 +108,9 @@ def test_null_is_an_empty_mask_at_a_drawn_instant():
         ("instruction:pid.track:call=1:index=2:bit=3", "allowed: instruction:KERNEL"),
         (
             f"instruction:pid.track:call=1:index=2:bit=3:model=two:budget=9:ir={'ab' * 32}",
-            "no model 'two'; allowed: one",
+            "model 'two': not known; allowed: one",
         ),
-        ("instruction:pid:model=two_bits", "no model 'two_bits'; allowed: one_bit"),
+        ("instruction:pid:model=two_bits", "model 'two_bits': not known (did you mean 'one_bit'?); allowed: one_bit"),
         ("sensor:radar:off@3", "'radar': not known; allowed: gyro, accelerometer, compass, position, depth_camera"),
         ("sensor:gyro:shy@3", "'shy': not known; allowed: ok, off, stuck"),
         ("sensor:gyro", "no type of failure; allowed: sensor:gyro:TYPE, with TYPE one of off, stuck, garbage"),
@@ -175,7 +175,7 @@ def test_faults_in_instructions_name_kernel_class_and_model():
 @pytest.mark.parametrize(
     ("kernel", "message"),
     [
-        ("pid.insert_scan", "kernel 'pid': no function 'insert_scan'; allowed: track"),
+        ("pid.insert_scan", "kernel 'pid': function 'insert_scan': not known; allowed: track"),
         ("rrt.plan_rrt", "the planner of this mission is 'rrt_connect'"),
         ("lidar.scan", "kernel 'lidar': not known"),
     ],

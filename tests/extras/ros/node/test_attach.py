@@ -135,9 +135,12 @@ def test_the_graph_is_as_before_when_the_tool_is_killed(arm, transforms):
     [
         (
             ["--topic", "/joint_state", "--field", "position[0]"],
-            "topic /joint_state: not in the graph; allowed: /j",
+            "topic /joint_state: not in the graph (did you mean '/joint_states'?); allowed: /j",
         ),
-        (["--topic", "/joint_states", "--field", "positions[0]"], "no member 'positions'; allowed: position[0]"),
+        (
+            ["--topic", "/joint_states", "--field", "positions[0]"],
+            "'positions': not known (did you mean 'position[0]'?)",
+        ),
         (["--topic", "/joint_states", "--field", "name[0]"], "field name[0]: is text; allowed: a number"),
         (["--topic", "/tf", "--field", "transforms[0].transform.rotation.z"], "nobody reads it"),
         ([*FIELD, "--bit", "64"], "is a float64; allowed: 0 to 63"),

@@ -50,7 +50,7 @@ def test_what_is_wrong_is_one_line_before_anything_is_touched(talker, capsys):
         ),
         (
             ["--topic", "/joint_states", "--field", "positions[0]"],
-            "no member 'positions' in sensor_msgs/msg/JointState",
+            "member of sensor_msgs/msg/JointState 'positions': not known (did you mean 'position'?)",
         ),
         (["--topic", "/joint_states", "--field", "position[0]", "--bit", "64"], "bit 64: allowed: 0 to 63"),
         (["--topic", "/joint_states", "--set", "1"], "set=1: changes a number; allowed: with a field"),

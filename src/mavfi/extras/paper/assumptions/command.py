@@ -7,9 +7,9 @@ from rich.text import Text
 from mavfi.cli.console import console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.config import config_root, parse, read_yaml
-from mavfi.errors import BadInputError, write_text
+from mavfi.errors import BadInputError, not_known, write_text
 from mavfi.extras.paper.assumptions.design import AssumptionStudy
-from mavfi.files import check_folder, is_file
+from mavfi.files import check_folder, is_file, make_folder
 from mavfi.report.text import show_table
 
 MARKDOWN = "assumptions.md"
@@ -49,7 +49,7 @@ def reproduce_assumptions(study: AssumptionStudy, scale: str, out: Path, workers
     from mavfi.report import style
 
     if scale != "quick":
-        raise BadInputError(f"study {study.name}: scale {scale!r}: not known; allowed: quick")
+        raise BadInputError(f"study {study.name}: scale {not_known(scale, ['quick'])}")
     check_folder(out)
     stopped = f"Stopped. What is done is kept in {out}; the same command resumes."
     with stoppable(stopped), StudyBar(f"study {study.name}", StepTimes.begin(out, workers)) as bar:
@@ -57,7 +57,7 @@ def reproduce_assumptions(study: AssumptionStudy, scale: str, out: Path, workers
         with bar.timed("tables and figures"):
             shown = tables(results)
             write_text(out / MARKDOWN, markdown(results, shown, FIGURE, TABLES_FOLDER))
-            check_folder(out / TABLES_FOLDER)
+            make_folder(out / TABLES_FOLDER)
             for table in shown:
                 write_text(out / TABLES_FOLDER / f"{table.name}.csv", table.to_csv())
             with style.house_style():

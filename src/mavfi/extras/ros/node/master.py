@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Any
 from urllib.parse import urlparse
 
-from mavfi.errors import BadInputError, MavfiError, allowed
+from mavfi.errors import BadInputError, MavfiError, allowed, hint
 
 URI_VARIABLE = "ROS_MASTER_URI"
 _DEFAULT_URI = "http://127.0.0.1:11311"
@@ -45,7 +45,9 @@ def check_known(what: str, name: str, names: Collection[str]) -> str:
     """Return the absolute name; `BadInputError`, listing the known names, if it is unknown."""
     wanted = absolute(name)
     if wanted not in names:
-        raise BadInputError(f"{what} {wanted}: not in the graph; allowed: {allowed(names, wanted)}")
+        raise BadInputError(
+            f"{what} {wanted}: not in the graph{hint(wanted, names)}; allowed: {allowed(names, wanted)}"
+        )
     return wanted
 
 

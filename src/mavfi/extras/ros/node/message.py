@@ -7,7 +7,7 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mavfi.errors import BadInputError, allowed
+from mavfi.errors import BadInputError, allowed, not_known
 
 _TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
 _FLOATS = ("float32", "float64")
@@ -33,7 +33,7 @@ class Composer:
         self._name = f"{package}/msg/{name}"
         if self._name not in _store().fielddefs:
             kinds = [full.replace("/msg/", "/") for full in _store().fielddefs]
-            raise BadInputError(f"type {kind}: not known; allowed: {allowed(kinds, kind)}")
+            raise BadInputError(f"type {not_known(kind, kinds)}")
         text, md5sum = _store().generate_msgdef(self._name, ros_version=1)
         self.header = {"type": kind, "md5sum": md5sum, "message_definition": text}
         self._kind = kind
@@ -53,7 +53,7 @@ class Composer:
             raise BadInputError(f"message {path}: {fields!r}: allowed: names and values of {allowed(names)}")
         for field in fields:
             if field not in names:
-                raise BadInputError(f"message {path}: no member {field!r}; allowed: {allowed(names, str(field))}")
+                raise BadInputError(f"message {path}: member {not_known(field, names)}")
         values = {field: self._value(kind, fields.get(field), f"{path}.{field}") for field, kind in definition}
         return _store().types[name](**values)
 

@@ -8,7 +8,7 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mavfi.errors import BadInputError, MavfiError, allowed
+from mavfi.errors import BadInputError, MavfiError, not_known
 from mavfi.faults.levels.message.definition import Definition
 from mavfi.faults.operations import Operation, When, check_number_operation
 from mavfi.plugins import reason
@@ -119,9 +119,7 @@ class Decoder:
                 raise BadInputError(f"field {path}: {name!r} is in no message; allowed: the path of a number")
             members = dict(self._store.fielddefs[details][1])
             if name not in members:
-                raise BadInputError(
-                    f"field {path}: no member {name!r} in {details}; allowed: {allowed(list(members), name)}"
-                )
+                raise BadInputError(f"field {path}: member of {details} {not_known(name, members)}")
             description = members[name]
             for index in indices:
                 node, details = description

@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from mavfi.errors import BadInputError, allowed
+from mavfi.errors import BadInputError, allowed, hint
 from mavfi.extras.ros.ros2.graph import Endpoint, GraphSnapshot, absolute
 
 _FAST_DDS = "010f"
@@ -71,7 +71,8 @@ class GraphProcesses:
         """The process of a node; `BadInputError` if the graph has no node of this name."""
         node = absolute(name)
         if node not in self._snapshot.nodes:
-            raise BadInputError(f"node {node}: not in the graph; allowed: {allowed(self._snapshot.nodes, node)}")
+            nodes = self._snapshot.nodes
+            raise BadInputError(f"node {node}: not in the graph{hint(node, nodes)}; allowed: {allowed(nodes, node)}")
         gids = {_participant(endpoint.gid): endpoint.gid for endpoint in self._endpoints() if endpoint.node == node}
         if not gids:
             return NodeProcess(node, "", None, "has no topic and no service by which its process could be told")

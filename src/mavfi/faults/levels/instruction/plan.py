@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.faults.fault import MODELS, InstructionFault, Model
 from mavfi.faults.levels.instruction.table import FLOATING, INTEGER, InjectionSite
 from mavfi.faults.levels.instruction.variant import InjectionReport, MismatchError, Variant
@@ -61,7 +61,7 @@ def plan(
         BadInputError: Unknown model.
     """
     if model not in MODELS:
-        raise BadInputError(f"fault model {model!r}: not known; allowed: {', '.join(MODELS)}")
+        raise BadInputError(f"fault model {not_known(model, MODELS)}")
     if model == "one_bit":
         count = 1
     bits: tuple[int, ...] = ()

@@ -9,7 +9,7 @@ import struct
 from dataclasses import dataclass
 from functools import cache
 
-from mavfi.errors import BadInputError, MavfiError, allowed
+from mavfi.errors import BadInputError, MavfiError, allowed, not_known
 
 FORMATS = {
     "bool": "B",
@@ -177,7 +177,7 @@ class Definition:
                 names.append(member.name)
             else:
                 names.append(f"{member.name}[0]")
-        raise BadInputError(f"field {path}: {kind} has no member {name!r}; allowed: {allowed(names, name)}")
+        raise BadInputError(f"field {path}: member of {kind} {not_known(name, names)}")
 
     def locate(self, data: bytes, path: str) -> Leaf:
         """Location of the number at a path in a serialized message.

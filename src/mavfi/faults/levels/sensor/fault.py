@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import inf, pi
 from typing import Any, ClassVar, Literal
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_known
 from mavfi.faults.fault import Fault
 
 
@@ -101,7 +101,7 @@ class SensorFault(Fault):
     def __post_init__(self) -> None:
         for value, names in ((self.unit, UNITS), (self.kind, TYPES)):
             if value not in names:
-                raise BadInputError(f"sensor fault: {value!r}: not known; allowed: {', '.join(names)}")
+                raise BadInputError(f"sensor fault: {not_known(value, names)}")
         instances = UNITS[self.unit].instances
         if instances == 1 and self.instance != 0:
             raise BadInputError(f"fault in {self.unit}: instance {self.instance}: allowed: none")

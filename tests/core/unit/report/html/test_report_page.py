@@ -7,8 +7,8 @@ from importlib.resources import files
 import pytest
 from matplotlib.figure import Figure
 
-from mavfi.analysis import table as table_of
 from mavfi.analysis.table import Table
+from mavfi.analysis.views import table as table_of
 from mavfi.errors import BadInputError
 from mavfi.report import links, style
 from mavfi.report.campaign_report import report_of

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, not_installed
 from mavfi.extras.ros.ros2.stack.config import StackConfig
 
 
@@ -44,7 +44,7 @@ def _recorded(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
-        raise BadInputError(f"stack.inputs.bag: {path}: needs rosbags: pip install 'mavfi[logs]'") from None
+        raise not_installed(f"stack.inputs.bag: {path}", "rosbags", "logs") from None
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
             first_ns = reader.start_time
