@@ -353,6 +353,7 @@ class Level:
         reductions: How a fault is made smaller, in steps: by name of what is reduced, a function of a fault and its
             injection (None = not known) that yields candidates from the smallest on.
         absent: Words for an injection that did not happen: X in "the golden run never X it", and why nothing changed.
+        corrupts_data: Whether its faults change data of a computation; a failing part changes what is measured or done.
     """
 
     fault: ClassVar[type[Fault]]
@@ -364,6 +365,7 @@ class Level:
     operations: ClassVar[tuple[str, ...]] = ()
     reductions: ClassVar[Mapping[str, Callable[[Any, Injection | None], Iterator[Fault]]]] = {}
     absent: ClassVar[tuple[str, str]] = ("reached", "the site was not reached")
+    corrupts_data: ClassVar[bool] = True
 
     def parse(self, text: str, localization: str) -> Request:
         """The request in a text, given without the level; a BadInputError says what is wrong in it."""

@@ -149,6 +149,7 @@ class SensorLevel(Level):
     form = "sensor:UNIT[NUMBER]:TYPE[:lasts=S][@SECONDS]"
     options = {"lasts": SECONDS}
     absent = ("read", "no reader received another value than without it")
+    corrupts_data = False
 
     def parse(self, text: str, localization: str) -> SensorRequest:
         """See `Level.parse`."""
