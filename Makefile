@@ -38,12 +38,15 @@ $(STAMP): requirements.lock pyproject.toml
 	@echo "Setting up $(VENV) ..."
 	@$(PYTHON) -c 'import sys; sys.exit("mavfi needs Python 3.11 or newer, this is " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@# bytecode is written when a module is first imported: most modules of the packages never are
+	@# most modules of the packages are never imported: only those are compiled that mavfi's commands import
 	@$(BIN)/python -m pip install -qq --no-compile --requirement requirements.lock
 	@$(BIN)/python -m pip install -qq --no-deps --no-build-isolation --editable .
+	@$(BIN)/python -m tools.bytecode
 	@# shown by `mavfi reproduce`; only for a new environment: an update takes a part of the time
 	@$(if $(BEGUN),echo $$(( $$(date +%s) - $(BEGUN) )) > $(VENV)/setup-seconds)
 	@touch $@
+	@echo "Next:  $(BIN)/mavfi fly       (a flight; the first one compiles its code)"
+	@echo "       $(BIN)/mavfi doctor    (what is here, and what is missing)"
 
 reproduce: setup  ## train, fly, print the tables and tested findings of the paper, write $(OUT) (SCALE=quick|paper)
 	@$(BIN)/mavfi reproduce --scale $(SCALE) --out $(OUT)

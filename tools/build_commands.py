@@ -62,7 +62,8 @@ def _row(parameter: Any) -> str:  # noqa: ANN401
         default = "required"
     elif parameter.default is not False and parameter.default not in (None, "", (), []):
         default = f"`{parameter.default}`"
-    meaning = " ".join(text_of(parameter.help or "").split())
+    help_text, *_ = (parameter.help or "").split("[dim]")  # the default stands in its own column
+    meaning = " ".join(text_of(help_text).split())
     return f"| {label} | {default} | {meaning} |"
 
 

@@ -122,6 +122,14 @@ def by_reading(blocks: Mapping[str, str]) -> str:
     )
 
 
+def _judged(lost: str, cell: str) -> int:
+    """Number of lost missions that a cell judges; one like "0 of 61 (0 %)" judges fewer than its row."""
+    fewer = re.search(r"of (\d+)", cell)
+    if fewer:
+        return int(fewer[1])
+    return int(lost)
+
+
 def recommended_item(recovery: str) -> str:
     """What `recommended` brings back, from the block of the leaderboard, as an item of a list.
 
@@ -134,8 +142,7 @@ def recommended_item(recovery: str) -> str:
     totals_back = []
     for column in (1, 2, 3):
         back = sum(int(row[column].split()[0]) for row in rows)
-        # a cell "0 of 61" counts fewer faults than the row
-        judged = sum(int((re.search(r"of (\d+)", row[column]) or [0, row[0]])[1]) for row in rows)
+        judged = sum(_judged(row[0], row[column]) for row in rows)
         totals_back.append(f"{back:,} of {judged:,}")
     gaussian, autoencoder, recommended = totals_back
     return (

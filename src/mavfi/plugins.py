@@ -411,13 +411,15 @@ def _source_of(name: str) -> _Source | None:
     specs = []
     for part in name.partition(":")[0].split("."):
         spec = PathFinder.find_spec(part, folders)
-        if spec is None or not spec.origin:
+        if spec is None:
             return None
         specs.append(spec)
         folders = spec.submodule_search_locations or []
+    if not specs[-1].has_location:
+        return None
     file = Path(str(specs[-1].origin))
     package = specs[0].submodule_search_locations
-    if not package:
+    if not package or not specs[0].has_location:  # a module, or in a folder that is no package of its own
         return _hashed(file, [file])
     return _hashed(file, sorted(path for folder in package for path in Path(folder).rglob("*.py")))
 

@@ -5,6 +5,7 @@ least the share `_SHARED` has a partner are compared in pairs, whose differences
 samples.  All runs of a mission, also those with different faults, are one cluster.
 """
 
+import html
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -71,7 +72,7 @@ class ComparedGroup:
     energy: Rate
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class CampaignComparison:
     """Two campaigns, A and B.
 
@@ -98,6 +99,13 @@ class CampaignComparison:
         if self.are_same:
             return [f"B flies as A: all {sum(_compared_alone(self.groups))} shared runs are equal bit for bit."]
         return [_failures_sentence(self.answer), _cost_sentence(self.answer)]
+
+    def __repr__(self) -> str:
+        return "\n".join(self.sentences)
+
+    def _repr_html_(self) -> str:
+        """The answer and the table in a notebook."""
+        return "".join(f"<p>{html.escape(sentence)}</p>" for sentence in self.sentences) + self.table._repr_html_()
 
     @property
     def table(self) -> Table:
@@ -187,7 +195,9 @@ def compare(runs_a: Runs, runs_b: Runs) -> CampaignComparison:
             continue
         samples.append((key, sample))
     if not samples:
-        raise BadInputError(f"A and B have nothing to compare: {'; '.join(notes) or 'no common setting'}")
+        raise BadInputError(f"A and B have nothing to compare: {'; '.join(notes)}")
+    if judged_a.injected.frame["stratum"].n_unique() > 1:
+        notes.append("shares are those of the faults as drawn: strata are not weighted")
     left_out = sum(sample.left_out for _, sample in samples)
     if left_out:
         notes.append(f"{left_out} runs have no partner (another seed, or the draw hit another bit), and are left out")

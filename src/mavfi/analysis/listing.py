@@ -27,7 +27,7 @@ _COLUMNS = (
     Column("kernel_effect", "kernel"),
     Column("reason", "reason", TEXT),
 )
-_USUAL = {
+_USUAL: dict[str, set[object]] = {
     "flight_time_s": {0.0},
     "alarms_total": {0},
     "kernel_effect": {""},

@@ -47,6 +47,7 @@ app = typer.Typer(
 
 @app.command("run")
 def run(  # noqa: PLR0913 - options
+    context: typer.Context,
     config: Annotated[
         str,
         typer.Argument(
@@ -113,6 +114,8 @@ def run(  # noqa: PLR0913 - options
     ledger = out or Path("out") / campaign.name
     if extend and not is_file(ledger / FILE):
         raise BadInputError(f"--extend: {ledger} holds no campaign; allowed: the folder of one, or without --extend")
+    if scheduler and options.is_users(context.get_parameter_source("workers")):
+        raise BadInputError(f"--workers: {workers}: a scheduler has its own workers; allowed: without --scheduler")
     chosen_executor = _executor(executor, scheduler, workers)
     chosen_shard = Shard.parse(shard, "--shard")
     if chosen_shard != WHOLE and (require or junit):

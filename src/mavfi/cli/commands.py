@@ -4,12 +4,14 @@ import ast
 import functools
 import inspect
 import os
+import sys
 import traceback
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated, Any, NamedTuple
 
 import typer
@@ -44,6 +46,8 @@ VERBS = {
     "states": "mavfi.cli.states:states",
     "docs": "mavfi.cli.docs:docs",
     "init": "mavfi.cli.init:init",
+    "doctor": "mavfi.cli.doctor:doctor",
+    "cache": "mavfi.cli.doctor:cache",
     "completion": "mavfi.cli.completion:completion",
 }
 """Commands of the core: a function, or a Typer application with commands of its own."""
@@ -186,15 +190,7 @@ def run(arguments: Sequence[str]) -> int:
 
     Bad input, known failures and exceptions of plug-ins print one line on stderr; those of mavfi itself are raised.
     """
-    # the permission comes first: commands of plug-ins are looked up already while the words are parsed
-    if _ALLOW_PLUGINS in arguments:
-        allow_plugins()
-        arguments = [word for word in arguments if word != _ALLOW_PLUGINS]
-    allow_typed(word.rpartition("=")[2] for word in arguments)
-
-    if os.environ.get(_COMPLETE):
-        completion_init()
-        os.environ["COLUMNS"] = "1000"  # each completion is one line
+    arguments = _prepared(arguments)
 
     # every known kind of failure becomes a line and an exit code
     try:
@@ -222,6 +218,23 @@ def run(arguments: Sequence[str]) -> int:
     if isinstance(code, int):
         return code
     return EXIT_DONE
+
+
+def _prepared(arguments: Sequence[str]) -> Sequence[str]:
+    """Prepare for the words of a command: permission, completion, help; returns those that are left to parse."""
+    # the permission comes first: commands of plug-ins are looked up already while the words are parsed
+    if _ALLOW_PLUGINS in arguments:
+        allow_plugins()
+        arguments = [word for word in arguments if word != _ALLOW_PLUGINS]
+    allow_typed(word.rpartition("=")[2] for word in arguments)
+
+    if os.environ.get(_COMPLETE):
+        completion_init()
+        os.environ["COLUMNS"] = "1000"  # each completion is one line
+
+    if not arguments or "--help" in arguments:
+        _import_help()
+    return arguments
 
 
 def _missing_package(error: BaseException, arguments: Sequence[str]) -> str:
@@ -291,6 +304,30 @@ def _refused(text: str, code: int) -> int:
     if os.environ.get(_TRACEBACK):
         typer.echo(traceback.format_exc(), err=True, nl=False)
     return complain(text, code)
+
+
+def _import_help() -> None:
+    """Import Typer's help without rich's Markdown and tracebacks, which take a fifth of its time and are not used."""
+    stubs = {}
+    for module, name in (("rich.markdown", "Markdown"), ("rich.traceback", "Traceback")):
+        if module not in sys.modules:
+            stubs[module] = ModuleType(module)
+            setattr(stubs[module], name, _class_imported_later(module, name))
+    sys.modules.update(stubs)
+    try:
+        import_module("typer.rich_utils")
+    finally:
+        for module in stubs:
+            del sys.modules[module]
+
+
+def _class_imported_later(module: str, name: str) -> type:
+    """A class in the place of another, which is imported when an object is made, e.g. for the help of a plug-in."""
+
+    def make(_: type, *arguments: Any, **named: Any) -> Any:
+        return getattr(import_module(module), name)(*arguments, **named)
+
+    return type(name, (), {"__new__": make})
 
 
 @functools.cache

@@ -9,6 +9,7 @@ import typer
 
 from mavfi.errors import BadInputError, allowed, hint
 
+HELP_PANEL = "Tools"
 SITE = Path(__file__).parents[1] / "data" / "site"
 """Where `make site` builds it."""
 HOME = "index"

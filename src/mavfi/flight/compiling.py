@@ -16,8 +16,6 @@ from mavfi.sim.camera import pixel_directions
 from mavfi.sim.environments import World
 from mavfi.states import new_state, rows
 
-FUNCTIONS = 101
-"""Compiled functions of a mission with default settings; others have a few more or less (`benchmarks.start`)."""
 _LATER_US = 1_000_000
 """Simulated time within which the results of a stage have reached their readers (us)."""
 _PERIODS = 3

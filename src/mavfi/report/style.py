@@ -58,13 +58,13 @@ def _halo(width: float) -> list[Any]:
 
 FLIGHT_LOOKS: Mapping[str, Mapping[str, Any]] = {
     "golden": {"color": GOLDEN, "linewidth": 6.0, "zorder": 4},
-    "injected": {"color": FAULT, "linewidth": 2.8, "zorder": 5, "path_effects": _halo(4.0)},
+    "injected": {"color": FAULT, "linewidth": 3.0, "zorder": 5, "path_effects": _halo(3.8)},
     "recovered": {
         "color": RECOVERED,
         "linewidth": 1.8,
-        "linestyle": (0, (3.5, 2)),
+        "linestyle": (0, (4, 3)),
         "zorder": 6,
-        "path_effects": _halo(3.4),
+        "path_effects": _halo(2.8),
     },
 }
 """Paths of flights, as keywords of `Axes.plot`: wide to narrow, so that each is seen where they coincide."""

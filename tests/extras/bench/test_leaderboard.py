@@ -64,5 +64,5 @@ def test_the_verdict_is_a_sentence_and_rows_are_sorted():
     terminal.print(short_table(table, ["Jump"]))
     text = terminal.export_text(styles=True)
     (line,) = (line for line in text.splitlines() if "Jump" in line)
-    assert "9/36 25 [14, 41]" in line and "\x1b[1;32m" in line, "one's own row stands out"
+    assert "▶ Jump" in line and "9/36 25 [14, 41]" in line and "\x1b[1;32m" in line, "one's own row stands out"
     assert "…" not in text

@@ -18,6 +18,8 @@ _PER_HOUR = re.compile(r"([\d.]+) \[([\d.]+), ([\d.]+)\]")
 _BACK = "back"
 _MOST_COLUMNS = 6
 _OWN_ROW = "bold green"
+_OWN_MARK = "▶ "
+"""How the user's rows stand out, also without colours."""
 
 
 class CountedShare(NamedTuple):
@@ -148,6 +150,8 @@ def _sentence(result: SchemeResult, others: Sequence[SchemeResult]) -> str:
         fact = f"better than {worse} of {len(others)} schemes"
         if same:
             fact += f", as good as {same}"
+        elif not worse:
+            fact = f"worse than all {len(others)} schemes"
         facts.append(fact)
     if result.false_alarms is not None:
         per_hour, _, upper = result.false_alarms
@@ -178,7 +182,10 @@ def short_table(table: Table, own: Collection[str]) -> RichTable:
     for heading in ("brought\nback, %", "it\nloses", "false alarms\nper hour", "late,\nback", "alarm\nafter"):
         grid.add_column(heading, justify="right", no_wrap=True)
     for result in results:
-        grid.add_row(*result.cells, style=_style(result.keys, own))
+        cells = list(result.cells)
+        if result.scheme in own:
+            cells[table.keys - 1] = f"{_OWN_MARK}{result.scheme}"
+        grid.add_row(*cells, style=_style(result.keys, own))
     return grid
 
 

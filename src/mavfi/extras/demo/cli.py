@@ -15,6 +15,7 @@ from mavfi.errors import BadInputError
 if TYPE_CHECKING:
     from mavfi.extras.demo.faults import FlownDemo
 
+HELP_PANEL = "Fly and look"
 _WIDTH = 80
 """Width of the text (characters)."""
 _INDENT = " " * 5
@@ -28,9 +29,10 @@ def demo(
         Path | None, typer.Option(metavar="FILE.html", help="Write a page with pictures, and flights in 3-D.")
     ] = None,
 ) -> None:
-    """Fly ten telling faults, each without a fault, with it, and with it under the detector recommended.
+    """Fly ten telling faults, or draw one of them.
 
-    With a number it draws this one to demo-NUMBER.png.
+    Each is flown without the fault, with it, and with it under the detector recommended. With a number, this one is
+    drawn to demo-NUMBER.png.
 
     Example: [bold]mavfi demo 3[/bold]
     """

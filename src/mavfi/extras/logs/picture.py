@@ -60,7 +60,7 @@ def _fields_of(log_watch: LogWatch, judged: JudgedLog) -> list[tuple[str, str]]:
 
 
 def _draw_field(axis: Axes, recording: LogRecording, judged: JudgedLog, topic: str, field: str) -> None:
-    """A field over time; bands are alarm events that name it, a line is the start of the known fault."""
+    """A field over time, with alarm events that name it, the start of the known fault and the first alarm after it."""
     messages = [message for message in recording.messages if message.topic == topic]
     start_us = recording.messages[0].time_us
     times = np.array([1e-6 * (message.time_us - start_us) for message in messages])
@@ -71,11 +71,11 @@ def _draw_field(axis: Axes, recording: LogRecording, judged: JudgedLog, topic: s
             begin = 1e-6 * (event.begin_us - start_us)
             end = 1e-6 * (event.end_us - start_us)
             axis.axvspan(begin - _MARGIN_S, end + _MARGIN_S, color=style.ALARM, alpha=0.45, linewidth=0)
+    alarm = judged.fault_alarm
+    if alarm is not None and alarm.topic == topic and field in alarm.fields:
+        _mark(axis, "first alarm", 1e-6 * (alarm.time_us - start_us), style.ALARM)
     if recording.onset_us is not None:
-        onset_s = 1e-6 * (recording.onset_us - start_us)
-        axis.axvline(onset_s, color=style.INJECTION, linestyle="--", linewidth=1.8)
-        above = axis.get_xaxis_transform()  # time (s), and share of the height
-        axis.annotate("fault", (onset_s, 1.0), (3, -9), xycoords=above, textcoords="offset points", fontsize=8)
+        _mark(axis, "fault", 1e-6 * (recording.onset_us - start_us), style.INJECTION)
     axis.set_title(f"{recording.name}: {topic} {field}", fontsize=8.5)
     # A corrupted value of 1e30 would flatten all others.
     finite = values[np.isfinite(values)]
@@ -83,3 +83,10 @@ def _draw_field(axis: Axes, recording: LogRecording, judged: JudgedLog, topic: s
         low, high = np.quantile(finite, (0.001, 0.999))
         spare = max(0.3 * float(high - low), 1e-9)
         axis.set_ylim(low - spare, high + spare)
+
+
+def _mark(axis: Axes, text: str, time_s: float, colour: str) -> None:
+    """Draw a dashed line at an instant, with its meaning at the top."""
+    axis.axvline(time_s, color=colour, linestyle="--", linewidth=1.8)
+    above = axis.get_xaxis_transform()  # time (s), and share of the height
+    axis.annotate(text, (time_s, 1.0), (3, -9), xycoords=above, textcoords="offset points", fontsize=8)

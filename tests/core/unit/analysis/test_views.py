@@ -115,7 +115,7 @@ def test_figures_of_the_paper_have_sources_and_are_found_by_key():
     assert paper.worst_time("farm", "dr_gaussian") == pytest.approx(0.742 - 0.635)
 
 
-def test_only_the_papers_profiles_are_compared_with_its_figures():
+def test_only_what_the_paper_flew_is_compared_with_its_figures():
     own = [golden(1), injected(1, flown())]
     assert table(runs(*own), "success").column("paper") == [0.95, 0.883]
     unlike = {"mission": ["planner rrt"], "faults": [], "arms": {}}

@@ -202,8 +202,9 @@ def test_a_replay_that_is_another_run_fails(capsys, flown, monkeypatch):
     ("arguments", "message"),
     [
         (["campaign", "run", "smoke", "--out", "OUT", "--workers", "0"], "workers: 0"),
+        (["campaign", "run", "smoke", "--scheduler", "tcp://a:1", "--workers", "8"], "--workers: 8: a scheduler has"),
         (["campaign", "run", "CONFIG", "--out", "CONFIG"], "cannot be written"),
-        (["campaign", "run", "smok"], "campaign 'smok': not known (did you mean 'smoke'?); allowed: as_published"),
+        (["campaign", "run", "smok"], "campaign 'smok': not known (did you mean 'smoke'?); allowed: smoke, "),
         (["campaign", "run", "FLOWN"], ": is a folder; allowed: as_published"),
         (["campaign", "run", "MARS", "--out", "OUT"], "mars.yaml: key 'host': 'mars': not known; allowed: "),
         (["campaign", "status", "OUT"], "holds no campaign"),

@@ -2,6 +2,7 @@
 
 import json
 import re
+from importlib.resources import files
 
 import pytest
 from matplotlib.figure import Figure
@@ -9,7 +10,7 @@ from matplotlib.figure import Figure
 from mavfi.analysis.table import Table
 from mavfi.analysis.views import table as table_of
 from mavfi.errors import BadInputError
-from mavfi.report import links
+from mavfi.report import links, style
 from mavfi.report.campaign_report import report_of
 from mavfi.report.html import page, report_page
 from mavfi.report.html.report_page import (
@@ -122,6 +123,18 @@ def test_figures_follow_the_theme_and_their_ids_are_unique(runs):
     assert ids and len(ids) == len(set(ids))
     n = len(runs.where("judged", setting="fi", population="sign_exponent"))
     assert f'aria-label="{n} runs: environment sparse, setting fi' in text
+
+
+def test_a_role_has_one_colour_in_pages_and_pictures():
+    light_theme = (files("mavfi.report.html") / "base.css").read_text(encoding="utf-8").partition("}")[0]
+    for name, colour in (
+        ("golden", style.GOLDEN),
+        ("injected", style.FAULT),
+        ("recovered", style.RECOVERED),
+        ("amber", style.INJECTION),
+        ("purple", style.ALARM),
+    ):
+        assert f"--{name}: {colour.lower()};" in light_theme
 
 
 def test_a_point_of_a_figure_links_to_a_set_of_its_runs(runs):
