@@ -64,7 +64,7 @@ lint: setup  ## formatting, lint, types, import contracts, links of the document
 	@$(BIN)/ruff check $(CODE)
 	@$(BIN)/mypy --num-workers $(JOBS)
 	@$(BIN)/lint-imports
-	@$(BIN)/python -m mkdocs build --quiet --site-dir build/site
+	@$(BIN)/python -m mkdocs build --site-dir build/site
 
 check: lint  ## the same, and fast tests
 	@$(PYTEST) -n $(JOBS) -m "not slow and not long and not machines and not alone"
@@ -96,7 +96,7 @@ docs: setup  ## write the pages and tables that are derived from the code
 	@$(BIN)/python -m tools.build_demo
 
 site: setup  ## build the documentation as a site, which the wheel ships and `mavfi docs` opens
-	@$(BIN)/python -m mkdocs build --quiet
+	@$(BIN)/python -m mkdocs build
 
 wheel: site  ## build sdist and wheel, use them in empty environments (ARGS="python3.11 python3.12 python3.13 --write")
 	@$(BIN)/python -m tools.check_release $(ARGS)

@@ -47,8 +47,12 @@ def _section(name: str, command: Any) -> Iterator[str]:  # noqa: ANN401
 
 
 def text_of(help_text: str) -> str:
-    """A help text in Markdown: its examples are code."""
-    return _STYLE.sub(lambda match: f"`{' '.join(match[1].split())}`", help_text).replace("\\[", "[")
+    """A help text in Markdown: its examples are code, its brackets are no links."""
+    plain = help_text.replace("\\[", "[")
+    coded = _STYLE.sub(lambda match: f"`{' '.join(match[1].split())}`", plain)
+    parts = coded.split("`")
+    parts[::2] = [part.replace("[", "\\[") for part in parts[::2]]  # every second one is code
+    return "`".join(parts)
 
 
 def _row(parameter: Any) -> str:  # noqa: ANN401

@@ -7,6 +7,7 @@ Links that leave docs: the site has a page `files/PATH` for each file or folder 
 since a reader of an installed package has no repository.
 """
 
+import logging
 import os
 import posixpath
 import re
@@ -33,7 +34,8 @@ _ENTRY = re.compile(r"\[([^\]]+)\]\((?![a-z]+:|#)([^)\s#]+)\)")
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Derive the navigation from the index pages."""
+    """Derive the navigation from the index pages; only warnings are printed (with `--quiet`, strict mode has none)."""
+    logging.getLogger("mkdocs").setLevel(logging.WARNING)
     _, *sections = _SECTION.split((DOCS / INDEX).read_text(encoding="utf-8"))
     config.nav = [{"Home": INDEX}]
     for title, text in zip(sections[::2], sections[1::2], strict=True):
