@@ -134,8 +134,8 @@ def _cache() -> Check:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
-    except OSError as error:
-        return Check("cache", False, f"each command compiles anew: set XDG_CACHE_HOME ({error.strerror})")
+    except OSError:
+        return Check("cache", False, "cannot be written, compiles each time: set XDG_CACHE_HOME")
     return Check("cache", True, _size(_files_of_ours(folder)))
 
 
