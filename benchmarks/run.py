@@ -14,7 +14,6 @@ from datetime import date
 from functools import partial
 from importlib.metadata import version
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 from benchmarks.depth import depth_rows

@@ -1,6 +1,6 @@
 """How long commands take from invocation to exit: the first flight on a machine, later ones, and help.
 
-Each figure is the shortest of a few runs on the wall.  What mavfi adds is compared, in the same run, with a program that
+Each figure is the shortest of a few runs on the wall.  Next to a later flight stands, from the same run, a program that
 does nothing but import the libraries which every flight needs.
 """
 
