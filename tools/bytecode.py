@@ -26,7 +26,7 @@ def imported_names(path: Path) -> Iterator[str]:
 
 def main() -> None:
     """Import all of them; what is not installed is left out."""
-    names = set()
+    names: set[str] = set()
     for path in PACKAGE.rglob("*.py"):
         names.update(imported_names(path))
     for name in sorted(names):
@@ -38,8 +38,8 @@ def main() -> None:
     # what Numba imports when it compiles for the first time
     from numba.core.registry import cpu_target
 
-    cpu_target.typing_context.refresh()  # type: ignore[no-untyped-call]
-    cpu_target.target_context.refresh()  # type: ignore[no-untyped-call]
+    cpu_target.typing_context.refresh()
+    cpu_target.target_context.refresh()
 
 
 if __name__ == "__main__":
