@@ -306,8 +306,10 @@ def _refused(text: str, code: int) -> int:
     return complain(text, code)
 
 
-def _import_help() -> None:
-    """Import Typer's help without rich's Markdown and tracebacks, which take a fifth of its time and are not used."""
+def _import_help(arguments: Sequence[str]) -> None:
+    """If these words ask for help, import Typer's, without rich's Markdown and tracebacks: a fifth of its time."""
+    if arguments and "--help" not in arguments:
+        return
     stubs = {}
     for module, name in (("rich.markdown", "Markdown"), ("rich.traceback", "Traceback")):
         if module not in sys.modules:
