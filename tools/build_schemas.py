@@ -65,7 +65,7 @@ def campaign_schema() -> dict[str, Any]:
 
 def study_schema() -> dict[str, Any]:
     """The schema of a study: of campaigns, or of assumptions."""
-    models = [Study, AssumptionStudy]
+    models: list[type[BaseModel]] = [Study, AssumptionStudy]
     names, whole = models_json_schema([(model, "validation") for model in models])
     return {"$schema": _DRAFT, "anyOf": list(names.values()), "$defs": whole["$defs"]}
 

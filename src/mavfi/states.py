@@ -477,7 +477,8 @@ def unknown(kind: str, name: str, names: Collection[str]) -> str:
         names: States or kernels that are allowed.
     """
     if name in set(Stage):
-        stages = KERNEL_STAGES | {spec.name: spec.stage for spec in (*KERNELS.values(), *STATES.values())}
+        stages = {each: kernel.stage for each, kernel in KERNELS.items()} | KERNEL_STAGES
+        stages |= {each: state.stage for each, state in STATES.items()}
         in_stage = [each for each in names if stages.get(each) == name]
         return f"{kind} {name!r}: is a stage; allowed: {allowed(in_stage)}"
     if name in STATES:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import typer
-from typer.completion import completion_init
+from typer.completion import completion_init  # type: ignore[attr-defined] # registers the shells of Typer
 from typer.core import TyperCommand, TyperGroup
 
 from mavfi.cli import panels
@@ -190,24 +190,20 @@ def run(arguments: Sequence[str]) -> int:
         arguments = [word for word in arguments if word != _ALLOW_PLUGINS]
     allow_typed(word.rpartition("=")[2] for word in arguments)
 
-    if os.environ.get(_COMPLETE):
-        completion_init()
-        os.environ["COLUMNS"] = "1000"  # each completion is one line
+    _prepare_completion()
 
     # every known kind of failure becomes a line and an exit code
     try:
-        code = _command().main(args=arguments or ["--help"], prog_name="mavfi", standalone_mode=False)
+        if _is_group(arguments):
+            arguments = [*arguments, "--help"]
+        code = _command().main(args=arguments, prog_name="mavfi", standalone_mode=False)
     except MavfiError as error:
         code = EXIT_FAILURE
         if isinstance(error, BadInputError) and not machine_failure(error):
             code = EXIT_BAD_INPUT
         return _refused(_as_typed(str(error), arguments), code)
     except typer.TyperException as error:  # missing argument, unknown option, invalid number
-        dropped = _dropped(arguments)
-        if dropped:
-            return complain(dropped, EXIT_BAD_INPUT)
-        message = _unknown_word(error, arguments) or _refused_value(error) or error.format_message().rstrip(".")
-        return complain(f"{message}; see `mavfi {_verb(arguments)}--help`", EXIT_BAD_INPUT)
+        return complain(_refused_words(error, arguments), EXIT_BAD_INPUT)
     except typer.Abort:
         return EXIT_STOPPED
     except (Exception, SystemExit) as error:
@@ -220,6 +216,22 @@ def run(arguments: Sequence[str]) -> int:
     if isinstance(code, int):
         return code
     return EXIT_DONE
+
+
+def _prepare_completion() -> None:
+    """Prepare for a shell that asks for completions instead of a command; nothing is done without it."""
+    if os.environ.get(_COMPLETE):
+        completion_init()
+        os.environ["COLUMNS"] = "1000"  # each completion is one line
+
+
+def _refused_words(error: typer.TyperException, arguments: Sequence[str]) -> str:
+    """The message on words that are no command: what to do instead, or what is allowed and where to read on."""
+    dropped = _dropped(arguments)
+    if dropped:
+        return dropped
+    message = _unknown_word(error, arguments) or _refused_value(error) or error.format_message().rstrip(".")
+    return f"{message}; see `mavfi {_verb(arguments)}--help`"
 
 
 def _as_typed(text: str, arguments: Sequence[str]) -> str:
@@ -335,6 +347,14 @@ def _parse_once(command: Any, ctx: Any, args: list[str]) -> list[str]:
 
 def _paragraphs(text: str) -> str:
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in inspect.cleandoc(text).split("\n\n"))
+
+
+def _is_group(arguments: Sequence[str]) -> bool:
+    """Whether words name a group of commands, and none of them."""
+    command = _command()
+    for word in arguments:
+        command = getattr(command, "commands", {}).get(word)
+    return hasattr(command, "commands")
 
 
 def _verb(arguments: Sequence[str]) -> str:
