@@ -23,9 +23,11 @@ export MPLBACKEND := Agg
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # Modules are compiled to bytecode once, not by each process that a test starts (empty = not set).
 export PYTHONDONTWRITEBYTECODE :=
+# A notice of mkdocs-material about its successor.
+export NO_MKDOCS_2_WARNING := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test nightly lint check format bench results clients ros docs wheel lock clean
+.PHONY: help setup reproduce test nightly lint check format bench results clients ros docs site wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -36,12 +38,15 @@ $(STAMP): requirements.lock pyproject.toml
 	@echo "Setting up $(VENV) ..."
 	@$(PYTHON) -c 'import sys; sys.exit("mavfi needs Python 3.11 or newer, this is " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@# bytecode is written when a module is first imported: most modules of the packages never are
+	@# most modules of the packages are never imported: only those are compiled that mavfi's commands import
 	@$(BIN)/python -m pip install -qq --no-compile --requirement requirements.lock
 	@$(BIN)/python -m pip install -qq --no-deps --no-build-isolation --editable .
+	@$(BIN)/python -m tools.bytecode
 	@# shown by `mavfi reproduce`; only for a new environment: an update takes a part of the time
 	@$(if $(BEGUN),echo $$(( $$(date +%s) - $(BEGUN) )) > $(VENV)/setup-seconds)
 	@touch $@
+	@echo "Next:  $(BIN)/mavfi fly       (a flight; the first one compiles its code)"
+	@echo "       $(BIN)/mavfi doctor    (what is here, and what is missing)"
 
 reproduce: setup  ## train, fly, print the tables and tested findings of the paper, write $(OUT) (SCALE=quick|paper)
 	@$(BIN)/mavfi reproduce --scale $(SCALE) --out $(OUT)
@@ -54,11 +59,12 @@ test: setup  ## run the tests
 nightly: setup  ## hours: killed campaigns, full disks, damaged files, flipped bits, other machines, no compiler (ONLY="chaos machines" SHARE=0.1)
 	@$(BIN)/python -m tests.nightly
 
-lint: setup  ## formatting, lint, types, import contracts
+lint: setup  ## formatting, lint, types, import contracts, links of the documentation
 	@$(BIN)/ruff format --check $(CODE)
 	@$(BIN)/ruff check $(CODE)
 	@$(BIN)/mypy --num-workers $(JOBS)
 	@$(BIN)/lint-imports
+	@$(BIN)/python -m mkdocs build --quiet --site-dir build/site
 
 check: lint  ## the same, and fast tests
 	@$(PYTEST) -n $(JOBS) -m "not slow and not long and not machines and not alone"
@@ -87,15 +93,13 @@ ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a
 docs: setup  ## write the pages and tables that are derived from the code
 	@$(BIN)/python -m tools.build_pages
 	@$(BIN)/python -m tools.build_notebook
+	@$(BIN)/python -m tools.build_demo
 
-wheel: setup  ## build the wheel, install it in an empty environment, run it
-	@rm -rf dist build/wheel-venv
-	@$(BIN)/python -m build --wheel --no-isolation --outdir dist . > /dev/null
-	@$(PYTHON) -m venv build/wheel-venv
-	@build/wheel-venv/bin/python -m pip install -qq --constraint requirements.lock dist/*.whl
-	@cd build && wheel-venv/bin/mavfi --help > /dev/null && wheel-venv/bin/mavfi states > /dev/null
-	@rm -rf build/wheel-venv
-	@ls dist/*.whl
+site: setup  ## build the documentation as a site, which the wheel ships and `mavfi docs` opens
+	@$(BIN)/python -m mkdocs build --quiet
+
+wheel: site  ## build sdist and wheel, use them in empty environments (ARGS="python3.11 python3.12 python3.13 --write")
+	@$(BIN)/python -m tools.check_release $(ARGS)
 
 lock:  ## renew requirements.lock from the ranges in pyproject.toml
 	@rm -rf build/lock-venv
@@ -105,5 +109,5 @@ lock:  ## renew requirements.lock from the ranges in pyproject.toml
 	@mv build/requirements.lock requirements.lock && rm -rf build/lock-venv
 
 clean:  ## remove what was built (not .venv, not out)
-	@rm -rf dist build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	@rm -rf dist build src/mavfi/data/site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	@find src tests examples benchmarks tools -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,4 +1,4 @@
-"""Speed of `mavfi airsim run` against real time, for the programs in examples/airsim; writes docs/airsim.md.
+"""Speed of `mavfi airsim run` against real time, for the programs in examples/airsim; writes docs/how-to/airsim.md.
 
     N=5 python -m benchmarks.airsim
 
@@ -66,7 +66,7 @@ def main() -> None:
         "as wall time."
     )
     table = markdown_grid(HEADINGS, rows, left=1)
-    fill(DOCS / "airsim.md", {"speed": f"{text}\n\n{table}"})
+    fill(DOCS / "how-to" / "airsim.md", {"speed": f"{text}\n\n{table}"})
     sys.stdout.write(table + "\n")
 
 

@@ -1,4 +1,4 @@
-"""Four public bug reports of autopilots as faults, without and with `recommended`; writes docs/fault-model.md.
+"""Four public bug reports of autopilots as faults, without and with `recommended`; writes docs/reference/faults.md.
 
     N=20 python benchmarks/bug_reports.py
 
@@ -21,7 +21,7 @@ from mavfi.levels.level import parse
 from mavfi.mission import MissionSpec, MissionStatus
 from tools.markers import between
 
-PAGE = Path(__file__).parents[1] / "docs" / "fault-model.md"
+PAGE = Path(__file__).parents[1] / "docs" / "reference" / "faults.md"
 FIRST_SEED = 10_000
 ENVIRONMENTS = ("sparse", "dense")
 AUTOPILOT = "published"

@@ -1,6 +1,6 @@
 """Overhead of campaigns with many missions: processor time and memory of the main process, the only ledger writer.
 
-    python -m benchmarks.cluster        (N="1000 10000 100000"; writes the table in docs/cluster.md)
+    python -m benchmarks.cluster        (N="1000 10000 100000"; writes the table in docs/how-to/cluster.md)
 
 Flights are stand-ins of zero duration: each mission plans and yields one golden and six injected runs, with records of
 realistic length.  The remaining cost is the campaign's overhead, measured against the number of missions.
@@ -222,7 +222,7 @@ def main() -> None:
         "mission."
     )
     table = "\n".join([HEAD, *(cost.row() for cost in costs)])
-    fill(DOCS / "cluster.md", {"cluster": "\n\n".join([text, table, on_paper(costs)])})
+    fill(DOCS / "how-to" / "cluster.md", {"cluster": "\n\n".join([text, table, on_paper(costs)])})
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Cost of detection: time of detectors relative to kernels in the same flights; writes docs/models.md.
+"""Cost of detection: time of detectors relative to kernels in the same flights; writes docs/reference/detectors.md.
 
     N=5 SEEDS=2 MODELS=out/models ONLY="pca duplicate" python -m benchmarks.detectors
 
@@ -24,7 +24,7 @@ from mavfi.states import BASELINES
 from tools.markers import DOCS, between
 from tools.processors import with_others
 
-PAGE = DOCS / "models.md"
+PAGE = DOCS / "reference" / "detectors.md"
 ENVIRONMENTS, AUTOPILOTS = ("dense", "factory"), ("published", "hardened")
 DETECTORS = (
     ("recommended", "paper", 2.0),

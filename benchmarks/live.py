@@ -1,4 +1,4 @@
-"""Cost of `mavfi fly --live`: flights with and without a viewer, in alternation; writes the table in docs/logs.md.
+"""Cost of `mavfi fly --live`: flights with and without a viewer, in alternation; writes docs/how-to/logs.md.
 
     N=10 python -m benchmarks.live
 
@@ -21,7 +21,7 @@ from mavfi.mission import MissionSpec
 from tests.extras.logs.viewer import Viewer
 from tools.markers import DOCS, fill
 
-PAGE = DOCS / "logs.md"
+PAGE = DOCS / "how-to" / "logs.md"
 SCENARIO = resolve(MissionSpec(environment="sparse", seed=7))
 KINDS = ("without --live", "--live, no viewer", "--live, a viewer of all topics")
 _TOPICS = 12

@@ -1,4 +1,4 @@
-"""Instruction faults at machine level and at IR level on small kernels; writes docs/fault-model.md, hardening.md.
+"""Instruction faults at machine level and at IR level on small kernels; writes instruction-level.md, hardening.md.
 
     N=400 python -m benchmarks.machine_level
 
@@ -46,8 +46,8 @@ from tools.full_protection import full_plan
 from tools.markers import between
 from tools.processors import with_others
 
-PAGE = Path(__file__).parents[1] / "docs" / "fault-model.md"
-HARDENING = PAGE.with_name("hardening.md")
+PAGE = Path(__file__).parents[1] / "docs" / "reference" / "instruction-level.md"
+HARDENING = PAGE.parents[1] / "how-to" / "hardening.md"
 MOST_SILENT = 0.04
 """Share of faults that may stay silent in protected code, its upper bound included."""
 ENVIRONMENT, AUTOPILOT, SEED = "sparse", "published", 10_000

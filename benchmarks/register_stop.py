@@ -17,7 +17,7 @@ from mavfi.extras.registers import inject
 from mavfi.faults.fault import DEFAULT_WALK, RegisterFault
 from tools.markers import between
 
-PAGE = Path(__file__).parents[1] / "docs" / "fault-model.md"
+PAGE = Path(__file__).parents[1] / "docs" / "reference" / "registers.md"
 TARGET = "import math\nprint(flush=True)\nx = 0.0\nwhile True:\n    x = math.sin(x) + 1.0"
 WALKS = (1, DEFAULT_WALK // 2, DEFAULT_WALK, 2 * DEFAULT_WALK)
 REGISTERS = ("all", "general", "fp")
@@ -54,7 +54,7 @@ def main() -> None:
     """Print the table, and write it on request."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--injections", type=int, default=300, help="for each row")
-    parser.add_argument("--write", action="store_true", help="put the table into docs/fault-model.md")
+    parser.add_argument("--write", action="store_true", help="put the table into docs/reference/registers.md")
     given = parser.parse_args()
     busy = os.getloadavg()[0]
     where = f"{given.injections} injections each; {os.cpu_count()} cores, load {busy:.1f}, Linux {platform.release()}"

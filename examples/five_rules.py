@@ -1,4 +1,4 @@
-"""The five rules of docs/engineers.md in plain Python, to copy into the consumers of a stack; mavfi is not needed.
+"""The five rules of docs/concepts/engineers.md in plain Python, for the consumers of any stack; mavfi is not needed.
 
 A rule returns what is wrong with a message, or "".  Comparisons are written so that NaN is wrong.  Limits are those of
 your vehicle and your planner: take them from error-free flights, with a margin.

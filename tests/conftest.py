@@ -42,6 +42,12 @@ def plug_ins_are_those_of_the_test(monkeypatch):
     monkeypatch.setattr(plugins, "_loaded", {})
 
 
+@pytest.fixture(scope="session", autouse=True)
+def what_tests_allow_is_not_remembered_for_the_user(tmp_path_factory):
+    """Ledgers of tests, and the plug-ins that are allowed in them, are no concern of whoever runs the tests."""
+    os.environ["XDG_STATE_HOME"] = str(tmp_path_factory.mktemp("state"))
+
+
 _MEMORY = {"limit": 500_000_000}
 """Bytes beyond which a worker gives memory back, after a test."""
 

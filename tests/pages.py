@@ -15,6 +15,8 @@ from tests.core.architecture.source import ROOT
 DOCS = ROOT / "docs"
 _PROGRAMS = ("make", "mavfi", "python", "rosbag", "$FLIGHT/join")
 _FILE = re.compile(r"^```(?:python|yaml|xml)\n(?:# |<!-- )(\S+)(?: -->)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_SESSION = re.compile(r"^```console\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_ELLIPSIS = "..."
 _COMMENT = re.compile(r"\s+# .*$")
 
 
@@ -33,6 +35,41 @@ def commands(page, section=""):
 def files(page):
     """Names and contents of the blocks that name their file in the first line."""
     return _FILE.findall((DOCS / page).read_text(encoding="utf-8"))
+
+
+def sessions(page):
+    """Commands of the page's terminal sessions with the lines that each is shown to print."""
+    text = (DOCS / page).read_text(encoding="utf-8")
+    blocks = "".join(_SESSION.findall(text))
+    steps = blocks.removeprefix("$ ").split("\n$ ")
+    return [(command, shown.splitlines()) for command, _, shown in (step.partition("\n") for step in steps)]
+
+
+def missing(shown, printed):
+    """Lines of a page that a command did not print, in this order; `...` stands for anything, frames do not count."""
+    lines = iter(" ".join(line.strip(" │").split()) for line in printed.splitlines())
+    wanted = [" ".join(line.removesuffix(_ELLIPSIS).split()) for line in shown if line != _ELLIPSIS]
+    return [line for line in wanted if not any(printed_line.startswith(line) for printed_line in lines)]
+
+
+def follow(page, folder, capsys, fewer=()):
+    """Write a page's files to a folder, the working directory, and run its commands in order.
+
+    `fewer`: patterns and replacements that make its campaigns small; these then need only end well.
+    """
+    from mavfi.cli import run
+
+    for name, content in files(page):
+        for pattern, text in fewer:
+            content = re.sub(pattern, text, content)
+        (folder / name).write_text(content, encoding="utf-8")
+    for command, shown in sessions(page):
+        program, *words = shlex.split(command)
+        alone = ["--workers", "1"] if words[:2] == ["campaign", "run"] else []
+        assert program == "mavfi" and run([*words, *alone]) == 0, f"{command}: {capsys.readouterr().err}"
+        printed = capsys.readouterr().out
+        if not fewer or words[0] not in ("campaign", "report"):
+            assert missing(shown, printed) == [], printed
 
 
 def arguments(command, variables):

@@ -1,4 +1,4 @@
-"""Write docs/results/hardening.md: curves, plan and certificate of the kernels, and sentences in README.md.
+"""Write docs/results/hardening.md: curves, plan and certificate of the kernels.
 
     make results NAME=hardening          # = python -m tools.build_hardening, with the options below
 
@@ -48,7 +48,7 @@ from mavfi.extras.hardening.target import FunctionTarget, Injected, injections_i
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
 from tools import results
-from tools.markers import ROOT, fill
+from tools.markers import ROOT
 from tools.stored_certificate import certification_of
 
 PAGE = "hardening"
@@ -279,30 +279,21 @@ def certificate_sentence(certification: Certification, page: str) -> str:
     return f"The shipped plan{verdict_line(certification).removeprefix('The plan')}{remark}"
 
 
-def sentence(advice: AdviceSummary) -> str:
-    """What the budget buys and what it does not, in one sentence for the README."""
-    buys = headline(advice).rstrip(".")
-    _, _, lost = caveats(advice)[0].partition(": ")
-    return f"{buys} ([curves, plans, certificates](docs/results/{PAGE}.md)), but buys no missions: {lost}"
-
-
 def write_page(study: HardeningStudy, advice: AdviceSummary, curves: Table, check: GoldenCheck) -> Path:
-    """Write the page, and the sentences in README.md."""
+    """Write the page."""
     campaign = study.campaign
     shipped = certificate()
     about = [
         f"campaign `{campaign.name}` ({', '.join(campaign.environments)}, {campaign.missions} missions from seed "
         f"{campaign.first_seed}, {campaign.faults} faults per kernel); {processor()}; method: "
-        "[hardening](../hardening.md)",
+        "[hardening](../how-to/hardening.md)",
         f"golden digests of protected flights: {check.same} of {check.flights} equal; {check.alarms} false alarms in "
         f"{check.calls:,} calls (without charged time: with it the longer latency changes the flight)",
     ]
     verdict = certificate_sentence(shipped, processor())
     text = f"{headline(advice)} {' '.join(caveats(advice))} {verdict}"
     tables = {"plan": advice_table(advice), "certificate": certificate_table(shipped), "curves": curves}
-    page = results.write(PAGE, "Hardening of the kernels", text, tables, [results.Excerpt("plan")], about)
-    fill(ROOT / "README.md", {"hardening": sentence(advice), "certificate": verdict})
-    return page
+    return results.write(PAGE, "Hardening of the kernels", text, tables, [results.Excerpt("plan")], about)
 
 
 def main() -> None:

@@ -26,6 +26,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.bench.bench import FOLDER, ROWS, SCORES, Bench, BenchPart, level_of, load_bench, published_rows
 from mavfi.report.text import rate, shown
 from tools import results
+from tools.build_readme import recommended_item
 from tools.markers import DOCS, IMAGES, ROOT, fill
 
 NAME = "mavfi-bench-1"
@@ -40,7 +41,7 @@ RULES = {
     "path vertices": 3,
     "way-point": 4,
 }
-"""Rule of docs/engineers.md that protects each site of the part `sites`."""
+"""Rule of docs/concepts/engineers.md that protects each site of the part `sites`."""
 LEVELS = {
     "state": "a value between kernels, every stage alike",
     "sites": "a value between kernels, fields and bits that lose most",
@@ -324,7 +325,7 @@ def headline(bench: Path) -> str:
     """
     # a row for each level that was flown with all three schemes
     lines = [
-        "| flipped bit in | lost | GAD of the paper | its AAD | `--detector recommended` |",
+        "| one flipped bit in | lost | the paper's Gaussian detector | its autoencoder | `recommended` |",
         "|---|---:|---:|---:|---:|",
     ]
     for part, where in LEVELS.items():
@@ -346,13 +347,13 @@ def headline(bench: Path) -> str:
         remark = _MOVED
     return "\n".join(
         [
-            "**And what brings them back?** Missions in `dense` and `factory` lost to one flipped bit, and how many of "
-            "them a detector saves:",
+            "Missions in the worlds `dense` and `factory` lost to one flipped bit, and how many of them a detector "
+            "brings back:",
             "",
             *lines,
             "",
             f"{_alarms(bench)}{remark}`recommended` consists of rules of physics and protocol; nothing is trained. "
-            f"[Leaderboard](docs/results/{PAGE}.md), with intervals; [five rules](docs/engineers.md) for a "
+            f"[Leaderboard](docs/results/{PAGE}.md), with intervals; [five rules](docs/concepts/engineers.md) for a "
             "stack of your own.",
         ]
     )
@@ -395,7 +396,8 @@ def about(bench: Bench) -> list[str]:
         f"[detection against false alarms](tables/{PAGE}/{SCORES}.csv) at any threshold, as curves: "
         "[this project's detectors](../images/curves-paper.png), "
         "[other libraries' and bounds](../images/curves-paper-others.png)",
-        "cost of detection: [models](../models.md#recommended); alarms that come late: [ROS](../ros.md#coupling); "
+        "cost of detection: [detectors](../reference/detectors.md#cost); "
+        "alarms that come late: [ROS](../how-to/ros.md#coupling); "
         "faults that last: [their page](lasting.md)",
     ]
     return lines
@@ -456,8 +458,9 @@ def main(arguments: Sequence[str]) -> int:
             shutil.copy(folder / "curves.png", IMAGES / picture)
         print(f"wrote {write_page(bench).relative_to(ROOT)}")
         if {PAPERS, PAPERS_OTHER, OURS} <= arms and (folder / "instruction").is_dir():
-            fill(DOCS / "engineers.md", {"rules": rules(folder / "sites", folder / "instruction")})
-            fill(ROOT / "README.md", {"recovery": headline(folder)})
+            fill(DOCS / "concepts" / "engineers.md", {"rules": rules(folder / "sites", folder / "instruction")})
+            recovery = headline(folder)
+            fill(ROOT / "README.md", {"recovery": recovery, "recommended": recommended_item(recovery)})
     except (BadInputError, OSError) as error:
         print(f"bad input: {error}", file=sys.stderr)
         return 2

@@ -21,7 +21,7 @@ from mavfi.pipeline.memory import Remembers
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.pipeline.words import words_of
 from mavfi.states import AUTOPILOTS, STATES, Field, StateSpec
-from tools import build_reference, build_schemas
+from tools import build_commands, build_reference, build_schemas
 from tools.fault_levels import level_table
 from tools.markers import DOCS, between
 
@@ -185,13 +185,16 @@ def sensor_table() -> str:
     absent = [f"`{kind}`" for kind in TYPES if kind not in MAVLINK_TYPES.values()]
     if absent:
         rows += ["", f"MAVLink has no command for {', '.join(absent)}."]
-    rows += ["", "Over MAVLink, `ok` ends failures, and `wrong` of `position` is [PX4's](mavlink.md#failures)."]
+    rows += [
+        "",
+        "Over MAVLink, `ok` ends failures, and `wrong` of `position` is [PX4's](../how-to/mavlink.md#failures).",
+    ]
     return "\n".join(rows)
 
 
 def ros_page() -> str:
     """The ROS page with its generated parts."""
-    page = (DOCS / "ros.md").read_text(encoding="utf-8")
+    page = (DOCS / "how-to" / "ros.md").read_text(encoding="utf-8")
     for name, block in (("graph", ros_graph()), ("topics", ros_topics()), ("views", ros_views())):
         page = between(page, name, block)
     return page
@@ -199,13 +202,15 @@ def ros_page() -> str:
 
 def pages() -> dict[Path, str]:
     """Every generated page with its current content."""
-    fault_model = DOCS / "fault-model.md"
-    model = between(fault_model.read_text(encoding="utf-8"), "states", state_table())
-    model = between(model, "sensors", sensor_table())
-    model = between(model, "levels", level_table())
+    faults = DOCS / "reference" / "faults.md"
+    fault_page = between(faults.read_text(encoding="utf-8"), "states", state_table())
+    fault_page = between(fault_page, "sensors", sensor_table())
+    levels = DOCS / "concepts" / "levels.md"
     return {
-        DOCS / "ros.md": ros_page(),
-        fault_model: between(model, "memory", memory_table()),
+        DOCS / "how-to" / "ros.md": ros_page(),
+        faults: between(fault_page, "memory", memory_table()),
+        levels: between(levels.read_text(encoding="utf-8"), "levels", level_table()),
+        **build_commands.pages(),
         **build_reference.pages(),
         **build_schemas.schemas(),
     }

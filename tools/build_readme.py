@@ -2,23 +2,26 @@
 
     make results NAME=study SCALE=paper          # after `make reproduce SCALE=paper`
 
-Of a study at another scale than paper, only the digests of its ledgers go to README.md.
+Of a study at another scale than paper, only the digests of its ledgers are copied.
 
 The reports write `readme_block.md` to their folders; the study writes `study.md`, its figures and tables.  All are
 copied verbatim, and the numbers of the README are parsed from the tables, so that none is entered by hand.
 """
 
+import csv
 import json
 import os
 import re
 import shutil
 import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from mavfi.extras.paper.report import JSON
 from mavfi.report.text import markdown_grid
 from tools import published_digests
-from tools.markers import DOCS, ROOT, banner, fill
+from tools.markers import DOCS, ROOT, banner, block_of, fill
 from tools.results import RESULTS, TABLES
 
 BLOCKS = {
@@ -29,7 +32,6 @@ BLOCKS = {
 """File of each table, by marker name."""
 PUBLISHED = "paper"
 """The scale whose results are shown."""
-DATE = r"Generated on (\S+) by (mavfi \S+)"
 Count = tuple[int, int]
 """Number of successes, and n."""
 
@@ -52,85 +54,124 @@ def totals(block: str) -> dict[tuple[str, str], Count]:
 
 
 def lost(count: Count) -> str:
-    """Failed missions of a row as text: `9 of 312 missions (2.9 %)`."""
+    """Failed missions of a row as text: `9 of 312 (2.9 %)`."""
     successes, n = count
     failures = n - successes
-    return f"{failures} of {n} missions ({100 * failures / n:.1f} %)"
+    return f"{failures} of {n} ({100 * failures / n:.1f} %)"
 
 
-def headline(fitted: str, letter: str) -> str:
-    """What one fault costs, as a paragraph, the table that a reader of the paper knows, and what its letter gives.
+CLAIMS = TABLES / "study" / "claims.csv"
+"""Findings of the paper with the verdict on each."""
+VERDICTS = ("confirmed", "contradicted", "undecided")
+READINGS = (
+    ("published_table", "here", "a value that the paper's detectors watch: the reading that fits its table best"),
+    ("table", "here", "any value between programs, in its sign or exponent"),
+    ("instruction_table", "here, node restarts", "an executed instruction, the letter of its text"),
+    ("instruction_table", "here, mission ends", "the same, but a program that crashes is not restarted"),
+)
+"""Where a bit is flipped, by table and policy."""
+
+
+def findings(blocks: Mapping[str, str], claims: Sequence[Mapping[str, str]]) -> str:
+    """What one fault costs, how many of the paper's findings are confirmed, and what its detectors recover, as a list.
 
     Args:
-        fitted: The success table as published.
-        letter: The success table at instruction level.
+        blocks: Success tables by marker name.
+        claims: Rows of the study's table of findings.
 
     Raises:
         ValueError: A block is not such a table.
     """
-    rows = totals(fitted)
-    letter_rows = totals(letter)
-    origin = re.search(DATE, fitted)
-    try:
-        golden = rows["Golden run", "here"]
-        fault = rows["Injection run", "here"]
-        gaussian = rows["Gaussian-based", "here"]
-        autoencoder = rows["Autoencoder-based", "here"]
-        mission_ends = letter_rows["Injection run", "here, mission ends"]
-        node_restarts = letter_rows["Injection run", "here, node restarts"]
-        with_detector = letter_rows["Gaussian-based", "here, node restarts"]
-    except KeyError as error:
-        raise ValueError(f"not a success table: no row {error}") from error
-    if origin is None:
-        raise ValueError("not a success table: its date is missing")
-    return "\n\n".join(
+    fitted = _rows_of(blocks["published_table"])
+    letter = _rows_of(blocks["instruction_table"])
+    golden = fitted["Golden run", "here"]
+    counts = Counter(claim["verdict"] for claim in claims)
+    verdicts = {claim["claim"]: claim["verdict"] for claim in claims}
+    return "\n".join(
         [
-            f"**One flipped bit in a value that the detectors watch fails {lost(fault)}**, with the paper's Gaussian "
-            f"detector {lost(gaussian)}, with its autoencoder {lost(autoencoder)}. Without a fault {golden[0]} of "
-            f"{golden[1]} missions succeed. ({origin[2]}, {origin[1]}.)",
-            compact(fitted),
-            "The paper's golden runs fail in sparse and dense, whatever the fault, ours do not: compare the "
-            "differences to the first row. This is the reading of paper and published code that fits the paper best: "
-            "[which assumptions produce its tables](docs/results/assumptions.md). By the letter of its text, one bit "
-            f"of one executed instruction, a fault fails {lost(node_restarts)} if a dead node restarts, "
-            f"{lost(mission_ends)} if it ends the mission, and {lost(with_detector)} with restarts and the Gaussian "
-            "detector ([both tables, with intervals](docs/results.md)).",
+            f"- **A fault:** without one {golden[0]} of {golden[1]} missions succeed. One flipped bit in a value that "
+            f"programs exchange loses {lost(fitted['Injection run', 'here'])}; one in an executed instruction "
+            f"{lost(letter['Injection run', 'here, node restarts'])}, or "
+            f"{lost(letter['Injection run', 'here, mission ends'])} if a crashed program is not restarted.",
+            f"- **The paper:** of {len(claims)} of its findings, each tested on fresh flights, "
+            + ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS)
+            + " at this number of flights ([every one](docs/results/study.md#findings-of-the-paper-tested)).",
+            "- **Its detectors,** under the reading of the paper that fits its table best, leave "
+            f"{lost(fitted['Gaussian-based', 'here'])} missions lost (ranges of values, Gaussian) and "
+            f"{lost(fitted['Autoencoder-based', 'here'])} (autoencoder). By the letter of its text, faults in executed "
+            f"instructions, that they bring missions back is {verdicts['gaussian_recovers']} for the first, "
+            f"{verdicts['autoencoder_recovers']} for the second ([by assumption](#what-was-found)).",
         ]
     )
 
 
-def compact(block: str) -> str:
-    """Success rates in per cent by setting and environment, with the paper's in brackets, as a Markdown table.
-
-    Args:
-        block: A success table; at instruction level, nodes that die restart.
+def by_reading(blocks: Mapping[str, str]) -> str:
+    """Missions lost without and with the paper's detectors, by what the paper is taken to mean, as a Markdown table.
 
     Raises:
-        ValueError: The block is not a success table.
+        ValueError: A block is not a success table.
     """
-    rows = [
-        [cell.strip() for cell in line.strip("|").split("|")] for line in block.splitlines() if line.startswith("|")
-    ]
+    lines = []
+    for name, policy, meaning in READINGS:
+        rows = _rows_of(blocks[name])
+        settings = ("Injection run", "Gaussian-based", "Autoencoder-based")
+        counts = [rows[setting, policy] for setting in settings]
+        lines.append([meaning, str(counts[0][1]), *(_share_lost(count) for count in counts)])
+    return markdown_grid(
+        ["one flipped bit in", "missions", "lost", "with the Gaussian detector", "with the autoencoder"], lines, left=1
+    )
 
-    # rates by setting, then by whose they are; a row without a setting belongs to the one above
-    rates: dict[str, dict[str, list[str]]] = {}
-    setting = ""
-    for name, policy, *cells in rows[2:]:
-        setting = name or setting
-        kind = {"here": "here", "here, node restarts": "here", "paper": "paper"}.get(policy)
-        if kind:
-            rates.setdefault(setting, {})[kind] = [cell.split()[0] for cell in cells]
-    if not rates or any(set(kinds) != {"here", "paper"} for kinds in rates.values()):
-        raise ValueError("not a success table with the paper's rates")
 
-    # ours, with the paper's in brackets
-    sizes = sorted({int(n) for line in rows for cell in line for n in re.findall(r" \d+/(\d+)$", cell)})
-    lines = [
-        [setting, *(f"{here} ({paper})" for here, paper in zip(kinds["here"], kinds["paper"], strict=True))]
-        for setting, kinds in rates.items()
-    ]
-    grid = markdown_grid(["missions that succeed, % (the paper's)", *rows[0][2:]], lines, left=1)
-    return "\n".join([grid, "", f"One fault per mission; n = {sizes[0]} to {sizes[-1]} per cell."])
+def _judged(lost: str, cell: str) -> int:
+    """Number of lost missions that a cell judges; one like "0 of 61 (0 %)" judges fewer than its row."""
+    fewer = re.search(r"of (\d+)", cell)
+    if fewer:
+        return int(fewer[1])
+    return int(lost)
+
+
+def recommended_item(recovery: str) -> str:
+    """What `recommended` brings back, from the block of the leaderboard, as an item of a list.
+
+    Raises:
+        ValueError: The block has no rows of counts.
+    """
+    rows = [line.strip("|").split("|")[1:] for line in recovery.splitlines() if re.match(r"\| [^|]+ \| \d+ \|", line)]
+    if not rows:
+        raise ValueError("not the recovery block: no rows of counts")
+    totals_back = []
+    for column in (1, 2, 3):
+        back = sum(int(row[column].split()[0]) for row in rows)
+        judged = sum(_judged(row[0], row[column]) for row in rows)
+        totals_back.append(f"{back:,} of {judged:,}")
+    gaussian, autoencoder, recommended = totals_back
+    return (
+        f"- **What helps:** [`recommended`](docs/concepts/recovery.md), rules of physics and protocol that need no "
+        f"training, brings back {recommended} missions lost to {len(rows)} kinds of faults, which this project chose; "
+        f"the paper's Gaussian detector {gaussian}, its autoencoder {autoencoder}."
+    )
+
+
+def _rows_of(block: str) -> dict[tuple[str, str], Count]:
+    """Rows of a success table; a ValueError if there are none, or no date."""
+    rows = totals(block)
+    if ("Injection run", "paper") in rows or not any(setting == "Golden run" for setting, _ in rows):
+        raise ValueError("not a success table")
+    return rows
+
+
+def _share_lost(count: Count) -> str:
+    """Failed missions of a row in a cell: `9 (2.9 %)`."""
+    successes, n = count
+    failures = n - successes
+    return f"{failures} ({100 * failures / n:.1f} %)"
+
+
+def readme_blocks(page: str, claims: Path = CLAIMS) -> dict[str, str]:
+    """Parts of README.md, from the tables of docs/results.md, by marker name."""
+    blocks = {name: block_of(page, name) for name in BLOCKS}
+    with claims.open(encoding="utf-8", newline="") as file:
+        return {"findings": findings(blocks, list(csv.DictReader(file))), "readings": by_reading(blocks)}
 
 
 def copy_study(out: Path) -> None:
@@ -157,10 +198,10 @@ def main(out: Path) -> int:
     if study["scale"] == PUBLISHED:
         blocks = {name: (out / file).read_text(encoding="utf-8") for name, file in BLOCKS.items()}
         fill(DOCS / "results.md", blocks)
-        fill(ROOT / "README.md", {"headline": headline(blocks["published_table"], blocks["instruction_table"])})
         copy_study(out)
+        fill(ROOT / "README.md", readme_blocks((DOCS / "results.md").read_text(encoding="utf-8")))
     published_digests.write(digests, DOCS)
-    fill(ROOT / "README.md", {"digests": published_digests.block(digests)})
+    fill(DOCS / "results.md", {"digests": published_digests.block(digests)})
     return 0
 
 

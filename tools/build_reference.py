@@ -60,17 +60,17 @@ As text, for `--fault` of `mavfi fly` and `mavfi ros fly`; whatever is left out 
 | `state:planning.waypoint.x:bit=62:also=y.60+z.3@5` | in the same publication bit 60 of y and bit 3 of z as well |
 | `state:planning.waypoint.x:width=4:times=2` | 4 adjacent bits, in two publications, recomputed ones included |
 | `state:control.command.vx:set=nan@10..12` | not a number in every publication from 10 to 12 s; \
-[all operations](../fault-model.md#values-messages-operations) |
+[all operations](../reference/faults.md#operations) |
 | `state:planning.trajectory.y[3]:bias=2@trajectory_seq>1` | 2 m added, at the first replan |
 | `message:planning.trajectory:drop@10..12` | whole publications are lost |
 | `message:control.command:delay=0.2:times=20` | 20 of them are late, from a drawn one on |
 | `memory:planner` | one bit of what the kernel remembers, at an instant of the golden flight |
 | `memory:planner.acted_seq` | of the words with this name, or the end or a part of it |
 | `memory:waypoint.points[33]:bit=62@20.0` | bit 62 of word 33 of an array, before the steps at 20 s |
-| `sensor:gyro:drift@10` | the gyro's error grows from 10 s on ([types](../fault-model.md#sensors-and-motors)) |
+| `sensor:gyro:drift@10` | the gyro's error grows from 10 s ([types](../reference/faults.md#sensors-and-motors)) |
 | `sensor:motor2:off:lasts=0.5` | motor 2 stands still for 0.5 s, from an instant of the golden flight on |
 | `instruction:octomap` | one bit in the result of one instruction that the kernel executes |
-| `instruction:pid:which=floating_point` | of this class of instructions ([fault model](../fault-model.md)) |
+| `instruction:pid:which=floating_point` | of this class ([instruction level](../reference/instruction-level.md)) |
 | `instruction:pid:model=zero` | the value becomes zero; other models: `one_bit`, `bits`, `random`, \
 `low_byte`, `high_bits` |
 | `instruction:pid.track:call=7:index=42:bit=3:budget=N:ir=DIGEST` | one instruction of one call, as `mavfi shrink` \

@@ -1,4 +1,4 @@
-"""Fly the bench `five-rules`, and write the benefit of each rule alone in docs/engineers.md.
+"""Fly the bench `five-rules`, and write the benefit of each rule alone in docs/concepts/engineers.md.
 
 make results NAME=five-rules
 """
@@ -64,7 +64,7 @@ def main(arguments: list[str]) -> int:
     except BadInputError as error:
         print(f"bad input: {error}", file=sys.stderr)
         return 2
-    fill(DOCS / "engineers.md", {"single-rules": rows})
+    fill(DOCS / "concepts" / "engineers.md", {"single-rules": rows})
     return 0
 
 

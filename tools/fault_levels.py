@@ -1,4 +1,4 @@
-"""The table in docs/fault-model.md that puts the levels side by side, from the tables of docs/results."""
+"""The table in docs/concepts/levels.md that puts the levels side by side, from the tables of docs/results."""
 
 import csv
 from collections.abc import Iterable

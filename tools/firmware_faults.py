@@ -174,7 +174,7 @@ TEXT = (
     "Two of three flipped bits leave the flight bit for bit as it was; one of six ends the firmware's process, nearly "
     "always one in the stack or a general register, and one of sixteen loses control, mostly one in a floating-point "
     "register. One bit of a register that an instruction of the main thread reads or writes, uniform over its "
-    "instructions. How it is done: [firmware](../firmware.md)."
+    "instructions. How it is done: [firmware](../how-to/firmware.md)."
 )
 NOTES = (
     f"flights of {patterns.LENGTH_S:g} s without the pipeline, the fault between {patterns.FIRST_S:g} and "
@@ -281,7 +281,7 @@ def write_page(campaign: Path) -> Path:
 
 
 def headline() -> str:
-    """The table of both patterns, for docs/fault-model.md."""
+    """The table of both patterns, for docs/reference/registers.md."""
     excerpt = results.Excerpt("patterns", lambda row: row["by"] == "flight", ("group", "n", *patterns.OUTCOMES))
     return excerpt.markdown(pattern_table())
 
@@ -297,7 +297,8 @@ def main() -> None:
         healthy_missions(environment, _FIRST_MISSION, 10, 1)
         healthy_missions(environment, 1, 4, 3)
     page = write_page(results.fly("firmware", scale=""))
-    fill(DOCS / "fault-model.md", {"firmware": headline(), "levels": level_table()})
+    fill(DOCS / "reference" / "registers.md", {"firmware": headline()})
+    fill(DOCS / "concepts" / "levels.md", {"levels": level_table()})
     print(f"wrote {page.relative_to(ROOT)}")
 
 

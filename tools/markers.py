@@ -30,6 +30,11 @@ def between(page: str, name: str, block: str) -> str:
     return f"{page.split(begin)[0]}{begin}\n{block.strip()}\n{end}{page.split(end)[1]}"
 
 
+def block_of(page: str, name: str) -> str:
+    """The text between a page's markers; "" if it has none."""
+    return page.partition(f"<!-- {name}:begin -->")[2].partition(f"<!-- {name}:end -->")[0].strip()
+
+
 def fill(path: Path, blocks: dict[str, str]) -> None:
     """Write blocks between the markers of a page.
 

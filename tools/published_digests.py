@@ -1,4 +1,4 @@
-"""Digests of the study of the paper, by scale: kept in docs/results/digests.json, shown in README.md.
+"""Digests of the study of the paper, by scale: kept in docs/results/digests.json, shown in docs/results.md.
 
 With them is stored a fingerprint of the campaigns and of the golden flights of the tests.  Tests compare it with the
 program: outdated digests fail.

@@ -84,7 +84,7 @@ TEXT = (
     "that jump: they find a motor that stops, and **few or none of the faults of a fixed-wing aircraft's control "
     "surfaces and engine**, which change the motion slowly. A field that jumps in the training blinds them to smaller "
     "jumps: heading and yaw of ALFA were interpolated across north. Exposure is minutes, about an hour for ALFA: a row "
-    "without any alarm excludes only rates above the upper bound. How: [logs](../logs.md)."
+    "without any alarm excludes only rates above the upper bound. How: [logs](../how-to/logs.md)."
 )
 NOTES = (
     "alarms within one second count as one event; a detector that raises alarms all the time has few events, so the "

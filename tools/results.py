@@ -131,7 +131,7 @@ CAMPAIGNS = {
         "gives the mission up and keeps the vehicle in the air. One bit of a field stays stuck (*intermittent*: in a "
         "fifth of the publications; *twice*: the resent value as well), or adjacent bits flip once (burst); every "
         "duration has the same draws of field, instant and bit. "
-        "How: [fault model](../fault-model.md#a-fault-is-data-an-injection-is-an-event).",
+        "How: [faults](../reference/faults.md#definitions).",
         {"lasting": ("schemes", "schemes_by_duration", "schemes_by_target")},
         (
             Excerpt("schemes", columns=("scheme", "faults", *SUMMARY)),
@@ -147,7 +147,7 @@ CAMPAIGNS = {
         "Missions are lost to a planner that dies: `recommended`, which restarts it, loses none, nor does a planner "
         "that is protected in full; the plan for 10 % of a flight's kernel time (`ten_percent`) buys fewer silent "
         "corruptions, not missions. `full` protects pid and rrt_connect in full, which leaves them no silent "
-        "corruption ([hardening](../hardening.md)).",
+        "corruption ([hardening](../how-to/hardening.md)).",
         {"protected": ("kernel_effects_by_setting", "schemes_instructions", "failures_per_hour")},
         (
             Excerpt("schemes_instructions", columns=("scheme", "faults", "lost", "brought back", "lost under it")),
@@ -163,7 +163,7 @@ CAMPAIGNS = {
         "A failing motor or gyro loses two missions of three, a failing depth camera one of four; the paper's "
         "Gaussian detector changes none of this, nor does flying on the estimator. Each unit fails from a random "
         "instant to the end of the flight, one of eight types in equal shares: "
-        "[fault model](../fault-model.md#sensors-and-motors).",
+        "[faults](../reference/faults.md#sensors-and-motors).",
         {"sensors": ("by_unit", "by_failure", "by_unit_and_environment")},
         (
             Excerpt("by_unit", lambda row: row["setting"] in ("fi", "fi_estimator")),
@@ -175,7 +175,7 @@ CAMPAIGNS = {
         "A detector whose own memory or instructions are hit loses hardly a mission (1 of 1,600 faults in memory, "
         "none of 1,800 in instructions); up to 4.5 % fly more than 5 % longer after a needless recomputation. "
         "`gaussian_tuned` has the physics gate in front, into which its faults in memory are injected. Failures per "
-        "flight hour: [models](../models.md#failures-per-flight-hour).",
+        "flight hour: [models](../reference/models.md#failures-per-flight-hour).",
         {
             "detector_memory": ("by_target", "outcomes"),
             "detector_memory_others": ("by_target", "outcomes"),
@@ -190,6 +190,7 @@ CAMPAIGNS = {
 MODULES = {
     "assumptions": "tools.build_assumptions",
     "leaderboard": "tools.build_leaderboard",
+    "figures": "tools.draw_results",
     "five-rules": "tools.build_rules",
     "hardening": "tools.build_hardening",
     "golden-rates": "tools.golden_rates",

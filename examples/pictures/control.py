@@ -134,7 +134,7 @@ def draw_waypoint() -> None:
         axes.plot(flight.log.column("time"), actual, color=style.SKY, linewidth=2.2, label="vehicle")
         axes.step(times, speeds, where="post", color=style.INK, linewidth=1.0, label="way-point in force")
         alarms = [1e-6 * e.time_us for e in flight.log.events if e.kind == "collision_predicted"]
-        axes.plot(alarms, [3.45] * len(alarms), "v", color=style.ORANGE, label="predicted collision")
+        axes.plot(alarms, [3.45] * len(alarms), "v", color=style.ALARM, label="predicted collision")
         axes.set(title=f"{profile}: {rule}", ylabel="speed (m/s)", ylim=(0.0, 3.7))
         axes.grid(True)
     rows[1].set(xlabel="time (s)", xlim=(0.0, None))

@@ -32,7 +32,6 @@ IMAGES = DOCS / "images"
 _DOTS_PER_INCH = 110
 LARGEST_FILE = 120_000
 """Maximum size of a picture (bytes)."""
-SOLID, EDGE = "#DEDEDE", "#A8A8A8"
 
 Tape = list[tuple[int, State]]
 """Every publication of a flight with its instant (us)."""
@@ -102,7 +101,7 @@ def draw_boxes(axes: Axes, world: World, index: int = 1) -> None:
         Rectangle((low[0], low[index]), high[0] - low[0], high[index] - low[index])
         for low, high in zip(world.lower, world.upper, strict=True)
     ]
-    axes.add_collection(PatchCollection(patches, facecolor=SOLID, edgecolor=EDGE, linewidth=0.5, zorder=1))
+    axes.add_collection(PatchCollection(patches, zorder=1, **style.OBSTACLE_LOOK))
 
 
 def cube(values: np.ndarray, grid: Grid) -> np.ndarray:
@@ -144,9 +143,9 @@ def draw_tree(axes: Axes, nodes: np.ndarray, parents: np.ndarray, colour: str, w
 
 def draw_ends(axes: Axes, start: np.ndarray, goal: np.ndarray) -> None:
     """Draw start and goal from above."""
-    look: dict[str, Any] = {"linestyle": "", "markeredgecolor": "white", "color": style.INK, "zorder": 9}
-    axes.plot(start[0], start[1], marker="o", markersize=8, label="start", **look)
-    axes.plot(goal[0], goal[1], marker="s", markersize=8, label="goal", **look)
+    look: dict[str, Any] = {"linestyle": "", "markeredgecolor": "white", "markersize": 8, "zorder": 9}
+    axes.plot(start[0], start[1], label="start", **style.START_MARK, **look)
+    axes.plot(goal[0], goal[1], label="goal", **style.GOAL_MARK, **look)
 
 
 def from_above(axes: Axes, x: tuple[float, float], y: tuple[float, float]) -> None:

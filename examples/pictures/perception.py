@@ -22,7 +22,7 @@ ALARM = 6
 """Index of the predicted collision shown."""
 IMAGE_US = 12_000_000
 """Instant of the depth image shown (us)."""
-NEAR, SOLID = "#EBDCC8", "#3B3B3B"
+NEAR = "#EBDCC8"
 _BEYOND = "#999999"
 
 
@@ -68,9 +68,8 @@ def draw_collision_check(scenario: Scenario, flight: Flight, tape: drawing.Tape,
     layer = drawing.layer_of(clearance.grid, position[2])
     drawing.draw_boxes(axes, flight.world)
     drawing.shade(axes, clearance.grid, drawing.cube(clearance.narrow, clearance.grid)[:, :, layer] > 0, NEAR)
-    drawing.shade(
-        axes, clearance.grid, drawing.cube(clearance.cells, clearance.grid)[:, :, layer] == OCCUPIED, SOLID, order=2.1
-    )
+    occupied = drawing.cube(clearance.cells, clearance.grid)[:, :, layer] == OCCUPIED
+    drawing.shade(axes, clearance.grid, occupied, style.OCCUPIED, order=2.1)
     axes.plot(*points[:, :2].T, ".-", color=style.GREEN, linewidth=1.2, markersize=5, zorder=4)
     axes.plot(*points[index, :2], "o", color=style.BLUE, markersize=8, zorder=6)
     axes.plot(*position[:2], marker=(3, 0, -90), color=style.INK, markersize=11, zorder=7)
@@ -103,9 +102,9 @@ def _legend(resolution: float) -> list[Line2D | Patch]:
     )
     return [
         *(Line2D([], [], label=name, color=colour, marker=marker, linestyle="") for name, colour, marker in marks),
-        Patch(facecolor=SOLID, label=f"occupied voxel ({resolution:g} m)"),
+        Patch(facecolor=style.OCCUPIED, label=f"occupied voxel ({resolution:g} m)"),
         Patch(facecolor=NEAR, label="nearer than the checker's radius"),
-        Patch(facecolor=drawing.SOLID, edgecolor=drawing.EDGE, label="obstacle"),
+        Patch(label="obstacle", **style.OBSTACLE_LOOK),
     ]
 
 

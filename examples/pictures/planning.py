@@ -21,7 +21,7 @@ from mavfi.sim.environments import World
 
 ITERATIONS = 800
 RANGE, GOAL_BIAS = 4.0, 0.05
-OCCUPIED, NEAR = "#3B3B3B", "#E4D9CC"
+NEAR = "#E4D9CC"
 BUDGETS = np.arange(100, 2001, 50)
 RUNS = 10
 HEIGHT = 4.0
@@ -69,7 +69,7 @@ def background(axes: Axes) -> None:
     clearance, world = scene()
     layer = drawing.layer_of(clearance.grid, HEIGHT)
     drawing.shade(axes, clearance.grid, drawing.cube(clearance.wide, clearance.grid)[:, :, layer] > 0, NEAR)
-    drawing.shade(axes, clearance.grid, drawing.cube(clearance.cells, clearance.grid)[:, :, layer] == 2, OCCUPIED)
+    drawing.shade(axes, clearance.grid, drawing.cube(clearance.cells, clearance.grid)[:, :, layer] == 2, style.OCCUPIED)
     drawing.draw_ends(axes, world.start, world.goal)
 
 

@@ -14,6 +14,7 @@ from mavfi.flight.compose import pipeline_config, resolve
 from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.estimation import StateEstimator
+from mavfi.report import style
 from mavfi.states import State, floats
 
 PARTS = (
@@ -51,7 +52,7 @@ def draw(path: Path) -> None:
     figure, panels = plt.subplots(1, 2, figsize=(11, 3.8), layout="constrained")
     for panel, (label, columns, first, limit) in zip(panels, PARTS, strict=True):
         truth = flight.log.columns(*columns)[:-1]
-        for axis, colour in enumerate(("tab:blue", "tab:orange", "tab:green")):
+        for axis, colour in enumerate((style.BLUE, style.ORANGE, style.GREEN)):
             error = estimates[:, first + axis] - truth[:, axis]
             panel.plot(times, error, color=colour, linewidth=0.9, label=columns[axis])
         for sign in (-3.0, 3.0):

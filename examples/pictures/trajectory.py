@@ -11,6 +11,7 @@ from examples.pictures import drawing
 
 from mavfi.kernels.planning import knots, minimum_snap, time_allocation, trajectory
 from mavfi.numerics.voxels import Grid, offsets_within
+from mavfi.report import style
 
 CURVE_LIMITS = knots.CurveLimits(3.0, 4.5, 2.0, 3.5, 2.5, 4.0, 2.5, 1.5)
 LIMITS = trajectory.Limits(3.0, 3.0, 3.5, 2.5, 4.0, 2.5, 3.0)
@@ -69,12 +70,12 @@ def draw(path: Path) -> None:
     shade = np.where(occupied[:, :, 0], 2.0, narrow[:, :, 0]).T
     above.imshow(shade, origin="lower", extent=(0, GRID.nx / 2, 0, GRID.ny / 2), cmap="Greys", vmin=0.0, vmax=4.0)
     above.plot(PATH[:, 0], PATH[:, 1], "--", color="black", linewidth=1.0, label="shortcut path")
-    above.plot(before[:, 0], before[:, 1], color="tab:red", label="first curve: leaves free space")
-    above.plot(after[:, 0], after[:, 1], color="tab:blue", label="after splitting")
-    above.plot(passed[:, 0], passed[:, 1], ".", color="tab:blue", label="its knots")
+    above.plot(before[:, 0], before[:, 1], color=style.FAULT, label="first curve: leaves free space")
+    above.plot(after[:, 0], after[:, 1], color=style.BLUE, label="after splitting")
+    above.plot(passed[:, 0], passed[:, 1], ".", color=style.BLUE, label="its knots")
     above.set(xlabel="x (m)", ylabel="y (m)", title="dark: occupied, light: nearer than the checker's radius")
     above.legend(loc="upper left", fontsize=8)
-    for points, colour, label in ((after, "tab:blue", "minimum snap"), (rounded, "tab:orange", "blends")):
+    for points, colour, label in ((after, style.BLUE, "minimum snap"), (rounded, style.ORANGE, "blends")):
         time = STEP * np.arange(len(points))
         speeds.plot(time, np.linalg.norm(points[:, 4:7], axis=1), color=colour, label=label)
         accelerations.plot(time, np.linalg.norm(points[:, 7:10], axis=1), color=colour, linewidth=1.0)

@@ -13,6 +13,7 @@ _PUBLIC = {
     "draw": "mavfi.api",
     "run": "mavfi.api",
     "load": "mavfi.api",
+    "compare": "mavfi.api",
     "table": "mavfi.api",
     "figure": "mavfi.api",
     "allow_plugins": "mavfi.plugins",
@@ -47,6 +48,7 @@ __all__ = ["__version__", *_PUBLIC]
 
 if TYPE_CHECKING:
     from mavfi.analysis.runs import Runs as Runs
+    from mavfi.api import compare as compare
     from mavfi.api import draw as draw
     from mavfi.api import figure as figure
     from mavfi.api import fly as fly

@@ -14,22 +14,25 @@ Names are imported from `mavfi`, not from this module.
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 from mavfi.config import parse as parse_config
 from mavfi.detectors.detector import Detector, require_detector
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, naming_extra
 from mavfi.faults.fault import Fault
 from mavfi.flight.compose import resolve, watched
 from mavfi.flight.host import ArmSetup, Flight, Host, host_for
+from mavfi.flight.mission_flights import LocalHost
 from mavfi.levels.level import Request, parse
 from mavfi.mission import MissionSpec, Scenario
+from mavfi.mission_keys import MissionKeys, MissionKeysWithoutSeed, check_keys, takes_mission_keys
 from mavfi.plugins import allow_typed
-from mavfi.report.flight_result import FlightResult
+from mavfi.report.flight_result import FlightResult, FlownAs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from mavfi.analysis.comparison import CampaignComparison
     from mavfi.analysis.runs import Runs
     from mavfi.analysis.table import Table
     from mavfi.campaign.config import Campaign
@@ -37,6 +40,7 @@ if TYPE_CHECKING:
     from mavfi.campaign.ledger import Progress
 
 
+@takes_mission_keys
 def fly(
     mission: MissionSpec | None = None,
     *,
@@ -46,7 +50,7 @@ def fly(
     profile: str = "paper",
     models: Path | str | None = None,
     detector_options: Mapping[str, Any] | None = None,
-    **options: Any,
+    **options: Unpack[MissionKeys],
 ) -> FlightResult:
     """Fly one mission; with a fault, also its golden run; with a fault and a detector, also the fault without detector.
 
@@ -59,10 +63,11 @@ def fly(
         profile: Profile of a named detector.
         models: Folder of trained models; None = the shipped ones.
         detector_options: Options of a named detector, e.g. {"rules": [1, 3]} of acceptance.
-        options: Keys of `MissionSpec`, e.g. environment, seed, wind; they override those of `mission`.
+        options: Keys of the mission, e.g. environment, seed, wind; they override those of `mission`.
 
     Returns:
-        Status, record, quality, effect, log, and the frame of the flight; deterministic for equal arguments.
+        Status, record, quality, effect, log, and the frame of the flight; deterministic for equal arguments.  A
+        notebook shows it in three dimensions; see also `FlightResult.plot` and `FlightResult.html`.
 
     Raises:
         BadInputError: Unknown or inconsistent arguments.
@@ -71,7 +76,7 @@ def fly(
         raise BadInputError(f"fault_seed: {fault_seed}: no fault to draw; allowed: with the text of a fault")
     if not (detector is None or isinstance(detector, str)):
         require_detector(detector)
-    spec = _spec(mission, options)
+    spec = _spec(fly, mission, options)
     allow_typed([detector])
     if detector_options and not isinstance(detector, str):
         raise BadInputError(f"detector_options: {detector_options!r}: allowed: with the name of a detector")
@@ -81,22 +86,29 @@ def fly(
         request = parse(fault, spec.localization)
     else:
         request = fault
-    return fly_request(setup, request, fault_seed, label, without_detector=resolve(spec))
+    arguments = {"fault": fault, "fault_seed": fault_seed, "detector": detector, "models": models}
+    call = ""
+    if detector is None or isinstance(detector, str):  # an object's class may be known to the caller's code alone
+        call = _call(spec, arguments | {"detector_options": detector_options}, profile)
+    return fly_request(setup, request, fault_seed, label, without_detector=resolve(spec), command=call)
 
 
-def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **options: Any) -> Fault:
+@takes_mission_keys
+def draw(
+    fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **options: Unpack[MissionKeysWithoutSeed]
+) -> Fault:
     """Complete a fault by drawing the properties omitted in its text, from the golden run of a mission.
 
     Args:
         fault: As for `mavfi fly --fault`.
         mission: The mission; None = as given by the options.
         seed: Seed of the draw.
-        options: As for `fly`.
+        options: Keys of the mission, all but its seed; they override those of `mission`.
 
     Raises:
         BadInputError: Invalid text, or the mission has no such site.
     """
-    spec = _spec(mission, options)
+    spec = _spec(draw, mission, options)
     return parse(fault, spec.localization).draw(ArmSetup(resolve(spec)), seed)[0]
 
 
@@ -107,6 +119,7 @@ def run(
     workers: int = 2,
     models: Path | str | None = None,
     executor: "Executor | None" = None,
+    extend: bool = False,
     progress: "Callable[[Progress], None] | None" = None,
 ) -> "Runs":
     """Fly a campaign or its remaining runs, and load its ledger.
@@ -117,29 +130,35 @@ def run(
         workers: Number of processes; the ledger does not depend on it.
         models: Folder of trained models; None = that of the ledger, or the shipped ones.
         executor: Alternative executor, e.g. a `mavfi.extras.dask.executor.DaskExecutor`.
-        progress: Called after every run.
+        extend: Whether the ledger may be that of a smaller campaign, whose runs are kept.
+        progress: Called after every run; None = one line is updated in notebooks and terminals.
 
     Raises:
         BadInputError: See `campaign.run.run_campaign`.
     """
+    with naming_extra("mavfi.run"):  # before the flights
+        from mavfi.analysis.runs import Runs
     from mavfi.campaign.config import Campaign, load_campaign
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.mission import check_names
     from mavfi.campaign.run import run_campaign
+    from mavfi.report.progress_line import ProgressLine
 
     if isinstance(campaign, Campaign):
         loaded_campaign = campaign
     else:
         loaded_campaign = load_campaign(campaign)
         check_names(loaded_campaign, str(campaign))
-    run_campaign(
-        loaded_campaign,
-        Path(directory),
-        executor=executor or LocalExecutor(workers),
-        models_dir=_path(models),
-        progress=progress,
-    )
-    return load(directory)
+    with ProgressLine(loaded_campaign.name) as line:
+        run_campaign(
+            loaded_campaign,
+            Path(directory),
+            executor=executor or LocalExecutor(workers),
+            models_dir=_path(models),
+            extend=extend,
+            progress=progress or line,
+        )
+    return Runs.read(Path(directory))
 
 
 def load(directory: Path | str) -> "Runs":
@@ -148,7 +167,8 @@ def load(directory: Path | str) -> "Runs":
     Raises:
         BadInputError: The folder has no ledger.
     """
-    from mavfi.analysis.runs import Runs
+    with naming_extra("mavfi.load"):
+        from mavfi.analysis.runs import Runs
 
     return Runs.read(Path(directory))
 
@@ -163,7 +183,7 @@ def table(runs: "Runs", view: str) -> "Table":
     Raises:
         BadInputError: Unknown view, or these runs have nothing to show in it.
     """
-    from mavfi.analysis import table_asked_for
+    from mavfi.analysis.views import table_asked_for
 
     return table_asked_for(runs, view)
 
@@ -183,6 +203,21 @@ def figure(runs: "Runs", name: str) -> "Figure":
     return figure_of(runs, name)
 
 
+def compare(runs_a: "Runs", runs_b: "Runs") -> "CampaignComparison":
+    """Compare two campaigns: differences of failures, flight time and energy, B - A, in pairs where runs are shared.
+
+    Args:
+        runs_a: See `load`.
+        runs_b: The other one.
+
+    Raises:
+        BadInputError: They have nothing in common.
+    """
+    from mavfi.analysis.comparison import compare as compare_runs
+
+    return compare_runs(runs_a, runs_b)
+
+
 def fly_request(
     setup: ArmSetup,
     fault: Request | Fault | None,
@@ -190,6 +225,7 @@ def fly_request(
     label: str,
     without_detector: Scenario,
     own_host: Host | None = None,
+    command: str = "",
 ) -> FlightResult:
     """Fly the golden run and a fault; a requested fault is drawn first, from the golden run.
 
@@ -200,6 +236,7 @@ def fly_request(
         label: Name of the detector; "" = none.
         without_detector: The mission without the detector and its mission keys, in which the fault is flown as well.
         own_host: Flies the mission; None = the host of the fault.
+        command: What repeats the flight, for its page.
 
     Raises:
         BadInputError: The mission has no such site.
@@ -211,9 +248,12 @@ def fly_request(
     if own_host is not None:
         golden = None  # it was flown in this process
     host = own_host or host_for(fault)
+    flown_as = None
+    if isinstance(host, LocalHost) and host.supports_fast_forward:  # in our simulator, not in another one
+        flown_as = FlownAs(setup, without_detector, command)
     if setup.make_detector is None:
         flight, golden = _flown(host, setup, fault, golden)
-        return FlightResult(setup.scenario, flight, golden, fault)
+        return FlightResult(setup.scenario, flight, golden, fault, flown_as=flown_as)
 
     # Fly under the detector, and once more without it.
     flight, watched_golden = _flown(host, setup, fault)
@@ -222,7 +262,7 @@ def fly_request(
         if without_detector != setup.scenario:
             golden = None  # it is the golden run of another mission
         unwatched, _ = _flown(host, ArmSetup(without_detector), fault, golden)
-    return FlightResult(setup.scenario, flight, watched_golden, fault, label, unwatched)
+    return FlightResult(setup.scenario, flight, watched_golden, fault, label, unwatched, flown_as)
 
 
 def _flown(
@@ -241,8 +281,18 @@ def _flown(
     return flight, golden
 
 
-def _spec(mission: MissionSpec | None, options: dict[str, Any]) -> MissionSpec:
-    """The mission with the given options replaced."""
+def _call(spec: MissionSpec, arguments: dict[str, Any], profile: str) -> str:
+    """The call of `fly` with a mission and those of its arguments that were given."""
+    keys = spec.model_dump(exclude_unset=True)
+    keys |= {name: value for name, value in arguments.items() if value}
+    if arguments["detector"]:
+        keys["profile"] = profile
+    return f"mavfi.fly({', '.join(f'{name}={value!r}' for name, value in keys.items())})"
+
+
+def _spec(function: Callable[..., Any], mission: MissionSpec | None, options: MissionKeysWithoutSeed) -> MissionSpec:
+    """The mission with the options of a function in place of its own keys."""
+    check_keys(function, options)
     allow_typed(options.values())
     keys = {}
     if mission is not None:

@@ -122,7 +122,7 @@ def _size(node: yaml.Node, known: dict[int, float]) -> float:
 
 
 class VehicleConfig(Config):
-    """Airframe, rotors and the gains of its flight controller (reference values and sources: docs/models.md).
+    """Airframe, rotors and the gains of its flight controller (reference values and sources: docs/reference/models.md).
 
     The inner loop is a cascade: velocity -> attitude -> rate.  Contact of the sphere `collision_radius` is a collision.
     """

@@ -2,10 +2,12 @@
 
 import errno
 import os
+import re
 import sqlite3
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
+from importlib import metadata
 from pathlib import Path
 
 _MOST_SHOWN = 12
@@ -28,6 +30,8 @@ _MACHINE_OF_SQLITE = {
     sqlite3.SQLITE_PROTOCOL,
     sqlite3.SQLITE_CORRUPT,  # EIO while reading a ledger that was sound when opened
 }
+_PACKAGE_OF_MODULE = {"foxglove": "foxglove-sdk", "sklearn": "scikit-learn"}
+"""Optional packages whose module has another name."""
 _NO_MEMORY = "could not allocate"
 """MuJoCo's message; it raises no MemoryError."""
 
@@ -37,6 +41,10 @@ FROM_OUTSIDE = frozenset({"SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", "SIGQUIT"})
 
 class MavfiError(Exception):
     """Base of every error that mavfi raises on purpose."""
+
+    def _render_traceback_(self) -> list[str]:
+        """What IPython shows in place of a traceback, whose lines tell nothing about a user's error: one line."""
+        return [f"{type(self).__name__}: {self}"]
 
 
 class BadInputError(MavfiError):
@@ -60,6 +68,39 @@ def not_installed(what: str, package: str, extra: str) -> NotInstalledError:
         extra: The extra of mavfi that brings it.
     """
     return NotInstalledError(f"{what}: needs {package}; install it with: pip install 'mavfi[{extra}]'")
+
+
+def missing_package(error: ModuleNotFoundError, what: str) -> NotInstalledError | None:
+    """Return the error for an optional package of mavfi that an import did not find; None for other modules.
+
+    Args:
+        error: Raised by the import.
+        what: What the user asked for, as typed.
+    """
+    module = (error.name or "").partition(".")[0]
+    package = _PACKAGE_OF_MODULE.get(module, module)
+    packages_by_extra: dict[str, set[str]] = {}
+    for requirement in metadata.requires("mavfi") or ():
+        optional = re.match(r"([\w.-]+).*; extra == ['\"]([\w-]+)['\"]", requirement)
+        if optional:
+            packages_by_extra.setdefault(optional[2], set()).add(optional[1])
+    extras = [extra for extra, packages in packages_by_extra.items() if package in packages]
+    if not extras:
+        return None
+    smallest = min(extras, key=lambda extra: len(packages_by_extra[extra]))
+    return not_installed(what, package, smallest)
+
+
+@contextmanager
+def naming_extra(what: str) -> Iterator[None]:
+    """Convert an import that does not find an optional package to the error that names the extra of mavfi."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        missing = missing_package(error, what)
+        if missing is None:
+            raise
+        raise missing from None
 
 
 class MachineError(MavfiError):

@@ -5,21 +5,27 @@ passing it to the Python API, or by allowing all plug-ins.  A name in a file fro
 """
 
 import functools
+import hashlib
 import importlib
 import inspect
+import json
 import os
 import pickle
 import re
+import stat
 import sys
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from importlib.metadata import entry_points
+from importlib.machinery import PathFinder
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from traceback import walk_tb
 from types import FrameType
-from typing import Any
+from typing import Any, NamedTuple
 
-from mavfi.errors import BadInputError, MavfiError, machine_failure, not_known
+from mavfi.errors import BadInputError, MavfiError, machine_failure, missing_package, not_known
 
 _VARIABLE = "MAVFI_ALLOW_PLUGINS"
 """Allowed names, separated by spaces; an environment variable, inherited by child processes."""
@@ -66,9 +72,14 @@ def _allow(names: Iterable[str]) -> None:
     os.environ[_VARIABLE] = " ".join(dict.fromkeys([*allowed_names(), *names]))
 
 
+def _is_allowed(name: str) -> bool:
+    """Whether code or a program was typed or allowed."""
+    return bool({_ALL, name} & set(allowed_names()))
+
+
 def require_allowed(what: str, name: str) -> None:
     """Raise a `NotAllowedError` if code or a program was neither typed nor allowed."""
-    if not {_ALL, name} & set(allowed_names()):
+    if not _is_allowed(name):
         raise NotAllowedError(
             f"{what} {name!r}: named in a file, and so not run; allowed: entry points of installed packages, or any "
             "with --allow-plugins"
@@ -91,12 +102,21 @@ def extensions(group: str) -> dict[str, Any]:
     for point in sorted(entry_points(group=group), key=lambda point: point.name):
         try:
             loaded[point.name] = point.load()
+        except ModuleNotFoundError as error:
+            missing = missing_package(error, f"{point.name} ({group})")
+            if missing is not None:
+                raise missing from None
+            raise _not_importable(point, group, error) from None
         except Exception as error:  # noqa: BLE001 - whatever another package raises while it is imported
-            raise BadInputError(
-                f"entry point {point.name!r} of {group}: {point.value} cannot be imported ({reason(error)}); allowed: "
-                "without the package that brings it"
-            ) from None
+            raise _not_importable(point, group, error) from None
     return loaded
+
+
+def _not_importable(point: EntryPoint, group: str, error: Exception) -> BadInputError:
+    return BadInputError(
+        f"entry point {point.name!r} of {group}: {point.value} cannot be imported ({reason(error)}); allowed: without "
+        "the package that brings it"
+    )
 
 
 @dataclass(frozen=True)
@@ -314,3 +334,132 @@ def _plugin_in(frame: FrameType, plugins: Mapping[str, Any]) -> str:
         if plugin is executing_class:
             return name
     return next(iter(plugins))
+
+
+# ---- code of a ledger that its user has allowed before ---------------------------------------------------------------
+
+_TRUST = "trusted-plugins.json"
+"""File in the user's own state folder: by ledger, the names that are allowed in it, each with file and hash."""
+_allowed_by_trust: set[str] = set()
+"""Names that are allowed in this process because they were remembered: no reason to remember them for other ledgers."""
+
+
+class _Source(NamedTuple):
+    """A plug-in's source: its file, and a hash of it, or of all files of its package."""
+
+    file: str
+    sha256: str
+
+
+def use_ledger(directory: Path, content: object) -> None:
+    """Allow the code that a ledger names if the user has allowed it there before, and it has not changed since.
+
+    What is allowed now, since it was typed or with `allow_plugins`, is remembered for this folder.
+
+    Args:
+        directory: Folder of the ledger.
+        content: Plain data of the ledger, in which code is named.
+    """
+    names = sorted(set(_code_in(content)))
+    if not names:
+        return
+    ledger = str(directory.resolve())
+    remembered = _remembered()
+    of_ledger = remembered.get(ledger, {})
+    sources = dict(of_ledger)
+    for name in names:
+        source = _source_of(name)
+        if source is None:
+            continue
+        if of_ledger.get(name) == list(source) and not _is_allowed(name):
+            _allowed_by_trust.add(name)
+            _allow([name])
+        elif _is_allowed(name) and name not in _allowed_by_trust:
+            sources[name] = list(source)
+    if sources != of_ledger:
+        _remember({**remembered, ledger: sources})
+
+
+def permission_for(directory: Path, content: object) -> str:
+    """The option, with a space before it, that commands on a ledger need in a further process; "" = none."""
+    of_ledger = _remembered().get(str(directory.resolve()), {})
+    for name in set(_code_in(content)):
+        source = _source_of(name)
+        if source is None or of_ledger.get(name) != list(source):
+            return " --allow-plugins"
+    return ""
+
+
+def _code_in(content: object) -> Iterator[str]:
+    """The addresses of code in plain data, and files of code."""
+    if isinstance(content, str):
+        if _ADDRESS.fullmatch(content) or content.endswith(_CODE_FILES):
+            yield content
+    elif isinstance(content, Mapping):
+        for value in content.values():
+            yield from _code_in(value)
+    elif isinstance(content, Sequence):
+        for value in content:
+            yield from _code_in(value)
+
+
+def _source_of(name: str) -> _Source | None:
+    """The source of a plug-in, found without importing anything; None = it has no file, or is absent."""
+    if name.endswith(_CODE_FILES):
+        return _hashed(Path(name), [Path(name)])
+    folders: Any = [*sys.path, str(Path.cwd())]
+    specs = []
+    for part in name.partition(":")[0].split("."):
+        spec = PathFinder.find_spec(part, folders)
+        if spec is None:
+            return None
+        specs.append(spec)
+        folders = spec.submodule_search_locations or []
+    if not specs[-1].has_location:
+        return None
+    file = Path(str(specs[-1].origin))
+    package = specs[0].submodule_search_locations
+    if not package or not specs[0].has_location:  # a module, or in a folder that is no package of its own
+        return _hashed(file, [file])
+    return _hashed(file, sorted(path for folder in package for path in Path(folder).rglob("*.py")))
+
+
+def _hashed(file: Path, files: Iterable[Path]) -> _Source | None:
+    """A source with the hash of its files; None if one cannot be read."""
+    content = hashlib.sha256()
+    try:
+        for path in files:
+            content.update(f"{path}\n".encode() + path.read_bytes())
+    except OSError:
+        return None
+    return _Source(str(file.resolve()), content.hexdigest())
+
+
+def _trust_file() -> Path:
+    root = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(root) / "mavfi" / _TRUST
+
+
+def _remembered() -> dict[str, dict[str, list[str]]]:
+    """What is remembered, by ledger and name; nothing if the file is not this user's alone."""
+    path = _trust_file()
+    try:
+        about = path.stat()
+        if about.st_uid != os.getuid() or about.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+            return {}
+        remembered = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    if not isinstance(remembered, dict):
+        return {}
+    return {ledger: names for ledger, names in remembered.items() if isinstance(names, dict)}
+
+
+def _remember(trusted: Mapping[str, Mapping[str, Sequence[str]]]) -> None:
+    """Replace what is remembered; without a folder that can be written, nothing is."""
+    path = _trust_file()
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False, encoding="utf-8") as file:
+            json.dump(trusted, file, indent=1, sort_keys=True)
+        Path(file.name).replace(path)

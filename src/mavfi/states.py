@@ -477,8 +477,8 @@ def unknown(kind: str, name: str, names: Collection[str]) -> str:
         names: States or kernels that are allowed.
     """
     if name in set(Stage):
-        stages = {each: kernel.stage for each, kernel in KERNELS.items()} | KERNEL_STAGES
-        stages |= {each: state.stage for each, state in STATES.items()}
+        of_states = {state.name: state.stage for state in STATES.values()}
+        stages = KERNEL_STAGES | {kernel.name: kernel.stage for kernel in KERNELS.values()} | of_states
         in_stage = [each for each in names if stages.get(each) == name]
         return f"{kind} {name!r}: is a stage; allowed: {allowed(in_stage)}"
     if name in STATES:

@@ -1,3 +1,3 @@
 """The version, accessible from every layer."""
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"

@@ -24,7 +24,8 @@ import yaml
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
-from mavfi.analysis import VIEWS, Runs, table
+from mavfi.analysis.runs import Runs
+from mavfi.analysis.views import VIEWS, table
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.ledger import repair, status

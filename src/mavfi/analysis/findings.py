@@ -1,6 +1,7 @@
 """Findings: up to five sentences that summarize a campaign, computed from its runs."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import polars as pl
 
@@ -17,6 +18,34 @@ def findings(runs: Runs) -> list[str]:
     """Compute up to `MAX_SENTENCES` sentences; those that do not apply are omitted."""
     sentences = [sentence for compute in _SENTENCES for sentence in compute(runs)]
     return sentences[:MAX_SENTENCES]
+
+
+class ComparedMissions(NamedTuple):
+    """Missions whose success is the headline: judged ones without a fault, and with one in the leading bits."""
+
+    golden: Runs
+    faulty: Runs
+
+
+def compared_missions(runs: Runs) -> ComparedMissions:
+    """Missions without a detector, without a fault and with one; both are empty if the runs are no flights."""
+    flown = runs
+    if not runs.has_missions:
+        flown = runs.where(pl.lit(value=False))
+    return ComparedMissions(flown.golden.where("judged", setting=GOLDEN), m.leading_faults(flown).where(setting=FI))
+
+
+def pairs_by_arm(runs: Runs) -> dict[str, Runs]:
+    """Pairs of missions with the same fault, without a detector and with one (`measures.against_fi`), by arm."""
+    paired = m.against_fi(runs)
+    if not len(paired) or not runs.has_missions:
+        return {}
+    leads = m.leads(m.population_names(runs.injected, ()))
+    arms = runs.campaign.get("arms", {})
+    # in protected code the same instruction of the draw is another one: what comes back is not brought back by it
+    protected = [name for name, arm in arms.items() if arm["mission"].get("protection")]
+    compared = paired.where(~pl.col("arm").is_in(protected), pl.col("population").is_in(leads))
+    return {pairs.first("arm") or setting: pairs for (setting,), pairs in compared.groups("setting").items()}
 
 
 def _bits(runs: Runs) -> str:
@@ -42,9 +71,8 @@ def _with_n(rate: Rate) -> str:
 # ---- the sentences: each function returns one, or none if it does not apply ------------------------------------------
 def _success(runs: Runs) -> list[str]:
     """Success with and without a fault."""
-    golden = runs.golden.where("judged", setting=GOLDEN)
-    faulty = m.leading_faults(runs).where(setting=FI)
-    if not runs.has_missions or not len(golden) or not len(faulty):
+    golden, faulty = compared_missions(runs)
+    if not len(golden) or not len(faulty):
         return []
     without_fault = m.rate_of(golden, "success")
     with_fault = m.rate_of(faulty, "success")
@@ -85,9 +113,12 @@ def _effects(runs: Runs) -> list[str]:
     }
     rest = "".join(f", {_percent(rate)} {words}" for words, rate in others.items() if rate.successes)
     result = "flight" if runs.has_missions else "output"
+    change = "change it silently"
+    if faulty.values("level") == ["sensor"]:  # what fails is no data
+        change = "change it"
     return [
         f"{_percent(share('masked'))} of {len(faulty)} faults leave the {result} as it was, bit for bit, "
-        f"{_percent(share('sdc'))} change it silently{rest}."
+        f"{_percent(share('sdc'))} {change}{rest}."
     ]
 
 
@@ -104,16 +135,8 @@ def _worst_stage(runs: Runs) -> list[str]:
 
 def _recovery(runs: Runs) -> list[str]:
     """Missions that each detector with its recovery brings back, and newly loses."""
-    paired = m.against_fi(runs)
-    if not len(paired) or not runs.has_missions:
-        return []
-    leads = m.leads(m.population_names(runs.injected, ()))
-    arms = runs.campaign.get("arms", {})
-    # in protected code the same instruction of the draw is another one: what comes back is not brought back by it
-    protected = [name for name, arm in arms.items() if arm["mission"].get("protection")]
-    compared = paired.where(~pl.col("arm").is_in(protected), pl.col("population").is_in(leads))
     parts = []
-    for (setting,), pairs in compared.groups("setting").items():
+    for arm, pairs in pairs_by_arm(runs).items():
         regained = 0
         lost = 0
         recovery = m.recovery_of(pairs)
@@ -121,8 +144,7 @@ def _recovery(runs: Runs) -> list[str]:
             regained = recovery.regained
             lost = recovery.lost
         parts.append(
-            f"{pairs.first('arm') or setting} brings back {regained} of {lost} lost missions and newly loses "
-            f"{m.discordant(pairs).first_only}"
+            f"{arm} brings back {regained} of {lost} lost missions and newly loses {m.discordant(pairs).first_only}"
         )
     if not parts:
         return []

@@ -128,6 +128,13 @@ def _bits_drawn(runs: Runs) -> str:
     return "sign and exponent bits"
 
 
+def _papers_counts(runs: Runs) -> list[str]:
+    """The note on the paper's column, if there is one."""
+    if paper.compared(runs.campaign):
+        return ["paper: instruction level, 100 golden flights, 300 with a fault"]
+    return []
+
+
 _SUCCESS = (
     View(
         "success_as_in_the_paper",
@@ -147,7 +154,7 @@ _SUCCESS = (
         across="environment",
         headings=("",),
         notes=lambda runs: (
-            paper.STATE_LEVEL,
+            paper.level_note(runs, paper.STATE_LEVEL),
             ONE_FAULT,
             "per cent, [95 % interval: Wilson, n reduced by the design effect of "
             f"worlds], successes / n; faults in {_bits_drawn(runs)}",
@@ -163,11 +170,11 @@ _SUCCESS = (
         (m.leading_success, paper.column(paper.success), m.other_success),
         where=of_missions,
         notes=lambda runs: (
-            paper.STATE_LEVEL,
+            paper.level_note(runs, paper.STATE_LEVEL),
             ONE_FAULT,
             _SETTINGS,
             _STRATA_INTERVALS,
-            "paper: instruction level, 100 golden flights, 300 with a fault",
+            *_papers_counts(runs),
             *unknown_note(of_missions(runs)),
         ),
         leads=True,
@@ -212,7 +219,7 @@ def _recovery_rate(_: Runs, recovery: RecoveryRate) -> Any:
 def _papers_recovery(runs: Runs) -> float | None:
     if runs.first("population") not in m.LEADING or runs.first("level") == MEMORY:
         return None
-    if not paper.comparable(runs.campaign, runs.first("detector_profile"), runs.first("arm")):
+    if not paper.comparable(runs):
         return None
     return paper.recovery(runs.first("environment"), runs.first("setting"))
 
@@ -260,7 +267,7 @@ _RECOVERY = (
             Measure("only_dr", "saved", NUMBER, lambda runs: m.discordant(runs).second_only),
             Measure("p", "p", "number .3g", lambda runs: m.discordant(runs).p_value),
             Measure("recovery", "recovery", "percent with interval", _recovery(_recovery_rate)),
-            Measure("paper", "paper", PERCENT, _papers_recovery),
+            paper.beside(Measure("paper", "paper", PERCENT, _papers_recovery)),
             Measure(
                 "loss",
                 "golden – fault (points)",
@@ -542,10 +549,18 @@ def _missed(runs: Runs) -> int:
     return len(runs.where(pl.col("site_outcome") != ACTIVATED))
 
 
+def _instruction_title(runs: Runs) -> str:
+    """The title of the table of success, which is the paper's Table I only if the same was flown."""
+    level = "Instruction level"
+    if paper.compared(runs.campaign):
+        level = f"{level}, the paper's Table I"
+    return f"{level}: success rates, one fault per mission"
+
+
 _KERNEL_SUCCESS = (
     View(
         "instructions_as_in_the_paper",
-        "Instruction level, the paper's Table I: success rates, one fault per mission",
+        _instruction_title,
         ("row",),
         (
             Measure("here", "here", RATE, _success_of("golden", "success")),
@@ -557,7 +572,7 @@ _KERNEL_SUCCESS = (
         across="environment",
         headings=("",),
         notes=lambda runs: (
-            paper.INSTRUCTION_LEVEL,
+            paper.level_note(runs, paper.INSTRUCTION_LEVEL),
             ONE_FAULT,
             _estimand(runs),
             _RATES,

@@ -3,7 +3,6 @@
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import polars as pl
 
@@ -28,7 +27,7 @@ _COLUMNS = (
     Column("kernel_effect", "kernel"),
     Column("reason", "reason", TEXT),
 )
-_USUAL: dict[str, set[Any]] = {
+_USUAL: dict[str, set[object]] = {
     "flight_time_s": {0.0},
     "alarms_total": {0},
     "kernel_effect": {""},

@@ -1,5 +1,6 @@
 """`Runs`: a campaign as a frame with one row per run, with the complete records."""
 
+import html
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -7,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
+from mavfi.analysis.likeness import differences
 from mavfi.analysis.rows import GOLDEN, INJECTED, NULL, SCHEMA, row_of
 from mavfi.analysis.statistics import CONFIDENCE
 from mavfi.campaign.config import ArmConfig, Campaign, label_of
 from mavfi.campaign.ledger import status, stored_campaign
 from mavfi.campaign.plan import FI
 from mavfi.campaign.store import Run, Store
-from mavfi.faults.plug_ins import arms_with_plug_ins, custom_detectors
+from mavfi.faults.plug_ins import custom_detectors
 from mavfi.mission import MissionSpec
 from mavfi.plugins import extensions
 from mavfi.record import FlightRecord
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
     from mavfi.flight.host import Flight
 
 DEFAULT_MONITORED = "paper-13"
+_TELLING = ("run_id", "setting", "environment", "seed", "site", "bit", "time_s", "effect", "status", "flight_time_s")
+"""Columns that a notebook shows."""
 ALL = "all"  # label of total rows, e.g. over all environments
 
 
@@ -33,7 +37,7 @@ def condition(test: pl.Expr | str) -> pl.Expr:
     return test
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Runs:
     """Completed runs, in plan order.
 
@@ -82,6 +86,14 @@ class Runs:
             rows.append(row_of(run, record, arm_golden, reference, monitored))
         frame = pl.DataFrame(rows, schema=SCHEMA).with_columns(pl.col(pl.String).fill_null(""))
         return Runs(frame, {run.spec.run_id: record for run, record in done}, description)
+
+    def __repr__(self) -> str:
+        return f"<Runs: {self.campaign.get('title', 'no campaign')}, {len(self)} rows>"
+
+    def _repr_html_(self) -> str:
+        """The rows in a notebook, without the columns that few readers need."""
+        columns = [name for name in _TELLING if name in self.frame.columns]
+        return f"<p>{html.escape(repr(self)[1:-1])}</p>{self.frame.select(columns)._repr_html_()}"
 
     def __len__(self) -> int:
         return self.frame.height
@@ -203,8 +215,8 @@ def describe(store: Store) -> dict[str, Any]:
 
     Returns:
         `title` and `lines` are text; views need `profile` (of the autopilot), `monitored_set`, `each` (unit to which
-        the number of faults applies), `kernels` and `which`, `parts`, `arms_with_plug_ins`, and what
-        extras add, e.g. measured `overheads`.
+        the number of faults applies), `kernels` and `which`, `parts`, `unlike_the_paper` (of flights, see
+        `likeness.Differences`), and what extras add, e.g. measured `overheads`.
     """
     campaign = stored_campaign(store)
     progress = status(store.directory)
@@ -217,6 +229,8 @@ def describe(store: Store) -> dict[str, Any]:
         "missions": campaign.missions,
         "faults": campaign.faults,
         "monitored_set": campaign.monitored_set,
+        "mission": dict(campaign.mission),
+        "sampling": campaign.sampling.to_json(),
         "parts": {name: part.model_dump(exclude_none=True) for name, part in campaign.parts.items()},
         "arms": {name: arm.model_dump(mode="json") for name, arm in campaign.arms.items()},
         "models": store.meta("identity")["models"],
@@ -226,7 +240,6 @@ def describe(store: Store) -> dict[str, Any]:
         "digest": store.digest(),
         "done": progress.done,
         "total": progress.total,
-        "arms_with_plug_ins": arms_with_plug_ins(campaign),
         "custom_detectors": [plug_in.name for plug_in in custom_detectors(campaign).values()],
         **drawn(campaign),
     }
@@ -238,7 +251,8 @@ def drawn(campaign: Campaign) -> dict[str, Any]:
     if "title" in about:  # of processes, not of flights
         return about
     how = about.pop("how")
-    return about | _flights(campaign, about["each"], how)
+    unlike = differences(campaign, about).to_json()
+    return about | {"unlike_the_paper": unlike} | _flights(campaign, about["each"], how)
 
 
 def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:

@@ -6,13 +6,13 @@ resample whole worlds.  Bootstrap intervals have zero width if all flights end a
 differences are therefore combined from score intervals by MOVER (Newcombe 1998; Zou and Donner 2008).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # loads its modules at first use
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
@@ -74,14 +74,21 @@ def score_bounds(rate: float, n: float) -> tuple[float, float]:
     return low, high
 
 
+def _quantile(distribution: str, probability: float, *parameters: float) -> float:
+    """Quantile of a distribution of `scipy.stats`, which is in the extra `report` and takes long to import."""
+    from scipy import stats
+
+    return float(getattr(stats, distribution).ppf(probability, *parameters))
+
+
 def exact_bounds(hits: float, misses: float, tail: float = TAIL) -> tuple[float, float]:
     """Interval of a proportion after Clopper and Pearson (1934), with probability `tail` outside on each side."""
     low = 0.0
     high = 1.0
     if hits > 0:
-        low = float(scipy.stats.beta.ppf(tail, hits, misses + 1))
+        low = _quantile("beta", tail, hits, misses + 1)
     if misses > 0:
-        high = float(scipy.stats.beta.ppf(1 - tail, hits + 1, misses))
+        high = _quantile("beta", 1 - tail, hits + 1, misses)
     return low, high
 
 
@@ -135,24 +142,24 @@ def rate_in_further_worlds(success: Sequence[bool], world: Sequence[object], fur
     correlation = min((excess + _TYPICAL_CORRELATION * typical_pairs) / (pairs + typical_pairs), 1.0)
 
     # 2. The error of what was seen, and the difference of the further worlds, whose sizes vary as much.
-    t2 = float(scipy.stats.t.ppf(1 - TAIL, equal_worlds - 1)) ** 2
+    t2 = _quantile("t", 1 - TAIL, equal_worlds - 1) ** 2
     worlds_term = 1 / equal_worlds - 1 / n + len(sizes) / (equal_worlds * further)
     inverse = 1 / n + correlation * t2 / _Z2 * worlds_term
     return Rate(n, rate, *score_bounds(rate, 1 / inverse), int(successes.sum()))
 
 
-def further_worlds_half_width(contributions: np.ndarray, further: int) -> float:
+def further_worlds_half_width(contributions: np.ndarray, further: float) -> float:
     """Half-width of the interval of a linearised estimate for its value in some further worlds.
 
     Args:
         contributions: Of each world to the error of the estimate; their sum is 0. Shape (k,).
-        further: Number of the further worlds.
+        further: Number of the further worlds; infinity = the mean of all worlds.
     """
     k = len(contributions)
     if k < 2:
         return 0.0
     variance = k / (k - 1) * float(contributions @ contributions) * (1 + k / further)
-    return float(scipy.stats.t.ppf(1 - TAIL, k - 1)) * float(np.sqrt(variance))
+    return _quantile("t", 1 - TAIL, k - 1) * float(np.sqrt(variance))
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,9 +307,9 @@ def event_rate(events: int, hours: float) -> EventRate:
         return EventRate(events, hours, None, None, None, None)
     low = 0.0
     if events:
-        low = float(scipy.stats.chi2.ppf(TAIL, 2 * events)) / 2 / hours
-    high = float(scipy.stats.chi2.ppf(1 - TAIL, 2 * events + 2)) / 2 / hours
-    upper = float(scipy.stats.chi2.ppf(CONFIDENCE, 2 * events + 2)) / 2 / hours
+        low = _quantile("chi2", TAIL, 2 * events) / 2 / hours
+    high = _quantile("chi2", 1 - TAIL, 2 * events + 2) / 2 / hours
+    upper = _quantile("chi2", CONFIDENCE, 2 * events + 2) / 2 / hours
     return EventRate(events, hours, events / hours, low, high, upper)
 
 
@@ -397,8 +404,8 @@ def _of_random_signs(differences: Sequence[int]) -> float:
     return float(min(1.0, chances[distance >= abs(sum(differences))].sum()))
 
 
-class PairedDifference(NamedTuple):
-    """Difference of two success rates in the same missions, with its interval."""
+class RateDifference(NamedTuple):
+    """Difference of two success rates with its interval."""
 
     estimate: float
     low: float
@@ -407,7 +414,7 @@ class PairedDifference(NamedTuple):
 
 def paired_difference(
     first: Sequence[bool], second: Sequence[bool], world: Sequence[object], weight: Sequence[float] | None = None
-) -> PairedDifference:
+) -> RateDifference:
     """Difference of two success rates in the same missions, first - second, with MOVER's interval.
 
     It is the difference between the shares of pairs in which only the first and only the second succeeds.  Each share
@@ -429,12 +436,59 @@ def paired_difference(
     difference = a.rate - b.rate
     low = difference - _combined(a.rate - a_low, b_high - b.rate, correlation)
     high = difference + _combined(a_high - a.rate, b.rate - b_low, correlation)
-    return PairedDifference(difference, max(-1.0, low), min(1.0, high))
+    return RateDifference(difference, max(-1.0, low), min(1.0, high))
 
 
 def _combined(first: float, second: float, correlation: float) -> float:
     """Distance from a difference to its bound, from the corresponding distances of its two terms (MOVER)."""
     return float(np.sqrt(first**2 + second**2 - 2 * correlation * first * second))
+
+
+def unpaired_difference(
+    first: Sequence[bool], first_world: Sequence[object], second: Sequence[bool], second_world: Sequence[object]
+) -> RateDifference:
+    """Difference of two success rates in different missions, first - second, with MOVER's interval (Newcombe 1998).
+
+    Each rate has Wilson's interval for its effective number of flights, of which at least one is required.
+    """
+    a = clustered_rate(first, first_world)
+    b = clustered_rate(second, second_world)
+    if a.rate is None or a.low is None or a.high is None or b.rate is None or b.low is None or b.high is None:
+        raise ValueError("a difference needs flights on both sides")
+    difference = a.rate - b.rate
+    low = difference - _combined(a.rate - a.low, b.high - b.rate, 0.0)
+    high = difference + _combined(a.high - a.rate, b.rate - b.low, 0.0)
+    return RateDifference(difference, max(-1.0, low), min(1.0, high))
+
+
+def relative_difference(
+    first: Sequence[float], first_world: Sequence[object], second: Sequence[float], second_world: Sequence[object]
+) -> Rate:
+    """Relative difference of two means of positive values, first / second - 1; values of both may share worlds.
+
+    The interval is that of the linearised ratio, from the contributions of worlds to its error, with Student's
+    quantile for their number.  None without values; no bounds with a single world.
+    """
+    n = min(len(first), len(second))
+    if n == 0:
+        return Rate(n, None, None, None)
+    worlds = [*first_world, *second_world]
+    none_of_first = np.zeros(len(first))
+    none_of_second = np.zeros(len(second))
+    first_sums, first_counts, second_sums, second_counts = cluster_sums(
+        worlds,
+        np.concatenate([np.asarray(first, np.float64), none_of_second]),
+        np.concatenate([none_of_first + 1.0, none_of_second]),
+        np.concatenate([none_of_first, np.asarray(second, np.float64)]),
+        np.concatenate([none_of_first, none_of_second + 1.0]),
+    ).T
+    ratio = float(first_sums.sum() / first_counts.sum() / (second_sums.sum() / second_counts.sum()))
+    if len(first_sums) < 2:
+        return Rate(n, ratio - 1, None, None)
+    first_errors = first_sums / first_sums.sum() - first_counts / first_counts.sum()
+    second_errors = second_sums / second_sums.sum() - second_counts / second_counts.sum()
+    half_width = further_worlds_half_width(ratio * (first_errors - second_errors), further=math.inf)
+    return Rate(n, ratio - 1, ratio - 1 - half_width, ratio - 1 + half_width)
 
 
 def recovery(pairs: Sequence[tuple[object, bool, bool, bool]]) -> RecoveryRate | None:

@@ -37,7 +37,7 @@ class View:
     """Definition of a table over the runs of a campaign."""
 
     name: str  # for `mavfi report --view`
-    title: str  # of its table
+    title: str | Callable[[Runs], str]  # of its table; called where it depends on what was flown
     by: tuple[str, ...]  # columns of the frame to group by: one row per group
     measures: tuple[Measure | MeasureFactory, ...]  # the other columns
     where: Callable[[Runs], Runs] = field(default=lambda runs: runs)  # selects rows of the frame; may add columns
@@ -53,6 +53,12 @@ class View:
     leads: bool = False  # placed first in reports, as the headline
     applies: Callable[[Runs], bool] = field(default=lambda _: True)  # whether these runs have what it shows
     by_name: bool = False  # not in reports on a campaign: only in studies, benches, and by its name
+
+    def title_of(self, runs: Runs) -> str:
+        """The title for these runs."""
+        if isinstance(self.title, str):
+            return self.title
+        return self.title(runs)
 
     def table(self, runs: Runs) -> Table:
         """Compute the table; if a measure raises an exception, its cell is `UNKNOWN` and a note gives the reason."""
@@ -71,7 +77,7 @@ class View:
         rows = self._ordered(grid)
         return Table(
             self.name,
-            self.title,
+            self.title_of(runs),
             tuple(grid.columns),
             [row.cells for row in rows],
             max(1, len(self.by)),

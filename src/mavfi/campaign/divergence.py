@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 
 from mavfi.record import FlightLog
 from mavfi.states import STATES, State
@@ -197,6 +196,8 @@ def _project(golden: FlightLog, points: np.ndarray) -> tuple[np.ndarray, np.ndar
     The search finds the nearest recorded position, then the nearest point on the two legs adjacent to it.
     Distances are infinite for non-finite points. Shapes (n,), (n,).
     """
+    from scipy.spatial import cKDTree  # in the extra `report`
+
     path = golden.columns("x", "y", "z")
     time = golden.column("time")
     distance = np.full(len(points), np.inf)
@@ -205,7 +206,7 @@ def _project(golden: FlightLog, points: np.ndarray) -> tuple[np.ndarray, np.ndar
     # the nearest recorded position
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
     position = points[finite]
-    distance[finite], row = scipy.spatial.cKDTree(path).query(position)
+    distance[finite], row = cKDTree(path).query(position)
     golden_time[finite] = time[row]
 
     # the nearest point on the leg before it, and on the leg after it

@@ -106,20 +106,23 @@ def check_shard(store: Store, shard: Shard) -> None:
         raise BadInputError(f"{store.directory}: holds shard {shard_of(store)}, not {shard}; choose another directory")
 
 
-def check_versions(store: Store, versions_there: Mapping[str, str], there: str = "here is") -> None:
-    """Store the versions; raises a BadInputError if an incomplete ledger was started with others.
+def check_versions(
+    store: Store, versions_there: Mapping[str, str], there: str = "here is", *, adds_runs: bool = False
+) -> None:
+    """Store the versions; raises a BadInputError if runs are missing in a ledger that was started with others.
 
     Args:
         store: The ledger.
         versions_there: Versions of the runs to be added.
         there: Words before such a version in the message.
+        adds_runs: Whether runs are added to a complete ledger, too.
     """
     stored: dict[str, Any] | None = store.meta("versions")
     if stored is None:
         store.write_meta({"versions": dict(versions_there)})
         return
     differing = [name for name in versions_there if stored.get(name) != versions_there[name]]
-    if differing and not store.complete:
+    if differing and (adds_runs or not store.complete):
         name = differing[0]
         raise BadInputError(
             f"{store.directory}: was begun with {name} {stored.get(name)}, {there} {versions_there[name]}; runs "

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy  # loads its modules at first use
 
 from mavfi.campaign.divergence import (
     Departure,
@@ -242,10 +241,12 @@ class Verification:
     @property
     def upper_bound(self) -> float:
         """One-sided upper confidence bound on the share of wrong records (Clopper and Pearson 1934)."""
+        from scipy.stats import beta  # in the extra `report`
+
         wrong = len(self.differing)
         equal = self.flown - wrong
         if equal:
-            return float(scipy.stats.beta.ppf(CONFIDENCE, wrong + 1, equal))
+            return float(beta.ppf(CONFIDENCE, wrong + 1, equal))
         return 1.0
 
 

@@ -6,6 +6,7 @@ worker, one after the other, and share these flights.  If a worker dies, its mis
 run in a separate child process.
 """
 
+import json
 import os
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -18,6 +19,7 @@ from typing import Any
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Done, Executor, Lost
 from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.extension import differ_in_size, extend_ledger
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.ledger import ORDERED, Progress, Status, check_shard, check_versions, status
 from mavfi.campaign.log import Log
@@ -33,14 +35,14 @@ from mavfi.campaign.mission import (
     share,
 )
 from mavfi.campaign.plan import WHOLE, CompletedRun, Plan, Planned, Shard, arms_of
-from mavfi.campaign.store import Store, held
+from mavfi.campaign.store import IDENTITY, Store, held
 from mavfi.campaign.warm_up import fly_missions_anywhere, is_compiled, warm_up
 from mavfi.config import STORED
 from mavfi.detectors.registry import detector_options, mission_keys
-from mavfi.errors import FROM_OUTSIDE, MachineError, machine_failure
+from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError, machine_failure
 from mavfi.flight.host import require_level
 from mavfi.mission import Scenario
-from mavfi.record import End, FlightRecord
+from mavfi.record import End, FlightRecord, canonical
 
 ATTEMPTS = 3  # further attempts after a machine failure, or for missions that crash their workers
 PAUSE_S = 1.0  # between retries after a machine failure
@@ -306,6 +308,7 @@ def run_campaign(
     models_dir: Path | None = None,
     fast_forward: bool = True,
     shard: Shard = WHOLE,
+    extend: bool = False,
     progress: Callable[[Progress], None] | None = None,
 ) -> Status:
     """Fly the missing runs of a campaign; a stop at any time loses only the flights in progress.
@@ -317,6 +320,7 @@ def run_campaign(
         models_dir: Folder of trained models; None = that of the ledger, or the shipped ones.
         fast_forward: Whether runs may start at checkpoints of their golden run; the ledger is the same either way.
         shard: Subset of missions; the ledgers of all shards can be merged.
+        extend: Whether the ledger may be that of a smaller campaign, whose runs are kept; see `campaign.extension`.
         progress: Called after every run, in this process.
 
     Raises:
@@ -329,6 +333,7 @@ def run_campaign(
         models_dir=models_dir,
         fast_forward=fast_forward,
         shard=shard,
+        extend=extend,
         progress=None if progress is None else lambda _, now: progress(now),
     )[directory]
 
@@ -340,6 +345,7 @@ def run_campaigns(
     models_dir: Path | None = None,
     fast_forward: bool = True,
     shard: Shard = WHOLE,
+    extend: bool = False,
     progress: Callable[[Path, Progress], None] | None = None,
 ) -> dict[Path, Status]:
     """As `run_campaign`, for several campaigns by folder: those that fly the same missions share their golden flights.
@@ -353,7 +359,7 @@ def run_campaigns(
             tell: Callable[[Progress], None] = _ignore
             if progress is not None:
                 tell = partial(progress, directory)
-            session = _session(stack, campaign, directory, models_dir, fast_forward, shard, tell)
+            session = _session(stack, campaign, directory, models_dir, fast_forward, shard, extend, tell)
             stack.enter_context(session.logged(executor))
             sessions.append(session)
         for session in sessions:
@@ -373,6 +379,7 @@ def _session(  # noqa: PLR0913 - what `run_campaigns` is given
     models_dir: Path | None,
     fast_forward: bool,
     shard: Shard,
+    extend: bool,
     tell: Callable[[Progress], None],
 ) -> Session:
     """The session of a campaign; its ledger is closed with `stack`."""
@@ -384,17 +391,31 @@ def _session(  # noqa: PLR0913 - what `run_campaigns` is given
     models = model_hashes(campaign, scenarios, models_dir)
     plan = plan_of(campaign, models, scenarios)
 
-    # The ledger; one that exists must hold the same campaign.
-    store = stack.enter_context(Store.create(directory, identity_of(campaign, scenarios, models)))
-    check_versions(store, {**versions(), **plan.sampler.versions})
+    # The ledger; one that exists must hold the same campaign, or a smaller one that is extended.
+    identity: dict[str, Any] = json.loads(canonical(identity_of(campaign, scenarios, models)))
+    stored_identity = held(directory, IDENTITY)
+    extends = extend and stored_identity not in (None, identity)
+    identity_to_open = identity
+    if extends:
+        identity_to_open = stored_identity
+    try:
+        store = stack.enter_context(Store.create(directory, identity_to_open))
+    except BadInputError as error:
+        if stored_identity in (None, identity_to_open) or not differ_in_size(stored_identity, identity):
+            raise
+        raise BadInputError(f"{error}, or keep its runs with --extend") from None
+    check_versions(store, {**versions(), **plan.sampler.versions}, adds_runs=extends)
     check_shard(store, shard)
-    store.write_meta(
-        {
-            ORDERED: campaign.model_dump_json(),
-            "models_dir": None if models_dir is None else _as_held(models_dir, directory),
-            "missions": shard.missions(campaign),
-        }
-    )
+    with store.writing():
+        if extends:
+            extend_ledger(store, plan, identity, shard)
+        store.write_meta(
+            {
+                ORDERED: campaign.model_dump_json(),
+                "models_dir": None if models_dir is None else _as_held(models_dir, directory),
+                "missions": shard.missions(campaign),
+            }
+        )
     return Session(
         plan,
         store,

@@ -12,7 +12,7 @@ import json
 import os
 import sqlite3
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -25,6 +25,7 @@ from mavfi.config import checked
 from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
 from mavfi.files import absent_folders, is_file, remove_folders
 from mavfi.mission import MissionStatus
+from mavfi.plugins import permission_for, use_ledger
 from mavfi.record import FlightRecord, canonical, without_source
 
 
@@ -288,6 +289,7 @@ class Store:
             store._begin_log()
             store._connection.execute("PRAGMA synchronous = NORMAL")
             store._take_over()
+            use_ledger(directory, identity)
         except BaseException:
             store.close()
             raise
@@ -306,6 +308,7 @@ class Store:
         try:
             store._check_schema()
             store._check_content()
+            use_ledger(directory, store.meta(IDENTITY))
         except BaseException:
             store.close()
             raise
@@ -451,6 +454,50 @@ class Store:
             row = *world, mission_checksum(self._connection, world, salt_of(self._connection))
             self._connection.execute("INSERT OR IGNORE INTO missions VALUES (?, ?, ?)", row)
 
+    def replan(
+        self,
+        identity: Mapping[str, Any],
+        rows: Sequence[Row],
+        planned: Iterable[tuple[str, int]],
+        unflown: Collection[str],
+        replaced: Collection[str],
+    ) -> None:
+        """Make this the ledger of another campaign, which has all of its runs, at other positions.
+
+        Args:
+            identity: That of the campaign.
+            rows: The stored runs as the campaign plans them, except the replaced ones.
+            planned: Missions that have no further runs in it, by environment and seed.
+            unflown: Ids of runs that are to be flown again.
+            replaced: Ids of runs that it does not have.
+        """
+        with self.writing():
+            # The identity comes first: it is the salt of all other checksums.
+            keys = [key for (key,) in self._connection.execute("SELECT key FROM meta")]
+            metadata = {key: self.meta(key) for key in keys if key not in (IDENTITY, BOUND)}
+            self.write_meta({IDENTITY: identity, BOUND: True})
+            self.write_meta(metadata)
+            salt = salt_of(self._connection)
+
+            self._connection.executemany("DELETE FROM runs WHERE run_id = ?", [(run_id,) for run_id in replaced])
+            # Positions are unique at every instant: the old ones make room by becoming negative.
+            self._connection.execute("UPDATE runs SET position = -1 - position")
+            for row in rows:
+                result = None, "", None
+                if row.run_id not in unflown:
+                    query = "SELECT record, note, wall_s FROM runs WHERE run_id = ?"
+                    result = self._connection.execute(query, (row.run_id,)).fetchone()
+                self._connection.execute(
+                    "UPDATE runs SET position = ?, spec = ?, record = ?, note = ?, wall_s = ?, checksum = ? "
+                    "WHERE run_id = ?",
+                    (row.position, row.text, *result, checksum_of(*row, *result, *salt), row.run_id),
+                )
+
+            # A mission is completely planned if nothing is added to it.
+            self._connection.execute("DELETE FROM missions")
+            for world in planned:
+                self.end_plan(world)
+
     def done(self, world: tuple[str, int]) -> frozenset[str]:
         """Ids of the completed runs of a mission, given by environment and seed."""
         query = "SELECT run_id FROM runs WHERE environment = ? AND seed = ? AND record IS NOT NULL"
@@ -568,6 +615,11 @@ class Store:
         if path is None:
             return None
         return self.directory / path
+
+    @property
+    def permission(self) -> str:
+        """The option, with a space before it, that commands need to run the ledger's plug-ins; "" = none."""
+        return permission_for(self.directory, self.meta(IDENTITY))
 
     @contextmanager
     def snapshot(self) -> Iterator[None]:

@@ -28,7 +28,7 @@ from mavfi.flight.compiling import STAGES, compile_stage
 from mavfi.flight.compose import detector_for
 from mavfi.mission import Scenario
 from mavfi.numerics.dependencies import packages_digest
-from mavfi.numerics.jit import code_folder
+from mavfi.numerics.jit import code_folder, in_turns
 from mavfi.states import DETECTORS, PLANNERS
 
 
@@ -155,7 +155,8 @@ def _rounds(campaigns: Sequence[Campaign]) -> list[list[_CompileTask]]:
 
 def _compile(task: _CompileTask) -> None:
     """Perform a task, in a worker."""
-    task.compile()
+    with in_turns():
+        task.compile()
 
 
 def _shipped_models(campaign: Campaign) -> dict[str, str] | None:

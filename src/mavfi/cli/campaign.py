@@ -12,6 +12,7 @@ from mavfi.cli import completion, options
 from mavfi.cli.console import check_name, check_seed, check_writable, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, MavfiError
+from mavfi.files import is_file
 from mavfi.plugins import known, load_object
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 HELP_PANEL = "Campaigns"
 EXIT_REQUIREMENT = 3
 """Exit code if a requirement does not hold, or too few runs show that it does."""
+_LOOSE_BOUND = 0.1
+"""Share of wrong records above which a verification hardly says anything."""
 Require = Annotated[
     list[str] | None,
     typer.Option(
@@ -44,6 +47,7 @@ app = typer.Typer(
 
 @app.command("run")
 def run(  # noqa: PLR0913 - options
+    context: typer.Context,
     config: Annotated[
         str,
         typer.Argument(
@@ -80,6 +84,10 @@ def run(  # noqa: PLR0913 - options
             help="Begin injected runs at checkpoints of their golden run; the result does not depend on it.",
         ),
     ] = True,
+    extend: Annotated[
+        bool,
+        typer.Option("--extend", help="Keep the runs of a smaller campaign in --out: fly what CONFIG has in addition."),
+    ] = False,
     allow_unknown: Annotated[
         bool, typer.Option("--allow-unknown", help="Exit with 0 even if runs have status unknown.")
     ] = False,
@@ -96,6 +104,7 @@ def run(  # noqa: PLR0913 - options
     from mavfi.campaign.mission import check_names
     from mavfi.campaign.plan import WHOLE, Shard
     from mavfi.campaign.run import run_campaign
+    from mavfi.campaign.store import FILE
     from mavfi.cli.progress import Bar
 
     # check all options before the first flight
@@ -103,6 +112,10 @@ def run(  # noqa: PLR0913 - options
     check_names(campaign, config)
     requirements = _requirements(campaign, [*campaign.require, *(require or ())], junit)
     ledger = out or Path("out") / campaign.name
+    if extend and not is_file(ledger / FILE):
+        raise BadInputError(f"--extend: {ledger} holds no campaign; allowed: the folder of one, or without --extend")
+    if scheduler and options.is_users(context.get_parameter_source("workers")):
+        raise BadInputError(f"--workers: {workers}: a scheduler has its own workers; allowed: without --scheduler")
     chosen_executor = _executor(executor, scheduler, workers)
     chosen_shard = Shard.parse(shard, "--shard")
     if chosen_shard != WHOLE and (require or junit):
@@ -117,6 +130,7 @@ def run(  # noqa: PLR0913 - options
             models_dir=models,
             fast_forward=fast_forward,
             shard=chosen_shard,
+            extend=extend,
             progress=bar.show_campaign,
         )
     # report; unknown runs first, they make the figures incomplete
@@ -158,11 +172,11 @@ def _judge(
     directory: Path, name: str, requirements: "Sequence[Requirement]", junit: Path | None
 ) -> "list[RequirementVerdict]":
     """Judge requirements by the runs of a ledger, and write the verdicts if a file is given."""
-    from mavfi.analysis import Runs
-    from mavfi.analysis.requirements import judge, write_junit
-
     if not requirements:
         return []
+    from mavfi.analysis.requirements import judge, write_junit
+    from mavfi.analysis.runs import Runs
+
     verdicts = judge(Runs.read(directory), requirements)
     if junit is not None:
         write_junit(junit, name, verdicts)
@@ -176,6 +190,8 @@ def _show_verdicts(verdicts: "Sequence[RequirementVerdict]") -> None:
 
 
 def _exit_unless_all_hold(verdicts: "Sequence[RequirementVerdict]") -> None:
+    if not verdicts:
+        return
     from mavfi.analysis.requirements import Holds
 
     if any(verdict.holds is not Holds.YES for verdict in verdicts):
@@ -184,11 +200,12 @@ def _exit_unless_all_hold(verdicts: "Sequence[RequirementVerdict]") -> None:
 
 def _show_counts(directory: Path, status: "Status") -> None:
     """Print how flights ended by setting; of runs that are no flights, the effects of their faults."""
-    from mavfi.analysis import Runs
-    from mavfi.analysis.effects import effect_rates
     from mavfi.cli.progress import effect_counts, run_counts
 
     if not status.flies:
+        from mavfi.analysis.effects import effect_rates
+        from mavfi.analysis.runs import Runs
+
         effects = effect_rates(Runs.read(directory))
         if effects:
             console().print(effect_counts(effects))
@@ -254,22 +271,24 @@ def status(
         text += f" of shard {progress.shard}"
     if progress.complete:
         text += ", complete"
-    console().print(text)
+    else:
+        text += f"; `mavfi campaign run CONFIG --out {directory}` flies the rest"
+    console().print(text, markup=False, soft_wrap=True)
     _show_counts(directory, progress)
     _exit_unless_all_hold(verdicts)
 
 
 def _settings(directory: Path, status: "Status") -> dict[str, dict[str, Any]]:
     """Counts by setting as plain data: successful flights, or effects of faults where runs are no flights."""
-    from mavfi.analysis import Runs
-    from mavfi.analysis.effects import effect_rates
-
     settings: dict[str, dict[str, Any]] = {}
     for name, (planned, done, success) in status.settings.items():
         settings[name] = {"planned": planned, "flown": done}
         if status.flies:
             settings[name]["succeeded"] = success
     if not status.flies:
+        from mavfi.analysis.effects import effect_rates
+        from mavfi.analysis.runs import Runs
+
         for name, rates in effect_rates(Runs.read(directory)).items():
             settings[name]["effects"] = {effect: asdict(rate) for effect, rate in rates.items()}
     return settings
@@ -278,7 +297,7 @@ def _settings(directory: Path, status: "Status") -> dict[str, dict[str, Any]]:
 @app.command("verify")
 def verify(
     directory: options.Ledger,
-    share: Annotated[float, typer.Option(help="Sample size; 1 = all runs.")] = 0.02,
+    share: Annotated[float, typer.Option(help="Share of the runs that is replayed; 1 = all.")] = 0.02,
     seed: Annotated[int, typer.Option(help="Seed of the sample.")] = 0,
     as_json: options.AsJson = False,
 ) -> None:
@@ -298,6 +317,8 @@ def verify(
     if as_json:
         write_json({**asdict(sample), "upper_bound": sample.upper_bound})
     elif not sample.differing:
+        if sample.flown < sample.runs and sample.upper_bound > _LOOSE_BOUND:
+            bound += "; a larger --share shows more"
         console().print(f"{sample.flown} of {sample.runs} runs replayed, all records equal; {bound}")
     if sample.differing:
         raise MavfiError(

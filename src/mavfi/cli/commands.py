@@ -4,23 +4,25 @@ import ast
 import functools
 import inspect
 import os
+import sys
 import traceback
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated, Any, NamedTuple
 
 import typer
-from typer.completion import completion_init  # type: ignore[attr-defined] # registers the shells of Typer
+from typer.completion import completion_init  # type: ignore[attr-defined]
 from typer.core import TyperCommand, TyperGroup
 
 from mavfi.cli import panels
 from mavfi.cli.console import complain
 from mavfi.cli.stopping import EXIT_STOPPED
 from mavfi.dropped import COMMANDS, OPTIONS
-from mavfi.errors import BadInputError, MavfiError, hint, machine_failure, not_known
+from mavfi.errors import BadInputError, MavfiError, hint, machine_failure, missing_package, not_known
 from mavfi.plugins import allow_plugins, allow_typed, known, plugin_failure
 
 _ALLOW_PLUGINS = "--allow-plugins"
@@ -34,6 +36,7 @@ EXIT_BAD_INPUT = 2
 VERBS = {
     "fly": "mavfi.cli.fly:fly",
     "campaign": "mavfi.cli.campaign:app",
+    "compare": "mavfi.cli.runs:compare",
     "report": "mavfi.cli.report:report",
     "runs": "mavfi.cli.runs:runs",
     "replay": "mavfi.cli.runs:replay",
@@ -41,7 +44,10 @@ VERBS = {
     "shrink": "mavfi.cli.runs:shrink",
     "train": "mavfi.cli.train:train",
     "states": "mavfi.cli.states:states",
+    "docs": "mavfi.cli.docs:docs",
     "init": "mavfi.cli.init:init",
+    "doctor": "mavfi.cli.doctor:doctor",
+    "cache": "mavfi.cli.doctor:cache",
     "completion": "mavfi.cli.completion:completion",
 }
 """Commands of the core: a function, or a Typer application with commands of its own."""
@@ -184,13 +190,7 @@ def run(arguments: Sequence[str]) -> int:
 
     Bad input, known failures and exceptions of plug-ins print one line on stderr; those of mavfi itself are raised.
     """
-    # the permission comes first: commands of plug-ins are looked up already while the words are parsed
-    if _ALLOW_PLUGINS in arguments:
-        allow_plugins()
-        arguments = [word for word in arguments if word != _ALLOW_PLUGINS]
-    allow_typed(word.rpartition("=")[2] for word in arguments)
-
-    _prepare_completion()
+    arguments = _prepared(arguments)
 
     # every known kind of failure becomes a line and an exit code
     try:
@@ -207,10 +207,10 @@ def run(arguments: Sequence[str]) -> int:
     except typer.Abort:
         return EXIT_STOPPED
     except (Exception, SystemExit) as error:
-        # a full disk and the like, then plug-ins; all other exceptions are defects of mavfi
+        # a full disk and the like, then what the user installed or not; all others are defects of mavfi
         if failure := machine_failure(error):
             return _refused(failure, EXIT_FAILURE)
-        if failure := plugin_failure(error):
+        if failure := _missing_package(error, arguments) or plugin_failure(error):
             return _refused(failure, EXIT_BAD_INPUT)
         raise
     if isinstance(code, int):
@@ -218,11 +218,20 @@ def run(arguments: Sequence[str]) -> int:
     return EXIT_DONE
 
 
-def _prepare_completion() -> None:
-    """Prepare for a shell that asks for completions instead of a command; nothing is done without it."""
+def _prepared(arguments: Sequence[str]) -> Sequence[str]:
+    """Prepare for the words of a command: permission, completion, help; returns those that are left to parse."""
+    # the permission comes first: commands of plug-ins are looked up already while the words are parsed
+    if _ALLOW_PLUGINS in arguments:
+        allow_plugins()
+        arguments = [word for word in arguments if word != _ALLOW_PLUGINS]
+    allow_typed(word.rpartition("=")[2] for word in arguments)
+
     if os.environ.get(_COMPLETE):
         completion_init()
         os.environ["COLUMNS"] = "1000"  # each completion is one line
+    elif not arguments or "--help" in arguments:
+        _import_help()
+    return arguments
 
 
 def _refused_words(error: typer.TyperException, arguments: Sequence[str]) -> str:
@@ -232,6 +241,16 @@ def _refused_words(error: typer.TyperException, arguments: Sequence[str]) -> str
         return dropped
     message = _unknown_word(error, arguments) or _refused_value(error) or error.format_message().rstrip(".")
     return f"{message}; see `mavfi {_verb(arguments)}--help`"
+
+
+def _missing_package(error: BaseException, arguments: Sequence[str]) -> str:
+    """The refusal of a command that needs an optional package; "" = the error is another."""
+    if not isinstance(error, ModuleNotFoundError):
+        return ""
+    refusal = missing_package(error, f"mavfi {_verb(arguments)}".rstrip())
+    if refusal is None:
+        return ""
+    return str(refusal)
 
 
 def _as_typed(text: str, arguments: Sequence[str]) -> str:
@@ -291,6 +310,30 @@ def _refused(text: str, code: int) -> int:
     if os.environ.get(_TRACEBACK):
         typer.echo(traceback.format_exc(), err=True, nl=False)
     return complain(text, code)
+
+
+def _import_help() -> None:
+    """Import Typer's help without rich's Markdown and tracebacks, which take a fifth of its time and are not used."""
+    stubs = {}
+    for module, name in (("rich.markdown", "Markdown"), ("rich.traceback", "Traceback")):
+        if module not in sys.modules:
+            stubs[module] = ModuleType(module)
+            setattr(stubs[module], name, _class_imported_later(module, name))
+    sys.modules.update(stubs)
+    try:
+        import_module("typer.rich_utils")
+    finally:
+        for module in stubs:
+            del sys.modules[module]
+
+
+def _class_imported_later(module: str, name: str) -> type:
+    """A class in the place of another, which is imported when an object is made, e.g. for the help of a plug-in."""
+
+    def make(_: type, *arguments: Any, **named: Any) -> Any:
+        return getattr(import_module(module), name)(*arguments, **named)
+
+    return type(name, (), {"__new__": make})
 
 
 @functools.cache

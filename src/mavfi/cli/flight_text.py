@@ -14,6 +14,7 @@ from mavfi.flight.decide import Response
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Effect, QoF, quality_of
 from mavfi.report.explain import alarm_lines, injection_lines
+from mavfi.report.numbers import is_failure, signed_percent
 
 if TYPE_CHECKING:
     from mavfi.report.flight_result import FlightResult
@@ -93,8 +94,8 @@ def _figures(result: FlightResult) -> Table:
     for label, name, scale, unit in _FIGURES:
         values = [float(getattr(quality, name)) for quality in qualities]
         cells = [f"{scale * value:.1f} {unit}" for value in values]
-        if len(values) == 2 and values[1] > 0:
-            cells.append(f"{100 * (values[0] / values[1] - 1):+z.1f} %")
+        if len(values) == 2:
+            cells.append(signed_percent(_relative(result, *values)))
         table.add_row(label, *cells)
     # conditions that are not at their defaults
     scenario = result.scenario
@@ -112,6 +113,14 @@ def _figures(result: FlightResult) -> Table:
     return table
 
 
+def _relative(result: FlightResult, value: float, golden_value: float) -> float | None:
+    """Change of a value against the golden run; None if either mission is lost: what ends early saves nothing."""
+    golden = result.golden
+    if golden is None or {result.status, golden.log.status} != {MissionStatus.SUCCESS} or golden_value <= 0:
+        return None
+    return value / golden_value - 1
+
+
 def _fault(result: FlightResult) -> list[RenderableType]:
     """The fault and its effect; empty for a golden flight."""
     fault = result.fault
@@ -121,6 +130,8 @@ def _fault(result: FlightResult) -> list[RenderableType]:
     log = result.log
     story = [line for injection in log.injections for line in injection_lines(injection, fault, log)]
     text = f"{effect.label}: {_MEANING.get(effect, effect.value)}"
+    if effect is Effect.SDC and is_failure(log.injections):
+        text = _MEANING[effect]
     if effect is Effect.MASKED and not any(injection.activated for injection in log.injections):
         text = "none: nothing was injected, the flight is the golden run"
     return [Text(), story_table([*story, ("effect", text)])]

@@ -116,7 +116,7 @@ def with_mission_options(verb: Callable[..., None], without: Collection[str] = (
     def wrapped(context: typer.Context, **values: Any) -> None:
         mission_values = {name: values.pop(name) for name in fields}
         set_by_user = {
-            name: value for name, value in mission_values.items() if _is_users(context.get_parameter_source(name))
+            name: value for name, value in mission_values.items() if is_users(context.get_parameter_source(name))
         }
         if passes_context:
             values["context"] = context
@@ -149,7 +149,8 @@ def with_extra_options(*groups: str) -> Callable[[Callable[..., None]], Callable
     return decorate
 
 
-def _is_users(source: Enum | None) -> bool:
+def is_users(source: Enum | None) -> bool:
+    """Whether the value of a parameter, given by its source, is the user's, not the default."""
     return source is not None and source.name != "DEFAULT"
 
 

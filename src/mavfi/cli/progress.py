@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from rich.console import Group
+from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 
 _LINE_EVERY = 15.0
 """Interval between lines if the output is not a terminal (s)."""
+
+
+_FUNCTIONS = 134
+"""Functions that the first flight with default settings compiles; others need a few more or less."""
 
 
 class Bar:
@@ -122,6 +126,29 @@ class Bar:
             self._console.print(line)
 
 
+class _FunctionsBar(Progress):
+    """Progress of the compilation of a flight, by the files that all processes add to a folder.
+
+    Args:
+        folder: Folder of compiled code.
+        out: Where it is drawn.
+    """
+
+    def __init__(self, folder: Path, out: Console) -> None:
+        columns = TextColumn("[bold]{task.description}"), BarColumn(bar_width=24), TextColumn("{task.fields[counts]}")
+        super().__init__(*columns, console=out, transient=True, refresh_per_second=5)
+        self._folder = folder
+        self._task = self.add_task("compiling for this machine, once", total=_FUNCTIONS, counts="")
+
+    def get_renderables(self) -> Iterator[RenderableType]:
+        """The bar, after a look into the folder."""
+        if hasattr(self, "_task"):  # the first drawing precedes the task
+            done = sum(1 for _ in self._folder.glob("*.nbc"))
+            total = max(done, _FUNCTIONS)
+            self.update(self._task, completed=done, total=total, counts=f"{done} of {total} functions")
+        yield from super().get_renderables()
+
+
 @contextmanager
 def compiling(*, instrumented: bool = False, flight: bool = False) -> Iterator[bool]:
     """Report on stderr that kernels (also instrumented ones) are being compiled, if their cache is empty.
@@ -148,11 +175,14 @@ def compiling(*, instrumented: bool = False, flight: bool = False) -> Iterator[b
     if instrumented and not any(folder.rglob("*.bin")):
         compiles = True
     if compiles:
-        duration_text = "two minutes" if instrumented else "40 s"
+        duration_text = "half a minute" if instrumented else "20 s"
         text = f"compiling kernels for this machine, once (about {duration_text}) ..."
         if not out.is_terminal:
             out.print(text)
-        with out.status(text):  # draws nothing elsewhere than in a terminal
+        display: AbstractContextManager[object] = out.status(text)  # draws nothing elsewhere than in a terminal
+        if is_cold and out.is_terminal:
+            display = _FunctionsBar(folder, out)
+        with display:
             yield is_cold
     else:
         yield is_cold

@@ -1,7 +1,8 @@
 """`mavfi report`: print the headline or tables of a campaign; write report.md and figures to its folder."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,7 +14,8 @@ from rich.text import Text
 from mavfi.campaign.executors.local import MOST_WORKERS
 from mavfi.cli import options
 from mavfi.cli.console import PAGES, check_file, check_number, console, counted, write_json
-from mavfi.errors import BadInputError
+from mavfi.cli.stopping import EXIT_STOPPED, stoppable
+from mavfi.errors import BadInputError, write_text
 from mavfi.files import check_folder, make_folder
 from mavfi.plugins import extensions
 
@@ -21,8 +23,11 @@ HELP_PANEL = "Campaigns"
 MAX_FLIGHTS = 10_000
 
 if TYPE_CHECKING:
+    from mavfi.analysis.table import Table
+    from mavfi.cli.progress import Bar
     from mavfi.report.campaign_report import CampaignReport
     from mavfi.report.figures import Drawn
+    from mavfi.report.html.report_page import EmbeddedFlights
 
 
 def report(  # noqa: PLR0913 - one parameter per option
@@ -37,10 +42,12 @@ def report(  # noqa: PLR0913 - one parameter per option
         Path | None, typer.Option(metavar="FILE.html", help="Write all of it, with runs and flights, as one page.")
     ] = None,
     flights: Annotated[
-        int | None, typer.Option(help="Flights in the page, flown again for it; as many as fit by default.")
+        int | None,
+        typer.Option(help="Flights in the page, flown again for it; by default up to 30, within a minute."),
     ] = None,
     figures: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Write each figure as PDF and PNG in column width.")
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Write figures for papers and for talks (16:9), and tables in LaTeX."),
     ] = None,
     workers: options.Workers = 2,
 ) -> None:
@@ -64,10 +71,9 @@ def report(  # noqa: PLR0913 - one parameter per option
     reported = next(report for report in reports if report is not None)
     written_files = []
     if html is not None:
-        size = f"{html.stat().st_size / 1e6:.1f} MB"
-        written_files.append(f"{html}, with {counted(reported.flights, 'flight')}, {size}")
+        written_files.append(_said_of_page(html, reported.flights, directory))
     if figures is not None:
-        written_files.append(_write_figures(reported.draw(), figures))
+        written_files.append(_write_figures(reported, figures))
     if as_json:
         write_json(reported.written.to_json())
         return
@@ -76,6 +82,8 @@ def report(  # noqa: PLR0913 - one parameter per option
     console().print(f"[dim]wrote[/dim] {names} [dim]in[/dim] {directory}", soft_wrap=True)
     for line in written_files:
         console().print(f"wrote {line}", style="dim", markup=False, soft_wrap=True)
+    if reported.flights.is_stopped:
+        raise typer.Exit(EXIT_STOPPED)
 
 
 @dataclass(frozen=True)
@@ -84,14 +92,16 @@ class Reported:
 
     Attributes:
         written: The report; it has `files` and `to_json`.
-        flights: Number of flights in its page.
+        flights: The flights in its page.
         draw: Draws its figures.
+        tables: Its tables, by name.
         show: Prints it: its headline, or with True all of it.
     """
 
     written: Any
-    flights: int
+    flights: "EmbeddedFlights"
     draw: Callable[[], Sequence["Drawn"]]
+    tables: Mapping[str, "Table"]
     show: Callable[[bool], None]
 
 
@@ -104,40 +114,71 @@ def report_campaign(directory: Path, html: Path | None, flights: int | None, wor
     Args:
         directory: The folder.
         html: Page to write; None = none.
-        flights: Maximum number of flights in the page; None = as many as fit.
+        flights: Maximum number of flights in the page; None = see `write_page`.
         workers: Number of processes for them.
 
     Raises:
         BadInputError: The ledger is missing or damaged, or a file cannot be written.
     """
     from mavfi.campaign.store import Store
-    from mavfi.cli.progress import Bar
     from mavfi.report.campaign_report import write_report
     from mavfi.report.figures import drawn
-    from mavfi.report.html.report_page import write_html
+    from mavfi.report.html.report_page import NO_FLIGHTS, write_html
 
     Store.open(directory).close()  # fails before writing
     check_folder(directory)
     written = write_report(directory)
-    count = 0
+    page_flights = NO_FLIGHTS
     if html is not None:
-        with Bar("flights of the page") as bar:
-            count = write_html(html, directory, written, flights, workers, bar.show)
-    return Reported(written, count, partial(drawn, written.runs), partial(show_report, written))
+        with page_bar() as bar:
+            page_flights = write_html(html, directory, written, flights, workers, bar.show)
+    tables = {table.name: table for table in written.tables}
+    return Reported(written, page_flights, partial(drawn, written.runs), tables, partial(show_report, written))
 
 
-def _write_figures(drawn: Sequence["Drawn"], folder: Path) -> str:
-    """Write figures; return one line of text."""
+@contextmanager
+def page_bar() -> Iterator["Bar"]:
+    """Progress of the flights of a page; Ctrl-C stops them, and what is done is written."""
     from mavfi.cli.progress import Bar
-    from mavfi.report.style import write_figure
+
+    with stoppable("Stopped: the page holds no flights."), Bar("flights of the page (Ctrl-C: those done)") as bar:
+        yield bar
+
+
+def _said_of_page(path: Path, flights: "EmbeddedFlights", directory: Path) -> str:
+    """What was written, and how to see the flights that are not in it."""
+    from mavfi.report.html.report_page import DEFAULT_FLIGHTS
+
+    count = counted(flights.stored, "flight")
+    if flights.stored < flights.chosen:
+        count = f"{flights.stored} of {counted(flights.chosen, 'flight')}"
+    if flights.is_stopped:
+        count = f"{count} (stopped)"
+    said = f"{path}, with {count}, {path.stat().st_size / 1e6:.1f} MB"
+    if flights.stored == flights.chosen < DEFAULT_FLIGHTS:  # there are no more that explain anything
+        return said
+    return f"{said} (any other: mavfi serve {directory}; more in the page: --flights 200)"
+
+
+def _write_figures(reported: Reported, folder: Path) -> str:
+    """Write figures and tables; return one line of text."""
+    from mavfi.cli.progress import Bar
+    from mavfi.report.latex import latex_table
+    from mavfi.report.style import write_figure, write_talk_figure
 
     paths: list[Path] = []
     make_folder(folder)
     with Bar("figures", "figures") as bar:
-        for done, result in enumerate(drawn, start=1):
-            paths += write_figure(result.figure, folder, result.name)
-            bar.show(done, len(drawn))
-    return f"{', '.join(path.name for path in paths) or 'no figure'} in {folder}"
+        for write in (write_figure, write_talk_figure):
+            drawn = reported.draw()  # once for each, since it is resized
+            for done, result in enumerate(drawn, start=1):
+                paths += write(result.figure, folder, result.name)
+                bar.show(done, len(drawn))
+    for name, table in reported.tables.items():
+        paths.append(folder / f"{name}.tex")
+        write_text(paths[-1], latex_table(table))
+    kinds = Counter(path.suffix.removeprefix(".") for path in paths)
+    return f"{', '.join(f'{count} {kind}' for kind, count in kinds.items()) or 'nothing'} in {folder}"
 
 
 def _check_files(html: Path | None, flights: int | None, figures: Path | None, workers: int, view: str) -> None:
@@ -177,8 +218,8 @@ def _listed(files: Sequence[Path]) -> str:
 
 def _show_view(directory: Path, name: str, *, as_csv: bool, as_json: bool) -> None:
     """Print a view of a campaign, or the list of views."""
-    from mavfi.analysis import Runs, table_asked_for
-    from mavfi.analysis.views import applicable
+    from mavfi.analysis.runs import Runs
+    from mavfi.analysis.views import applicable, table_asked_for
     from mavfi.report.text import show_table
 
     runs = Runs.read(directory)
@@ -186,7 +227,7 @@ def _show_view(directory: Path, name: str, *, as_csv: bool, as_json: bool) -> No
         views = applicable(runs)
         width = max(len(view.name) for view in views)
         for view in views:
-            typer.echo(f"{view.name:{width}}  {view.title}")
+            typer.echo(f"{view.name:{width}}  {view.title_of(runs)}")
         return
     table = table_asked_for(runs, name)
     if as_csv:

@@ -52,7 +52,7 @@ CHECKED = frozenset((_ESTIMATE, _STATUS, _PATH, _TRAJECTORY, *_CANDIDATES))
 """States with a rule."""
 
 COUNTERS, EPOCHS, DYNAMICS, COPIES, NODES = RULES = range(1, 6)
-"""Numbers of the rules of docs/engineers.md; the last is a restart policy of nodes, with no check of its own."""
+"""Numbers of the rules of docs/concepts/engineers.md; the last restarts nodes and checks nothing."""
 _RULE_OF_FIELD = {
     "perception.collision_status.future_collision_seq": COUNTERS,
     "perception.collision_status.collision": COUNTERS,

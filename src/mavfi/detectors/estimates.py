@@ -63,8 +63,8 @@ last published estimate, its time, time of the last re-initialization in flight 
 def judge_estimate(content: np.ndarray, now: int, record: np.ndarray) -> int:
     """Index of the field of an estimate that violates the rule, or -1.
 
-    See docs/models.md: finite values, unit quaternion; flight box and speed for the first estimate; IMU range and
-    corrections by fixes for later ones.
+    See docs/reference/detectors.md: finite values, unit quaternion; flight box and speed for the first estimate; IMU
+    range and corrections by fixes for later ones.
 
     Args:
         content: Bytes of the header: position (m), velocity (m/s), quaternion.  Shape (>= 80,), uint8.

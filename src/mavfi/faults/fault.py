@@ -53,7 +53,7 @@ DEFAULT_WALK = 16
 """Default of `RegisterFault.walk` with a symbol.
 
 It is longer than the loops at whose few instructions stops occur.  Longer walks spread injections no further, and stop
-the target for longer (docs/fault-model.md).
+the target for longer (docs/reference/registers.md).
 """
 LIFETIME: Mapping[str, float | int] = {"lasts_s": 0.0, "share": 1.0, "width": 1, "times": 1}
 """Defaults of the duration and width of a `StateFault`."""

@@ -111,18 +111,3 @@ def custom_detectors(campaign: Any) -> dict[str, PlugIn]:
             spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.mission)
             detectors[arm_name] = plug_ins_of_spec(spec, arm.detector)[-1]
     return detectors
-
-
-def arms_with_plug_ins(campaign: Any) -> list[str]:
-    """Names of the arms whose flights have a plug-in; "" = the campaign's own mission."""
-    missions: Mapping[str, Any] = {"": None} | {name: arm for name, arm in campaign.arms.items()}
-    detectors = custom_detectors(campaign)
-    arms = []
-    for name, arm in missions.items():
-        overrides = {}
-        if arm is not None:
-            overrides = arm.mission
-        spec = campaign.spec(campaign.environments[0], campaign.first_seed, overrides)
-        if name in detectors or plug_ins_of_spec(spec):
-            arms.append(name)
-    return arms

@@ -210,6 +210,10 @@ class CombinedSampler(Sampler):
                 start = None
             yield _Member(source, use, start)
 
+    def basis(self, environment: str, draw: Draw) -> tuple[Any, ...]:
+        """See `Sampler.basis`; numbers and strata of the further faults depend on the size of the campaign."""
+        return (*super().basis(environment, draw), self.campaign.missions, self.campaign.faults)
+
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: "MissionFlights", setup: "ArmSetup"
     ) -> Sampled:

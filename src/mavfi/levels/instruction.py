@@ -376,6 +376,7 @@ class InstructionSampler(Sampler):
     """
 
     instruments = True
+    draws_together = True
 
     def __init__(self, campaign: Any) -> None:
         super().__init__(campaign)
@@ -628,8 +629,14 @@ class InstructionLevel(Level):
         how = f"instructions: {sampling.which}, model {sampling.model}"
         if sampling.when != "uniform":
             how += f", calls: {sampling.when}"
-        kernels = [target.name for target in campaign_targets(campaign)]
-        return {"each": sampling.share, "how": how, "kernels": kernels, "which": sampling.which}
+        targets = campaign_targets(campaign)
+        return {
+            "each": sampling.share,
+            "how": how,
+            "kernels": [target.name for target in targets],
+            "stages": list(dict.fromkeys(target.stage for target in targets)),
+            "which": sampling.which,
+        }
 
 
 def _fault_in(match: re.Match[str]) -> InstructionFault:

@@ -222,11 +222,13 @@ class Sampler:
         versions: Versions on which draws depend, in addition to those of flights.
         profile: Whether draws need the publication times of golden runs.
         instruments: Whether golden flights are flown with instrumented kernels.
+        draws_together: Whether the faults of a mission in one target are drawn together, and so depend on their number.
     """
 
     alternates = False
     profile = False
     instruments = False
+    draws_together = False
 
     def __init__(self, campaign: Any) -> None:
         self.campaign = campaign
@@ -237,6 +239,8 @@ class Sampler:
         self.variants: Mapping[str, Mapping[str, Any]] = {}
         self.versions: Mapping[str, str] = {}
         self._blocks: dict[str, Sequence[FaultBlock]] = {}
+        self._companions: dict[str, Counter[tuple[int, str]]] = {}
+        """By environment: number of faults that are drawn together, by seed of their mission and target."""
 
     def blocks(self, environment: str) -> Sequence[FaultBlock]:
         """All faults of an environment, one block per target, with exact shares of the strata in each."""
@@ -262,6 +266,17 @@ class Sampler:
     def numbered(self, target: str, index: int, seed: int, stratum: str) -> Draw:
         """The draw with this number in a target."""
         return Draw(target, index, seed, self.arms.get(target, ""), stratum)
+
+    def basis(self, environment: str, draw: Draw) -> tuple[Any, ...]:
+        """What a fault depends on besides its golden run; campaigns in which it is equal draw the same fault."""
+        missions = self.campaign.missions
+        repetition = draw.index // missions
+        if not self.draws_together:
+            return draw, repetition
+        if environment not in self._companions:
+            all_draws = draws_of(self.blocks(environment), range(missions), missions)
+            self._companions[environment] = Counter((other.seed, other.target) for _, other in all_draws)
+        return draw, repetition, self._companions[environment][draw.seed, draw.target]
 
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: "MissionFlights", setup: "ArmSetup"
@@ -372,7 +387,8 @@ class Level:
     def about(self, campaign: Any) -> dict[str, Any]:
         """How a campaign draws, for the notes of tables: `each` (what `faults` counts), `how`, and further keys.
 
-        `per_mission` is the number of faults in a mission in words, unless it is one.
+        `per_mission` is the number of faults in a mission in words, unless it is one; `stages` are those with faults,
+        where a fault is in one of them.
 
         With `title` and `lines`, the level describes what is under test itself.
         """

@@ -713,7 +713,10 @@ class StateLevel(Level):
         how = f"drawn {strata}, fields: {sampling.sites}"
         if sampling.when != "uniform":
             how += f", publications: {sampling.when}"
-        return {"each": unit, "how": how}
+        about: dict[str, Any] = {"each": unit, "how": how}
+        if sampling.scheme == "stage_balanced":
+            about["stages"] = list(PPC_STAGES)
+        return about
 
 
 def _further_fields(text: str) -> tuple[tuple[str, int], ...]:

@@ -1,7 +1,7 @@
 """General figures of a campaign: success with intervals, and flight times."""
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -32,83 +32,101 @@ _LEGEND: dict[str, Any] = {"columnspacing": 1.2, "fontsize": 8.5, "handlelength"
 
 
 # ---- success -----------------------------------------------------------------------------------------------------
+class SuccessCell(NamedTuple):
+    """The success of a setting in an environment.
+
+    Attributes:
+        environment: Name of the environment.
+        setting: Name of the setting.
+        rate: The rate, with its interval.
+        published: The paper's rate; None = not comparable.
+        link: Link to the runs behind it; "" = none.
+    """
+
+    environment: str
+    setting: str
+    rate: Rate
+    published: float | None = None
+    link: str = ""
+
+
 def success(runs: Runs) -> Figure | None:
     """Success by environment and setting, with intervals, counts and the paper's values, for faults of any level."""
     chosen = _flown(runs)
     settings = _settings(chosen)
-    environments = chosen.values("environment")
     if settings in ([], [GOLDEN]):
         return None
     names = population_names(chosen, ("environment", "setting"))
+    cells = []
+    for setting in settings:
+        for environment, rate in _rates(chosen, setting, names).items():
+            missions = chosen.where(environment=environment, setting=setting)
+            link = links.to_runs(in_leading(missions, names), environment=environment, setting=setting)
+            cells.append(SuccessCell(environment, setting, rate, _published(missions), link))
+    conditions = "95 % intervals, n below each"
+    if has(chosen, level="instruction"):
+        conditions = f"nodes that die are restarted; {conditions}"
+    if names and chosen.injected.values("level") != ["sensor"]:  # those of sensors are in no bits
+        conditions = f"faults in {POPULATIONS.get(names[0], names[0])}; {conditions}"
+    title = "Success"
+    if runs.campaign.get("profile"):
+        title = f"Success · autopilot {runs.campaign['profile']}"
+    return draw_success(cells, f"{title} · {runs.per_mission} per mission", conditions)
+
+
+def draw_success(cells: Sequence[SuccessCell], title: str, conditions: str) -> Figure:
+    """Draw rates of success.
+
+    Args:
+        cells: The rates, in the order of the settings.
+        title: Above the axes.
+        conditions: Below them.
+    """
+    environments = list(dict.fromkeys(cell.environment for cell in cells))
+    settings = list(dict.fromkeys(cell.setting for cell in cells))
     figure = Figure(figsize=(max(6.6, 1.6 + 1.7 * len(environments)), 3.9), layout="constrained")
     axes = figure.subplots()
     looks = style.setting_looks(settings)
 
     # one column of points per setting within the space of each environment, linked to the runs behind them
     width = 0.8 / len(settings)
-    lowest = 1.0
-    handles: list[Line2D] = []
-    for number, setting in enumerate(settings):
-        rates = _rates(chosen, setting, names)
-        x = np.array([environments.index(name) for name in rates]) - 0.4 + (number + 0.5) * width
-        urls = []
-        for environment in rates:
-            counted = in_leading(chosen.where(environment=environment, setting=setting), names)
-            urls.append(links.to_runs(counted, environment=environment, setting=setting))
-        _points(axes, x, list(rates.values()), looks[setting], urls)
-        handles.append(_handle(setting, looks[setting], 7))
-        for centre, (environment, rate) in zip(x, rates.items(), strict=True):
-            if rate.low is not None:
-                _annotate_count(axes, centre, rate.n, rate.low)
-                lowest = min(lowest, rate.low)
-            published = _published(chosen, environment, setting)
-            if published is not None:
-                ends = [centre - 0.4 * width, centre + 0.4 * width]
-                axes.plot(ends, [published, published], color=style.INK, zorder=5)
-                lowest = min(lowest, published)
-    if any(_published(chosen, name, setting) is not None for name in environments for setting in settings):
-        handles.append(Line2D([], [], color=style.INK, label="the paper's figure"))
+    columns = {}
+    for cell in cells:
+        x = environments.index(cell.environment) - 0.4 + (settings.index(cell.setting) + 0.5) * width
+        columns[x] = f"{cell.rate.n}"
+        _point(axes, x, cell, looks[cell.setting])
+        # the paper's bar lies behind the point, and is seen on both sides of it
+        if cell.published is not None:
+            ends = [x - 0.44 * width, x + 0.44 * width]
+            axes.plot(ends, [cell.published] * 2, color=style.PAPER, linewidth=2.0, zorder=3, clip_on=False)
 
     # axes: from the tenth below the lowest bound, but half a tenth away from it
-    bottom = max(0.0, np.floor(10 * lowest - 0.5) / 10)
+    bounds = [bound for cell in cells for bound in (cell.rate.low, cell.published) if bound is not None]
+    bottom = max(0.0, np.floor(10 * min([1.0, *bounds]) - 0.2) / 10)
     axes.set_ylim(bottom, 1.0 + 0.04 * (1.0 - bottom))  # markers at 100 % keep clear of the title
     axes.set_xlim(-0.5, len(environments) - 0.5)
+    axes.xaxis.remove_overlapping_locs = False  # the count in the middle is above the name of the environment
+    axes.set_xticks(sorted(columns), [columns[x] for x in sorted(columns)], minor=True, **_SMALL)
+    axes.tick_params(axis="x", which="minor", length=0, pad=3)
+    if len(settings) > _MAX_UPRIGHT_COUNTS:
+        axes.tick_params(axis="x", which="minor", rotation=90)
     axes.set_xticks(range(len(environments)), environments)
+    axes.tick_params(axis="x", length=0, pad=16)
     for index in range(1, len(environments)):
         axes.axvline(index - 0.5, color=style.PALE, linewidth=0.8)
-    axes.tick_params(axis="x", length=0)
     axes.yaxis.set_major_formatter(PercentFormatter(1, 0, " %"))
     axes.grid(axis="y")
 
     # texts
     axes.set_ylabel("missions that succeed")
-    conditions = "95 % intervals, number of missions below each"
-    if has(chosen, level="instruction"):
-        conditions = f"nodes that die are restarted; {conditions}"
-    if names:
-        conditions = f"faults in {POPULATIONS.get(names[0], names[0])}; {conditions}"
     axes.set_xlabel(conditions, fontsize=8.5, color=style.GREY)
-    title = "Success"
-    if runs.campaign.get("profile"):
-        title = f"Success · autopilot {runs.campaign['profile']}"
-    axes.set_title(f"{title} · {runs.per_mission} per mission")
+    axes.set_title(title)
+    handles = [_handle(setting, looks[setting], 7) for setting in settings]
+    if any(cell.published is not None for cell in cells):
+        handles.append(Line2D([], [], color=style.PAPER, linewidth=2.0, label="the paper"))
     labels = [str(handle.get_label()) for handle in handles]
     figure.legend(handles=handles, loc="outside upper left", **_legend(figure, labels))
     return figure
-
-
-def _annotate_count(axes: Axes, x: float, count: int, low: float) -> None:
-    """Write the number of missions below the interval that ends at `low`."""
-    axes.annotate(
-        f"{count}",
-        (x, low),
-        (0, -9),
-        textcoords="offset points",
-        ha="center",
-        zorder=6,
-        bbox=_OVER_LINES,
-        **_SMALL,
-    )
 
 
 def _legend(figure: Figure, labels: Iterable[str]) -> dict[str, Any]:
@@ -118,7 +136,8 @@ def _legend(figure: Figure, labels: Iterable[str]) -> dict[str, Any]:
 
 
 _SMALL: dict[str, Any] = {"fontsize": 6.5, "color": style.GREY}
-_OVER_LINES: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
+_MAX_UPRIGHT_COUNTS = 6
+"""Largest number of settings whose numbers of missions fit side by side below an environment."""
 _LEGEND_MARK = 0.5
 _LEGEND_LETTER = 0.06
 """Width of a legend's column without its text, and of a letter (inches)."""
@@ -149,14 +168,11 @@ def _rates(runs: Runs, setting: str, names: list[str]) -> dict[str, Rate]:
     return rates
 
 
-def _published(runs: Runs, environment: str, setting: str) -> float | None:
-    """The paper's success rate, if it is comparable with these runs."""
-    missions = runs.where(environment=environment, setting=setting)
-    if not len(missions):
+def _published(missions: Runs) -> float | None:
+    """The paper's success rate, if it is comparable with these missions of one environment and setting."""
+    if not paper.comparable(missions):
         return None
-    if not paper.comparable(runs.campaign, missions.first("detector_profile"), missions.first("arm")):
-        return None
-    return paper.success(environment, setting)
+    return paper.success(missions.first("environment"), missions.first("setting"))
 
 
 def _handle(setting: str, look: Mapping[str, Any], size: float) -> Line2D:
@@ -164,15 +180,31 @@ def _handle(setting: str, look: Mapping[str, Any], size: float) -> Line2D:
     return Line2D([], [], label=style.setting_label(setting), linestyle="", markersize=size, **look)
 
 
-def _points(axes: Axes, x: np.ndarray, rates: list[Rate], look: Mapping[str, Any], urls: list[str]) -> None:
-    """Draw rates with intervals along the y axis, each linked to its runs."""
-    values = np.array([rate.rate or 0.0 for rate in rates])
-    bounds = np.array([[rate.low or 0.0, rate.high or 0.0] for rate in rates]).reshape(-1, 2)
-    errors = np.abs(bounds.T - values)
+def _point(axes: Axes, x: float, cell: SuccessCell, look: Mapping[str, Any]) -> None:
+    """Draw a rate with its interval, linked to its runs."""
+    rate = cell.rate
+    value = rate.rate or 0.0
+    errors = [[value - (rate.low or 0.0)], [(rate.high or 0.0) - value]]
     axes.errorbar(
-        x, values, yerr=errors, fmt="", linestyle="", markersize=6, elinewidth=1.8, clip_on=False, zorder=4, **look
+        x,
+        value,
+        yerr=np.abs(errors),
+        fmt="",
+        linestyle="",
+        markersize=6,
+        elinewidth=1.8,
+        clip_on=False,
+        zorder=4,
+        **look,
     )
-    links.points(axes, x, values, urls)
+    if cell.link:
+        links.points(axes, [x], [value], [cell.link])
+
+
+def _success_caption(runs: Runs) -> str:
+    if paper.compared(runs.campaign):
+        return "Success with 95 % intervals; horizontal bars: the paper's figures."
+    return "Success with 95 % intervals."
 
 
 # ---- flight time -------------------------------------------------------------------------------------------------
@@ -246,7 +278,7 @@ def _signed(share: float, _: float) -> str:
 CHAPTER = Chapter(
     10,
     (
-        Drawing("success", success, "Success with 95 % intervals; horizontal bars: the paper's figures.", general=True),
+        Drawing("success", success, _success_caption, general=True),
         Drawing("flight_time", flight_time, _arrival_caption, general=True),
     ),
 )

@@ -8,10 +8,10 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-from mavfi.analysis import views_for
 from mavfi.analysis.findings import findings
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import TEXT, Table
+from mavfi.analysis.views import views_for
 from mavfi.errors import write_text
 from mavfi.record import plain
 from mavfi.report.figures import draw

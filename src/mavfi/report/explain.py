@@ -22,7 +22,7 @@ from mavfi.record import (
     Injection,
     KernelEffect,
 )
-from mavfi.report.numbers import change, corruption, outcome, signed_percent
+from mavfi.report.numbers import change, corruption, is_failure, outcome, signed_percent
 
 if TYPE_CHECKING:
     from mavfi.campaign.divergence import Departure, FirstDifference, StateSpread
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 MAX_ALARMS = 8
 """Maximum number of alarms listed individually."""
+OTHER_DIGEST = "another digest than the stored one: other versions or another machine flew it"
+"""Note on a flight that is not the one of the ledger."""
 _SHORTEST_DELAY = 0.01
 """Shortest reported delay (s): half a control period."""
 _EFFECTS = {
@@ -69,7 +71,7 @@ def lines(explanation: Explanation) -> Story:
         run = f"{run}, detector {detector_name(spec)}"
     story.append(("run", run))
     if not explanation.same:
-        story.append(("note", "another digest than the stored one: other versions or another machine flew it"))
+        story.append(("note", OTHER_DIGEST))
     return story + steps(
         log, golden, spec.fault, spec.detector, explanation.first, explanation.departure, explanation.spread
     )
@@ -145,6 +147,8 @@ def verdict(effect: Effect, log: FlightLog, golden: FlightLog) -> str:
         victim = "the firmware" if log.count(CONTROLLER_LOST) else "a kernel"
         return f"{death} of {victim}, {after_death(log)}; {_mission(log, golden)}"
     text = _EFFECTS.get(effect, effect.label)
+    if effect is Effect.SDC and is_failure(log.injections):
+        text = "another flight than the golden run"
     # masked because the protection has computed the step again
     if kernel is not None and kernel.effect == Effect.DETECTED.label and effect is Effect.MASKED:
         text = f"{_EFFECTS[Effect.DETECTED]}; {text}"
@@ -369,7 +373,7 @@ def _alarm(alarm: AlarmRecord, *, in_golden: bool) -> str:
 
 def end_of(log: FlightLog) -> str:
     """Final status and end time of a flight."""
-    return f"{log.status.value} ({log.status.words}) after {_duration(log):.2f} s"
+    return f"{log.status.value.removesuffix('.')} ({log.status.words}) after {_duration(log):.2f} s"
 
 
 def _duration(log: FlightLog) -> float:

@@ -11,6 +11,7 @@ from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, not_known
 from mavfi.plugins import Catalogue
 from mavfi.report import style
+from mavfi.report.notebook import NotebookFigure
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +78,7 @@ def drawn(runs: Runs, names: Sequence[str] | None = None) -> list[Drawn]:
     return figures
 
 
-def figure(runs: Runs, name: str) -> Figure:
+def figure(runs: Runs, name: str) -> NotebookFigure:
     """Draw one figure of a report.
 
     Raises:
@@ -86,7 +87,7 @@ def figure(runs: Runs, name: str) -> Figure:
     figures = drawn(runs, [name])
     if not figures:
         raise BadInputError(f"figure {name!r}: these runs have nothing to show in it; needed: runs with a fault")
-    return figures[0].figure
+    return NotebookFigure.of(figures[0].figure)
 
 
 def draw(runs: Runs, directory: Path, names: Sequence[str] | None = None, start: str = "") -> Mapping[str, str]:

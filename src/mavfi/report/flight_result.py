@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mavfi.errors import BadInputError, NotInstalledError, naming_extra, write_text
 from mavfi.outcomes import Effect, QoF, effect_of, quality_of
 from mavfi.record import COLUMNS, FlightRecord, record_of
 
@@ -13,14 +15,30 @@ if TYPE_CHECKING:
     import polars
 
     from mavfi.faults.fault import Fault
-    from mavfi.flight.host import Flight
+    from mavfi.flight.host import ArmSetup, Flight
     from mavfi.mission import MissionStatus, Scenario
     from mavfi.record import FlightLog
+    from mavfi.report.notebook import NotebookFigure
+
+
+@dataclass(frozen=True)
+class FlownAs:
+    """How a flight was flown, to fly it again with all publications, which its page shows.
+
+    Attributes:
+        setup: Mission, detector and recovery.
+        without_detector: The mission without the detector and its mission keys.
+        command: The command that repeats it; "" = none does.
+    """
+
+    setup: ArmSetup
+    without_detector: Scenario
+    command: str = ""
 
 
 @dataclass(frozen=True, repr=False)
 class FlightResult:
-    """A flight, with its golden run for comparison.
+    """A flight, with its golden run for comparison; a notebook shows its page.
 
     Attributes:
         scenario: The mission.
@@ -30,6 +48,7 @@ class FlightResult:
         detector: Name and profile, e.g. "gaussian (paper)"; "" = no detector.
         unwatched: The flight with the same fault, without the detector and its mission keys; None without a detector or
             a fault, and for faults in the detector itself.
+        flown_as: How it was flown; None = it cannot be flown again in this process.
     """
 
     scenario: Scenario
@@ -38,12 +57,15 @@ class FlightResult:
     fault: Fault | None = None
     detector: str = ""
     unwatched: Flight | None = None
+    flown_as: FlownAs | None = None
 
     def __repr__(self) -> str:
         mission = f"{self.scenario.environment.name}, seed {self.scenario.seed}"
+        if self.detector:
+            mission = f"{mission}, detector {self.detector}"
         fault = "golden"
         if self.fault and self.effect:
-            fault = f"{self.effect.label} by a fault in {self.fault.site}"
+            fault = f"fault in {self.fault.site}: {self.effect.label}"
         return f"<FlightResult: {mission}, {fault}, {self.status.name} after {self.quality.flight_time_s:.2f} s>"
 
     @property
@@ -86,6 +108,59 @@ class FlightResult:
         if self.golden_record is None:
             return None
         return effect_of(self.golden_record, self.record)
+
+    def plot(self) -> NotebookFigure:
+        """Draw the flight from above and from the side, with what it is compared with; a notebook shows the figure.
+
+        Returns:
+            A matplotlib figure, for `savefig` or further drawing.
+        """
+        with naming_extra("plot"):
+            from mavfi.report.notebook import NotebookFigure
+            from mavfi.report.picture import flight_figure
+
+        if self.unwatched is None:
+            figure = flight_figure(self.flight, self.golden, detector=self.detector)
+        else:
+            figure = flight_figure(self.unwatched, self.golden, self.flight, detector=self.detector)
+        return NotebookFigure.of(figure)
+
+    def html(self, path: Path | str | None = None) -> str | None:
+        """The page of the flight, as `mavfi fly --html` writes it; the flights are repeated to record what it shows.
+
+        Args:
+            path: File to write; None = the page is returned instead.
+
+        Raises:
+            BadInputError: The file cannot be written, or the flight cannot be repeated in this process.
+        """
+        if path is None:
+            return self._page
+        write_text(Path(path), self._page)
+        return None
+
+    @cached_property
+    def _page(self) -> str:
+        with naming_extra("html"):
+            from mavfi.report.html.flight_page import page_of_result, rendered_flight_page
+
+        if self.flown_as is None:
+            raise BadInputError("html: this flight cannot be repeated here; allowed: flights of the host 'local'")
+        as_flown = self.flown_as
+        page = page_of_result(self, as_flown.setup, as_flown.without_detector, as_flown.command)
+        return rendered_flight_page(page)
+
+    def _repr_html_(self) -> str | None:
+        """The page in a notebook; None = the text of `repr`, since there is no page, or not without an extra."""
+        if self.flown_as is None:
+            return None
+        try:
+            page = self._page
+        except NotInstalledError:
+            return None
+        from mavfi.report.notebook import framed
+
+        return framed(page)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data, the output of `mavfi fly --json`.

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import matplotlib.patheffects as effects
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
@@ -18,9 +18,10 @@ from matplotlib.transforms import offset_copy
 from scipy.spatial import cKDTree
 
 from mavfi.mission import FLY_AWAY_MARGIN, MissionStatus
+from mavfi.record import Injection
 from mavfi.report import style
 from mavfi.report.explain import around
-from mavfi.report.numbers import corruption, outcome
+from mavfi.report.numbers import corruption, is_failure, outcome
 
 if TYPE_CHECKING:
     from mavfi.flight.host import Flight
@@ -42,12 +43,6 @@ _TITLE_LENGTH = 100
 """Size of the title (pt), and its length from which it is set smaller, to fit."""
 _SIDE_STRETCH = 1.6
 """Vertical exaggeration of the side view."""
-_SOLID = "#D4D4D4"
-_EDGE = "#A8A8A8"
-_MAP = "#3B3B3B"
-"""Colours of obstacles, their edges, and of occupied voxels of the map."""
-_DARK_EDGE: dict[str, Any] = {"markeredgecolor": style.INK, "markeredgewidth": 0.8}
-_HALO = [effects.withStroke(linewidth=5.0, foreground="white")]
 
 
 Views = tuple[tuple[Axes, int], tuple[Axes, int]]
@@ -63,24 +58,32 @@ class _Drawn:
 
     label: str
     points: np.ndarray
-    look: dict[str, Any]
+    look: Mapping[str, Any]
     lift: float = 0.0
 
 
 def draw_flight(
     path: Path, flight: Flight, golden: Flight | None = None, recovered: Flight | None = None, *, detector: str = ""
 ) -> Path:
+    """Write the picture of `flight_figure` to a file: .png, .svg or .pdf.
+
+    Raises:
+        BadInputError: The file cannot be written.
+    """
+    with style.house_style():
+        return style.write(flight_figure(flight, golden, recovered, detector=detector), path)
+
+
+def flight_figure(
+    flight: Flight, golden: Flight | None = None, recovered: Flight | None = None, *, detector: str = ""
+) -> Figure:
     """Draw a flight and its map, with its golden run and the flight with the same fault and a detector, if given.
 
     Args:
-        path: File to write: .png, .svg or .pdf.
         flight: The flight.
         golden: The golden run.
         recovered: The flight with the same fault and a detector.
         detector: Name of the detector of `recovered` or, if that is None, of `flight`; "" = none.
-
-    Raises:
-        BadInputError: The file cannot be written.
     """
     courses = _courses(flight, golden, recovered, detector)
     with style.house_style():
@@ -101,31 +104,26 @@ def draw_flight(
         for axes, index in views:
             axes.set_xlim(lower[0], upper[0])
             axes.set_ylim(lower[index], upper[index])
-        return style.write(figure, path)
+    return figure
 
 
 def _courses(flight: Flight, golden: Flight | None, recovered: Flight | None, detector: str) -> list[_Drawn]:
     """The paths, golden run first; widths and orders keep each visible even if all of them coincide."""
     courses = []
-    look: dict[str, Any]
     if golden is not None:
-        look = {"color": style.BLUE, "linewidth": 1.2, "zorder": 6}
-        if recovered is not None:
-            look = {"color": style.SKY, "linewidth": 6.0, "zorder": 4}
-        courses.append(_Drawn("golden run", positions(golden), look))
+        courses.append(_Drawn("golden run", positions(golden), style.FLIGHT_LOOKS["golden"]))
     parts = []
-    look = {"color": style.BLUE, "linewidth": 2.6}
+    role = "golden"
     if flight.log.injections:
         parts.append("with the fault")
-        look = {"color": style.ORANGE, "linewidth": 3.6}
+        role = "injected"
     if detector and recovered is None:
         parts.append(f"detector {detector}")
     label = " and ".join(parts) or "flight"
-    courses.append(_Drawn(label, positions(flight), look | {"zorder": 5, "path_effects": _HALO}))
+    courses.append(_Drawn(label, positions(flight), style.FLIGHT_LOOKS[role]))
     if recovered is not None:
-        look = {"color": style.GREEN, "linewidth": 1.6, "linestyle": (0, (4, 2)), "zorder": 7}
         label = f"with the fault and detector {detector}".rstrip()
-        courses.append(_Drawn(label, positions(recovered), look))
+        courses.append(_Drawn(label, positions(recovered), style.FLIGHT_LOOKS["recovered"]))
     return courses
 
 
@@ -192,8 +190,8 @@ def _draw_world(views: Views, world: World, course: np.ndarray) -> None:
             Rectangle((low[0], low[index]), high[0] - low[0], high[index] - low[index])
             for low, high in zip(world.lower[mask], world.upper[mask], strict=True)
         ]
-        axes.add_collection(PatchCollection(boxes, facecolor=_SOLID, edgecolor=_EDGE, linewidth=0.5, zorder=1))
-    views[1][0].axhline(0.0, color=_EDGE, linewidth=0.8, zorder=1)
+        axes.add_collection(PatchCollection(boxes, zorder=1, **style.OBSTACLE_LOOK))
+    views[1][0].axhline(0.0, color=style.OBSTACLE_LOOK["edgecolor"], linewidth=0.8, zorder=1)
 
 
 def near_boxes(world: World, course: np.ndarray) -> np.ndarray:
@@ -220,7 +218,7 @@ def _draw_scan(views: Views, world: World, course: np.ndarray) -> None:
     elevation: np.ndarray = world.occupied[columns, rows, :]
     for (axes, index), solid in zip(views, (plan, elevation), strict=True):
         extent = (world.origin[0], end[0], world.origin[index], end[index])
-        _shade(axes, solid, extent, _SOLID, 1)
+        _shade(axes, solid, extent, style.OBSTACLE, 1)
 
 
 def _shade(
@@ -267,7 +265,7 @@ def _draw_map(views: Views, flight: Flight, limits: tuple[np.ndarray, np.ndarray
         projection = np.zeros((shape[0], shape[index]), bool)
         cells = ((points - corner) * grid.inverse).astype(int)
         projection[cells[:, 0], cells[:, index]] = True
-        _shade(axes, projection, (corner[0], end[0], corner[index], end[index]), _MAP, 2, alpha=0.55)
+        _shade(axes, projection, (corner[0], end[0], corner[index], end[index]), style.OCCUPIED, 2, alpha=0.55)
     return len(centres) > 0
 
 
@@ -284,15 +282,15 @@ def _marks(flight: Flight) -> list[_Drawn]:
     log = flight.log
     world = flight.world
     marks = [
-        _Drawn("start", world.start[None], {"marker": "o", "markersize": 9, "color": style.INK}),
-        _Drawn("goal", world.goal[None], {"marker": "s", "markersize": 9, "color": style.INK}),
+        _Drawn("start", world.start[None], {**style.START_MARK, "markersize": 9}),
+        _Drawn("goal", world.goal[None], {**style.GOAL_MARK, "markersize": 9}),
     ]
     times = [injection.time_s for injection in log.injections if injection.activated]
     if times:
-        look = {"marker": "*", "markersize": 17, "color": style.AMBER, **_DARK_EDGE}
-        marks.append(_Drawn("injection", positions(flight, times), look))
+        look = {**style.INJECTION_MARK, "markersize": 17}
+        marks.append(_Drawn("fault", positions(flight, times), look))
     if log.status is not MissionStatus.SUCCESS:
-        look = {"marker": "X", "markersize": 11, "color": style.ORANGE}
+        look = {**style.CRASH_MARK, "color": style.FAULT, "markersize": 12}
         marks.append(_Drawn(log.status.words, positions(flight)[-1:], look))
     return marks
 
@@ -300,7 +298,7 @@ def _marks(flight: Flight) -> list[_Drawn]:
 def _alarm_marks(flight: Flight) -> list[_Drawn]:
     """Markers of alarms: filled within a second of the injection, otherwise hollow."""
     near, others = around(flight.log)
-    look: dict[str, Any] = {"marker": "v", "markersize": 9, **_DARK_EDGE}
+    look = {**style.ALARM_MARK, "markersize": 9}
     marks = []
     if others:
         points = positions(flight, [alarm.time_s for alarm in others])
@@ -308,7 +306,7 @@ def _alarm_marks(flight: Flight) -> list[_Drawn]:
         marks.append(_Drawn(label, points, look | {"color": "white"}, lift=14.0))
     if near:
         points = positions(flight, [alarm.time_s for alarm in near])
-        marks.append(_Drawn("alarm at the injection", points, look | {"color": style.PURPLE}, lift=14.0))
+        marks.append(_Drawn("alarm at the fault", points, look, lift=14.0))
     return marks
 
 
@@ -316,7 +314,7 @@ def _draw_marks(figure: Figure, views: Views, marks: list[_Drawn]) -> list[Line2
     """Draw markers in both views; return their legend entries."""
     handles = []
     for mark in marks:
-        look: dict[str, Any] = {"linestyle": "", "markeredgecolor": "white", "markeredgewidth": 1.0} | mark.look
+        look: dict[str, Any] = {"linestyle": "", "markeredgecolor": "white", "markeredgewidth": 1.0, **mark.look}
         for axes, index in views:
             lifted = offset_copy(axes.transData, figure, y=mark.lift, units="points")
             axes.plot(mark.points[:, 0], mark.points[:, index], zorder=9, clip_on=False, transform=lifted, **look)
@@ -335,9 +333,8 @@ def _label(figure: Figure, views: Views, flight: Flight, title: str) -> None:
     below = f"{scenario['environment']['name']} · seed {scenario['seed']} · autopilot {scenario['stack']['name']}"
     faults = []
     for injection in flight.log.injections:
-        what = corruption(injection)
-        if injection.activated and what:
-            faults.append(f"{injection.site}, {what} at {injection.time_s:.2f} s: {outcome(injection, digits=4)}")
+        if injection.activated:
+            faults.append(_fault(injection))
     if faults:
         below = f"{below}   ·   {faults[0]}"
     if len(faults) > 1:  # one line has no room for several
@@ -351,6 +348,15 @@ def _label(figure: Figure, views: Views, flight: Flight, title: str) -> None:
     shown = "along the path" if flight.world.is_voxels else "obstacles near the path"
     heights = f"from the side: {shown}; heights × {_SIDE_STRETCH:g}"
     side.text(0, 1.02, heights, transform=side.transAxes, color=style.GREY, va="bottom")
+
+
+def _fault(injection: Injection) -> str:
+    """An activated injection in a few words: what fails, when, and the value before and after."""
+    what = corruption(injection) or injection.details.get("model", "")
+    site = f"{injection.site}, {what}".removesuffix(", ")
+    if is_failure([injection]):  # it changes each value a little, or much, from now on
+        return f"{site}, from {injection.time_s:.2f} s"
+    return f"{site} at {injection.time_s:.2f} s: {outcome(injection, digits=4)}"
 
 
 def _endings(courses: list[_Drawn], flights: list[Flight | None]) -> str:
@@ -375,9 +381,9 @@ def _line(course: _Drawn) -> Line2D:
 def _legend(figure: Figure, handles: list[Any], rows: int, world: World, *, has_map: bool) -> None:
     """Draw the legend above both views."""
     obstacle = "solid" if world.is_voxels else "obstacle"
-    handles = [*handles, Patch(facecolor=_SOLID, edgecolor=_EDGE, label=obstacle)]
+    handles = [*handles, Patch(label=obstacle, **style.OBSTACLE_LOOK)]
     if has_map:
-        handles.append(Patch(facecolor=_MAP, alpha=0.55, label="occupied in the map"))
+        handles.append(Patch(facecolor=style.OCCUPIED, alpha=0.55, label="occupied in the map"))
     height = figure.get_figheight()
     figure.legend(
         handles=handles,

@@ -1,12 +1,13 @@
 """Common style of figures: a palette safe for colour-blind readers, and typography."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from itertools import cycle, pairwise
 from pathlib import Path
 from textwrap import wrap
-from typing import Any
+from typing import Any, NamedTuple
 
+import matplotlib.patheffects as effects
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
@@ -33,6 +34,51 @@ INK = "#222222"
 GREY = "#777777"
 PALE = "#DDDDDD"
 """Colours of texts and axes, of secondary ones, and of grids."""
+
+# ---- roles: what a colour means in all pictures; the style sheet of pages has the same as --golden etc. ---
+GOLDEN = BLUE
+FAULT = ORANGE
+RECOVERED = GREEN
+"""Flights: without a fault, with one, and with the same one and a detector."""
+INJECTION = AMBER
+ALARM = PURPLE
+"""Marks: the instant or place of a fault, and of an alarm because of it."""
+PAPER = INK
+"""Values of the paper."""
+OBSTACLE = "#D4D4D4"
+OBSTACLE_LOOK: Mapping[str, Any] = {"facecolor": OBSTACLE, "edgecolor": "#A8A8A8", "linewidth": 0.5}
+OCCUPIED = "#3B3B3B"
+"""The world, and what the map holds of it."""
+
+
+def _halo(width: float) -> list[Any]:
+    """A white line of a width (pt) below another, which stands out on lines below both."""
+    return [effects.withStroke(linewidth=width, foreground="white")]
+
+
+FLIGHT_LOOKS: Mapping[str, Mapping[str, Any]] = {
+    "golden": {"color": GOLDEN, "linewidth": 6.0, "zorder": 4},
+    "injected": {"color": FAULT, "linewidth": 3.0, "zorder": 5, "path_effects": _halo(3.8)},
+    "recovered": {
+        "color": RECOVERED,
+        "linewidth": 1.8,
+        "linestyle": (0, (4, 3)),
+        "zorder": 6,
+        "path_effects": _halo(2.8),
+    },
+}
+"""Paths of flights, as keywords of `Axes.plot`: wide to narrow, so that each is seen where they coincide."""
+START_MARK: Mapping[str, Any] = {"marker": "o", "color": INK}
+GOAL_MARK: Mapping[str, Any] = {"marker": "s", "color": INK}
+INJECTION_MARK: Mapping[str, Any] = {
+    "marker": "*",
+    "color": INJECTION,
+    "markeredgecolor": INK,
+    "markeredgewidth": 0.8,
+}
+ALARM_MARK: Mapping[str, Any] = {"marker": "v", "color": ALARM, "markeredgecolor": INK, "markeredgewidth": 0.8}
+CRASH_MARK: Mapping[str, Any] = {"marker": "X", "markeredgecolor": "white"}
+"""Marks, without their sizes; the end of a failed flight has the colour of its path."""
 DOTS_PER_INCH = 160
 
 _SETTINGS: Any = {
@@ -59,7 +105,7 @@ _SETTINGS: Any = {
     "svg.hashsalt": "mavfi",
 }
 _ARMS = (
-    (GREEN, "^", "--"),
+    (RECOVERED, "^", "--"),
     (PURPLE, "D", "-."),
     (AMBER, "v", ":"),
     (SKY, "P", (0, (1, 1))),
@@ -77,7 +123,7 @@ def house_style() -> AbstractContextManager[None]:
 
 def setting_looks(settings: list[str]) -> dict[str, dict[str, Any]]:
     """Colour and marker by setting: blue discs for golden runs, orange squares for faults, then one style per arm."""
-    looks = {"golden": {"color": BLUE, "marker": "o"}, "fi": {"color": ORANGE, "marker": "s"}}
+    looks = {"golden": {"color": GOLDEN, "marker": "o"}, "fi": {"color": FAULT, "marker": "s"}}
     arms = [setting for setting in settings if setting not in looks]
     for setting, (colour, marker, _) in zip(arms, cycle(_ARMS), strict=False):
         looks[setting] = {"color": colour, "marker": marker}
@@ -100,6 +146,58 @@ def setting_label(setting: str) -> str:
     return words
 
 
+class LineEnd(NamedTuple):
+    """The right end of a line: its height (data), and the name and colour of the line."""
+
+    y: float
+    name: str
+    colour: str
+
+
+def name_lines(axes: Axes, ends: Sequence[LineEnd], size: float = 8.5) -> None:
+    """Name lines to the right of the axes, each with a thin leader to its end; names keep a distance.
+
+    Args:
+        axes: With its final limits.
+        ends: The lines.
+        size: Of the names (pt).
+    """
+    low, high = axes.get_ylim()
+    height_in = 0.8 * axes.figure.get_figheight()  # type: ignore[union-attr] # about that of the axes
+    gap = (high - low) * 1.3 * size / (72.0 * height_in)
+    ordered = sorted(ends, key=lambda end: -end.y)
+    # from above, each at its height or a gap below the one above it; then from below, into the axes
+    heights: list[float] = []
+    for end in ordered:
+        ceiling = heights[-1] - gap if heights else high
+        heights.append(min(end.y, ceiling))
+    floor = low
+    for index in reversed(range(len(heights))):
+        heights[index] = max(heights[index], floor)
+        floor = heights[index] + gap
+    beside = axes.get_yaxis_transform()  # share of the width, and data
+    for end, height in zip(ordered, heights, strict=True):
+        axes.annotate(
+            end.name,
+            (1.0, end.y),
+            (1.04, height),
+            xycoords=beside,
+            textcoords=beside,
+            va="center",
+            fontsize=size,
+            color=end.colour,
+            annotation_clip=False,
+            arrowprops={
+                "arrowstyle": "-",
+                "color": end.colour,
+                "linewidth": 0.7,
+                "relpos": (0.0, 0.5),
+                "shrinkA": 2,
+                "shrinkB": 0,
+            },
+        )
+
+
 def write(figure: Figure, path: Path) -> Path:
     """Write a figure in the format given by the file extension; `BadInputError` if the file cannot be written."""
     with writing(path):
@@ -107,19 +205,32 @@ def write(figure: Figure, path: Path) -> Path:
     return path
 
 
-# ---- at the width of a journal's column or page: sizes of letters, marks and lines, texts without overlaps -----------
+# ---- for papers and talks: sizes of letters, marks and lines, texts without overlaps ---------------------------------
 
 COLUMN = 3.5
 PAGE = 7.16
 """Widths of one column and of the page (in), in IEEE's two-column format."""
-LETTERS = 7.0
-SMALL = 5.0
-"""Font sizes (pt): of all texts; of those in panels that are smaller than tick labels."""
+TALK_HEIGHT = 4.5
+TALK_RATIO = 16 / 9
+"""Height (in) and width / height of figures for talks: shown on a slide, their letters have 17 of 540 pt."""
+_TALK_DOTS = 2560
+"""Width of figures for talks (pixels)."""
+
+
+class _LetterSizes(NamedTuple):
+    """Font sizes (pt): of all texts; of those in panels that are smaller than tick labels."""
+
+    normal: float
+    small: float
+
+
+_IN_PAPERS = _LetterSizes(7.0, 5.0)
+_IN_TALKS = _LetterSizes(10.0, 7.5)
 _DOTS_PER_INCH = 600
 _PANELS = 2  # maximum number side by side in one column
 _SCALE = 0.5
 """Least scale of marks and lines, so that they remain visible."""
-_GAP = 1.5
+_GAP = 2.0
 """Least distance between neighbouring tick labels (pt)."""
 _TICKS = (4, 3, 2, 1)
 """Maximum numbers of intervals between ticks, tried in this order."""
@@ -134,16 +245,30 @@ _SLACK = 1.1
 
 
 def write_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
-    """Write NAME.pdf and NAME.png; the figure is resized in place.
+    """Write NAME.pdf and NAME.png in the width of a column or page; the figure is resized in place.
 
     Raises:
         BadInputError: A file cannot be written.
     """
     fit_to_column(figure)
-    paths = [directory / f"{name}{ending}" for ending in (".pdf", ".png")]
+    return _write_as(figure, directory, name, (".pdf", ".png"), _DOTS_PER_INCH)
+
+
+def write_talk_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
+    """Write NAME-talk.svg and NAME-talk.png for a slide of 16 to 9; the figure is resized in place.
+
+    Raises:
+        BadInputError: A file cannot be written.
+    """
+    fit_to_slide(figure)
+    return _write_as(figure, directory, f"{name}-talk", (".svg", ".png"), _TALK_DOTS / figure.get_figwidth())
+
+
+def _write_as(figure: Figure, directory: Path, name: str, endings: Sequence[str], dots_per_inch: float) -> list[Path]:
+    paths = [directory / f"{name}{ending}" for ending in endings]
     for path in paths:
         with writing(path):
-            figure.savefig(path, dpi=_DOTS_PER_INCH)
+            figure.savefig(path, dpi=dots_per_inch)
     return paths
 
 
@@ -155,12 +280,30 @@ def fit_to_column(figure: Figure) -> None:
     panel is removed, since the caption replaces it.
     """
     panels = [axes for axes in figure.axes if axes.get_subplotspec() is not None]
-    flat = [] if figure.subfigs else panels  # those of subfigures have the scale of a map
     limit = figure.get_figheight()
     _resize(figure, panels)
-    _join_labels(figure, flat)
+    _arrange(figure, panels, limit, _IN_PAPERS)
+
+
+def fit_to_slide(figure: Figure) -> None:
+    """Resize a figure to 16 to 9, with large letters; a figure with many rows has smaller ones.
+
+    Texts are arranged as by `fit_to_column`.
+    """
+    panels = [axes for axes in figure.axes if axes.get_subplotspec() is not None]
+    height = max(TALK_HEIGHT, 0.75 * figure.get_figheight())
+    figure.set_size_inches(TALK_RATIO * height, height)
+    _set_letters(figure, _IN_TALKS)
+    _arrange(figure, panels, height, _IN_TALKS)
+    figure.set_size_inches(TALK_RATIO * height, height)  # what legends and turned names have added
+
+
+def _arrange(figure: Figure, panels: Sequence[Axes], limit: float, sizes: _LetterSizes) -> None:
+    """Wrap, join, turn and thin out the texts of a resized figure, which may grow up to a height (in)."""
+    flat = [] if figure.subfigs else panels  # those of subfigures have the scale of a map
+    _join_labels(figure, flat, sizes)
     for legend in figure.findobj(Legend):
-        _fold_legend(figure, legend)
+        _fold_legend(figure, legend, sizes)
     # extents are known only after a layout: each step below needs those that the step before has changed
     figure.draw_without_rendering()
     _fold_texts(figure, panels)
@@ -169,6 +312,8 @@ def fit_to_column(figure: Figure) -> None:
     _turn(figure, [axes.xaxis for axes in flat if _named(axes.xaxis)])
     for axes in flat:
         _thin_out(figure, axes.xaxis)
+        if _overlap(figure, axes.xaxis, minor=True):
+            axes.tick_params(axis="x", which="minor", rotation=90.0)
     # along the height
     _grow(figure, flat, limit)
     for axes in panels:
@@ -187,18 +332,19 @@ def _resize(figure: Figure, panels: Sequence[Axes]) -> None:
         target = COLUMN
     # height in proportion, but such that panels are not flat, and never above the one before
     figure.set_size_inches(target, min(height, max(height * target / width, 0.7 * target / columns, _MIN_HEIGHT)))
+    _set_letters(figure, _IN_PAPERS)
     _shrink(figure, max(_SCALE, target / width))
     if len(panels) == 1:
         panels[0].set_title("", loc="left")
 
 
-def _join_labels(figure: Figure, panels: Sequence[Axes]) -> None:
+def _join_labels(figure: Figure, panels: Sequence[Axes], sizes: _LetterSizes) -> None:
     """Replace equal labels below all panels by one: those of narrow panels would overlap."""
     labels = {axes.get_xlabel() for axes in panels}
     if len(labels) == 1 and "" not in labels:
         for axes in panels:
             axes.set_xlabel("")
-        figure.supxlabel(labels.pop(), fontsize=LETTERS)
+        figure.supxlabel(labels.pop(), fontsize=sizes.normal)
 
 
 def _fold_texts(figure: Figure, panels: Sequence[Axes]) -> None:
@@ -212,13 +358,17 @@ def _fold_texts(figure: Figure, panels: Sequence[Axes]) -> None:
                 _fold(text, part.bbox.width)  # type: ignore[attr-defined]
 
 
-def _shrink(figure: Figure, scale: float) -> None:
-    """Set the sizes of letters, and scale marks and lines."""
+def _set_letters(figure: Figure, sizes: _LetterSizes) -> None:
+    """Set the sizes of letters; those that are smaller than tick labels remain so."""
     for text in figure.findobj(Text):
-        size = LETTERS
-        if text.get_fontproperties().get_size_in_points() < LETTERS:
-            size = SMALL
+        size = sizes.normal
+        if text.get_fontproperties().get_size_in_points() < _IN_PAPERS.normal:
+            size = sizes.small
         text.set_fontsize(size)
+
+
+def _shrink(figure: Figure, scale: float) -> None:
+    """Scale marks and lines."""
     for line in figure.findobj(Line2D):
         line.set_markersize(scale * line.get_markersize())
         line.set_linewidth(scale * line.get_linewidth())
@@ -227,7 +377,7 @@ def _shrink(figure: Figure, scale: float) -> None:
         bars.set_linewidth(list(scale * np.atleast_1d(bars.get_linewidth())))
 
 
-def _fold_legend(figure: Figure, legend: Legend) -> None:
+def _fold_legend(figure: Figure, legend: Legend, sizes: _LetterSizes) -> None:
     """Replace a legend by one above the panels, with as many columns as fit; the figure grows by its height."""
     labels = [text.get_text() for text in legend.get_texts()]
     handles = [handle for handle in legend.legend_handles if handle is not None]
@@ -238,7 +388,7 @@ def _fold_legend(figure: Figure, legend: Legend) -> None:
             labels,
             loc="outside upper left",
             ncols=columns,
-            fontsize=LETTERS,
+            fontsize=sizes.normal,
             frameon=False,
             handlelength=1.6,
             columnspacing=1.0,
@@ -299,10 +449,10 @@ def _thin_out(figure: Figure, axis: Axis) -> None:
         figure.draw_without_rendering()
 
 
-def _overlap(figure: Figure, axis: Axis) -> bool:
+def _overlap(figure: Figure, axis: Axis, *, minor: bool = False) -> bool:
     """Whether neighbouring tick labels of an axis overlap or nearly touch."""
     gap = _GAP * figure.dpi / 72.0  # 72 pt per inch
-    boxes = [box.padded(gap / 2) for box in _boxes(axis.get_ticklabels())]
+    boxes = [box.padded(gap / 2) for box in _boxes(axis.get_ticklabels(minor=minor))]
     return any(box.overlaps(following) for box, following in pairwise(boxes))
 
 

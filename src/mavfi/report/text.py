@@ -1,6 +1,7 @@
 """Formatting of numbers, sentences and tables, shared by all reports."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 from rich import box
@@ -13,6 +14,7 @@ from rich.text import Text
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import EventRate, Rate
 from mavfi.analysis.table import (
+    DIFFERENCE,
     ESTIMATE,
     PER_HOUR,
     PERCENT,
@@ -78,6 +80,17 @@ def _per_hour(alarms: EventRate) -> str:
     return f"{alarms.per_hour:.1f} [{alarms.low:.1f}, {alarms.high:.1f}]"
 
 
+def _difference(rate: Rate) -> str:
+    """A difference in per cent, or in points of it, with its interval, shortened where it is wide."""
+    if rate.rate is None:
+        return ABSENT
+    text = f"{100 * rate.rate:+z.1f}"
+    if rate.low is None or rate.high is None:
+        return text
+    low, high = (f"{100 * bound:z.{int(abs(bound) < 0.1)}f}" for bound in (rate.low, rate.high))
+    return f"{text} [{low}, {high}]"
+
+
 def _published_or_measured(share: Rate | float) -> str:
     """A share as per cent, without its interval."""
     if isinstance(share, Rate):
@@ -90,6 +103,7 @@ FORMS: dict[str, Callable[[Any], str]] = {
     PERCENT: _published_or_measured,
     "percent with interval": lambda rate: f"{percent(rate.rate)} {_interval(rate)}",
     POINTS: lambda rate: f"{100 * (rate.rate or 0.0):+z.1f} {_interval(rate)}",
+    DIFFERENCE: _difference,
     POINTS_TEST: lambda test: f"{100 * test.rate:+z.1f} {_interval(test)}{_p(test)}",
     PERCENT_TEST: lambda test: f"{percent(test.rate)} {_interval(test)}{_p(test)}",
     TIMES_TEST: lambda test: f"{test.rate:.2f}× [{test.low:.2f}, {test.high:.2f}]{_p(test)}",
@@ -295,7 +309,7 @@ def _grid(headings: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequen
     for index, (heading, width) in enumerate(zip(headings, widths, strict=True)):
         justify: JustifyMethod = "left" if index < max(2, keys) else "right"
         grid.add_column(escape(heading), justify=justify, overflow="fold", width=width)
-    has_groups = len({row[0] for row in rows}) < len(rows)
+    has_groups = any(above[0] == below[0] for above, below in pairwise(rows))
     group = None
     for first, *others in rows:
         if first == group:

@@ -13,6 +13,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 import mavfi
+from mavfi.errors import missing_package
 from mavfi.extras.ros.ros1 import finder
 from tests.core.architecture.source import PACKAGE, ROOT, imports, modules
 
@@ -29,7 +30,16 @@ def test_every_line_of_the_lock_is_a_name_and_one_version(line):
     assert re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9_.!+-]+", line)
 
 
-@pytest.mark.parametrize("wanted", PROJECT["dependencies"] + PROJECT["optional-dependencies"]["dev"])
+EXTRAS = PROJECT["optional-dependencies"]
+LOCKED = [
+    wanted
+    for wanted in [*PROJECT["dependencies"], *(wanted for name in EXTRAS if name != "bench" for wanted in EXTRAS[name])]
+    if not wanted.startswith("mavfi[")
+]
+"""What is asked for, but the libraries of the bench."""
+
+
+@pytest.mark.parametrize("wanted", LOCKED)
 def test_the_lock_satisfies_every_requirement(wanted):
     requirement = Requirement(wanted)
     pinned = {canonicalize_name(name): version for name, version in (line.split("==") for line in LOCK)}
@@ -54,9 +64,7 @@ ELSEWHERE = ("extras/airsim/runner.py", "extras/ros/ros2/stack/driver.py", "extr
 
 
 def test_whatever_is_imported_is_asked_for():
-    extras = PROJECT["optional-dependencies"]
-    used = ("airsim", "cluster", "bench", "live", "logs", "mavlink", "models")
-    wanted_for_all = [*PROJECT["dependencies"], *(wanted for name in used for wanted in extras[name])]
+    wanted_for_all = [*LOCKED, *EXTRAS["bench"]]
     asked = {canonicalize_name(Requirement(wanted).name) for wanted in wanted_for_all}
     imported = {
         name.split(".")[0] for path, tree in modules().items() if path not in ELSEWHERE for name in imports(tree)
@@ -66,6 +74,13 @@ def test_whatever_is_imported_is_asked_for():
     foreign = imported - set(sys.stdlib_module_names) - {"mavfi"} - (of_ros - {"yaml"})
     known = {name: {canonicalize_name(home) for home in homes.get(name, [name])} for name in foreign}
     assert {name for name, own in known.items() if not own & asked} == set()
+
+
+@pytest.mark.parametrize(("module", "extra"), [("polars", "report"), ("sklearn", "train"), ("foxglove", "live")])
+def test_a_missing_package_is_named_with_the_extra_that_brings_it(module, extra):
+    missing = missing_package(ModuleNotFoundError(name=f"{module}.part"), "mavfi runs")
+    assert re.fullmatch(rf"mavfi runs: needs [\w-]+; install it with: pip install 'mavfi\[{extra}\]'", str(missing))
+    assert missing_package(ModuleNotFoundError(name="a_plug_in"), "mavfi runs") is None
 
 
 def test_only_the_dask_executor_needs_the_extra_and_only_when_it_is_used():

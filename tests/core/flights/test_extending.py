@@ -11,7 +11,7 @@ from mavfi.analysis.runs import Runs
 from mavfi.cli import run
 from tests.pages import DOCS, commands, files, importing_from
 
-PAGE = "extending.md"
+PAGE = "how-to/extending.md"
 COMMANDS = [command.removeprefix("mavfi ") for command in commands(PAGE) if command.startswith("mavfi ")]
 
 

@@ -6,6 +6,7 @@ import shlex
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -17,7 +18,7 @@ from mavfi.extras.firmware import build
 from tests.core.architecture.source import ROOT
 from tests.pages import DOCS, arguments, commands, serving
 
-PAGES = ("airsim.md", "firmware.md", "hardening.md", "logs.md", "mavlink.md")
+PAGES = tuple(f"how-to/{name}.md" for name in ("airsim", "firmware", "hardening", "logs", "mavlink"))
 ALL = [(page, command) for page in PAGES for command in commands(page)]
 SAYS = {
     "airsim run --environment sparse": r"golden: ended, .* 18 calls, digest [0-9a-f]{16}\n",
@@ -77,7 +78,7 @@ def ask_airsim():
 
 def fly_there():
     """The page's next command."""
-    (command,) = (command for command in commands("airsim.md") if "--world" in command)
+    (command,) = (command for command in commands("how-to/airsim.md") if "--world" in command)
     done = subprocess.run(arguments(command, {}), capture_output=True, text=True, timeout=120, check=False)
     assert "Reached the goal" in done.stdout, done.stderr
 
@@ -105,7 +106,7 @@ def test_the_pages_have_no_command_that_is_not_known_here():
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
     """A folder for each page, empty but for the examples and configurations that the page names."""
-    made = {page: tmp_path_factory.mktemp(page.removesuffix(".md")) for page in PAGES}
+    made = {page: tmp_path_factory.mktemp(Path(page).stem) for page in PAGES}
     for folder in made.values():
         for name in ("examples", "configs"):
             (folder / name).symlink_to(ROOT / name)

@@ -8,7 +8,18 @@ import pytest
 from mavfi import cli
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.errors import BadInputError
-from mavfi.plugins import allow_plugins, allow_typed, build, extensions, known, load_object, plugin_failure
+from mavfi.plugins import (
+    allow_plugins,
+    allow_typed,
+    allowed_names,
+    build,
+    extensions,
+    known,
+    load_object,
+    permission_for,
+    plugin_failure,
+    use_ledger,
+)
 
 SHIPPED = {"here": "mavfi.errors:MavfiError"}
 GROUP = "mavfi.no_such_group"
@@ -92,6 +103,43 @@ def test_code_that_is_only_named_in_a_file_is_neither_imported_nor_run(tmp_path,
     allow_plugins()
     assert load("builtins:dict") is dict
     assert load("here").__name__ == "MavfiError", "shipped ones need nothing"
+
+
+@pytest.mark.usefixtures("strangers_files")
+def test_code_that_was_allowed_in_a_ledger_is_remembered_until_it_changes(tmp_path, monkeypatch):
+    (tmp_path / "my_plugin.py").write_text("X = dict\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    content = {"campaign": {"arms": {"mine": {"detector": "my_plugin:X"}}, "mission": {"map": "dense"}}}
+    mine = tmp_path / "mine"
+
+    def is_allowed(ledger, typed=""):
+        """What a new process allows after it has opened the ledger."""
+        monkeypatch.setenv("MAVFI_ALLOW_PLUGINS", typed)
+        monkeypatch.setattr("mavfi.plugins._allowed_by_trust", set())
+        use_ledger(ledger, content)
+        return "my_plugin:X" in allowed_names()
+
+    assert not is_allowed(mine)
+    assert permission_for(mine, content) == " --allow-plugins"
+    assert is_allowed(mine, typed="my_plugin:X")
+    assert is_allowed(mine)
+    assert permission_for(mine, content) == ""
+    assert not is_allowed(tmp_path / "foreign"), "a ledger that came from elsewhere"
+    is_allowed(mine)
+    use_ledger(tmp_path / "foreign", content)
+    assert not is_allowed(tmp_path / "foreign"), "opened beside a trusted one"
+
+    (tmp_path / "my_plugin.py").write_text("X = list\n", encoding="utf-8")
+    assert not is_allowed(mine)
+    assert is_allowed(mine, typed="my_plugin:X")
+    assert is_allowed(mine)
+    (tmp_path / "state" / "mavfi" / "trusted-plugins.json").chmod(0o666)
+    assert not is_allowed(mine), "others may have written it"
+    (tmp_path / "state" / "mavfi" / "trusted-plugins.json").chmod(0o600)
+    (tmp_path / "state" / "mavfi" / "trusted-plugins.json").write_text("[1", encoding="utf-8")
+    assert not is_allowed(mine)
+    assert "my_plugin" not in sys.modules, "nothing is imported to find it"
 
 
 @pytest.mark.usefixtures("strangers_files")

@@ -75,7 +75,7 @@ ONLY_THIS_VALUE = ("simSetPresetLensSettings",)
 """Calls that accept one value, which changes nothing, and refuse others by what is allowed."""
 AT_REST = ("takeoffAsync",)
 """Methods that a flying vehicle refuses."""
-PAGE = (ROOT / "docs" / "airsim.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "how-to" / "airsim.md").read_text(encoding="utf-8")
 
 
 class Wire:

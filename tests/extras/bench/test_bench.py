@@ -4,7 +4,7 @@ import csv
 
 import pytest
 
-from mavfi.analysis import VIEWS
+from mavfi.analysis.views import VIEWS
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.mission import model_hashes, scenarios_of
 from mavfi.campaign.plan import arms_of

@@ -1,8 +1,15 @@
 """A detector of one's own beside the published rows."""
 
+import io
+from dataclasses import replace
+
+from rich.console import Console
+
+from mavfi.analysis.statistics import Rate, event_rate
 from mavfi.analysis.table import NUMBER, Column, Table
 from mavfi.extras.bench.bench import load_bench, published_rows
 from mavfi.extras.bench.leaderboard import beside_published
+from mavfi.extras.bench.verdict import results_of, sentences, short_table
 
 OWN = Table("sites", "Sites", (Column("arm", "scheme"), Column("lost", "lost", NUMBER)), [("mine", 4)], notes=("n",))
 
@@ -34,3 +41,28 @@ def test_shipped_rows_have_a_list_of_their_faults():
     dropped = {"conformal", "cusum"}  # their rows are the evidence that `limits` does the same
     assert {"gaussian", "recommended"} <= {row["scheme"] for row in rows} <= {*bench.arms, *dropped}
     assert published_rows(bench, "state", "quick") == []
+
+
+def test_the_verdict_is_a_sentence_and_rows_are_sorted():
+    rows = published_rows(load_bench("mavfi-bench-1"), "sites", "quick")
+    keys = {"scheme": "arm", "brought back": "back", "only it lost": "newly_lost", "false alarms": "per_hour"}
+    columns = tuple(Column(keys.get(heading, heading), heading) for heading in rows[0])
+    table = Table("sites", "T", columns, [tuple(row.values()) for row in rows])
+    mine = ("Jump", 72, 36, Rate(36, 0.25, 0.14, 0.41, 9), None, 1.0, 27, 0, None, None, None, event_rate(0, 0.13))
+    table = replace(table, rows=[*table.rows, (*mine, 0.13, 0.0)])
+    results = results_of(table)
+    assert sentences(results, ["Jump"]) == [
+        "Jump brings back 9 of 36, 25 % [14, 41]: better than 5 of 20 schemes; no false alarm (at most 28 per hour); "
+        "loses nothing."
+    ]
+    (best,) = sentences(results, [])
+    assert best.startswith("the best one, ") and "36 of 36" in best and "as good as 9" in best
+    shares = [result.share for result in results]
+    assert shares == sorted(shares, reverse=True) and len(results) == 21
+
+    terminal = Console(width=80, record=True, file=io.StringIO(), color_system="standard", force_terminal=True)
+    terminal.print(short_table(table, ["Jump"]))
+    text = terminal.export_text(styles=True)
+    (line,) = (line for line in text.splitlines() if "Jump" in line)
+    assert "▶ Jump" in line and "9/36 25 [14, 41]" in line and "\x1b[1;32m" in line, "one's own row stands out"
+    assert "…" not in text

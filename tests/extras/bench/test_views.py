@@ -3,7 +3,7 @@
 import pytest
 from scipy.stats import binomtest
 
-from mavfi.analysis import VIEWS
+from mavfi.analysis.views import VIEWS
 from tests.core.unit.analysis.handmade import INSTRUCTION, alarm, died, flown, golden, injected, runs
 
 

@@ -1,4 +1,4 @@
-"""Betaflight's real firmware flies parts of missions; skipped where it is not installed (docs/firmware.md)."""
+"""Betaflight's real firmware flies parts of missions; skipped where it is not installed (docs/how-to/firmware.md)."""
 
 from contextlib import closing
 from dataclasses import replace

@@ -2,7 +2,7 @@
 
 import pytest
 
-from mavfi.analysis import Runs
+from mavfi.analysis.runs import Runs
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.replay import replay

@@ -91,14 +91,14 @@ def test_an_example_flies(name, tmp_path):
 
 
 def test_every_example_of_the_page_is_repeated():
-    page = (ROOT / "docs" / "mavlink.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "how-to" / "mavlink.md").read_text(encoding="utf-8")
     rows = [line for line in page.splitlines() if line.startswith(("| completed |", "| endless"))]
     named = {name for line in rows for name in re.findall(r"`(\w+)`", line)}
     assert len(rows) == 2 and named - set(FLYING) == {"telemetry_flight_mode"}  # which does not fly
 
 
 def test_the_program_of_the_page_loses_a_motor(tmp_path):
-    ((name, text),) = files("mavlink.md")
+    ((name, text),) = files("how-to/mavlink.md")
     program = tmp_path / name
     program.write_text(text, encoding="utf-8")
     fly(program, 40, "motor 1 off: at 0.0 m", tmp_path)

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 import yaml
 
-from mavfi.analysis import VIEWS
+from mavfi.analysis.views import VIEWS
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store

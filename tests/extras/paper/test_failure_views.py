@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from mavfi.analysis import table
+from mavfi.analysis.views import table
 from mavfi.extras.paper.failure_rate import (
     find_upsets,
     payoff,

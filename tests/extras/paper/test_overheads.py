@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from mavfi.analysis import table
+from mavfi.analysis.views import table
 from mavfi.campaign.config import Campaign
 from mavfi.errors import BadInputError
 from mavfi.extras.paper import overhead_views, overheads

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from mavfi.analysis import table
+from mavfi.analysis.views import table
 from mavfi.record import EnergyTerms
 from tests.core.unit.analysis.handmade import GOLDEN, flown, golden, injected, runs
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi import config
-from mavfi.analysis import VIEWS
+from mavfi.analysis.views import VIEWS
 from mavfi.cli.commands import run
 from mavfi.config import VehicleConfig, shipped
 from mavfi.errors import BadInputError

@@ -4,8 +4,8 @@ import polars as pl
 import pytest
 
 from mavfi.analysis import published as paper
-from mavfi.analysis import table
 from mavfi.analysis.measures import leads, population_names, population_text
+from mavfi.analysis.views import table
 from mavfi.extras.paper.figures import path_cases
 from mavfi.extras.paper.views import by_bits, by_state, value_at_risk
 from mavfi.faults.fault import FaultSite, StateFault

@@ -1,4 +1,4 @@
-"""Digests of README.md: those of docs/results, of the program's own study, in its order."""
+"""Digests of docs/results.md: those of its digests.json, of the program's own study, in its order."""
 
 import re
 
@@ -10,16 +10,16 @@ from mavfi.campaign.store import Store
 from mavfi.extras.paper.study import load_study
 from mavfi.report.text import short
 from tools import published_digests
-from tools.markers import DOCS, ROOT
+from tools.markers import DOCS
 
 KNOWN = published_digests.stored_digests()
 QUICK = pytest.mark.skipif(
-    "quick" not in KNOWN, reason="README.md has no digests of scale quick: `make reproduce readme` adds them"
+    "quick" not in KNOWN, reason="docs/results.md has no digests of scale quick: `make reproduce readme` adds them"
 )
 
 
-def test_the_readme_has_the_digests_of_the_results():
-    assert published_digests.block(KNOWN) in (ROOT / "README.md").read_text(encoding="utf-8")
+def test_the_page_has_the_digests_of_the_results():
+    assert published_digests.block(KNOWN) in (DOCS / "results.md").read_text(encoding="utf-8")
     study = (DOCS / "results" / "study.md").read_text(encoding="utf-8")
     whole = re.findall(r"^- Digest of the ledger in \S+ \((\S+)\): (\S+)\.$", study, re.MULTILINE)
     assert [(name, digest) for name, _, digest in KNOWN["paper"]["ledgers"]] == [
@@ -29,7 +29,7 @@ def test_the_readme_has_the_digests_of_the_results():
 
 
 @pytest.mark.parametrize("scale", KNOWN)
-def test_the_digests_of_the_readme_are_those_of_what_this_program_flies(scale):
+def test_the_digests_of_the_page_are_those_of_what_this_program_flies(scale):
     campaigns = load_study("paper").at_scale(scale).campaigns_at(scale)
     assert [name for name, *_ in KNOWN[scale]["ledgers"]] == [campaign.name for campaign in campaigns.values()]
     assert KNOWN[scale]["fingerprint"] == published_digests.fingerprint(scale), (
@@ -39,7 +39,7 @@ def test_the_digests_of_the_readme_are_those_of_what_this_program_flies(scale):
 
 @QUICK
 @pytest.mark.long
-def test_a_campaign_of_scale_quick_has_the_digest_of_the_readme(tmp_path):
+def test_a_campaign_of_scale_quick_has_the_digest_of_the_page(tmp_path):
     campaign = load_study("paper").campaigns_at("quick")["states"]
     run_campaign(campaign, tmp_path, executor=LocalExecutor(2))
     digests = {name: digest for name, _, digest in KNOWN["quick"]["ledgers"]}

@@ -304,7 +304,7 @@ def parse_fault(text: str, seed: int = 0) -> BoundaryFault | SensorFault:
 def _check_site(text: str, name: str, path: str) -> None:
     """Refuse a call or argument that does not exist; `path`: "" = the whole call."""
     if name not in CALLS:
-        raise BadInputError(f"--fault: {text!r}: call {name!r}: not known; allowed: calls of docs/airsim.md")
+        raise BadInputError(f"--fault: {text!r}: call {name!r}: not known; allowed: calls of docs/how-to/airsim.md")
     head = path.partition(".")[0]
     arguments = CALLS[name].arguments
     if head and "#" not in head and head not in (*arguments, RETURN):

@@ -413,7 +413,9 @@ def find_call(name: Any) -> ApiCall:
         BadInputError: There is none; the message names it, as AirSim's server does.
     """
     if not isinstance(name, str) or name not in CALLS:
-        raise BadInputError(f"server could not find function '{name}': mavfi does not have this call (docs/airsim.md)")
+        raise BadInputError(
+            f"server could not find function '{name}': mavfi does not have this call (docs/how-to/airsim.md)"
+        )
     return CALLS[name]
 
 

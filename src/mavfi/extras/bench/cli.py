@@ -1,10 +1,10 @@
 """`mavfi bench`: compare detectors and recovery schemes on the same flights and faults; measure their overhead."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.text import Text
@@ -14,6 +14,11 @@ from mavfi.cli.console import check_number, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, not_known
 from mavfi.files import check_folder
+
+if TYPE_CHECKING:
+    from mavfi.analysis.table import Table
+    from mavfi.extras.bench.bench import Bench
+    from mavfi.extras.bench.leaderboard import BenchFlights
 
 HELP_PANEL = "Detectors"
 _DEFAULT_BENCH = "mavfi-bench-1"
@@ -55,6 +60,9 @@ def detectors(  # noqa: PLR0913 - one parameter per option
         Path | None, typer.Option(help="Folder of ledgers and leaderboard; out/bench-SCALE[-NAME] by default.")
     ] = None,
     workers: options.Workers = 2,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Print all columns and notes, not only what decides.")
+    ] = False,
     as_json: options.AsJson = False,
 ) -> None:
     """Fly every scheme of a bench on the same faults; print the missions recovered by each, and its false alarms.
@@ -63,22 +71,12 @@ def detectors(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi bench detectors --level state --detector my_package:MyDetector[/bold]
     """
-    from mavfi.extras.bench.bench import load_bench, scales, select_parts, with_only, with_schemes
+    from mavfi.extras.bench.bench import select_parts
     from mavfi.extras.bench.leaderboard import BenchFlights, write_leaderboard
-    from mavfi.report.text import show_table
+    from mavfi.extras.bench.verdict import results_of, sentences
 
     # Check the options, and select schemes and parts.
-    chosen = load_bench(bench)
-    if scale not in scales(chosen):
-        raise BadInputError(f"--scale: bench {chosen.name}: {not_known(scale, scales(chosen))}")
-    if scheme and detector:
-        raise BadInputError("--scheme and --detector: allowed: one of them")
-    if profile is not None and not detector:
-        raise BadInputError(f"--profile: {profile!r}: allowed: with --detector; a scheme of the bench has its own")
-    if scheme:
-        chosen = with_schemes(chosen, scheme)
-    if detector:
-        chosen = with_only(chosen, detector, profile or "paper")
+    chosen = _chosen_bench(bench, scale, scheme, detector, profile)
     selected = select_parts(chosen, scale, levels=level or (), parts=part or (), models_dir=models)
     if out is None:
         words = ["bench", scale]
@@ -101,13 +99,65 @@ def detectors(  # noqa: PLR0913 - one parameter per option
         write_json({name: table.to_json() for name, table in flown.items()})
         return
 
-    # A note that several tables share is printed once, below the last of them.
-    terminal = console()
-    tables = list(shown.values())
+    # The verdict comes first: a sentence on each part.
+    own: Sequence[str] = ()
+    if detector or scheme:
+        own = tuple(chosen.arms)
+    for name, table in shown.items():
+        for sentence in sentences(results_of(table), own):
+            console().print(Text(f"{name}: {sentence}"))
+    console().print()
+    if everything:
+        _show_all(list(shown.values()))
+    else:
+        _show_short(flights, flown, shown, own)
+    console().print(Text(f"The tables are in {out / 'leaderboard.md'}."), soft_wrap=True)
+
+
+def _chosen_bench(
+    name: str, scale: str, schemes: list[str] | None, detectors: list[str] | None, profile: str | None
+) -> "Bench":
+    """The bench with the schemes or detectors that the options select; refuses options that do not go together."""
+    from mavfi.extras.bench.bench import load_bench, scales, with_only, with_schemes
+
+    bench = load_bench(name)
+    if scale not in scales(bench):
+        raise BadInputError(f"--scale: bench {bench.name}: {not_known(scale, scales(bench))}")
+    if schemes and detectors:
+        raise BadInputError("--scheme and --detector: allowed: one of them")
+    if profile is not None and not detectors:
+        raise BadInputError(f"--profile: {profile!r}: allowed: with --detector; a scheme of the bench has its own")
+    if schemes:
+        return with_schemes(bench, schemes)
+    if detectors:
+        return with_only(bench, detectors, profile or "paper")
+    return bench
+
+
+def _show_short(
+    flights: "BenchFlights", flown: "Mapping[str, Table]", shown: "Mapping[str, Table]", own: Sequence[str]
+) -> None:
+    """Print what decides, with remarks on the faults, schemes that are not flown, and rows that are not flown here."""
+    from mavfi.extras.bench.verdict import short_table
+
+    for name, table in shown.items():
+        console().print(short_table(table, own))
+        if table is not flown[name]:
+            console().print(Text(table.notes[0], style="dim"))  # which rows are published ones
+        if name in flights.parts:
+            for remark in flights.remarks(name):
+                console().print(Text(remark, style="dim"))
+        console().print()
+    console().print(Text("All columns, and what they mean: --all.", style="dim"))
+
+
+def _show_all(tables: "Sequence[Table]") -> None:
+    """Print whole tables; a note that several of them share is printed once, below the last of them."""
+    from mavfi.report.text import show_table
+
     for number, table in enumerate(tables):
         later = {note for other in tables[number + 1 :] for note in other.notes}
-        show_table(replace(table, notes=tuple(note for note in table.notes if note not in later)), terminal)
-    terminal.print(Text(f"The tables are in {out / 'leaderboard.md'}."), soft_wrap=True)
+        show_table(replace(table, notes=tuple(note for note in table.notes if note not in later)), console())
 
 
 def _command(bench: str, levels: Sequence[str], parts: Sequence[str], scale: str) -> str:
@@ -138,7 +188,8 @@ def overheads(
 
     Example: [bold]mavfi bench overheads out/reproduce[/bold]
     """
-    from mavfi.analysis import Runs, table
+    from mavfi.analysis.runs import Runs
+    from mavfi.analysis.views import table
     from mavfi.campaign.ledger import stored_campaign
     from mavfi.campaign.store import Store
     from mavfi.cli.progress import Bar

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from mavfi.analysis import Runs, table
+from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import Table
+from mavfi.analysis.views import table
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import versions
@@ -78,7 +79,13 @@ class BenchFlights:
         return tables
 
     def _table(self, name: str, selected: SelectedPart) -> Table:
-        """The table of a part, with notes on agreement with the frozen faults and on omitted schemes."""
+        """The table of a part, with its remarks among the notes."""
+        view = table(Runs.read(self.folder / name), selected.part.view)
+        return replace(view, name=name, title=selected.part.title, notes=(*self.remarks(name), *view.notes))
+
+    def remarks(self, name: str) -> tuple[str, ...]:
+        """Agreement of the faults of a part with the frozen ones, and omitted schemes; the faults are written, too."""
+        selected = self.parts[name]
         ledger = self.folder / name
         faults = faults_of(ledger)
         write_text(ledger / "faults.csv", faults)
@@ -95,9 +102,7 @@ class BenchFlights:
         arms_of_reason = defaultdict[str, list[str]](list)
         for arm, reason in selected.left_out.items():
             arms_of_reason[reason].append(arm)
-        left_out = [f"{', '.join(arms)}: not flown ({reason})" for reason, arms in arms_of_reason.items()]
-        view = table(Runs.read(ledger), selected.part.view)
-        return replace(view, name=name, title=selected.part.title, notes=(drawn, *left_out, *view.notes))
+        return drawn, *(f"{', '.join(arms)}: not flown ({reason})" for reason, arms in arms_of_reason.items())
 
     def beside_published(self, name: str, flown: Table) -> Table:
         """The table of a part with the published rows, if its faults are the published ones."""
@@ -199,15 +204,19 @@ def draw_curves(scores_of_schemes: Mapping[str, Scores], path: Path) -> Path:
         figure = Figure(figsize=(7.2, 4.2), layout="constrained")
         axes = figure.subplots()
         drawn = [(name, scores) for name, scores in scores_of_schemes.items() if _has_curve(scores)]
+        ends = []
         for number, (name, scheme) in enumerate(drawn):
             colour = _COLOURS[number % len(_COLOURS)]
             dashes = _DASHES[number // len(_COLOURS) % len(_DASHES)]
             # The curve over all thresholds,
             _, alarms, shares = zip((0.0, 0.0, 0.0), *scheme.curve(), strict=True)
             lowest_rate = 0.5 / scheme.hours
-            x = np.maximum(alarms, lowest_rate)
-            y = 100 * np.array(shares)
-            axes.step(x, y, where="post", label=name, color=colour, linestyle=dashes, linewidth=1.8)
+            # the last share holds up to the edge, where the curve has its name
+            x = np.maximum([*alarms, max(_MAX_ALARMS, alarms[-1])], lowest_rate)
+            y = 100 * np.array([*shares, shares[-1]])
+            axes.step(x, y, where="post", color=colour, linestyle=dashes, linewidth=1.8)
+            at_the_edge = y[np.searchsorted(x, _MAX_ALARMS, side="right") - 1]
+            ends.append(style.LineEnd(at_the_edge, name, colour))
             # and its point at the threshold as shipped.
             false_alarms = np.searchsorted(-scheme.golden, -1.0)
             detected = (scheme.harmful_scores > 1.0).mean()
@@ -216,11 +225,11 @@ def draw_curves(scores_of_schemes: Mapping[str, Scores], path: Path) -> Path:
         axes.set(
             xscale="log",
             ylim=(-2, 102),
-            xlabel="false alarms per flight hour",
+            xlabel="false alarms per flight hour (dots: thresholds as shipped)",
             ylabel="harmful faults detected (%)",
             title="Detection against false alarms",
         )
         axes.grid(visible=True)
         axes.set_xlim(right=_MAX_ALARMS)
-        figure.legend(loc="outside lower center", ncols=3, title="markers: thresholds as shipped")
+        style.name_lines(axes, ends)
         return style.write(figure, path)

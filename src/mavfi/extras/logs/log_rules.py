@@ -1,4 +1,4 @@
-"""The rules of the detector `recommended` that recorded messages can be checked with, see docs/engineers.md.
+"""The rules of the detector `recommended` that recorded messages can be checked with, see docs/concepts/engineers.md.
 
 Rule 1: a counter stays or grows by one.  Rule 3: a motion respects the vehicle's dynamics: its speed, the change of its
 velocity, the step of its position along its velocity, the turn of its attitude, and the distance of the set-point from

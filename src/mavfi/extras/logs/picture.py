@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from mavfi.extras.logs.recording import LogRecording, values_of
 from mavfi.extras.logs.watch import JudgedLog, LogWatch
-from mavfi.report.style import BLUE, GREY, ORANGE, house_style, write
+from mavfi.report import style
 
 _MAX_RECORDINGS = 3
 _MAX_FIELDS = 3
@@ -37,13 +37,13 @@ def draw_alarms(
     panels = []
     for index in order[:_MAX_RECORDINGS]:
         panels += [(index, *field) for field in _fields_of(log_watches[index], judged[index])]
-    with house_style():
+    with style.house_style():
         figure = Figure(figsize=(_WIDTH, _HEIGHT * len(panels) + 0.6), layout="constrained")
         axes = np.atleast_1d(figure.subplots(len(panels), 1))
         for axis, (index, topic, field) in zip(axes, panels, strict=True):
             _draw_field(axis, recordings[index], judged[index], topic, field)
         axes[-1].set_xlabel("time in the recording (s)")
-        write(figure, path)
+        style.write(figure, path)
 
 
 def _fields_of(log_watch: LogWatch, judged: JudgedLog) -> list[tuple[str, str]]:
@@ -60,19 +60,22 @@ def _fields_of(log_watch: LogWatch, judged: JudgedLog) -> list[tuple[str, str]]:
 
 
 def _draw_field(axis: Axes, recording: LogRecording, judged: JudgedLog, topic: str, field: str) -> None:
-    """A field over time; bands are alarm events that name it, a line is the start of the known fault."""
+    """A field over time, with alarm events that name it, the start of the known fault and the first alarm after it."""
     messages = [message for message in recording.messages if message.topic == topic]
     start_us = recording.messages[0].time_us
     times = np.array([1e-6 * (message.time_us - start_us) for message in messages])
     values, _ = values_of(messages, [field])
-    axis.plot(times, values[:, 0], color=BLUE, linewidth=0.8)
+    axis.plot(times, values[:, 0], color=style.INK, linewidth=0.8)
     for event in judged.event_list:
         if field in event.fields and topic in event.topics:
             begin = 1e-6 * (event.begin_us - start_us)
             end = 1e-6 * (event.end_us - start_us)
-            axis.axvspan(begin - _MARGIN_S, end + _MARGIN_S, color=ORANGE, alpha=0.35, linewidth=0)
+            axis.axvspan(begin - _MARGIN_S, end + _MARGIN_S, color=style.ALARM, alpha=0.45, linewidth=0)
+    alarm = judged.fault_alarm
+    if alarm is not None and alarm.topic == topic and field in alarm.fields:
+        _mark(axis, "first alarm", 1e-6 * (alarm.time_us - start_us), style.ALARM)
     if recording.onset_us is not None:
-        axis.axvline(1e-6 * (recording.onset_us - start_us), color=GREY, linestyle="--", linewidth=1.0)
+        _mark(axis, "fault", 1e-6 * (recording.onset_us - start_us), style.INJECTION)
     axis.set_title(f"{recording.name}: {topic} {field}", fontsize=8.5)
     # A corrupted value of 1e30 would flatten all others.
     finite = values[np.isfinite(values)]
@@ -80,3 +83,10 @@ def _draw_field(axis: Axes, recording: LogRecording, judged: JudgedLog, topic: s
         low, high = np.quantile(finite, (0.001, 0.999))
         spare = max(0.3 * float(high - low), 1e-9)
         axis.set_ylim(low - spare, high + spare)
+
+
+def _mark(axis: Axes, text: str, time_s: float, colour: str) -> None:
+    """Draw a dashed line at an instant, with its meaning at the top."""
+    axis.axvline(time_s, color=colour, linestyle="--", linewidth=1.8)
+    above = axis.get_xaxis_transform()  # time (s), and share of the height
+    axis.annotate(text, (time_s, 1.0), (3, -9), xycoords=above, textcoords="offset points", fontsize=8)

@@ -179,7 +179,7 @@ class _Topics:
                 needs = "; ".join([nearest_mapping(available), *refusals[:_MAX_REASONS]])
                 raise BadInputError(
                     f"{', '.join(name for name, _ in self._training)}: the rules apply to states of missions, and no "
-                    f"shipped mapping fits ({needs}); allowed: --mapping FILE, see docs/logs.md"
+                    f"shipped mapping fits ({needs}); allowed: --mapping FILE, see docs/how-to/logs.md"
                 )
             refused = 0
             for topic, numbers in available.items():

@@ -33,7 +33,7 @@ MODELS = "models"
 PAGE = "report.html"
 FLIGHTS_EACH = 5
 """Name of the study's page, and its number of flights of each campaign: 1.5 MB and less than a minute of two
-processors for the paper's study.  `mavfi report --html` fills the page up to its largest size, in several minutes."""
+processors for the paper's study; `mavfi report DIR --html FILE --flights N` writes it with more."""
 TIMED = "overheads_as_in_the_paper"
 TIMED_FLIGHTS = 3
 """View whose overheads are measured, and golden flights per environment and detector for it."""
@@ -275,7 +275,7 @@ def failures(
     """
     from rich.text import Text
 
-    from mavfi.analysis import Runs
+    from mavfi.analysis.runs import Runs
     from mavfi.extras.paper.failure_rate import failure_table, find_upsets, summary
     from mavfi.report.text import show_table
 
@@ -283,12 +283,22 @@ def failures(
     runs = Runs.read(directory)
     table = failure_table(runs, chosen)
     if not table.rows:
-        raise BadInputError(f"{directory}: no faults in instructions whose golden runs were counted; needed: some")
+        raise BadInputError(f"{directory}: {_why_no_failures(runs)}; `mavfi campaign run failure_rate` flies such ones")
     out = console()
     for sentence in summary(runs, chosen):
         out.print(Text(sentence))
     out.print()
     show_table(table, out)
+
+
+def _why_no_failures(runs: "Runs") -> str:
+    """Why failures per flight hour cannot be computed from runs."""
+    levels = runs.injected.values("level")
+    if not levels:
+        return "holds no faults; allowed: a campaign with faults in instructions"
+    if "instruction" not in levels:
+        return f"holds faults of level {', '.join(levels)}; allowed: a campaign with faults in instructions"
+    return "holds no golden run whose instructions were counted; allowed: a campaign with such runs"
 
 
 # ---- `mavfi redundancy`: flight time and energy of a UAV with redundant processors, compared with a detector -------

@@ -17,14 +17,22 @@ from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.store import FILE, Store
 from mavfi.cli.console import console
 from mavfi.cli.progress import Bar
-from mavfi.cli.report import Reported
+from mavfi.cli.report import Reported, page_bar
 from mavfi.extras.paper.report import StudyReport, stored_study, title_of, write_study, write_texts
 from mavfi.extras.paper.steps import StepTimes
 from mavfi.extras.paper.study import Study
 from mavfi.files import check_folder
 from mavfi.report.campaign_report import CampaignReport, write_report
 from mavfi.report.figures import Drawn, drawn
-from mavfi.report.html.report_page import Headline, PageSection, ReportedCampaign, write_page
+from mavfi.report.html.report_page import (
+    NO_FLIGHTS,
+    EmbeddedFlights,
+    Headline,
+    PageSection,
+    ReportedCampaign,
+    more_flights,
+    write_page,
+)
 from mavfi.report.text import show_table
 
 
@@ -58,7 +66,7 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
     workers: int,
     *,
     bar: StudyBar | None = None,
-) -> tuple[StudyReport, int]:
+) -> tuple[StudyReport, EmbeddedFlights]:
     """Write the reports of a study and of its campaigns.
 
     Args:
@@ -66,12 +74,12 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
         scale: The scale at which it was flown.
         folder: Its folder.
         page: HTML file to write; None = none.
-        flights: Maximum number of flights in the page; None = as many as fit.
+        flights: Maximum number of flights in the page; None = see `write_page`.
         workers: Number of processes.
         bar: Shows the progress, and records the time of tables and page; None = the page has a bar of its own.
 
     Returns:
-        The report of the study, and the number of flights in the page.
+        The report of the study, and the flights in the page.
 
     Raises:
         BadInputError: A ledger is missing or damaged, or a file cannot be written.
@@ -94,18 +102,21 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
 
     # the page needs the reports of all campaigns
     reports = dict(zip(campaigns, campaign_reports, strict=True))
-    count = 0
+    page_flights = NO_FLIGHTS
     if page is not None:
-        page_bar: AbstractContextManager[Bar] = Bar("flights of the page")
         if bar is not None:
-            page_bar = bar.timed("report.html and its flights")
-        with page_bar as running_bar:
-            count = write_study_html(page, folder, study_report, scale, reports, flights, workers, running_bar.show)
+            timed_bar: AbstractContextManager[Bar] = bar.timed("report.html and its flights")
+        else:
+            timed_bar = page_bar()
+        with timed_bar as running_bar:
+            page_flights = write_study_html(
+                page, folder, study_report, scale, reports, flights, workers, running_bar.show
+            )
 
     # once more, with the time of the page
     if bar is not None:
         write_texts(study_report, scale, folder)
-    return study_report, count
+    return study_report, page_flights
 
 
 def report_study(directory: Path, html: Path | None, flights: int | None, workers: int) -> Reported | None:
@@ -117,8 +128,9 @@ def report_study(directory: Path, html: Path | None, flights: int | None, worker
     for folder in study.campaigns:
         Store.open(directory / folder).close()  # fails before writing
     check_folder(directory)
-    report, count = write_study_report(study, scale, directory, html, flights, workers)
-    return Reported(report, count, partial(drawn_of_study, report), partial(show_study_report, report))
+    report, page_flights = write_study_report(study, scale, directory, html, flights, workers)
+    show = partial(show_study_report, report)
+    return Reported(report, page_flights, partial(drawn_of_study, report), report.tables, show)
 
 
 def _polars_has_threads() -> bool:
@@ -234,7 +246,7 @@ def write_study_html(  # noqa: PLR0913 - what the command was given
     flights: int | None,
     workers: int,
     show: Callable[[int, int], None],
-) -> int:
+) -> EmbeddedFlights:
     """Write the page of a study.
 
     Args:
@@ -243,16 +255,17 @@ def write_study_html(  # noqa: PLR0913 - what the command was given
         study: Its results.
         scale: Its scale.
         reports: Reports of its campaigns, by folder of the ledger.
-        flights: Maximum number of flights; None = as many as fit.
+        flights: Maximum number of flights; None = see `write_page`.
         workers: Number of processes.
         show: See `write_page`.
 
     Returns:
-        Number of flights in the page.
+        The flights in the page.
     """
     parts = [ReportedCampaign(directory, report) for directory, report in reports.items()]
     repeat = [
         ("Fly the study, or what is left of it", f"mavfi reproduce {study.study.name} --scale {scale} --out {root}"),
         (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {root} --share 0.02"),
+        *more_flights(root, path),
     ]
     return write_page(path, parts, sections_of_study(study), repeat, flights, workers, show, headline_of_study(study))

@@ -96,6 +96,10 @@ class Estimate:
         low, high = sorted((factor * self.low, factor * self.high))
         return Estimate(factor * self.value, low, high)
 
+    def not_negative(self) -> "Estimate":
+        """The estimate of a value that cannot be negative: value and interval are cut at 0, which loses no coverage."""
+        return Estimate(max(0.0, self.value), max(0.0, self.low), max(0.0, self.high))
+
 
 def upsets_per_instruction(upsets: UpsetConfig) -> Estimate:
     """Probability that an upset changes the result of one instruction, with the band due to flux and FIT rate.
@@ -127,6 +131,13 @@ class ExposedKernel:
     def failures(self, upset: float) -> Estimate:
         """Failures per flight hour at an upset probability per instruction; the interval reflects the harm only."""
         return self.harm.times(self.instructions * upset)
+
+    def without_negative_harm(self) -> "ExposedKernel":
+        """The kernel as the cause of failures, of which a fault cannot cause fewer than none.
+
+        A difference of two settings is one of harms as measured, which may have either sign.
+        """
+        return replace(self, harm=self.harm.not_negative())
 
 
 def total_failures(exposed: Iterable[ExposedKernel], upset: float) -> Estimate:
@@ -357,21 +368,25 @@ def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
     ended_by_setting = exposed(runs, "success_if_ended")
     for (environment, setting), kernels in kernels_by_setting.items():
         group = {"environment": environment, "setting": setting}
-        ended = {kernel: faults.exposed for kernel, faults in ended_by_setting[environment, setting].items()}
+        ended = {
+            kernel: faults.exposed.without_negative_harm()
+            for kernel, faults in ended_by_setting[environment, setting].items()
+        }
 
         # a row for each kernel
         for kernel, (run_ids, part) in kernels.items():
-            numbers = _numbers(part.instructions, part.harm, part.failures(upset), ended[kernel].failures(upset))
+            caused = part.without_negative_harm().failures(upset)
+            numbers = _numbers(part.instructions, part.harm, caused, ended[kernel].failures(upset))
             yield {**group, "kernel": kernel, "run_id": run_ids, "n": len(run_ids), **numbers}
 
         # their sum, against that of faults without a detector
         parts = _parts(kernels)
         instructions = sum(part.instructions for part in parts)
-        total = total_failures(parts, upset)
+        total = _caused(kernels, upset)
         harm = total_failures(parts, 1.0).times(1 / instructions)
         against = None
         if setting != FI and (environment, FI) in kernels_by_setting:
-            alone = total_failures(_parts(kernels_by_setting[environment, FI]), upset).value
+            alone = _caused(kernels_by_setting[environment, FI], upset).value
             if alone > 0:
                 against = total.value / alone
         run_ids = [run_id for faults in kernels.values() for run_id in faults.run_ids]
@@ -387,6 +402,11 @@ def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
 
 def _parts(kernels: Mapping[str, KernelFaults]) -> list[ExposedKernel]:
     return [faults.exposed for faults in kernels.values()]
+
+
+def _caused(kernels: Mapping[str, KernelFaults], upset: float) -> Estimate:
+    """Failures per flight hour that faults in kernels cause."""
+    return total_failures([part.without_negative_harm() for part in _parts(kernels)], upset)
 
 
 def _numbers(instructions: float, harm: Estimate, failures: Estimate, ended: Estimate) -> dict[str, Any]:
@@ -447,8 +467,8 @@ def failure_notes(upsets: UpsetConfig, runs: Runs) -> list[str]:
         *left_out,
         *verdicts,
         "failures per flight hour = upsets per instruction x dynamic instructions per flight hour (golden runs of the "
-        "setting, recomputations and detector included) x harm; [95 % interval of the harm]; faults alone, "
-        "not the failures without a fault",
+        "setting, recomputations and detector included) x harm; [95 % interval of the harm, cut at 0: a fault cannot "
+        "cause fewer failures than none]; faults alone, not the failures without a fault",
         "harm: missions lost by the fault against the golden run of the same setting, in pairs, each mission with the "
         "weight of its instructions, [95 % interval: MOVER], n = faults; coverage, 1 – harm, rewards idle instructions "
         "and compares nothing (Schirmeier et al., DSN 2015): compare failures",
@@ -492,7 +512,7 @@ def summary(runs: Runs, upsets: UpsetConfig) -> list[str]:
     upset = upsets_per_instruction(upsets).value
     rates_by_environment: dict[str, list[str]] = {}
     for (environment, setting), kernels in exposed(runs).items():
-        total = total_failures(_parts(kernels), upset)
+        total = _caused(kernels, upset)
         rates_by_environment.setdefault(environment, []).append(
             f"{setting} {total.value:.1e} [{total.low:.1e}, {total.high:.1e}]"
         )

@@ -121,22 +121,22 @@ def _success_mark(axes: Axes, flights: Runs, row: int, look: dict[str, Any], lab
 
 def _look(name: str) -> dict[str, str]:
     if name == GOLDEN_ROW:
-        return {"color": style.BLUE, "marker": "o"}
-    return {"color": style.ORANGE, "marker": "s"}
+        return {"color": style.GOLDEN, "marker": "o"}
+    return {"color": style.FAULT, "marker": "s"}
 
 
 def _times(axes: Axes, parts: Sequence[Runs], golden: int | None) -> None:
     """Draw a box per part, and a line at the golden median."""
     for row, arrived in enumerate(parts):
-        colour = style.ORANGE
+        colour = style.FAULT
         if row == golden:
-            colour = style.BLUE
+            colour = style.GOLDEN
         if len(arrived):
             _box(axes, arrived, row, colour)
     if golden is not None and len(parts[golden]):
         axes.axvline(
             float(np.median(parts[golden]["flight_time_s"])),
-            color=style.BLUE,
+            color=style.GOLDEN,
             linewidth=0.9,
             linestyle=(0, (4, 3)),
             zorder=1,
@@ -254,17 +254,21 @@ def _drawings() -> Iterable[Drawing]:
         "left: flight times of missions that succeed, each flight, median and quartiles (dashed: median of the golden "
         "run); right: success with 95 % intervals; n missions each."
     )
-    for name, title, select, column in (
-        ("kernels", "Fig. 3, one fault in one instruction of one kernel", by_kernel, "kernel"),
-        ("states", "Fig. 4, one fault in one inter-kernel state", by_state, "target"),
-        ("bit_fields", "Section III-B, one fault by class of the flipped bit", by_bits, "bits"),
+    for name, in_the_paper, title, select, column in (
+        ("kernels", "Fig. 3, ", "one fault in one instruction of one kernel", by_kernel, "kernel"),
+        ("states", "Fig. 4, ", "one fault in one inter-kernel state", by_state, "target"),
+        ("bit_fields", "Section III-B, ", "one fault by class of the flipped bit", by_bits, "bits"),
     ):
-        yield Drawing(name, lambda runs, s=select, c=column: _rows(runs, s, c), f"{title}; {about}")  # type: ignore[misc]
+        caption = paper.titled(in_the_paper, f"{title}; {about}")
+        yield Drawing(name, lambda runs, s=select, c=column: _rows(runs, s, c), caption)  # type: ignore[misc]
     yield Drawing(
         "flight_time_distribution",
         distributions,
-        "Fig. 6, flight times of missions that succeed, worst cases in seconds; below each setting: successes / n; the "
-        "time limit of missions bounds every worst case.",
+        paper.titled(
+            "Fig. 6, ",
+            "flight times of missions that succeed, worst cases in seconds; below each setting: successes / n; the "
+            "time limit of missions bounds every worst case.",
+        ),
     )
 
 
@@ -289,7 +293,7 @@ def flight_times(runs: Runs) -> Figure | None:
         for column, setting in enumerate(settings):
             flights = all_flights.where(environment=environment, setting=setting)
             _time_column(axes, flights, column, looks[setting], {"platform": platform, "setting": setting})
-        if paper.comparable(runs.campaign, ""):
+        if paper.compared(runs.campaign):
             _printed_time(axes, platform, len(settings) - 0.5)
         names = [style.setting_label(setting).replace(" + ", " +\n") for setting in settings]
         axes.set_xticks(range(len(settings)), names, fontsize=8)
@@ -308,7 +312,7 @@ def _printed_time(axes: Axes, platform: str, right: float) -> None:
     printed = paper.figure("platforms", quantity="flight_time_s", platform=platform)
     if printed is None:
         return
-    axes.axhline(printed, color=style.INK, linestyle="--", linewidth=0.9)
+    axes.axhline(printed, color=style.PAPER, linestyle="--", linewidth=0.9)
     axes.annotate(
         f"paper: {printed} s",
         (right, printed),
@@ -316,7 +320,7 @@ def _printed_time(axes: Axes, platform: str, right: float) -> None:
         ha="right",
         fontsize=8,
         textcoords="offset points",
-        color=style.INK,
+        color=style.PAPER,
     )
 
 
@@ -374,8 +378,8 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
             printed = paper.figure("redundancy_time", vehicle=vehicle, scheme=name)
             if printed is not None:
                 from_paper = True
-                axes.plot([x - 0.42, x + 0.42], [printed, printed], color=style.INK, zorder=5)
-                axes.annotate(f"{printed:.2f}", (x + 0.44, printed), va="center", fontsize=8, color=style.INK)
+                axes.plot([x - 0.42, x + 0.42], [printed, printed], color=style.PAPER, zorder=5)
+                axes.annotate(f"{printed:.2f}", (x + 0.44, printed), va="center", fontsize=8, color=style.PAPER)
         axes.set_xticks(range(len(names)), names)
         axes.set_xlim(-0.5, len(names) - 0.35)
         axes.set_ylim(min([1.0, *finite]) - 0.06 * (top - 1.0), top)
@@ -395,7 +399,7 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
         Line2D([], [], color=style.GREY, linewidth=1.8, label="band; triangle: cannot hover"),
     ]
     if from_paper:
-        handles.append(Line2D([], [], color=style.INK, label="the paper's figure"))
+        handles.append(Line2D([], [], color=style.PAPER, label="the paper's figure"))
     columns = min(3, 1 + len(vehicles))
     figure.legend(
         handles=handles, loc="outside upper left", ncols=columns, fontsize=8.5, columnspacing=1.2, handlelength=1.8
@@ -517,8 +521,6 @@ def _case(runs: Runs, stage: str) -> PathCase | None:
 
 # ---- Fig. 7: paths of a golden run, with a fault, and with the fault and a detector, in plan view and 3-D ----------
 
-_SOLID = "#D4D4D4"
-_EDGE = "#9A9A9A"
 _MARGIN = 2.0
 """Margin around the paths (m)."""
 _WIDTH = 40.0
@@ -526,12 +528,8 @@ _WIDTH = 40.0
 _FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 """Corners of each face of a box; the bits `_UPPER` of a corner's number select the upper x, y, z."""
 _UPPER = (4, 2, 1)
-_LOOKS: tuple[dict[str, Any], ...] = (
-    {"color": style.SKY, "linewidth": 5.0, "zorder": 4},
-    {"color": style.ORANGE, "linewidth": 2.4, "zorder": 5},
-    {"color": style.GREEN, "linewidth": 1.5, "linestyle": (0, (4, 2)), "zorder": 6},
-)
-"""Line styles of golden run, fault, and fault with detector: wide to narrow, so that coinciding paths are visible."""
+_LOOKS = tuple(style.FLIGHT_LOOKS.values())
+"""Line styles of golden run, fault, and fault with detector."""
 
 
 def trajectories(runs: Runs) -> Figure | None:
@@ -573,21 +571,20 @@ def _from_above(axes: Axes, flights: Sequence["Flight"]) -> None:
         Rectangle((low[0], low[1]), high[0] - low[0], high[1] - low[1])
         for low, high in zip(world.lower, world.upper, strict=True)
     ]
-    axes.add_collection(PatchCollection(boxes, facecolor=_SOLID, edgecolor=_EDGE, linewidth=0.5, zorder=1))
+    axes.add_collection(PatchCollection(boxes, zorder=1, **style.OBSTACLE_LOOK))
     # marks: start, goal, injection, collisions, alarms
-    mark: dict[str, Any] = {"linestyle": "", "color": style.INK, "zorder": 8, "markersize": 8}
-    axes.plot(*world.start[:2], marker="o", label="start", **mark)
-    axes.plot(*world.goal[:2], marker="s", label="goal", **mark)
-    injection = _injection(flights[1])
-    star: dict[str, Any] = {**mark, "color": style.AMBER, "markeredgecolor": style.INK, "markersize": 15, "zorder": 9}
-    axes.plot(*injection.T[:2], marker="*", label="injection", **star)
+    mark: dict[str, Any] = {"linestyle": "", "zorder": 8, "markersize": 8}
+    axes.plot(*world.start[:2], label="start", **mark, **style.START_MARK)
+    axes.plot(*world.goal[:2], label="goal", **mark, **style.GOAL_MARK)
+    star: dict[str, Any] = {**mark, **style.INJECTION_MARK, "markersize": 15, "zorder": 9}
+    axes.plot(*_injection(flights[1]).T[:2], label="fault", **star)
     for path, flight, look in zip(points, flights, _LOOKS, strict=False):
         if flight.log.status is MissionStatus.COLLISION:
-            end = {**mark, "color": look["color"], "markeredgecolor": "white", "markersize": 10}
-            axes.plot(*path[-1, :2], marker="X", label="collision", **end)
+            end = {**mark, **style.CRASH_MARK, "color": look["color"], "markersize": 10, "zorder": 10}
+            axes.plot(*path[-1, :2], label="collision", **end)
     if len(flights) > 2 and flights[2].log.alarms:
         alarms = positions(flights[2], [alarm.time_s for alarm in flights[2].log.alarms])
-        axes.plot(*alarms.T[:2], marker="v", label="alarm", **{**mark, "color": style.PURPLE, "markersize": 6})
+        axes.plot(*alarms.T[:2], label="alarm", **{**mark, **style.ALARM_MARK, "markersize": 6})
     lower, upper = _limits(flights)
     axes.set_xlim(lower[0], upper[0])
     axes.set_ylim(lower[1], upper[1])
@@ -608,19 +605,14 @@ def _in_space(axes: Any, flights: Sequence["Flight"]) -> None:
     faces = []
     for low, high in zip(world.lower[is_near], world.upper[is_near], strict=True):
         faces += _box_faces(np.maximum(low, lower), np.minimum(high, upper))
-    axes.add_collection3d(Poly3DCollection(faces, facecolors=_SOLID, edgecolors=_EDGE, linewidths=0.4, alpha=0.25))
+    axes.add_collection3d(Poly3DCollection(faces, alpha=0.25, **style.OBSTACLE_LOOK))
 
     # paths, and the injections on them
     for path, look in zip(points, _LOOKS, strict=False):
         axes.plot(*path.T, **look)
     axes.plot(
         *_injection(flights[1]).T,
-        marker="*",
-        linestyle="",
-        color=style.AMBER,
-        markeredgecolor=style.INK,
-        markersize=13,
-        zorder=9,
+        **{**style.INJECTION_MARK, "linestyle": "", "markersize": 13, "zorder": 9},
     )
 
     # the displayed volume, and the point of view
@@ -687,14 +679,21 @@ def _caption(runs: Runs) -> str:
     where = ""
     if cases:
         where = f" in {cases[0].environment}"
-    return f"Fig. 7, paths{where}, from above and in 3-D (heights drawn three times as large). {RULE} Shown: {faults}."
+    title = paper.titled("Fig. 7, ", f"paths{where}, from above and in 3-D (heights drawn three times as large).")
+    return f"{title(runs)} {RULE} Shown: {faults}."
+
+
+def _platforms_caption(runs: Runs) -> str:
+    if paper.compared(runs.campaign):
+        return "Flight times on each platform; dashed: the paper's."
+    return "Flight times on each platform."
 
 
 CHAPTER = Chapter(
     20,
     (
         *_drawings(),
-        Drawing("platforms", flight_times, "Flight times on each platform; dashed: the paper's.", general=True),
+        Drawing("platforms", flight_times, _platforms_caption, general=True),
         Drawing(
             "redundancy",
             lambda _: redundancy(shipped_designs()),

@@ -10,7 +10,7 @@ import polars as pl
 from mavfi.analysis import measures as m
 from mavfi.analysis import published as paper
 from mavfi.analysis.flight_views import SETTING, watched
-from mavfi.analysis.measures import Measure
+from mavfi.analysis.measures import Measure, MeasureFactory
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import SMALL
 from mavfi.analysis.views import View
@@ -110,7 +110,7 @@ def _sum_modelled(runs: Runs) -> float | None:
     return detection + recovery
 
 
-def _papers(key: str, of_stage: str, of_all: str = "") -> Measure:
+def _papers(key: str, of_stage: str, of_all: str = "") -> MeasureFactory:
     """The paper's value for a stage, or its value for all stages if given."""
 
     def printed_value(runs: Runs) -> float | None:
@@ -118,7 +118,7 @@ def _papers(key: str, of_stage: str, of_all: str = "") -> Measure:
         name = of_stage
         if stage == ALL:
             name = of_all
-        if not name or not paper.comparable(runs.campaign, runs.first("detector_profile"), runs.first("arm")):
+        if not name or not paper.comparable(runs):
             return None
         where = {"environment": runs.first("environment"), "setting": runs.first("setting"), "stage": stage}
         printed: float | None = paper.figure(name, **where)
@@ -127,7 +127,7 @@ def _papers(key: str, of_stage: str, of_all: str = "") -> Measure:
     heading = "paper, sum"
     if of_stage:
         heading = "paper"
-    return Measure(f"paper_{key}", heading, SMALL, printed_value)
+    return paper.beside(Measure(f"paper_{key}", heading, SMALL, printed_value))
 
 
 def _overhead_notes(runs: Runs) -> list[str]:
@@ -155,8 +155,8 @@ def _overhead_notes(runs: Runs) -> list[str]:
         "flights with the detector and a fault, as the paper's",
         "detection, modelled: time of the detector, measured as below / compute time of the pipeline in these golden "
         "flights with the latencies of the platform; no latency of a detector is published, so it is taken to be as "
-        "fast on the platform as here, a lower bound for a slower processor (docs/models.md); the modelled computer is "
-        "not charged for it",
+        "fast on the platform as here, a lower bound for a slower processor (docs/reference/models.md); the modelled "
+        "computer is not charged for it",
         *not_modelled,
         where,
         "the paper does not say what its times are divided by; its figures below 0.0001 % stand as that bound; an "
@@ -170,7 +170,7 @@ CHAPTER = Chapter(
     (
         View(
             "overheads_as_in_the_paper",
-            "Table II: compute time overhead of detection and of recovery",
+            paper.titled("Table II: ", "compute time overhead of detection and of recovery"),
             (*SETTING, "stage"),
             (
                 m.count("flights", "flights"),

@@ -1,7 +1,7 @@
 """Time of detection and recovery relative to that of the kernels, measured on this machine in one process.
 
 The paper's Table II.  The time of detection is also divided by the compute time that the platform's latencies give the
-pipeline, as if the detector were as fast on the platform as here (docs/models.md).
+pipeline, as if the detector were as fast on the platform as here (docs/reference/models.md).
 
 The publications that a detector checks are recorded in flight and replayed to it afterwards, several times and in
 blocks, since a timer around each call would take longer than the call.

@@ -8,11 +8,11 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from mavfi.analysis import VIEWS, table, views_for
 from mavfi.analysis.findings import findings
 from mavfi.analysis.listing import with_flights
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import PERCENT, Column, Table
+from mavfi.analysis.views import VIEWS, table, views_for
 from mavfi.config import parse
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, not_known, write_text, writing

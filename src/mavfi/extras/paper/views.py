@@ -90,12 +90,12 @@ def _quantile(runs: Runs, share: float) -> float | None:
 
 def _view_by(
     name: str,
-    title: str,
+    title: Callable[[Runs], str],
     by: str,
     where: Callable[[Runs], Runs],
     heading: str,
     applies: Any,
-    note: str,
+    papers_note: str,
     *,
     leads: bool = False,
 ) -> View:
@@ -109,14 +109,21 @@ def _view_by(
         headings=("environment", heading),
         applies=applies,
         leads=leads,
-        notes=lambda _: (
-            note,
+        notes=lambda runs: (
+            *_beside_the_papers(runs, papers_note),
             f"rates: {INTERVALS}; flight times of missions that succeed; against golden: of the same world",
             f"p: {m.PAIRED_TEST}; success with the fault and without it, in the same missions; not "
             "corrected for the number of rows",
             ONE_FAULT,
         ),
     )
+
+
+def _beside_the_papers(runs: Runs, note: str) -> list[str]:
+    """A note on the paper's figure, if these are its missions."""
+    if paper.same_missions(runs.campaign):
+        return [note]
+    return []
 
 
 def _kernels_note() -> str:
@@ -132,7 +139,7 @@ def _kernels_note() -> str:
 _EFFECTS = (
     _view_by(
         "kernels_as_in_the_paper",
-        "Fig. 3: flight time and success, one fault in one kernel",
+        paper.titled("Fig. 3: ", "flight time and success, one fault in one kernel"),
         "kernel",
         by_kernel,
         "kernel",
@@ -142,7 +149,7 @@ _EFFECTS = (
     ),
     _view_by(
         "states_as_in_the_paper",
-        "Fig. 4: flight time and success, one fault in one inter-kernel state",
+        paper.titled("Fig. 4: ", "flight time and success, one fault in one inter-kernel state"),
         "target",
         by_state,
         "state",
@@ -151,7 +158,7 @@ _EFFECTS = (
     ),
     _view_by(
         "bits_as_in_the_paper",
-        "Section III-B: flight time and success, by class of the flipped bit",
+        paper.titled("Section III-B: ", "flight time and success, by class of the flipped bit"),
         "bits",
         by_bits,
         "bits",
@@ -189,18 +196,31 @@ def _papers_gain(environment: str, setting: str) -> float | None:
     return success - golden
 
 
+def _costs_note(runs: Runs) -> str:
+    note = "percentage points, [95 % interval: MOVER, n reduced by the design effect of worlds], same missions"
+    if paper.compared(runs.campaign):
+        return f"{note}; paper: difference of two rates of its Table I, n = 300 and 100"
+    return note
+
+
+def _costs_title(runs: Runs) -> str:
+    """The title of the table of differences."""
+    if paper.compared(runs.campaign):
+        return "Table I as differences: success with a fault - success without it"
+    return "Differences: success with a fault - success without it"
+
+
 _COSTS = (
     View(
         "costs_as_in_the_paper",
-        "Table I as differences: success with a fault - success without it",
+        _costs_title,
         ("row",),
         (Measure("here", "here", RATE, _success_gained), paper.column(_papers_gain)),
         where=_costed,
         across="environment",
         headings=("",),
         notes=lambda runs: (
-            "percentage points, [95 % interval: MOVER, n reduced by the design effect of worlds], same missions; "
-            "paper: difference of two rates of its Table I, n = 300 and 100",
+            _costs_note(runs),
             "a loss of golden runs that is independent of the fault cancels out",
             ONE_FAULT,
         ),
@@ -245,7 +265,6 @@ def _increase(share: float) -> Callable[[Runs], float | None]:
 
 def _recovered(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     """Increase of flight time with the fault less that with fault and detector: of the worst and of the 95 % flight."""
-    del by
     alone = runs.where("paired", setting=FI)
 
     def compared(group: Runs) -> tuple[Runs, ...]:
@@ -257,12 +276,12 @@ def _recovered(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
         return contrast_measure(key, heading, POINTS_TEST, compared, "inflation", share, operator.sub)
 
     yield points("recovered", "recovered by", 1.0)
-    yield Measure("paper_recovered", "paper's", "signed points", _papers)
+    yield from paper.beside(Measure("paper_recovered", "paper's", "signed points", _papers))(runs, by)
     yield points("recovered_p95", "of the 95 %", 0.95)
 
 
 def _papers(runs: Runs) -> float | None:
-    if not paper.comparable(runs.campaign, runs.first("detector_profile"), runs.first("arm")):
+    if not paper.comparable(runs):
         return None
     setting = {key: runs.first(key) for key in SETTING}
     recovered: float | None = paper.figure("worst_time_recovered", **setting)
@@ -358,7 +377,7 @@ def _on_platform(quantity: str, setting: str = GOLDEN) -> Callable[[Runs], Any]:
     """A value of the paper's table, shown in the rows of one setting."""
 
     def of(runs: Runs) -> Any:
-        if runs.first("setting") != setting or not paper.comparable(runs.campaign, ""):
+        if runs.first("setting") != setting or not paper.comparable(runs):
             return None
         return paper.figure("platforms", quantity=quantity, platform=_platform(runs))
 
@@ -379,7 +398,7 @@ def _papers_power(runs: Runs) -> float | None:
 
 def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     """Columns computed across groups: ratios to the first platform, and the recovered share of worst flight time."""
-    del by  # always by environment, i.e. platform, and setting
+    # the groups are always by environment, i.e. platform, and setting
     groups = runs.groups("environment", "setting")
     first = next(iter(platforms(runs)), "")
 
@@ -395,7 +414,7 @@ def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
 
     def papers_ratio(group: Runs) -> float | None:
         slow = group.first("environment") != first and group.first("setting") == FI
-        if not slow or not paper.comparable(group.campaign, ""):
+        if not slow or not paper.comparable(group):
             return None
         printed: float = paper.figure("platforms_worst", quantity="flight_time_ratio")
         return printed
@@ -412,7 +431,7 @@ def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
 
     def papers_recovery(group: Runs) -> float | None:
         slow = group.first("environment") != first
-        if not slow or not paper.comparable(group.campaign, group.first("detector_profile"), group.first("arm")):
+        if not slow or not paper.comparable(group):
             return None
         recovered: float | None = paper.figure("platforms_recovered", setting=group.first("setting"))
         return recovered
@@ -421,7 +440,7 @@ def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     yield ratio("median_ratio", "median ratio", "flight_time_s", 0.5)
     yield ratio("energy_ratio", "of energy", "energy_j", 0.5)
     yield ratio("worst_ratio", "worst ratio", "flight_time_s", 1.0)
-    yield Measure("paper_ratio", "paper", _RATIO, papers_ratio)
+    yield from paper.beside(Measure("paper_ratio", "paper", _RATIO, papers_ratio))(runs, by)
     yield contrast_measure(
         "recovered",
         "recovered",
@@ -431,11 +450,13 @@ def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
         1.0,
         lambda fi, dr, golden: np.where(fi > golden, (fi - dr) / (fi - golden), 0.0),  # of a sample without a worse one
     )
-    yield Measure("paper_recovered", "paper", PERCENT, papers_recovery)
+    yield from paper.beside(Measure("paper_recovered", "paper", PERCENT, papers_recovery))(runs, by)
 
 
 def _explanation(runs: Runs) -> list[str]:
     """Notes that compare the paper's ratio of flight times with that of the campaign."""
+    if not paper.compared(runs.campaign):
+        return []
     # the paper's table: the fast platform and the slow one
     fast = paper.figure("platforms", quantity="flight_time_s", platform="i9-9940x")
     slow = paper.figure("platforms", quantity="flight_time_s", platform="cortex-a57")
@@ -465,6 +486,13 @@ def _explanation(runs: Runs) -> list[str]:
     ]
 
 
+def _platforms_title(runs: Runs) -> str:
+    """The title of the table of platforms."""
+    if paper.compared(runs.campaign):
+        return "Computing platforms (Fig. 9): flights that succeed"
+    return "Computing platforms: flights that succeed"
+
+
 CHAPTER = Chapter(
     80,
     (
@@ -473,20 +501,25 @@ CHAPTER = Chapter(
         *_FLIGHT_TIMES,
         View(
             "platforms",
-            "Computing platforms (Fig. 9): flights that succeed",
+            _platforms_title,
             ("environment", "setting"),
             (
                 m.count("n", "flights"),
                 Measure("median_s", "median time", _SECONDS, _median),
                 Measure("worst_s", "worst time", _SECONDS, _worst),
-                Measure("paper_s", "paper", _SECONDS, _on_platform("flight_time_s")),
+                paper.beside(Measure("paper_s", "paper", _SECONDS, _on_platform("flight_time_s"))),
                 m.median("energy_j", "median energy", _KJ),
-                Measure("paper_kj", "paper", _KJ, lambda runs: _kilo(_on_platform("energy_kj")(runs))),
+                paper.beside(Measure("paper_kj", "paper", _KJ, lambda runs: _kilo(_on_platform("energy_kj")(runs)))),
                 Measure("power_w", "power", "number .0f W", _power),
-                Measure("paper_w", "paper", "number .0f W", _papers_power),
+                paper.beside(Measure("paper_w", "paper", "number .0f W", _papers_power)),
                 _against_first,
-                Measure(
-                    "paper_processor", "paper: processor", "text", lambda runs: _watts(_on_platform("power_w")(runs))
+                paper.beside(
+                    Measure(
+                        "paper_processor",
+                        "paper: processor",
+                        "text",
+                        lambda runs: _watts(_on_platform("power_w")(runs)),
+                    )
                 ),
             ),
             where=compared,

@@ -24,6 +24,7 @@ from mavfi.report.explain import Story, around, detector_name, end_of, lines, pu
 from mavfi.report.flight_result import FlightResult
 from mavfi.report.html import page
 from mavfi.report.html.page import AFTER, BEFORE, encoded
+from mavfi.report.numbers import is_failure
 from mavfi.sim.environments import World
 from mavfi.states import STATES, Stage
 
@@ -179,7 +180,12 @@ class FlightPage:
     ) -> "FlightPage":
         """Create the page of flights of one mission; the first sentence of the story is the verdict."""
         (_, verdict), *rest = story
-        title = f"Fault in {site}" if site else "A flight without a fault"
+        if not site:
+            title = "A flight without a fault"
+        elif is_failure(courses[-1].log.injections):
+            title = f"Failure: {site}"
+        else:
+            title = f"Fault in {site}"
         return FlightPage(title, context, verdict, rest, commands, flight_data(courses, world, site))
 
     def to_json(self) -> dict[str, Any]:
@@ -189,8 +195,13 @@ class FlightPage:
 
 def write_flight_page(path: Path, flight: FlightPage) -> Path:
     """Write the page of one flight; `BadInputError` if the file cannot be written."""
-    write_text(path, page.render("flight.html.j2", flight=flight.to_json()))
+    write_text(path, rendered_flight_page(flight))
     return path
+
+
+def rendered_flight_page(flight: FlightPage) -> str:
+    """The page of one flight, as HTML."""
+    return page.render("flight.html.j2", flight=flight.to_json())
 
 
 # ---- of a flight, and of a run of a ledger, with all publications recorded -------------------------------------------
@@ -210,7 +221,9 @@ def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, comman
     """
     mission = result.scenario
     context = f"{mission.environment.name} · seed {mission.seed} · autopilot {mission.autopilot.name}"
-    commands = [("fly it again", command)]
+    commands = []
+    if command:
+        commands.append(("fly it again", command))
     world = result.flight.world
     if result.golden is None or result.effect is None:
         story: Story = [("verdict", end_of(result.log)), ("flight", f"without a fault; {end_of(result.log)}")]
@@ -283,10 +296,12 @@ def page_of_explanation(directory: Path, explanation: Explanation, partner: str 
         heading = f"with {detector_name(other)}" if other.detector else "without a detector"
         story.append((heading, f"{end_of(log)}, run {partner}"))
     courses.sort(key=lambda course: (GOLDEN, INJECTED, RECOVERED).index(course.role))
+    with Store.open(directory) as store:
+        permission = store.permission
     commands = [
-        ("fly it again, compare digests", f"mavfi replay {shown} {spec.run_id}"),
-        ("explain it step by step", f"mavfi explain {shown} {spec.run_id}"),
-        ("draw it", f"mavfi explain {shown} {spec.run_id} --picture flight.png"),
+        ("fly it again, compare digests", f"mavfi replay {shown} {spec.run_id}{permission}"),
+        ("explain it step by step", f"mavfi explain {shown} {spec.run_id}{permission}"),
+        ("draw it", f"mavfi explain {shown} {spec.run_id} --picture flight.png{permission}"),
     ]
     context = f"{spec.environment} · seed {spec.seed} · {spec.setting} · {spec.run_id}"
     return FlightPage.of(context, story, commands, courses, explanation.flight.world, _site(spec.fault))

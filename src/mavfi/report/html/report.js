@@ -30,24 +30,33 @@ function showRun(id) {
   const article = document.getElementById("run-template").content.cloneNode(true);
   const flight = stored.has(id) ? JSON.parse(stored.get(id).textContent) : null;
   article.querySelector(".over").textContent = id;
-  article.querySelector("h1").textContent = flight ? flight.title : run < 0 ? "No such run" : "Run";
-  article.querySelector(".lead").textContent = flight ? `${flight.verdict[0].toUpperCase()}${flight.verdict.slice(1)}.` : "";
+  article.querySelector("h1").textContent = run < 0 ? "No such run" : "Run";
   if (run >= 0) article.querySelector(".row").append(...rowFacts(run));
   document.getElementById("run").replaceChildren(article);
   const place = document.querySelector("#run .place");
-  if (flight) {
-    place.append(document.getElementById("flight-template").content.cloneNode(true));
-    shownPlayer = new Player(place.querySelector(".flight"), flight);
-  } else if (run >= 0) {
-    place.append(element("p", {}, "This flight is not stored in this file. These commands fly it again:"));
-    const folder = runList.text("folder", run);
-    for (const verb of ["replay", "explain"]) {
-      const html = verb === "explain" ? " --html flight.html" : "";
-      place.append(element("code", { class: "command", tabindex: "0" }, `mavfi ${verb} ${folder} ${id}${html}`));
-    }
-  }
+  if (flight) showFlight(flight);
+  else if (run >= 0 && FLIES) flyRun(id, place);
+  else if (run >= 0) place.append(...repeating("This flight is not stored in this file. The first command shows any run that is clicked, the others fly this one again:", run));
   scrollTo(0, 0);
   document.querySelector("#run h1").focus({ preventScroll: true });
+}
+
+/** Show a flight on the page of its run, which is open. */
+function showFlight(flight) {
+  const page = document.getElementById("run");
+  page.querySelector("h1").textContent = flight.title;
+  page.querySelector(".lead").textContent = `${flight.verdict[0].toUpperCase()}${flight.verdict.slice(1)}.`;
+  page.querySelector(".place").replaceChildren(document.getElementById("flight-template").content.cloneNode(true));
+  shownPlayer = new Player(page.querySelector(".flight"), flight);
+}
+
+/** A sentence, and the commands that fly a run again. */
+function repeating(sentence, run) {
+  const folder = runList.text("folder", run);
+  const id = runList.data.ids[run];
+  const commands = [`mavfi serve ${folder}`, `mavfi replay ${folder} ${id}`, `mavfi explain ${folder} ${id} --html flight.html`];
+  const lines = commands.map((command) => element("code", { class: "command", tabindex: "0" }, command));
+  return [element("p", {}, sentence), ...lines];
 }
 
 function rowFacts(run) {

@@ -2,14 +2,15 @@
 
 import io
 import re
+import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from html import escape, unescape
 from itertools import islice, zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import parse_qsl
 
 import polars as pl
@@ -170,6 +171,9 @@ def run_list(ledgers: Mapping[str, Runs]) -> dict[str, Any]:
         place=pl.when(pl.col("state") != "").then(pl.col("state")).otherwise(pl.col("kernel")),
         status=pl.col("status").str.replace_all("_", " "),
         bit=pl.col("bit").cast(pl.String).fill_null(""),
+        effect=pl.when((pl.col("level") == "sensor") & (pl.col("effect") == "sdc"))
+        .then(pl.lit("changed"))
+        .otherwise(pl.col("effect")),
     )
     texts = {name: _coded(frame[name]) for name in FILTERS}
     numbers = {name: _rounded(frame[name], digits) for name, digits in NUMBERS.items()}
@@ -268,6 +272,8 @@ MAX_PAGE_SIZE = 15_000_000
 """Maximum size of a page (bytes)."""
 _MAX_OPEN_ROWS = 30
 """Tables with more rows than this are collapsed."""
+_MAX_HALF_WIDTH = 7.5
+"""Width (in) up to which two figures stand side by side."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,6 +320,35 @@ def headline_of(report: CampaignReport) -> Headline:
     return Headline("campaign", campaign[0].upper() + campaign[1:], [mission, *lines], {"": report.findings})
 
 
+def page_values(
+    campaigns: Sequence[ReportedCampaign],
+    sections: Sequence[PageSection],
+    commands: Sequence[tuple[str, str]],
+    headline: Headline | None = None,
+) -> dict[str, Any]:
+    """Values of the template of the page, except its `flights`; arguments: see `write_report_page`."""
+    reports = [campaign.report for campaign in campaigns]
+    # the list of runs, tables and figures; these two collect the sets of runs to which they link
+    listed_runs = run_list({str(campaign.directory): campaign.report.runs for campaign in campaigns})
+    sets = RunSets({run_id: index for index, run_id in enumerate(listed_runs["ids"])})
+    section_data = [_section_data(number, section, sets) for number, section in enumerate(sections)]
+    csv = {table["id"]: table.pop("csv") for section in section_data for table in section["tables"]}
+    # checks and remarks; with several campaigns, also what each of them is
+    remarks: list[str] = []
+    if len(reports) > 1:
+        remarks += ["; ".join(header(report.runs.campaign)) for report in reports]
+    for report in reports:
+        remarks += checks(report.runs)
+    return {
+        "headline": headline or headline_of(reports[0]),
+        "commands": commands,
+        "sections": section_data,
+        "checks": [*remarks, *remarks_on(reports[0].runs)],
+        "csv": csv,
+        "runs": listed_runs | {"sets": list(sets.texts)},
+    }
+
+
 def write_report_page(
     path: Path,
     campaigns: Sequence[ReportedCampaign],
@@ -341,30 +376,13 @@ def write_report_page(
     Raises:
         BadInputError: The file cannot be written, or exceeds the maximum size even without flights.
     """
-    reports = [campaign.report for campaign in campaigns]
-    # the list of runs, tables and figures; these two collect the sets of runs to which they link
-    listed_runs = run_list({str(campaign.directory): campaign.report.runs for campaign in campaigns})
-    sets = RunSets({run_id: index for index, run_id in enumerate(listed_runs["ids"])})
-    section_data = [_section_data(number, section, sets) for number, section in enumerate(sections)]
-    csv = {table["id"]: table.pop("csv") for section in section_data for table in section["tables"]}
-    # checks and remarks; with several campaigns, also what each of them is
-    remarks: list[str] = []
-    if len(reports) > 1:
-        remarks += ["; ".join(header(report.runs.campaign)) for report in reports]
-    for report in reports:
-        remarks += checks(report.runs)
-    values: dict[str, Any] = {
-        "headline": headline or headline_of(reports[0]),
-        "commands": commands,
-        "sections": section_data,
-        "checks": [*remarks, *remarks_on(reports[0].runs)],
-        "csv": csv,
-        "runs": listed_runs | {"sets": list(sets.texts)},
-    }
-    # flights fill what is left of the file
-    size = len(page.render("report.html.j2", **values, flights={}).encode())
+    values = page_values(campaigns, sections, commands, headline)
+    text = page.render("report.html.j2", **values, flights={})
+    size = len(text.encode())
     if size > largest:
         raise BadInputError(f"{path}: the report takes {size} bytes without any flight; allowed: {largest}")
+    write_text(path, text)  # at once: the flights may take a minute, and may be stopped
+    # flights fill what is left of the file
     flight_data = _as_fit(flights, largest - size)
     write_text(path, page.render("report.html.j2", **values, flights=flight_data))
     return len(flight_data)
@@ -379,7 +397,8 @@ def _section_data(number: int, section: PageSection, sets: RunSets) -> dict[str,
     figures = []
     for figure in section.figures:
         svg = svg_of(figure.figure, f"s{number}-{figure.name}", figure.caption, sets)
-        figures.append({"svg": svg, "caption": figure.caption})
+        is_wide = figure.figure.get_figwidth() > _MAX_HALF_WIDTH
+        figures.append({"name": figure.name, "svg": svg, "caption": figure.caption, "is_wide": is_wide})
     return {
         "id": f"section-{number}",
         "title": section.title,
@@ -409,8 +428,26 @@ Case = tuple[Path, str, str | None]
 ShowProgress = Callable[[int, int], None]
 """Called with the numbers of flights done and in all."""
 
-_MIN_FLIGHT_SIZE = 30_000
-"""Approximate minimum size of a page of a flight with its golden run (bytes)."""
+DEFAULT_FLIGHTS = 30
+DEFAULT_SECONDS = 60.0
+"""Flights in a page unless their number is given, and the time after which no further one is waited for (s)."""
+
+
+class EmbeddedFlights(NamedTuple):
+    """Flights in a page.
+
+    Attributes:
+        stored: Number of flights in the page.
+        chosen: Number of flights that were to be flown for it.
+        is_stopped: Whether Ctrl-C ended them.
+    """
+
+    stored: int
+    chosen: int
+    is_stopped: bool = False
+
+
+NO_FLIGHTS = EmbeddedFlights(0, 0)
 
 
 def write_page(
@@ -422,7 +459,7 @@ def write_page(
     workers: int,
     show: ShowProgress,
     headline: Headline | None = None,
-) -> int:
+) -> EmbeddedFlights:
     """Write the page of one or more campaigns, with replayed runs.
 
     Args:
@@ -430,18 +467,20 @@ def write_page(
         campaigns: The campaigns.
         sections: Sections in order, the headline first.
         commands: Commands that reproduce the results, with their descriptions.
-        flights: Maximum number of flights; None = as many as fit.
+        flights: Maximum number of flights; None = `DEFAULT_FLIGHTS`, and those that are done in `DEFAULT_SECONDS`.
         workers: Number of processes.
         show: Shows progress.
         headline: See `write_report_page`.
 
     Returns:
-        Number of flights in the page.
+        The flights in the page, with what is done at Ctrl-C.
     """
-    most = MAX_PAGE_SIZE // _MIN_FLIGHT_SIZE if flights is None else flights
-    cases = _cases(campaigns, most)
-    with closing(_flown(cases, workers, show)) as pages:
-        return write_report_page(path, campaigns, sections, commands, pages, headline=headline)
+    if flights is None:
+        flown = _FlownCases(_cases(campaigns, DEFAULT_FLIGHTS), workers, show, DEFAULT_SECONDS)
+    else:
+        flown = _FlownCases(_cases(campaigns, flights), workers, show)
+    stored = write_report_page(path, campaigns, sections, commands, flown, headline=headline)
+    return EmbeddedFlights(stored, len(flown.cases), flown.is_stopped)
 
 
 def write_html(
@@ -451,10 +490,17 @@ def write_html(
     flights: int | None,
     workers: int,
     show: ShowProgress = lambda done, total: None,
-) -> int:
+) -> EmbeddedFlights:
     """Write the page of the campaign whose ledger is in `directory`; other arguments: see `write_page`."""
     campaigns = [ReportedCampaign(directory, report)]
-    return write_page(path, campaigns, sections_of(report), _commands(directory, path), flights, workers, show)
+    with Store.open(directory) as store:
+        permission = store.permission
+    commands = [
+        *_flying(directory),
+        (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {directory} --share 0.02{permission}"),
+        *more_flights(directory, path, permission),
+    ]
+    return write_page(path, campaigns, sections_of(report), commands, flights, workers, show)
 
 
 def _cases(campaigns: Sequence[ReportedCampaign], most: int) -> list[Case]:
@@ -481,20 +527,56 @@ def _cases(campaigns: Sequence[ReportedCampaign], most: int) -> list[Case]:
     ]
 
 
-def _flown(cases: Sequence[Case], workers: int, show: ShowProgress) -> Generator[tuple[str, "FlightPage"], None, None]:
-    """Yield run ids and pages in the order of the cases, independent of the order of completion."""
-    from mavfi.campaign.executors.executor import map_each
-    from mavfi.campaign.executors.local import LocalExecutor
+class _FlownCases:
+    """Run ids and pages of cases in their order, independent of the order of completion; to be iterated once.
 
-    executor = LocalExecutor(min(workers, max(1, len(cases))))
-    pages: dict[Case, Any] = {}  # done, but not yielded yet
-    waiting = deque(cases)
-    for count, (flown, flight_page) in enumerate(map_each(executor, _page, cases), start=1):
-        pages[flown] = flight_page
-        show(count, len(cases))
-        while waiting and waiting[0] in pages:
-            case = waiting.popleft()
-            yield case[1], pages.pop(case)
+    When the time is up, or at Ctrl-C, what is done follows, and nothing else.
+
+    Args:
+        cases: The cases.
+        workers: Number of processes.
+        show: Shows progress.
+        seconds: Time from the first case on after which no further one is waited for (s).
+    """
+
+    def __init__(self, cases: Sequence[Case], workers: int, show: ShowProgress, seconds: float = float("inf")) -> None:
+        self.cases = cases
+        self.is_stopped = False
+        self._workers = workers
+        self._show = show
+        self._seconds = seconds
+        self._done: dict[Case, FlightPage] = {}  # not yielded yet
+
+    def __iter__(self) -> Iterator[tuple[str, "FlightPage"]]:
+        waiting = deque(self.cases)
+        with closing(self._fly()) as results:
+            for case, flight_page in results:
+                self._done[case] = flight_page
+                while waiting and waiting[0] in self._done:
+                    yield self._take(waiting.popleft())
+        for case in waiting:  # the time is up, or Ctrl-C: those behind one that is not done
+            if case in self._done:
+                yield self._take(case)
+
+    def _take(self, case: Case) -> tuple[str, "FlightPage"]:
+        _, run_id, _ = case
+        return run_id, self._done.pop(case)
+
+    def _fly(self) -> Generator[tuple[Case, "FlightPage"], None, None]:
+        """Yield cases and pages in the order of completion."""
+        from mavfi.campaign.executors.executor import map_each
+        from mavfi.campaign.executors.local import LocalExecutor
+
+        executor = LocalExecutor(min(self._workers, max(1, len(self.cases))))
+        end = time.monotonic() + self._seconds
+        try:
+            for count, result in enumerate(map_each(executor, _page, self.cases), start=1):
+                yield result
+                self._show(count, len(self.cases))
+                if time.monotonic() > end:
+                    return
+        except KeyboardInterrupt:
+            self.is_stopped = True
 
 
 def _page(case: Case) -> "FlightPage":
@@ -505,12 +587,17 @@ def _page(case: Case) -> "FlightPage":
     return page_of_explanation(directory, explain(directory, run_id), other, directory)
 
 
-def _commands(directory: Path, path: Path) -> list[tuple[str, str]]:
-    """Commands that reproduce a campaign and its report, with their descriptions."""
+def more_flights(directory: Path, path: Path, permission: str = "") -> list[tuple[str, str]]:
+    """Commands that show the flights of a folder which are not in a page, with their descriptions.
+
+    Args:
+        directory: Folder of a ledger or a study.
+        path: The page.
+        permission: What the commands need to run plug-ins of the ledger, see `Store.permission`.
+    """
     return [
-        *_flying(directory),
-        (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {directory} --share 0.02"),
-        ("Write this page", f"mavfi report {directory} --html {path}"),
+        ("See any flight: a run is flown when it is clicked", f"mavfi serve {directory}{permission}"),
+        ("Write this page with more flights", f"mavfi report {directory} --html {path} --flights 200{permission}"),
     ]
 
 

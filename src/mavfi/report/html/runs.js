@@ -1,7 +1,8 @@
 "use strict";
-// The list of runs: filters, links from cells and points, pages of rows.
+// The list of runs: filters, order, links from cells and points, pages of rows.
 
 const ROWS = 50;
+const FLIES = typeof flyRun === "function"; // a server flies runs that are not in the page, see `mavfi serve`
 const NUMBER_HEADINGS = { flight_time_s: "flight time", inflation: "against golden", alarms_total: "alarms" };
 
 /** Numbers of a text of ranges, in order: "0-2 45" = [0, 1, 2, 45]. */
@@ -14,11 +15,29 @@ function rangesOf(text) {
 
 class RunList {
   constructor(data, stored) {
-    Object.assign(this, { data, stored, page: 0, chosen: {}, set: null });
+    Object.assign(this, { stored, page: 0, chosen: {}, members: null, order: { name: "", descending: false } });
     this.form = document.querySelector(".filters");
+    this.bind();
+    this.take(data);
+  }
+
+  /** Take other data, e.g. of a campaign that has gone on; the form is left alone while it is in use. */
+  take(data) {
+    this.data = data;
+    this.searchTexts = [];
     const differs = (name) => data.texts[name].values.filter((value) => value !== "").length > 1;
     this.shownFilters = Object.keys(data.filters).filter(differs);
-    this.buildForm();
+    if (!this.form.contains(document.activeElement)) this.buildForm();
+  }
+
+  bind() {
+    this.form.addEventListener("input", () => this.choose(Object.fromEntries(new FormData(this.form)), null));
+    this.form.addEventListener("reset", () => setTimeout(() => this.choose({}, null)));
+    this.form.addEventListener("submit", (event) => event.preventDefault());
+    document.querySelector(".runs tbody").addEventListener("click", (event) => {
+      const isSelecting = String(getSelection()) !== "";
+      if (!isSelecting && !event.target.closest("a")) event.target.closest("tr").querySelector("a").click();
+    });
   }
 
   text(name, run) {
@@ -27,6 +46,7 @@ class RunList {
   }
 
   buildForm() {
+    this.form.replaceChildren();
     for (const name of this.shownFilters) {
       const select = element("select", { name });
       select.append(new Option("all", ""));
@@ -35,7 +55,7 @@ class RunList {
       select.append(...values.map((value) => new Option(value, value)));
       this.form.append(element("label", {}, this.data.filters[name], select));
     }
-    this.form.append(element("label", {}, "run id contains", element("input", { type: "search", name: "id" })));
+    this.form.append(element("label", {}, "search", element("input", { type: "search", name: "text" })));
     if (this.stored.size) {
       const box = element("select", { name: "flight" });
       box.append(new Option("all", ""), new Option("with flight", "yes"));
@@ -45,35 +65,87 @@ class RunList {
     const csv = element("button", { type: "button" }, "CSV");
     csv.addEventListener("click", () => download("runs.csv", this.csv()));
     this.form.append(reset, csv);
-    this.form.addEventListener("input", () => this.choose(Object.fromEntries(new FormData(this.form)), null));
-    this.form.addEventListener("reset", () => setTimeout(() => this.choose({}, null)));
-    this.form.addEventListener("submit", (event) => event.preventDefault());
+    this.fillForm();
+  }
+
+  fillForm() {
+    for (const control of this.form.elements) if (control.name) control.value = this.chosen[control.name] ?? "";
   }
 
   buildHead() {
-    const headings = ["run", ...this.columns.map((name) => this.data.filters[name]), ...Object.values(NUMBER_HEADINGS)];
-    const cells = headings.map((heading) => element("th", { scope: "col" }, heading));
-    document.querySelector(".runs thead").replaceChildren(element("tr", {}, ...cells));
+    const heads = ["run", ...this.columns, ...Object.keys(NUMBER_HEADINGS)].map((name) => this.head(name));
+    document.querySelector(".runs thead").replaceChildren(element("tr", {}, ...heads));
+  }
+
+  head(name) {
+    const button = element("button", { type: "button" }, this.data.filters[name] ?? NUMBER_HEADINGS[name] ?? name);
+    button.addEventListener("click", () => this.sortBy(name));
+    const head = element("th", { scope: "col", "data-column": name }, button);
+    if (this.order.name === name) head.setAttribute("aria-sort", this.order.descending ? "descending" : "ascending");
+    return head;
+  }
+
+  /** Sort by a column: ascending, descending, then in the order of the plan again. */
+  sortBy(name) {
+    if (this.order.name !== name) this.order = { name, descending: false };
+    else if (!this.order.descending) this.order.descending = true;
+    else this.order = { name: "", descending: false };
+    this.page = 0;
+    this.list();
+    document.querySelector(`.runs th[data-column="${name}"] button`).focus();
   }
 
   /** Show the runs of a set (place in `sets`, null = all) that meet filters, given by column. */
   choose(chosen, set) {
     this.chosen = Object.fromEntries(Object.entries(chosen).filter(([, value]) => value !== ""));
-    this.set = set;
-    for (const control of this.form.elements) if (control.name) control.value = this.chosen[control.name] ?? "";
+    this.members = set === null ? null : new Set(rangesOf(this.data.sets[set]).map((run) => this.data.ids[run]));
+    this.fillForm();
     this.page = 0;
-    this.found = this.candidates().filter((run) => this.meets(run));
+    this.list();
+  }
+
+  list() {
+    this.found = this.sorted(this.candidates().filter((run) => this.meets(run)));
     this.show();
   }
 
   candidates() {
-    if (this.set === null) return this.data.ids.map((_, run) => run);
-    return rangesOf(this.data.sets[this.set]);
+    const runs = this.data.ids.map((_, run) => run);
+    return this.members === null ? runs : runs.filter((run) => this.members.has(this.data.ids[run]));
+  }
+
+  /** Runs in the chosen order; those without a value come last. */
+  sorted(runs) {
+    const { name, descending } = this.order;
+    if (name === "") return runs;
+    const values = runs.map((run) => [run, this.sortValue(name, run)]);
+    const sign = descending ? -1 : 1;
+    values.sort(([, a], [, b]) => {
+      if (a === b) return 0;
+      if (a === null || b === null) return a === null ? 1 : -1;
+      return a < b ? -sign : sign;
+    });
+    return values.map(([run]) => run);
+  }
+
+  sortValue(name, run) {
+    if (name === "run") return this.data.ids[run];
+    if (this.data.numbers[name]) return this.data.numbers[name][run];
+    const text = this.text(name, run);
+    if (text === "") return null;
+    return name === "bit" ? Number(text) : text;
+  }
+
+  /** Id and all texts of a run in lower case, which the search looks at. */
+  searchText(run) {
+    const texts = () => [this.data.ids[run], ...Object.keys(this.data.filters).map((name) => this.text(name, run))];
+    this.searchTexts[run] ??= texts().join(" ").toLowerCase();
+    return this.searchTexts[run];
   }
 
   meets(run) {
     return Object.entries(this.chosen).every(([name, value]) => {
-      if (name === "id") return this.data.ids[run].includes(value);
+      if (name === "text") return value.toLowerCase().split(" ").every((word) => this.searchText(run).includes(word));
       if (name === "flight") return this.stored.has(this.data.ids[run]);
       return !this.data.texts[name] || this.text(name, run) === value;
     });
@@ -82,12 +154,13 @@ class RunList {
   show() {
     const chosen = { ...this.shared(), ...this.chosen };
     const filters = Object.entries(chosen).map(([name, value]) => `${this.data.filters[name] ?? name} ${value}`);
-    const source = this.set === null ? "" : " behind the chosen cell or point";
+    const source = this.members === null ? "" : " behind the chosen cell or point";
+    const flights = FLIES ? " A click on a run flies it again." : ` ${this.stored.size} have their flight in this file (●); the commands above show the others.`;
     document.getElementById("runs-summary").textContent =
-      `${this.found.length} of ${this.data.ids.length} runs${source}${filters.length ? `; ${filters.join(", ")}` : ""}.`
-      + ` ${this.stored.size} have their flight in this file (●).`;
+      `${this.found.length} of ${this.data.ids.length} runs${source}${filters.length ? `; ${filters.join(", ")}` : ""}.${flights}`;
     const rows = this.found.slice(ROWS * this.page, ROWS * (this.page + 1));
-    this.columns = this.shownFilters.filter((name) => this.found.some((run) => this.text(name, run) !== ""));
+    const isOpen = (name) => !(name in this.chosen) && this.found.some((run) => this.text(name, run) !== "");
+    this.columns = this.shownFilters.filter(isOpen); // without those that a filter makes equal in all rows
     this.buildHead();
     document.querySelector(".runs tbody").replaceChildren(...rows.map((run) => this.row(run)));
     this.showPager();
@@ -95,7 +168,7 @@ class RunList {
 
   /** The values that all runs of a set have in common. */
   shared() {
-    if (this.set === null || !this.found.length) return {};
+    if (this.members === null || !this.found.length) return {};
     const values = this.shownFilters.map((name) => [name, this.text(name, this.found[0])]);
     return Object.fromEntries(values.filter(([name, value]) => (
       value !== "" && this.found.every((run) => this.text(name, run) === value))));
@@ -103,7 +176,7 @@ class RunList {
 
   row(run) {
     const id = this.data.ids[run];
-    const link = element("a", { href: `#run/${encodeURIComponent(id)}` }, id);
+    const link = element("a", { href: `#run/${encodeURIComponent(id)}`, title: id }, id);
     const mark = this.stored.has(id) ? element("span", { class: "has", title: "with its flight" }, " ●") : "";
     const texts = this.columns.map((name) => {
       const bad = name === "status" && this.text(name, run) !== "success";

@@ -144,14 +144,15 @@ class FlightScene {
     return ring;
   }
 
-  /** A cross that faces the camera. */
+  /** A cross that faces the camera, in front of the obstacle that it is in. */
   addCross(path) {
     const point = path.point(path.n - 1);
     const cross = new THREE.Group();
-    const material = new THREE.MeshBasicMaterial({ color: css(path.role) });
+    const material = new THREE.MeshBasicMaterial({ color: css(path.role), depthTest: false, transparent: true });
     for (const angle of [Math.PI / 4, -Math.PI / 4]) {
       const bar = new THREE.Mesh(new THREE.BoxGeometry(3, 0.45, 0.45), material);
       bar.rotation.z = angle;
+      bar.renderOrder = 9; // after all that is tested for depth
       cross.add(bar);
     }
     cross.position.set(...point);

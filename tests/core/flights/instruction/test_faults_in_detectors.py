@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mavfi.analysis import Runs, table
+from mavfi.analysis.runs import Runs
+from mavfi.analysis.views import table
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign

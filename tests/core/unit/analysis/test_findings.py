@@ -1,8 +1,8 @@
 from dataclasses import replace
 
-from mavfi.analysis import views_for
 from mavfi.analysis.findings import MAX_SENTENCES, findings
 from mavfi.analysis.runs import Runs
+from mavfi.analysis.views import views_for
 from mavfi.faults.fault import FaultSite
 from tests.core.unit.analysis.handmade import (
     FAULT,

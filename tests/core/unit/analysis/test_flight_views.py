@@ -3,8 +3,8 @@
 import pytest
 
 from mavfi.analysis import published as paper
-from mavfi.analysis import table
 from mavfi.analysis.table import RATE
+from mavfi.analysis.views import table
 from tests.core.unit.analysis.handmade import DUE, UNKNOWN, flown, golden, injected, runs
 
 

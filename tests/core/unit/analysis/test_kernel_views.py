@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from mavfi.analysis import table, views_for
+from mavfi.analysis.views import table, views_for
 from mavfi.record import KernelEffect
 from tests.core.unit.analysis.handmade import (
     GOLDEN,

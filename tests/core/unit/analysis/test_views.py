@@ -3,15 +3,17 @@
 import csv
 import io
 import json
+from dataclasses import replace
 
 import polars as pl
 import pytest
 
-from mavfi.analysis import VIEWS, View, table, views_for
 from mavfi.analysis import published as paper
 from mavfi.analysis.measures import Measure, count, rate
-from mavfi.analysis.runs import Runs
+from mavfi.analysis.runs import Runs, drawn
 from mavfi.analysis.table import NUMBER, RATE, UNKNOWN
+from mavfi.analysis.views import VIEWS, View, table, views_for
+from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.config import config_root, read_yaml
 from mavfi.errors import BadInputError
 from mavfi.report.text import FORMS
@@ -113,10 +115,48 @@ def test_figures_of_the_paper_have_sources_and_are_found_by_key():
     assert paper.worst_time("farm", "dr_gaussian") == pytest.approx(0.742 - 0.635)
 
 
-def test_only_the_papers_profiles_are_compared_with_its_figures():
-    published, hardened = {"profile": "published"}, {"profile": "hardened"}
-    assert paper.comparable(published, "") and paper.comparable(published, "paper")
-    assert not paper.comparable(published, "tuned") and not paper.comparable(hardened, "")
+def test_only_what_the_paper_flew_is_compared_with_its_figures():
     own = [golden(1), injected(1, flown())]
     assert table(runs(*own), "success").column("paper") == [0.95, 0.883]
-    assert table(runs(*own, profile="hardened"), "success").column("paper") == [None, None]
+    unlike = {"mission": ["planner rrt"], "faults": [], "arms": {}}
+    found = table(runs(*own, unlike_the_paper=unlike), "success")
+    assert "paper" not in [column.key for column in found.columns]
+    assert found.notes[0] == "not compared with the paper, which flew otherwise: planner rrt"
+    watched = runs(*own, injected(1, flown(), arm="gaussian"))
+    assert table(watched, "success").column("paper")[-1] == 0.943
+    unlike = {"mission": [], "faults": [], "arms": {"gaussian": ["profile tuned"]}}
+    assert table(replace(watched, campaign={**watched.campaign, "unlike_the_paper": unlike}), "success").column(
+        "paper"
+    ) == [0.95, 0.883, None]
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, []),
+        ({"mission": {"planner": "rrt", "v_max": 4.5}}, ["planner rrt", "v_max 4.5"]),
+        ({"mission": {"pid": "mine:Pid"}}, ["pid mine:Pid"]),
+        ({"parts": {"sparse": {"environment": "dense"}}}, ["sparse = dense on the same computer"]),
+        (
+            {"sampling": {"level": "instruction", "kernels": ["octomap", "pid"], "share": "stage"}},
+            ["no faults in planning"],
+        ),
+        ({"sampling": {"lifetime": {"times": 2}}}, ["lifetime {'times': 2}"]),
+        ({"sampling": {"level": "sensor", "units": ["gyro"]}}, ["faults at level sensor"]),
+        ({"arms": {"gaussian": {"detector": "autoencoder", "options": {"policy": "keyed"}}}}, ["detector autoencoder"]),
+        (
+            {"arms": {"gaussian": {"detector": "gaussian", "profile": "tuned", "wind": 5}}},
+            ["wind 5.0", "profile tuned"],
+        ),
+    ],
+)
+def test_what_a_campaign_does_otherwise_than_the_paper(changes, expected):
+    campaign = Campaign.model_validate({"name": "own", "environments": ["sparse"], **changes})
+    unlike = drawn(campaign)["unlike_the_paper"]
+    of_arms = [text for texts in unlike["arms"].values() for text in texts]
+    assert [*unlike["mission"], *unlike["faults"], *of_arms] == expected
+
+
+@pytest.mark.parametrize("name", ["as_published", "table1", "table1_instructions", "platforms"])
+def test_campaigns_of_the_study_are_comparable_with_the_paper(name):
+    assert drawn(load_campaign(name))["unlike_the_paper"] == {"mission": [], "faults": [], "arms": {}}

@@ -3,6 +3,7 @@
 import errno
 import os
 import re
+import shutil
 import signal
 import time
 from collections import Counter
@@ -16,10 +17,13 @@ from mavfi.campaign import mission as mission_module
 from mavfi.campaign import run as run_module
 from mavfi.campaign.executors.executor import Done
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.ledger import status, stored_campaign
+from mavfi.campaign.ledger import merge, status, stored_campaign
+from mavfi.campaign.plan import Shard
+from mavfi.campaign.replay import verify
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError, MachineError, SpecMismatchError
+from mavfi.levels.level import sampler_for
 from mavfi.record import End
 from tests.core.unit.campaign.fakes import (
     BROKEN,
@@ -372,3 +376,92 @@ def test_arms_differ_in_any_key_of_the_mission(tmp_path):
         if run.spec.kind == "null":
             assert run.record.digest == golden[run.spec.arm].digest or run.spec.seed != 10_000
             assert run.record.injections[0].activated
+
+
+# ---- a campaign that becomes a larger one --------------------------------------------------------------------------
+
+ONE_STRATUM = {"level": "state", "strata": {"sign_exponent": 1}}
+
+
+def large():
+    return small(
+        missions=3,
+        faults=3,
+        environments=["dense", "sparse", "farm"],
+        null_runs=3,
+        sampling=ONE_STRATUM,
+        arms={"late": {"latency_jitter": 0.1}, "gaussian": {"detector": DETECTOR}},
+    )
+
+
+def test_an_extended_campaign_is_the_large_one_flown_from_the_start(tmp_path):
+    flown_into(tmp_path / "large", large())
+    begun = small(missions=2, faults=2, null_runs=1, sampling=ONE_STRATUM)
+    flown_into(tmp_path / "grown", begun)
+    with Store.open(tmp_path / "grown") as store:
+        kept = {row.run_id: result.text for row, result in store.rows()}
+    reports = []
+    with pytest.raises(KeyboardInterrupt):
+        flown_into(tmp_path / "grown", large(), extend=True, executor=OneByOne(), progress=stop_at(7))
+    end = flown_into(tmp_path / "grown", large(), progress=reports.append)  # the ledger is that of the large one now
+    assert end == status(tmp_path / "large")
+    assert reports[-1].flown == end.total - len(kept) - 7, "nothing is flown twice"
+    assert digest(tmp_path / "grown") == digest(tmp_path / "large")
+    with Store.open(tmp_path / "grown") as store:
+        assert {run_id: store.record_text(run_id) for run_id in kept} == kept
+    flown_into(tmp_path / "grown", large(), extend=True)  # nothing is left to do
+    assert verify(tmp_path / "grown", 1.0).differing == ()
+
+
+def test_an_arm_is_added_and_null_runs_take_the_arms_in_turn_as_before(flown, tmp_path):
+    shutil.copytree(flown[0], tmp_path / "grown")
+    more = small(arms={"gaussian": {"detector": DETECTOR}, "late": {"latency_jitter": 0.1}})
+    with pytest.raises(BadInputError, match="choose another directory, or keep its runs with --extend"):
+        flown_into(tmp_path / "grown", more)
+    reports = []
+    end = flown_into(tmp_path / "grown", more, extend=True, progress=reports.append)
+    assert reports[-1].flown == end.total - TOTAL + 2, "one null run in each environment is that of the new arm"
+    flown_into(tmp_path / "large", more)
+    assert digest(tmp_path / "grown") == digest(tmp_path / "large")
+
+
+def test_an_extended_shard_can_be_merged(tmp_path):
+    def sized(number):
+        return small(environments=["sparse"], missions=number, faults=number, sampling=ONE_STRATUM)
+
+    halves = [tmp_path / "1", tmp_path / "2"]
+    for number, half in enumerate(halves, 1):
+        flown_into(half, sized(3), shard=Shard(number, 2))
+        flown_into(half, sized(6), shard=Shard(number, 2), extend=True)
+    merge(halves, tmp_path / "merged")
+    flown_into(tmp_path / "whole", sized(6))
+    assert digest(tmp_path / "merged") == digest(tmp_path / "whole")
+
+
+def test_what_is_drawn_together_is_extended_by_missions_only():
+    def drawn(missions, faults):
+        sampler = sampler_for(small(missions=missions, faults=faults, null_runs=0, sampling=INSTRUCTIONS, arms={}))
+        return [sampler.basis("sparse", sampler.blocks("sparse")[0].draw(index)) for index in range(2)]
+
+    assert drawn(2, 2) == drawn(4, 4)
+    assert drawn(2, 2) != drawn(2, 4), "two faults of one stream are not the one and another"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"missions": 3}, "key 'missions': 3; the ledger has 4; allowed: 4 or more"),
+        ({"missions": 9}, "key 'missions': 9: fault 4 of perception would move to another mission"),
+        ({"faults": 9}, "key 'faults': 9: the strata have exact shares of all faults"),
+        ({"environments": ["dense"]}, "key 'environments': lacks sparse"),
+        ({"first_seed": 20_000}, "key 'first_seed': differs"),
+        ({"mission": {"v_max": 4.0}}, "key 'mission': differs"),
+        ({"arms": {"gaussian": {"detector": DETECTOR, "profile": "tuned"}}}, "key 'arms.gaussian': differs"),
+    ],
+)
+def test_what_does_not_extend_a_campaign_is_refused_with_its_key(flown, changes, message):
+    directory, end, _ = flown
+    before = digest(directory)
+    with pytest.raises(BadInputError, match=re.escape(message)):
+        flown_into(directory, small(**changes), extend=True)
+    assert (digest(directory), status(directory)) == (before, end)

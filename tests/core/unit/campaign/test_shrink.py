@@ -2,7 +2,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from mavfi.analysis import Runs
+from mavfi.analysis.runs import Runs
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.shrink import shrink

@@ -66,6 +66,26 @@ def test_status_counts_by_setting(capsys, flown):
     assert text.startswith("5 of 5 runs, complete") and "golden" in text
 
 
+def test_a_larger_campaign_keeps_what_is_flown_and_is_compared_with_the_smaller_one(capsys, flown, tmp_path):
+    grown = tmp_path / "grown"
+    shutil.copytree(flown, grown)
+    (tmp_path / "tiny.yaml").write_text(FAKE.format(missions=2).replace("faults: 1", "faults: 2"))
+    command = ["campaign", "run", str(tmp_path / "tiny.yaml"), "--workers", "1", "--out"]
+    assert run([*command, str(grown)]) == 2
+    assert "choose another directory, or keep its runs with --extend" in capsys.readouterr().err
+    assert run([*command, str(tmp_path / "typo"), "--extend"]) == 2
+    assert "typo holds no campaign; allowed: the folder of one, or without --extend" in capsys.readouterr().err
+    assert not (tmp_path / "typo").exists()
+    assert run([*command, str(grown), "--extend"]) == 0
+    capsys.readouterr()
+    assert run(["compare", str(flown), str(grown)]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("B flies as A: all 4 shared runs are equal bit for bit.")
+    assert f"B: {grown}" in text and "4 runs have no partner" in text
+    data = _json(capsys, "compare", str(flown), str(grown))
+    assert data["answer"]["same"] == data["answer"]["n_a"] == 3
+
+
 def test_runs_that_are_no_flights_have_effects_in_place_of_success(capsys, tmp_path):
     (tmp_path / "programs.yaml").write_text(FAKE.format(missions=2).replace(":FakeHost", ":ProgramHost"))
     command = ["campaign", "run", str(tmp_path / "programs.yaml"), "--out", str(tmp_path / "out"), "--workers", "1"]
@@ -182,8 +202,9 @@ def test_a_replay_that_is_another_run_fails(capsys, flown, monkeypatch):
     ("arguments", "message"),
     [
         (["campaign", "run", "smoke", "--out", "OUT", "--workers", "0"], "workers: 0"),
+        (["campaign", "run", "smoke", "--scheduler", "tcp://a:1", "--workers", "8"], "--workers: 8: a scheduler has"),
         (["campaign", "run", "CONFIG", "--out", "CONFIG"], "cannot be written"),
-        (["campaign", "run", "smok"], "campaign 'smok': not known (did you mean 'smoke'?); allowed: as_published"),
+        (["campaign", "run", "smok"], "campaign 'smok': not known (did you mean 'smoke'?); allowed: smoke, "),
         (["campaign", "run", "FLOWN"], ": is a folder; allowed: as_published"),
         (["campaign", "run", "MARS", "--out", "OUT"], "mars.yaml: key 'host': 'mars': not known; allowed: "),
         (["campaign", "status", "OUT"], "holds no campaign"),

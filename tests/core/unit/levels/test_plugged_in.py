@@ -8,8 +8,7 @@ from typing import ClassVar, Literal
 import pytest
 
 from mavfi import plugins
-from mavfi.analysis import Runs
-from mavfi.analysis.runs import drawn
+from mavfi.analysis.runs import Runs, drawn
 from mavfi.api import fly
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.shrink import shrink

@@ -1,10 +1,11 @@
 from itertools import combinations
 
+import pytest
 from matplotlib.text import Text
 from PIL import Image
 
 from mavfi.report.html.report_page import drawn
-from mavfi.report.style import COLUMN, PAGE, fit_to_column, write_figure
+from mavfi.report.style import COLUMN, PAGE, fit_to_column, write_figure, write_talk_figure
 
 
 def width_of(path):
@@ -18,6 +19,15 @@ def test_each_figure_is_written(runs, tmp_path):
         assert [path.suffix for path in paths] == [".pdf", ".png"]
         assert paths[0].read_bytes().startswith(b"%PDF")
         assert width_of(paths[1]) in (round(600 * COLUMN), round(600 * PAGE))
+
+
+def test_figures_for_talks_have_the_shape_of_a_slide(runs, tmp_path):
+    for one in drawn(runs):
+        picture, pixels = write_talk_figure(one.figure, tmp_path, one.name)
+        assert (picture.name, pixels.name) == (f"{one.name}-talk.svg", f"{one.name}-talk.png")
+        with Image.open(pixels) as image:
+            assert image.width * 9 == pytest.approx(image.height * 16, rel=1e-3) and image.width >= 2559
+        check_texts(one.figure)
 
 
 def texts_of(figure):

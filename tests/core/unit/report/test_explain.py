@@ -16,6 +16,7 @@ from mavfi.report.explain import MAX_ALARMS, alarm_lines, lines, to_json
 SITE = FaultSite("planning.waypoint", "x")
 FAULT = StateFault(SITE, 1_000_000, 62)
 INJECTION = Injection("state", str(SITE), 1.0, 62, 3.5, float("inf"), activated=True)
+FAILURE = Injection("sensor", "gyro stuck", 1.0, None, 0.1, 0.2, True, details={"model": "to the end"})
 MISSED = Injection("state", str(SITE), 1.0, 62, None, None, activated=False)
 ON_PATH = Departure(None, None, 0.0, 0.0, 0.0)
 INSTRUCTION = {
@@ -66,6 +67,7 @@ def story_of(explanation):
             ("fails without the fault, too", "timeout", "collision"),
         ),
         (log(injections=[MISSED]), log(), ("not activated", "succeeds")),
+        (log(seconds=11.0, injections=[FAILURE]), log(), ("another flight than the golden run; the mission succeeds",)),
     ],
 )
 def test_the_verdict_comes_first_with_effect_and_end_of_the_mission(injected, golden, parts):

@@ -28,9 +28,9 @@ def test_a_flight_with_a_fault_shows_more(flights, tmp_path):
     both = words(draw_flight(tmp_path / "both.svg", injected, golden, golden, detector="gaussian"))
     assert "#d55e00" in both.lower()
     assert "#d55e00" not in alone.lower()
-    for label in ("golden run", "with the fault", "with the fault and detector gaussian", "injection"):
+    for label in ("golden run", "with the fault", "with the fault and detector gaussian", "fault"):
         assert f"<!-- {label} -->" in both
-    assert "<!-- injection -->" not in alone
+    assert "<!-- fault -->" not in alone
     assert f"<!-- flight: goal at {golden.log.column('time')[-1]:.1f} s -->" in alone
 
 
@@ -40,7 +40,7 @@ def test_a_watched_flight_is_labelled_and_its_alarms_are_marked(flights, tmp_pat
     injected.log.alarms = [AlarmRecord(time_s, "x", "planning.waypoint", "planning") for time_s in (1.0, at)]
     try:
         text = words(draw_flight(tmp_path / "watched.svg", injected, golden, detector="my.module:Mine"))
-        for label in ("with the fault and detector my.module:Mine", "alarm at the injection", "other alarm"):
+        for label in ("with the fault and detector my.module:Mine", "alarm at the fault", "other alarm"):
             assert f"<!-- {label} -->" in text
     finally:
         injected.log.alarms = []

@@ -67,7 +67,9 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, monkeypatch, arguments, m
     assert text.count("\n") == 1 and message in text
 
 
-COMMANDS = re.findall(r"^    (mavfi ros .+)$", (ROOT / "docs" / "ros.md").read_text(encoding="utf-8"), re.MULTILINE)
+COMMANDS = re.findall(
+    r"^    (mavfi ros .+)$", (ROOT / "docs" / "how-to" / "ros.md").read_text(encoding="utf-8"), re.MULTILINE
+)
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -1,4 +1,4 @@
-"""Every command of docs/ros.md, run as it stands there."""
+"""Every command of docs/how-to/ros.md, run as it stands there."""
 
 import re
 import signal
@@ -16,7 +16,7 @@ from tests.pages import DOCS, arguments, commands
 from tools import install_ros as install
 
 pytestmark = [*any_ros, pytest.mark.slow]
-ALL = commands("ros.md")
+ALL = commands("how-to/ros.md")
 FLIGHTS = [command for command in ALL if command.startswith("mavfi ros fly ")]
 LOOKED_AT = next(command for command in FLIGHTS if command.endswith("--pace 1"))
 OTHERWISE = (

@@ -2,16 +2,17 @@
 
 import json
 import re
+from importlib.resources import files
 
 import pytest
 from matplotlib.figure import Figure
 
-from mavfi.analysis import table as table_of
 from mavfi.analysis.table import Table
+from mavfi.analysis.views import table as table_of
 from mavfi.errors import BadInputError
-from mavfi.report import links
+from mavfi.report import links, style
 from mavfi.report.campaign_report import report_of
-from mavfi.report.html import page
+from mavfi.report.html import page, report_page
 from mavfi.report.html.report_page import (
     PageSection,
     ReportedCampaign,
@@ -21,6 +22,7 @@ from mavfi.report.html.report_page import (
     sections_of,
     svg_of,
     table_data,
+    write_page,
     write_report_page,
 )
 
@@ -86,6 +88,26 @@ def test_flights_are_taken_while_they_fit(tmp_path, report, flown, flight):
         written(tmp_path, report, flown, largest=1000)
 
 
+@pytest.mark.parametrize("at_once", [False, True])
+def test_what_is_done_is_in_the_page_when_the_time_is_up_or_at_ctrl_c(
+    tmp_path, report, flown, flight, monkeypatch, at_once
+):
+    path = tmp_path / "report.html"
+
+    def show(done, total):
+        assert path.is_file() and 'class="flight-data"' not in path.read_text(encoding="utf-8"), "written before"
+        if at_once and done == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(report_page, "_page", lambda case: flight)
+    if not at_once:
+        monkeypatch.setattr(report_page, "DEFAULT_SECONDS", 0.0)
+    campaigns = [ReportedCampaign(flown, report)]
+    found = write_page(path, campaigns, sections_of(report)[:1], COMMANDS, None, 1, show)
+    assert (found.stored, found.is_stopped) == ((3, True) if at_once else (1, False)) and found.chosen > 3
+    assert path.read_text(encoding="utf-8").count('class="flight-data"') == found.stored
+
+
 def test_the_libraries_are_there_with_their_licences(flight_html):
     text = flight_html.read_text(encoding="utf-8")
     assert "three.js authors" in text and "Leon Sorokin" in text and text.count("Permission is hereby granted") == 2
@@ -101,6 +123,18 @@ def test_figures_follow_the_theme_and_their_ids_are_unique(runs):
     assert ids and len(ids) == len(set(ids))
     n = len(runs.where("judged", setting="fi", population="sign_exponent"))
     assert f'aria-label="{n} runs: environment sparse, setting fi' in text
+
+
+def test_a_role_has_one_colour_in_pages_and_pictures():
+    light_theme = (files("mavfi.report.html") / "base.css").read_text(encoding="utf-8").partition("}")[0]
+    for name, colour in (
+        ("golden", style.GOLDEN),
+        ("injected", style.FAULT),
+        ("recovered", style.RECOVERED),
+        ("amber", style.INJECTION),
+        ("purple", style.ALARM),
+    ):
+        assert f"--{name}: {colour.lower()};" in light_theme
 
 
 def test_a_point_of_a_figure_links_to_a_set_of_its_runs(runs):

@@ -1,0 +1,461 @@
+"""Two campaigns compared: how often missions fail, how long they fly, and what energy they need.
+
+Runs are pairs if they have the same environment, seed and setting and, with a fault, the same one.  Groups of which at
+least the share `_SHARED` has a partner are compared in pairs, whose differences are more precise; others as independent
+samples.  All runs of a mission, also those with different faults, are one cluster.
+"""
+
+import html
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import polars as pl
+
+from mavfi.analysis.effects import has_verdicts
+from mavfi.analysis.measures import rate_of
+from mavfi.analysis.rows import GOLDEN, NULL
+from mavfi.analysis.runs import ALL, Runs
+from mavfi.analysis.statistics import Rate, paired_difference, relative_difference, unpaired_difference
+from mavfi.analysis.table import DIFFERENCE, NUMBER, PERCENT, TEXT, Column, Table
+from mavfi.errors import BadInputError
+from mavfi.record import plain
+
+WITH_A_FAULT = "with a fault"
+WITHOUT_A_FAULT = "without a fault"
+"""Setting of the row over all settings with faults, or without."""
+_IN_WORDS = {GOLDEN: f" {WITHOUT_A_FAULT}", WITHOUT_A_FAULT: f" {WITHOUT_A_FAULT}"}
+"""Settings in sentences, with the space before; others are with a fault."""
+_SHARED = 0.5
+_MISSION = ("environment", "seed", "setting")
+_FAULT = ("target", "index", "level", "site", "bit", "stratum")
+"""Columns that identify a run of a campaign, and the fault in it.
+
+Its instant is none of them: the same draw may hit another instant of another flight.
+"""
+_DEFAULT = "default"
+"""Value of a key that a campaign does not set."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedGroup:
+    """The runs that two campaigns A and B have in one environment and setting.
+
+    Differences are B - A, with 95 % intervals; their bounds are None with fewer than two missions.
+
+    Attributes:
+        environment: Name, or `ALL`.
+        setting: Setting, or `WITH_A_FAULT`.
+        paired: Whether runs are compared in pairs.
+        n_a: Compared runs of A; of both if in pairs.
+        n_b: Compared runs of B.
+        missions: Number of missions that these runs fly, each a cluster.
+        same: Pairs whose flights are equal bit for bit; None without pairs.
+        failed_a: Share of the runs of A whose mission fails.
+        failed_b: That of B.
+        failures: Difference of the shares.
+        flight_time: Relative difference of the mean flight time, of pairs that both succeed or of all that succeed.
+        energy: That of the energy.
+    """
+
+    environment: str
+    setting: str
+    paired: bool
+    n_a: int
+    n_b: int
+    missions: int
+    same: int | None
+    failed_a: Rate
+    failed_b: Rate
+    failures: Rate
+    flight_time: Rate
+    energy: Rate
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class CampaignComparison:
+    """Two campaigns, A and B.
+
+    Attributes:
+        answer: Over all environments and settings: of runs with a fault, or without one if there are no others.
+        groups: By setting: over all environments if there are several, then each.
+        differing: What distinguishes the campaigns, by key: the values of A and B.
+        notes: What is not compared, and why.
+    """
+
+    answer: ComparedGroup
+    groups: tuple[ComparedGroup, ...]
+    differing: Mapping[str, tuple[Any, Any]]
+    notes: tuple[str, ...]
+
+    @property
+    def are_same(self) -> bool:
+        """Whether all compared flights are pairs that are equal bit for bit."""
+        return all(group.same == group.n_a for group in self.groups)
+
+    @property
+    def sentences(self) -> list[str]:
+        """The answer: failures, then what flight time and energy differ by."""
+        if self.are_same:
+            return [f"B flies as A: all {sum(_compared_alone(self.groups))} shared runs are equal bit for bit."]
+        return [_failures_sentence(self.answer), _cost_sentence(self.answer)]
+
+    def __repr__(self) -> str:
+        return "\n".join(self.sentences)
+
+    def _repr_html_(self) -> str:
+        """The answer and the table in a notebook."""
+        return "".join(f"<p>{html.escape(sentence)}</p>" for sentence in self.sentences) + self.table._repr_html_()
+
+    @property
+    def table(self) -> Table:
+        """One row per group; shares, and whether runs are pairs, are hidden columns."""
+        columns = (
+            Column("row", "setting"),
+            Column("runs", "runs", NUMBER),
+            Column("failures", "failures, points", DIFFERENCE),
+            Column("flight_time", "flight time, %", DIFFERENCE),
+            Column("energy", "energy, %", DIFFERENCE),
+            Column("setting", "setting", TEXT, hidden=True),
+            Column("environment", "environment", TEXT, hidden=True),
+            Column("failed_a", "A fails", PERCENT, hidden=True),
+            Column("failed_b", "B fails", PERCENT, hidden=True),
+            Column("missions", "missions", NUMBER, hidden=True),
+            Column("paired", "paired", TEXT, hidden=True),
+        )
+        groups = self.groups
+        if self.answer not in groups:
+            groups = (self.answer, *groups)
+        rows = []
+        setting = ""
+        for group in groups:
+            cells: dict[str, Any] = {key: getattr(group, key) for key in ComparedGroup.__slots__}
+            # Environments stand below the row of their setting.
+            cells["row"] = group.setting
+            if group.setting == setting:
+                cells["row"] = f"· {group.environment}"
+            setting = group.setting
+            cells["runs"] = str(group.n_a)
+            if not group.paired:
+                cells["runs"] = f"{group.n_a}/{group.n_b}"
+            rows.append(tuple(cells[column.key] for column in columns))
+        return Table("compare", "B - A, with 95 % intervals", columns, rows, notes=self.notes)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        data: dict[str, Any] = plain(
+            {
+                "sentences": self.sentences,
+                "answer": asdict(self.answer),
+                "groups": [asdict(group) for group in self.groups],
+                "differing": {key: list(values) for key, values in self.differing.items()},
+                "notes": self.notes,
+            }
+        )
+        return data
+
+
+def compare(runs_a: Runs, runs_b: Runs) -> CampaignComparison:
+    """Compare the runs of two ledgers.
+
+    Raises:
+        BadInputError: They have no environment and setting in common, or their runs are no missions.
+    """
+    for name, runs in (("A", runs_a), ("B", runs_b)):
+        if not runs.has_missions and not has_verdicts(runs):
+            raise BadInputError(f"{name}: its runs are no missions, which succeed or fail; allowed: campaigns that fly")
+    notes = [*_progress_notes("A", runs_a), *_progress_notes("B", runs_b)]
+    judged_a = runs_a.where("judged", pl.col("kind") != NULL)
+    judged_b = runs_b.where("judged", pl.col("kind") != NULL)
+
+    # Faults of other kinds are other questions.
+    reason = _incomparable_faults(runs_a, runs_b)
+    if reason:
+        notes.append(f"runs with a fault are not compared: {reason}")
+        judged_a = judged_a.golden
+        judged_b = judged_b.golden
+    if runs_a.campaign.get("host") != runs_b.campaign.get("host"):
+        hosts = f"{runs_a.campaign.get('host')} in A, {runs_b.campaign.get('host')} in B"
+        notes.append(f"other hosts ({hosts}): a difference may be that of the hosts")
+    same_draws = _faults_drawn_alike(runs_a, runs_b)
+    if not reason and not same_draws:
+        notes.append("faults are drawn in other ways (sampling): only runs with the same fault are compared")
+
+    # Pairs, and what has no counterpart.
+    groups_a = judged_a.groups("environment", "setting")
+    groups_b = judged_b.groups("environment", "setting")
+    common = [key for key in groups_a if key in groups_b]
+    notes += _only_in("A", groups_a, groups_b)
+    notes += _only_in("B", groups_b, groups_a)
+    samples = []
+    for key in common:
+        sample = _Sample.of(groups_a[key], groups_b[key])
+        if not sample.paired and not same_draws and groups_a[key].first("kind") != GOLDEN:
+            notes.append(f"{' '.join(key)}: no shared faults, not compared")
+            continue
+        samples.append((key, sample))
+    if not samples:
+        raise BadInputError(f"A and B have nothing to compare: {'; '.join(notes)}")
+    if judged_a.injected.frame["stratum"].n_unique() > 1:
+        notes.append("shares are those of the faults as drawn: strata are not weighted")
+    left_out = sum(sample.left_out for _, sample in samples)
+    if left_out:
+        notes.append(f"{left_out} runs have no partner (another seed, or the draw hit another bit), and are left out")
+    return CampaignComparison(_answer(samples), _groups(samples), _differing(runs_a, runs_b), tuple(notes))
+
+
+# ---- what can be compared --------------------------------------------------------------------------------------------
+
+
+def _progress_notes(name: str, runs: Runs) -> list[str]:
+    """Notes on missing runs, and on those that could not be judged."""
+    notes = []
+    done = runs.campaign.get("done")
+    total = runs.campaign.get("total")
+    if done != total:
+        notes.append(f"{name} is not complete: {done} of {total} runs")
+    unknown = len(runs.where(judged=False))
+    if unknown:
+        notes.append(f"{name}: {unknown} runs have status unknown, and are left out")
+    return notes
+
+
+def _incomparable_faults(runs_a: Runs, runs_b: Runs) -> str:
+    """Why faults of two campaigns are no faults of the same kind; "" = they are."""
+    levels_a = runs_a.injected.values("level")
+    levels_b = runs_b.injected.values("level")
+    if levels_a and levels_b and set(levels_a) != set(levels_b):
+        return f"they are of level {', '.join(levels_a)} in A, {', '.join(levels_b)} in B"
+    for name in ("fault space", "python"):
+        version_a = runs_a.campaign.get("versions", {}).get(name)
+        version_b = runs_b.campaign.get("versions", {}).get(name)
+        if None not in (version_a, version_b) and version_a != version_b:
+            return f"their {name} has version {version_a} in A, {version_b} in B"
+    return ""
+
+
+def _faults_drawn_alike(runs_a: Runs, runs_b: Runs) -> bool:
+    """Whether faults have the same distribution, so that different faults can be compared, too."""
+    return bool(runs_a.campaign.get("sampling") == runs_b.campaign.get("sampling"))
+
+
+def _only_in(name: str, groups: Collection[tuple[Any, ...]], others: Collection[tuple[Any, ...]]) -> list[str]:
+    """A note on the environments and settings that only one campaign has."""
+    alone = [key for key in groups if key not in others]
+    if not alone:
+        return []
+    environments = {environment for environment, _ in others}
+    settings = {setting for _, setting in others}
+    labels = []
+    for environment, setting in alone:
+        label = f"{environment} {setting}"
+        if setting not in settings:
+            label = setting
+        elif environment not in environments:
+            label = environment
+        labels.append(label)
+    return [f"only in {name}: {', '.join(dict.fromkeys(labels))}"]
+
+
+def _differing(runs_a: Runs, runs_b: Runs) -> dict[str, tuple[Any, Any]]:
+    """Keys of the campaigns whose values differ, except how much they fly."""
+    flat_a = _flat(runs_a.campaign, runs_b.campaign)
+    flat_b = _flat(runs_b.campaign, runs_a.campaign)
+    differing = {}
+    for key in sorted({*flat_a, *flat_b}):
+        value_a = flat_a.get(key, _DEFAULT)
+        value_b = flat_b.get(key, _DEFAULT)
+        if value_a != value_b:
+            differing[key] = (value_a, value_b)
+    return differing
+
+
+def _flat(campaign: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
+    """The keys of a campaign that describe what flies, e.g. `mission.v_max`; of arms and models, those of both."""
+    arms = campaign.get("arms", {})
+    flat: dict[str, Any] = {"host": campaign.get("host"), "arms": ", ".join(arms) or "none"}
+    for part in ("mission", "sampling", "versions"):
+        flat |= {f"{part}.{key}": value for key, value in campaign.get(part, {}).items()}
+    for part in ("arms", "models"):
+        for name in campaign.get(part, {}).keys() & other.get(part, {}).keys():
+            flat[f"{part}.{name}"] = campaign[part][name]
+    return flat
+
+
+# ---- pairs and samples -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Sample:
+    """Compared runs: with pairs, both have as many, in the same order; `left_out`: runs without a partner."""
+
+    a: Runs
+    b: Runs
+    paired: bool
+    left_out: int = 0
+
+    @staticmethod
+    def of(runs_a: Runs, runs_b: Runs) -> "_Sample":
+        """Pair the runs of a group, if enough of them have a partner."""
+        key = [*_MISSION, *_FAULT]
+        columns_a = runs_a.frame.select(*key, row_a=pl.int_range(pl.len()))
+        columns_b = runs_b.frame.select(*key, row_b=pl.int_range(pl.len()))
+        pairs = columns_a.join(columns_b, on=key, nulls_equal=True, maintain_order="left")
+        if pairs.height < _SHARED * min(len(runs_a), len(runs_b)):
+            return _Sample(runs_a, runs_b, paired=False)
+        return _Sample(
+            replace(runs_a, frame=runs_a.frame[pairs["row_a"]]),
+            replace(runs_b, frame=runs_b.frame[pairs["row_b"]]),
+            paired=True,
+            left_out=len(runs_a) + len(runs_b) - 2 * pairs.height,
+        )
+
+    @staticmethod
+    def joined(samples: Sequence["_Sample"]) -> "_Sample":
+        """The runs of several groups; pairs only if all are."""
+        first = samples[0]
+        return _Sample(
+            replace(first.a, frame=pl.concat([sample.a.frame for sample in samples])),
+            replace(first.b, frame=pl.concat([sample.b.frame for sample in samples])),
+            paired=all(sample.paired for sample in samples),
+        )
+
+
+def _answer(samples: Sequence[tuple[tuple[Any, ...], _Sample]]) -> ComparedGroup:
+    """All runs with a fault, or without one if there are no others; a single setting keeps its name."""
+    members = [(setting, sample) for (_, setting), sample in samples if sample.a.first("kind") != GOLDEN]
+    name = WITH_A_FAULT
+    if not members:
+        members = [(setting, sample) for (_, setting), sample in samples]
+        name = WITHOUT_A_FAULT
+    settings = {setting for setting, _ in members}
+    if len(settings) == 1:
+        (name,) = settings
+    environment = ALL
+    if len(samples) == len({setting for (_, setting), _ in samples}):
+        environment = samples[0][0][0]
+    return _compared(environment, name, _Sample.joined([sample for _, sample in members]))
+
+
+def _groups(samples: Sequence[tuple[tuple[Any, ...], _Sample]]) -> tuple[ComparedGroup, ...]:
+    """By setting: over all environments if there are several, then each."""
+    by_setting: dict[str, dict[str, _Sample]] = {}
+    for (environment, setting), sample in samples:
+        by_setting.setdefault(setting, {})[environment] = sample
+    groups = []
+    for setting, by_environment in by_setting.items():
+        if len(by_environment) > 1:
+            groups.append(_compared(ALL, setting, _Sample.joined(list(by_environment.values()))))
+        groups += [_compared(environment, setting, sample) for environment, sample in by_environment.items()]
+    return tuple(groups)
+
+
+def _compared_alone(groups: Sequence[ComparedGroup]) -> list[int]:
+    """Numbers of runs of the groups that are no totals."""
+    return [group.n_a for group in groups if group.environment != ALL]
+
+
+def _compared(environment: str, setting: str, sample: _Sample) -> ComparedGroup:
+    """The differences of a sample."""
+    a = sample.a
+    b = sample.b
+    failed_a = rate_of(a, ~pl.col("success"))
+    failed_b = rate_of(b, ~pl.col("success"))
+    succeeded_a = a
+    succeeded_b = b
+    same = None
+    if sample.paired:
+        difference = paired_difference(a["success"], b["success"], a["world"])
+        both = a.frame["success"] & b.frame["success"]
+        succeeded_a = replace(a, frame=a.frame.filter(both))
+        succeeded_b = replace(b, frame=b.frame.filter(both))
+        flights = zip(a["digest"], b["digest"], strict=True)
+        same = sum(digest_a == digest_b and bool(digest_a) for digest_a, digest_b in flights)
+    else:
+        difference = unpaired_difference(a["success"], a["world"], b["success"], b["world"])
+        succeeded_a = a.where("success")
+        succeeded_b = b.where("success")
+    return ComparedGroup(
+        environment,
+        setting,
+        sample.paired,
+        len(a),
+        len(b),
+        len({*a["world"], *b["world"]}),
+        same,
+        failed_a,
+        failed_b,
+        Rate(len(a), *difference),
+        _cost(succeeded_a, succeeded_b, "flight_time_s"),
+        _cost(succeeded_a, succeeded_b, "energy_j"),
+    )
+
+
+def _cost(a: Runs, b: Runs, column: str) -> Rate:
+    """Relative difference of the means of a column."""
+    measured_a = a.where(pl.col(column) > 0)
+    measured_b = b.where(pl.col(column) > 0)
+    return relative_difference(measured_b[column], measured_b["world"], measured_a[column], measured_a["world"])
+
+
+# ---- in words --------------------------------------------------------------------------------------------------------
+
+
+def _failures_sentence(group: ComparedGroup) -> str:
+    """How much less, or more, often B fails than A."""
+    faults = _IN_WORDS.get(group.setting, f" {WITH_A_FAULT}")
+    on = f"{group.n_a} runs{faults} of A and {group.n_b} of B, none of them shared"
+    if group.paired:
+        on = f"{group.n_a} shared runs{faults} in {group.missions} missions"
+    shares = f"A fails {_percent(group.failed_a.rate)}, B {_percent(group.failed_b.rate)}"
+    if group.same:
+        shares += f"; {group.same} runs are equal bit for bit"
+    difference = group.failures
+    if difference.low is None or difference.high is None or difference.low <= 0 <= difference.high:
+        points = f"{100 * (difference.rate or 0.0):+.1f} points {_interval(difference)}"
+        return f"No difference in failures is shown: {points}, on {on}: {shares}."
+    word = "more"
+    amount = difference
+    if difference.high < 0:
+        word = "fewer"
+        amount = _negative(difference)
+    return f"B fails {_percent(amount.rate)} {_interval(amount)} {word} missions than A, on {on}: {shares}."
+
+
+def _cost_sentence(group: ComparedGroup) -> str:
+    """What flight time and energy differ by, of missions that succeed."""
+    subject = "Where missions succeed"
+    if group.paired:
+        subject = "Where both succeed"
+    time = _relative(group.flight_time, "longer", "shorter")
+    energy = _relative(group.energy, "more", "less")
+    return f"{subject}, B flies {time} and needs {energy} energy."
+
+
+def _relative(change: Rate, more: str, less: str) -> str:
+    """A relative change in words."""
+    if change.rate is None:
+        return f"(not measured) {more}"
+    if change.rate < 0:
+        smaller = _negative(change)
+        return f"{_percent(smaller.rate)} {_interval(smaller)} {less}"
+    return f"{_percent(change.rate)} {_interval(change)} {more}"
+
+
+def _negative(difference: Rate) -> Rate:
+    """The difference with the other sign."""
+    if difference.rate is None or difference.low is None or difference.high is None:
+        return replace(difference, rate=-(difference.rate or 0.0))
+    return replace(difference, rate=-difference.rate, low=-difference.high, high=-difference.low)
+
+
+def _percent(share: float | None) -> str:
+    """A share as per cent."""
+    return f"{100 * (share or 0.0):.1f} %"
+
+
+def _interval(rate: Rate) -> str:
+    """The interval of a rate, in brackets; a question mark with fewer than two missions."""
+    if rate.low is None or rate.high is None:
+        return "[?]"
+    return f"[{100 * rate.low:.1f}, {100 * rate.high:.1f}]"

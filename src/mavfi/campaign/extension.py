@@ -1,0 +1,221 @@
+"""A ledger becomes that of a larger campaign: more missions, faults, null runs, environments or arms.
+
+What is flown stays: ids, seeds and records.  Only positions change, which number the runs of the whole campaign.  The
+larger campaign must therefore draw the same faults where the smaller one has drawn any: then its ledger, once the
+missing runs are flown, is that of the larger campaign flown from the start.  Null runs, which take the arms in turn and
+only check the injector, are the exception: with further arms, those of the larger campaign take their place.
+"""
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from mavfi.campaign.config import Campaign
+from mavfi.campaign.ledger import stored_campaign
+from mavfi.campaign.mission import plan_of
+from mavfi.campaign.plan import Plan, Row, RunSpec, Shard
+from mavfi.campaign.store import Store
+from mavfi.errors import BadInputError
+from mavfi.levels.level import NULL, Draw
+
+_MAY_GROW = ("missions", "faults", "null_runs", "environments", "arms", "parts", "scales")
+"""Keys of a campaign that may differ in an extension; `scales` name sizes, and do not matter to the runs."""
+_ALLOWED = "allowed with --extend: more missions, faults, null_runs, environments and arms"
+
+
+def differ_in_size(stored_identity: Mapping[str, Any], identity: Mapping[str, Any]) -> bool:
+    """Whether two campaigns differ only in what may grow."""
+    stored_keys = stored_identity["campaign"]
+    keys = identity["campaign"]
+    return all(stored_keys.get(key) == keys.get(key) or key in _MAY_GROW for key in {*stored_keys, *keys})
+
+
+def extend_ledger(store: Store, plan: Plan, identity: Mapping[str, Any], shard: Shard) -> None:
+    """Turn a ledger into that of a larger campaign, in one transaction; its missing runs remain to be flown.
+
+    Args:
+        store: The ledger, open for writing.
+        plan: Plan of the larger campaign.
+        identity: Identity of the larger campaign.
+        shard: Shard of the ledger.
+
+    Raises:
+        BadInputError: The campaign does not extend the stored one; the message names the key.
+    """
+    stored = stored_campaign(store)
+    stored_plan = plan_of(stored, {}, {})  # only what its runs are, not where they are flown
+    extension = _Extension(str(store.directory), stored_plan, plan)
+    extension.check_keys(store.meta("identity"), identity)
+    extension.check_draws()
+    worlds = set(store.planned())
+    left_out = {world for world in worlds if world not in set(shard.worlds(plan.campaign))}
+    if left_out:
+        raise extension.refusal("missions", f"shard {shard} would have other missions; allowed: --extend of the whole")
+
+    rows = []
+    unflown = set()
+    replaced = []
+    for row, _ in store.rows():
+        spec = RunSpec.from_json(json.loads(row.text))
+        new_row = extension.row_of(spec)
+        if new_row is None:
+            replaced.append(row.run_id)
+            continue
+        rows.append(new_row)
+        if spec.kind == "golden" and extension.counts_now(spec):
+            unflown.add(row.run_id)
+    unchanged = [world for world in worlds if extension.adds_nothing_to(*world)]
+    store.replan(identity, rows, unchanged, unflown, replaced)
+
+
+class _MissionDraws(NamedTuple):
+    """The draws of a mission in two plans, each with its position."""
+
+    stored: list[tuple[int, Draw]]
+    extended: list[tuple[int, Draw]]
+
+
+class _Extension:
+    """Two plans, of which the second one is to have all runs of the first.
+
+    Args:
+        directory: Folder of the ledger, for messages.
+        stored: The plan of the ledger.
+        extended: The plan of the larger campaign.
+    """
+
+    def __init__(self, directory: str, stored: Plan, extended: Plan) -> None:
+        self._directory = directory
+        self._stored = stored
+        self._extended = extended
+        self._draws: dict[tuple[str, int], _MissionDraws] = {}
+
+    def refusal(self, key: str, text: str) -> BadInputError:
+        """The error that names a key of the campaign."""
+        return BadInputError(f"{self._directory}: cannot be extended: key {key!r}: {text}")
+
+    def check_keys(self, stored_identity: Mapping[str, Any], identity: Mapping[str, Any]) -> None:
+        """Refuse a campaign that is smaller, or differs in what must stay.
+
+        Raises:
+            BadInputError: The message names the key.
+        """
+        stored_keys = stored_identity["campaign"]
+        keys = identity["campaign"]
+        if not differ_in_size(stored_identity, identity):
+            changed = {key for key in {*stored_keys, *keys} - {*_MAY_GROW} if stored_keys.get(key) != keys.get(key)}
+            raise self.refusal(min(changed), f"differs from the ledger's; {_ALLOWED}")
+        self._check_sizes(self._stored.campaign, self._extended.campaign)
+        for key in ("arms", "parts"):
+            self._check_members(key, stored_keys.get(key, {}), keys.get(key, {}))
+
+        # Scenarios, models and options are those of files, which may have changed since.
+        for key in sorted({*stored_identity, *identity} - {"campaign"}):
+            self._check_members(key, stored_identity.get(key, {}), identity.get(key, {}))
+
+    def _check_sizes(self, stored: Campaign, extended: Campaign) -> None:
+        """Refuse fewer missions, faults or null runs, and environments that are missing."""
+        for key, least, number in (
+            ("missions", stored.missions, extended.missions),
+            ("faults", stored.faults, extended.faults),
+            ("null_runs", stored.nulls, extended.nulls),
+        ):
+            if number < least:
+                raise self.refusal(key, f"{number}; the ledger has {least}; allowed: {least} or more")
+        missing = [name for name in stored.environments if name not in extended.environments]
+        if missing:
+            raise self.refusal("environments", f"lacks {', '.join(missing)}, which the ledger has; {_ALLOWED}")
+
+    def _check_members(self, key: str, stored: Mapping[str, Any], extended: Mapping[str, Any]) -> None:
+        """Refuse members of a key that are missing or differ."""
+        for name, value in stored.items():
+            if name not in extended:
+                raise self.refusal(key, f"lacks {name}, which the ledger has; {_ALLOWED}")
+            if extended[name] != value:
+                raise self.refusal(f"{key}.{name}", f"differs from the ledger's; {_ALLOWED}")
+
+    def check_draws(self) -> None:
+        """Refuse a campaign that would draw other faults in place of those that are flown.
+
+        Raises:
+            BadInputError: The message names the key on which the draws depend.
+        """
+        before = self._stored.sampler
+        now = self._extended.sampler
+        for environment in self._stored.campaign.environments:
+            blocks = zip(before.blocks(environment), now.blocks(environment), strict=True)
+            for stored_block, block in blocks:
+                for index in range(stored_block.count):
+                    draw = stored_block.draw(index)
+                    new_draw = block.draw(index)
+                    if before.basis(environment, draw) != now.basis(environment, new_draw):
+                        raise self._other_draw(draw, new_draw)
+
+    def _other_draw(self, draw: Draw, new_draw: Draw) -> BadInputError:
+        """The refusal of a draw that is another one in the larger campaign."""
+        stored = self._stored.campaign
+        extended = self._extended.campaign
+        name = f"fault {draw.index} of {draw.target}"
+        if draw.seed != new_draw.seed or draw.index // stored.missions != draw.index // extended.missions:
+            text = f"{name} would move to another mission, as fault i belongs to mission i modulo missions"
+            return self.refusal("missions", f"{extended.missions}: {text}; allowed: {stored.missions}")
+        if draw.stratum != new_draw.stratum or draw.target != new_draw.target:
+            text = "the strata have exact shares of all faults, in an order drawn for their number: other faults"
+            return self.refusal(
+                "faults",
+                f"{extended.faults}: {text} would take the place of those flown; allowed: {stored.faults} (campaigns "
+                "with one stratum for each target can grow), more environments and arms",
+            )
+        text = f"the faults of a mission are drawn together: with more of them, {name} would be another one"
+        return self.refusal(
+            "faults",
+            f"{extended.faults}: {text}; allowed: as many faults in each of the flown missions as before",
+        )
+
+    def row_of(self, spec: RunSpec) -> Row | None:
+        """A stored run, as the larger campaign plans it; None = a null run that it flies in another arm.
+
+        Raises:
+            BadInputError: The larger campaign has another run in its place.
+        """
+        for planned in self._runs_at(spec):
+            if planned.run_id == spec.run_id:
+                return planned.row()
+        if spec.target == NULL:
+            return None
+        raise self.refusal("arms", f"run {spec.run_id} would be another one; {_ALLOWED}")
+
+    def _runs_at(self, spec: RunSpec) -> Iterator[RunSpec]:
+        """The runs of the larger campaign in the place of a stored one: golden runs, or those of the same fault."""
+        if spec.fault is None:
+            yield from self._extended.golden(*spec.world)
+            return
+        for position, draw in self._draws_of(*spec.world).extended:
+            if (draw.target, draw.index) == (spec.target, spec.index):
+                yield from self._extended.injected(spec.environment, draw, position, spec.fault)
+
+    def _draws_of(self, environment: str, seed: int) -> _MissionDraws:
+        """The draws of a mission in both plans."""
+        world = environment, seed
+        if world not in self._draws:
+            self._draws[world] = _MissionDraws(
+                list(self._stored.positioned_draws(*world)), list(self._extended.positioned_draws(*world))
+            )
+        return self._draws[world]
+
+    def counts_now(self, spec: RunSpec) -> bool:
+        """Whether a golden run has been flown without a fault to draw from it, and has one now.
+
+        Its record will also hold what faults are drawn from.
+        """
+        draws = self._draws_of(*spec.world)
+        before = any(draw.variant == spec.arm for _, draw in draws.stored)
+        now = any(draw.variant == spec.arm for _, draw in draws.extended)
+        return bool(spec.arm) and now and not before
+
+    def adds_nothing_to(self, environment: str, seed: int) -> bool:
+        """Whether a mission has no further runs in the larger campaign."""
+        draws = self._draws_of(environment, seed)
+        same_draws = [draw for _, draw in draws.stored] == [draw for _, draw in draws.extended]
+        same_arms = [arm.name for arm in self._stored.arms] == [arm.name for arm in self._extended.arms]
+        return same_draws and same_arms

@@ -1,0 +1,190 @@
+"""`mavfi doctor`: what is here, what is missing, and the way out; `mavfi cache`: what mavfi has compiled."""
+
+import importlib.util
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, distribution, requires
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from mavfi.cli.commands import EXIT_DONE, EXIT_FAILURE
+from mavfi.cli.console import console, counted
+from mavfi.plugins import extensions
+
+HELP_PANEL = "Tools"
+CHECKS = "mavfi.checks"
+"""Group of entry points: functions without arguments that return the `Check`s of an extra."""
+_LEAST_FREE = 1 << 30
+"""Free disk space (bytes) below which a campaign may not find room for its ledger."""
+_MARKS = {True: Text("✓", "green"), False: Text("–", "yellow")}
+_NOT_AN_EXTRA = "dev"
+"""Packages for work on mavfi itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What was found out about one thing.
+
+    Attributes:
+        name: The thing.
+        is_here: Whether it is there and can be used.
+        state: What there is, or the way out if it is missing, in at most 60 characters.
+        is_needed: Whether nothing flies without it.
+    """
+
+    name: str
+    is_here: bool
+    state: str
+    is_needed: bool = False
+
+
+def doctor() -> int:
+    """Say whether everything is here that flights need, and how to get what is missing.
+
+    Exit code 1 if flights cannot work.
+    """
+    checks = [_compiler(), _cache(), _bytecode(), _disk(), _extras()]
+    for of_extra in extensions(CHECKS).values():
+        checks += of_extra()
+
+    # the answer first
+    out = console()
+    broken = [check for check in checks if check.is_needed and not check.is_here]
+    missing = [check for check in checks if not check.is_needed and not check.is_here]
+    if broken:
+        out.print(f"Flights cannot work: {', '.join(check.name for check in broken)}.")
+    elif missing:
+        verb = "is" if len(missing) == 1 else "are"
+        things = counted(len(missing), "optional thing")
+        out.print(f"Everything that flights need is here; {things} {verb} missing.")
+    else:
+        out.print("Everything is here.")
+    table = Table(box=None, show_header=False, padding=(0, 1, 0, 1))
+    for check in checks:
+        mark = _MARKS[check.is_here]
+        if check in broken:
+            mark = Text("✗", "red")
+        table.add_row(mark, check.name, Text(check.state))
+    out.print(table)
+    if broken:
+        return EXIT_FAILURE
+    return EXIT_DONE
+
+
+def cache(
+    clear: Annotated[bool, typer.Option("--clear", help="Delete it; the next flight compiles again.")] = False,
+) -> None:
+    """Say where the code is that mavfi has compiled for this machine, and how large it is."""
+    from mavfi.numerics.jit import code_folder
+
+    folder = code_folder()
+    files = list(_files_of_ours(folder))
+    if not clear:
+        typer.echo(f"{folder}: {_size(files)}")
+        return
+    size = _size(files)
+    for file in files:
+        file.unlink(missing_ok=True)
+    typer.echo(f"{folder}: deleted {size}")
+
+
+_OURS = ("*.nbc", "*.bin", "*.warm", "*.lock", "*.nbc.*", "*.bin.*")
+"""Names of the files that mavfi writes into the folder of compiled code; the last ones are left of a killed process."""
+
+
+def _files_of_ours(folder: Path) -> Iterator[Path]:
+    """The files that mavfi has written into its folder of compiled code."""
+    unique = {path for pattern in _OURS for path in folder.rglob(pattern) if path.is_file()}
+    yield from sorted(unique)
+
+
+def _size(files: Iterable[Path]) -> str:
+    """Number and size of files, as text."""
+    sizes = [file.stat().st_size for file in files]
+    return f"{counted(len(sizes), 'file')}, {sum(sizes) / 1e6:.1f} MB"
+
+
+# ---- what the core needs --------------------------------------------------------------------------------------------
+def _compiler() -> Check:
+    """Numba and LLVM, which compile the kernels."""
+    try:
+        import llvmlite.binding
+        import numba
+    except (ImportError, OSError) as error:
+        return Check("compiler", False, f"cannot be loaded: {error}; reinstall numba", is_needed=True)
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return Check("compiler", False, "switched off, flights take hours: unset NUMBA_DISABLE_JIT")
+    llvm = ".".join(map(str, llvmlite.binding.llvm_version_info))
+    return Check("compiler", True, f"numba {numba.__version__}, LLVM {llvm}", is_needed=True)
+
+
+def _cache() -> Check:
+    """The folder of compiled code."""
+    from mavfi.numerics.jit import code_folder
+
+    folder = code_folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        return Check("cache", False, f"each command compiles anew: set XDG_CACHE_HOME ({error.strerror})")
+    return Check("cache", True, _size(_files_of_ours(folder)))
+
+
+def _bytecode() -> Check:
+    """Modules of mavfi that are compiled once, not at each start."""
+    from mavfi.numerics import jit
+
+    compiled = Path(importlib.util.cache_from_source(jit.__file__))
+    if compiled.is_file() or not sys.dont_write_bytecode:
+        return Check("bytecode", True, "kept")
+    package = Path(jit.__file__).parents[1]
+    return Check("bytecode", False, f"starts take longer: python -m compileall -q {package}")
+
+
+def _disk() -> Check:
+    """Free space in the working directory, where ledgers are written."""
+    free = shutil.disk_usage(Path.cwd()).free
+    state = f"{free / 1e9:.1f} GB free in this folder"
+    if free < _LEAST_FREE:
+        return Check("disk", False, f"{state}: campaigns may not find room")
+    return Check("disk", True, state)
+
+
+def _extras() -> Check:
+    """Optional packages, by extra."""
+    missing = sorted(extra for extra, packages in _packages_by_extra().items() if not all(map(_is_installed, packages)))
+    if missing:
+        return Check("extras", False, f"pip install 'mavfi[{','.join(missing)}]'")
+    return Check("extras", True, "all installed")
+
+
+def _packages_by_extra() -> dict[str, list[str]]:
+    """Names of the packages of each extra of mavfi, from its metadata."""
+    packages: dict[str, list[str]] = {}
+    for requirement in requires("mavfi") or ():
+        needed, _, marker = requirement.partition(";")
+        _, is_extra, extra = marker.partition("extra ==")
+        name = extra.strip(" '\"")
+        if is_extra and name != _NOT_AN_EXTRA:
+            package = needed
+            for symbol in "<>=!~[ ":
+                package = package.partition(symbol)[0]
+            packages.setdefault(name, []).append(package)
+    return packages
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        distribution(package)
+    except PackageNotFoundError:
+        return False
+    return True

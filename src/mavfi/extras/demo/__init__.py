@@ -1,0 +1,1 @@
+"""`mavfi demo`: ten telling faults, flown, told in a sentence each, and drawn."""

@@ -1,0 +1,96 @@
+"""`mavfi demo`: ten telling faults, or one of them with its picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from textwrap import fill, indent
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.text import Text
+
+from mavfi.cli.console import PAGES, check_file, check_writable, console, say_written
+from mavfi.errors import BadInputError
+
+if TYPE_CHECKING:
+    from mavfi.extras.demo.faults import FlownDemo
+
+HELP_PANEL = "Fly and look"
+_WIDTH = 80
+"""Width of the text (characters)."""
+_INDENT = " " * 5
+
+
+def demo(
+    number: Annotated[
+        int | None, typer.Argument(metavar="NUMBER", help="One of them, with its picture; all by default.")
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Write a page with pictures, and flights in 3-D.")
+    ] = None,
+) -> None:
+    """Fly ten telling faults, or draw one of them.
+
+    Each is flown without the fault, with it, and with it under the detector recommended. With a number, this one is
+    drawn to demo-NUMBER.png.
+
+    Example: [bold]mavfi demo 3[/bold]
+    """
+    check_file("--html", html, PAGES)
+    if number is not None and html is not None:
+        raise BadInputError("--html: the page has all flights; allowed: without a number")
+    if number is None:
+        _show_all(html)
+    else:
+        _show_one(number)
+
+
+def _show_one(number: int) -> None:
+    """Fly, tell and draw one fault."""
+    from mavfi.cli.progress import compiling
+    from mavfi.extras.demo import faults
+
+    chosen = faults.demo(number)
+    picture = Path(f"demo-{number}.png")
+    check_writable(picture)
+    with compiling(instrumented="instruction" in chosen.fault, flight=True):
+        flown = faults.FlownDemo(number, chosen, chosen.fly())
+    _show(flown)
+    flown.result.plot().savefig(picture)
+    out = console()
+    out.print(Text(chosen.command, style="dim"), soft_wrap=True)
+    say_written(picture)
+
+
+def _show_all(html: Path | None) -> None:
+    """Fly and tell all faults, and write their page if a file is named."""
+    from mavfi.cli.progress import Bar, compiling
+    from mavfi.extras.demo import faults
+
+    flown = []
+    with compiling(instrumented=True, flight=True):  # the first one, so that the rate is that of compiled code
+        flown.append(faults.FlownDemo(1, faults.DEMOS[0], faults.DEMOS[0].fly()))
+    with Bar("demo", unit="faults") as bar:
+        for number, chosen in enumerate(faults.DEMOS[1:], start=2):
+            bar.show(len(flown), len(faults.DEMOS))
+            flown.append(faults.FlownDemo(number, chosen, chosen.fly()))
+        bar.show(len(flown), len(faults.DEMOS))
+    out = console()
+    out.print(Text(fill(faults.headline(flown), _WIDTH), style="bold"))
+    for each in flown:
+        _show(each)
+    if html is not None:
+        from mavfi.extras.demo.page import write_demo_page
+
+        write_demo_page(html, flown)
+        say_written(html)
+
+
+def _show(flown: FlownDemo) -> None:
+    """Print the number and title of a fault, and below it what happened."""
+    mark = Text("✓", style="green")
+    if flown.is_lost:
+        mark = Text("✗", style="red")
+    out = console()
+    out.print(Text.assemble(f"{flown.number:2} ", mark, " ", (flown.demo.title, "bold")))
+    out.print(Text(indent(fill(flown.sentence, _WIDTH - len(_INDENT)), _INDENT)))

@@ -1,0 +1,55 @@
+"""The page of the demo: pictures and sentences, and the flights in three dimensions when they are asked for."""
+
+import base64
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+from PIL import Image
+
+from mavfi.errors import write_text
+from mavfi.extras.demo.faults import FlownDemo, headline
+from mavfi.report.html.flight_page import FlightPage, page_of_result
+from mavfi.report.html.page import render
+
+_TEMPLATES = Path(__file__).parent
+_DOTS_PER_INCH = 90
+_COLOURS = 64
+"""Number of colours of a picture: it has flat areas and lines, and takes a third of the space of the full range."""
+
+
+def picture_of(flown: FlownDemo) -> bytes:
+    """The picture of the flights of a fault, as a small PNG file."""
+    drawn = io.BytesIO()
+    flown.result.plot().savefig(drawn, format="png", dpi=_DOTS_PER_INCH)
+    small = io.BytesIO()
+    image = Image.open(drawn).convert("RGB").quantize(_COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    image.save(small, format="png", optimize=True)
+    return small.getvalue()
+
+
+def _flight_page(flown: FlownDemo) -> FlightPage:
+    """The flights of a fault as on the page of `mavfi fly --html`."""
+    flown_as = flown.result.flown_as
+    assert flown_as is not None  # all faults are those of the host `local`
+    return page_of_result(flown.result, flown_as.setup, flown_as.without_detector, flown.demo.command)
+
+
+def write_demo_page(path: Path, demos: Sequence[FlownDemo]) -> None:
+    """Write the page; the flights are repeated to record what it shows.
+
+    Raises:
+        BadInputError: The file cannot be written.
+    """
+    entries = [
+        {
+            "number": flown.number,
+            "title": flown.demo.title,
+            "sentence": flown.sentence,
+            "is_lost": flown.is_lost,
+            "picture": base64.b64encode(picture_of(flown)).decode(),
+            "flight": _flight_page(flown).to_json(),
+        }
+        for flown in demos
+    ]
+    write_text(path, render("demo.html.j2", _TEMPLATES, headline=headline(demos), entries=entries))
