@@ -92,6 +92,9 @@ class _Application(TyperGroup):
         self.commands: Any = _Commands()
 
     def list_commands(self, ctx: Any) -> list[str]:
+        if ctx.resilient_parsing:  # for a completion, which has no panels
+            return list(self.commands)
+
         def rank(name: str) -> int:
             return panels.OF_COMMANDS.index(_help_in_source(self.commands.addresses[name]).panel)
 

@@ -18,6 +18,8 @@ from mavfi.plugins import known
 HELP_PANEL = "Tools"
 SCRIPTS = Path(__file__).parents[1] / "data" / "completion"
 """Folder of the shells' scripts, `mavfi.SHELL`."""
+_LEVELS = ("state", "memory", "instruction", "sensor", "message")
+"""Levels of faults whose places are completed."""
 _MOST_RUNS = 200
 """Run ids that are shown at a TAB."""
 
@@ -74,31 +76,36 @@ def trained_for(incomplete: str) -> list[str]:
 
 def fault(incomplete: str) -> list[str]:
     """Complete the level of a fault, then step by step where it is and what happens."""
-    places = _places()
     level, colon, place = incomplete.partition(":")
     if not colon:
-        return ["null", *(f"{name}:" for name in places)]
-    for name, further in places.get(level, {}).items():
+        return ["null", *(f"{name}:" for name in _LEVELS)]
+    places = _places(level)
+    for name, further in places.items():
         # A place that is complete is followed by what it consists of, or by what happens to it.
         if further and place.startswith(name):
             return [f"{level}:{name}{part}" for part in further]
-    return [f"{level}:{name}" for name in places.get(level, ())]
+    return [f"{level}:{name}" for name in places]
 
 
-def _places() -> Mapping[str, Mapping[str, Iterable[str]]]:
-    """By level: places of faults, each with what may follow it."""
-    from mavfi.faults.levels.sensor.fault import FAILING, UNITS
-    from mavfi.faults.operations import MESSAGE_OPERATIONS
+def _places(level: str) -> Mapping[str, Iterable[str]]:
+    """Places of faults of a level, each with what may follow it; what takes time is imported for its level only."""
     from mavfi.states import DETECTORS, INJECTABLE, KERNELS, STATES
 
-    fields = {f"{state.name}.": [field.name for field in (*state.header, *state.elements)] for state in STATES.values()}
-    return {
-        "state": fields,
-        "memory": dict.fromkeys(KERNELS, ()),
-        "instruction": dict.fromkeys([*INJECTABLE, *DETECTORS], ()),
-        "sensor": {f"{unit}:": FAILING for unit in UNITS},
-        "message": {f"{state}:": MESSAGE_OPERATIONS for state in STATES},
-    }
+    if level == "state":
+        return {f"{name}.": [field.name for field in (*spec.header, *spec.elements)] for name, spec in STATES.items()}
+    if level == "memory":
+        return dict.fromkeys(KERNELS, ())
+    if level == "instruction":
+        return dict.fromkeys([*INJECTABLE, *DETECTORS], ())
+    if level == "sensor":
+        from mavfi.faults.levels.sensor.fault import FAILING, UNITS
+
+        return {f"{unit}:": FAILING for unit in UNITS}
+    if level == "message":
+        from mavfi.faults.operations import MESSAGE_OPERATIONS
+
+        return {f"{state}:": MESSAGE_OPERATIONS for state in STATES}
+    return {}
 
 
 def run_id(context: typer.Context, incomplete: str) -> list[str]:
