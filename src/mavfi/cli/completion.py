@@ -18,8 +18,6 @@ from mavfi.plugins import known
 HELP_PANEL = "Tools"
 SCRIPTS = Path(__file__).parents[1] / "data" / "completion"
 """Folder of the shells' scripts, `mavfi.SHELL`."""
-_LEVELS = ("state", "memory", "instruction", "sensor", "message")
-"""Levels of faults whose places are completed."""
 _MOST_RUNS = 200
 """Run ids that are shown at a TAB."""
 
@@ -78,8 +76,10 @@ def fault(incomplete: str) -> list[str]:
     """Complete the level of a fault, then step by step where it is and what happens."""
     level, colon, place = incomplete.partition(":")
     if not colon:
-        return ["null", *(f"{name}:" for name in _LEVELS)]
-    places = _places(level)
+        return ["null", *(f"{name}:" for name in _PLACES)]
+    if level not in _PLACES:
+        return []
+    places = _PLACES[level]()
     for name, further in places.items():
         # A place that is complete is followed by what it consists of, or by what happens to it.
         if further and place.startswith(name):
@@ -87,25 +87,45 @@ def fault(incomplete: str) -> list[str]:
     return [f"{level}:{name}" for name in places]
 
 
-def _places(level: str) -> Mapping[str, Iterable[str]]:
-    """Places of faults of a level, each with what may follow it; what takes time is imported for its level only."""
-    from mavfi.states import DETECTORS, INJECTABLE, KERNELS, STATES
+def _fields() -> Mapping[str, Iterable[str]]:
+    from mavfi.states import STATES
 
-    if level == "state":
-        return {f"{name}.": [field.name for field in (*spec.header, *spec.elements)] for name, spec in STATES.items()}
-    if level == "memory":
-        return dict.fromkeys(KERNELS, ())
-    if level == "instruction":
-        return dict.fromkeys([*INJECTABLE, *DETECTORS], ())
-    if level == "sensor":
-        from mavfi.faults.levels.sensor.fault import FAILING, UNITS
+    return {f"{name}.": [field.name for field in (*spec.header, *spec.elements)] for name, spec in STATES.items()}
 
-        return {f"{unit}:": FAILING for unit in UNITS}
-    if level == "message":
-        from mavfi.faults.operations import MESSAGE_OPERATIONS
 
-        return {f"{state}:": MESSAGE_OPERATIONS for state in STATES}
-    return {}
+def _memories() -> Mapping[str, Iterable[str]]:
+    from mavfi.states import KERNELS
+
+    return dict.fromkeys(KERNELS, ())
+
+
+def _functions() -> Mapping[str, Iterable[str]]:
+    from mavfi.states import DETECTORS, INJECTABLE
+
+    return dict.fromkeys([*INJECTABLE, *DETECTORS], ())
+
+
+def _units() -> Mapping[str, Iterable[str]]:
+    from mavfi.faults.levels.sensor.fault import FAILING, UNITS
+
+    return {f"{unit}:": FAILING for unit in UNITS}
+
+
+def _publications() -> Mapping[str, Iterable[str]]:
+    from mavfi.faults.operations import MESSAGE_OPERATIONS
+    from mavfi.states import STATES
+
+    return {f"{state}:": MESSAGE_OPERATIONS for state in STATES}
+
+
+_PLACES: Mapping[str, Callable[[], Mapping[str, Iterable[str]]]] = {
+    "state": _fields,
+    "memory": _memories,
+    "instruction": _functions,
+    "sensor": _units,
+    "message": _publications,
+}
+"""By level: what gives the places of its faults, each with what may follow it."""
 
 
 def run_id(context: typer.Context, incomplete: str) -> list[str]:

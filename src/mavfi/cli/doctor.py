@@ -49,6 +49,8 @@ def doctor() -> int:
     """Say whether all is here that flights need, or how to get it.
 
     Exit code 1 if flights cannot work.
+
+    Example: [bold]mavfi doctor[/bold]
     """
     checks = [_compiler(), _cache(), _bytecode(), _disk(), _extras()]
     for of_extra in extensions(CHECKS).values():
@@ -81,7 +83,10 @@ def doctor() -> int:
 def cache(
     clear: Annotated[bool, typer.Option("--clear", help="Delete it; the next flight compiles again.")] = False,
 ) -> None:
-    """Say where mavfi's compiled code is, and how large it is."""
+    """Say where mavfi's compiled code is, and how large it is.
+
+    Example: [bold]mavfi cache --clear[/bold]
+    """
     from mavfi.numerics.jit import code_folder
 
     folder = code_folder()
