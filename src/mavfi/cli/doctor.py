@@ -46,7 +46,7 @@ class Check:
 
 
 def doctor() -> int:
-    """Say whether everything is here that flights need, and how to get what is missing.
+    """Say whether all is here that flights need, or how to get it.
 
     Exit code 1 if flights cannot work.
 
@@ -83,7 +83,7 @@ def doctor() -> int:
 def cache(
     clear: Annotated[bool, typer.Option("--clear", help="Delete it; the next flight compiles again.")] = False,
 ) -> None:
-    """Say where the code is that mavfi has compiled for this machine, and how large it is.
+    """Say where mavfi's compiled code is, and how large it is.
 
     Example: [bold]mavfi cache --clear[/bold]
     """
