@@ -7,7 +7,6 @@ as times depend on the machine and its load.
 import os
 import platform
 import statistics
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -15,7 +14,6 @@ from datetime import date
 from functools import partial
 from importlib.metadata import version
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 from benchmarks.depth import depth_rows
@@ -25,6 +23,7 @@ from benchmarks.instruction import instruction_rows
 from benchmarks.map_update import map_rows
 from benchmarks.planners import nearest_rows, search_rows
 from benchmarks.rows import Row
+from benchmarks.start import start_rows
 from mavfi.analysis.table import Table
 from mavfi.campaign.fingerprint import processor
 from mavfi.flight.compose import new_loop, resolve
@@ -49,7 +48,11 @@ TEXT = (
 SHOWN = (
     "golden sparse, published",
     "golden dense, published",
-    "mavfi fly, prompt",
+    "mavfi fly, ",
+    "the same with",
+    "mavfi fly --fault",
+    "mavfi --help",
+    "slowest help",
     "map update, dense, 0.5 m",
     "depth image, 200 boxes",
     "rrt_connect, dense, median of 60, OMPL checks segments",
@@ -77,12 +80,6 @@ def golden(environment: str, autopilot: str) -> tuple[float, float]:
         walls.append(wall)
         flown += float(flight.log.rows[-1, 0])
     return statistics.median(walls), flown / sum(walls)
-
-
-def prompt_to_prompt() -> float:
-    """Wall time of `mavfi fly` from invocation to exit with a warm cache (s)."""
-    command = [str(Path(sys.executable).with_name("mavfi")), "fly", "--environment", "sparse", "--seed", "7", "--json"]
-    return min(timed(lambda: subprocess.run(command, check=True, capture_output=True))[0] for _ in range(3))
 
 
 def part_seconds(scenario: Scenario) -> tuple[float, dict[str, float]]:
@@ -148,7 +145,7 @@ def measure() -> list[Row]:
             rows.append(
                 Row(f"golden {environment}, {autopilot}, median of {len(SEEDS)}", value, wall, target, at_most=True)
             )
-    rows.append(Row("mavfi fly, prompt to prompt, warm cache", f"{prompt_to_prompt():.2f} s"))
+    rows += start_rows()
     rows += share_rows() + map_rows() + depth_rows() + search_rows() + nearest_rows()
     rows += elementary_rows()
     return rows + injected + growth_rows()

@@ -32,7 +32,7 @@ def entry(flown: FlownDemo) -> str:
 def page(demos: Sequence[FlownDemo]) -> str:
     """The page of the faults."""
     sections = [f"# Ten faults in one mission\n\n{headline(demos)}\n{_INTRODUCTION.rstrip()}", *map(entry, demos)]
-    return banner("python -m tools.build_demo") + "\n\n".join(sections) + "\n"
+    return banner("make docs") + "\n\n".join(sections) + "\n"
 
 
 def main() -> None:

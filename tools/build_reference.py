@@ -40,7 +40,8 @@ One model, `mavfi.MissionSpec`, is read by the command line (`--v-max 5`), by ca
 CAMPAIGN = """# Keys of a campaign and of a study
 
 A campaign is a YAML file: `mavfi campaign run FILE`. An unknown key is an error that names file and key. Shipped ones
-are in `configs/campaigns` and `configs/studies`. Keys under `mission` and the overrides of an arm are the
+are in `configs/campaigns` and `configs/studies`; `mavfi init campaign` writes one to begin with, whose first line names
+the JSON schema by which editors check and complete keys. Keys under `mission` and the overrides of an arm are the
 [keys of a mission](mission-keys.md).
 
 """

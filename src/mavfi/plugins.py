@@ -79,11 +79,14 @@ def _is_allowed(name: str) -> bool:
 
 def require_allowed(what: str, name: str) -> None:
     """Raise a `NotAllowedError` if code or a program was neither typed nor allowed."""
-    if not _is_allowed(name):
-        raise NotAllowedError(
-            f"{what} {name!r}: named in a file, and so not run; allowed: entry points of installed packages, or any "
-            "with --allow-plugins"
-        )
+    if _is_allowed(name):
+        return
+    why = "named in a file, and so not run"
+    if name in _changed:
+        why = "its source has changed since you allowed it for this ledger"
+    raise NotAllowedError(
+        f"{what} {name!r}: {why}; allowed: entry points of installed packages, or any with --allow-plugins"
+    )
 
 
 def known(group: str, shipped: Mapping[str, str]) -> dict[str, str]:
@@ -344,6 +347,10 @@ _allowed_by_trust: set[str] = set()
 """Names that are allowed in this process because they were remembered: no reason to remember them for other ledgers."""
 
 
+_changed: set[str] = set()
+"""Names that were allowed in a ledger, and have another source now."""
+
+
 class _Source(NamedTuple):
     """A plug-in's source: its file, and a hash of it, or of all files of its package."""
 
@@ -376,6 +383,8 @@ def use_ledger(directory: Path, content: object) -> None:
             _allow([name])
         elif _is_allowed(name) and name not in _allowed_by_trust:
             sources[name] = list(source)
+        elif name in of_ledger:
+            _changed.add(name)
     if sources != of_ledger:
         _remember({**remembered, ledger: sources})
 

@@ -481,8 +481,10 @@ def unknown(kind: str, name: str, names: Collection[str]) -> str:
         stages = KERNEL_STAGES | {kernel.name: kernel.stage for kernel in KERNELS.values()} | of_states
         in_stage = [each for each in names if stages.get(each) == name]
         return f"{kind} {name!r}: is a stage; allowed: {allowed(in_stage)}"
-    if name in STATES:
-        return f"{kind} {name!r}: is a state; allowed: {allowed(names)}"
-    if name in KERNEL_STAGES or name in KERNELS:
-        return f"{kind} {name!r}: is a kernel; allowed: {allowed(names)}"
+    for other, others in (("state", STATES), ("kernel", KERNEL_STAGES.keys() | KERNELS.keys())):
+        if name in others:
+            reason = f"is a {other}"
+            if other == kind:
+                reason = "is not part of this mission"
+            return f"{kind} {name!r}: {reason}; allowed: {allowed(names)}"
     return f"{kind} {not_known(name, names)}"

@@ -47,16 +47,16 @@ def extend_ledger(store: Store, plan: Plan, identity: Mapping[str, Any], shard: 
     extension = _Extension(str(store.directory), stored_plan, plan)
     extension.check_keys(store.meta("identity"), identity)
     extension.check_draws()
-    worlds = set(store.planned())
-    left_out = {world for world in worlds if world not in set(shard.worlds(plan.campaign))}
-    if left_out:
-        raise extension.refusal("missions", f"shard {shard} would have other missions; allowed: --extend of the whole")
 
+    missions_of_shard = set(shard.worlds(plan.campaign))
     rows = []
     unflown = set()
     replaced = []
     for row, _ in store.rows():
         spec = RunSpec.from_json(json.loads(row.text))
+        if spec.world not in missions_of_shard:
+            text = f"shard {shard} would have other missions; allowed: to extend the merged ledger"
+            raise extension.refusal("missions", text)
         new_row = extension.row_of(spec)
         if new_row is None:
             replaced.append(row.run_id)
@@ -64,15 +64,16 @@ def extend_ledger(store: Store, plan: Plan, identity: Mapping[str, Any], shard: 
         rows.append(new_row)
         if spec.kind == "golden" and extension.counts_now(spec):
             unflown.add(row.run_id)
-    unchanged = [world for world in worlds if extension.adds_nothing_to(*world)]
+    unchanged = [world for world in store.planned() if extension.adds_nothing_to(*world)]
     store.replan(identity, rows, unchanged, unflown, replaced)
 
 
 class _MissionDraws(NamedTuple):
-    """The draws of a mission in two plans, each with its position."""
+    """The draws of a mission in two plans; in the larger one, their positions by target and number of the fault."""
 
-    stored: list[tuple[int, Draw]]
-    extended: list[tuple[int, Draw]]
+    stored: list[Draw]
+    extended: list[Draw]
+    positions: dict[tuple[str, int], tuple[int, Draw]]
 
 
 class _Extension:
@@ -190,16 +191,20 @@ class _Extension:
         if spec.fault is None:
             yield from self._extended.golden(*spec.world)
             return
-        for position, draw in self._draws_of(*spec.world).extended:
-            if (draw.target, draw.index) == (spec.target, spec.index):
-                yield from self._extended.injected(spec.environment, draw, position, spec.fault)
+        planned = self._draws_of(*spec.world).positions.get((spec.target, spec.index))
+        if planned is not None:
+            position, draw = planned
+            yield from self._extended.injected(spec.environment, draw, position, spec.fault)
 
     def _draws_of(self, environment: str, seed: int) -> _MissionDraws:
         """The draws of a mission in both plans."""
         world = environment, seed
         if world not in self._draws:
+            extended = list(self._extended.positioned_draws(*world))
             self._draws[world] = _MissionDraws(
-                list(self._stored.positioned_draws(*world)), list(self._extended.positioned_draws(*world))
+                [draw for _, draw in self._stored.positioned_draws(*world)],
+                [draw for _, draw in extended],
+                {(draw.target, draw.index): (position, draw) for position, draw in extended},
             )
         return self._draws[world]
 
@@ -209,13 +214,13 @@ class _Extension:
         Its record will also hold what faults are drawn from.
         """
         draws = self._draws_of(*spec.world)
-        before = any(draw.variant == spec.arm for _, draw in draws.stored)
-        now = any(draw.variant == spec.arm for _, draw in draws.extended)
+        before = any(draw.variant == spec.arm for draw in draws.stored)
+        now = any(draw.variant == spec.arm for draw in draws.extended)
         return bool(spec.arm) and now and not before
 
     def adds_nothing_to(self, environment: str, seed: int) -> bool:
         """Whether a mission has no further runs in the larger campaign."""
         draws = self._draws_of(environment, seed)
-        same_draws = [draw for _, draw in draws.stored] == [draw for _, draw in draws.extended]
+        same_draws = draws.stored == draws.extended
         same_arms = [arm.name for arm in self._stored.arms] == [arm.name for arm in self._extended.arms]
         return same_draws and same_arms

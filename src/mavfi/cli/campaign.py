@@ -13,7 +13,7 @@ from mavfi.cli.console import check_name, check_seed, check_writable, console, w
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.files import is_file
-from mavfi.plugins import known, load_object
+from mavfi.plugins import known, load_object, use_ledger
 
 if TYPE_CHECKING:
     from mavfi.analysis.requirements import RequirementVerdict
@@ -104,14 +104,15 @@ def run(  # noqa: PLR0913 - options
     from mavfi.campaign.mission import check_names
     from mavfi.campaign.plan import WHOLE, Shard
     from mavfi.campaign.run import run_campaign
-    from mavfi.campaign.store import FILE
+    from mavfi.campaign.store import FILE, IDENTITY, held
     from mavfi.cli.progress import Bar
 
     # check all options before the first flight
     campaign = load_campaign(config).at_scale(scale)
+    ledger = out or Path("out") / campaign.name
+    use_ledger(ledger, held(ledger, IDENTITY))  # a resumed campaign has been allowed to run its plug-ins
     check_names(campaign, config)
     requirements = _requirements(campaign, [*campaign.require, *(require or ())], junit)
-    ledger = out or Path("out") / campaign.name
     if extend and not is_file(ledger / FILE):
         raise BadInputError(f"--extend: {ledger} holds no campaign; allowed: the folder of one, or without --extend")
     if scheduler and options.is_users(context.get_parameter_source("workers")):

@@ -92,6 +92,9 @@ class _Application(TyperGroup):
         self.commands: Any = _Commands()
 
     def list_commands(self, ctx: Any) -> list[str]:
+        if ctx.resilient_parsing:  # for a completion, which has no panels
+            return list(self.commands)
+
         def rank(name: str) -> int:
             return panels.OF_COMMANDS.index(_help_in_source(self.commands.addresses[name]).panel)
 
@@ -194,18 +197,16 @@ def run(arguments: Sequence[str]) -> int:
 
     # every known kind of failure becomes a line and an exit code
     try:
-        code = _command().main(args=arguments or ["--help"], prog_name="mavfi", standalone_mode=False)
+        if _is_group(arguments):
+            arguments = [*arguments, "--help"]
+        code = _command().main(args=arguments, prog_name="mavfi", standalone_mode=False)
     except MavfiError as error:
         code = EXIT_FAILURE
         if isinstance(error, BadInputError) and not machine_failure(error):
             code = EXIT_BAD_INPUT
         return _refused(_as_typed(str(error), arguments), code)
     except typer.TyperException as error:  # missing argument, unknown option, invalid number
-        dropped = _dropped(arguments)
-        if dropped:
-            return complain(dropped, EXIT_BAD_INPUT)
-        message = _unknown_word(error, arguments) or _refused_value(error) or error.format_message().rstrip(".")
-        return complain(f"{message}; see `mavfi {_verb(arguments)}--help`", EXIT_BAD_INPUT)
+        return complain(_refused_words(error, arguments), EXIT_BAD_INPUT)
     except typer.Abort:
         return EXIT_STOPPED
     except (Exception, SystemExit) as error:
@@ -231,10 +232,18 @@ def _prepared(arguments: Sequence[str]) -> Sequence[str]:
     if os.environ.get(_COMPLETE):
         completion_init()
         os.environ["COLUMNS"] = "1000"  # each completion is one line
-
-    if not arguments or "--help" in arguments:
+    elif not arguments or "--help" in arguments:
         _import_help()
     return arguments
+
+
+def _refused_words(error: typer.TyperException, arguments: Sequence[str]) -> str:
+    """The message on words that are no command: what to do instead, or what is allowed and where to read on."""
+    dropped = _dropped(arguments)
+    if dropped:
+        return dropped
+    message = _unknown_word(error, arguments) or _refused_value(error) or error.format_message().rstrip(".")
+    return f"{message}; see `mavfi {_verb(arguments)}--help`"
 
 
 def _missing_package(error: BaseException, arguments: Sequence[str]) -> str:
@@ -306,8 +315,10 @@ def _refused(text: str, code: int) -> int:
     return complain(text, code)
 
 
-def _import_help() -> None:
-    """Import Typer's help without rich's Markdown and tracebacks, which take a fifth of its time and are not used."""
+def _import_help(arguments: Sequence[str]) -> None:
+    """If these words ask for help, import Typer's, without rich's Markdown and tracebacks: a fifth of its time."""
+    if arguments and "--help" not in arguments:
+        return
     stubs = {}
     for module, name in (("rich.markdown", "Markdown"), ("rich.traceback", "Traceback")):
         if module not in sys.modules:
@@ -384,6 +395,14 @@ def _parse_once(command: Any, ctx: Any, args: list[str]) -> list[str]:
 
 def _paragraphs(text: str) -> str:
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in inspect.cleandoc(text).split("\n\n"))
+
+
+def _is_group(arguments: Sequence[str]) -> bool:
+    """Whether words name a group of commands, and none of them."""
+    command = _command()
+    for word in arguments:
+        command = getattr(command, "commands", {}).get(word)
+    return hasattr(command, "commands")
 
 
 def _verb(arguments: Sequence[str]) -> str:

@@ -74,31 +74,58 @@ def trained_for(incomplete: str) -> list[str]:
 
 def fault(incomplete: str) -> list[str]:
     """Complete the level of a fault, then step by step where it is and what happens."""
-    places = _places()
     level, colon, place = incomplete.partition(":")
     if not colon:
-        return ["null", *(f"{name}:" for name in places)]
-    for name, further in places.get(level, {}).items():
+        return ["null", *(f"{name}:" for name in _PLACES)]
+    if level not in _PLACES:
+        return []
+    places = _PLACES[level]()
+    for name, further in places.items():
         # A place that is complete is followed by what it consists of, or by what happens to it.
         if further and place.startswith(name):
             return [f"{level}:{name}{part}" for part in further]
-    return [f"{level}:{name}" for name in places.get(level, ())]
+    return [f"{level}:{name}" for name in places]
 
 
-def _places() -> Mapping[str, Mapping[str, Iterable[str]]]:
-    """By level: places of faults, each with what may follow it."""
+def _fields() -> Mapping[str, Iterable[str]]:
+    from mavfi.states import STATES
+
+    return {f"{name}.": [field.name for field in (*spec.header, *spec.elements)] for name, spec in STATES.items()}
+
+
+def _memories() -> Mapping[str, Iterable[str]]:
+    from mavfi.states import KERNELS
+
+    return dict.fromkeys(KERNELS, ())
+
+
+def _functions() -> Mapping[str, Iterable[str]]:
+    from mavfi.states import DETECTORS, INJECTABLE
+
+    return dict.fromkeys([*INJECTABLE, *DETECTORS], ())
+
+
+def _units() -> Mapping[str, Iterable[str]]:
     from mavfi.faults.levels.sensor.fault import FAILING, UNITS
-    from mavfi.faults.operations import MESSAGE_OPERATIONS
-    from mavfi.states import DETECTORS, INJECTABLE, KERNELS, STATES
 
-    fields = {f"{state.name}.": [field.name for field in (*state.header, *state.elements)] for state in STATES.values()}
-    return {
-        "state": fields,
-        "memory": dict.fromkeys(KERNELS, ()),
-        "instruction": dict.fromkeys([*INJECTABLE, *DETECTORS], ()),
-        "sensor": {f"{unit}:": FAILING for unit in UNITS},
-        "message": {f"{state}:": MESSAGE_OPERATIONS for state in STATES},
-    }
+    return {f"{unit}:": FAILING for unit in UNITS}
+
+
+def _publications() -> Mapping[str, Iterable[str]]:
+    from mavfi.faults.operations import MESSAGE_OPERATIONS
+    from mavfi.states import STATES
+
+    return {f"{state}:": MESSAGE_OPERATIONS for state in STATES}
+
+
+_PLACES: Mapping[str, Callable[[], Mapping[str, Iterable[str]]]] = {
+    "state": _fields,
+    "memory": _memories,
+    "instruction": _functions,
+    "sensor": _units,
+    "message": _publications,
+}
+"""By level: what gives the places of its faults, each with what may follow it."""
 
 
 def run_id(context: typer.Context, incomplete: str) -> list[str]:

@@ -46,9 +46,11 @@ class Check:
 
 
 def doctor() -> int:
-    """Say whether everything is here that flights need, and how to get what is missing.
+    """Say whether all is here that flights need, or how to get it.
 
     Exit code 1 if flights cannot work.
+
+    Example: [bold]mavfi doctor[/bold]
     """
     checks = [_compiler(), _cache(), _bytecode(), _disk(), _extras()]
     for of_extra in extensions(CHECKS).values():
@@ -81,7 +83,10 @@ def doctor() -> int:
 def cache(
     clear: Annotated[bool, typer.Option("--clear", help="Delete it; the next flight compiles again.")] = False,
 ) -> None:
-    """Say where the code is that mavfi has compiled for this machine, and how large it is."""
+    """Say where mavfi's compiled code is, and how large it is.
+
+    Example: [bold]mavfi cache --clear[/bold]
+    """
     from mavfi.numerics.jit import code_folder
 
     folder = code_folder()
@@ -134,8 +139,8 @@ def _cache() -> Check:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
-    except OSError as error:
-        return Check("cache", False, f"each command compiles anew: set XDG_CACHE_HOME ({error.strerror})")
+    except OSError:
+        return Check("cache", False, "cannot be written, compiles each time: set XDG_CACHE_HOME")
     return Check("cache", True, _size(_files_of_ours(folder)))
 
 

@@ -13,8 +13,8 @@ from rich.text import Text
 from mavfi.flight.decide import Response
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Effect, QoF, quality_of
-from mavfi.report.explain import alarm_lines, injection_lines
-from mavfi.report.numbers import is_failure, signed_percent
+from mavfi.report.explain import alarm_lines, injection_lines, is_failure
+from mavfi.report.numbers import signed_percent
 
 if TYPE_CHECKING:
     from mavfi.report.flight_result import FlightResult

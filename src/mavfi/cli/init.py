@@ -34,8 +34,8 @@ def init(
     template: Annotated[
         str,
         typer.Argument(
-            metavar="campaign|detector|planner|node",
-            help="What to begin with.",
+            metavar="TEMPLATE",
+            help="campaign, detector, planner, or node (of ROS 2).",
             autocompletion=completion.of_words(("campaign", "detector", "planner", "node")),
         ),
     ],

@@ -62,12 +62,8 @@ FaultSeed = Annotated[
 ]
 DETECTORS = ", ".join(sorted(known("mavfi.detectors", {})))
 """Names of entry points; importing the registry, which loads them, would slow down `--help`."""
-Detector = Annotated[
-    str,
-    typer.Option(
-        help=f"{DETECTORS}, or package:Class.", autocompletion=completion.of_entry_points("mavfi.detectors", "none")
-    ),
-]
+complete_detector = completion.of_entry_points("mavfi.detectors", "none")
+Detector = Annotated[str, typer.Option(help=f"{DETECTORS}, or package:Class.", autocompletion=complete_detector)]
 Profile = Annotated[
     str | None,
     typer.Option(

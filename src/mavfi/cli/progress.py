@@ -135,18 +135,22 @@ class _FunctionsBar(Progress):
     """
 
     def __init__(self, folder: Path, out: Console) -> None:
-        columns = TextColumn("[bold]{task.description}"), BarColumn(bar_width=24), TextColumn("{task.fields[counts]}")
+        columns = TextColumn("[bold]{task.description}"), BarColumn(bar_width=20), TextColumn("{task.fields[counts]}")
         super().__init__(*columns, console=out, transient=True, refresh_per_second=5)
         self._folder = folder
-        self._task = self.add_task("compiling for this machine, once", total=_FUNCTIONS, counts="")
+        self._before = self._count()  # of earlier versions, or compiled by other commands
+        self._task = self.add_task("compiling kernels for this machine", total=_FUNCTIONS, counts="")
 
     def get_renderables(self) -> Iterator[RenderableType]:
         """The bar, after a look into the folder."""
         if hasattr(self, "_task"):  # the first drawing precedes the task
-            done = sum(1 for _ in self._folder.glob("*.nbc"))
+            done = self._count() - self._before
             total = max(done, _FUNCTIONS)
             self.update(self._task, completed=done, total=total, counts=f"{done} of {total} functions")
         yield from super().get_renderables()
+
+    def _count(self) -> int:
+        return sum(1 for _ in self._folder.glob("*.nbc"))
 
 
 @contextmanager

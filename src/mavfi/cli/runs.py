@@ -83,7 +83,7 @@ def compare(
     second: Annotated[Path, typer.Argument(metavar="B", help="Folder of another one.")],
     as_json: options.AsJson = False,
 ) -> None:
-    """Compare two campaigns: how often missions fail in B and in A, how long they fly, what energy they need.
+    """Compare two campaigns: failures, flight time and energy.
 
     Runs with the same seed and fault are compared in pairs, others as independent samples; intervals are 95 %.
 

@@ -275,7 +275,10 @@ def _model_of(
         raise BadInputError(f"{path.parent}: there is no such folder of models")
     if not is_file(path):
         if trained_for:
-            raise BadInputError(f"trained_for: {trained_for!r}: there is no model {shown}; allowed: those of a model")
+            ending = f"-{factory.model_kind}-{profile}"
+            stems = [model.stem for model in sorted(path.parent.glob(f"*{ending}.json"))]
+            trained = [stem.removesuffix(ending).replace("-", "/", 1) for stem in stems]
+            raise BadInputError(f"trained_for: {not_known(trained_for, trained)}")
         baselines = ""
         if factory.extra:
             baselines = "--baselines "

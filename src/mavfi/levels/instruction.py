@@ -376,7 +376,6 @@ class InstructionSampler(Sampler):
     """
 
     instruments = True
-    draws_together = True
 
     def __init__(self, campaign: Any) -> None:
         super().__init__(campaign)

@@ -222,13 +222,14 @@ class Sampler:
         versions: Versions on which draws depend, in addition to those of flights.
         profile: Whether draws need the publication times of golden runs.
         instruments: Whether golden flights are flown with instrumented kernels.
-        draws_together: Whether the faults of a mission in one target are drawn together, and so depend on their number.
+        draws_together: Whether the faults of a mission in one target are drawn together, and so depend on their number;
+            not if each has a random stream of its own, whose campaigns can have more faults in a mission.
     """
 
     alternates = False
     profile = False
     instruments = False
-    draws_together = False
+    draws_together = True
 
     def __init__(self, campaign: Any) -> None:
         self.campaign = campaign
@@ -352,6 +353,7 @@ class Level:
         reductions: How a fault is made smaller, in steps: by name of what is reduced, a function of a fault and its
             injection (None = not known) that yields candidates from the smallest on.
         absent: Words for an injection that did not happen: X in "the golden run never X it", and why nothing changed.
+        corrupts_data: Whether its faults change data of a computation; a failing part changes what is measured or done.
     """
 
     fault: ClassVar[type[Fault]]
@@ -363,6 +365,7 @@ class Level:
     operations: ClassVar[tuple[str, ...]] = ()
     reductions: ClassVar[Mapping[str, Callable[[Any, Injection | None], Iterator[Fault]]]] = {}
     absent: ClassVar[tuple[str, str]] = ("reached", "the site was not reached")
+    corrupts_data: ClassVar[bool] = True
 
     def parse(self, text: str, localization: str) -> Request:
         """The request in a text, given without the level; a BadInputError says what is wrong in it."""

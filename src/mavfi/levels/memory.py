@@ -299,6 +299,8 @@ class MemorySampler(Sampler):
         BadInputError: The sampling names a target that is not part of the mission, or of one arm.
     """
 
+    draws_together = False
+
     def __init__(self, campaign: Any) -> None:
         super().__init__(campaign)
         spec = campaign.spec(campaign.environments[0], campaign.first_seed)

@@ -100,6 +100,7 @@ class MessageSampler(Sampler):
     """
 
     profile = True
+    draws_together = False
 
     def __init__(self, campaign: Any) -> None:
         super().__init__(campaign)

@@ -92,6 +92,8 @@ class SensorSampler(Sampler):
         BadInputError: The sampling names a unit that nothing in the mission reads.
     """
 
+    draws_together = False
+
     def __init__(self, campaign: Any) -> None:
         super().__init__(campaign)
         mission = campaign.spec(campaign.environments[0], campaign.first_seed)
@@ -147,6 +149,7 @@ class SensorLevel(Level):
     form = "sensor:UNIT[NUMBER]:TYPE[:lasts=S][@SECONDS]"
     options = {"lasts": SECONDS}
     absent = ("read", "no reader received another value than without it")
+    corrupts_data = False
 
     def parse(self, text: str, localization: str) -> SensorRequest:
         """See `Level.parse`."""

@@ -302,6 +302,7 @@ class StateSampler(Sampler):
     """
 
     profile = True
+    draws_together = False
 
     def __init__(self, campaign: Any) -> None:
         super().__init__(campaign)

@@ -22,7 +22,7 @@ from mavfi.record import (
     Injection,
     KernelEffect,
 )
-from mavfi.report.numbers import change, corruption, is_failure, outcome, signed_percent
+from mavfi.report.numbers import change, corruption, outcome, signed_percent
 
 if TYPE_CHECKING:
     from mavfi.campaign.divergence import Departure, FirstDifference, StateSpread
@@ -153,6 +153,11 @@ def verdict(effect: Effect, log: FlightLog, golden: FlightLog) -> str:
     if kernel is not None and kernel.effect == Effect.DETECTED.label and effect is Effect.MASKED:
         text = f"{_EFFECTS[Effect.DETECTED]}; {text}"
     return f"{text}; {_mission(log, golden)}"
+
+
+def is_failure(injections: Sequence[Injection]) -> bool:
+    """Whether only sensors or motors fail: the flight changes, but no data is corrupted silently."""
+    return bool(injections) and not any(find_level(injection.level).corrupts_data for injection in injections)
 
 
 _AFTER_DEATH = {"end": "the mission ended with it", "recompute": "its step was computed again"}

@@ -1,7 +1,6 @@
 """Numbers of flights as text, without what tables need."""
 
 import struct
-from collections.abc import Sequence
 
 from mavfi.record import Injection
 
@@ -35,11 +34,6 @@ def corruption(injection: Injection) -> str:
     if injection.bit is not None:
         return f"bit {injection.bit}"
     return str(operation)
-
-
-def is_failure(injections: Sequence[Injection]) -> bool:
-    """Whether only sensors or motors fail: the flight changes, but no data is corrupted silently."""
-    return bool(injections) and all(injection.level == "sensor" for injection in injections)
 
 
 def outcome(injection: Injection, digits: int = 6) -> str:

@@ -20,8 +20,8 @@ from scipy.spatial import cKDTree
 from mavfi.mission import FLY_AWAY_MARGIN, MissionStatus
 from mavfi.record import Injection
 from mavfi.report import style
-from mavfi.report.explain import around
-from mavfi.report.numbers import corruption, is_failure, outcome
+from mavfi.report.explain import around, is_failure
+from mavfi.report.numbers import corruption, outcome
 
 if TYPE_CHECKING:
     from mavfi.flight.host import Flight

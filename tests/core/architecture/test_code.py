@@ -9,7 +9,7 @@ ROS = {
     "rospy": ("extras/ros/ros1/",),
     "genpy": ("extras/ros/ros1/",),
     "rosgraph": ("extras/ros/ros1/",),
-    "rclpy": ("extras/ros/ros2/",),
+    "rclpy": ("extras/ros/ros2/", "extras/ros/templates/"),
     "std_msgs": ("extras/ros/ros1/", "extras/ros/ros2/"),
 }
 

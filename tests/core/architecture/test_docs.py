@@ -23,6 +23,7 @@ NOT_PROSE = (
     r"<!-- ([\w-]+):begin.*?<!-- \1:end -->",  # written by a tool
     r"^```.*?^```",
     r"(?<=\n\n)(?: {4}[^\n]*\n)+",  # commands
+    r"^::: \S+$",  # docstrings
 )
 
 

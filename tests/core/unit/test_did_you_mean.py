@@ -2,7 +2,8 @@
 
 import pytest
 
-from mavfi.analysis import Runs, table
+from mavfi.analysis.runs import Runs
+from mavfi.analysis.views import table
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.requirement import Requirement
 from mavfi.cli import run

@@ -117,6 +117,7 @@ def test_code_that_was_allowed_in_a_ledger_is_remembered_until_it_changes(tmp_pa
         """What a new process allows after it has opened the ledger."""
         monkeypatch.setenv("MAVFI_ALLOW_PLUGINS", typed)
         monkeypatch.setattr("mavfi.plugins._allowed_by_trust", set())
+        monkeypatch.setattr("mavfi.plugins._changed", set())
         use_ledger(ledger, content)
         return "my_plugin:X" in allowed_names()
 
@@ -132,6 +133,8 @@ def test_code_that_was_allowed_in_a_ledger_is_remembered_until_it_changes(tmp_pa
 
     (tmp_path / "my_plugin.py").write_text("X = list\n", encoding="utf-8")
     assert not is_allowed(mine)
+    with pytest.raises(BadInputError, match="its source has changed since you allowed it for this ledger"):
+        load("my_plugin:X")
     assert is_allowed(mine, typed="my_plugin:X")
     assert is_allowed(mine)
     (tmp_path / "state" / "mavfi" / "trusted-plugins.json").chmod(0o666)

@@ -28,7 +28,7 @@ def test_the_page_of_the_documentation_has_all_faults_with_small_pictures():
 
 
 def test_the_page_says_what_happens(flown):
-    assert entry(flown) in PAGE.read_text(encoding="utf-8"), "run `python -m tools.build_demo`"
+    assert entry(flown) in PAGE.read_text(encoding="utf-8"), "run `make docs`"
     assert flown.is_lost and flown.is_recovered
     assert headline([flown]).startswith("1 of 1 faults lose a mission of 38.6 s (dense, seed 10007); the detector ")
 
@@ -37,7 +37,7 @@ def test_the_page_says_what_happens(flown):
 @pytest.mark.parametrize("number", range(2, len(DEMOS) + 1))
 def test_the_page_says_what_happens_with_every_fault(number):
     flown = FlownDemo(number, demo(number), demo(number).fly())
-    assert entry(flown) in PAGE.read_text(encoding="utf-8"), "run `python -m tools.build_demo`"
+    assert entry(flown) in PAGE.read_text(encoding="utf-8"), "run `make docs`"
 
 
 def test_one_is_told_in_lines_of_a_terminal_and_drawn(flown, capsys, monkeypatch, tmp_path):

@@ -75,10 +75,11 @@ def test_a_run_that_is_being_flown_is_not_flown_twice(study):
     assert len(flights.asked) == 2
 
 
-def test_code_that_a_ledger_names_is_not_run(study, monkeypatch):
+def test_code_that_a_ledger_names_is_not_run(study, tmp_path, monkeypatch):
     with Store.open(study / "first") as store:
         run_ids = [run.spec.run_id for run in store.runs()]
     monkeypatch.delenv("MAVFI_ALLOW_PLUGINS")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))  # where it is remembered what was allowed before
     client = client_of(study, FlightsHere())
     client.get("/", params={"token": TOKEN})
     for run_id in run_ids:

@@ -41,6 +41,7 @@ class CallSampler(Sampler):
     """Draws one bit of one number of one call."""
 
     alternates = True
+    draws_together = False
 
     def __init__(self, campaign: Any) -> None:
         super().__init__(campaign)

@@ -51,7 +51,11 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     ] = None,
     detector: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="This one, e.g. package:Class, in the place of the bench's schemes."),
+        typer.Option(
+            metavar="NAME",
+            help="This one, e.g. package:Class, in the place of the bench's schemes.",
+            autocompletion=options.complete_detector,
+        ),
     ] = None,
     profile: Annotated[str | None, typer.Option(help="Of --detector: paper or tuned.", show_default="paper")] = None,
     models: options.Models = None,

@@ -71,7 +71,12 @@ def watch(  # noqa: PLR0913 - one parameter per option
         float | None, typer.Option(help="Instead of --train: train on this first share of each LOG, judge the rest.")
     ] = None,
     detector: Annotated[
-        str, typer.Option(metavar="NAME", help="gaussian, autoencoder, recommended, limits, ..., or package:Class.")
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="gaussian, autoencoder, recommended, limits, ..., or package:Class.",
+            autocompletion=options.complete_detector,
+        ),
     ] = "gaussian",
     profile: options.WatchProfile = "tuned",
     fields: Annotated[

@@ -22,7 +22,8 @@ def vehicle(
     file: Annotated[
         Path,
         typer.Argument(
-            help="Model: .sdf, .urdf, .xacro, MuJoCo's .xml, an airframe of PX4, or a YAML file with the key model."
+            metavar="MODEL",
+            help=".sdf, .urdf, .xacro, MuJoCo's .xml, an airframe of PX4, or a YAML file with the key model.",
         ),
     ],
 ) -> None:

@@ -73,9 +73,10 @@ def inject(  # noqa: PLR0913 - one parameter per option
 
 def _process(pid: int | None, others: dict[str, Any]) -> int:
     """Process id from --pid or another option that names a process, exactly one of which must be given."""
-    if sum(value is not None for value in (pid, *others.values())) != 1:
+    count = sum(value is not None for value in (pid, *others.values()))
+    if count != 1:
         names = ", ".join(map(options.option_name, ("pid", *others)))
-        raise BadInputError(f"{names}: allowed: one of them")
+        raise BadInputError(f"{names}: {count} given; allowed: one of them, the process to inject")
     if pid is not None:
         return pid
     numbers = (extra.pid_of(others) for extra in extensions(PROCESSES).values())

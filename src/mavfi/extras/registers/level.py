@@ -41,6 +41,7 @@ class RegisterSampler(Sampler):
     """Draws one bit of a register that an instruction reads or writes."""
 
     alternates = True
+    draws_together = False
 
     def __init__(self, campaign: Any) -> None:
         super().__init__(campaign)

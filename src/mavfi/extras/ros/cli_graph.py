@@ -157,7 +157,10 @@ def watch(  # noqa: PLR0913 - one parameter per option
     fields: Annotated[
         str, typer.Option(metavar="FIELD,...", help="Numbers, e.g. position\\[0], or TOPIC:FIELD; all by default.")
     ] = "",
-    detector: Annotated[str, typer.Option(help=f"{options.DETECTORS}, or package:Class.")] = "gaussian",
+    detector: Annotated[
+        str,
+        typer.Option(help=f"{options.DETECTORS}, or package:Class.", autocompletion=options.complete_detector),
+    ] = "gaussian",
     profile: options.WatchProfile = "tuned",
     train: Annotated[
         str, typer.Option(metavar="FILE|FOLDER|online", help="Normal messages: .bag, .mcap, .db3, or what comes first.")

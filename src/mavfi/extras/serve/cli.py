@@ -25,10 +25,10 @@ def serve(
     port: Annotated[int, typer.Option(help="Port on this machine; 0 = any that is free.")] = PORT,
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
 ) -> None:
-    """Serve campaigns as local pages: headlines, tables, figures, runs; a click on a run flies it again.
+    """Serve campaigns as local pages; a click flies a run again.
 
-    Only this machine can open them, by the address that is printed. Ledgers are only read; campaigns that are running
-    are shown as they go on. Ctrl-C ends it.
+    They have headlines, tables, figures and runs. Only this machine can open them, by the address that is printed.
+    Ledgers are only read; campaigns that are running are shown as they go on. Ctrl-C ends it.
 
     Example: [bold]mavfi serve out --open[/bold]
     """

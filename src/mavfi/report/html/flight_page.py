@@ -20,11 +20,20 @@ from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.host import ArmSetup, Flight
 from mavfi.mission import MissionSpec, MissionStatus, Scenario
 from mavfi.record import FlightLog
-from mavfi.report.explain import Story, around, detector_name, end_of, lines, published_field, steps, verdict
+from mavfi.report.explain import (
+    Story,
+    around,
+    detector_name,
+    end_of,
+    is_failure,
+    lines,
+    published_field,
+    steps,
+    verdict,
+)
 from mavfi.report.flight_result import FlightResult
 from mavfi.report.html import page
 from mavfi.report.html.page import AFTER, BEFORE, encoded
-from mavfi.report.numbers import is_failure
 from mavfi.sim.environments import World
 from mavfi.states import STATES, Stage
 

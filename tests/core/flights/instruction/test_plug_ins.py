@@ -152,7 +152,9 @@ def test_what_names_no_compiled_function_is_refused_in_one_line(name, why):
 def test_what_does_not_exist_is_answered_by_what_this_mission_has():
     with pytest.raises(BadInputError, match="'lidar': not known; allowed: point_cloud, Wrapped, collision_check, Stra"):
         Targets(scenario(**MISSION)).find("lidar")
-    with pytest.raises(BadInputError, match="no kernel 'lidar'; allowed: point_cloud, .* Wrapped, Straight, Limited"):
+    with pytest.raises(
+        BadInputError, match="kernel 'lidar': not known; allowed: point_cloud, .* Wrapped, Straight, Limited"
+    ):
         parse("memory:lidar").draw(setup(**MISSION), 0)
     with pytest.raises(BadInputError, match=f"the planner of this mission is '{OF}Straight'"):
         Targets(scenario(**MISSION)).find("rrt_connect")

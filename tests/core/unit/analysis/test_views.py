@@ -17,7 +17,7 @@ from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.config import config_root, read_yaml
 from mavfi.errors import BadInputError
 from mavfi.report.text import FORMS
-from tests.core.unit.analysis.handmade import flown, golden, injected, runs
+from tests.core.unit.analysis.handmade import INSTRUCTION, flown, golden, injected, runs
 
 
 @pytest.fixture
@@ -128,6 +128,16 @@ def test_only_what_the_paper_flew_is_compared_with_its_figures():
     assert table(replace(watched, campaign={**watched.campaign, "unlike_the_paper": unlike}), "success").column(
         "paper"
     ) == [0.95, 0.883, None]
+
+
+def test_only_what_the_paper_flew_is_called_its_table():
+    own = [golden(1), injected(1, flown(), INSTRUCTION, target="control")]
+    name = "instructions_as_in_the_paper"
+    assert "the paper's Table I" in table(runs(*own), name).title
+    unlike = {"mission": [], "faults": ["no faults in planning"], "arms": {}}
+    found = table(runs(*own, unlike_the_paper=unlike), name)
+    assert found.title == "Instruction level: success rates, one fault per mission"
+    assert [row[:2] for row in found.rows if "paper" in row] == []
 
 
 @pytest.mark.parametrize(

@@ -433,6 +433,10 @@ def test_an_extended_shard_can_be_merged(tmp_path):
     for number, half in enumerate(halves, 1):
         flown_into(half, sized(3), shard=Shard(number, 2))
         flown_into(half, sized(6), shard=Shard(number, 2), extend=True)
+    with pytest.raises(BadInputError, match="key 'missions': shard 2/2 would have other missions"):
+        flown_into(
+            halves[1], sized(7).model_copy(update={"environments": ("dense", "sparse")}), shard=Shard(2, 2), extend=True
+        )
     merge(halves, tmp_path / "merged")
     flown_into(tmp_path / "whole", sized(6))
     assert digest(tmp_path / "merged") == digest(tmp_path / "whole")

@@ -77,7 +77,7 @@ def test_the_same_seed_gives_the_same_record_and_another_one_another(capsys):
         ("instruction:lidar", "kernel 'lidar': not known; allowed: point_cloud, octomap"),
         ("instruction:rrt", "the planner of this mission is 'rrt_connect'; allowed: planner rrt"),
         ("instruction:pid:which=sometimes", "instructions 'sometimes': not understood; allowed: all, floating_point"),
-        ("instruction:pid:model=gamma", "no model 'gamma'; allowed: one_bit, bits, random, zero"),
+        ("instruction:pid:model=gamma", "model 'gamma': not known; allowed: one_bit, bits, random, zero"),
         ("instruction:pid:bit=7", "'bit': not known; allowed: which=, model="),
         ("instruction:pid:which=opcode:udiv", "executes no instruction 'opcode:udiv' there; allowed: a class"),
     ],

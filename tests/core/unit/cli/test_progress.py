@@ -39,6 +39,9 @@ def test_a_cache_is_cold_until_a_flight_has_ended(terminal, monkeypatch, tmp_pat
     for cold in (True, False):
         with compiling(flight=True) as found:
             assert found is cold
-        assert ("compiling kernels for this machine" in capsys.readouterr().err) is (cold and terminal)
+            (tmp_path / f"{cold}.nbc").touch()
+        shown = capsys.readouterr().err
+        assert ("compiling kernels for this machine" in shown) is (cold and terminal)
+        assert ("1 of 134 functions" in shown) is (cold and terminal)
     with compiling() as found:
         assert not found

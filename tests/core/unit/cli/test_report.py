@@ -82,7 +82,10 @@ def test_runs_fit_a_terminal_and_are_named_by_number_or_short_id(capsys, flown, 
     [
         (["report", "DIR", "--csv"], "--csv: allowed: with --view NAME"),
         (["report", "DIR", "--view", "success", "--html", "r.html"], "--view: prints one table and writes nothing"),
-        (["report", "DIR", "--view", "nothing"], "view 'nothing': not known; allowed: endings, by_bits, "),
+        (
+            ["report", "DIR", "--view", "nothing"],
+            "view 'nothing': not known; allowed: endings, success_as_in_the_paper, ",
+        ),
         (["report", "NONE"], "holds no campaign"),
         (["report", "DIR", "--html", "report.pdf"], "--html: report.pdf: allowed ending: .html"),
         (["report", "DIR", "--flights", "3"], "--flights: 3: there is no page; allowed: together with --html"),

@@ -85,9 +85,9 @@ def test_targets_are_all_bits_kernels_or_groups(sampling, targets):
 
 def test_what_does_not_exist_is_refused():
     for sampling, text in (
-        ({"kernels": ("pilot",)}, "no kernel 'pilot'; allowed: point_cloud"),
-        ({"kernels": ("state_estimation",)}, "no kernel 'state_estimation'"),
-        ({"groups": [{"name": "a", "sites": ["pilot.x"]}]}, "no kernel 'pilot'"),
+        ({"kernels": ("pilot",)}, "kernel 'pilot': not known; allowed: point_cloud"),
+        ({"kernels": ("state_estimation",)}, "kernel 'state_estimation': is not part of this mission"),
+        ({"groups": [{"name": "a", "sites": ["pilot.x"]}]}, "kernel 'pilot': not known"),
         ({"strata": {"high": 1}}, "'high': not known"),
         ({"share": "stage"}, "'exposure' or 'kernel'"),
     ):

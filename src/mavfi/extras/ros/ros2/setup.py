@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from mavfi.errors import BadInputError, MavfiError
+from mavfi.errors import BadInputError, MavfiError, not_known
 from mavfi.extras.ros.ros2.environment import DISTRIBUTIONS, Installation, installations, own_root
 
 _COMMON_INTERFACES = (
@@ -88,7 +88,7 @@ def install(distribution: str, say: Callable[[str], None]) -> Installation:
         MavfiError: The packages cannot be installed; nothing is left of them.
     """
     if distribution not in _VERSIONS:
-        raise BadInputError(f"ROS 2 {distribution}: allowed: {', '.join(DISTRIBUTIONS)}")
+        raise BadInputError(f"ROS 2 {not_known(distribution, DISTRIBUTIONS)}")
     oldest, newest = _VERSIONS[distribution].pythons
     installation = present(distribution)
     if installation is not None:

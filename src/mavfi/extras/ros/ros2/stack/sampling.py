@@ -97,6 +97,7 @@ class StackSampler(Sampler):
     """
 
     alternates = True
+    draws_together = False
 
     def __init__(self, campaign: Any) -> None:
         super().__init__(campaign)
