@@ -232,8 +232,8 @@ def _prepared(arguments: Sequence[str]) -> Sequence[str]:
     if os.environ.get(_COMPLETE):
         completion_init()
         os.environ["COLUMNS"] = "1000"  # each completion is one line
-    elif not arguments or "--help" in arguments:
-        _import_help()
+    else:
+        _import_help(arguments)
     return arguments
 
 
