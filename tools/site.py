@@ -28,6 +28,7 @@ FILES = "files/"
 """Where the site has pages of files outside docs."""
 LANGUAGES = {".py": "python", ".yaml": "yaml", ".yml": "yaml", ".xml": "xml", ".c": "c", ".sh": "bash", ".toml": "toml"}
 """Highlighting of files that are shown as a page, by extension; others are copied."""
+_LOG = logging.getLogger("mkdocs.site")
 _LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)([^)\s#]+)(#[^)\s]*)?(?=\))")
 _SECTION = re.compile(r"^## (.+)\n", re.MULTILINE)
 _ENTRY = re.compile(r"\[([^\]]+)\]\((?![a-z]+:|#)([^)\s#]+)\)")
@@ -99,8 +100,11 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
         return posixpath.relpath(target, posixpath.dirname(address)) + (match[2] or "")
 
     def drawn(match: re.Match[str]) -> str:
-        picture = posixpath.relpath(picture_of(match[1]), posixpath.dirname(source))
-        return f"![diagram]({picture})"
+        picture = picture_of(match[1])
+        if not (ROOT / picture).exists():
+            _LOG.warning("%s: a diagram is not drawn; draw it with: python -m tools.draw_diagrams", source)
+        link = posixpath.relpath(picture, posixpath.dirname(source))
+        return f"[![diagram]({link})]({link})"  # opens in its full size
 
     return _LINK.sub(relinked, DIAGRAM.sub(drawn, markdown))
 
