@@ -101,10 +101,11 @@ def plan_path(scenario: Scenario) -> None:
 
 
 def see(scenario: Scenario) -> None:
-    """Compile perception: what follows from a depth image."""
+    """Compile perception, and how a path around what it sees is shortened: what follows from a depth image."""
     loop = new_loop(scenario, make_plant=_Standing)
+    loop.sense(0)
     loop.publish(loop.sensors.depth(), 0)
-    _run(loop)
+    _run(loop, periods=_PERIODS)
 
 
 def move(scenario: Scenario) -> None:

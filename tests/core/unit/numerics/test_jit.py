@@ -8,7 +8,7 @@ import pytest
 from numba.core.caching import NullCache
 
 from mavfi.numerics import jit
-from mavfi.numerics.jit import entry, kernel_jit
+from mavfi.numerics.jit import entry, in_turns, kernel_jit
 from tests.core.unit.faults.instruction.kernels import closure
 
 compiled_only = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
@@ -38,6 +38,24 @@ def test_code_is_compiled_once_for_a_content_and_a_signature(folder):
     assert calls(2.0, 3) == (6.0, 0)
     assert len(list(folder.iterdir())) == 3
     assert all(path.read_bytes() == content for path, content in first.items()), "files of others are left alone"
+
+
+@compiled_only
+def test_of_two_processes_that_need_a_function_one_compiles_it(folder):
+    processes = []
+    for _ in range(2):
+        process = os.fork()
+        if process == 0:
+            code = -1
+            try:
+                with in_turns():
+                    result, hits = calls(2.0)
+                code = hits if result == 6.0 else code
+            finally:
+                os._exit(code)
+        processes.append(process)
+    hits = [os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) for process in processes]
+    assert sorted(hits) == [0, 1]
 
 
 @compiled_only
