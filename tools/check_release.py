@@ -151,6 +151,7 @@ def main() -> None:
     wheel = build(distributions)
     installations: list[Installation] = []
     for python in options.pythons:
+        print(f"{wheel.name} on {python} ...", flush=True)
         with tempfile.TemporaryDirectory() as folder:
             installations += check(python, wheel, Path(folder))
     text = table(installations)
