@@ -295,6 +295,8 @@ def _arm(name: str, arm: ArmConfig) -> str:
     text = name
     if arm.detector == name:
         text = f"{name} ({arm.profile})"
+    elif ":" in arm.detector and arm.profile == ArmConfig.model_fields["profile"].default:
+        text = f"{name} = {arm.detector}"  # profiles are those of mavfi's detectors
     elif arm.detector:
         text = f"{name} = {arm.detector} ({arm.profile})"
     changed = ", ".join(f"{key} {value}" for key, value in arm.mission.items())

@@ -43,6 +43,8 @@ def panel(result: FlightResult) -> Panel:
     if result.detector:
         title.append(f" · detector {result.detector}")
     below = f"{scenario.platform.name} · {scenario.planner.name} · {scenario.v_max:g} m/s"
+    if scenario.vehicle.name != scenario.environment.vehicle:
+        below = f"{scenario.vehicle.name} · {below}"
     parts: list[RenderableType] = [
         title,
         Text(below, style="dim"),
