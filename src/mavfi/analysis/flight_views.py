@@ -560,6 +560,9 @@ def _estimand(runs: Runs) -> str:
         for (stage,), part in stages.items()
     }
     shares = "; ".join(f"{stage or 'detector'}: {', '.join(names)}" for stage, names in kernels.items())
+    without = planned.keys() - set(runs.injected.values("kernel"))
+    if without:
+        shares += f"; no fault in {', '.join(sorted(without))}"
     which = runs.campaign.get("which", "all")
     drawn = "dynamic instructions"
     if which != "all":
