@@ -156,7 +156,9 @@ class Catalogue(Mapping[str, Any]):
         return len(self._members)
 
 
-def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) -> Any:  # noqa: ANN401 - a user's own
+def load_object(  # noqa: ANN401 - a user's own
+    what: str, name: str, group: str, shipped: Mapping[str, str], also: str = "or package:Class"
+) -> Any:
     """The object that a name refers to.
 
     Args:
@@ -164,6 +166,7 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
         name: A known name, or "package.module:object".
         group: Group of entry points.
         shipped: As for `known`.
+        also: What else is allowed where the name is typed, for messages.
 
     Raises:
         BadInputError: Unknown name, not allowed (`allow_plugins`), or the object cannot be imported or called; the
@@ -177,7 +180,7 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
     else:
         names = known(group, shipped)
         if name not in names:
-            raise BadInputError(f"{what} {not_known(name, sorted(names), 'or package:object')}")
+            raise BadInputError(f"{what} {not_known(name, sorted(names), also)}")
         address = names[name]
     module, _, attribute = address.partition(":")
 

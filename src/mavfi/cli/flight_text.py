@@ -130,6 +130,8 @@ def _fault(result: FlightResult) -> list[RenderableType]:
     log = result.log
     story = [line for injection in log.injections for line in injection_lines(injection, fault, log)]
     text = f"{effect.label}: {_MEANING.get(effect, effect.value)}"
+    if effect is Effect.SDC:
+        text = f"silent data corruption ({effect.label}): {_MEANING[effect]}"
     if effect is Effect.SDC and is_failure(log.injections):
         text = _MEANING[effect]
     if effect is Effect.MASKED and not any(injection.activated for injection in log.injections):

@@ -156,8 +156,9 @@ def verdict(effect: Effect, log: FlightLog, golden: FlightLog) -> str:
 
 
 def is_failure(injections: Sequence[Injection]) -> bool:
-    """Whether only sensors or motors fail: the flight changes, but no data is corrupted silently."""
-    return bool(injections) and not any(find_level(injection.level).corrupts_data for injection in injections)
+    """Whether a sensor, motor or message fails, alone or with other faults: the flight is no silent data corruption."""
+    activated = [injection for injection in injections if injection.activated]
+    return not all(find_level(injection.level).corrupts_data for injection in activated or injections)
 
 
 _AFTER_DEATH = {"end": "the mission ended with it", "recompute": "its step was computed again"}
@@ -194,7 +195,7 @@ def _mission(log: FlightLog, golden: FlightLog) -> str:
 
 def injection_lines(injection: Injection, fault: Fault | None, log: FlightLog) -> Story:
     """The injected value before and after; for instructions, also source line and effect on the kernel."""
-    story = [("fault", _fault(injection, fault))]
+    story = [("fault", _fault(injection, fault, log))]
     details = injection.details
     for further in details.get("also", ()):
         before, after = change(further["before"], further["after"])
@@ -224,13 +225,16 @@ def _source_line(injection: Injection) -> str:
     return f"{line}: {instruction} ({value_class}), call {details.get('call')}, instruction {details.get('index')}"
 
 
-def _fault(injection: Injection, fault: Fault | None) -> str:
+def _fault(injection: Injection, fault: Fault | None, log: FlightLog) -> str:
     """Site, bit, instant, and the value before and after; or why nothing was injected."""
     never, reason = find_level(injection.level).absent
     if fault is not None and not fault.has_site:
         return f"{injection.site}: no site, the golden run never {never} it"
     if "start" in injection.details:
         return f"{injection.site}: not activated, its {injection.details['start']} did not come"
+    if not injection.activated and injection.time_s > _duration(log):
+        due = f"due at {injection.time_s:.2f} s, the mission ended at {_duration(log):.2f} s"
+        return f"{injection.site}: not activated, {due}"
     if not injection.activated:
         return f"{injection.site}: not activated, {reason}"
     if injection.bit is None:
