@@ -165,7 +165,8 @@ class _Extension:
             return self.refusal(
                 "faults",
                 f"{extended.faults}: {text} would take the place of those flown; allowed: {stored.faults} "
-                "(with a single key in sampling.strata, faults could grow), more environments and arms, or a new folder",
+                "(with a single key in sampling.strata, faults could grow), more environments and arms, or a new "
+                "folder",
             )
         text = f"the faults of a mission are drawn together: with more of them, {name} would be another one"
         return self.refusal(

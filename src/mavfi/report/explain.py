@@ -140,7 +140,7 @@ def verdict(effect: Effect, log: FlightLog, golden: FlightLog) -> str:
     if not any(injection.activated for injection in log.injections):
         return f"not activated; {_mission(log, golden)}"
     kernel = log.kernel
-    if kernel is not None and kernel.effect in ("crash", "hang", "exception"):
+    if kernel is not None and has_died(log):
         death = kernel.effect
         if kernel.detail:
             death = f"{death} ({kernel.detail})"
@@ -153,6 +153,11 @@ def verdict(effect: Effect, log: FlightLog, golden: FlightLog) -> str:
     if kernel is not None and kernel.effect == Effect.DETECTED.label and effect is Effect.MASKED:
         text = f"{_EFFECTS[Effect.DETECTED]}; {text}"
     return f"{text}; {_mission(log, golden)}"
+
+
+def has_died(log: FlightLog) -> bool:
+    """Whether the fault has ended a kernel or the firmware, which is not silent."""
+    return log.kernel is not None and log.kernel.effect in ("crash", "hang", "exception")
 
 
 def is_failure(injections: Sequence[Injection]) -> bool:

@@ -115,7 +115,7 @@ def test_null_is_an_empty_mask_at_a_drawn_instant():
         ),
         ("instruction:pid:model=two_bits", "model 'two_bits': not known (did you mean 'one_bit'?); allowed: one_bit"),
         ("sensor:radar:off@3", "'radar': not known; allowed: gyro, accelerometer, compass, position, depth_camera"),
-        ("sensor:gyro:shy@3", "'shy': not known; allowed: ok, off, stuck"),
+        ("sensor:gyro:shy@3", "'shy': not known; allowed: off, stuck"),
         ("sensor:gyro", "no type of failure; allowed: sensor:gyro:TYPE, with TYPE one of off, stuck, garbage"),
         ("register:1234", "registers are injected by mavfi inject; allowed: state, memory"),
     ],
