@@ -80,7 +80,7 @@ def _success(runs: Runs) -> list[str]:
     return [
         f"Without a fault {_with_n(without_fault)} of missions succeed, with {runs.per_mission}{_bits(faulty)} "
         f"{_with_n(with_fault)}: the fault loses {test.first_only} of {test.n} missions and saves {test.second_only} "
-        f"(McNemar p = {test.p_value:.2g})."
+        f"(p = {test.p_value:.2g}, McNemar's test on whole missions: the faults of one count together)."
     ]
 
 

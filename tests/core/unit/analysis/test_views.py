@@ -170,7 +170,7 @@ def test_only_what_the_paper_flew_is_called_its_table():
         ({"sampling": {"lifetime": {"times": 2}}}, ["lifetime times 2"]),
         (
             {"sampling": {"scheme": "groups", "groups": [{"name": "x", "sites": ["planning.waypoint.x"]}]}},
-            ["faults in x", "30 faults per group, not per stage"],
+            ["groups x", "30 faults per group, not per stage"],
         ),
         ({"sampling": {"level": "sensor", "units": ["gyro"]}}, ["faults at level sensor"]),
         ({"arms": {"gaussian": {"detector": "autoencoder", "options": {"policy": "keyed"}}}}, ["detector autoencoder"]),
