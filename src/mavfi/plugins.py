@@ -82,6 +82,9 @@ def require_allowed(what: str, name: str) -> None:
     if _is_allowed(name):
         return
     why = "named in a file, and so not run"
+    if name in _absent:
+        why = f"allowed for this ledger, but no longer imported from here; it was in {_absent[name]}"
+        raise NotAllowedError(f"{what} {name!r}: {why}; allowed: from the folder of that file")
     if name in _changed:
         why = "its source has changed since you allowed it for this ledger"
     raise NotAllowedError(
@@ -156,7 +159,9 @@ class Catalogue(Mapping[str, Any]):
         return len(self._members)
 
 
-def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) -> Any:  # noqa: ANN401 - a user's own
+def load_object(  # noqa: ANN401 - a user's own
+    what: str, name: str, group: str, shipped: Mapping[str, str], also: str = "or package:Class"
+) -> Any:
     """The object that a name refers to.
 
     Args:
@@ -164,6 +169,7 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
         name: A known name, or "package.module:object".
         group: Group of entry points.
         shipped: As for `known`.
+        also: What else is allowed where the name is typed, for messages.
 
     Raises:
         BadInputError: Unknown name, not allowed (`allow_plugins`), or the object cannot be imported or called; the
@@ -177,7 +183,7 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
     else:
         names = known(group, shipped)
         if name not in names:
-            raise BadInputError(f"{what} {not_known(name, sorted(names), 'or package:object')}")
+            raise BadInputError(f"{what} {not_known(name, sorted(names), also)}")
         address = names[name]
     module, _, attribute = address.partition(":")
 
@@ -349,6 +355,8 @@ _allowed_by_trust: set[str] = set()
 
 _changed: set[str] = set()
 """Names that were allowed in a ledger, and have another source now."""
+_absent: dict[str, str] = {}
+"""Names that were allowed in a ledger, and whose module is not found from this folder: the file that it had."""
 
 
 class _Source(NamedTuple):
@@ -377,6 +385,8 @@ def use_ledger(directory: Path, content: object) -> None:
     for name in names:
         source = _source_of(name)
         if source is None:
+            if name in of_ledger:
+                _absent[name] = of_ledger[name][0]
             continue
         if of_ledger.get(name) == list(source) and not _is_allowed(name):
             _allowed_by_trust.add(name)

@@ -87,11 +87,21 @@ def _of_faults(campaign: Campaign, about: Mapping[str, Any]) -> list[str]:
     if level not in _LEVELS:
         return [f"faults at level {level}"]
     changed = campaign.sampling.model_dump(mode="json", exclude_defaults=True)
-    texts = [f"{key} {value}" for key, value in changed.items() if key not in ("level", *_OPEN_KEYS)]
+    texts = [f"{key} {_in_words(value)}" for key, value in changed.items() if key not in ("level", *_OPEN_KEYS)]
     if about.get("each") != "stage":
         texts.append(f"{campaign.faults} faults per {about.get('each')}, not per stage")
+        return texts
     texts += [f"no faults in {stage}" for stage in PPC_STAGES if stage not in about.get("stages", ())]
     return texts
+
+
+def _in_words(value: object) -> object:
+    """A value of a key; of members with names, the names; of a key with keys of its own, these with their values."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {entry}" for key, entry in value.items())
+    if isinstance(value, list | tuple) and all(isinstance(member, Mapping) and "name" in member for member in value):
+        return ", ".join(str(member["name"]) for member in value)
+    return value
 
 
 def _of_arm(name: str, arm: ArmConfig) -> list[str]:

@@ -15,6 +15,7 @@ from mavfi.campaign.config import ArmConfig, Campaign, label_of
 from mavfi.campaign.ledger import status, stored_campaign
 from mavfi.campaign.plan import FI
 from mavfi.campaign.store import Run, Store
+from mavfi.detectors.registry import trainable
 from mavfi.faults.plug_ins import custom_detectors
 from mavfi.mission import MissionSpec
 from mavfi.plugins import extensions
@@ -293,10 +294,12 @@ def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:
 def _arm(name: str, arm: ArmConfig) -> str:
     """An arm in words: its name, its detector unless it has the same name, and its keys of the mission."""
     text = name
-    if arm.detector == name:
-        text = f"{name} ({arm.profile})"
-    elif arm.detector:
-        text = f"{name} = {arm.detector} ({arm.profile})"
+    if arm.detector and arm.detector != name:
+        text = f"{name} = {arm.detector}"
+    # Others have no profile; the default one of a custom detector is only a word.
+    is_custom = ":" in arm.detector
+    if arm.detector in trainable() or (is_custom and arm.profile != ArmConfig.model_fields["profile"].default):
+        text = f"{text} ({arm.profile})"
     changed = ", ".join(f"{key} {value}" for key, value in arm.mission.items())
     if changed:
         return f"{text} with {changed}"

@@ -159,13 +159,14 @@ class _Extension:
         name = f"fault {draw.index} of {draw.target}"
         if draw.seed != new_draw.seed or draw.index // stored.missions != draw.index // extended.missions:
             text = f"{name} would move to another mission, as fault i belongs to mission i modulo missions"
-            return self.refusal("missions", f"{extended.missions}: {text}; allowed: {stored.missions}")
+            return self.refusal("missions", f"{extended.missions}: {text}; allowed: {stored.missions}, or a new folder")
         if draw.stratum != new_draw.stratum or draw.target != new_draw.target:
             text = "the strata have exact shares of all faults, in an order drawn for their number: other faults"
             return self.refusal(
                 "faults",
-                f"{extended.faults}: {text} would take the place of those flown; allowed: {stored.faults} (campaigns "
-                "with one stratum for each target can grow), more environments and arms",
+                f"{extended.faults}: {text} would take the place of those flown; allowed: {stored.faults} "
+                "(with a single key in sampling.strata, faults could grow), more environments and arms, or a new "
+                "folder",
             )
         text = f"the faults of a mission are drawn together: with more of them, {name} would be another one"
         return self.refusal(

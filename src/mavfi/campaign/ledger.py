@@ -24,6 +24,7 @@ from mavfi.campaign.store import (
     connect,
     meta_checksum,
     mission_checksum,
+    no_campaign,
     strange_schema,
 )
 from mavfi.config import parse
@@ -220,7 +221,7 @@ def repair(directory: Path) -> Repair:
     damaged = directory / DAMAGED
     repaired = directory / f"{FILE}.repaired"
     if not is_file(path):
-        raise BadInputError(f"{directory}: holds no campaign (no {FILE})")
+        raise no_campaign(directory)
     number_of_runs = _intact_runs(directory)
     if number_of_runs is not None:
         return Repair(number_of_runs, 0, was_intact=True)

@@ -22,7 +22,7 @@ from typing import IO, Any
 from mavfi.campaign.fingerprint import differences
 from mavfi.campaign.plan import CompletedRun, Row, RunSpec, reason_of
 from mavfi.config import checked
-from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
+from mavfi.errors import BadInputError, MachineError, MavfiError, allowed, machine_failure
 from mavfi.files import absent_folders, is_file, remove_folders
 from mavfi.mission import MissionStatus
 from mavfi.plugins import permission_for, use_ledger
@@ -223,6 +223,17 @@ class Run:
     wall_s: float | None = None
 
 
+def no_campaign(directory: Path) -> BadInputError:
+    """The error for a folder that holds no campaign; it names the folders in it that do."""
+    ledgers: list[str] = []
+    with suppress(OSError, ValueError):  # absent, not readable, or a name that no folder can have
+        ledgers = sorted(str(path.parent) for path in directory.glob(f"*/{FILE}"))
+    question = ""
+    if ledgers:
+        question = f"; did you mean {allowed(ledgers)}?"
+    return BadInputError(f"{directory}: holds no campaign (no {FILE}){question}")
+
+
 class Store:
     """An open ledger.  Use `create` to write a campaign, `open` to read one; both are context managers."""
 
@@ -303,7 +314,7 @@ class Store:
             BadInputError: The ledger is absent, damaged or of another version.
         """
         if not is_file(directory / FILE):
-            raise BadInputError(f"{directory}: holds no campaign (no {FILE})")
+            raise no_campaign(directory)
         store = Store(directory, connect(directory / FILE, "ro"))
         try:
             store._check_schema()

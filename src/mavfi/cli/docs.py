@@ -31,6 +31,17 @@ def docs(
         typer.echo(address)
 
 
+def _in_checkout(name: str) -> str:
+    """Where a page can be read in the repository, or which page is meant; "" = there is no repository."""
+    folder = Path(__file__).parents[3] / "docs"
+    pages = {path.stem: path for path in sorted(folder.rglob("*.md"), reverse=True)} | {HOME: folder / "README.md"}
+    if name in pages and pages[name].is_file():
+        return f"read {pages[name]}, or "
+    if not folder.is_dir():
+        return ""
+    return f"page {name!r}: not known{hint(name, pages)}; read {folder / 'README.md'}, or "
+
+
 def address_of(name: str, site: Path) -> str:
     """Address of a page or section, for a browser.
 
@@ -43,7 +54,7 @@ def address_of(name: str, site: Path) -> str:
     """
     home = site / f"{HOME}.html"
     if not home.is_file():
-        raise BadInputError(f"{site}: the pages are not built; build them with: make site")
+        raise BadInputError(f"{site}: the pages are not built; {_in_checkout(name)}build them with: make site")
     addresses = {section: f"{home.as_uri()}#{section}" for section in _SECTION.findall(home.read_text("utf-8"))}
     for file in sorted(site.rglob("*.html"), key=lambda file: len(file.parts), reverse=True):
         if "files" not in file.relative_to(site).parts:  # these show files of the repository

@@ -13,7 +13,7 @@ from rich.text import Text
 from mavfi.flight.decide import Response
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Effect, QoF, quality_of
-from mavfi.report.explain import alarm_lines, injection_lines, is_failure
+from mavfi.report.explain import alarm_lines, has_died, injection_lines, is_failure
 from mavfi.report.numbers import signed_percent
 
 if TYPE_CHECKING:
@@ -43,6 +43,8 @@ def panel(result: FlightResult) -> Panel:
     if result.detector:
         title.append(f" · detector {result.detector}")
     below = f"{scenario.platform.name} · {scenario.planner.name} · {scenario.v_max:g} m/s"
+    if scenario.vehicle.name != scenario.environment.vehicle:
+        below = f"{scenario.vehicle.name} · {below}"
     parts: list[RenderableType] = [
         title,
         Text(below, style="dim"),
@@ -130,7 +132,9 @@ def _fault(result: FlightResult) -> list[RenderableType]:
     log = result.log
     story = [line for injection in log.injections for line in injection_lines(injection, fault, log)]
     text = f"{effect.label}: {_MEANING.get(effect, effect.value)}"
-    if effect is Effect.SDC and is_failure(log.injections):
+    if effect is Effect.SDC:
+        text = f"silent data corruption ({effect.label}): {_MEANING[effect]}"
+    if effect is Effect.SDC and (has_died(log) or is_failure(log.injections)):
         text = _MEANING[effect]
     if effect is Effect.MASKED and not any(injection.activated for injection in log.injections):
         text = "none: nothing was injected, the flight is the golden run"

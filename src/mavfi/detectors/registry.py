@@ -109,7 +109,7 @@ def check_detector(name: str, profile: str) -> None:
     _refuse_dropped(name)
     every = detector_names()
     if name not in every:
-        raise BadInputError(f"detector {not_known(name, every, 'or package:object')}")
+        raise BadInputError(f"detector {not_known(name, every, 'or package:Class')}")
 
 
 def check_kernel(

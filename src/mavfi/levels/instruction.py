@@ -592,6 +592,10 @@ class InstructionLevel(Level):
         InstructionFault("", "", 0, kernel=kernel, times=times)  # checks the number
         return InstructionRequest({kernel: 1}, which, _model(parts.options.get("model")), times=times)
 
+    def shipped_site(self, request: InstructionRequest | InstructionSite) -> bool:
+        """See `Level.shipped_site`."""
+        return isinstance(request, InstructionSite) or not set(request.kernels) - {*INJECTABLE, *DETECTORS}
+
     def text_of(self, fault: InstructionFault) -> str | None:
         """See `Level.text_of`."""
         if not fault.kernel:

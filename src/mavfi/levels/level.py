@@ -8,6 +8,7 @@ of levels in the core, `faults.fault.SHIPPED`.
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, NoReturn, Protocol
 
@@ -15,7 +16,7 @@ from pydantic import Field
 
 from mavfi.config import Config
 from mavfi.dropped import dropped_name
-from mavfi.errors import BadInputError, not_known
+from mavfi.errors import BadInputError, hint, not_known
 from mavfi.faults.combined import AND, Start
 from mavfi.faults.fault import Fault, find_level, level_names
 from mavfi.faults.injector import Injector
@@ -23,6 +24,7 @@ from mavfi.faults.operations import OPERATIONS, SYNONYMS, PlannedChange, is_trig
 from mavfi.faults.sampling import share_out
 from mavfi.faults.strata import EACH_CLASS, STRATA
 from mavfi.record import Injection
+from mavfi.states import STATES
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
@@ -103,9 +105,9 @@ def parse(text: str, localization: str = "truth", levels: Collection[str] = ()) 
         elif name in level_names():
             request = find_level(name).parse(rest, localization)
         elif rest:
-            raise BadInputError(f"level {not_known(name, level_names())}")
+            raise BadInputError(_not_a_level(text, localization))
         else:
-            _refuse()
+            raise BadInputError(f"not understood{_likely_texts(text, localization)}; allowed: {_forms()}")
     except BadInputError as error:
         raise BadInputError(f"fault {text!r}: {error}") from None
     return request
@@ -122,10 +124,37 @@ def text_of(fault: Fault) -> str | None:
     return text
 
 
-def _refuse() -> NoReturn:
-    """Raise a BadInputError with the forms of all levels."""
-    forms = [form for form in (find_level(name).form for name in level_names()) if form]
-    raise BadInputError(f"not understood; allowed: {', '.join([NULL, *forms])}")
+def _forms() -> str:
+    """How the text of a fault begins, and where all forms are described, in one line."""
+    levels = [name for name in level_names() if find_level(name).form and name != COMBINED]
+    return f"{NULL}, {', '.join(f'{name}:...' for name in levels)}; forms: `mavfi docs fault-specs`"
+
+
+def _not_a_level(text: str, localization: str) -> str:
+    """The message on a text that begins with no level: the level was forgotten, or its name is misspelled."""
+    likely = _likely_texts(text, localization)
+    if likely:
+        return f"not understood{likely}; allowed: {_forms()}"
+    levels = [name for name in level_names() if name != COMBINED]
+    return f"level {not_known(text.partition(':')[0], levels)}; forms: `mavfi docs fault-specs`"
+
+
+def _likely_texts(text: str, localization: str) -> str:
+    """A question after a text without a level: whether the text that a level understands is meant; "" = none does."""
+    misspelled = hint(text.partition("@")[0], [NULL])
+    if misspelled:
+        return misspelled
+    likely = []
+    for name in level_names():
+        if name == COMBINED:  # it would parse its members, and so this text again
+            continue
+        with suppress(BadInputError):
+            if find_level(name).shipped_site(find_level(name).parse(text, localization)):
+                likely.append(f"'{name}:{text}'")
+    if not likely:
+        sites = [f"{name}.{value.name}" for name, spec in STATES.items() for value in (*spec.header, *spec.elements)]
+        return hint(f"state:{text.partition('@')[0].partition(':')[0]}", [f"state:{site}" for site in sites])
+    return f" (did you mean {' or '.join(likely)}?)"
 
 
 # ---- the faults of a campaign ----------------------------------------------------------------------------------------
@@ -353,7 +382,8 @@ class Level:
         reductions: How a fault is made smaller, in steps: by name of what is reduced, a function of a fault and its
             injection (None = not known) that yields candidates from the smallest on.
         absent: Words for an injection that did not happen: X in "the golden run never X it", and why nothing changed.
-        corrupts_data: Whether its faults change data of a computation; a failing part changes what is measured or done.
+        corrupts_data: Whether its faults change data of a computation; a failing part changes what is measured or
+            done, a failing link which messages arrive.
     """
 
     fault: ClassVar[type[Fault]]
@@ -369,7 +399,11 @@ class Level:
 
     def parse(self, text: str, localization: str) -> Request:
         """The request in a text, given without the level; a BadInputError says what is wrong in it."""
-        _refuse()
+        raise BadInputError(f"not understood; allowed: {_forms()}")
+
+    def shipped_site(self, request: Any) -> bool:
+        """Whether a request is for a site that mavfi brings, not for one of a user's own plug-in."""
+        return True
 
     def text_of(self, fault: Any) -> str | None:
         """The text that names a fault in full; None = no mission of this process has it."""

@@ -467,6 +467,10 @@ class MemoryLevel(Level):
             MemoryFault(kernel, name, bit=checked_bit, lasts_s=lasts_s, change=change, role=next(iter(PLUG_INS)))
         return MemoryRequest(kernel, name, bit, time_us, lasts_s, change)
 
+    def shipped_site(self, request: MemoryRequest) -> bool:
+        """See `Level.shipped_site`."""
+        return request.kernel in KERNELS or request.kernel in WATCHING
+
     def text_of(self, fault: MemoryFault) -> str:
         """See `Level.text_of`."""
         if fault.change is not None:

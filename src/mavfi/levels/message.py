@@ -150,6 +150,7 @@ class MessageLevel(Level):
     form = _FORM
     reductions = {"publications": fewer_messages}
     absent = ("published", "no such publication came")
+    corrupts_data = False  # a lost, late or repeated message of a flight holds the data that were published
 
     def parse(self, text: str, localization: str) -> MessageRequest:
         """See `Level.parse`."""

@@ -165,6 +165,8 @@ class SensorLevel(Level):
                 f"no type of failure; allowed: sensor:{unit}:TYPE, with TYPE one of {', '.join(FAILING)}"
             )
         parts = self.parts_of(rest)
+        if parts.site not in (*FAILING, NULL):
+            raise BadInputError(f"sensor fault: {not_known(parts.site, FAILING)}")
         fault = SensorFault(
             device["unit"],
             parts.site,

@@ -247,7 +247,9 @@ def find_search(name: str) -> Callable[..., PathSearch]:
     Raises:
         BadInputError: It is not known, not allowed, or cannot be imported.
     """
-    factory: Callable[..., PathSearch] = load_object("planner", name, GROUP, _SHIPPED)
+    factory: Callable[..., PathSearch] = load_object(
+        "planner", name, GROUP, _SHIPPED, also="a YAML file, or package:Class"
+    )
     return factory
 
 

@@ -15,7 +15,7 @@ from mavfi.analysis.measures import (
     in_leading,
     leading,
     leading_faults,
-    leads,
+    leading_names,
     population_names,
     population_text,
 )
@@ -254,7 +254,7 @@ def flight_time(runs: Runs) -> Figure | None:
 
 
 def _arrival_caption(runs: Runs) -> str:
-    text = population_text(leads(population_names(runs.injected, ())))
+    text = population_text(leading_names(runs))
     faults = f"faults in {text} bits" if text else "faults"
     return f"Share of missions that arrived, {faults}, by flight time over the golden run's; lost ones never do."
 

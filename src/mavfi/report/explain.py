@@ -140,7 +140,7 @@ def verdict(effect: Effect, log: FlightLog, golden: FlightLog) -> str:
     if not any(injection.activated for injection in log.injections):
         return f"not activated; {_mission(log, golden)}"
     kernel = log.kernel
-    if kernel is not None and kernel.effect in ("crash", "hang", "exception"):
+    if kernel is not None and has_died(log):
         death = kernel.effect
         if kernel.detail:
             death = f"{death} ({kernel.detail})"
@@ -155,9 +155,15 @@ def verdict(effect: Effect, log: FlightLog, golden: FlightLog) -> str:
     return f"{text}; {_mission(log, golden)}"
 
 
+def has_died(log: FlightLog) -> bool:
+    """Whether the fault has ended a kernel or the firmware, which is not silent."""
+    return log.kernel is not None and log.kernel.effect in ("crash", "hang", "exception")
+
+
 def is_failure(injections: Sequence[Injection]) -> bool:
-    """Whether only sensors or motors fail: the flight changes, but no data is corrupted silently."""
-    return bool(injections) and not any(find_level(injection.level).corrupts_data for injection in injections)
+    """Whether a sensor, motor or message fails, alone or with other faults: the flight is no silent data corruption."""
+    activated = [injection for injection in injections if injection.activated]
+    return not all(find_level(injection.level).corrupts_data for injection in activated or injections)
 
 
 _AFTER_DEATH = {"end": "the mission ended with it", "recompute": "its step was computed again"}
@@ -194,7 +200,7 @@ def _mission(log: FlightLog, golden: FlightLog) -> str:
 
 def injection_lines(injection: Injection, fault: Fault | None, log: FlightLog) -> Story:
     """The injected value before and after; for instructions, also source line and effect on the kernel."""
-    story = [("fault", _fault(injection, fault))]
+    story = [("fault", _fault(injection, fault, log))]
     details = injection.details
     for further in details.get("also", ()):
         before, after = change(further["before"], further["after"])
@@ -224,13 +230,16 @@ def _source_line(injection: Injection) -> str:
     return f"{line}: {instruction} ({value_class}), call {details.get('call')}, instruction {details.get('index')}"
 
 
-def _fault(injection: Injection, fault: Fault | None) -> str:
+def _fault(injection: Injection, fault: Fault | None, log: FlightLog) -> str:
     """Site, bit, instant, and the value before and after; or why nothing was injected."""
     never, reason = find_level(injection.level).absent
     if fault is not None and not fault.has_site:
         return f"{injection.site}: no site, the golden run never {never} it"
     if "start" in injection.details:
         return f"{injection.site}: not activated, its {injection.details['start']} did not come"
+    if not injection.activated and injection.time_s > _duration(log):
+        due = f"due at {injection.time_s:.2f} s, the mission ended at {_duration(log):.2f} s"
+        return f"{injection.site}: not activated, {due}"
     if not injection.activated:
         return f"{injection.site}: not activated, {reason}"
     if injection.bit is None:

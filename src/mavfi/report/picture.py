@@ -354,7 +354,9 @@ def _fault(injection: Injection) -> str:
     """An activated injection in a few words: what fails, when, and the value before and after."""
     what = corruption(injection) or injection.details.get("model", "")
     site = f"{injection.site}, {what}".removesuffix(", ")
-    if is_failure([injection]):  # it changes each value a little, or much, from now on
+    if (
+        is_failure([injection]) and "operation" not in injection.details
+    ):  # it changes each value a little, or much, from now on
         return f"{site}, from {injection.time_s:.2f} s"
     return f"{site} at {injection.time_s:.2f} s: {outcome(injection, digits=4)}"
 

@@ -62,7 +62,7 @@ def test_whole_missions_have_the_same_digest_with_both_maps(environment, autopil
 
 
 def test_an_unknown_kind_of_map_is_refused_in_one_line():
-    with pytest.raises(BadInputError, match="map 'hash': not known; allowed: dense, octree, or package:object"):
+    with pytest.raises(BadInputError, match="map 'hash': not known; allowed: dense, octree, or package:Class"):
         mission(map="hash")
 
 

@@ -29,7 +29,7 @@ SAYS = {
     "report out/airsim_box": r"What one bit in a call does to a program",
     "--seed 7 --flight-controller betaflight": r"Reached the goal",
     "--register-seed 3": r"fault +\w+, bit \d+, at 10\.",
-    "--register-seed 10012": r"Touched an obstacle or the ground(.*\n)*.*sdc: another flight",
+    "--register-seed 10012": r"Touched an obstacle or the ground(.*\n)*.*data corruption \(sdc\): another flight",
     "--protection ten_percent --fault": r"[Dd]etected",
     "--save flight.npz": r"fault +planning\.waypoint\.x, bit 62(.*\n)*wrote flight\.npz",
     "--save normal": r"Reached the goal(.*\n)*wrote normal\d\.npz",

@@ -38,12 +38,12 @@ def test_shipped_names_entry_points_and_addresses_are_found():
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("nowhere", "allowed: here, or package:object"),
+        ("nowhere", "allowed: here, or package:Class"),
         ("no_such_package:X", "cannot be imported .ModuleNotFoundError"),
         ("mavfi.errors:Missing", "cannot be imported .AttributeError"),
         (".relative:X", "not known"),
         (":X", "not known"),
-        ("folder/module.py:X", "not known; allowed: here, or package:object"),
+        ("folder/module.py:X", "not known; allowed: here, or package:Class"),
         ("mavfi.errors:__doc__", "cannot be called"),
     ],
 )

@@ -41,7 +41,7 @@ def test_bad_options_are_refused(given, complaint):
         (["fly", "--flight-controller", "betaflight", "--world", "airsim://127.0.0.1:1"], "that of the server flies"),
         (["firmware", "setup", "--betaflight", "/nonexistent"], "contains no betaflight_"),
         (["firmware", "setup", "--betaflight", "/", "--build"], "allowed: one of them"),
-        (["fly", "--register-fault", "firmware@1"], "flight_controller: cascade: has no registers of its own"),
+        (["fly", "--register-fault", "firmware@1"], "flight controller cascade: has no registers of its own"),
     ],
 )
 def test_bad_input_is_one_line(words, complaint, capsys):

@@ -116,8 +116,8 @@ def fly(
     try:
         controller = getattr(loop.plant, "controller", None)
         if not isinstance(controller, BetaflightController):
-            text = "has no registers of its own; allowed: betaflight"
-            raise BadInputError(f"flight_controller: {scenario.flight_controller}: {text}")
+            text = "has no registers of its own; allowed: --flight-controller betaflight"
+            raise BadInputError(f"flight controller {scenario.flight_controller}: {text}")
         if fault is None or not inject_sensor_fault(loop, fault):
             controller.tracking = Tracking()
             if fault is not None:

@@ -468,7 +468,8 @@ class HardeningStudy:
             digest = store.digest()
         sampled = _sampled(campaign)
         if not sampled:
-            raise BadInputError(f"{directory}: no kernels are sampled; allowed: a campaign of level instruction")
+            text = "the ledger of `mavfi campaign run failure_rate`, or of another campaign of level instruction"
+            raise BadInputError(f"{directory}: no faults in instructions; allowed: {text}")
         for kernel in kernels:
             if kernel not in sampled:
                 raise BadInputError(f"--kernels: {not_known(kernel, sampled)}")
