@@ -19,7 +19,7 @@ from mavfi.analysis.measures import (
     population_names,
     population_text,
 )
-from mavfi.analysis.rows import POPULATIONS
+from mavfi.analysis.rows import ALL_BITS, INJECTED, POPULATIONS
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate
 from mavfi.analysis.views import has
@@ -57,6 +57,11 @@ def success(runs: Runs) -> Figure | None:
     if settings in ([], [GOLDEN]):
         return None
     names = population_names(chosen, ("environment", "setting"))
+    summarized = leading_names(chosen)
+    if len(summarized) > 1 and not population_text(summarized):  # a group would be left out: all faults are shown
+        is_faulty = pl.col("kind") == INJECTED
+        chosen = chosen.adding(population=pl.when(is_faulty).then(pl.lit(ALL_BITS)).otherwise(pl.col("population")))
+        names = [ALL_BITS]
     cells = []
     for setting in settings:
         for environment, rate in _rates(chosen, setting, names).items():
