@@ -384,7 +384,8 @@ class Store:
         violation = damage(self._connection)
         if violation:
             self._check_disk()
-            raise BadInputError(f"{self.directory / FILE}: is damaged: {violation}")
+            text = f"is damaged: {violation}; `mavfi campaign repair {self.directory}` saves what is intact"
+            raise BadInputError(f"{self.directory / FILE}: {text}")
 
     def _begin_log(self) -> None:
         """Let readers and the writer work at the same time, by a log of changes."""
