@@ -40,11 +40,11 @@ def pairs_by_arm(runs: Runs) -> dict[str, Runs]:
     paired = m.against_fi(runs)
     if not len(paired) or not runs.has_missions:
         return {}
-    leads = m.leads(m.population_names(runs.injected, ()))
+    leading = m.leading_names(runs)
     arms = runs.campaign.get("arms", {})
     # in protected code the same instruction of the draw is another one: what comes back is not brought back by it
     protected = [name for name, arm in arms.items() if arm["mission"].get("protection")]
-    compared = paired.where(~pl.col("arm").is_in(protected), pl.col("population").is_in(leads))
+    compared = paired.where(~pl.col("arm").is_in(protected), pl.col("population").is_in(leading))
     return {pairs.first("arm") or setting: pairs for (setting,), pairs in compared.groups("setting").items()}
 
 
@@ -148,7 +148,7 @@ def _recovery(runs: Runs) -> list[str]:
         )
     if not parts:
         return []
-    return [f"{'; '.join(parts)}."]
+    return [f"{'; '.join(parts)}{_bits(m.leading_faults(runs))}."]
 
 
 def _false_alarms(runs: Runs) -> list[str]:

@@ -121,6 +121,22 @@ def faulty_and_bare(runs: Runs) -> Runs:
     return faulty_or_bare.adding(row=pl.col("setting").replace(names))
 
 
+NO_FAULT = "no fault"
+"""Row of the flights without a fault, in a table by group."""
+NO_DETECTOR = "no detector"
+
+
+def _of_drawn_groups(runs: Runs) -> bool:
+    return _by_groups(runs) and runs.campaign.get("each") == "group"
+
+
+def _golden_and_groups(runs: Runs) -> Runs:
+    """All runs except null runs, labelled with their group of fields and with their arm."""
+    group = pl.when(pl.col("kind") == "golden").then(pl.lit(NO_FAULT)).otherwise(pl.col("target"))
+    arm = pl.when(pl.col("arm") == "").then(pl.lit(NO_DETECTOR)).otherwise(pl.col("arm"))
+    return of_missions(runs).where("judged").adding(group=group, row_arm=arm)
+
+
 def _bits_drawn(runs: Runs) -> str:
     """The bits that the faults of a success table are in."""
     if ALL_BITS in m.population_names(runs, ()):
@@ -162,6 +178,21 @@ _SUCCESS = (
         ),
         leads=True,
         applies=_by_stages,
+    ),
+    View(
+        "success_by_group",
+        "Success of missions by group of fields, %",
+        ("environment", "group"),
+        (Measure("success", "", RATE, lambda runs: m.rate_of(runs, "success")),),
+        where=_golden_and_groups,
+        across="row_arm",
+        notes=lambda runs: (
+            conditional_on(runs),
+            f"{INTERVALS}; faults in the bits that the campaign draws: by kind of bit with --view by_target",
+            *unknown_note(of_missions(runs)),
+        ),
+        leads=True,
+        applies=_of_drawn_groups,
     ),
     View(
         "success",
@@ -529,6 +560,9 @@ def _estimand(runs: Runs) -> str:
         for (stage,), part in stages.items()
     }
     shares = "; ".join(f"{stage or 'detector'}: {', '.join(names)}" for stage, names in kernels.items())
+    without = planned.keys() - set(runs.injected.values("kernel"))
+    if without:
+        shares += f"; no fault in {', '.join(sorted(without))}"
     which = runs.campaign.get("which", "all")
     drawn = "dynamic instructions"
     if which != "all":

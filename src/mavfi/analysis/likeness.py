@@ -96,7 +96,9 @@ def _of_faults(campaign: Campaign, about: Mapping[str, Any]) -> list[str]:
 
 
 def _in_words(value: object) -> object:
-    """A value of a key; of a list of members with names, the names."""
+    """A value of a key; of members with names, the names; of a key with keys of its own, these with their values."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {entry}" for key, entry in value.items())
     if isinstance(value, list | tuple) and all(isinstance(member, Mapping) and "name" in member for member in value):
         return ", ".join(str(member["name"]) for member in value)
     return value

@@ -148,17 +148,30 @@ def leads(names: Sequence[str]) -> list[str]:
     return [name for name in names if name in SIGN_EXPONENT] or list(names[:1])
 
 
-def leading_faults(runs: Runs) -> Runs:
-    """Judged runs with a fault in the leading bits: sign and exponent, or all bits where these were not drawn apart."""
+def leading_names(runs: Runs) -> list[str]:
+    """Populations of the faults that a campaign is summarized by: `leads`, unless these leave a whole group out."""
     judged = runs.injected.where("judged")
-    return judged.where(pl.col("population").is_in(leads(population_names(judged, ()))))
+    names = population_names(judged, ())
+    leading = leads(names)
+    if runs.campaign.get("each") == "group":
+        drawn_by_group = [group.values("population") for group in judged.groups("target").values()]
+        if not all(set(drawn) & set(leading) for drawn in drawn_by_group):
+            return names
+    return leading
+
+
+def leading_faults(runs: Runs) -> Runs:
+    """Judged runs with a fault in the leading bits: sign and exponent, or all that were drawn, see `leading_names`."""
+    return runs.injected.where("judged", pl.col("population").is_in(leading_names(runs)))
 
 
 def population_text(names: Collection[str]) -> str:
-    """Display name of `leads`; "" for all bits of a word, and for none."""
-    if len(names) > 1:
+    """Display name of `leading_names`; "" for all bits of a word, for all that were drawn, and for none."""
+    if len(names) == 1:
+        return "".join(POPULATIONS.get(name, name) for name in names if name != ALL_BITS)
+    if names and set(names) <= set(SIGN_EXPONENT):
         return POPULATIONS[HEADLINE]
-    return "".join(POPULATIONS.get(name, name) for name in names if name != ALL_BITS)
+    return ""
 
 
 def leading(runs: Runs, names: Sequence[str], test: pl.Expr | str) -> Rate | None:

@@ -132,7 +132,8 @@ class View:
                 if any(cell is not None for cell in cells):
                     rows.append(_Row((*key, measure.heading, *cells), (*[group.ids] * len(key), (), *behind)))
         columns = [Column(str(value), str(value), RATE) for value in values]
-        return _Grid([*self._keys(), Column("measure", ""), *columns], rows)
+        is_named = any(measure.heading for measure in measures)
+        return _Grid([*self._keys(), Column("measure", "", hidden=not is_named), *columns], rows)
 
     def _ordered(self, grid: _Grid) -> list[_Row]:
         """Sort rows by `largest`, or group rows with equal first cells; apply `limit`."""

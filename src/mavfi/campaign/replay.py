@@ -99,7 +99,10 @@ def setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
     campaign = stored_campaign(store)
     host = host_of(campaign)
     if not host.deterministic:
-        raise BadInputError(f"{store.directory}: host {host.name} is not deterministic: runs cannot be flown again")
+        raise BadInputError(
+            f"{store.directory}: host {host.name} is not deterministic: runs cannot be flown again; fault, values and "
+            f"effect of each, as stored: mavfi runs {store.directory} --csv"
+        )
     arms = {arm.name: arm for arm in arms_of(campaign)}
     if spec.arm not in arms:
         raise BadInputError(f"{store.directory}: run {spec.run_id}: arm {not_known(spec.arm, arms)}")

@@ -712,6 +712,8 @@ class StateLevel(Level):
         shares = sorted(sampling.strata.items(), reverse=True)
         strata = " : ".join(f"{WORDS.get(name, name)} {share:g}" for name, share in shares)
         how = f"drawn {strata}, fields: {sampling.sites}"
+        if sampling.groups and all(group.strata is not None for group in sampling.groups):
+            how = "drawn from the bits that each group names"
         if sampling.when != "uniform":
             how += f", publications: {sampling.when}"
         about: dict[str, Any] = {"each": unit, "how": how}

@@ -15,11 +15,11 @@ from mavfi.analysis.measures import (
     in_leading,
     leading,
     leading_faults,
-    leads,
+    leading_names,
     population_names,
     population_text,
 )
-from mavfi.analysis.rows import POPULATIONS
+from mavfi.analysis.rows import ALL_BITS, INJECTED, POPULATIONS
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate
 from mavfi.analysis.views import has
@@ -57,6 +57,11 @@ def success(runs: Runs) -> Figure | None:
     if settings in ([], [GOLDEN]):
         return None
     names = population_names(chosen, ("environment", "setting"))
+    summarized = leading_names(chosen)
+    if len(summarized) > 1 and not population_text(summarized):  # a group would be left out: all faults are shown
+        is_faulty = pl.col("kind") == INJECTED
+        chosen = chosen.adding(population=pl.when(is_faulty).then(pl.lit(ALL_BITS)).otherwise(pl.col("population")))
+        names = [ALL_BITS]
     cells = []
     for setting in settings:
         for environment, rate in _rates(chosen, setting, names).items():
@@ -254,7 +259,7 @@ def flight_time(runs: Runs) -> Figure | None:
 
 
 def _arrival_caption(runs: Runs) -> str:
-    text = population_text(leads(population_names(runs.injected, ())))
+    text = population_text(leading_names(runs))
     faults = f"faults in {text} bits" if text else "faults"
     return f"Share of missions that arrived, {faults}, by flight time over the golden run's; lost ones never do."
 

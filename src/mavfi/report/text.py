@@ -206,12 +206,17 @@ def markdown_grid(headings: Sequence[str], rows: Iterable[Iterable[str]], left: 
 
 SPACING = 2
 """Spacing of columns (characters)."""
+TITLE_SPACING = 6
+"""Of a frame: its corners, and a line and a space on each side of the title (characters)."""
 _ROW_NUMBER = Column("number", "#")
 
 
 def show_header(lines: Sequence[str], console: Console) -> None:
     """Print the lines of `text.header` in a frame."""
     first, *rest = lines
+    if len(first) + TITLE_SPACING > console.width:  # a frame would cut it
+        first, _, mission = first.partition(" · ")
+        rest = [mission, *rest]
     inside = Group(*(Text(line, style="dim") for line in rest))
     title = f"[bold]{escape(first)}[/bold]"
     console.print(Panel(inside, title=title, title_align="left", box=box.ROUNDED, expand=False))

@@ -19,6 +19,7 @@ HELP_PANEL = "Fly and look"
 _WIDTH = 80
 """Width of the text (characters)."""
 _INDENT = " " * 5
+_FURTHER = "mavfi demo 3 draws one of them; mavfi demo --html demo.html shows all in 3-D."
 
 
 def demo(
@@ -79,11 +80,14 @@ def _show_all(html: Path | None) -> None:
     out.print(Text(fill(faults.headline(flown), _WIDTH), style="bold"))
     for each in flown:
         _show(each)
-    if html is not None:
-        from mavfi.extras.demo.page import write_demo_page
+    if html is None:
+        out.print(Text(_FURTHER, style="dim"))
+        return
+    from mavfi.extras.demo.page import write_demo_page
 
-        write_demo_page(html, flown)
-        say_written(html)
+    with Bar("page", unit="faults") as bar:
+        write_demo_page(html, flown, bar.show)
+    say_written(html)
 
 
 def _show(flown: FlownDemo) -> None:

@@ -125,7 +125,10 @@ class FlownDemo:
             return "it is flown as without the fault, bit for bit"
         if log.status is self.unwatched.log.status and _duration(log) == _duration(self.unwatched.log):
             return "likewise"
-        return _ending(log, self.golden.log)
+        ending = _ending(log, self.golden.log)
+        if log.kernel is not None and log.kernel.detail and log.meta["scenario"].get("dead_node") == "readback":
+            return f"its node reads its last outputs back, and {ending}"
+        return ending
 
 
 def _cause(injection: Injection) -> str:

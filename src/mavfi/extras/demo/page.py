@@ -2,8 +2,9 @@
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from PIL import Image
 
@@ -15,7 +16,10 @@ from mavfi.report.html.page import render
 _TEMPLATES = Path(__file__).parent
 _DOTS_PER_INCH = 90
 _COLOURS = 64
-"""Number of colours of a picture: it has flat areas and lines, and takes a third of the space of the full range."""
+"""Number of colours of a picture: it has flat areas and lines, and takes a third of the space of the full range.
+
+The median cut leaves the colours of large areas as they are, so that obstacles look alike in all pictures.
+"""
 
 
 def picture_of(flown: FlownDemo) -> bytes:
@@ -23,7 +27,7 @@ def picture_of(flown: FlownDemo) -> bytes:
     drawn = io.BytesIO()
     flown.result.plot().savefig(drawn, format="png", dpi=_DOTS_PER_INCH)
     small = io.BytesIO()
-    image = Image.open(drawn).convert("RGB").quantize(_COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    image = Image.open(drawn).convert("RGB").quantize(_COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     image.save(small, format="png", optimize=True)
     return small.getvalue()
 
@@ -35,21 +39,34 @@ def _flight_page(flown: FlownDemo) -> FlightPage:
     return page_of_result(flown.result, flown_as.setup, flown_as.without_detector, flown.demo.command)
 
 
-def write_demo_page(path: Path, demos: Sequence[FlownDemo]) -> None:
+def _entry(flown: FlownDemo) -> dict[str, Any]:
+    """A fault as the template of the page needs it."""
+    return {
+        "number": flown.number,
+        "title": flown.demo.title,
+        "sentence": flown.sentence,
+        "is_lost": flown.is_lost,
+        "picture": base64.b64encode(picture_of(flown)).decode(),
+        "flight": _flight_page(flown).to_json(),
+    }
+
+
+def write_demo_page(
+    path: Path, demos: Sequence[FlownDemo], show: Callable[[int, int], None] = lambda _done, _total: None
+) -> None:
     """Write the page; the flights are repeated to record what it shows.
+
+    Args:
+        path: The file.
+        demos: The faults, in order.
+        show: Shows how many faults are recorded, and of how many.
 
     Raises:
         BadInputError: The file cannot be written.
     """
-    entries = [
-        {
-            "number": flown.number,
-            "title": flown.demo.title,
-            "sentence": flown.sentence,
-            "is_lost": flown.is_lost,
-            "picture": base64.b64encode(picture_of(flown)).decode(),
-            "flight": _flight_page(flown).to_json(),
-        }
-        for flown in demos
-    ]
+    entries = []
+    for flown in demos:
+        show(len(entries), len(demos))
+        entries.append(_entry(flown))
+    show(len(entries), len(demos))
     write_text(path, render("demo.html.j2", _TEMPLATES, headline=headline(demos), entries=entries))

@@ -249,12 +249,20 @@ class FlightScene {
     });
   }
 
+  /** Labels above their points; one that would cover another is raised above it. */
   placeLabels() {
+    const placed = [];
     for (const { node, point } of this.labels) {
       const seen = point.clone().project(this.camera);
-      const x = (0.5 + 0.5 * seen.x) * this.canvas.clientWidth;
-      const y = (0.5 - 0.5 * seen.y) * this.canvas.clientHeight;
       node.hidden = seen.z > 1;
+      if (node.hidden) continue;
+      const x = (0.5 + 0.5 * seen.x) * this.canvas.clientWidth;
+      let y = (0.5 - 0.5 * seen.y) * this.canvas.clientHeight;
+      const width = node.offsetWidth;
+      const height = node.offsetHeight;
+      const isCovering = (other) => Math.abs(other.x - x) < (other.width + width) / 2 && Math.abs(other.y - y) < height;
+      while (height > 0 && placed.some(isCovering)) y -= height;
+      placed.push({ x, y, width });
       node.style.transform = `translate(${x}px, ${y}px) translate(-50%, -230%)`;
     }
   }

@@ -29,8 +29,10 @@ def test_arms_say_what_differs():
     arms = {
         "gaussian": {"detector": "gaussian"},
         "own": {"detector": "a:B", "profile": "tuned"},
+        "plain": {"detector": "a:C"},
         "star": {"planner": "rrt_star"},
     }
     assert described(arms=arms)["lines"][1] == (
-        "arms: gaussian (paper), own = a:B (tuned), star with planner rrt_star; coupling inline; monitored set paper-13"
+        "arms: gaussian (paper), own = a:B (tuned), plain = a:C, star with planner rrt_star; coupling inline; "
+        "monitored set paper-13"
     )

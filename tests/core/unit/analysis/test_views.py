@@ -9,6 +9,7 @@ import polars as pl
 import pytest
 
 from mavfi.analysis import published as paper
+from mavfi.analysis.findings import findings
 from mavfi.analysis.measures import Measure, count, rate
 from mavfi.analysis.runs import Runs, drawn
 from mavfi.analysis.table import NUMBER, RATE, UNKNOWN
@@ -17,7 +18,10 @@ from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.config import config_root, read_yaml
 from mavfi.errors import BadInputError
 from mavfi.report.text import FORMS
-from tests.core.unit.analysis.handmade import INSTRUCTION, flown, golden, injected, runs
+from tests.core.unit.analysis.handmade import FAULT, INSTRUCTION, flown, golden, injected, runs
+
+BROUGHT_BACK = (("", False), ("mine", True))
+"""Arms, and whether the mission succeeds."""
 
 
 @pytest.fixture
@@ -82,6 +86,18 @@ def test_every_column_has_a_form_that_can_be_written(own):
     for view in VIEWS.values():
         for column in view.table(own).columns:
             assert column.form in {*FORMS, "text"} or column.form.startswith("number"), (view.name, column)
+
+
+def test_a_campaign_with_groups_begins_with_them():
+    leading = injected(1, flown(success=False), target="way-point")
+    other_bits = replace(FAULT, stratum="mantissa")
+    others = [injected(1, flown(success=lost), other_bits, target="epoch", arm=arm) for arm, lost in BROUGHT_BACK]
+    campaign = runs(golden(1), leading, *others, each="group")
+    assert [row[1] for row in views_for(campaign)[0].rows] == ["no fault", "way-point", "epoch"]
+    assert "mine brings back 1 of 1 lost missions and newly loses 0." in findings(campaign)
+    assert any("with one fault 0.0 %" in sentence and "(n = 2)" in sentence for sentence in findings(campaign)), (
+        "no group is left out of the summary, though one has no faults in the leading bits"
+    )
 
 
 def test_tables_as_csv_and_json(own):
@@ -151,7 +167,11 @@ def test_only_what_the_paper_flew_is_called_its_table():
             {"sampling": {"level": "instruction", "kernels": ["octomap", "pid"], "share": "stage"}},
             ["no faults in planning"],
         ),
-        ({"sampling": {"lifetime": {"times": 2}}}, ["lifetime {'times': 2}"]),
+        ({"sampling": {"lifetime": {"times": 2}}}, ["lifetime times 2"]),
+        (
+            {"sampling": {"scheme": "groups", "groups": [{"name": "x", "sites": ["planning.waypoint.x"]}]}},
+            ["groups x", "30 faults per group, not per stage"],
+        ),
         ({"sampling": {"level": "sensor", "units": ["gyro"]}}, ["faults at level sensor"]),
         ({"arms": {"gaussian": {"detector": "autoencoder", "options": {"policy": "keyed"}}}}, ["detector autoencoder"]),
         (
