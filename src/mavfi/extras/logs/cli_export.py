@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from mavfi.campaign.store import FILE, no_campaign
 from mavfi.cli import completion, options
 from mavfi.cli.console import check_writable, console, write_json
 from mavfi.config import Config, parse
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.files import is_dir, is_file
+from mavfi.files import is_dir
 from mavfi.mission import MissionSpec
 from mavfi.plugins import known, load_object
 
@@ -81,9 +80,10 @@ def export(
     endings = (*ROS_ENDINGS, *(f".{ending}" for ending in sorted(known(_GROUP, {}), reverse=True)), ".csv")
     if to.suffix not in endings:
         raise BadInputError(f"--to: {to}: allowed: a file that ends in {', '.join(endings)}")
-    if is_dir(flight) and not is_file(flight / FILE):
-        raise no_campaign(flight)
     if is_dir(flight) and not run_id:
+        from mavfi.campaign.store import Store
+
+        Store.open(flight).close()  # refuses a folder without a campaign: the commands below would, too
         raise BadInputError(
             f"{flight}: is a folder; name the run, too: mavfi export {flight} RUN_ID; "
             f"a table of all runs: mavfi runs {flight} --csv"
