@@ -64,7 +64,7 @@ def write_demo_page(
     Raises:
         BadInputError: The file cannot be written.
     """
-    entries = []
+    entries: list[dict[str, Any]] = []
     for flown in demos:
         show(len(entries), len(demos))
         entries.append(_entry(flown))
