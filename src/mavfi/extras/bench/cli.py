@@ -98,7 +98,8 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     shown = flown
     if detector or scheme:
         shown = {name: flights.beside_others(name, table) for name, table in flown.items()}
-    write_leaderboard(flights, flown, shown, scores_by_arm, _command(bench, level or (), part or (), scale))
+    own_command = _command(bench, level or (), part or (), scale, "my_package:MyDetector")
+    write_leaderboard(flights, flown, shown, scores_by_arm, own_command)
     if as_json:
         write_json({name: table.to_json() for name, table in flown.items()})
         return
@@ -142,14 +143,8 @@ def _chosen_bench(
 
 def _how_to_compare(bench: str, part: str, scale: str) -> str:
     """What to do for a comparison of a part that has no rows of other schemes on the same faults."""
-    words = ["mavfi", "bench", "detectors"]
-    if bench != _DEFAULT_BENCH:
-        words.append(bench)
-    words += ["--part", part]
-    if scale != "quick":
-        words += ["--scale", scale]
     return (
-        f"  Compared with nothing yet: `{shlex.join(words)}` flies the bench's own schemes on these faults; this "
+        f"  Compared with nothing yet: `{_command(bench, (), [part], scale)}` flies the bench's own schemes on these faults; this "
         "command then shows them, too."
     )
 
@@ -183,8 +178,8 @@ def _show_all(tables: "Sequence[Table]") -> None:
         show_table(replace(table, notes=tuple(note for note in table.notes if note not in later)), console())
 
 
-def _command(bench: str, levels: Sequence[str], parts: Sequence[str], scale: str) -> str:
-    """The command that flies the same parts of the same bench with a custom detector."""
+def _command(bench: str, levels: Sequence[str], parts: Sequence[str], scale: str, detector: str = "") -> str:
+    """The command that flies parts of a bench with a detector; without one, with the bench's own schemes."""
     words = ["mavfi", "bench", "detectors"]
     if bench != _DEFAULT_BENCH:
         words.append(bench)
@@ -192,7 +187,8 @@ def _command(bench: str, levels: Sequence[str], parts: Sequence[str], scale: str
         words += ["--level", level]
     for part in parts:
         words += ["--part", part]
-    words += ["--detector", "my_package:MyDetector"]
+    if detector:
+        words += ["--detector", detector]
     if scale != "quick":
         words += ["--scale", scale]
     return shlex.join(words)
