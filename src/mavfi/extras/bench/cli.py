@@ -144,8 +144,8 @@ def _chosen_bench(
 def _how_to_compare(bench: str, part: str, scale: str) -> str:
     """What to do for a comparison of a part that has no rows of other schemes on the same faults."""
     return (
-        f"  Compared with nothing yet: `{_command(bench, (), [part], scale)}` flies the bench's own schemes on these faults; this "
-        "command then shows them, too."
+        f"  Compared with nothing yet: `{_command(bench, (), [part], scale)}` flies the bench's own schemes on these "
+        "faults; this command then shows them, too."
     )
 
 
