@@ -390,6 +390,10 @@ def load(model: type[ConfigType], path: Path) -> ConfigType:
     return parse(model, read_yaml(path), str(path))
 
 
+_SINGULARS = {"studies": "study", "redundancy": "vehicle"}
+"""What a file is, by the folder of its kind, where that is not the folder without its s."""
+
+
 def shipped(kind: str, model: type[ConfigType], name: str, endings: Iterable[str] = ()) -> ConfigType:
     """A shipped configuration by its name in the folder `kind`, e.g. "autopilots", or a user's file by path.
 
@@ -416,7 +420,7 @@ def _unknown_name(kind: str, name: str, endings: Iterable[str]) -> str:
     files = last
     if others:
         files = " or ".join([", ".join(others), last])
-    singular = "study" if kind == "studies" else kind.rstrip("s")
+    singular = _SINGULARS.get(kind, kind.removesuffix("s"))
     also = f"or a path to a {files} file"
     if is_dir(Path(name)):
         return f"{singular} {name!r}: is a folder; allowed: {allowed(names(kind), name)}, {also}"

@@ -25,7 +25,7 @@ from traceback import walk_tb
 from types import FrameType
 from typing import Any, NamedTuple
 
-from mavfi.errors import BadInputError, MavfiError, machine_failure, missing_package, not_known
+from mavfi.errors import BadInputError, MavfiError, hint, machine_failure, missing_package, not_known
 
 _VARIABLE = "MAVFI_ALLOW_PLUGINS"
 """Allowed names, separated by spaces; an environment variable, inherited by child processes."""
@@ -183,7 +183,7 @@ def load_object(  # noqa: ANN401 - a user's own
     else:
         names = known(group, shipped)
         if name not in names:
-            raise BadInputError(f"{what} {not_known(name, sorted(names), also)}")
+            raise BadInputError(f"{what} {not_known(name, sorted(names), also)}{without_class(name)}")
         address = names[name]
     module, _, attribute = address.partition(":")
 
@@ -194,16 +194,27 @@ def load_object(  # noqa: ANN401 - a user's own
         if str(Path.cwd()) not in sys.path:
             sys.path.append(str(Path.cwd()))
     try:
-        loaded = getattr(importlib.import_module(module), attribute)
+        imported = importlib.import_module(module)
+        loaded = getattr(imported, attribute, None)
     except MavfiError:
         raise
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's module raises while it is imported
         raise BadInputError(f"{what} {name!r}: cannot be imported ({reason(error)})") from None
+    if loaded is None:
+        question = hint(attribute, vars(imported))
+        raise BadInputError(f"{what} {name!r}: cannot be imported ({module} has no {attribute}){question}")
     if not callable(loaded):
         raise BadInputError(f"{what} {name!r}: cannot be called; allowed: a class or a function")
     if _package(module) != _OWN:
         _loaded.setdefault(_package(module), {})[name] = loaded
     return loaded
+
+
+def without_class(name: str) -> str:
+    """What the refusal of a name adds if it is a module of this folder, without its class; "" = it is none."""
+    if name.isidentifier() and Path(f"{name}.py").is_file():
+        return f"; {name}.py is used as {name}:Class, with the name of its class"
+    return ""
 
 
 def parameters_of(what: str, name: str, factory: Any) -> list[str]:  # noqa: ANN401 - a user's own

@@ -10,6 +10,7 @@ import fcntl
 import hashlib
 import json
 import os
+import shlex
 import sqlite3
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -384,7 +385,10 @@ class Store:
         violation = damage(self._connection)
         if violation:
             self._check_disk()
-            raise BadInputError(f"{self.directory / FILE}: is damaged: {violation}")
+            raise BadInputError(
+                f"{self.directory / FILE}: is damaged: {violation}; "
+                f"what is intact is rescued by: mavfi campaign repair {shlex.quote(str(self.directory))}"
+            )
 
     def _begin_log(self) -> None:
         """Let readers and the writer work at the same time, by a log of changes."""

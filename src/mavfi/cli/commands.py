@@ -8,6 +8,7 @@ import sys
 import traceback
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,7 +23,7 @@ from mavfi.cli import panels
 from mavfi.cli.console import complain
 from mavfi.cli.stopping import EXIT_STOPPED
 from mavfi.dropped import COMMANDS, OPTIONS
-from mavfi.errors import BadInputError, MavfiError, hint, machine_failure, missing_package, not_known
+from mavfi.errors import BadInputError, MavfiError, machine_failure, missing_package, not_known
 from mavfi.plugins import allow_plugins, allow_typed, known, plugin_failure
 
 _ALLOW_PLUGINS = "--allow-plugins"
@@ -283,7 +284,13 @@ def _unknown_word(error: typer.TyperException, arguments: Sequence[str]) -> str:
     """The refusal of an option or command that does not exist, if that is the error; "" for others."""
     option = getattr(error, "option_name", "")
     if option and hasattr(error, "possibilities"):
-        return f"{option}: not known{hint(option, error.possibilities or ())}"
+        # Without the dashes, which all have in common.
+        options = {name.lstrip("-"): name for name in (*(error.possibilities or ()), _ALLOW_PLUGINS)}
+        likely = get_close_matches(option.lstrip("-"), list(options), 1, 0.6)
+        question = ""
+        if likely:
+            question = f" (did you mean '{options[likely[0]]}'?)"
+        return f"{option}: not known{question}"
     if not error.format_message().startswith("No such command"):
         return ""
     group = _command()

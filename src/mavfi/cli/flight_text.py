@@ -10,6 +10,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from mavfi.config import EnvironmentConfig
 from mavfi.flight.decide import Response
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Effect, QoF, quality_of
@@ -43,7 +44,7 @@ def panel(result: FlightResult) -> Panel:
     if result.detector:
         title.append(f" · detector {result.detector}")
     below = f"{scenario.platform.name} · {scenario.planner.name} · {scenario.v_max:g} m/s"
-    if scenario.vehicle.name != scenario.environment.vehicle:
+    if scenario.vehicle.name != EnvironmentConfig.model_fields["vehicle"].default:
         below = f"{scenario.vehicle.name} · {below}"
     parts: list[RenderableType] = [
         title,

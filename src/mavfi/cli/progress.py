@@ -214,7 +214,7 @@ def run_counts(settings: Mapping[str, tuple[int, int, int]], *, flies: bool = Tr
         table.add_column("planned so far", justify="right")
     if flies:
         table.add_column("succeeded", justify="right")
-        table.add_column("")
+        table.add_column("% [95 % if all runs were independent]", header_style="dim")
     for setting, (planned, done, success) in settings.items():
         cells: list[str | Text] = [setting, str(done)]
         if is_incomplete:
@@ -223,7 +223,7 @@ def run_counts(settings: Mapping[str, tuple[int, int, int]], *, flies: bool = Tr
             share = ""
             if done:
                 low, high = score_bounds(success / done, done)
-                share = f"{100 * success / done:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
+                share = f"{100 * success / done:.1f} [{100 * low:.1f}, {100 * high:.1f}]"
             cells += [str(success), Text(share, style="dim")]
         table.add_row(*cells)
     return table

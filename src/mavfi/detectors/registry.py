@@ -15,10 +15,10 @@ from mavfi.detectors.model import FITTED_TO, Model, check_fits, model_name
 from mavfi.detectors.preprocess import FEATURES, PROFILES
 from mavfi.detectors.training import MonitoredFields, TrainedDetector
 from mavfi.dropped import dropped_name
-from mavfi.errors import BadInputError, SpecMismatchError, not_known
+from mavfi.errors import BadInputError, SpecMismatchError, hint, not_known
 from mavfi.files import is_file
 from mavfi.mission import RECOVERY
-from mavfi.plugins import build, known, load_object
+from mavfi.plugins import build, known, load_object, without_class
 from mavfi.states import DETECTORS, INJECTABLE, PLANNERS, unknown
 
 GROUP = "mavfi.detectors"
@@ -109,7 +109,7 @@ def check_detector(name: str, profile: str) -> None:
     _refuse_dropped(name)
     every = detector_names()
     if name not in every:
-        raise BadInputError(f"detector {not_known(name, every, 'or package:Class')}")
+        raise BadInputError(f"detector {not_known(name, every, 'or package:Class')}{without_class(name)}")
 
 
 def check_kernel(
@@ -349,6 +349,10 @@ def _build(
     """Construct a detector with what it takes from the mission, and its options; None = the default of the class."""
     chosen = {key: value for key, value in options.items() if value is not None}
     detector = require_detector(build("detector", name, factory, needs=_METHODS, of_mission=of_mission, **chosen))
+    # The inherited check never raises an alarm: in a user's own class, its name is misspelled.
+    if ":" in name and type(detector).check is Detector.check and not (detector.parts or detector.duplicates):
+        question = hint("check", [method for method in vars(type(detector)) if not hasattr(Detector, method)])
+        raise BadInputError(f"detector {name!r}: lacks check{question}; allowed: with check(state, time_us)")
     for part in custom_parts(detector):
         part.requested_as = name
     return detector

@@ -40,7 +40,7 @@ def test_shipped_names_entry_points_and_addresses_are_found():
     [
         ("nowhere", "allowed: here, or package:Class"),
         ("no_such_package:X", "cannot be imported .ModuleNotFoundError"),
-        ("mavfi.errors:Missing", "cannot be imported .AttributeError"),
+        ("mavfi.errors:Missing", "cannot be imported .mavfi.errors has no Missing"),
         (".relative:X", "not known"),
         (":X", "not known"),
         ("folder/module.py:X", "not known; allowed: here, or package:Class"),

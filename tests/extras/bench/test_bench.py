@@ -116,7 +116,7 @@ def test_shipped_lists_have_one_entry_per_column():
 @pytest.mark.parametrize(
     ("schemes", "selection", "message"),
     [
-        (None, {"parts": ["nothing"]}, "part 'nothing': not known; allowed: state"),
+        (None, {"parts": ["nothing"]}, "part 'nothing': not known; allowed: noise, state"),
         (
             None,
             {"levels": ["nothing"]},

@@ -114,7 +114,10 @@ def test_every_band_and_input_of_the_shipped_designs_has_a_source():
         ("name: x\nmass: 1\n", "key 'max_thrust': is required"),
         ("name: x\nmass: 1\nmax_thrust: 5\n", "5 N: cannot hover; allowed: above the weight with one processor, 10.9"),
         ("name: x\nmass: 1\nmax_thrust: 20\nthrust: 3\n", "unknown key 'thrust'"),
-        ("name: x\nmass: 1\nmax_thrust: 20\nbands: {masses: {low: 1, high: 2}}\n", "'masses': not known; allowed: "),
+        (
+            "name: x\nmass: 1\nmax_thrust: 20\nbands: {masses: {low: 1, high: 2}}\n",
+            "'masses': not known (did you mean 'mass'?); allowed: ",
+        ),
         ("name: x\nmass: 1\nmax_thrust: 20\nsources: {m: me}\n", "sources: 'm': not known"),
         ("name: x\nmass: 1\nmax_thrust: 20\nbands: {mass: {low: 3, high: 2}}\n", "low: 3: allowed: at most high, 2"),
     ],
@@ -200,11 +203,13 @@ def test_the_answer_comes_first_and_the_picture_is_drawn(tmp_path, capsys):
     text = capsys.readouterr().out
     assert text.startswith("airsim_uav (logged power): with TMR it takes 1.06 times as long")
     assert picture.read_bytes()[:4] == b"\x89PNG"
+    assert max(map(len, text[text.index("Flight time over") :].splitlines()[:22])) <= 80, "the table is not cut"
+    assert text.count("dji_spark") == 3, "sentences, and one table"
 
 
 def test_bad_input_is_one_line(tmp_path, capsys):
     assert run(["redundancy", "--vehicle", "balloon"]) == 2
-    assert "redundancy 'balloon': not known; allowed: airsim_uav, airsim_uav_tdp, dji_spark" in capsys.readouterr().err
+    assert "vehicle 'balloon': not known; allowed: airsim_uav, airsim_uav_tdp, dji_spark" in capsys.readouterr().err
     assert run(["redundancy", "--picture", str(tmp_path / "x.txt")]) == 2
     assert run(["redundancy", "--csv"]) == 2
 

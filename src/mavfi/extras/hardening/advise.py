@@ -39,6 +39,7 @@ from mavfi.extras.hardening.target import (
     injections_in,
     targets_of,
 )
+from mavfi.extras.hardening.vulnerability.lines import no_instruction_faults
 from mavfi.flight.targets import Targets
 from mavfi.ir.build import environment_of
 from mavfi.levels.instruction import campaign_targets
@@ -468,8 +469,7 @@ class HardeningStudy:
             digest = store.digest()
         sampled = _sampled(campaign)
         if not sampled:
-            text = "the ledger of `mavfi campaign run failure_rate`, or of another campaign of level instruction"
-            raise BadInputError(f"{directory}: no faults in instructions; allowed: {text}")
+            raise no_instruction_faults(directory)
         for kernel in kernels:
             if kernel not in sampled:
                 raise BadInputError(f"--kernels: {not_known(kernel, sampled)}")

@@ -47,7 +47,10 @@ def harm_of(runs: Runs) -> Harm:
     """
     injected = runs.injected.where("judged", "golden_success", level="instruction", setting=FI, site_outcome=ACTIVATED)
     if not len(injected):
-        raise BadInputError("no flight with a fault in an instruction is done (level: instruction)")
+        raise BadInputError(
+            "no flight with a fault in an instruction has ended and met its instruction; "
+            "`mavfi campaign run` flies the rest"
+        )
     silent = injected.where(kernel_effect=_SDC)
     dead = injected.where(pl.col("kernel_effect").is_in(KERNEL_DUE))
     is_dead = [effect in KERNEL_DUE for effect in injected["kernel_effect"]]

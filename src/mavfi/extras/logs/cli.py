@@ -181,7 +181,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     out.print(rates.headline(), style="bold", markup=False)
     detection = _summary(rates, has_flips=inject > 0)
     for line in [*_events(judged), *detection, *_monitored(names), *summary(not_monitored), how]:
-        out.print(line, markup=False, soft_wrap=True)
+        out.print(line, markup=False, soft_wrap=not out.is_terminal)
     out.print(_table(judged))
 
 

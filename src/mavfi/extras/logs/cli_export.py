@@ -81,6 +81,9 @@ def export(
     if to.suffix not in endings:
         raise BadInputError(f"--to: {to}: allowed: a file that ends in {', '.join(endings)}")
     if is_dir(flight) and not run_id:
+        from mavfi.campaign.store import Store
+
+        Store.open(flight).close()  # refuses a folder without a campaign: the commands below would, too
         raise BadInputError(
             f"{flight}: is a folder; name the run, too: mavfi export {flight} RUN_ID; "
             f"a table of all runs: mavfi runs {flight} --csv"

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mavfi.errors import BadInputError, MavfiError
+from mavfi.extras.logs.ulog import FAULT_FIELD, FAULT_TOPIC
 from mavfi.faults.levels.message.definition import FORMATS, AbsentError, Definition
 from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, open_flight_log
 
@@ -95,6 +96,10 @@ def read_recording(path: Path, fault: str = "", *, required: bool = True) -> Log
     is_cut = getattr(reader, "is_cut", None)
     cut = is_cut is not None and is_cut()
     notices = [f"{path.name}: {notice}" for notice in getattr(reader, "notices", ())]
+    of_mavfi = [message for message in messages if message.topic == FAULT_TOPIC]
+    if not fault and required and _onset(of_mavfi, FAULT_FIELD) is not None:
+        option = f"--fault {FAULT_TOPIC}:{FAULT_FIELD}"
+        notices.append(f"{path.name}: a flight with a fault; with {option}, alarms after it are not false")
     return LogRecording(path.name, messages, onset, getattr(reader, "recommended", {}), cut, notices, fault)
 
 

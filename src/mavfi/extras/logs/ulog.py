@@ -161,6 +161,8 @@ def _airborne(data_sets: Mapping[str, Mapping[str, np.ndarray]]) -> list[tuple[i
 
 FAULT_TOPIC = "mavfi_fault"
 """Topic that is 0 before and 1 from the first activated injection."""
+FAULT_FIELD = "active"
+"""The field of the topic that tells it."""
 _MAGIC = b"ULog\x01\x12\x35\x01"
 _LEVELS = {ERROR: b"3", WARN: b"4", INFO: b"6"}
 """Severities of syslog, as in Linux."""
@@ -169,7 +171,7 @@ FORMATS = {
     "vehicle_attitude": "uint64_t timestamp;float[4] q;",
     "vehicle_angular_velocity": "uint64_t timestamp;float[3] xyz;",
     "trajectory_setpoint": "uint64_t timestamp;float[3] position;float[3] velocity;float yawspeed;",
-    FAULT_TOPIC: "uint64_t timestamp;uint8_t active;",
+    FAULT_TOPIC: f"uint64_t timestamp;uint8_t {FAULT_FIELD};",
 }
 """Messages and fields as in PX4, NED and FRD."""
 

@@ -314,6 +314,7 @@ def redundancy(
         ),
     ] = None,
     picture: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the comparison.")] = None,
+    show_all: options.AllTables = False,
 ) -> None:
     """Compare redundant processors with detection, by a model.
 
@@ -325,7 +326,13 @@ def redundancy(
     from rich.text import Text
 
     from mavfi.extras.paper.figures import redundancy as draw
-    from mavfi.extras.paper.redundancy import find_design, redundancy_tables, shipped_designs, summary
+    from mavfi.extras.paper.redundancy import (
+        find_design,
+        redundancy_headline,
+        redundancy_tables,
+        shipped_designs,
+        summary,
+    )
     from mavfi.report import style
     from mavfi.report.text import show_table
 
@@ -334,7 +341,9 @@ def redundancy(
         designs = [find_design(name) for name in vehicle]
     else:
         designs = shipped_designs()
-    tables = redundancy_tables(designs)
+    tables = [redundancy_headline(designs)]
+    if show_all:
+        tables = redundancy_tables(designs)
     if picture is not None:
         with style.house_style():
             style.write(draw(designs), picture)
@@ -344,4 +353,6 @@ def redundancy(
     out.print()
     for table in tables:
         show_table(table, out)
+    if not show_all:
+        out.print(Text("Energy, speed, mass, effect of each parameter, check of the model: --all.", style="dim"))
     say_written(picture)

@@ -337,6 +337,8 @@ def _band(runs: Runs) -> str | None:
 
 _TIMES = "number .3f ×"
 _WHO = ("vehicle", "calibration")
+_HEADLINE_MEASURES = 3
+"""Leading columns of the comparison in the headline."""
 _COMPARED = View(
     "redundancy",
     "Redundant processors against detection (Fig. 8): flight time and energy over the same distance",
@@ -403,6 +405,21 @@ _SPEEDS = View(
     ),
 )
 CHAPTER = Chapter(100, (_COMPARED, _BAND, _SPEEDS))
+
+
+def redundancy_headline(designs: Sequence[DesignConfig]) -> Table:
+    """The comparison of designs in the columns that fit 80 characters, with the notes on these."""
+    view = replace(
+        _COMPARED,
+        title="Flight time over the same distance, relative to that with the autoencoder",
+        measures=_COMPARED.measures[:_HEADLINE_MEASURES],
+        where=lambda _: _comparison(designs),
+        notes=lambda _: (
+            "band: one parameter after the other at the ends of the range that sources support; DMR, TMR: 2, 3 "
+            "processors; paper: its Fig. 8, which gives TMR alone",
+        ),
+    )
+    return view.table(Runs(pl.DataFrame()))
 
 
 def redundancy_tables(designs: Sequence[DesignConfig]) -> list[Table]:

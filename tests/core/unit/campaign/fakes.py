@@ -66,6 +66,9 @@ TROUBLE = Trouble()
 class FakeDetector(Detector):
     """Watches nothing; `FakeFlights` raises its alarms."""
 
+    def check(self, state, time_us):
+        return None
+
 
 class FakeHost(Host):
     name = "fake"

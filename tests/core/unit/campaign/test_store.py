@@ -268,7 +268,9 @@ def test_a_change_by_hand_is_named(tmp_path, change, message):
     with closing(sqlite3.connect(tmp_path / FILE)) as connection, connection:
         connection.execute(change)
     for attempt in (lambda: Store.open(tmp_path), lambda: Store.create(tmp_path, IDENTITY)):
-        with pytest.raises(BadInputError, match=rf"campaign.sqlite: is damaged: {message}"):
+        with pytest.raises(
+            BadInputError, match=rf"campaign.sqlite: is damaged: ({message}).*; .*: mavfi campaign repair {tmp_path}$"
+        ):
             attempt()
 
 

@@ -93,6 +93,8 @@ def test_runs_fit_a_terminal_and_are_named_by_number_or_short_id(capsys, flown, 
         (["report", "DIR", "--view", "golden_flights"], "view 'golden_flights': dropped; use flight_times"),
         (["failures", "DIR", "--json"], "--json: dropped; use mavfi report DIR --view failures_per_hour --json"),
         (["export", "DIR", "--to", "x.bag"], "name the run, too"),
+        (["export", "NONE", "--to", "x.bag"], "holds no campaign"),
+        (["harden", "DIR"], "mavfi campaign run kernels --out out/kernels"),
     ],
 )
 def test_what_is_not_there_is_one_line(capsys, flown, tmp_path, arguments, message):

@@ -64,6 +64,7 @@ def test_dropped_names_say_what_replaced_them():
         ("no_such_package:Detector", "cannot be imported"),
         ("json:NoSuchClass", "cannot be imported"),
         ("fractions:Fraction", "lacks start, check, accept"),
+        ("mavfi.detectors:Detector", "lacks check; allowed: with check"),
         (
             f"{__name__}:Foreign",
             rf"detector {__name__}:Foreign: allowed: an object whose class inherits mavfi.Detector",
