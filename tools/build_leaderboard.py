@@ -24,7 +24,8 @@ from mavfi.api import load, table
 from mavfi.campaign.config import load_campaign
 from mavfi.errors import BadInputError
 from mavfi.extras.bench.bench import FOLDER, ROWS, SCORES, Bench, BenchPart, level_of, load_bench, published_rows
-from mavfi.report.text import rate, shown
+from mavfi.extras.bench.leaderboard import text_rows
+from mavfi.report.text import rate
 from tools import results
 from tools.build_readme import recommended_item
 from tools.markers import DOCS, IMAGES, ROOT, fill
@@ -104,13 +105,6 @@ def freeze(bench: Path, scale: str) -> None:
         if copy.is_file() and copy.read_bytes() != faults.read_bytes():
             raise BadInputError(f"{faults}: other faults than those of {copy.name}, which is frozen; remove it first")
         shutil.copy(faults, copy)
-
-
-def text_rows(full: Table) -> list[Row]:
-    """Rows of a table as text by heading."""
-    columns, lines = shown(full)
-    headings = [column.heading for column in columns]
-    return [dict(zip(headings, cells, strict=True)) for cells in lines]
 
 
 def merged(flown: Sequence[Row], published: Sequence[Row], schemes: Sequence[str]) -> list[Row]:

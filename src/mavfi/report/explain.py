@@ -339,7 +339,7 @@ _UNANSWERED_ALARMS = {
 
 
 def alarm_lines(log: FlightLog, golden: FlightLog | None, most: int = MAX_ALARMS) -> Story:
-    """Number of alarms, then up to `most` of them, those within `AFTERMATH` of the injection first."""
+    """Number of alarms, then up to `most` of them in order of time; of too many, those near the injection are kept."""
     events = {event.kind: event for event in log.events if event.kind in _UNANSWERED_ALARMS}
     if not (log.alarms or events):
         return []
@@ -355,10 +355,11 @@ def alarm_lines(log: FlightLog, golden: FlightLog | None, most: int = MAX_ALARMS
         parts.append(f"{sum(_key(alarm) in golden_alarms for alarm in log.alarms)} also in the golden run")
     story = [("alarms", ", ".join(parts))]
     # single alarms
-    for alarm in (*near, *others)[:most]:
+    selected = sorted((*near, *others)[:most], key=lambda alarm: alarm.time_s)
+    for alarm in selected:
         story.append(("", _alarm(alarm, in_golden=_key(alarm) in golden_alarms)))
     if len(log.alarms) > most:
-        story.append(("", f"and {len(log.alarms) - most} more"))
+        story.append(("", f"and {len(log.alarms) - most} more (--json has all)"))
     # events after which alarms have no response
     for kind, event in events.items():
         story.append(("", _UNANSWERED_ALARMS[kind].format(at=1e-6 * event.time_us, **event.data)))

@@ -76,3 +76,18 @@ def test_ones_own_detector_stands_beside_the_published_rows_if_its_faults_are_th
     assert "| gaussian |" in page and "| FakeDetector |" in page and "as published in b" in page
     (frozen / "p-quick.csv").write_text("others")
     assert "| gaussian |" not in fly_own(own_bench, capsys)
+
+
+def test_a_part_without_published_rows_is_compared_with_the_benchs_own_schemes_once_they_are_flown(
+    own_bench, capsys, monkeypatch
+):
+    monkeypatch.chdir(own_bench)
+    command = ["bench", "detectors", "b.yaml", "--part", "p"]
+    assert run([*command, "--detector", DETECTOR]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "Compared with nothing yet: `mavfi bench detectors b.yaml --part p` flies the bench's own schemes" in text
+    assert run(command) == 0
+    capsys.readouterr()
+    assert run([*command, "--detector", DETECTOR]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "the other rows are those flown in out/bench-quick/p" in text and "Compared with nothing" not in text

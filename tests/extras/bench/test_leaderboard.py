@@ -19,7 +19,7 @@ def test_published_rows_of_a_group_stand_above_ones_own_of_the_same_group():
     own = Table("golden", "Golden", columns, [("dense", "mine", 4), ("farm", "mine", 5)], keys=2)
     rows = [("dense", "theirs", "1"), ("dense", "mine", "2"), ("farm", "theirs", "3"), ("sparse", "theirs", "6")]
     found = beside_published(
-        own, [dict(zip(("environment", "setting", "alarms"), row, strict=True)) for row in rows], "b"
+        own, [dict(zip(("environment", "setting", "alarms"), row, strict=True)) for row in rows], "published in b"
     )
     assert found.rows == [
         ("dense", "theirs", "1"),

@@ -52,6 +52,15 @@ def test_one_is_told_in_lines_of_a_terminal_and_drawn(flown, capsys, monkeypatch
     assert (tmp_path / "demo-1.png").stat().st_size > 10_000
 
 
+def test_all_are_told_in_order_and_what_to_do_next_is_said(flown, capsys, monkeypatch):
+    monkeypatch.setattr("mavfi.extras.demo.faults.Demo.fly", lambda _: flown.result)
+    cli.demo()
+    printed = capsys.readouterr().out
+    positions = [printed.index(f"{number:2} ✗ {chosen.title}\n") for number, chosen in enumerate(DEMOS, start=1)]
+    assert positions == sorted(positions)
+    assert printed.splitlines()[-1].startswith("mavfi demo 3 draws one of them")
+
+
 def test_a_number_that_is_not_there_is_refused():
     with pytest.raises(BadInputError, match="^demo 11: not known; allowed: 1 to 10$"):
         cli.demo(11)

@@ -76,20 +76,20 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     Example: [bold]mavfi bench detectors --level state --detector my_package:MyDetector[/bold]
     """
     from mavfi.extras.bench.bench import select_parts
-    from mavfi.extras.bench.leaderboard import BenchFlights, write_leaderboard
+    from mavfi.extras.bench.leaderboard import BenchFlights, default_folder, write_leaderboard
     from mavfi.extras.bench.verdict import results_of, sentences
 
     # Check the options, and select schemes and parts.
     chosen = _chosen_bench(bench, scale, scheme, detector, profile)
     selected = select_parts(chosen, scale, levels=level or (), parts=part or (), models_dir=models)
     if out is None:
-        words = ["bench", scale]
+        names: Sequence[str] = ()
         if detector or scheme:
-            words += chosen.arms
-        out = Path("out", "-".join(words))
+            names = tuple(chosen.arms)
+        out = default_folder(scale, names)
     check_folder(out)
 
-    # Fly, and write the tables; a bench with other schemes than its own is shown beside its published rows.
+    # Fly, and write the tables; a bench with other schemes than its own is shown beside its own.
     flights = BenchFlights(chosen, selected, scale, out)
     with stoppable(f"Stopped. What is done is kept in {out}; the same command resumes."):
         flights.fly(workers, models)
@@ -97,8 +97,9 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     flown = flights.tables(scores_by_arm)
     shown = flown
     if detector or scheme:
-        shown = {name: flights.beside_published(name, table) for name, table in flown.items()}
-    write_leaderboard(flights, flown, shown, scores_by_arm, _command(bench, level or (), part or (), scale))
+        shown = {name: flights.beside_others(name, table) for name, table in flown.items()}
+    own_command = _command(bench, level or (), part or (), scale, "my_package:MyDetector")
+    write_leaderboard(flights, flown, shown, scores_by_arm, own_command)
     if as_json:
         write_json({name: table.to_json() for name, table in flown.items()})
         return
@@ -110,6 +111,8 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     for name, table in shown.items():
         for sentence in sentences(results_of(table), own):
             console().print(Text(f"{name}: {sentence}"))
+        if own and name in flights.parts and table is flown[name]:
+            console().print(Text(_how_to_compare(bench, name, scale)))
     console().print()
     if everything:
         _show_all(list(shown.values()))
@@ -138,6 +141,14 @@ def _chosen_bench(
     return bench
 
 
+def _how_to_compare(bench: str, part: str, scale: str) -> str:
+    """What to do for a comparison of a part that has no rows of other schemes on the same faults."""
+    return (
+        f"  Compared with nothing yet: `{_command(bench, (), [part], scale)}` flies the bench's own schemes on these "
+        "faults; this command then shows them, too."
+    )
+
+
 def _show_short(
     flights: "BenchFlights", flown: "Mapping[str, Table]", shown: "Mapping[str, Table]", own: Sequence[str]
 ) -> None:
@@ -152,6 +163,9 @@ def _show_short(
             for remark in flights.remarks(name):
                 console().print(Text(remark, style="dim"))
         console().print()
+    console().print(
+        Text("late, back: late missions in time again; alarm after: median, from the fault on", style="dim")
+    )
     console().print(Text("All columns, and what they mean: --all.", style="dim"))
 
 
@@ -164,8 +178,8 @@ def _show_all(tables: "Sequence[Table]") -> None:
         show_table(replace(table, notes=tuple(note for note in table.notes if note not in later)), console())
 
 
-def _command(bench: str, levels: Sequence[str], parts: Sequence[str], scale: str) -> str:
-    """The command that flies the same parts of the same bench with a custom detector."""
+def _command(bench: str, levels: Sequence[str], parts: Sequence[str], scale: str, detector: str = "") -> str:
+    """The command that flies parts of a bench with a detector; without one, with the bench's own schemes."""
     words = ["mavfi", "bench", "detectors"]
     if bench != _DEFAULT_BENCH:
         words.append(bench)
@@ -173,7 +187,8 @@ def _command(bench: str, levels: Sequence[str], parts: Sequence[str], scale: str
         words += ["--level", level]
     for part in parts:
         words += ["--part", part]
-    words += ["--detector", "my_package:MyDetector"]
+    if detector:
+        words += ["--detector", detector]
     if scale != "quick":
         words += ["--scale", scale]
     return shlex.join(words)

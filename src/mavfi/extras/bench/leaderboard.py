@@ -1,7 +1,7 @@
 """The leaderboard of a bench: flights, tables, a Markdown page and a figure."""
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
@@ -24,6 +24,7 @@ from mavfi.extras.bench.scores import table as table_of_scores
 from mavfi.files import is_file, make_folder
 from mavfi.report import style
 from mavfi.report.campaign_report import markdown_table
+from mavfi.report.text import shown
 
 _COLOURS = (style.BLUE, style.ORANGE, style.GREEN, style.PURPLE, style.SKY, style.AMBER, style.INK)
 _DASHES = ("-", "--", ":")
@@ -104,13 +105,36 @@ class BenchFlights:
             arms_of_reason[reason].append(arm)
         return drawn, *(f"{', '.join(arms)}: not flown ({reason})" for reason, arms in arms_of_reason.items())
 
-    def beside_published(self, name: str, flown: Table) -> Table:
-        """The table of a part with the published rows, if its faults are the published ones."""
-        faults = self.folder / name / "faults.csv"
-        frozen = frozen_faults(self.bench, name, self.scale)
-        if not is_file(faults) or faults.read_text(encoding="utf-8") != frozen:
+    def beside_others(self, name: str, flown: Table) -> Table:
+        """The table of a part with rows of other schemes on the same faults.
+
+        These are the published rows; for a part without any, those of the bench's own schemes in their default folder,
+        if they are flown.
+        """
+        path = self.folder / name / "faults.csv"
+        if not is_file(path):
             return flown
-        return beside_published(flown, published_rows(self.bench, name, self.scale), self.bench.name)
+        faults = path.read_text(encoding="utf-8")
+        if faults == frozen_faults(self.bench, name, self.scale):
+            rows = published_rows(self.bench, name, self.scale)
+            return beside_published(flown, rows, f"published in {self.bench.name}")
+        stored = default_folder(self.scale) / name
+        if is_file(stored / "faults.csv") and (stored / "faults.csv").read_text(encoding="utf-8") == faults:
+            rows = text_rows(table(Runs.read(stored), self.parts[name].part.view))
+            return beside_published(flown, rows, f"flown in {stored}")
+        return flown
+
+
+def default_folder(scale: str, names: Iterable[str] = ()) -> Path:
+    """Default folder of a bench at a scale, with its own schemes or with those of other names."""
+    return Path("out", "-".join(["bench", scale, *names]))
+
+
+def text_rows(full: Table) -> list[dict[str, str]]:
+    """Rows of a table as text by heading."""
+    columns, lines = shown(full)
+    headings = [column.heading for column in columns]
+    return [dict(zip(headings, cells, strict=True)) for cells in lines]
 
 
 def write_leaderboard(
@@ -155,13 +179,13 @@ def leaderboard(tables: Mapping[str, Table], bench: str, scale: str, command: st
     return "\n\n".join(parts) + "\n"
 
 
-def beside_published(flown: Table, published: Sequence[Mapping[str, str]], bench: str) -> Table:
-    """A table with the published rows of other schemes above its own, within each group of rows.
+def beside_published(flown: Table, published: Sequence[Mapping[str, str]], origin: str) -> Table:
+    """A table with the published or stored rows of other schemes above its own, within each group of rows.
 
     Args:
         flown: Table with one row per scheme, or per group and scheme: the last key column names the scheme.
         published: Rows as text, by heading.
-        bench: Name of the bench that published them.
+        origin: Where they are from, e.g. "published in mavfi-bench-1".
 
     Returns:
         The table; published cells of columns that did not exist then are empty.
@@ -180,7 +204,7 @@ def beside_published(flown: Table, published: Sequence[Mapping[str, str]], bench
     rows.sort(key=lambda pair: groups.index(pair[0][: flown.keys - 1]))  # stable: published rows remain above
 
     names = ", ".join(map(str, schemes))
-    note = f"flown here: {names}; the other rows are those published in {bench}, on the same faults"
+    note = f"flown here: {names}; the other rows are those {origin}, on the same faults"
     behind: Sequence[tuple[tuple[str, ...], ...]] = ()
     if flown.behind:
         behind = [ids for _, ids in rows]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from pathlib import Path
 from textwrap import fill, indent
 from typing import TYPE_CHECKING, Annotated
@@ -64,22 +65,22 @@ def _show_one(number: int) -> None:
 
 
 def _show_all(html: Path | None) -> None:
-    """Fly and tell all faults, and write their page if a file is named."""
+    """Fly all faults, tell each when it is flown, and write their page if a file is named."""
     from mavfi.cli.progress import Bar, compiling
     from mavfi.extras.demo import faults
 
     flown = []
-    with compiling(instrumented=True, flight=True):  # the first one, so that the rate is that of compiled code
-        flown.append(faults.FlownDemo(1, faults.DEMOS[0], faults.DEMOS[0].fly()))
-    with Bar("demo", unit="faults") as bar:
-        for number, chosen in enumerate(faults.DEMOS[1:], start=2):
-            bar.show(len(flown), len(faults.DEMOS))
+    for number, chosen in enumerate(faults.DEMOS, start=1):
+        waiting: AbstractContextManager[object]
+        if number == 1:
+            waiting = compiling(instrumented=True, flight=True)
+        else:
+            waiting = console(error=True).status(f"{number} of {len(faults.DEMOS)}: {chosen.title} ...")
+        with waiting:
             flown.append(faults.FlownDemo(number, chosen, chosen.fly()))
-        bar.show(len(flown), len(faults.DEMOS))
+        _show(flown[-1])
     out = console()
     out.print(Text(fill(faults.headline(flown), _WIDTH), style="bold"))
-    for each in flown:
-        _show(each)
     if html is None:
         out.print(Text(_FURTHER, style="dim"))
         return

@@ -123,13 +123,14 @@ def test_the_first_difference_is_a_value_or_an_instant(first, parts):
     assert all(part in sentence for part in parts)
 
 
-def test_alarms_at_the_injection_come_before_earlier_ones_and_are_counted():
+def test_of_many_alarms_those_at_the_injection_are_shown_in_order_of_time_and_all_are_counted():
     early = [alarm(0.01 * place) for place in range(MAX_ALARMS + 2)]
     flight = log(injections=[INJECTION], alarms=[*early, alarm(1.0, outcome="repaired"), alarm(2.5)])
-    (heading, counts), (_, first), *_, (_, last) = alarm_lines(flight, log(alarms=early))
+    (heading, counts), (_, first), *_, (_, latest), (_, last) = alarm_lines(flight, log(alarms=early))
     assert heading == "alarms" and [part.split()[0] for part in counts.split(", ")] == ["12", "1", "10"]
-    assert first.startswith("1.000 s, gaussian: planning.waypoint.x") and first.endswith("repaired")
-    assert last == f"and {12 - MAX_ALARMS} more" and alarm_lines(log(), log()) == []
+    assert first.startswith("0.000 s")
+    assert latest.startswith("1.000 s, gaussian: planning.waypoint.x") and latest.endswith("repaired")
+    assert last == f"and {12 - MAX_ALARMS} more (--json has all)" and alarm_lines(log(), log()) == []
 
 
 @pytest.mark.parametrize("kind", [LIMITED, SILENCED])
