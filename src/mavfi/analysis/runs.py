@@ -15,7 +15,6 @@ from mavfi.campaign.config import ArmConfig, Campaign, label_of
 from mavfi.campaign.ledger import status, stored_campaign
 from mavfi.campaign.plan import FI
 from mavfi.campaign.store import Run, Store
-from mavfi.detectors.registry import trainable
 from mavfi.faults.plug_ins import custom_detectors
 from mavfi.mission import MissionSpec
 from mavfi.plugins import extensions
@@ -291,14 +290,17 @@ def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:
     return {"profile": mission.autopilot, "title": title, "lines": lines}
 
 
+_PAPERS_DETECTORS = ("gaussian", "autoencoder")
+"""Detectors whose profile is always named."""
+
+
 def _arm(name: str, arm: ArmConfig) -> str:
     """An arm in words: its name, its detector unless it has the same name, and its keys of the mission."""
     text = name
     if arm.detector and arm.detector != name:
         text = f"{name} = {arm.detector}"
-    # Others have no profile; the default one of a custom detector is only a word.
-    is_custom = ":" in arm.detector
-    if arm.detector in trainable() or (is_custom and arm.profile != ArmConfig.model_fields["profile"].default):
+    # Most others have no profile: the default is only a word.
+    if arm.detector in _PAPERS_DETECTORS or (arm.detector and arm.profile != ArmConfig.model_fields["profile"].default):
         text = f"{text} ({arm.profile})"
     changed = ", ".join(f"{key} {value}" for key, value in arm.mission.items())
     if changed:

@@ -148,7 +148,7 @@ def _likely_texts(text: str, localization: str) -> str:
     for name in level_names():
         if name == COMBINED:  # it would parse its members, and so this text again
             continue
-        with suppress(BadInputError):
+        with suppress(Exception):  # a level of another package may raise anything for a text that is not its own
             if find_level(name).shipped_site(find_level(name).parse(text, localization)):
                 likely.append(f"'{name}:{text}'")
     if not likely:

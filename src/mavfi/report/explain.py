@@ -350,10 +350,7 @@ def alarm_lines(log: FlightLog, golden: FlightLog | None, most: int = MAX_ALARMS
     # counts
     parts = [f"{len(log.alarms)} in all"]
     if log.injections:
-        first = ""
-        if near and others:
-            first = " (listed first)"
-        parts.append(f"{len(near)} within {AFTERMATH:g} s of the injection{first}")
+        parts.append(f"{len(near)} within {AFTERMATH:g} s of the injection")
     if golden is not None:
         parts.append(f"{sum(_key(alarm) in golden_alarms for alarm in log.alarms)} also in the golden run")
     story = [("alarms", ", ".join(parts))]

@@ -158,7 +158,7 @@ class TestContract(LevelContract):
 
 def test_it_is_parsed_and_named_among_what_is_allowed():
     assert parse("offset:2.5@3") == OffsetRequest(2.5, 3_000_000)
-    with pytest.raises(BadInputError, match=r"allowed: null, state:.*, offset:METRES\[@SECONDS\]"):
+    with pytest.raises(BadInputError, match=r"allowed: null, state:.*, offset:\.\.\."):
         parse("offse")
     with pytest.raises(BadInputError, match="level 'offse': not known .did you mean 'offset'"):
         parse("offse:2.5")
