@@ -213,6 +213,8 @@ def compiling(*, instrumented: bool = False, flight: bool = False) -> Iterator[b
             display = _FunctionsBar(folder, out)
         with display:
             yield is_cold
+    elif is_cold:  # other processes compile, which must not be started while a thread runs
+        yield is_cold
     else:
         with _noticed_compilation(folder, out):
             yield is_cold
