@@ -358,11 +358,6 @@ def record(
     )
 
 
-def train(folder: Path, flights: int = 100, mission: MissionSpec | None = None, **options: Any) -> list[Path]:  # noqa: ANN401
-    """Fly error-free missions, fit every detector in every profile, and write the models; options as of `record`."""
-    return record(folder, flights, mission, **options).fit()
-
-
 def count_false_alarms(
     models: Sequence[Model],
     folder: Path,
@@ -387,6 +382,7 @@ def count_false_alarms(
     scenarios = [training_mission(mission, seed, name) for name in environments for seed in seeds]
     tasks = [_FlightTask(scenario, model, folder) for scenario in scenarios for model in models]
     counted: dict[tuple[str, str], list[tuple[int, float]]] = {}
+    progress(0, len(tasks))
     for done, (task, result) in enumerate(map_each(LocalExecutor(workers), _count_alarms, tasks), 1):
         assert task.model is not None  # only these are counted
         counted.setdefault((task.model.sha256, task.scenario.environment.name), []).append(result)

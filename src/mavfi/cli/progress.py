@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Self
 
 from rich.console import Console, Group, RenderableType
@@ -25,6 +26,8 @@ _LINE_EVERY = 15.0
 """Interval between lines if the output is not a terminal (s)."""
 
 
+_NOTICE_EVERY = 3.0
+"""Interval between looks for compiled code (s)."""
 _FUNCTIONS = 134
 """Functions that the first flight with default settings compiles; others need a few more or less."""
 
@@ -154,6 +157,28 @@ class _FunctionsBar(Progress):
 
 
 @contextmanager
+def _noticed_compilation(folder: Path, out: Console) -> Iterator[None]:
+    """Say so if code is compiled after all: a vehicle or planner may need functions that no earlier flight did."""
+
+    def count() -> int:
+        return sum(1 for pattern in ("*.nbc", "*.bin") for _ in folder.rglob(pattern))
+
+    def notice() -> None:
+        while not ended.wait(_NOTICE_EVERY):
+            if count() > before:
+                out.print("compiling kernels that no earlier flight here needed, once ...")
+                return
+
+    before = count()
+    ended = Event()
+    Thread(target=notice, daemon=True).start()
+    try:
+        yield
+    finally:
+        ended.set()
+
+
+@contextmanager
 def compiling(*, instrumented: bool = False, flight: bool = False) -> Iterator[bool]:
     """Report on stderr that kernels (also instrumented ones) are being compiled, if their cache is empty.
 
@@ -188,8 +213,11 @@ def compiling(*, instrumented: bool = False, flight: bool = False) -> Iterator[b
             display = _FunctionsBar(folder, out)
         with display:
             yield is_cold
-    else:
+    elif is_cold:  # other processes compile, which must not be started while a thread runs
         yield is_cold
+    else:
+        with _noticed_compilation(folder, out):
+            yield is_cold
     if flight:
         with suppress(OSError):  # a cache that cannot be written stays as it is
             folder.mkdir(parents=True, exist_ok=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
+from rich.text import Text
 
 from mavfi.cli import options
 from mavfi.cli.console import check_number, console, titled_table, write_json
@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from mavfi.detectors.model import Model
 
 HELP_PANEL = "Detectors"
+_ENOUGH_FLIGHTS = 100
+"""Error-free flights from which on thresholds hold."""
+_MOST_CHECKS = 10
+"""Largest number of checking flights in an environment by default."""
 
 
 @partial(
@@ -35,8 +39,12 @@ def train(  # noqa: PLR0913 - one for each option
     out: Annotated[Path, typer.Option(help="Folder of the models; made if absent.")] = Path("out/models"),
     workers: Annotated[int, typer.Option(help="Processes; the models do not depend on them.")] = 2,
     check: Annotated[
-        int, typer.Option(help="Flights of other seeds in each environment, on which false alarms are counted.")
-    ] = 10,
+        int | None,
+        typer.Option(
+            help="Flights of other seeds in each environment, on which false alarms of each model are counted.",
+            show_default="a tenth of --flights, 1 to 10",
+        ),
+    ] = None,
     environments: Annotated[
         str,
         typer.Option(
@@ -60,14 +68,15 @@ def train(  # noqa: PLR0913 - one for each option
     Example: [bold]mavfi train --flights 100 --autopilot hardened --out out/models[/bold]
     """
     check_number("--flights", flights, 1, 100_000)
+    if check is None:
+        check = min(max(flights // 10, 1), _MOST_CHECKS)
     check_number("--check", check, 0, 100_000)
     check_folder(out)
 
     # slow imports come before the stoppable part, so that Ctrl-C never interrupts an import
     import sklearn.neural_network  # noqa: F401
 
-    from mavfi.campaign.training import count_false_alarms, environments_of, training_mission, trainings_of
-    from mavfi.campaign.training import train as train_models
+    from mavfi.campaign.training import count_false_alarms, environments_of, record, training_mission, trainings_of
     from mavfi.cli.progress import Bar
     from mavfi.detectors.model import Model
 
@@ -78,10 +87,10 @@ def train(  # noqa: PLR0913 - one for each option
     for name in checked_in:
         training_mission(mission, environment=name)
 
-    # fit
+    # fly and fit
     stop_message = f"Stopped. What is flown is kept in {out}; the same command resumes."
     with stoppable(stop_message), Bar("training flights") as bar:
-        files = train_models(
+        recorded = record(
             out,
             flights,
             mission,
@@ -90,10 +99,16 @@ def train(  # noqa: PLR0913 - one for each option
             environments=trained_in,
             extras=extras,
         )
+    messages = console(error=True)
+    with stoppable(stop_message):
+        messages.print("fitting the detectors ...")
+        files = recorded.fit()
     models = [Model.load(path) for path in files]
 
     # count false alarms on flights of other seeds
     stop_message = f"Stopped. The models are in {out}; their false alarms are not counted."
+    number = check * len(models) * len(checked_in)
+    messages.print(f"checking {len(models)} models on {number} flights ...")
     with stoppable(stop_message), Bar("checking flights") as bar:
         counts = count_false_alarms(models, out, check, mission, workers, bar.show, checked_in)
     alarms = [{name: _rate(flights) for name, flights in by_environment.items()} for by_environment in counts]
@@ -101,7 +116,7 @@ def train(  # noqa: PLR0913 - one for each option
         rows = zip(files, models, alarms, strict=True)
         write_json({"models": [{"file": str(f), **_entry(m), "false_alarms": _rates(a)} for f, m, a in rows]})
         return
-    console().print(_table(models, alarms, out))
+    _show(models, alarms, out, flights)
 
 
 def _names(text: str) -> list[str]:
@@ -135,28 +150,38 @@ def _entry(model: Model) -> dict[str, Any]:
     }
 
 
-def _table(models: list[Model], alarms: list[dict[str, EventRate]], folder: Path) -> Table:
-    """The trained models with their false alarms by environment."""
+def _show(models: list[Model], alarms: list[dict[str, EventRate]], folder: Path, flights: int) -> None:
+    """Print what the models were trained on, and their false alarms by environment."""
     origin = max((model.provenance for model in models), key=lambda provenance: int(provenance["flights"]))
     seeds = origin["seeds"]
-    shown = titled_table(
-        f"Trained on {origin['flights']} error-free flights · autopilot {origin['stack']} · {origin['platform']} · "
-        f"{origin['planner']} · {origin['v_max']:g} m/s",
-        caption=f"seeds {min(seeds)} to {max(seeds)}; false alarms: per flight hour, "
-        f"on {_exposure(alarms[0])} of error-free flight with other seeds; files: {folder}",
-        caption_justify="left",
-    )
-    headings = [f"in {name}" for name in alarms[0]]
-    if len(headings) == 1:
-        headings = ["false alarms"]
-    for heading in ("detector", "profile", "worlds", "alarm above", *headings, "sha256"):
-        shown.add_column(heading, overflow="fold")
-    for model, rates in zip(models, alarms, strict=True):
-        cells = (_alarms(rate) for rate in rates.values())
-        shown.add_row(
-            model.kind, model.profile, model.provenance["environment"], _threshold(model), *cells, model.sha256[:16]
+    number = origin["flights"]
+    of_each = ""
+    if number > flights:
+        of_each = f", {flights} in each of {origin['environment']}"
+    out = console()
+    out.print(
+        Text(
+            f"Trained on {number} error-free flights{of_each}: autopilot {origin['stack']}, {origin['platform']}, "
+            f"{origin['planner']}, {origin['v_max']:g} m/s, seeds {min(seeds)} to {max(seeds)}."
         )
-    return shown
+    )
+    if flights < _ENOUGH_FLIGHTS:
+        out.print(Text(f"Too few: the thresholds of fewer than {_ENOUGH_FLIGHTS} flights do not hold.", style="bold"))
+    shown = titled_table(
+        "False alarms per flight hour",
+        caption=f"with the 95 % interval, on {_exposure(alarms[0])} of error-free flight with other seeds\n"
+        "thresholds, worlds, hashes: --json",
+        caption_justify="left",
+        padding=(0, 1, 0, 0),
+    )
+    for heading in ("detector", "profile"):
+        shown.add_column(heading, no_wrap=True)
+    for name in alarms[0]:
+        shown.add_column(f"in {name}", justify="right")
+    for model, rates in zip(models, alarms, strict=True):
+        shown.add_row(model.kind, model.profile, *map(_alarms, rates.values()))
+    out.print(shown)
+    out.print(Text(f"The models are in {folder}."), soft_wrap=True)
 
 
 def _exposure(rates: dict[str, EventRate]) -> str:
@@ -170,17 +195,4 @@ def _alarms(rate: EventRate) -> str:
     """A rate of false alarms with its interval."""
     if rate.per_hour is None:
         return "not counted"
-    return f"{rate.events}: {rate.per_hour:.1f} per h [{rate.low:.1f}, {rate.high:.1f}]"
-
-
-def _threshold(model: Model) -> str:
-    """The limits above which a model raises an alarm, in short."""
-    parameters = model.parameters
-    if "sigmas" in parameters:
-        return f"{parameters['sigmas']:g} deviations, {len(parameters['statistics'])} fields"
-    limits = [value for row in parameters.get("limit", ()) for value in row]
-    if not limits:  # a third-party detector with other parameters
-        return ", ".join(parameters)
-    if len(limits) == 1:
-        return f"mean squared error {limits[0]:.4g}"
-    return f"{len(limits)} limits, {min(limits):.3g} to {max(limits):.3g}"
+    return f"{rate.per_hour:.1f} [{rate.low:.1f}, {rate.high:.1f}]"

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from mavfi.extras.logs.recording import LogRecording, values_of
 from mavfi.extras.logs.watch import JudgedLog, LogWatch
@@ -18,6 +19,7 @@ _MAX_FIELDS = 3
 _WIDTH = 9.0
 _HEIGHT = 1.5
 """Width of the picture, and height of a field (in)."""
+_BAND_ALPHA = 0.45
 _MARGIN_S = 0.05
 """Least width of an alarm event on either side (s)."""
 
@@ -43,6 +45,9 @@ def draw_alarms(
         for axis, (index, topic, field) in zip(axes, panels, strict=True):
             _draw_field(axis, recordings[index], judged[index], topic, field)
         axes[-1].set_xlabel("time in the recording (s)")
+        figure.supylabel("values in the units of the recording", fontsize=8.5)
+        band = Patch(color=style.ALARM, alpha=_BAND_ALPHA, linewidth=0, label="alarm event")
+        figure.legend(handles=[band], loc="outside upper right", fontsize=8.5)
         style.write(figure, path)
 
 
@@ -70,7 +75,7 @@ def _draw_field(axis: Axes, recording: LogRecording, judged: JudgedLog, topic: s
         if field in event.fields and topic in event.topics:
             begin = 1e-6 * (event.begin_us - start_us)
             end = 1e-6 * (event.end_us - start_us)
-            axis.axvspan(begin - _MARGIN_S, end + _MARGIN_S, color=style.ALARM, alpha=0.45, linewidth=0)
+            axis.axvspan(begin - _MARGIN_S, end + _MARGIN_S, color=style.ALARM, alpha=_BAND_ALPHA, linewidth=0)
     alarm = judged.fault_alarm
     if alarm is not None and alarm.topic == topic and field in alarm.fields:
         _mark(axis, "first alarm", 1e-6 * (alarm.time_us - start_us), style.ALARM)
@@ -83,6 +88,28 @@ def _draw_field(axis: Axes, recording: LogRecording, judged: JudgedLog, topic: s
         low, high = np.quantile(finite, (0.001, 0.999))
         spare = max(0.3 * float(high - low), 1e-9)
         axis.set_ylim(low - spare, high + spare)
+        _name_extreme(axis, times, values[:, 0])
+
+
+def _name_extreme(axis: Axes, times: np.ndarray, values: np.ndarray) -> None:
+    """Mark where the curve leaves the axes farthest, with the value there; a value that is not finite is left out."""
+    bottom, top = axis.get_ylim()
+    beyond = np.where(np.isfinite(values), np.maximum(values - top, bottom - values), 0.0)
+    farthest = int(np.argmax(beyond))
+    if beyond[farthest] <= 0:
+        return
+    edge = top
+    marker = "^"
+    into_axes = -9
+    if values[farthest] < bottom:
+        edge = bottom
+        marker = "v"
+        into_axes = 9
+    axis.plot(times[farthest], edge, marker, color=style.INK, markersize=6, clip_on=False)
+    text = f"{values[farthest]:.3g}"
+    axis.annotate(
+        text, (times[farthest], edge), (-8, into_axes), textcoords="offset points", fontsize=8, ha="right", va="center"
+    )
 
 
 def _mark(axis: Axes, text: str, time_s: float, colour: str) -> None:
