@@ -106,12 +106,20 @@ class Scale(Config):
     faults: int | None = Field(None, ge=1, le=MOST_FAULTS)
 
 
+class Size(Config):
+    """A size that a campaign had before it was extended."""
+
+    missions: int = Field(ge=1)
+    faults: int = Field(ge=1, le=MOST_FAULTS)
+
+
 class Campaign(Config):
     """A campaign as written by the user.
 
     Each environment has `missions` missions, with consecutive seeds from `first_seed`, and `faults` faults for each
     target of the sampling scheme (stage, group, kernel, kind of registers); fault i is injected in mission i modulo
-    `missions`.
+    `missions`.  With `grown`, its first faults are those of the smaller campaign; the others go on from the last
+    mission, or begin with the first new one.
     """
 
     name: Name
@@ -123,6 +131,9 @@ class Campaign(Config):
     first_seed: int = Field(10_000, ge=0)
     missions: int = Field(30, ge=1, description="per environment")
     faults: int = Field(30, ge=1, le=MOST_FAULTS, description="per environment and target")
+    grown: tuple[Size, ...] = Field(
+        (), description="earlier sizes, as `campaign run --extend` records them in the ledger"
+    )
     scales: dict[str, Scale] = Field(default_factory=dict, description="other sizes, by name")
     mission: dict[str, Any] = Field(default_factory=dict, description="keys of a mission, for all arms")
     sampling: SerializeAsAny[Sampling] = Field(
@@ -169,11 +180,13 @@ class Campaign(Config):
     def _stored(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """What is under test is stored under the key of its host; ledgers have two of these keys with every host.
 
-        Requirements are omitted if there are none; ledgers never have them, see `without_requirements`.
+        Requirements and earlier sizes are omitted if there are none; ledgers never have requirements, see
+        `without_requirements`.
         """
         data: dict[str, Any] = serialize(self)
-        if not self.require:
-            del data["require"]
+        for key in ("require", "grown"):
+            if not data[key]:
+                del data[key]
         under_test = data.pop("under_test")
         data |= {"node": None, "program": None}
         host = _class_of_host(self.host)
@@ -189,6 +202,10 @@ class Campaign(Config):
             raise ValueError(
                 f"first_seed: {self.first_seed}, missions: {missions}: seeds from {TRAINING_SEED} on are for training"
             )
+        for key in ("missions", "faults"):
+            numbers = [getattr(size, key) for size in self.sizes]
+            if numbers != sorted(numbers):
+                raise ValueError(f"grown: {key} {', '.join(map(str, numbers))}: allowed: none above the next one")
         check_known("monitored_set", [self.monitored_set], MONITORED_SETS)
         check_distinct("environments", map(label_of, self.environments))
         check_known("parts", self.parts, self.environments)
@@ -228,7 +245,7 @@ class Campaign(Config):
 
     def resized(self, size: Scale) -> "Campaign":
         """The campaign with the missions and faults of a scale."""
-        return self.model_copy(update=size.model_dump(exclude_none=True))
+        return self.model_copy(update={**size.model_dump(exclude_none=True), "grown": ()})
 
     def without_requirements(self) -> "Campaign":
         """The campaign as ledgers hold it: requirements judge its result, and are no part of it."""
@@ -246,6 +263,11 @@ class Campaign(Config):
     def level(self) -> Any:  # noqa: ANN401 - a `mavfi.levels.level.Level`
         """The level of the sampling, as its host draws it."""
         return _level_at(self.host, self.sampling.level)
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """The sizes that it has had, and its own."""
+        return (*self.grown, Size(missions=self.missions, faults=self.faults))
 
     @property
     def seeds(self) -> range:

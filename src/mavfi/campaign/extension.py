@@ -1,9 +1,11 @@
 """A ledger becomes that of a larger campaign: more missions, faults, null runs, environments or arms.
 
 What is flown stays: ids, seeds and records.  Only positions change, which number the runs of the whole campaign.  The
-larger campaign must therefore draw the same faults where the smaller one has drawn any: then its ledger, once the
-missing runs are flown, is that of the larger campaign flown from the start.  Null runs, which take the arms in turn and
-only check the injector, are the exception: with further arms, those of the larger campaign take their place.
+larger campaign must therefore draw the same faults where the smaller one has drawn any.  So it keeps the size of the
+smaller one in its key `grown`, and the further faults are a batch of their own, see `levels.level.Batch`.  Its ledger,
+once the missing runs are flown, is that of the campaign with this key flown from the start.  Null runs, which take the
+arms in turn and only check the injector, are the exception: with further arms, those of the larger campaign take their
+place.
 """
 
 import json
@@ -18,7 +20,7 @@ from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
 from mavfi.levels.level import NULL, Draw
 
-_MAY_GROW = ("missions", "faults", "null_runs", "environments", "arms", "parts", "scales")
+_MAY_GROW = ("missions", "faults", "grown", "null_runs", "environments", "arms", "parts", "scales")
 """Keys of a campaign that may differ in an extension; `scales` name sizes, and do not matter to the runs."""
 _ALLOWED = "allowed with --extend: more missions, faults, null_runs, environments and arms"
 
@@ -28,6 +30,25 @@ def differ_in_size(stored_identity: Mapping[str, Any], identity: Mapping[str, An
     stored_keys = stored_identity["campaign"]
     keys = identity["campaign"]
     return all(stored_keys.get(key) == keys.get(key) or key in _MAY_GROW for key in {*stored_keys, *keys})
+
+
+def as_grown(stored: Campaign, campaign: Campaign, *, extend: bool) -> Campaign:
+    """A campaign of the user with the sizes that it has had in a ledger.
+
+    Args:
+        stored: The campaign of the ledger.
+        campaign: That of the user, of the same or another size.
+        extend: Whether it may be larger than that of the ledger.
+    """
+    if campaign.grown:
+        return campaign
+    grown = stored.grown
+    if campaign.sizes[-1] != stored.sizes[-1]:
+        is_larger = campaign.missions >= stored.missions and campaign.faults >= stored.faults
+        if not (extend and is_larger):
+            return campaign
+        grown = stored.sizes
+    return campaign.model_copy(update={"grown": grown})
 
 
 def extend_ledger(store: Store, plan: Plan, identity: Mapping[str, Any], shard: Shard) -> None:
@@ -123,6 +144,8 @@ class _Extension:
         ):
             if number < least:
                 raise self.refusal(key, f"{number}; the ledger has {least}; allowed: {least} or more")
+        if extended.sizes[: len(stored.sizes)] != stored.sizes:
+            raise self.refusal("grown", "lacks a size that the ledger has had; allowed: without this key")
         missing = [name for name in stored.environments if name not in extended.environments]
         if missing:
             raise self.refusal("environments", f"lacks {', '.join(missing)}, which the ledger has; {_ALLOWED}")
@@ -144,30 +167,17 @@ class _Extension:
         before = self._stored.sampler
         now = self._extended.sampler
         for environment in self._stored.campaign.environments:
-            blocks = zip(before.blocks(environment), now.blocks(environment), strict=True)
-            for stored_block, block in blocks:
+            for stored_block, block in zip(before.blocks(environment), now.blocks(environment), strict=False):
                 for index in range(stored_block.count):
                     draw = stored_block.draw(index)
                     new_draw = block.draw(index)
                     if before.basis(environment, draw) != now.basis(environment, new_draw):
-                        raise self._other_draw(draw, new_draw)
+                        raise self._other_draw(draw)
 
-    def _other_draw(self, draw: Draw, new_draw: Draw) -> BadInputError:
+    def _other_draw(self, draw: Draw) -> BadInputError:
         """The refusal of a draw that is another one in the larger campaign."""
-        stored = self._stored.campaign
-        extended = self._extended.campaign
         name = f"fault {draw.index} of {draw.target}"
-        if draw.seed != new_draw.seed or draw.index // stored.missions != draw.index // extended.missions:
-            text = f"{name} would move to another mission, as fault i belongs to mission i modulo missions"
-            return self.refusal("missions", f"{extended.missions}: {text}; allowed: {stored.missions}, or a new folder")
-        if draw.stratum != new_draw.stratum or draw.target != new_draw.target:
-            text = "the strata have exact shares of all faults, in an order drawn for their number: other faults"
-            return self.refusal(
-                "faults",
-                f"{extended.faults}: {text} would take the place of those flown; allowed: {stored.faults} "
-                "(with a single key in sampling.strata, faults could grow), more environments and arms, or a new "
-                "folder",
-            )
+        extended = self._extended.campaign
         text = f"the faults of a mission are drawn together: with more of them, {name} would be another one"
         return self.refusal(
             "faults",

@@ -17,7 +17,7 @@ from mavfi.campaign.config import Campaign, label_of
 from mavfi.config import checked
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, fault_from_json
-from mavfi.levels.level import NULL, Draw, Sampler, draws_of, sampler_for
+from mavfi.levels.level import NULL, Draw, FaultBlock, Sampler, draws_of, sampler_for
 from mavfi.mission import MissionStatus
 from mavfi.record import End, FlightRecord, canonical
 
@@ -232,7 +232,7 @@ class Plan:
         draws = sum(block.count for block in blocks)
         per_environment = draws * runs_per_fault + campaign.nulls
         first = campaign.environments.index(environment) * per_environment
-        for number, draw in draws_of(blocks, range(mission, mission + 1), campaign.missions):
+        for number, draw in draws_of(blocks, range(mission, mission + 1)):
             yield first + number * runs_per_fault, draw
         first_null = first + draws * runs_per_fault
         for index in range(mission, campaign.nulls, campaign.missions):
@@ -292,8 +292,9 @@ class Plan:
             for block in self.sampler.blocks(name):
                 if block.count:
                     runs_per_fault = len(self._settings_of_fault(block.draw(0)))
-                    total += _of_shard(block.count, campaign.missions, first, shard.of) * runs_per_fault
-            total += _of_shard(campaign.nulls, campaign.missions, first, shard.of)
+                    total += _of_shard(block, first, shard.of) * runs_per_fault
+            nulls = FaultBlock(campaign.nulls, lambda _: Draw(NULL, 0, 0), 0, campaign.missions)
+            total += _of_shard(nulls, first, shard.of)
         return total
 
     def golden_count(self, shard: Shard = WHOLE) -> int:
@@ -329,13 +330,14 @@ def model_of(models: Mapping[str, str], environment: str, arm: str) -> str:
     return models.get(f"{environment}/{arm}", models.get(arm, ""))
 
 
-def _of_shard(count: int, missions: int, first: int, step: int) -> int:
-    """Count the fault numbers below `count` that belong to a shard; fault i belongs to mission i % missions.
-
-    The shard has the missions `first`, `first` + `step` and so on.
-    """
-    rounds, rest = divmod(count, missions)
-    return rounds * len(range(first, missions, step)) + len(range(first, rest, step))
+def _of_shard(block: FaultBlock, first: int, step: int) -> int:
+    """Count the faults of a block in a shard, which has the missions `first`, `first` + `step` and so on."""
+    rounds, rest = divmod(block.count, block.missions)
+    # The last round goes from the block's first mission on, and may go on from mission 0.
+    end = block.mission + rest
+    last_round = [range(block.mission, min(end, block.missions)), range(end - block.missions)]
+    in_last_round = sum(len(range(first, part.stop, step)) - len(range(first, part.start, step)) for part in last_round)
+    return rounds * len(range(first, block.missions, step)) + in_last_round
 
 
 def arms_of(campaign: Campaign) -> tuple[Arm, ...]:

@@ -19,7 +19,7 @@ from typing import Any
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Done, Executor, Lost
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.extension import differ_in_size, extend_ledger
+from mavfi.campaign.extension import as_grown, differ_in_size, extend_ledger
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.ledger import ORDERED, Progress, Status, check_shard, check_versions, status
 from mavfi.campaign.log import Log
@@ -384,7 +384,7 @@ def _session(  # noqa: PLR0913 - what `run_campaigns` is given
 ) -> Session:
     """The session of a campaign; its ledger is closed with `stack`."""
     # What determines the runs, refused before the ledger is created.
-    campaign = _as_begun(campaign.without_requirements(), directory)
+    campaign = _as_begun(campaign.without_requirements(), directory, extend=extend)
     models_dir = models_dir or _models_dir(directory)
     require_level(host_of(campaign), campaign.sampling.level)
     scenarios = scenarios_of(campaign, arms_of(campaign))
@@ -445,10 +445,14 @@ def _prepare(session: Session, executor: Executor) -> None:
         warm_up(first)
 
 
-def _as_begun(campaign: Campaign, directory: Path) -> Campaign:
-    """The campaign with its keys in the order of its ledger, which determines draws and positions of runs."""
+def _as_begun(campaign: Campaign, directory: Path, *, extend: bool) -> Campaign:
+    """The campaign with sizes that its ledger has had, and its keys in the order of it.
+
+    Both determine draws and positions of runs.
+    """
     with suppress(ValueError):  # no ledger, or damage, which is reported when the ledger is opened
         begun = Campaign.model_validate_json(held(directory, ORDERED) or "", context=STORED)
+        campaign = as_grown(begun, campaign, extend=extend)
         if begun == campaign:
             return begun
     return campaign

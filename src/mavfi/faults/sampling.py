@@ -257,10 +257,11 @@ def draw_in_message(
     return StateFault(site, int(times[chosen]), bit, stratum, share, seed)
 
 
-def share_out(shares: Mapping[str, float], count: int, seed: int, *address: str) -> list[str]:
+def share_out(shares: Mapping[str, float], count: int, seed: int, *address: int | str) -> list[str]:
     """Assign a stratum to each of `count` faults: exact shares (largest remainder), in an order drawn by the seed.
 
-    Shares need not add up to 1. The address is environment and name of the target; each has its own order.
+    Shares need not add up to 1. The address is environment, name of the target and number of the batch (none for the
+    first one); each has its own order.
     """
     total = sum(shares.values())
     exact = {stratum: count * share / total for stratum, share in shares.items()}

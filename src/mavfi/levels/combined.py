@@ -171,6 +171,9 @@ class CombinedSampler(Sampler):
         self._members = list(self._find_members())
         if campaign.nulls:
             raise BadInputError(f"null_runs: {campaign.nulls}; allowed: 0 with several faults")
+        if campaign.grown:  # numbers and strata of the further faults depend on the size of the campaign
+            text = "with several faults in a mission, a campaign cannot be extended by them"
+            raise BadInputError(f"missions, faults: {text}; allowed: more environments and arms")
         # The first source has the rows.
         first = self._members[0].source
         if isinstance(first, Sampler):
@@ -209,10 +212,6 @@ class CombinedSampler(Sampler):
             if number == 0:
                 start = None
             yield _Member(source, use, start)
-
-    def basis(self, environment: str, draw: Draw) -> tuple[Any, ...]:
-        """See `Sampler.basis`; numbers and strata of the further faults depend on the size of the campaign."""
-        return (*super().basis(environment, draw), self.campaign.missions, self.campaign.faults)
 
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: "MissionFlights", setup: "ArmSetup"

@@ -200,21 +200,66 @@ class Draw:
 
 @dataclass(frozen=True, slots=True)
 class FaultBlock:
-    """Faults of an environment with a common numbering; fault i belongs to mission i modulo the number of missions.
+    """Faults of a target in an environment; its missions take them in turn.
 
     Draws are created on demand: those of a million missions would not fit in memory.
 
     Attributes:
         count: Number of faults.
-        draw: The draw of fault i.
+        draw: The draw of fault i of the block.
         first: Position of fault 0 in the environment's plan.
+        missions: Number of missions.
+        mission: Number of the mission of fault 0.
         step: Distance between the positions of faults i and i + 1.
     """
 
     count: int
     draw: Callable[[int], Draw]
     first: int
+    missions: int
+    mission: int = 0
     step: int = 1
+
+    def of_mission(self, mission: int) -> range:
+        """Numbers of the faults of a mission."""
+        if mission >= self.missions:
+            return range(0)
+        return range((mission - self.mission) % self.missions, self.count, self.missions)
+
+
+class Batch(NamedTuple):
+    """The faults of each target by which a campaign has grown at once, or with which it was begun.
+
+    Attributes:
+        number: Number of the batch, which is in the address of the order of its strata.
+        first: Number of the first fault.
+        faults: Number of faults.
+        missions: Number of missions, which take them in turn.
+        mission: Number of the mission of the first fault: the turn goes on, or begins with the first new mission.
+        repetition: Faults that a mission has before it, at most.
+    """
+
+    number: int
+    first: int
+    faults: int
+    missions: int
+    mission: int
+    repetition: int
+
+
+def _batches(campaign: Any) -> list[Batch]:
+    """The batches of a campaign, from the sizes that it has had."""
+    begun = campaign.sizes[0]
+    batches = [Batch(0, 0, begun.faults, begun.missions, 0, 0)]
+    for number, size in enumerate(campaign.sizes[1:], 1):
+        last = batches[-1]
+        first = last.first + last.faults
+        mission = (last.mission + last.faults) % last.missions
+        if size.missions > last.missions:
+            mission = last.missions
+        rounds = -(-last.faults // last.missions)
+        batches.append(Batch(number, first, size.faults - first, size.missions, mission, last.repetition + rounds))
+    return batches
 
 
 @dataclass(slots=True)
@@ -268,43 +313,56 @@ class Sampler:
         self.orders: Mapping[str, str] = {}
         self.variants: Mapping[str, Mapping[str, Any]] = {}
         self.versions: Mapping[str, str] = {}
+        self._batches = _batches(campaign)
         self._blocks: dict[str, Sequence[FaultBlock]] = {}
         self._companions: dict[str, Counter[tuple[int, str]]] = {}
         """By environment: number of faults that are drawn together, by seed of their mission and target."""
 
     def blocks(self, environment: str) -> Sequence[FaultBlock]:
-        """All faults of an environment, one block per target, with exact shares of the strata in each."""
+        """All faults of an environment, one block per batch and target, with exact shares of the strata in each."""
         if environment not in self._blocks:
             self._blocks[environment] = [
-                self._block(environment, position, target) for position, target in enumerate(self.targets)
+                self._block(environment, batch, position, target)
+                for batch in self._batches
+                for position, target in enumerate(self.targets)
             ]
         return self._blocks[environment]
 
-    def _block(self, environment: str, position: int, target: str) -> FaultBlock:
-        """The faults of a target, given its position among the targets."""
-        campaign = self.campaign
-        order = self.orders.get(target, target)
-        strata = share_out(self.targets[target], campaign.faults, campaign.first_seed, environment, order)
+    def _block(self, environment: str, batch: Batch, position: int, target: str) -> FaultBlock:
+        """The faults of a target in a batch, given its position among the targets."""
+        first_seed = self.campaign.first_seed
+        address: list[int | str] = [environment, self.orders.get(target, target)]
+        if batch.number > 0:  # the first batch has the order of a campaign that has not grown
+            address.append(batch.number)
+        strata = share_out(self.targets[target], batch.faults, first_seed, *address)
 
         def draw_one(index: int) -> Draw:
-            return self.numbered(target, index, campaign.first_seed + index % campaign.missions, strata[index])
+            mission = (batch.mission + index) % batch.missions
+            return self.numbered(target, batch.first + index, first_seed + mission, strata[index])
 
+        step = 1
+        first = batch.first * len(self.targets) + position * batch.faults
         if self.alternates:
-            return FaultBlock(campaign.faults, draw_one, first=position, step=len(self.targets))
-        return FaultBlock(campaign.faults, draw_one, first=position * campaign.faults)
+            step = len(self.targets)
+            first = batch.first * step + position
+        return FaultBlock(batch.faults, draw_one, first, batch.missions, batch.mission, step)
 
     def numbered(self, target: str, index: int, seed: int, stratum: str) -> Draw:
         """The draw with this number in a target."""
         return Draw(target, index, seed, self.arms.get(target, ""), stratum)
 
+    def repetition(self, index: int) -> int:
+        """Which fault of its target and mission this one is: the address of its random stream has this number."""
+        batch = next(batch for batch in reversed(self._batches) if batch.first <= index)
+        return batch.repetition + (index - batch.first) // batch.missions
+
     def basis(self, environment: str, draw: Draw) -> tuple[Any, ...]:
         """What a fault depends on besides its golden run; campaigns in which it is equal draw the same fault."""
-        missions = self.campaign.missions
-        repetition = draw.index // missions
+        repetition = self.repetition(draw.index)
         if not self.draws_together:
             return draw, repetition
         if environment not in self._companions:
-            all_draws = draws_of(self.blocks(environment), range(missions), missions)
+            all_draws = draws_of(self.blocks(environment), range(self.campaign.missions))
             self._companions[environment] = Counter((other.seed, other.target) for _, other in all_draws)
         return draw, repetition, self._companions[environment][draw.seed, draw.target]
 
@@ -340,18 +398,17 @@ class Sampler:
         raise NotImplementedError
 
 
-def draws_of(blocks: Sequence[FaultBlock], missions: range, total: int) -> list[tuple[int, Draw]]:
+def draws_of(blocks: Sequence[FaultBlock], missions: range) -> list[tuple[int, Draw]]:
     """The draws of some missions of an environment, in plan order, each with its position.
 
     Args:
         blocks: Blocks of the environment.
         missions: Numbers of the missions, counted from 0.
-        total: Total number of missions.
     """
     draws = []
     for block in blocks:
         for mission in missions:
-            for index in range(mission, block.count, total):
+            for index in block.of_mission(mission):
                 position = block.first + index * block.step
                 draws.append((position, block.draw(index)))
     return sorted(draws, key=lambda pair: pair[0])

@@ -352,7 +352,7 @@ class MemorySampler(Sampler):
             return Sampled(flights.golden(arm))
         exposures: dict[tuple[str, str], Exposure] = {}
         for draw in draws:
-            number = draw.index // self.campaign.missions
+            number = self.repetition(draw.index)
             random = stream(draw.seed, "memory", draw.target, environment, number)
             key = draw.target, draw.stratum
             exposure = exposures.setdefault(key, Exposure(self._sites[draw.target], draw.stratum))

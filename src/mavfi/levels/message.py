@@ -119,7 +119,7 @@ class MessageSampler(Sampler):
 
     def _fault(self, requested: Draw, environment: str, golden: Golden) -> MessageFault:
         """The fault of a draw; those of one mission differ by environment and by how often it was used before."""
-        address = self.campaign.environment_of(environment), requested.index // self.campaign.missions
+        address = self.campaign.environment_of(environment), self.repetition(requested.index)
         operations = self.sampling.operations
         random = stream(requested.seed, "operation", requested.target, *address)
         change = operation_of(operations[int(random.integers(len(operations)))])

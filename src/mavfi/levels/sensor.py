@@ -107,16 +107,16 @@ class SensorSampler(Sampler):
         """One failure per draw; None without a golden run."""
         if "" not in golden:
             return [None] * len(draws)
-        return [self._fault(d.target, d.stratum, d.index, d.seed, environment, golden) for d in draws]
+        return [self._fault(d.target, d.stratum, self.repetition(d.index), d.seed, environment, golden) for d in draws]
 
     def null(self, index: int, seed: int, environment: str, golden: Golden) -> Fault:
         """A fault that changes nothing; units alternate."""
         units = list(self.targets)
-        return self._fault(units[index % len(units)], NULL, index, seed, environment, golden)
+        return self._fault(units[index % len(units)], NULL, index // self.campaign.missions, seed, environment, golden)
 
-    def _fault(self, unit: str, kind: str, index: int, seed: int, environment: str, golden: Golden) -> SensorFault:
-        """The failure with this number of a device; without a golden run, it has no site."""
-        address = environment, index // self.campaign.missions
+    def _fault(self, unit: str, kind: str, repetition: int, seed: int, environment: str, golden: Golden) -> SensorFault:
+        """The failure with this number in a mission of a device; without a golden run, it has no site."""
+        address = environment, repetition
         instances = UNITS[unit].instances
         instance = 0
         if instances > 1:

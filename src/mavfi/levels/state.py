@@ -399,7 +399,7 @@ class StateSampler(Sampler):
         """The fault of a draw, with the lifetime of its target."""
         # Faults of the same seed differ by environment, and by how often the target's missions have been used before.
         seed_environment = self.campaign.environment_of(environment)
-        repetition = requested.index // self.campaign.missions
+        repetition = self.repetition(requested.index)
         stratum = requested.stratum
         seed = requested.seed
         when = self.sampling.when

@@ -24,7 +24,7 @@ def campaign(**changes):
 
 def faults(of, calls=CALLS):
     sampler = sampler_for(of)
-    draws = [draw for _, draw in draws_of(sampler.blocks("sparse"), range(1), 1)]
+    draws = [draw for _, draw in draws_of(sampler.blocks("sparse"), range(1))]
     golden = {"": Sampled(RunResult(FlightRecord(End.FLOWN), tuple(calls)))}
     return sampler.draw(draws, "sparse", golden), sampler, golden
 

@@ -8,9 +8,11 @@ import signal
 import time
 from collections import Counter
 from dataclasses import asdict
+from importlib.resources import files
 from types import SimpleNamespace
 
 import pytest
+import yaml
 
 from mavfi.campaign import fingerprint
 from mavfi.campaign import mission as mission_module
@@ -18,6 +20,7 @@ from mavfi.campaign import run as run_module
 from mavfi.campaign.executors.executor import Done
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.ledger import merge, status, stored_campaign
+from mavfi.campaign.mission import plan_of
 from mavfi.campaign.plan import Shard
 from mavfi.campaign.replay import verify
 from mavfi.campaign.run import run_campaign
@@ -383,7 +386,7 @@ def test_arms_differ_in_any_key_of_the_mission(tmp_path):
 ONE_STRATUM = {"level": "state", "strata": {"sign_exponent": 1}}
 
 
-def large():
+def large(**changes):
     return small(
         missions=3,
         faults=3,
@@ -391,11 +394,12 @@ def large():
         null_runs=3,
         sampling=ONE_STRATUM,
         arms={"late": {"latency_jitter": 0.1}, "gaussian": {"detector": DETECTOR}},
+        **changes,
     )
 
 
 def test_an_extended_campaign_is_the_large_one_flown_from_the_start(tmp_path):
-    flown_into(tmp_path / "large", large())
+    flown_into(tmp_path / "large", large(grown=[{"missions": 2, "faults": 2}]))
     begun = small(missions=2, faults=2, null_runs=1, sampling=ONE_STRATUM)
     flown_into(tmp_path / "grown", begun)
     with Store.open(tmp_path / "grown") as store:
@@ -426,8 +430,8 @@ def test_an_arm_is_added_and_null_runs_take_the_arms_in_turn_as_before(flown, tm
 
 
 def test_an_extended_shard_can_be_merged(tmp_path):
-    def sized(number):
-        return small(environments=["sparse"], missions=number, faults=number, sampling=ONE_STRATUM)
+    def sized(number, **changes):
+        return small(environments=["sparse"], missions=number, faults=number, sampling=ONE_STRATUM, **changes)
 
     halves = [tmp_path / "1", tmp_path / "2"]
     for number, half in enumerate(halves, 1):
@@ -438,25 +442,63 @@ def test_an_extended_shard_can_be_merged(tmp_path):
             halves[1], sized(7).model_copy(update={"environments": ("dense", "sparse")}), shard=Shard(2, 2), extend=True
         )
     merge(halves, tmp_path / "merged")
-    flown_into(tmp_path / "whole", sized(6))
+    flown_into(tmp_path / "whole", sized(6, grown=[{"missions": 3, "faults": 3}]))
     assert digest(tmp_path / "merged") == digest(tmp_path / "whole")
 
 
 def test_what_is_drawn_together_is_extended_by_missions_only():
-    def drawn(missions, faults):
-        sampler = sampler_for(small(missions=missions, faults=faults, null_runs=0, sampling=INSTRUCTIONS, arms={}))
+    def drawn(missions, faults, grown=()):
+        campaign = small(missions=missions, faults=faults, grown=grown, null_runs=0, sampling=INSTRUCTIONS, arms={})
+        sampler = sampler_for(campaign)
         return [sampler.basis("sparse", sampler.blocks("sparse")[0].draw(index)) for index in range(2)]
 
-    assert drawn(2, 2) == drawn(4, 4)
-    assert drawn(2, 2) != drawn(2, 4), "two faults of one stream are not the one and another"
+    begun = [{"missions": 2, "faults": 2}]
+    assert drawn(2, 2) == drawn(4, 4, begun)
+    assert drawn(2, 2) != drawn(2, 4, begun), "two faults of one stream are not the one and another"
+
+
+def test_the_campaign_that_init_writes_grows_in_faults_and_missions(tmp_path):
+    template = yaml.safe_load((files("mavfi") / "data/templates/campaign/campaign.yaml").read_text(encoding="utf-8"))
+    sampling = template["sampling"]
+
+    def sized(missions, faults, **changes):
+        return small(missions=missions, faults=faults, sampling=sampling, environments=["sparse"], **changes)
+
+    sizes = [(template["missions"], template["faults"]), (4, 11), (6, 11), (7, 17)]
+    for number, size in enumerate(sizes):
+        flown_into(tmp_path / "grown", sized(*size), extend=number > 0)
+    flown_into(tmp_path / "grown", sized(*sizes[-1]))  # its file does not name the earlier sizes
+
+    grown = [{"missions": missions, "faults": faults} for missions, faults in sizes[:-1]]
+    start = sized(*sizes[-1], grown=grown)
+    flown_into(tmp_path / "start", start)
+    assert digest(tmp_path / "grown") == digest(tmp_path / "start")
+    assert verify(tmp_path / "grown", 1.0).differing == ()
+    with Store.open(tmp_path / "grown") as store:
+        specs = [run.spec for run in store.runs() if run.spec.setting == "fi" and run.spec.target == "planning"]
+    strata = [spec.fault.stratum for spec in sorted(specs, key=lambda spec: spec.index)]
+    seeds = [spec.seed - 10_000 for spec in sorted(specs, key=lambda spec: spec.index)]
+    assert seeds == [0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 6, 0, 1, 2, 3, 4], "new missions come first"
+    assert [strata[a:b].count("mantissa") for a, b in ((0, 8), (8, 11), (11, 17))] == [3, 1, 2]
+    assert len({(spec.seed, spec.fault) for spec in specs}) == 17
+    sampler = sampler_for(start)
+    keys = [(seed, sampler.repetition(index)) for index, seed in enumerate(seeds)]
+    assert len(set(keys)) == 17, "every fault has a random stream of its own"
+    plan = plan_of(start, {}, {})
+    assert sum(plan.count(Shard(number, 3)) for number in (1, 2, 3)) == plan.count()
+
+
+def test_a_campaign_with_several_faults_in_a_mission_is_refused_when_it_grows():
+    combined = {"level": "combined", "of": [ONE_STRATUM], "faults_per_mission": 2}
+    with pytest.raises(ValueError, match="missions, faults: with several faults in a mission"):
+        small(sampling=combined, null_runs=0, grown=[{"missions": 4, "faults": 3}])
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"missions": 3}, "key 'missions': 3; the ledger has 4; allowed: 4 or more"),
-        ({"missions": 9}, "key 'missions': 9: fault 4 of perception would move to another mission"),
-        ({"faults": 9}, "key 'faults': 9: the strata have exact shares of all faults"),
+        ({"faults": 9, "grown": [{"missions": 4, "faults": 5}]}, "key 'grown': lacks a size that the ledger has had"),
         ({"environments": ["dense"]}, "key 'environments': lacks sparse"),
         ({"first_seed": 20_000}, "key 'first_seed': differs"),
         ({"mission": {"v_max": 4.0}}, "key 'mission': differs"),

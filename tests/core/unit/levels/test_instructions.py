@@ -72,7 +72,7 @@ def flown(c):
 def draws_in(campaign, environment):
     """All faults, in the order of the plan."""
     blocks = sampler_for(campaign).blocks(environment)
-    return [draw for _, draw in draws_of(blocks, range(campaign.missions), campaign.missions)]
+    return [draw for _, draw in draws_of(blocks, range(campaign.missions))]
 
 
 @pytest.mark.parametrize("share", ["stage", "kernel"])

@@ -22,7 +22,7 @@ def campaign(mission=None, **sampling):
 
 def faults(of, golden=GOLDEN):
     sampler = sampler_for(of)
-    return sampler.draw([draw for _, draw in draws_of(sampler.blocks("sparse"), range(4), 4)], "sparse", golden)
+    return sampler.draw([draw for _, draw in draws_of(sampler.blocks("sparse"), range(4))], "sparse", golden)
 
 
 def test_types_have_equal_shares_and_instants_and_motors_are_uniform():

@@ -141,7 +141,7 @@ class StackSampler(Sampler):
         messages = _messages(golden, topic)
         if not messages:
             return None
-        number_of_use = requested.index // self.campaign.missions
+        number_of_use = self.repetition(requested.index)
         random = stream(requested.seed, "message", topic, environment, number_of_use)
         changes = self._changes[topic]
         change = changes[int(random.integers(len(changes)))]
