@@ -17,7 +17,8 @@ from pathlib import Path
 
 from mavfi.extras.registers.injector import inject_once
 from mavfi.extras.registers.registers import decode
-from mavfi.faults.fault import DEFAULT_WALK, RegisterFault
+from mavfi.faults import DEFAULT_WALK
+from mavfi.faults.fault import RegisterFault
 from tests.extras.registers.conftest import Targets
 from tests.nightly.chaos import say
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, get_args
 
 from mavfi.config import checked
 from mavfi.errors import BadInputError, not_known
-from mavfi.faults import strata
+from mavfi.faults import DEFAULT_WALK, strata
 from mavfi.faults.levels.transit import is_length
 from mavfi.faults.operations import (
     MESSAGE_OPERATIONS,
@@ -49,12 +49,6 @@ REGISTERS = ("all", "general", "fp")
 """Values of `RegisterFault.registers`."""
 ACCESSES = ("either", "read", "write")
 """Values of `RegisterFault.access`."""
-DEFAULT_WALK = 16
-"""Default of `RegisterFault.walk` with a symbol.
-
-It is longer than the loops at whose few instructions stops occur.  Longer walks spread injections no further, and stop
-the target for longer (docs/reference/registers.md).
-"""
 LIFETIME: Mapping[str, float | int] = {"lasts_s": 0.0, "share": 1.0, "width": 1, "times": 1}
 """Defaults of the duration and width of a `StateFault`."""
 MOST_CALLS = 100

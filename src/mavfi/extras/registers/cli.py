@@ -10,7 +10,7 @@ from rich.text import Text
 from mavfi.cli import options
 from mavfi.cli.console import check_seed, console, write_json
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import DEFAULT_WALK
+from mavfi.faults import DEFAULT_WALK
 from mavfi.plugins import extensions
 
 if TYPE_CHECKING:
