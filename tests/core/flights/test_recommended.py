@@ -72,7 +72,7 @@ def test_the_tour_of_the_readme_tells_the_three_flights_apart(capsys, tmp_path):
     text = capsys.readouterr().out
     assert text.index("✓ Reached the goal.") < text.index("without the detector: ✗ Touched an obstacle")
     drawn = picture.read_text(encoding="utf-8")
-    for label in ("golden run", "with the fault", "with the fault and detector recommended", "alarm at the injection"):
+    for label in ("golden run", "with the fault", "with the fault and detector recommended", "alarm at the fault"):
         assert f"<!-- {label} -->" in drawn
     ends = r"<!-- golden run: goal at (\S+) s · with the fault: collision at \S+ s · with the fault and detector "
     assert re.search(ends + r"recommended: goal at \1 s -->", drawn), "the title"

@@ -259,7 +259,7 @@ def test_other_commands_are_typed(client):
     typed(client, "param set MPC_XY_CRUISE 3.5")
     assert typed(client, "param show MPC_XY_CRUISE") == "MPC_XY_CRUISE: 3.5\n" and client.autopilot.speed == 3.5
     assert "not a value of NAV_RCL_ACT" in typed(client, "param set NAV_RCL_ACT x")
-    assert "ps: not supported; allowed: failure, commander, param" in typed(client, "ps")
+    assert "'ps': not known; allowed: failure, commander, param" in typed(client, "ps")
 
 
 # ---- UDP -----------------------------------------------------------------------------------------------------------

@@ -54,7 +54,7 @@ def test_a_failed_installation_leaves_nothing(no_ros, capsys, monkeypatch):
 
 def test_an_unknown_distribution_is_refused(no_ros, capsys):
     assert run(["ros", "setup", "humble"]) == 2
-    assert capsys.readouterr().err == "mavfi: ROS 2 humble: allowed: jazzy, kilted\n"
+    assert capsys.readouterr().err == "mavfi: ROS 2 'humble': not known; allowed: jazzy, kilted\n"
     assert all("==" in package for package in requirements("jazzy") + requirements("kilted"))
 
 
