@@ -33,10 +33,10 @@ CORE_COMMANDS = (
 COMMANDS = (
     "runs smoke",
     "report smoke --html report.html",
-    "explain smoke 1",
+    "explain smoke 13",
     "campaign verify smoke",
     "fly --seed 7 --html flight.html --picture flight.png",
-    "export smoke 1 --to flight.mcap",
+    "export smoke 13 --to flight.mcap",
     "train --flights 1 --out models",
     "docs --path",
 )
