@@ -74,7 +74,7 @@ def trained_for(incomplete: str) -> list[str]:
 
 def fault(incomplete: str) -> list[str]:
     """Complete the level of a fault, then step by step where it is and what happens."""
-    level, colon, place = incomplete.partition(":")
+    level, colon, target = incomplete.partition(":")
     if not colon:
         return ["null", *(f"{name}:" for name in _PLACES)]
     if level not in _PLACES:
@@ -82,7 +82,7 @@ def fault(incomplete: str) -> list[str]:
     places = _PLACES[level]()
     for name, further in places.items():
         # A place that is complete is followed by what it consists of, or by what happens to it.
-        if further and place.startswith(name):
+        if further and target.startswith(name):
             return [f"{level}:{name}{part}" for part in further]
     return [f"{level}:{name}" for name in places]
 

@@ -63,7 +63,9 @@ def doctor() -> int:
     if broken:
         out.print(f"Flights cannot work: {', '.join(check.name for check in broken)}.")
     elif missing:
-        verb = "is" if len(missing) == 1 else "are"
+        verb = "are"
+        if len(missing) == 1:
+            verb = "is"
         things = counted(len(missing), "optional thing")
         out.print(f"Everything that flights need is here; {things} {verb} missing.")
     else:

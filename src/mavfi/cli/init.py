@@ -43,14 +43,14 @@ def init(
 ) -> None:
     """Write a start that works, with comments, to be changed.
 
-    No file is overwritten. The commands to go on with are printed.
+    No file is overwritten. It prints the next commands.
 
     Example: [bold]mavfi init detector my_study[/bold]
     """
-    known = templates()
-    check_name("template", template, known)
+    folders = templates()
+    check_name("template", template, folders)
     texts = {
-        path.name: path.read_text(encoding="utf-8") for path in sorted(known[template].iterdir()) if path.is_file()
+        path.name: path.read_text(encoding="utf-8") for path in sorted(folders[template].iterdir()) if path.is_file()
     }
     next_steps = texts.pop(_NEXT)
     for name in texts:

@@ -204,7 +204,9 @@ def compiling(*, instrumented: bool = False, flight: bool = False) -> Iterator[b
     if instrumented and not any(folder.rglob("*.bin")):
         compiles = True
     if compiles:
-        duration_text = "half a minute" if instrumented else "20 s"
+        duration_text = "20 s"
+        if instrumented:
+            duration_text = "half a minute"
         text = f"compiling kernels for this machine, once (about {duration_text}) ..."
         if not out.is_terminal:
             out.print(text)

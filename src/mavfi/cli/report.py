@@ -154,10 +154,10 @@ def _said_of_page(path: Path, flights: "EmbeddedFlights", directory: Path) -> st
         count = f"{flights.stored} of {counted(flights.chosen, 'flight')}"
     if flights.is_stopped:
         count = f"{count} (stopped)"
-    said = f"{path}, with {count}, {path.stat().st_size / 1e6:.1f} MB"
+    summary = f"{path}, with {count}, {path.stat().st_size / 1e6:.1f} MB"
     if flights.stored == flights.chosen < DEFAULT_FLIGHTS:  # there are no more that explain anything
-        return said
-    return f"{said} (any other: mavfi serve {directory}; more in the page: --flights 200)"
+        return summary
+    return f"{summary} (any other: mavfi serve {directory}; more in the page: --flights 200)"
 
 
 def _write_figures(reported: Reported, folder: Path) -> str:

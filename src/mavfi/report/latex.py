@@ -40,8 +40,10 @@ def latex_table(table: Table) -> str:
     columns, rows = shown(table)
     alignment = ""
     for index, column in enumerate(columns):
-        is_text = index < table.keys or column.form == TEXT
-        alignment += "l" if is_text else "r"
+        if index < table.keys or column.form == TEXT:
+            alignment += "l"
+        else:
+            alignment += "r"
     lines = [
         r"% needs \usepackage{booktabs}",
         r"\begin{table}",

@@ -169,7 +169,9 @@ def name_lines(axes: Axes, ends: Sequence[LineEnd], size: float = 8.5) -> None:
     # from above, each at its height or a gap below the one above it; then from below, into the axes
     heights: list[float] = []
     for end in ordered:
-        ceiling = heights[-1] - gap if heights else high
+        ceiling = high
+        if heights:
+            ceiling = heights[-1] - gap
         heights.append(min(end.y, ceiling))
     floor = low
     for index in reversed(range(len(heights))):
@@ -300,7 +302,9 @@ def fit_to_slide(figure: Figure) -> None:
 
 def _arrange(figure: Figure, panels: Sequence[Axes], limit: float, sizes: _LetterSizes) -> None:
     """Wrap, join, turn and thin out the texts of a resized figure, which may grow up to a height (in)."""
-    flat = [] if figure.subfigs else panels  # those of subfigures have the scale of a map
+    flat = panels
+    if figure.subfigs:  # their panels have the scale of a map
+        flat = []
     _join_labels(figure, flat, sizes)
     for legend in figure.findobj(Legend):
         _fold_legend(figure, legend, sizes)

@@ -105,19 +105,19 @@ def detectors(  # noqa: PLR0913 - one parameter per option
         return
 
     # The verdict comes first: a sentence on each part.
-    own: Sequence[str] = ()
+    user_schemes: Sequence[str] = ()
     if detector or scheme:
-        own = tuple(chosen.arms)
+        user_schemes = tuple(chosen.arms)
     for name, table in shown.items():
-        for sentence in sentences(results_of(table), own):
+        for sentence in sentences(results_of(table), user_schemes):
             console().print(Text(f"{name}: {sentence}"))
-        if own and name in flights.parts and table is flown[name]:
+        if user_schemes and name in flights.parts and table is flown[name]:
             console().print(Text(_how_to_compare(bench, name, scale)))
     console().print()
     if everything:
         _show_all(list(shown.values()))
     else:
-        _show_short(flights, flown, shown, own)
+        _show_short(flights, flown, shown, user_schemes)
     console().print(Text(f"The tables are in {out / 'leaderboard.md'}."), soft_wrap=True)
 
 
@@ -150,13 +150,13 @@ def _how_to_compare(bench: str, part: str, scale: str) -> str:
 
 
 def _show_short(
-    flights: "BenchFlights", flown: "Mapping[str, Table]", shown: "Mapping[str, Table]", own: Sequence[str]
+    flights: "BenchFlights", flown: "Mapping[str, Table]", shown: "Mapping[str, Table]", user_schemes: Sequence[str]
 ) -> None:
     """Print what decides, with remarks on the faults, schemes that are not flown, and rows that are not flown here."""
     from mavfi.extras.bench.verdict import short_table
 
     for name, table in shown.items():
-        console().print(short_table(table, own))
+        console().print(short_table(table, user_schemes))
         if table is not flown[name]:
             console().print(Text(table.notes[0], style="dim"))  # which rows are published ones
         if name in flights.parts:

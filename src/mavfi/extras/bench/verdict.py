@@ -122,18 +122,18 @@ def results_of(table: Table) -> list[SchemeResult]:
     return sorted(results, key=lambda result: (groups.index(result.keys[:-1]), *result.rank))
 
 
-def sentences(results: Sequence[SchemeResult], own: Collection[str]) -> list[str]:
+def sentences(results: Sequence[SchemeResult], user_schemes: Collection[str]) -> list[str]:
     """What the results say about some schemes, or about the best one if none is named."""
     texts = []
     for group in dict.fromkeys(result.keys[:-1] for result in results):
         of_group = [result for result in results if result.keys[:-1] == group]
         heading = "".join(f"{part}: " for part in group)
-        chosen = [result for result in of_group if result.scheme in own]
+        chosen = [result for result in of_group if result.scheme in user_schemes]
         if not chosen:
             chosen = of_group[:1]
             heading += "the best one, "
         for result in chosen:
-            others = [other for other in of_group if other.scheme not in own and other is not result]
+            others = [other for other in of_group if other.scheme not in user_schemes and other is not result]
             texts.append(f"{heading}{_sentence(result, others)}")
     return texts
 
@@ -165,7 +165,7 @@ def _sentence(result: SchemeResult, others: Sequence[SchemeResult]) -> str:
     return f"{result.scheme} brings back {back.hits} of {back.n}, {back}: {'; '.join(facts)}."
 
 
-def short_table(table: Table, own: Collection[str]) -> RichTable:
+def short_table(table: Table, user_schemes: Collection[str]) -> RichTable:
     """A table for 80 columns: of schemes, sorted, with some rows highlighted; of something else, its first columns."""
     results = results_of(table)
     grid = titled_table(table.title, padding=(0, 1, 0, 0))
@@ -175,7 +175,7 @@ def short_table(table: Table, own: Collection[str]) -> RichTable:
             grid.add_column(column.heading)
         for entry in table.entries():
             texts = [cell(entry[column.key], column.form) for column in visible]
-            grid.add_row(*texts, style=_style(texts[: table.keys], own))
+            grid.add_row(*texts, style=_style(texts[: table.keys], user_schemes))
         return grid
     for column in table.columns[: table.keys]:
         grid.add_column(column.heading)
@@ -183,15 +183,15 @@ def short_table(table: Table, own: Collection[str]) -> RichTable:
         grid.add_column(heading, justify="right", no_wrap=True)
     for result in results:
         cells = list(result.cells)
-        if result.scheme in own:
+        if result.scheme in user_schemes:
             cells[table.keys - 1] = f"{_OWN_MARK}{result.scheme}"
-        grid.add_row(*cells, style=_style(result.keys, own))
+        grid.add_row(*cells, style=_style(result.keys, user_schemes))
     return grid
 
 
-def _style(keys: Sequence[str], own: Collection[str]) -> str:
+def _style(keys: Sequence[str], user_schemes: Collection[str]) -> str:
     """Style of a row, given the cells that name it."""
-    if keys[-1] in own:
+    if keys[-1] in user_schemes:
         return _OWN_ROW
     return ""
 
