@@ -68,8 +68,9 @@ def test_a_node_whose_messages_nobody_can_read_is_restarted():
 
 def test_the_story_says_that_a_message_was_lost():
     fault = StateFault(FaultSite("planning.path", "length_z"), 0, 31)
-    (injection,) = fly(mission(), fault).log.injections
-    assert _fault(injection, fault).endswith(", message lost")
+    log = fly(mission(), fault).log
+    (injection,) = log.injections
+    assert _fault(injection, fault, log).endswith(", message lost")
 
 
 def test_ros_refuses_a_fault_that_may_lose_a_message():

@@ -196,7 +196,7 @@ def test_a_saved_request_of_a_wrong_type_is_one_line(flight, tmp_path, capsys):
     ("arguments", "message"),
     [
         (["{}/flight.npz", "--to", "x.txt"], "--to: x.txt: allowed"),
-        (["{}", "--to", "{}/x.bag"], "name the run"),
+        (["{}", "--to", "{}/x.bag"], "holds no campaign"),
         (["{}/flight.npz", "some-run", "--to", "{}/x.bag"], "not the folder of a campaign"),
         (["{}/absent.npz", "--to", "{}/x.bag"], "is not a flight log"),
         (["{}/flight.npz", "--to", "{}/absent/x.bag"], "cannot be written"),

@@ -53,8 +53,6 @@ def test_a_template_has_the_schema_for_editors(name):
     assert (SCHEMAS / "campaign.json").is_file()
     content = yaml.safe_load("\n".join(lines))
     assert content["name"]
-    # so that --extend can add missions and faults to it
-    assert content["faults"] <= content["missions"] and len(content["sampling"]["strata"]) == 1
 
 
 def test_nothing_is_overwritten(started, tmp_path, capsys):

@@ -64,7 +64,7 @@ def test_an_unknown_topic_is_refused(ros2, capsys, monkeypatch):
     ros2.start("talker.py")
     assert run(["ros", "watch", "--topics", "/joint_state"]) == 2
     assert (
-        "topic /joint_state: not in the graph (did you mean '/joint_states'?); allowed: /joint_states"
+        "topic /joint_state: not in the graph (did you mean '/joint_states'?); allowed: /count, /joint_states"
         in capsys.readouterr().err
     )
 
