@@ -235,7 +235,7 @@ class Batch(NamedTuple):
         first: Number of the first fault.
         faults: Number of faults.
         missions: Number of missions, which take them in turn.
-        mission: Number of the mission of the first fault: the turn goes on, or begins with the first new mission.
+        mission: Number of the mission of the first fault: the next in turn, or the first new one.
         repetition: Faults that a mission has before it, at most.
     """
 

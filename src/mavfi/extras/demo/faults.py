@@ -116,7 +116,7 @@ class FlownDemo:
         causes = ", ".join(_cause(injection) for injection in log.injections)
         ending = _ending(log, self.golden.log)
         if log.kernel is not None and log.kernel.detail:
-            ending = f"the kernel ends with {log.kernel.detail}, {after_death(log)}, and {ending}"
+            ending = f"the kernel fails ({log.kernel.detail}), {after_death(log)}, and {ending}"
         return f"{causes[0].upper()}{causes[1:]}: {ending}; with {DETECTOR}: {self._ending_with_detector()}."
 
     def _ending_with_detector(self) -> str:
@@ -124,7 +124,7 @@ class FlownDemo:
         if log.digest() == self.golden.log.digest():
             return "it is flown as without the fault, bit for bit"
         if log.status is self.unwatched.log.status and _duration(log) == _duration(self.unwatched.log):
-            return "likewise"
+            return "it ends the same way"
         ending = _ending(log, self.golden.log)
         if log.kernel is not None and log.kernel.detail and log.meta["scenario"].get("dead_node") == "readback":
             return f"its node reads its last outputs back, and {ending}"

@@ -3,4 +3,4 @@
 from pathlib import Path
 
 NODE = Path(__file__).parent / "node"
-"""A ROS 2 node of one's own under test."""
+"""Template of a campaign of faults in the messages of a ROS 2 node."""
