@@ -85,8 +85,6 @@ if TYPE_CHECKING:
 def __getattr__(name: str) -> Any:  # noqa: ANN401 (one of the names above)
     if name in _PUBLIC:
         return getattr(import_module(_PUBLIC[name]), name)
-    if name == "Study":
-        raise AttributeError("mavfi.Study: dropped; use mavfi.extras.paper.study.Study")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

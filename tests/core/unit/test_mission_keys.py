@@ -35,7 +35,6 @@ def test_completion_and_help_know_the_keys_of_a_mission(function):
             r"^detecter: unknown argument \(did you mean 'detector'\?\); allowed: d",
         ),
         (lambda: mavfi.draw("null", seeds=3), r"^seeds: unknown argument \(did you mean 'seed'\?\); allowed: seed, "),
-        (lambda: mavfi.fly(stack="published"), r"^mission: key 'stack': dropped; use autopilot$"),
     ],
 )
 def test_an_unknown_argument_is_refused_with_the_likely_one(call, message):

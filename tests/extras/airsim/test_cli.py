@@ -83,7 +83,6 @@ def test_options_after_the_script_are_the_programs_own_and_a_line_says_so(tmp_pa
         (["airsim", "serve", "--clock", "slow"], "--clock: slow"),
         (["airsim", "serve", "--clock", "steps", "--speed", "2"], "--speed: 2: allowed: with --clock real"),
         (["airsim", "serve", "--save", "calls.npz"], "--save: calls.npz: allowed ending: .jsonl"),
-        (["airsim", "serve", "--detector", "gaussian"], "--detector: dropped; use mavfi airsim run --detector"),
         (["fly", "--world", "127.0.0.1:1"], "allowed: airsim://127.0.0.1:PORT"),
         (["fly", "--world", "airsim://127.0.0.1:1"], "no server there"),
         (

@@ -81,10 +81,6 @@ def test_the_instruction_level_has_the_size_of_the_papers_table():
         # sampling: states
         ({"sampling": {"level": "magnetic"}}, "key 'sampling.level': 'magnetic': not known; allowed: state, memory, "),
         (
-            {"sampling": {"level": "instruction", "kernels": ["pid"], "scheme": "uniform"}},
-            "key 'scheme': dropped; no replacement: instruction faults are drawn uniformly",
-        ),
-        (
             {"sampling": {"scheme": "groups"}},
             "campaign.yaml: sampling.groups: is required with scheme 'groups'; allowed",
         ),

@@ -35,12 +35,6 @@ def test_help_of_every_verb_has_an_example_and_fills_the_width_of_a_terminal(cap
             assert len(line.rstrip()) + 1 + len(word) > 80 - 2, f"{word!r} fits into {line!r}"
 
 
-@pytest.mark.parametrize("word", ["--stack=hardened", "--stack"])
-def test_an_older_name_of_an_option_is_refused_with_the_new_one(capsys, word):
-    assert run(["states", word]) == 2
-    assert capsys.readouterr().err == "mavfi: --stack: dropped; use --autopilot\n"
-
-
 def test_help_without_arguments_names_every_verb(capsys):
     assert run([]) == 0
     text = capsys.readouterr().out

@@ -48,12 +48,6 @@ def test_profiles_are_presets_of_features_policy_and_gate(model_folder, name):
     assert contains(name, "paper", "physics_gate", {"gate": True})
 
 
-def test_dropped_names_say_what_replaced_them():
-    for refused in (lambda name: load_detector(name, "paper", None, FITS), lambda name: check_detector(name, "paper")):
-        with pytest.raises(BadInputError, match=r"use acceptance, options: {rules: \[4\]}"):
-            refused("rule_4")
-
-
 @pytest.mark.parametrize(
     ("name", "message"),
     [

@@ -92,7 +92,6 @@ def test_the_time_of_a_kernel_weights_its_functions_by_their_shares():
         ({"sites": {"a": 1}}, "allowed: e.g. {0: '0:0-3,5 2:1'}"),
         ({"sites": {0: "0:1"}, "kind": "none"}, "kind 'none': 1 sites; allowed: sites with kind duplicate only"),
         ({"kind": "trap"}, "key 'functions.0.kind': 'trap': not known"),
-        ({"kind": "rerun"}, "key 'kind': 'rerun': dropped; use 'duplicate'"),
         ({"ir_sha256": "abc"}, "key 'functions.0.ir_sha256': 'abc'"),
         ({"colour": 1}, "unknown key 'functions.0.colour'"),
     ],

@@ -47,8 +47,6 @@ def test_without_a_choice_it_is_ros_2_if_there_is_one(monkeypatch):
         (["--kill", "octomap@nan"], "NODE@SECONDS"),
         (["--kill", "world@3"], "allowed: point_cloud, octomap"),
         (["--coupling", "observer"], "--detector"),
-        (["--free-running"], "--free-running: dropped; use --pace 1"),
-        (["--point-cloud-node", "depth_image_proc"], "--point-cloud-node: dropped; no replacement: attach with"),
         (["--pace", "-1"], "--pace"),
         (["--ros", "3"], "--ros: '3': not known; allowed: 2, 1"),
         (["--register-fault", "octomap@-1"], "NODE@SECONDS"),
