@@ -105,6 +105,7 @@ COMMANDS: Mapping[str, str] = {
     "campaign pack": _A_FOLDER,
     "campaign unpack": _A_FOLDER,
     "ros corrupt": "use mavfi ros inject; --at n=10 means message 10, --times 0 --share 0.01 means --rate 0.01",
+    "mavlink": "no replacement: ground stations fly PX4's or ArduPilot's own simulation; fly --mavlink PORT shows ours",
 }
 """Commands, with what to do instead."""
 

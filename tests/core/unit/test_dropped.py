@@ -41,3 +41,10 @@ def test_recovery_is_no_target_of_faults():
     for text in ("memory:recovery.restarts_left", "instruction:recovery"):
         with pytest.raises(BadInputError, match="kernel 'recovery': dropped; no fault in recovery lost a mission"):
             mavfi.draw(text)
+
+
+def test_a_dropped_command_is_refused_in_one_line(capsys):
+    assert run(["mavlink", "serve", "--dialect", "ardupilot"]) == 2
+    refusal = capsys.readouterr().err
+    assert refusal.startswith("mavfi: mavlink: dropped; no replacement: ") and refusal.count("\n") == 1
+    assert "fly --mavlink PORT" in refusal

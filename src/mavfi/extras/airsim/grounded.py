@@ -224,10 +224,6 @@ class Grounded(Simulator):
         self._setpoint[:], self._expiry_us = 0.0, 0
         self.controller = self._make_controller(float(yaw_of(self.odometry[6:10])))
 
-    def limit_speed(self, speed: float) -> None:
-        """Accept velocity set-points up to a speed (m/s), instead of 1.33 v_max."""
-        self._speed_limit = speed
-
     # ---- scene ------------------------------------------------------------------------------------------------------
     def set_wind(self, mean: Sequence[float]) -> None:
         """Set the mean wind, world frame (m/s); raises `BadInputError` for one that is not allowed."""
