@@ -79,10 +79,8 @@ bench: setup  ## measure one thing, or print what there is to measure (NAME=dete
 results: setup  ## fly and write one page of docs/results with its tables, or the pictures of all pages (NAME=sensors, NAME=pictures; without: which there are)
 	@$(BIN)/python -m tools.results $(NAME) $(ARGS)
 
-clients: setup  ## install other people's programs that tests use: Betaflight, MAVSDK, AirSim's own client (build/clients)
+clients: setup  ## install other people's programs that tests use: Betaflight, AirSim's own client (build/clients)
 	@$(BIN)/mavfi firmware setup > /dev/null 2>&1 || $(BIN)/mavfi firmware setup --build
-	@test -x build/clients/mavsdk/bin/python || $(PYTHON) -m venv build/clients/mavsdk
-	@build/clients/mavsdk/bin/python -m pip install -qq mavsdk==3.17.4
 	@test -x build/clients/airsim/bin/python || $(PYTHON) -m venv build/clients/airsim
 	@build/clients/airsim/bin/python -m pip install -qq 'setuptools<70' wheel 'numpy<2.3' opencv-contrib-python-headless msgpack-rpc-python
 	@build/clients/airsim/bin/python -m pip install -qq --no-build-isolation airsim==1.8.1

@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import cast
 
 from mavfi.errors import BadInputError
-from mavfi.extras.mavlink.failures import TYPES as MAVLINK_TYPES
-from mavfi.extras.mavlink.failures import UNITS as MAVLINK_UNITS
 from mavfi.extras.ros.lockstep import views
 from mavfi.extras.ros.lockstep.host import configure
 from mavfi.extras.ros.lockstep.plan import WORLD, FlightGraph
@@ -159,7 +157,6 @@ def sensor_table() -> str:
         "`local`, estimator": lambda unit: _executed(unit, "local", localization="estimator"),
         "`firmware`": lambda unit: _executed(unit, "firmware", "betaflight"),
         "`airsim_program`": lambda unit: _executed(unit, "airsim_program", ""),
-        "MAVLink": lambda unit: unit in MAVLINK_UNITS.values(),
         "`ros2`, `ros1`": lambda unit: _executed(unit, "ros1"),
         "the same, estimator": lambda unit: _executed(unit, "ros1", localization="estimator"),
     }
@@ -180,15 +177,6 @@ def sensor_table() -> str:
     for unit in UNITS:
         answers = ["yes" if is_executed(unit) else "no" for is_executed in columns.values()]
         rows.append(f"| `{unit}` | {' | '.join(answers)} |")
-
-    # what MAVLink lacks, and what it says otherwise
-    absent = [f"`{kind}`" for kind in TYPES if kind not in MAVLINK_TYPES.values()]
-    if absent:
-        rows += ["", f"MAVLink has no command for {', '.join(absent)}."]
-    rows += [
-        "",
-        "Over MAVLink, `ok` ends failures, and `wrong` of `position` is [PX4's](../how-to/mavlink.md#failures).",
-    ]
     return "\n".join(rows)
 
 

@@ -222,28 +222,6 @@ RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded", "detector
 """Mission keys that define the recovery from a detector's alarms."""
 OF_A_DETECTOR = (*RECOVERY, "trained_for")
 """Mission keys without effect on a flight without a detector."""
-OF_THE_PIPELINE = (
-    "autopilot",
-    "planner",
-    "trajectory",
-    "waypoint",
-    "pid",
-    "platform",
-    "map",
-    "map_resolution",
-    "camera_range",
-    "arrival_radius",
-    "time_limit_factor",
-    "latency_jitter",
-    "depth_noise",
-    "localization",
-    "dead_node",
-    "alarm",
-    "epoch_liveness",
-    "protection",
-    *OF_A_DETECTOR,
-)
-"""Mission keys without effect where another program flies the vehicle."""
 _LATER_KEYS = (
     "trajectory",
     "waypoint",

@@ -197,10 +197,14 @@ class Simulator:
     def _face(self, way: np.ndarray) -> float:
         yaw = float(atan2(way[1], way[0]))
         self._data.qpos[3:7] = (cos(0.5 * yaw), 0.0, 0.0, sin(0.5 * yaw))
-        mujoco.mj_forward(self._model, self._data)
+        self._derive()
         self.odometry[:3] = self._data.qpos[:3]
         self.odometry[6:10] = self._data.qpos[3:7]
         return yaw
+
+    def _derive(self) -> None:
+        """Compute what follows from the positions and velocities in MuJoCo's data, without a step of time."""
+        mujoco.mj_forward(self._model, self._data)
 
     @property
     def ray_directions(self) -> np.ndarray:
@@ -346,6 +350,10 @@ class Simulator:
         mujoco.mj_getState(self._model, self._data, physics, signature)
         return physics
 
+    def _set_physics(self, physics: np.ndarray) -> None:
+        """Inverse of `_physics`."""
+        mujoco.mj_setState(self._model, self._data, physics, mujoco.mjtState.mjSTATE_INTEGRATION)
+
     def is_at(self, snapshot: Snapshot) -> bool:
         """Whether the current state equals a snapshot, bit for bit."""
         return self.odometry.tobytes() == snapshot.odometry.tobytes() and self.snapshot().same(snapshot)
@@ -356,7 +364,7 @@ class Simulator:
         Args:
             snapshot: Output of `snapshot`.
         """
-        mujoco.mj_setState(self._model, self._data, snapshot.physics, mujoco.mjtState.mjSTATE_INTEGRATION)
+        self._set_physics(snapshot.physics)
         self._data.sensordata[:] = snapshot.sensors
         self._data.warning.number[:] = snapshot.warnings
         self._thrusts[:] = snapshot.thrusts

@@ -18,7 +18,7 @@ from mavfi.extras.firmware import build
 from tests.core.architecture.source import ROOT
 from tests.pages import DOCS, arguments, commands, serving
 
-PAGES = tuple(f"how-to/{name}.md" for name in ("airsim", "firmware", "hardening", "logs", "mavlink"))
+PAGES = tuple(f"how-to/{name}.md" for name in ("airsim", "firmware", "hardening", "logs"))
 ALL = [(page, command) for page in PAGES for command in commands(page)]
 SAYS = {
     "airsim run --environment sparse": r"golden: ended, .* 18 calls, digest [0-9a-f]{16}\n",
@@ -45,7 +45,6 @@ ELSEWHERE = {
     "report out/firmware-campaign": "tests/extras/firmware/test_cli.py",
     "mavfi harden out/hardening": "tests/extras/hardening/test_cli.py",
     "--protection plan.yaml": "tests/extras/hardening/test_protected.py",
-    "python failure.py": "tests/extras/mavlink/test_mavsdk.py",
 }
 """Commands that need the ledger of such a campaign, a client of some kind, or an absent one: the tests of the same on a
 smaller scale."""
@@ -86,7 +85,6 @@ def fly_there():
 SERVERS = {
     "airsim serve --environment dense": (r"AirSim API on 127\.0\.0\.1:41451", ask_airsim),
     "--in-flight": (r"AirSim API on 127\.0\.0\.1:41451", fly_there),
-    "mavlink serve": (r"autopilot at udp://127\.0\.0\.1:14580", lambda: heartbeat(14_550)),
     "--live": (r"ws://127\.0\.0\.1:8765", lambda: socket.create_connection(("127.0.0.1", 8765), 10).close()),
     "--mavlink 14550": (r"", lambda: heartbeat(14_550)),
 }

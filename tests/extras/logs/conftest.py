@@ -6,8 +6,8 @@ import pytest
 from mavfi.extras.airsim.calls import RecordedCall
 from mavfi.extras.logs.files import write_bag, write_csv, write_mcap
 from mavfi.extras.logs.timeline import Message, tick_messages
+from mavfi.extras.logs.tlog import write_tlog
 from mavfi.extras.logs.ulog import write_ulog
-from mavfi.extras.mavlink.tlog import write_tlog
 from mavfi.mission import MissionStatus
 from mavfi.record import COLUMNS, FlightLog, Injection
 

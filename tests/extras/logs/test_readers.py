@@ -13,10 +13,10 @@ from mavfi.cli.commands import run
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.airsim.calls import RecordedCall, read_calls
 from mavfi.extras.logs.bags import RosReader
+from mavfi.extras.logs.dataflash import DataFlashReader
 from mavfi.extras.logs.files import write_mcap
 from mavfi.extras.logs.recording import read_recording
 from mavfi.extras.logs.timeline import Message
-from mavfi.extras.mavlink.dataflash import DataFlashReader
 from mavfi.flight.log_readers import open_flight_log
 from tests.extras.logs.conftest import make_log
 from tests.extras.logs.dataflash import definitions, record, text_definitions

@@ -8,13 +8,13 @@ import pytest
 
 from mavfi.errors import BadInputError
 from mavfi.extras.logs.files import Maker
-from mavfi.extras.mavlink.tlog import Telemetry
+from mavfi.extras.logs.ned import ned_of
+from mavfi.extras.logs.tlog import Telemetry
 from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
 from mavfi.flight.loop import Listener, ObserverListener
 from mavfi.mission import MissionSpec
-from mavfi.numerics.frames import ned_of
 from tests.extras.logs.viewer import Viewer
 
 pytestmark = pytest.mark.slow
@@ -37,7 +37,7 @@ def ground_station():
 
 
 def test_a_ground_station_receives_the_flight_fault_and_end(golden, ground_station):
-    mavlink = pytest.importorskip("pymavlink.dialects.v20.common", reason="pymavlink (extra mavlink) is not installed")
+    mavlink = pytest.importorskip("pymavlink.dialects.v20.common", reason="pymavlink (extra logs) is not installed")
     parser, found, done = mavlink.MAVLink(None), [], threading.Event()
 
     def receive():

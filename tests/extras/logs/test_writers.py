@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from mavfi.extras.logs.tlog import write_tlog
 from mavfi.extras.logs.ulog import FAULT_TOPIC, write_ulog
-from mavfi.extras.mavlink.tlog import write_tlog
 from mavfi.numerics.frames import local
 from mavfi.record import AlarmRecord, Event, Injection
 from tests.extras.logs.conftest import make_log
@@ -58,7 +58,7 @@ def test_pyulog_reads_fault_alarm_and_end(tmp_path):
 
 
 def read_tlog(log, path):
-    mavutil = pytest.importorskip("pymavlink.mavutil", reason="pymavlink (extra mavlink) is not installed")
+    mavutil = pytest.importorskip("pymavlink.mavutil", reason="pymavlink (extra logs) is not installed")
     count = write_tlog(log, path)
     link, found = mavutil.mavlink_connection(str(path)), []
     while (message := link.recv_match()) is not None:

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.extras.mavlink.flying import MavVehicle
 from mavfi.extras.models import aerialist, worlds
 from mavfi.extras.models.boxes import FINEST_CELL, boxes_of
 from mavfi.extras.models.geometry import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, Pose, Shape, matrix_of_rpy
-from mavfi.mission import MissionSpec
 
 START, GOAL = (0.0, 0.0, 2.0), (20.0, 0.0, 2.0)
 
@@ -225,10 +223,3 @@ def test_test_cases_that_cannot_be_flown_are_refused(tmp_path, text, message):
 def test_our_own_environment_files_are_left_alone(tmp_path):
     (tmp_path / "mine.yaml").write_text("name: mine\ngenerator: cuboids\n", encoding="utf-8")
     assert aerialist.yaml_environment(tmp_path / "mine.yaml") is None
-
-
-def test_a_world_without_a_goal_is_enough_for_a_vehicle_that_others_fly(tmp_path):
-    path = sdf_file(tmp_path, GROUND, sdf_box("a", "10 1 0 0 0 0", "1 4 2"))
-    with pytest.warns(UserWarning, match="obstacles: 1"):
-        vehicle = MavVehicle(MissionSpec(environment=path, start=(2.0, 2.0, 1.0)))
-    assert vehicle.landed and vehicle.sim.world.start[:2] == pytest.approx((2.0, 2.0))

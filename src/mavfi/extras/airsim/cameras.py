@@ -18,6 +18,8 @@ from mavfi.config import CameraConfig
 from mavfi.errors import BadInputError, not_known
 from mavfi.extras.airsim.frames import (
     Data,
+    Quaternion,
+    flipped,
     from_pose,
     from_quaternionr,
     looking,
@@ -27,6 +29,7 @@ from mavfi.extras.airsim.frames import (
     to_pose,
     to_quaternionr,
     to_vector3r,
+    turned,
 )
 from mavfi.extras.airsim.settings import MAX_FIELD_OF_VIEW, MIN_FIELD_OF_VIEW
 from mavfi.extras.airsim.table import (
@@ -40,7 +43,7 @@ from mavfi.extras.airsim.table import (
     vehicle_call,
 )
 from mavfi.numerics.elementary import atan2, exp, tan
-from mavfi.numerics.frames import Quaternion, Triple, flipped, turned
+from mavfi.numerics.frames import Triple
 from mavfi.numerics.rotations import rotation_matrix
 
 # ---- images, computed from ranges: depth, a shaded picture, segmentation; as floats, bytes or PNG --------------------

@@ -17,7 +17,7 @@ from mavfi.cli.panels import MISSION
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, MavfiError, writing
 from mavfi.extras.airsim.config import IMAGE, VEHICLE, ProgramConfig, pixels
-from mavfi.mission import OF_THE_PIPELINE, MissionSpec
+from mavfi.mission import OF_A_DETECTOR, MissionSpec
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,6 +30,28 @@ if TYPE_CHECKING:
 
 HELP_PANEL = "Other programs"
 _CLOCKS = ("real", "steps")
+_OF_THE_PIPELINE = (
+    "autopilot",
+    "planner",
+    "trajectory",
+    "waypoint",
+    "pid",
+    "platform",
+    "map",
+    "map_resolution",
+    "camera_range",
+    "arrival_radius",
+    "time_limit_factor",
+    "latency_jitter",
+    "depth_noise",
+    "localization",
+    "dead_node",
+    "alarm",
+    "epoch_liveness",
+    "protection",
+    *OF_A_DETECTOR,
+)
+"""Mission keys without effect where another program flies the vehicle."""
 
 Fault = Annotated[
     str | None,
@@ -113,7 +135,7 @@ def _airsim() -> None:
 
 
 @app.command("serve")
-@partial(options.with_mission_options, without=OF_THE_PIPELINE)
+@partial(options.with_mission_options, without=_OF_THE_PIPELINE)
 def serve(  # noqa: PLR0913 - one parameter per option
     mission: MissionSpec,
     port: Port = 41451,
@@ -261,7 +283,7 @@ def _fault_of(fault: str | None, seed: int | None) -> BoundaryFault | SensorFaul
 
 
 @app.command("run", context_settings={"allow_interspersed_args": False})
-@partial(options.with_mission_options, without=OF_THE_PIPELINE)
+@partial(options.with_mission_options, without=_OF_THE_PIPELINE)
 def run(  # noqa: PLR0913 - one parameter per option
     mission: MissionSpec,
     context: typer.Context,

@@ -2,19 +2,15 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from mavfi.flight.compose import resolve
-from mavfi.flight.piloted import PilotedVehicle
-from mavfi.mission import MissionSpec
-from mavfi.numerics.elementary import cos, sin
-from mavfi.numerics.frames import Triple, flipped, turned
+from mavfi.extras.airsim.frames import flipped
+from mavfi.extras.airsim.grounded import Contact
+from mavfi.extras.airsim.piloted import PilotedVehicle
+from mavfi.numerics.frames import Triple
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.numerics.vectors import product
-from mavfi.sim.environments import build_world
-from mavfi.sim.grounded import Contact
 
 VEHICLES = -100
 """`Contact.obstacle` of the first vehicle; those of the next ones are smaller by one each."""
@@ -24,73 +20,11 @@ _SEPARATION_S = 0.1
 """Time in which vehicles that overlap part (s)."""
 
 
-class FleetVehicle(PilotedVehicle):
-    """A vehicle with a place of its own.
-
-    Args:
-        spec: The mission.
-        home: Origin of its NED, in the scene's NED (m), whose origin is the mission's start; it stands on the ground
-            there.
-        yaw_deg: Heading at the start, clockwise from north (deg); None = towards the mission's goal.
-        is_armed: Whether its motors run at the start.
-        number: Among the vehicles, from 0; sensors of each have noise of their own.
-        begin_us: Instant at which it appears (us).
-        on_ground: See `PilotedVehicle`.
-
-    Attributes:
-        home: As above.
-    """
-
-    def __init__(
-        self,
-        spec: MissionSpec,
-        *,
-        home: Triple = (0.0, 0.0, 0.0),
-        yaw_deg: float | None = None,
-        is_armed: bool = True,
-        number: int = 0,
-        begin_us: int = 0,
-        on_ground: bool = True,
-    ) -> None:
-        self.home = home
-        self._yaw_deg = yaw_deg
-        self._is_armed = is_armed
-        self._vehicle_number = number
-        super().__init__(spec, on_ground=on_ground)
-        self._base_us = begin_us
-
-    def load(self, spec: MissionSpec) -> None:
-        """See `PilotedVehicle.load`."""
-        scenario = resolve(spec)
-        world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
-        shift = np.array(flipped((*self.home[:2], 0.0)))
-        world = replace(world, start=world.start + shift, goal=world.goal + shift)
-        if self._vehicle_number:
-            scenario = scenario.model_copy(update={"seed": scenario.seed + self._vehicle_number})
-        self._start_in(world, scenario)
-        self.spec = spec
-
-    def _begin(self) -> None:
-        """See `PilotedVehicle._begin`."""
-        super()._begin()
-        self.origin[2] -= self.home[2]
-        if not self._is_armed:
-            self.sim.arm(False)
-        if self._yaw_deg is not None:
-            half = 0.5 * math.radians(self._yaw_deg)
-            self.sim.place(self.sim.odometry[:3].copy(), np.array(turned((cos(half), 0.0, 0.0, sin(half)))))
-
-    @property
-    def radius(self) -> float:
-        """Radius of the sphere that touches others (m)."""
-        return self.scenario.vehicle.collision_radius
-
-
-def free_place(home: Triple, radius: float, others: Sequence[FleetVehicle]) -> Triple:
+def free_place(home: Triple, radius: float, others: Sequence[PilotedVehicle]) -> Triple:
     """The place for a new vehicle: as requested, or the next free one to the east, in steps of 1 m.
 
     Args:
-        home: The requested place, see `FleetVehicle`.
+        home: The requested place, see `PilotedVehicle`.
         radius: Of the vehicle (m).
         others: The vehicles that are there.
     """
@@ -104,7 +38,7 @@ def free_place(home: Triple, radius: float, others: Sequence[FleetVehicle]) -> T
     return north, east, down
 
 
-def collide(vehicles: Sequence[FleetVehicle]) -> None:
+def collide(vehicles: Sequence[PilotedVehicle]) -> None:
     """Let vehicles that touch bounce, and note the contact for both.
 
     A vehicle at rest on the ground is not moved.  Rotation is not changed.
@@ -135,7 +69,7 @@ def collide(vehicles: Sequence[FleetVehicle]) -> None:
 
 
 def nearer(
-    ranges: np.ndarray, directions: np.ndarray, limit: float, pose: Sequence[float], others: Sequence[FleetVehicle]
+    ranges: np.ndarray, directions: np.ndarray, limit: float, pose: Sequence[float], others: Sequence[PilotedVehicle]
 ) -> np.ndarray:
     """Ranges along rays, with other vehicles in their way.
 

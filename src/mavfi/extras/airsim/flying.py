@@ -10,8 +10,7 @@ import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.extras.airsim.frames import from_geo_point, from_pose, from_vector3r, merged_pose
-from mavfi.extras.airsim.table import Api, add_readings, call, require_ready, task, vehicle_call
-from mavfi.flight.piloted import (
+from mavfi.extras.airsim.piloted import (
     Task,
     Vertical,
     Yaw,
@@ -28,6 +27,7 @@ from mavfi.flight.piloted import (
     take_off,
     turn_to,
 )
+from mavfi.extras.airsim.table import Api, add_readings, call, require_ready, task, vehicle_call
 
 _FORWARD_ONLY = 1
 _HOME_SPEED = 0.5

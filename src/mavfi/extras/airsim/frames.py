@@ -9,10 +9,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mavfi.errors import BadInputError
+from mavfi.extras.airsim.grounded import times
 from mavfi.numerics.elementary import cos, sin
-from mavfi.numerics.frames import Numbers, Quaternion, Triple, flipped, geodetic, local, turned
-from mavfi.sim.grounded import times
+from mavfi.numerics.frames import Numbers, Triple, geodetic, local
 
+Quaternion = tuple[float, float, float, float]
+"""w x y z."""
 HOME = (47.641468, -122.140165, 122.0)
 """AirSim's OriginGeopoint: latitude, longitude (deg), altitude (m)."""
 _GEO_POINT = ("latitude", "longitude", "altitude")
@@ -22,6 +24,18 @@ NO_MOUNT = (0.0, 0.0, 0.0, *LEVEL)
 
 Data = dict[str, Any]
 """An object of the API, as plain data."""
+
+
+def flipped(values: Numbers) -> Triple:
+    """A vector in the other frame, NED and the world's or FRD and the body's; its own inverse."""
+    x, y, z = values
+    return float(x), -float(y), -float(z)
+
+
+def turned(quaternion: Numbers) -> Quaternion:
+    """An orientation in the other frames; its own inverse."""
+    w, x, y, z = quaternion
+    return float(w), float(x), -float(y), -float(z)
 
 
 def to_vector3r(values: Numbers) -> dict[str, float]:

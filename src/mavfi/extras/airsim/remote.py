@@ -15,12 +15,11 @@ import numpy as np
 
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.airsim.cameras import PERSPECTIVE
-from mavfi.extras.airsim.frames import from_pose, from_vector3r, to_pose
+from mavfi.extras.airsim.frames import flipped, from_pose, from_vector3r, to_pose, turned
 from mavfi.extras.airsim.scene import difference, identity, reported
 from mavfi.extras.airsim.server import msgpack
 from mavfi.mission import Scenario
 from mavfi.numerics.elementary import atan2, cos, sin
-from mavfi.numerics.frames import flipped, turned
 from mavfi.sim.camera import pixel_directions
 from mavfi.sim.environments.world import World
 

@@ -15,6 +15,7 @@ from mavfi.extras.airsim.cameras import DUST, FOG
 from mavfi.extras.airsim.frames import (
     LEVEL,
     Data,
+    flipped,
     from_geo_point,
     from_pose,
     from_vector3r,
@@ -23,11 +24,11 @@ from mavfi.extras.airsim.frames import (
     to_pose,
     to_vector3r,
 )
+from mavfi.extras.airsim.piloted import TICK_US
 from mavfi.extras.airsim.settings import VehicleSettings
 from mavfi.extras.airsim.table import CALLS, DESTROYED, GROUND, Api, add_readings, call, vehicle_call
-from mavfi.flight.piloted import TICK_US
 from mavfi.mission import Scenario
-from mavfi.numerics.frames import Triple, flipped
+from mavfi.numerics.frames import Triple
 from mavfi.numerics.rotations import yaw_of
 from mavfi.sim.environments.world import World
 from mavfi.sim.scene import STEP_US

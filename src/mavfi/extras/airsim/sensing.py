@@ -5,8 +5,19 @@ from functools import cache
 
 import numpy as np
 
+from mavfi.extras.airsim import grounded
 from mavfi.extras.airsim.fleet import VEHICLES
-from mavfi.extras.airsim.frames import LEVEL, NO_MOUNT, Data, to_geo_point, to_pose, to_quaternionr, to_vector3r
+from mavfi.extras.airsim.frames import (
+    LEVEL,
+    NO_MOUNT,
+    Data,
+    flipped,
+    to_geo_point,
+    to_pose,
+    to_quaternionr,
+    to_vector3r,
+)
+from mavfi.extras.airsim.piloted import FLYING, LANDED
 from mavfi.extras.airsim.table import (
     DESTROYED,
     GROUND,
@@ -14,11 +25,8 @@ from mavfi.extras.airsim.table import (
     add_readings,
     vehicle_call,
 )
-from mavfi.flight.piloted import FLYING, LANDED
 from mavfi.numerics.elementary import cos, sin
-from mavfi.numerics.frames import flipped
 from mavfi.numerics.rotations import rotation_matrix
-from mavfi.sim import grounded
 from mavfi.sim.engine import GRAVITY
 
 _CHANNELS = 16

@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim.fleet import FleetVehicle, collide, free_place, nearer
+from mavfi.extras.airsim.fleet import collide, free_place, nearer
+from mavfi.extras.airsim.frames import Quaternion, flipped
+from mavfi.extras.airsim.piloted import PilotedVehicle
 from mavfi.extras.airsim.settings import AirsimSettings, CaptureSize, VehicleSettings
 from mavfi.mission import MissionSpec
-from mavfi.numerics.frames import Quaternion, Triple, flipped
+from mavfi.numerics.frames import Triple
 from mavfi.sim.scene import STEP_US
 
 GROUND = "Ground"
@@ -139,7 +141,7 @@ class ApiScene:
             begin_us = self.now_us
             others = [api.vehicle for api in self.vehicles.values()]
             home = free_place(home, self.first.vehicle.radius, others)
-        vehicle = FleetVehicle(
+        vehicle = PilotedVehicle(
             spec,
             home=home,
             yaw_deg=settings.yaw_deg,
@@ -259,7 +261,7 @@ class Api:
         sticks: Last data of moveByRC.
     """
 
-    vehicle: FleetVehicle
+    vehicle: PilotedVehicle
     name: str
     scene: ApiScene = field(repr=False)
     settings: VehicleSettings

@@ -1,1 +1,1 @@
-"""Recorded flights: readers of file formats, and detectors trained on and applied to them."""
+"""Recorded flights: readers and writers of file formats, detectors trained on them; viewers of a running flight."""

@@ -28,11 +28,13 @@ if TYPE_CHECKING:
     from mavfi.extras.logs.live import LiveView
     from mavfi.extras.logs.recording import LogRecording
     from mavfi.extras.logs.selection import Wanted
+    from mavfi.extras.logs.tlog import Telemetry
     from mavfi.extras.logs.watch import JudgedLog, LogRates, LogWatch
 
 HELP_PANEL = "Detectors"
 _MAX_FLIPS = 100_000
 _MAX_LISTED = 10
+_MAX_PORT = 65_535
 
 
 class LiveOption:
@@ -58,6 +60,35 @@ class LiveOption:
 
         view = LiveView(PORT)
         return view, f"serving the flight at {view.address}"
+
+
+class GroundStationOption:
+    """The option of `mavfi fly` that sends the running flight to a ground station; see `mavfi.observers`."""
+
+    options = {
+        "mavlink": Annotated[
+            int | None,
+            typer.Option(
+                metavar="PORT",
+                help="Send the flight to a ground station's UDP port on loopback, 14550.",
+                rich_help_panel=OUTPUT,
+            ),
+        ]
+    }
+
+    @staticmethod
+    def chosen(values: dict[str, Any]) -> bool:
+        """Whether the option is set; raises `BadInputError` for a value that is not allowed."""
+        check_number("--mavlink", values["mavlink"], 1, _MAX_PORT)
+        return values["mavlink"] is not None
+
+    @staticmethod
+    def build(values: dict[str, Any]) -> tuple[Telemetry, str]:
+        """The observer, and a line of text that says where the flight can be seen."""
+        from mavfi.extras.logs.tlog import HOST, Telemetry
+
+        port = values["mavlink"]
+        return Telemetry(port), f"sending the flight to udp://{HOST}:{port}"
 
 
 def watch(  # noqa: PLR0913 - one parameter per option

@@ -16,9 +16,9 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mavfi.errors import writing
+from mavfi.extras.logs.lines import ERROR, INFO, WARN
 from mavfi.extras.logs.timeline import Message
 from mavfi.record import COLUMNS, FlightLog
-from mavfi.report.lines import ERROR, INFO, WARN
 
 _TRANSFORMS = "geometry_msgs/TransformStamped[] transforms\n"
 _ZEROS: dict[str, Any] = {"bool": False, "float32": 0.0, "float64": 0.0, "string": ""}

@@ -12,6 +12,7 @@ import numpy as np
 
 from mavfi.errors import BadInputError, not_installed
 from mavfi.extras.logs.files import Maker
+from mavfi.extras.logs.lines import INFO, lines_at
 from mavfi.extras.logs.timeline import (
     TICK_TOPICS,
     Converter,
@@ -25,7 +26,6 @@ from mavfi.extras.logs.timeline import (
 from mavfi.flight.loop import FlightItem, Loop
 from mavfi.mission import MissionStatus
 from mavfi.record import COLUMNS
-from mavfi.report.lines import INFO, lines_at
 from mavfi.states import State
 
 HOST = "127.0.0.1"

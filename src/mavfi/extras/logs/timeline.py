@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import binary_erosion
 
+from mavfi.extras.logs.lines import LogLine, lines_of
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.numerics.voxels import Grid
 from mavfi.record import FlightLog
-from mavfi.report.lines import LogLine, lines_of
 from mavfi.sim.environments.world import World
 from mavfi.states import State, rows
 

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import not_installed, writing
+from mavfi.extras.logs.lines import ERROR, INFO, WARN, LogLine, line_of, lines_of
+from mavfi.extras.logs.ned import ned_of
 from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, numeric, reading
-from mavfi.numerics.frames import ned_of
 from mavfi.record import FlightLog
-from mavfi.report.lines import ERROR, INFO, WARN, LogLine, line_of, lines_of
 
 _FLIGHT_STATES = (
     ("vehicle_land_detected", "landed", 0),

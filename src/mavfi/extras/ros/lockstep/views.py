@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mavfi.extras.logs.lines import lines_at
 from mavfi.extras.ros.lockstep.plan import FlightPlan
 from mavfi.extras.ros.lockstep.transport import StandardView, Transport
 from mavfi.flight.loop import FlightItem, Loop
 from mavfi.mission import MissionStatus
 from mavfi.pipeline.kernel import map_grid
-from mavfi.report.lines import lines_at
 from mavfi.states import State
 
 if TYPE_CHECKING:

@@ -95,20 +95,6 @@ class Failures:
         self.active.append(Failure(fault))
         return self.active[-1]
 
-    def end(self, unit: str, instance: int) -> bool:
-        """Remove the failures of a unit (instance 0: of all instances); returns whether there were any."""
-        remaining = []
-        for failure in self.active:
-            if failure.fault.unit != unit or instance not in (0, failure.fault.instance):
-                remaining.append(failure)
-        had_any = len(remaining) < len(self.active)
-        self.active = remaining
-        return had_any
-
-    def remove(self, failure: Failure) -> None:
-        """Remove one failure."""
-        self.active.remove(failure)
-
     def state(self, time_us: int, odometry: np.ndarray) -> np.ndarray:
         """The state as its readers receive it, see `sim.simulator.Simulator.odometry`. Shape (13,)."""
         measured = self._changed("state", _STATE, time_us, odometry)

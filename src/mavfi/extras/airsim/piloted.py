@@ -1,4 +1,4 @@
-"""A vehicle that a program or a ground station pilots: its state in NED, flight tasks, and rotor commands.
+"""A vehicle that a program pilots: its state in NED, flight tasks, and rotor commands.
 
 Its owner advances the time.  Semantics of the tasks are those of AirSim's MultirotorApiBase: take-off climbs 2 m at
 0.5 m/s, landing sinks at up to 2 m/s, at the end at 0.2 m/s, until the vehicle is still for 10 periods, a place is
@@ -8,30 +8,31 @@ reached within 0.5 m, a path is followed by pursuit with a look-ahead.
 import hashlib
 import math
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from mavfi.errors import BadInputError
+from mavfi.extras.airsim.frames import Quaternion, flipped, turned
+from mavfi.extras.airsim.grounded import Contact, Grounded, Rotors
 from mavfi.faults.levels.sensor.failures import Failures
 from mavfi.flight.compose import resolve
 from mavfi.flight.sensor_faults import FailingController
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.numerics.elementary import atan2, cos, sin
-from mavfi.numerics.frames import Quaternion, Triple, flipped, turned
+from mavfi.numerics.frames import Triple
 from mavfi.numerics.rotations import rotation_matrix, yaw_of
 from mavfi.sim.cascade import MEMORY_SIZE, YAW_REFERENCE, mix_rotors, wanted_rates
 from mavfi.sim.engine import GRAVITY
 from mavfi.sim.environments import build_world
 from mavfi.sim.environments.world import World
-from mavfi.sim.grounded import Contact, Grounded, Rotors
 from mavfi.sim.scene import STEP_US
 from mavfi.sim.vehicle import airframe_of
 
 TICK_US = 20_000
 """Period of a task (us): AirSim's getCommandPeriod."""
-EPOCH_NS = 1_600_000_000_000_000_000
+_EPOCH_NS = 1_600_000_000_000_000_000
 """Time stamp of the start of a simulation (ns since 1970): a constant, so that flights are reproducible."""
 LANDED = 0
 FLYING = 1
@@ -59,10 +60,16 @@ class PilotedVehicle:
 
     Args:
         spec: The mission, of which environment, seed, vehicle, wind and speed limit count.
+        home: Origin of its NED, in the scene's NED (m), whose origin is the mission's start; it starts there.
+        yaw_deg: Heading at the start, clockwise from north (deg); None = towards the mission's goal.
+        is_armed: Whether its motors run at the start, on the ground.
+        number: Among the vehicles, from 0; sensors of each have noise of their own.
+        begin_us: Instant at which it appears (us).
         on_ground: Whether it starts on the ground with the motors idle, and NED has its origin there; else it hovers at
             the mission's start, and NED is the world's frame, turned.
 
     Attributes:
+        home: As above.
         spec: Its mission.
         scenario: The mission, resolved.
         sim: The simulator since the last reset.
@@ -80,9 +87,23 @@ class PilotedVehicle:
     scenario: Scenario
     sim: Grounded
 
-    def __init__(self, spec: MissionSpec, *, on_ground: bool = True) -> None:
+    def __init__(
+        self,
+        spec: MissionSpec,
+        *,
+        home: Triple = (0.0, 0.0, 0.0),
+        yaw_deg: float | None = None,
+        is_armed: bool = True,
+        number: int = 0,
+        begin_us: int = 0,
+        on_ground: bool = True,
+    ) -> None:
+        self.home = home
         self.on_ground = on_ground
-        self._base_us = 0
+        self._yaw_deg = yaw_deg
+        self._is_armed = is_armed
+        self._vehicle_number = number
+        self._base_us = begin_us
         self._collided_before = False
         self.ended_tasks: list[EndedTask] = []
         self._task: Task | None = None
@@ -99,12 +120,11 @@ class PilotedVehicle:
             BadInputError: The mission cannot be flown from the ground; the vehicle stays where it is.
         """
         scenario = resolve(spec)
-        goal = scenario.goal
-        arrival_radius = scenario.arrival_radius
-        if goal is None and scenario.start is not None:  # nobody flies to it, but some worlds have none of their own
-            goal = scenario.start
-            arrival_radius = 0.0
-        world = build_world(scenario.environment, scenario.seed, scenario.start, goal, arrival_radius=arrival_radius)
+        world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+        shift = np.array(flipped((*self.home[:2], 0.0)))
+        world = replace(world, start=world.start + shift, goal=world.goal + shift)
+        if self._vehicle_number:
+            scenario = scenario.model_copy(update={"seed": scenario.seed + self._vehicle_number})
         self._start_in(world, scenario)
         self.spec = spec
 
@@ -129,6 +149,12 @@ class PilotedVehicle:
             self.sim.arm(True)  # AirSim's default: the rotors turn from the start on
         else:
             self.origin = np.zeros(3)
+        self.origin[2] -= self.home[2]
+        if not self._is_armed:
+            self.sim.arm(False)
+        if self._yaw_deg is not None:
+            half = 0.5 * math.radians(self._yaw_deg)
+            self.sim.place(self.sim.odometry[:3].copy(), np.array(turned((cos(half), 0.0, 0.0, sin(half)))))
 
     def reset(self) -> None:
         """Return to the start, and end a running task with False; time and obstacles are not reset."""
@@ -143,7 +169,7 @@ class PilotedVehicle:
     @property
     def stamp(self) -> int:
         """Time stamp (ns)."""
-        return EPOCH_NS + 1000 * self.now_us
+        return _EPOCH_NS + 1000 * self.now_us
 
     @property
     def measured_state(self) -> np.ndarray:
@@ -180,6 +206,11 @@ class PilotedVehicle:
     def imu(self) -> np.ndarray:
         """Specific force (m/s^2) and rates (rad/s), body frame (z up), with noise. Shape (6,)."""
         return self.failures.imu(self.now_us, self.sim.imu())
+
+    @property
+    def radius(self) -> float:
+        """Radius of the sphere that touches others (m)."""
+        return self.scenario.vehicle.collision_radius
 
     @property
     def yaw(self) -> float:
@@ -325,11 +356,11 @@ STILL_PERIODS = 10
 """Periods at rest after which a landing is complete."""
 _FOREVER_S = 1e6
 """Duration of a task without an end (s)."""
-HOLD_S = 0.06
+_HOLD_S = 0.06
 """Validity of a command that is renewed every period (s)."""
-YAW_GAIN = 2.5
+_YAW_GAIN = 2.5
 """Yaw rate (rad/s) per error (rad)."""
-YAW_RATE = 1.5
+_YAW_RATE = 1.5
 """Its limit (rad/s)."""
 _HEIGHT_GAIN = 1.0
 """Vertical speed (m/s) per error of height (m)."""
@@ -370,7 +401,7 @@ class Yaw:
             if math.hypot(velocity[0], velocity[1]) < _LEAST_HEADING_SPEED:
                 return 0.0
             setpoint += float(atan2(velocity[1], velocity[0]))
-        return clip(YAW_GAIN * math.remainder(setpoint - vehicle.yaw, 2.0 * math.pi), YAW_RATE)
+        return clip(_YAW_GAIN * math.remainder(setpoint - vehicle.yaw, 2.0 * math.pi), _YAW_RATE)
 
 
 def clip(value: float, limit: float) -> float:
@@ -392,7 +423,7 @@ def fly_velocity(vehicle: PilotedVehicle, velocity: Triple, seconds: float, yaw:
         vehicle.send(velocity, yaw.value, seconds)
     while vehicle.now_us < end:
         if not yaw.is_rate:
-            vehicle.send(velocity, yaw.rate(vehicle, velocity), HOLD_S)
+            vehicle.send(velocity, yaw.rate(vehicle, velocity), _HOLD_S)
         yield
     return True
 
@@ -402,7 +433,7 @@ def fly_velocity_at(vehicle: PilotedVehicle, velocity: tuple[float, float], z: f
     end = _end_of(vehicle, seconds)
     while vehicle.now_us < end:
         down = clip(_HEIGHT_GAIN * (z - vehicle.position[2]), _CLIMB)
-        vehicle.send((*velocity, down), yaw.rate(vehicle, velocity), HOLD_S)
+        vehicle.send((*velocity, down), yaw.rate(vehicle, velocity), _HOLD_S)
         yield
     return True
 
@@ -475,7 +506,7 @@ def fly_path(
         reduced_speed = min(speed, max(_LEAST_SPEED, path.length - arc))
         scale = reduced_speed / max(math.hypot(*to_pursued), 1e-9)
         velocity = (float(to_pursued[0]) * scale, float(to_pursued[1]) * scale, float(to_pursued[2]) * scale)
-        vehicle.send(velocity, yaw.rate(vehicle, velocity), HOLD_S)
+        vehicle.send(velocity, yaw.rate(vehicle, velocity), _HOLD_S)
         yield
     return False
 
@@ -501,7 +532,7 @@ def land(vehicle: PilotedVehicle, timeout: float) -> Task:
             sink = LANDING_SPEED
         else:
             sink = min(HIGH_LANDING_SPEED, _SINK_GAIN * vehicle.sim.height)
-        vehicle.send((0.0, 0.0, sink), 0.0, HOLD_S)
+        vehicle.send((0.0, 0.0, sink), 0.0, _HOLD_S)
         yield
         if abs(vehicle.velocity[2]) <= APPROX_ZERO_SPEED:
             still_periods += 1
@@ -531,7 +562,7 @@ def turn_to(vehicle: PilotedVehicle, yaw: float, timeout: float, margin: float) 
             return True
         # back to the spot from which the turn began
         north, east, down = (_RETURN_GAIN * (a - b) for a, b in zip(spot, vehicle.position, strict=True))
-        vehicle.send((north, east, down), clip(YAW_GAIN * yaw_error, YAW_RATE), HOLD_S)
+        vehicle.send((north, east, down), clip(_YAW_GAIN * yaw_error, _YAW_RATE), _HOLD_S)
         yield
     return False
 

@@ -5,8 +5,8 @@ import pytest
 
 from mavfi.config import CameraConfig
 from mavfi.errors import BadInputError
+from mavfi.extras.airsim.grounded import GROUND, Grounded
 from mavfi.sim.engine import GRAVITY
-from mavfi.sim.grounded import GROUND, Grounded
 from mavfi.sim.simulator import Simulator
 from tests.core.unit.sim.flights import open_world, room, scenario
 

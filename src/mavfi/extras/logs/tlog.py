@@ -1,4 +1,4 @@
-"""MAVLink messages of a flight, and telemetry logs (.tlog) of them, with the library pymavlink (extra `mavlink`).
+"""MAVLink messages of a flight, and telemetry logs (.tlog) of them, with the library pymavlink (extra `logs`).
 
 QGroundControl, Mission Planner and MAVExplorer read these logs.  A record is the time in microseconds (64 bits,
 big-endian) and a MAVLink 2 packet.  Times are the instants of the flight, from 0.
@@ -17,13 +17,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mavfi.errors import BadInputError, not_installed, writing
+from mavfi.extras.logs.lines import ERROR, INFO, WARN, LogLine, lines_at, lines_of
+from mavfi.extras.logs.ned import euler, ned_of
 from mavfi.faults.levels.message.definition import FORMATS, Leaf
 from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, reading
 from mavfi.flight.loop import FlightItem, Loop
 from mavfi.mission import MissionStatus
-from mavfi.numerics.frames import Triple, euler, geodetic, ned_of
+from mavfi.numerics.frames import Triple, geodetic
 from mavfi.record import FlightLog
-from mavfi.report.lines import ERROR, INFO, WARN, LogLine, lines_at, lines_of
 from mavfi.states import State
 
 _GROUND_STATION = 250
@@ -36,14 +37,14 @@ _STAMP = 8
 _CHECKSUM = 2
 _SIGNATURE = 13
 """Sizes of what comes before a packet, and behind it."""
-LONGEST_TEXT = 50
+_LONGEST_TEXT = 50
 """Characters of one STATUSTEXT; longer texts are sent in chunks."""
 _WITHOUT_NUMBERS = ("BAD_DATA", "STATUSTEXT")
 _UNKNOWN = "UNKNOWN"
 """Start of the name of messages that the dialect does not define."""
 
 
-def mavlink_dialect(what: str = "MAVLink") -> Any:
+def _mavlink_dialect(what: str = "MAVLink") -> Any:
     """The messages of MAVLink's dialect `ardupilotmega`, which includes `common`, from pymavlink.
 
     Args:
@@ -55,14 +56,14 @@ def mavlink_dialect(what: str = "MAVLink") -> Any:
     try:
         from pymavlink.dialects.v20 import ardupilotmega
     except ImportError:
-        raise not_installed(what, "pymavlink", "mavlink") from None
+        raise not_installed(what, "pymavlink", "logs") from None
     return ardupilotmega
 
 
-def chunks_of(text: str) -> list[bytes]:
+def _chunks_of(text: str) -> list[bytes]:
     """The texts of the STATUSTEXT messages of a line: one or more."""
     content = text.encode("ascii", "replace")
-    return [content[start : start + LONGEST_TEXT] for start in range(0, len(content), LONGEST_TEXT)] or [b""]
+    return [content[start : start + _LONGEST_TEXT] for start in range(0, len(content), _LONGEST_TEXT)] or [b""]
 
 
 class TlogReader:
@@ -92,7 +93,7 @@ class TlogReader:
         """See `FlightLogReader`."""
         path = self._path
         kind = "a telemetry log"
-        mavlink_dialect(f"{path}, {kind}")
+        _mavlink_dialect(f"{path}, {kind}")
         from pymavlink.mavutil import mavlogfile
 
         with reading(path, kind), closing(mavlogfile(str(path), notimestamps=False)) as link:
@@ -243,7 +244,7 @@ class FlightMessages:
     """Makes the messages of a flight; a `BadInputError` without pymavlink."""
 
     def __init__(self) -> None:
-        self._dialect = mavlink_dialect()
+        self._dialect = _mavlink_dialect()
 
     def link(self, file: Any) -> Any:
         """Packs messages of system 1, component 1, and writes each packet to a file-like object."""
@@ -251,7 +252,7 @@ class FlightMessages:
 
     def text(self, line: LogLine, number: int) -> Iterator[Any]:
         """The STATUSTEXT messages of a line; chunks of a long text share an id derived from `number`."""
-        parts = chunks_of(line.text)
+        parts = _chunks_of(line.text)
         shared_id = 0
         if len(parts) > 1:
             shared_id = number % 65_535 + 1

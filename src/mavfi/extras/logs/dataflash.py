@@ -1,4 +1,4 @@
-"""ArduPilot's logs (DataFlash): binary (.bin) and as text (.log), with the library pymavlink (extra `mavlink`)."""
+"""ArduPilot's logs (DataFlash): binary (.bin) and as text (.log), with the library pymavlink (extra `logs`)."""
 
 import struct
 from collections.abc import Iterator, Sequence
@@ -53,7 +53,7 @@ class DataFlashReader:
         try:
             from pymavlink.DFReader import DFReader_binary, DFReader_text
         except ImportError:
-            raise not_installed(f"{path}, a log of ArduPilot", "pymavlink", "mavlink") from None
+            raise not_installed(f"{path}, a log of ArduPilot", "pymavlink", "logs") from None
 
         class BinaryReader(DFReader_binary):
             """The library's reader, without its index in C, which prints past `redirect_stderr`."""

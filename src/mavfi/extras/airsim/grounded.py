@@ -6,7 +6,6 @@ Missions start in the air and end at the first contact; the bridges need more.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
 
 from mavfi.config import CameraConfig
@@ -158,7 +157,7 @@ class Grounded(Simulator):
     def _set_state(self, position: np.ndarray, quaternion: Sequence[float]) -> None:
         self._data.qpos[:3], self._data.qpos[3:7], self._data.qvel[:] = position, quaternion, 0.0
         self._data.qfrc_applied[:] = 0.0
-        mujoco.mj_forward(self._model, self._data)
+        self._derive()
         self.odometry[:3], self.odometry[3:6] = self._data.qpos[:3], 0.0
         self.odometry[6:10], self.odometry[10:] = self._data.qpos[3:7], 0.0
 
@@ -224,10 +223,6 @@ class Grounded(Simulator):
         self._setpoint[:], self._expiry_us = 0.0, 0
         self.controller = self._make_controller(float(yaw_of(self.odometry[6:10])))
 
-    def limit_speed(self, speed: float) -> None:
-        """Accept velocity set-points up to a speed (m/s), instead of 1.33 v_max."""
-        self._speed_limit = speed
-
     # ---- scene ------------------------------------------------------------------------------------------------------
     def set_wind(self, mean: Sequence[float]) -> None:
         """Set the mean wind, world frame (m/s); raises `BadInputError` for one that is not allowed."""
@@ -243,8 +238,8 @@ class Grounded(Simulator):
         self.world = replace(self.world, lower=lower, upper=upper)
         physics, old = self._physics(), self._data
         self._build(self.world, self.controller.period_us)
-        mujoco.mj_setState(self._model, self._data, physics, mujoco.mjtState.mjSTATE_INTEGRATION)
-        mujoco.mj_forward(self._model, self._data)
+        self._set_physics(physics)
+        self._derive()
         self._data.sensordata[:], self._data.warning.number[:] = old.sensordata, old.warning.number
         self._camera = Camera(self._scenario.camera, self.world, self._camera.noise_key)
 
