@@ -169,7 +169,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     duration: options.Duration = None,
     as_json: options.AsJson = False,
 ) -> None:
-    r"""Monitor numeric fields of any topics, of ROS 2 or ROS 1, with one of the paper's detectors.
+    r"""Monitor numeric fields of any topics with one of the paper's detectors.
 
     Alarms are printed, and published on /mavfi/alarm as JSON text.
 
@@ -183,14 +183,16 @@ def watch(  # noqa: PLR0913 - one parameter per option
     check_number("--duration", duration, 0.0, _MAX_DURATION_S)
     check_name("--profile", profile, PROFILES)
     check_name("--detector", detector, of_monitored_fields())
-    from mavfi.extras.ros.watch import TopicWatch, make_listener, train_on_file, train_online
+    from mavfi.extras.ros.ros2.environment import find_installation
+    from mavfi.extras.ros.ros2.listener import GraphListener
+    from mavfi.extras.ros.watch import TopicWatch, train_on_file, train_online
 
     names = options.listed(topics)
     if not names:
         raise BadInputError(f"--topics: {topics!r}: allowed: names, with commas between")
     if duration is None:
         duration = _MAX_DURATION_S
-    listener = make_listener(names)
+    listener = GraphListener(find_installation(), names)
     out = console()
     with stoppable("Stopped. The graph is as it was."), listener:
         # learn what is normal
