@@ -298,29 +298,6 @@ class Definition:
             numbers += inner_numbers
         return numbers, offset
 
-    def without(self, data: bytes, ignored: tuple[str, ...]) -> bytes:
-        """The message with all members of these names zeroed, for comparisons.
-
-        The members must have a fixed size and must not be lists, e.g. "stamp", "seq".
-        """
-        blank = bytearray(data)
-        self._blank(Member("", self.kind), data, 0, ignored, blank)
-        return bytes(blank)
-
-    def _blank(self, member: Member, data: bytes, offset: int, ignored: tuple[str, ...], blank: bytearray) -> int:
-        """Zero the ignored parts of a member in `blank`; returns the end offset of the member."""
-        if member.name in ignored:
-            end = self._skip(member, data, offset)
-            blank[offset:end] = bytes(end - offset)
-            return end
-        if member.kind in FORMATS or member.kind == _STRING:
-            return self._skip(member, data, offset)
-        count, offset = self._count(member, data, offset)
-        for _ in range(count):
-            for part in self.types[member.kind]:
-                offset = self._blank(part, data, offset, ignored, blank)
-        return offset
-
 
 @cache
 def steps(path: str) -> tuple[tuple[str, int | None], ...]:
