@@ -1,4 +1,4 @@
-"""Write the documentation derived from code: the state table, ROS graph and topics, and the reference pages."""
+"""Write the documentation derived from code: the state table, topics on ROS, and the reference pages."""
 
 import re
 from collections.abc import Callable, Iterable

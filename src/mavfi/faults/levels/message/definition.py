@@ -1,4 +1,6 @@
-"""ROS 1 messages of any type, parsed with the definition that the publisher transmits, without generated classes.
+"""Messages of any type in the serialization of ROS 1, that of bags, without generated classes.
+
+Messages of ROS 2 are converted to it.
 
 A serialized message is the sequence of its fields, little-endian, packed; strings and lists of variable length start
 with a uint32 (http://wiki.ros.org/msg).  So a field is located by traversing all previous fields.
