@@ -2,16 +2,31 @@
 
 from collections.abc import Mapping
 
-KEYS: Mapping[str, str] = {}
+KEYS: Mapping[str, str] = {
+    **dict.fromkeys(
+        ("studied", "certified"), "make the plan again with mavfi harden, which writes its proof beside it"
+    ),
+}
 """Keys of YAML files and of the Python API, with what to do instead."""
 
 VALUES: Mapping[tuple[str, str], str] = {}
 """Values of keys, by key and value, with the value to use instead."""
 
-NAMES: Mapping[tuple[str, str], str] = {}
+NAMES: Mapping[tuple[str, str], str] = {
+    ("hosts", "ros1"): "use ros2; recordings of ROS 1 (.bag) are still read and written",
+    ("campaigns", "ros1_smoke"): "use mavfi ros fly, or host: ros2 in a campaign of your own",
+    ("studies", "assumptions"): "use python -m studies.assumptions, in a clone of the repository",
+}
 """Shipped names, by kind and name, with what to do instead."""
 
-OPTIONS: Mapping[str, str] = {}
+OPTIONS: Mapping[str, str] = {
+    "ros fly --ros": "no replacement: nodes are those of ROS 2",
+    **dict.fromkeys(
+        ("harden --certify", "harden --faults"),
+        "fly the campaign that mavfi harden writes beside the plan; its exit code is 3 if the plan does not hold",
+    ),
+    "harden --html": "use --json, or mavfi vulnerability DIR --html for the source lines",
+}
 """Options of the command line, alone or of one command ("states --json"), with what to do instead."""
 
 COMMANDS: Mapping[str, str] = {
@@ -38,5 +53,8 @@ def dropped_name(kind: str, name: str) -> str:
     """The refusal of a shipped name of a kind, e.g. "detectors"; "" = no version shipped it."""
     replacement = NAMES.get((kind, name))
     if replacement:
-        return f"{kind.rstrip('s')} {name!r}: dropped; {replacement}"
+        singular = kind.removesuffix("s")
+        if kind == "studies":
+            singular = "study"
+        return f"{singular} {name!r}: dropped; {replacement}"
     return ""
