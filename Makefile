@@ -27,7 +27,7 @@ export PYTHONDONTWRITEBYTECODE :=
 export NO_MKDOCS_2_WARNING := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test nightly lint check format bench results clients ros docs site wheel lock clean
+.PHONY: help setup reproduce test nightly lint check format bench results clients docs site wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -86,9 +86,6 @@ clients: setup  ## install other people's programs that tests use: Betaflight, M
 	@test -x build/clients/airsim/bin/python || $(PYTHON) -m venv build/clients/airsim
 	@build/clients/airsim/bin/python -m pip install -qq 'setuptools<70' wheel 'numpy<2.3' opencv-contrib-python-headless msgpack-rpc-python
 	@build/clients/airsim/bin/python -m pip install -qq --no-build-isolation airsim==1.8.1
-
-ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a folder), and environments with ROS 2
-	@$(BIN)/python -m tools.install_ros
 
 docs: setup  ## write the pages and tables that are derived from the code
 	@$(BIN)/python -m tools.build_pages

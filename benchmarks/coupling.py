@@ -1,4 +1,4 @@
-"""Cost of the observer's delay: the same faults with the detector as gate and as observer; writes docs/how-to/ros.md.
+"""Cost of the observer's delay: the same faults with the detector as gate and as observer; writes docs/how-to/ros2.md.
 
     N=40 python benchmarks/coupling.py
 
@@ -19,7 +19,7 @@ from mavfi.flight.host import Flight
 from mavfi.mission import MissionSpec, MissionStatus
 from tools.markers import between
 
-PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "ros.md"
+PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "ros2.md"
 FIRST_SEED = 10_000
 ENVIRONMENT, AUTOPILOT = "dense", "published"
 ARMS = (

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from tests.core.architecture.source import ROOT
 
 DOCS = ROOT / "docs"
-_PROGRAMS = ("make", "mavfi", "python", "rosbag", "$FLIGHT/join")
+_PROGRAMS = ("make", "mavfi", "python", "$FLIGHT/join")
 _FILE = re.compile(r"^```(?:python|yaml|xml)\n(?:# |<!-- )(\S+)(?: -->)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _SESSION = re.compile(r"^```console\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _ELLIPSIS = "..."

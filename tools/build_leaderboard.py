@@ -391,7 +391,7 @@ def about(bench: Bench) -> list[str]:
         "[this project's detectors](../images/curves-paper.png), "
         "[other libraries' and bounds](../images/curves-paper-others.png)",
         "cost of detection: [detectors](../reference/detectors.md#cost); "
-        "alarms that come late: [ROS](../how-to/ros.md#coupling); "
+        "alarms that come late: [ROS](../how-to/ros2.md#coupling); "
         "faults that last: [their page](lasting.md)",
     ]
     return lines

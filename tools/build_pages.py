@@ -1,4 +1,4 @@
-"""Write the documentation derived from code: the state table, ROS graph and topics, and the reference pages."""
+"""Write the documentation derived from code: the state table, topics on ROS, and the reference pages."""
 
 import re
 from collections.abc import Callable, Iterable
@@ -10,7 +10,7 @@ from mavfi.extras.mavlink.failures import TYPES as MAVLINK_TYPES
 from mavfi.extras.mavlink.failures import UNITS as MAVLINK_UNITS
 from mavfi.extras.ros.lockstep import views
 from mavfi.extras.ros.lockstep.host import configure
-from mavfi.extras.ros.lockstep.plan import WORLD, FlightGraph
+from mavfi.extras.ros.lockstep.plan import FlightGraph
 from mavfi.faults.levels.sensor.fault import NULL, TYPES, UNITS, Device, SensorFault, check_read
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight.compose import new_loop, resolve
@@ -105,21 +105,10 @@ def ros_views() -> str:
         *((topic, kind, f"`{state}`") for state, (topic, kind) in views.PUBLICATIONS.items()),
         (views.TRAJECTORY, views.TRAJECTORY_TYPE, "`planning.trajectory`"),
         *((topic, kind, "once per second") for topic, kind in views.SCENERY.items()),
-        (views.LOG, " or ".join(views.LOG_TYPES.values()), "events, alarms, injections, end"),
+        (views.LOG, views.LOG_TYPE, "events, alarms, injections, end"),
     ]
     lines = [f"| `{topic}` | {kind} | {what} |" for topic, kind, what in rows]
     return "\n".join(["| topic | type | of |", "|---|---|---|", *lines])
-
-
-def ros_graph() -> str:
-    """Nodes and topics of a flight as a diagram."""
-    arrows: dict[tuple[str, str], list[str]] = {}
-    for state, route in _graph().routes.items():
-        for reader in route.readers or (WORLD,):
-            if reader != route.writer:
-                arrows.setdefault((route.writer, reader), []).append(state.split(".")[1])
-    lines = [f"    {writer} -- {', '.join(names)} --> {reader}" for (writer, reader), names in arrows.items()]
-    return "\n".join(["```mermaid", "flowchart LR", *lines, "```"])
 
 
 def unit_text(name: str, unit: Device) -> str:
@@ -160,8 +149,8 @@ def sensor_table() -> str:
         "`firmware`": lambda unit: _executed(unit, "firmware", "betaflight"),
         "`airsim_program`": lambda unit: _executed(unit, "airsim_program", ""),
         "MAVLink": lambda unit: unit in MAVLINK_UNITS.values(),
-        "`ros2`, `ros1`": lambda unit: _executed(unit, "ros1"),
-        "the same, estimator": lambda unit: _executed(unit, "ros1", localization="estimator"),
+        "`ros2`": lambda unit: _executed(unit, "ros2"),
+        "the same, estimator": lambda unit: _executed(unit, "ros2", localization="estimator"),
     }
 
     # three tables below each other: what a unit is, what a type does, who executes it
@@ -193,9 +182,9 @@ def sensor_table() -> str:
 
 
 def ros_page() -> str:
-    """The ROS page with its generated parts."""
-    page = (DOCS / "how-to" / "ros.md").read_text(encoding="utf-8")
-    for name, block in (("graph", ros_graph()), ("topics", ros_topics()), ("views", ros_views())):
+    """The page on ROS 2 with its generated parts."""
+    page = (DOCS / "how-to" / "ros2.md").read_text(encoding="utf-8")
+    for name, block in (("topics", ros_topics()), ("views", ros_views())):
         page = between(page, name, block)
     return page
 
@@ -207,7 +196,7 @@ def pages() -> dict[Path, str]:
     fault_page = between(fault_page, "sensors", sensor_table())
     levels = DOCS / "concepts" / "levels.md"
     return {
-        DOCS / "how-to" / "ros.md": ros_page(),
+        DOCS / "how-to" / "ros2.md": ros_page(),
         faults: between(fault_page, "memory", memory_table()),
         levels: between(levels.read_text(encoding="utf-8"), "levels", level_table()),
         **build_commands.pages(),

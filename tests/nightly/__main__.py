@@ -14,7 +14,7 @@ from datetime import date
 from pathlib import Path
 
 from mavfi.analysis.table import Table
-from mavfi.extras.ros.ros1 import finder
+from mavfi.extras.ros.ros2.environment import installations
 from tools import results
 from tools.markers import ROOT
 
@@ -125,8 +125,8 @@ def main() -> int:
     wanted = os.environ.get("ONLY", "").split()
     rows = {}
     for test in TESTS:
-        if test.part == "ros" and finder.missing():
-            sys.stdout.write(f"{test.name}: ROS is not installed\n")
+        if test.part == "ros" and not any(installations()):
+            sys.stdout.write(f"{test.name}: ROS 2 is not installed\n")
         elif not wanted or test.name in wanted:
             sys.stdout.write(f"{test.name} ...\n")
             sys.stdout.flush()

@@ -31,7 +31,7 @@ CAMPAIGNS = {
         "faults": 4,
     },
     "dask": {"sampling": {"level": "state"}, "missions": 4, "faults": 6, "null_runs": 1},
-    "ros": {"host": "ros1", "sampling": {"level": "state"}, "missions": 1, "faults": 1, "null_runs": 0},
+    "ros": {"host": "ros2", "sampling": {"level": "state"}, "missions": 1, "faults": 1, "null_runs": 0},
 }
 OPTIONS = {"dask": ["--executor", "dask"]}
 ROLES = ("command", "worker", "flight")

@@ -125,7 +125,7 @@ class Campaign(Config):
     name: Name
     host: str = Field(
         "local",
-        description="where: local, ros2, ros1, ros2_stack, firmware, airsim_program, or another entry point",
+        description="where: local, ros2, ros2_stack, firmware, airsim_program, or another entry point",
     )
     environments: tuple[str, ...] = Field(min_length=1)
     first_seed: int = Field(10_000, ge=0)

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, Protocol
 
 from mavfi.config import Config
 from mavfi.detectors.detector import Detector
+from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, find_level
 from mavfi.flight.decide import INLINE, RecoveryPolicy
@@ -244,6 +245,9 @@ def host_class(name: str) -> type[Host]:
     Raises:
         BadInputError: The host is unknown or cannot be imported.
     """
+    refusal = dropped_name("hosts", name)
+    if refusal:
+        raise BadInputError(refusal)
     loaded_class: type[Host] = load_object("host", name, GROUP, SHIPPED)
     return loaded_class
 

@@ -6,11 +6,8 @@ from tests.core.architecture.source import dotted, functions, imports, modules
 
 COMPILERS = {"njit", "jit", "vectorize", "guvectorize", "jitclass", "cfunc", "stencil", "prange", "generated_jit"}
 ROS = {
-    "rospy": ("extras/ros/ros1/",),
-    "genpy": ("extras/ros/ros1/",),
-    "rosgraph": ("extras/ros/ros1/",),
-    "rclpy": ("extras/ros/ros2/", "extras/ros/templates/"),
-    "std_msgs": ("extras/ros/ros1/", "extras/ros/ros2/"),
+    "rclpy": ("extras/ros/lockstep/transport.py", "extras/ros/ros2/", "extras/ros/templates/"),
+    "std_msgs": ("extras/ros/lockstep/transport.py", "extras/ros/ros2/"),
 }
 
 

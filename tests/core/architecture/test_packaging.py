@@ -14,7 +14,6 @@ from packaging.utils import canonicalize_name
 
 import mavfi
 from mavfi.errors import missing_package
-from mavfi.extras.ros.ros1 import finder
 from tests.core.architecture.source import PACKAGE, ROOT, imports, modules
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -70,8 +69,8 @@ def test_whatever_is_imported_is_asked_for():
         name.split(".")[0] for path, tree in modules().items() if path not in ELSEWHERE for name in imports(tree)
     }
     homes = {"foxglove": ["foxglove-sdk"], **packages_distributions()}  # of extras that may not be installed here
-    of_ros = finder.ALLOWED | {"rclpy"}  # wanted by two packages alone: see test_code.py
-    foreign = imported - set(sys.stdlib_module_names) - {"mavfi"} - (of_ros - {"yaml"})
+    of_ros = {name for name in imported if name == "rclpy" or name.endswith("_msgs")}  # see test_code.py
+    foreign = imported - set(sys.stdlib_module_names) - {"mavfi"} - of_ros
     known = {name: {canonicalize_name(home) for home in homes.get(name, [name])} for name in foreign}
     assert {name for name, own in known.items() if not own & asked} == set()
 

@@ -3,9 +3,6 @@
 import numpy as np
 import pytest
 
-from mavfi.errors import BadInputError
-from mavfi.extras.ros.lockstep.plan import FlightPlan
-from mavfi.extras.ros.ros1.transport import Ros1
 from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
@@ -71,9 +68,3 @@ def test_the_story_says_that_a_message_was_lost():
     log = fly(mission(), fault).log
     (injection,) = log.injections
     assert _fault(injection, fault, log).endswith(", message lost")
-
-
-def test_ros_refuses_a_fault_that_may_lose_a_message():
-    fault = StateFault(FaultSite("planning.path", "length_z"), 0, 31)
-    with pytest.raises(BadInputError, match=r"planning.path.length_z: is the length of a list; allowed on ROS"):
-        FlightPlan(Ros1(), mission(), None, fault)

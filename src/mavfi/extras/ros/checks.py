@@ -1,25 +1,21 @@
-"""Which ROS there is, and whether its nodes can be kept apart, for `mavfi doctor`."""
+"""Whether there is ROS 2, and whether its nodes can be kept apart, for `mavfi doctor`."""
 
 import shutil
 import subprocess
 
 from mavfi.cli.doctor import Check
-from mavfi.extras.ros.ros1 import finder
 from mavfi.extras.ros.ros2.environment import installations
 
 _PRIVATE_NETWORK = ("--net", "--mount", "true")
 
 
 def checks() -> list[Check]:
-    """ROS 1, ROS 2, and private networks for nodes."""
-    ros1 = Check("ROS 1", True, "Debian's packages")
-    if finder.missing():
-        ros1 = Check("ROS 1", False, "make ros (in a checkout of mavfi)")
+    """ROS 2, and private networks for nodes."""
     distributions = ", ".join(installation.distribution for installation in installations())
     ros2 = Check("ROS 2", True, distributions)
     if not distributions:
         ros2 = Check("ROS 2", False, "mavfi ros setup")
-    return [ros1, ros2, _namespaces()]
+    return [ros2, _namespaces()]
 
 
 def _namespaces() -> Check:

@@ -1,8 +1,7 @@
-"""`mavfi ros`: the pipeline as real ROS nodes."""
+"""`mavfi ros`: the pipeline as real nodes of ROS 2."""
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
 
     from mavfi.extras.ros.lockstep.host import RosFlight
     from mavfi.extras.ros.lockstep.plan import FlightPlan
-    from mavfi.extras.ros.lockstep.transport import Middleware
     from mavfi.faults.fault import RegisterFault
     from mavfi.flight.host import Flight
     from mavfi.levels.level import Request
@@ -49,9 +47,7 @@ app.command("watch")(watch)
 
 @app.callback()
 def _ros() -> None:
-    """The pipeline as ROS nodes; faults in any ROS application.
-
-    ROS 2 or ROS 1.
+    """The pipeline as nodes of ROS 2; faults in any ROS 2 application.
 
     Example: [bold]mavfi ros fly --environment sparse --seed 7 --kill octomap@20[/bold]
     """
@@ -68,10 +64,6 @@ def fly(  # noqa: PLR0913 - one parameter per option
     detector: options.Detector = "none",
     profile: options.Profile = None,
     models: options.Models = None,
-    ros: Annotated[
-        str,
-        typer.Option(metavar="2|1", help="ROS 2 or ROS 1; by default ROS 2 if it is installed.", show_default=False),
-    ] = "",
     pace: Annotated[
         float, typer.Option(help="Flight time per wall time, to look at it; 0 = as fast as possible.")
     ] = 0.0,
@@ -99,10 +91,12 @@ def fly(  # noqa: PLR0913 - one parameter per option
     request = request_of(fault, mission)
     kills = tuple(instant("--kill", text) for text in kill or ())
     faults = register_faults(register_fault or (), registers, register_seed)
-    middleware = middleware_of(ros)
-    middleware.require()
     from mavfi.extras.ros.lockstep.host import configure
     from mavfi.extras.ros.lockstep.plan import FlightPlan
+    from mavfi.extras.ros.lockstep.transport import Middleware
+
+    middleware = Middleware.installed()
+    middleware.require()
 
     # plan the flight, and check that its nodes exist
     setup, label, _ = watched(mission, detector, profile, models)
@@ -132,7 +126,7 @@ def _fly(plan: FlightPlan, label: str, allow_bind_all: bool, *, quiet: bool) -> 
 
     tell = None
     if plan.pace > 0 and not quiet:
-        tell = partial(_invite, plan.middleware)
+        tell = _invite
     flight = fly_there(plan, allow_bind_all=allow_bind_all, tell=tell)
     golden = None
     if plan.fault is not None:
@@ -140,10 +134,11 @@ def _fly(plan: FlightPlan, label: str, allow_bind_all: bool, *, quiet: bool) -> 
     return FlightResult(plan.scenario, flight.flight, golden, plan.fault, label), flight
 
 
-def _invite(middleware: Middleware, folder: Path) -> None:
+def _invite(folder: Path) -> None:
     from mavfi.extras.ros.lockstep.folder import JOIN
+    from mavfi.extras.ros.lockstep.transport import JOIN_EXAMPLE
 
-    text = f"[dim]join the flight:[/dim] {folder / JOIN} {middleware.join_example}"
+    text = f"[dim]join the flight:[/dim] {folder / JOIN} {JOIN_EXAMPLE}"
     console(error=True).print(text, soft_wrap=True)
 
 
@@ -159,8 +154,10 @@ def _show(plan: FlightPlan, result: FlightResult, flight: RosFlight, as_json: bo
         coupling = None
         if plan.detector is not None:
             coupling = plan.recovery.coupling
+        from mavfi.extras.ros.lockstep.host import LockstepHost
+
         ros = {
-            "host": plan.middleware.name,
+            "host": LockstepHost.name,
             "nodes": list(plan.nodes),
             "coupling": coupling,
             "wall_s": flight.times,
@@ -189,26 +186,6 @@ def _show(plan: FlightPlan, result: FlightResult, flight: RosFlight, as_json: bo
     out.print(f"[dim]{1 + len(plan.nodes)} nodes of {plan.middleware.title} · wall clock: {spent}[/dim]")
     if written is not None:
         out.print(f"[dim]wrote[/dim] {written}")
-
-
-def middleware_of(ros: str) -> Middleware:
-    """ROS 2 or ROS 1, as requested by `--ros`; by default ROS 2 if it is installed.
-
-    Raises:
-        BadInputError: Another one is requested, or ROS 2 is not installed.
-    """
-    from mavfi.extras.ros.ros1.transport import Ros1
-    from mavfi.extras.ros.ros2.environment import installations
-    from mavfi.extras.ros.ros2.transport import Ros2
-
-    if ros not in ("", "1", "2"):
-        raise BadInputError(f"--ros: {not_known(ros, ('2', '1'))}")
-    is_ros2 = ros == "2"
-    if ros == "":
-        is_ros2 = any(installations())
-    if is_ros2:
-        return Ros2.installed()
-    return Ros1()
 
 
 # ---- killed nodes and register faults --------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
-    from mavfi.extras.ros.survey import Survey, SurveyedNode, SurveyedService, SurveyedTopic
+    from mavfi.extras.ros.ros2.survey import Survey, SurveyedNode, SurveyedService, SurveyedTopic
 
 _MAX_DURATION_S = 7 * 86_400.0
 _NUMBERS = ("pid", "Hz")
@@ -50,22 +50,21 @@ def list_graphs(
     seconds: Annotated[float, typer.Option(help="How long to listen for rates, s; 0 = not at all.")] = 1.0,
     as_json: options.AsJson = False,
 ) -> None:
-    """Print nodes, processes, topics, types, rates and services of the running ROS graph, of ROS 2 and ROS 1.
+    """Print nodes, processes, topics, types, rates and services of the running ROS graph.
 
     Example: [bold]mavfi ros list[/bold]
     """
     check_number("--seconds", seconds, 0.0, 3600.0)
-    from mavfi.extras.ros.survey import survey_all
+    from mavfi.extras.ros.ros2.survey import survey_graph
 
-    surveys = survey_all(seconds)
+    survey = survey_graph(seconds)
     if as_json:
-        write_json({"graphs": [survey.to_json() for survey in surveys]})
+        write_json({"graphs": [survey.to_json()]})
         return
     out = console()
-    for survey in surveys:
-        out.print(_summary(survey), highlight=False)
-        for table in _tables(survey):
-            out.print(table)
+    out.print(_summary(survey), highlight=False)
+    for table in _tables(survey):
+        out.print(table)
 
 
 def _summary(survey: Survey) -> str:
@@ -76,7 +75,7 @@ def _summary(survey: Survey) -> str:
         counted(len(_shown_services(survey)), "service"),
         counted(len(survey.actions), "action"),
     ]
-    return f"[bold]ROS {survey.ros}[/bold] ({escape(survey.address)}): {', '.join(parts)}"
+    return f"[bold]ROS 2[/bold] ({escape(survey.address)}): {', '.join(parts)}"
 
 
 def _shown_services(survey: Survey) -> list[SurveyedService]:
@@ -93,12 +92,10 @@ def _tables(survey: Survey) -> Iterator[Table]:
     for node in survey.nodes:
         nodes.add_row(escape(node.name), *_process(node))
     yield nodes
-    topics = _table("Topics", "topic", "type", "Hz", "publishers", "readers")
-    if survey.ros == 2:
-        topics = _table("Topics", "topic", "type", "Hz", "QoS", "publishers", "readers")
+    topics = _table("Topics", "topic", "type", "Hz", "QoS", "publishers", "readers")
     for topic in survey.topics:
         if not _is_hidden(topic.name):
-            topics.add_row(*_topic_row(survey, topic))
+            topics.add_row(*_topic_row(topic))
     yield topics
     if survey.actions:
         actions = _table("Actions", "action", "type", "servers")
@@ -130,20 +127,18 @@ def _process(node: SurveyedNode) -> tuple[str, str]:
     return str(node.pid), escape(node.executable)
 
 
-def _topic_row(survey: Survey, topic: SurveyedTopic) -> list[str]:
+def _topic_row(topic: SurveyedTopic) -> list[str]:
     rate = ""
     if topic.rate is not None:
         rate = f"{topic.rate:.1f}"
     elif topic.problem:
         rate = "?"
-    row = [topic.name, _short(topic.kind), rate]
-    if survey.ros == 2:
-        row.append(topic.qos)
-    return [*row, "\n".join(topic.publishers), "\n".join(topic.readers)]
+    kind = _short(topic.kind)
+    return [topic.name, kind, rate, topic.qos, "\n".join(topic.publishers), "\n".join(topic.readers)]
 
 
 def _short(kind: str) -> str:
-    """Name of a type as in ROS 1, without the folder that ROS 2 has in it."""
+    """Name of a type without its folder: "std_msgs/String" for "std_msgs/msg/String"."""
     return kind.replace("/msg/", "/").replace("/srv/", "/").replace("/action/", "/")
 
 
@@ -169,7 +164,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     duration: options.Duration = None,
     as_json: options.AsJson = False,
 ) -> None:
-    r"""Monitor numeric fields of any topics, of ROS 2 or ROS 1, with one of the paper's detectors.
+    r"""Monitor numeric fields of any topics with one of the paper's detectors.
 
     Alarms are printed, and published on /mavfi/alarm as JSON text.
 
@@ -183,14 +178,16 @@ def watch(  # noqa: PLR0913 - one parameter per option
     check_number("--duration", duration, 0.0, _MAX_DURATION_S)
     check_name("--profile", profile, PROFILES)
     check_name("--detector", detector, of_monitored_fields())
-    from mavfi.extras.ros.watch import TopicWatch, make_listener, train_on_file, train_online
+    from mavfi.extras.ros.ros2.environment import find_installation
+    from mavfi.extras.ros.ros2.listener import GraphListener
+    from mavfi.extras.ros.watch import TopicWatch, train_on_file, train_online
 
     names = options.listed(topics)
     if not names:
         raise BadInputError(f"--topics: {topics!r}: allowed: names, with commas between")
     if duration is None:
         duration = _MAX_DURATION_S
-    listener = make_listener(names)
+    listener = GraphListener(find_installation(), names)
     out = console()
     with stoppable("Stopped. The graph is as it was."), listener:
         # learn what is normal

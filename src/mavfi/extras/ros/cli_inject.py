@@ -42,7 +42,7 @@ class RosNode:
         """See `mavfi.extras.registers.cli.PROCESSES`."""
         if values["ros_node"] is None:
             return None
-        from mavfi.extras.ros.survey import pid_of_node
+        from mavfi.extras.ros.ros2.survey import pid_of_node
 
         return pid_of_node(values["ros_node"])
 
@@ -79,8 +79,8 @@ def inject(  # noqa: PLR0913 - one parameter per option
 ) -> None:
     r"""Change messages of a topic or service in a running ROS graph; nothing is restarted or remapped.
 
-    In ROS 2 the change is made inside the process that sends or takes the message, by a small library that is loaded
-    into it and taken out of its calls at the end. In ROS 1 the topic's readers are redirected to mavfi.
+    The change is made inside the process that sends or takes the message, by a small library that is loaded into it
+    and taken out of its calls at the end.
 
     Example: [bold]mavfi ros inject --topic /cmd_vel --field linear.x --set nan --at 10[/bold]
     """
@@ -116,17 +116,10 @@ def inject(  # noqa: PLR0913 - one parameter per option
         site = site_of("topic", topic, side)
     if duration is None:
         duration = _MAX_DURATION_S
-    from mavfi.extras.ros.survey import master_of
-
-    if not service and master_of([topic]) is not None:
-        from mavfi.extras.ros.ros1_inject import inject_ros1
-
-        inject_ros1(topic, field, change, seed, node, duration, as_json=as_json)
-        return
     from mavfi.extras.ros.ros2.interposer.page import InterposedFault
 
     fault = InterposedFault(site.name, field, change.operation, change.when, site.side, seed)
-    _inject_ros2(fault, node, duration, as_json=as_json)
+    _inject(fault, node, duration, as_json=as_json)
 
 
 def _change(field: str, at: str, options_by_name: dict[str, Any]) -> PlannedChange:
@@ -199,8 +192,8 @@ class _Account:
             console().print(line, markup=False, soft_wrap=True)
 
 
-def _inject_ros2(fault: InterposedFault, node: str, duration: float, *, as_json: bool) -> None:
-    """Inject into a running ROS 2 graph, and report; exit code 1 if the target ended before an injection."""
+def _inject(fault: InterposedFault, node: str, duration: float, *, as_json: bool) -> None:
+    """Inject into the running graph, and report; exit code 1 if the target ended before an injection."""
     from mavfi.extras.ros.ros2.graph import AgentClient
     from mavfi.extras.ros.ros2.injection import RunningGraphInjection
 

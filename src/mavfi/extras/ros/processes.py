@@ -95,8 +95,8 @@ def absolute_python_path() -> str:
 def private_network(allowed: str = "as root, or with user namespaces") -> list[str]:
     """Command that runs a program in private network and mount namespaces, unreachable from outside.
 
-    Required as ROS 1's C++ nodes and ROS 2's discovery listen on all interfaces regardless of their settings, and as a
-    killed node of ROS 2 leaves files in `/dev/shm`: see `private_shared_memory`.
+    Required as ROS 2's discovery listens on all interfaces regardless of its settings, and as a killed node leaves
+    files in `/dev/shm`: see `private_shared_memory`.
 
     Raises:
         BadInputError: None can be created; the message names the alternatives.

@@ -5,7 +5,6 @@ The detectors are observers: they withhold no message, and publish their alarms 
 
 import json
 import time
-from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -19,88 +18,10 @@ from mavfi.detectors.foreign import foreign_state
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.logs.circular import Geometry, Numbers, recognise
 from mavfi.extras.logs.monitor import fitted
+from mavfi.extras.ros.ros2.listener import GraphListener
 from mavfi.faults.levels.message.definition import Definition
 from mavfi.flight.log_readers import Probe, make_probes, open_flight_log
 from mavfi.states import State, StateSpec, floats
-
-ALARM_TOPIC = "/mavfi/alarm"
-"""Where alarms are published, as JSON in the `data` of a std_msgs/String."""
-FIRST_PATIENCE_S = 10.0
-"""Time limit for the first message of a topic (s), which determines the available fields."""
-
-
-class MessageListener(ABC):
-    """Subscribes to topics of a running graph, from `__enter__` to `__exit__`, and publishes alarms in it.
-
-    Messages of ROS 2 are converted to the serialization of ROS 1, in which numbers are located by `definitions`.
-
-    Attributes:
-        topics: The topics, each once.
-        definitions: Definition of the messages by topic, from `__enter__` on.
-        notices: What could not be read, and why, one line each.
-    """
-
-    topics: Sequence[str]
-    definitions: dict[str, Definition]
-    notices: list[str]
-
-    @abstractmethod
-    def __enter__(self) -> "MessageListener":
-        """Subscribe; `BadInputError` if nobody publishes a topic."""
-
-    @abstractmethod
-    def __exit__(self, *_: object) -> None:
-        """Leave the graph as it was."""
-
-    @abstractmethod
-    def receive(self, limit_s: float) -> tuple[str, bytes] | None:
-        """The next message with its topic, in order of arrival; None if none comes within a limit (s)."""
-
-    @abstractmethod
-    def open_alarms(self) -> None:
-        """Become a publisher of `ALARM_TOPIC`."""
-
-    @abstractmethod
-    def announce(self, text: str) -> None:
-        """Publish a text on `ALARM_TOPIC`."""
-
-    def take(self, seconds: float) -> Iterator[tuple[str, bytes]]:
-        """Messages in order of arrival, for a duration (s)."""
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0:
-            message = self.receive(left)
-            if message is not None:
-                yield message
-
-    def first(self) -> dict[str, tuple[Definition, bytes]]:
-        """Definition and one message of each topic; `MavfiError` if a topic has no messages."""
-        messages: dict[str, tuple[Definition, bytes]] = {}
-        for topic, message in self.take(FIRST_PATIENCE_S):
-            messages.setdefault(topic, (self.definitions[topic], message))
-            if len(messages) == len(self.topics):
-                return messages
-        silent = [topic for topic in self.topics if topic not in messages]
-        raise MavfiError(f"topic {silent[0]}: no message within {FIRST_PATIENCE_S:g} s; nothing can be watched")
-
-
-def make_listener(topics: Sequence[str]) -> MessageListener:
-    """The listener for topics of a running graph, see `master_of`.
-
-    Raises:
-        BadInputError: There is no ROS, or a topic is unknown.
-    """
-    from mavfi.extras.ros.node.watch import TopicListener
-    from mavfi.extras.ros.ros2.environment import find_installation
-    from mavfi.extras.ros.ros2.watch import GraphListener
-    from mavfi.extras.ros.survey import master_of
-
-    master = master_of(topics)
-    if master is not None:
-        return TopicListener(master, topics)
-    try:
-        return GraphListener(find_installation(), topics)
-    except BadInputError as error:
-        raise BadInputError(f"no master of ROS 1 answers; {error}") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +57,7 @@ class TopicWatch:
         skipped: Number of messages that lack a monitored field, by topic.
     """
 
-    def __init__(self, listener: MessageListener, probes: dict[str, Probe], detector: Detector) -> None:
+    def __init__(self, listener: GraphListener, probes: dict[str, Probe], detector: Detector) -> None:
         self._probes = probes
         self._detector = detector
         self.alarms: list[ForeignAlarm] = []
@@ -188,7 +109,7 @@ class MonitorTraining(NamedTuple):
 
 
 def train_online(
-    listener: MessageListener, detector_and_profile: tuple[str, str], fields: list[str], seconds: float
+    listener: GraphListener, detector_and_profile: tuple[str, str], fields: list[str], seconds: float
 ) -> MonitorTraining:
     """Train a detector on what the topics publish now, for a duration (s)."""
     probes = make_probes(listener.first(), fields)

@@ -80,7 +80,7 @@ def test_every_message_has_its_own_row_and_the_strata_that_it_has():
         ({"names": ("sensor.imu",)}, "sensor.imu: only flights with localization estimator"),
         ({"names": ("planning.waypoint",), "strata": {"length": 1}}, "no field has bits of the stratum 'length'"),
         (
-            {"names": ("planning.path",), "strata": {"length": 1}, "host": "ros1"},
+            {"names": ("planning.path",), "strata": {"length": 1}, "host": "ros2"},
             "'length': may lose a message; allowed on ROS: bits of numbers",
         ),
     ],

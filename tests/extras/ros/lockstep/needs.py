@@ -1,26 +1,28 @@
-"""ROS 2 and ROS 1 as flights use them; elsewhere their tests are skipped, saying why."""
+"""ROS 2 as flights use it; elsewhere its tests are skipped, saying why."""
 
-import subprocess
+from pathlib import Path
 
 import pytest
 
 from mavfi.errors import MavfiError
+from mavfi.extras.ros.lockstep.transport import Middleware
 from mavfi.extras.ros.processes import private_network
-from mavfi.extras.ros.ros1.transport import Ros1
-from mavfi.extras.ros.ros2.environment import DISTRIBUTIONS
-from mavfi.extras.ros.ros2.transport import Ros2
+from mavfi.extras.ros.ros2.environment import DISTRIBUTIONS, Installation
+
+NOWHERE = Middleware(Installation("jazzy", "python3", Path("/nowhere"), {}), 1)
+"""For plans that are never flown."""
 
 
 def find(name):
-    """ROS 1, or a distribution of ROS 2; raises `MavfiError` where it cannot fly."""
-    middleware = Ros1() if name == "ros1" else Ros2.installed(name)
+    """A distribution of ROS 2; raises `MavfiError` where it cannot fly."""
+    middleware = Middleware.installed(name)
     middleware.require()
     private_network()
     return middleware
 
 
 def why_not(name):
-    """Why a ROS cannot fly here; "" = it can."""
+    """Why a distribution cannot fly here; "" = it can."""
     try:
         find(name)
     except MavfiError as error:
@@ -28,9 +30,9 @@ def why_not(name):
     return ""
 
 
-ABSENT = {name: why_not(name) for name in (*DISTRIBUTIONS, "ros1")}
-ANY = next((name for name, why in ABSENT.items() if not why), "ros1")
-"""The ROS of tests of what is the same with each."""
+ABSENT = {name: why_not(name) for name in DISTRIBUTIONS}
+ANY = next((name for name, why in ABSENT.items() if not why), DISTRIBUTIONS[0])
+"""The distribution of tests of what is the same with each."""
 
 
 def flying(*names):
@@ -42,13 +44,3 @@ def flying(*names):
 
 
 any_ros = [pytest.mark.ros, pytest.mark.skipif(bool(ABSENT[ANY]), reason=ABSENT[ANY])]
-
-
-def number(name):
-    """The same as the option `--ros`."""
-    return "1" if name == "ros1" else "2"
-
-
-def joined(folder, *command, **options):
-    """A command in the network of a flight."""
-    return subprocess.run([f"{folder}/join", *command], capture_output=True, text=True, check=False, **options)

@@ -2,42 +2,24 @@
 
 import re
 import shlex
-from pathlib import Path
 
 import pytest
 
 from mavfi.cli import run
 from mavfi.errors import BadInputError
-from mavfi.extras.ros.cli import middleware_of, mission_with
-from mavfi.extras.ros.ros1 import finder
-from mavfi.extras.ros.ros1.transport import Ros1
+from mavfi.extras.ros.cli import mission_with
+from mavfi.extras.ros.lockstep.transport import Middleware
 from mavfi.extras.ros.ros2 import environment
-from mavfi.extras.ros.ros2.transport import Ros2
 from mavfi.mission import MissionSpec
 from tests.core.architecture.source import ROOT
+from tests.extras.ros.lockstep.needs import NOWHERE
 
 
 @pytest.fixture
-def without_ros(monkeypatch):
-    """Neither ROS is installed."""
-    monkeypatch.setattr(finder, "missing", lambda: ["rospy"])
-    monkeypatch.setattr(environment, "installations", lambda: iter(()))
-
-
-@pytest.mark.parametrize(("number", "remedy"), [("1", "make ros"), ("2", "mavfi ros setup")])
-def test_no_ros_is_one_line_and_exit_code_2(without_ros, capsys, number, remedy):
-    assert run(["ros", "fly", "--ros", number]) == 2
-    text = capsys.readouterr().err
-    assert text.count("\n") == 1 and remedy in text
-
-
-def test_without_a_choice_it_is_ros_2_if_there_is_one(monkeypatch):
-    there = environment.Installation("jazzy", "python3", Path("/nowhere"), {})
-    monkeypatch.setattr(environment, "installations", lambda: iter([there]))
-    assert middleware_of("").title == "ROS 2 jazzy"
-    assert middleware_of("1").title == "ROS 1"
-    monkeypatch.setattr(environment, "installations", lambda: iter(()))
-    assert middleware_of("").title == "ROS 1"
+def pretended(monkeypatch):
+    """An installation that no flight uses."""
+    monkeypatch.setattr(environment, "installations", lambda: iter([NOWHERE.installation]))
+    monkeypatch.setattr(Middleware, "require", lambda middleware: None)
 
 
 @pytest.mark.parametrize(
@@ -50,7 +32,7 @@ def test_without_a_choice_it_is_ros_2_if_there_is_one(monkeypatch):
         (["--free-running"], "--free-running: dropped; use --pace 1"),
         (["--point-cloud-node", "depth_image_proc"], "--point-cloud-node: dropped; no replacement: attach with"),
         (["--pace", "-1"], "--pace"),
-        (["--ros", "3"], "--ros: '3': not known; allowed: 2, 1"),
+        (["--ros", "1"], "--ros: dropped; no replacement: nodes are those of ROS 2"),
         (["--register-fault", "octomap@-1"], "NODE@SECONDS"),
         (["--register-fault", "rviz@5"], "allowed: point_cloud, octomap"),
         (["--register-fault", "octomap@5", "--registers", "xmm"], "allowed: all, general, fp"),
@@ -59,21 +41,18 @@ def test_without_a_choice_it_is_ros_2_if_there_is_one(monkeypatch):
         (["--save", "flight.txt"], ".npz"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(capsys, monkeypatch, arguments, message):
-    monkeypatch.setattr(finder, "missing", list)
-    monkeypatch.setattr(environment, "installations", lambda: iter(()))
+def test_bad_input_is_one_line_and_exit_code_2(pretended, capsys, arguments, message):
     assert run(["ros", "fly", *arguments]) == 2
     text = capsys.readouterr().err
     assert text.count("\n") == 1 and message in text
 
 
-COMMANDS = re.findall(
-    r"^    (mavfi ros .+)$", (ROOT / "docs" / "how-to" / "ros.md").read_text(encoding="utf-8"), re.MULTILINE
-)
+PAGE = (ROOT / "docs" / "how-to" / "ros2.md").read_text(encoding="utf-8")
+COMMANDS = re.findall(r"^    (mavfi ros fly .+)$", PAGE, re.MULTILINE)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_of_the_page_is_accepted(monkeypatch, command):
+def test_every_command_of_the_page_is_accepted(pretended, monkeypatch, command):
     class FlyingError(Exception):
         pass
 
@@ -81,9 +60,6 @@ def test_every_command_of_the_page_is_accepted(monkeypatch, command):
         del options
         raise FlyingError(plan)
 
-    monkeypatch.setattr(Ros1, "require", lambda ros: None)
-    monkeypatch.setattr(Ros2, "require", lambda ros: None)
-    monkeypatch.setattr(environment, "installations", lambda: iter([environment.Installation("", "", Path(), {})]))
     monkeypatch.setattr("mavfi.extras.ros.lockstep.host.fly", fly)
     with pytest.raises(FlyingError) as stopped:
         run(shlex.split(command)[1:])
@@ -92,7 +68,6 @@ def test_every_command_of_the_page_is_accepted(monkeypatch, command):
     assert ("--kill" in command) == bool(plan.kills)
     assert ("observer" in command) == (plan.recovery.coupling == "observer")
     assert plan.pace == ("--pace 1" in command)
-    assert plan.middleware.name == ("ros1" if "--ros 1" in command else "ros2")
 
 
 def test_the_grain_of_a_detector_is_one_that_nodes_have():

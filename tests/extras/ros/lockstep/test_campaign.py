@@ -1,4 +1,4 @@
-"""`host: ros2` and `host: ros1` are keys of a campaign: what nodes fly in lock-step is what one process flies."""
+"""`host: ros2` is a key of a campaign: what nodes fly in lock-step is what one process flies."""
 
 import pytest
 
@@ -6,12 +6,23 @@ from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
-from mavfi.extras.ros.ros1 import finder
-from mavfi.extras.ros.ros1.host import Ros1Host
+from mavfi.extras.ros.lockstep.host import LockstepHost
+from mavfi.extras.ros.ros2 import environment
 from mavfi.faults.fault import RegisterFault
-from mavfi.flight.host import SHIPPED, ArmSetup
+from mavfi.flight.host import ArmSetup, find_host
 from tests.core.flights.missions import mission
-from tests.extras.ros.lockstep.needs import ANY, any_ros, number
+from tests.extras.ros.lockstep.needs import any_ros
+
+CAMPAIGN = Campaign(
+    name="on_ros",
+    host="ros2",
+    environments=("sparse",),
+    first_seed=10000,
+    missions=1,
+    faults=1,
+    null_runs=0,
+    mission={"goal": (16, 0, 3)},
+)
 
 
 def records(campaign, directory):
@@ -23,13 +34,9 @@ def records(campaign, directory):
 class TestFlights:
     pytestmark = [*any_ros, pytest.mark.slow]
 
-    def test_every_run_has_the_record_that_the_local_host_gives(self, tmp_path, monkeypatch):
-        monkeypatch.setitem(SHIPPED, "ros2", "mavfi.extras.ros.ros2.host:Ros2Host")  # also before it is installed
-        campaign = load_campaign("ros1_smoke").model_copy(
-            update={"arms": {}, "null_runs": 0}
-        )  # detectors: test_flights
-        there = records(campaign.model_copy(update={"host": f"ros{number(ANY)}"}), tmp_path / "ros")
-        here = records(campaign.model_copy(update={"host": "local"}), tmp_path / "local")
+    def test_every_run_has_the_record_that_the_local_host_gives(self, tmp_path):
+        there = records(CAMPAIGN, tmp_path / "ros")  # detectors: test_flights
+        here = records(CAMPAIGN.model_copy(update={"host": "local"}), tmp_path / "local")
         assert len(there) == 1 + 3
         assert {run_id: record.digest for run_id, record in there.items()} == {
             run_id: record.digest for run_id, record in here.items()
@@ -38,13 +45,20 @@ class TestFlights:
 
 
 def test_without_ros_the_campaign_is_refused_at_once(tmp_path, monkeypatch):
-    monkeypatch.setattr(finder, "missing", lambda: ["rospy"])
-    with pytest.raises(BadInputError, match="ROS is not installed"):
-        run_campaign(load_campaign("ros1_smoke"), tmp_path)
+    monkeypatch.setattr(environment, "installations", lambda: iter(()))
+    with pytest.raises(BadInputError, match="ROS 2 is not installed"):
+        run_campaign(CAMPAIGN, tmp_path)
+
+
+def test_ros_1_is_refused_with_what_replaces_it():
+    with pytest.raises(BadInputError, match="host 'ros1': dropped; use ros2"):
+        find_host("ros1")
+    with pytest.raises(BadInputError, match="campaign 'ros1_smoke': dropped; use mavfi ros fly"):
+        load_campaign("ros1_smoke")
 
 
 def test_faults_of_other_levels_end_their_flight_alone():
-    flights = Ros1Host().mission({"": ArmSetup(mission())})
+    flights = LockstepHost().mission({"": ArmSetup(mission())})
     ((place, error),) = flights.injected([("", RegisterFault())])
     assert place == 0 and "faults of level 'register': allowed: sensor, state" in str(error)
 

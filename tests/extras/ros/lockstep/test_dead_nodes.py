@@ -10,7 +10,7 @@ from mavfi.flight.restarts import Restarts
 from mavfi.mission import MissionSpec
 from tests.core.flights.missions import Scripted
 from tests.extras.ros.lockstep.flights import same, short, there
-from tests.extras.ros.lockstep.needs import any_ros, flying
+from tests.extras.ros.lockstep.needs import any_ros
 
 ANSWERING_US = 2_920_000
 """The planner of this mission has begun to answer an alarm, and its path is not there yet."""
@@ -46,12 +46,11 @@ def same_but_for_notes(log, other):
 class TestFlights:
     pytestmark = [*any_ros, pytest.mark.slow]
 
-    @pytest.mark.parametrize("ros", flying("jazzy", "ros1"))
-    def test_a_planner_that_is_killed_at_its_answer_reads_back_and_saves_the_mission(self, ros):
+    def test_a_planner_that_is_killed_at_its_answer_reads_back_and_saves_the_mission(self):
         """What it has to know comes from the world: the alarm, the way-point in force, the trajectory, the map."""
         assert died_here(resolve(alarming("fresh")), "planner").status.label == "timeout"
         scenario = resolve(alarming("readback"))
-        log = died_there(scenario, "planner", ros=ros)
+        log = died_there(scenario, "planner")
         assert log.status.label == "success"
         lives = [(event.kind, event.time_us) for event in log.events if event.kind.startswith("node_")]
         assert lives == [("node_lost", ANSWERING_US), ("node_back", ANSWERING_US + AWAY_US)]

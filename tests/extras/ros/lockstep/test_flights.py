@@ -26,7 +26,7 @@ from mavfi.flight.fly import fly as fly_here
 from mavfi.record import FlightLog
 from tests.core.flights.missions import Scripted, fault
 from tests.extras.ros.lockstep.flights import NODES, plan, same, short, there
-from tests.extras.ros.lockstep.needs import ANY, any_ros, flying, number
+from tests.extras.ros.lockstep.needs import any_ros, flying
 
 pytestmark = [*any_ros, pytest.mark.slow]
 
@@ -75,7 +75,7 @@ def test_a_sensor_or_motor_fails_as_in_one_process(failure, options):
     assert log.digest() != fly_here(scenario).log.digest()
 
 
-@pytest.mark.parametrize("ros", flying("jazzy", "kilted", "ros1"))
+@pytest.mark.parametrize("ros", flying("jazzy", "kilted"))
 def test_a_flight_with_a_fault_and_a_detector(ros):
     scenario, name = short(), "gaussian"
     wrong = fault("planning.waypoint", "x", 4.0, 62)
@@ -97,7 +97,7 @@ def test_an_injected_estimate_violates_its_rule():
 def test_a_killed_node_comes_back_and_the_flight_continues(capsys, tmp_path):
     saved = tmp_path / "flight.npz"
     options = ["--seed", "7", "--goal", "16", "0", "3", "--kill", "octomap@2", "--json", "--save", str(saved)]
-    assert run(["ros", "fly", "--ros", number(ANY), *options]) == 0
+    assert run(["ros", "fly", *options]) == 0
     data = json.loads(capsys.readouterr().out)
     lost, back = data["ros"]["lives"]
     assert (lost["event"], lost["node"], lost["time_s"]) == ("node_lost", "octomap", 2.0)
@@ -184,18 +184,10 @@ def test_a_flight_whose_processes_are_killed_is_a_failure_of_the_machine():
     assert set(Path(tempfile.gettempdir()).glob("mavfi-ros-*")) <= before
 
 
-@pytest.mark.parametrize(
-    ("ros", "sent"),
-    [
-        pytest.param(*ros.values, sent, marks=ros.marks)
-        for ros, sent in zip(
-            flying("jazzy", "jazzy", "ros1"), [signal.SIGINT, signal.SIGKILL, signal.SIGKILL], strict=True
-        )
-    ],
-)
-def test_no_process_is_left_behind(ros, sent, tmp_path):
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
+def test_no_process_is_left_behind(sent, tmp_path):
     process = subprocess.Popen(
-        [sys.executable, "-m", "mavfi", "ros", "fly", "--ros", number(ros), "--seed", "7"],
+        [sys.executable, "-m", "mavfi", "ros", "fly", "--seed", "7"],
         env={**os.environ, "TMPDIR": str(tmp_path)},
         stderr=subprocess.PIPE,
         text=True,

@@ -8,11 +8,12 @@ from mavfi.errors import BadInputError
 from mavfi.extras.bench.sealed import Checksum, Duplicate
 from mavfi.extras.ros.lockstep.host import configure, isolation
 from mavfi.extras.ros.lockstep.plan import INJECTOR, WORLD, FlightGraph, FlightPlan
-from mavfi.extras.ros.ros1.transport import Ros1
+from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.flight.compose import new_loop
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import PERIODIC, STATES
 from tests.core.flights.missions import AUTOPILOTS, mission
+from tests.extras.ros.lockstep.needs import NOWHERE
 
 
 @cache
@@ -46,11 +47,17 @@ def test_detectors_that_take_part_in_what_is_not_published_are_refused(detector)
     with pytest.raises(
         BadInputError, match=rf"{type(detector).__name__}: takes part in what is not published; allowed"
     ):
-        FlightPlan(Ros1(), scenario := mission(), configure(scenario), detector=detector)
+        FlightPlan(NOWHERE, scenario := mission(), configure(scenario), detector=detector)
+
+
+def test_a_fault_that_may_lose_a_message_is_refused():
+    fault = StateFault(FaultSite("planning.path", "length_z"), 0, 31)
+    with pytest.raises(BadInputError, match=r"planning.path.length_z: is the length of a list; allowed on ROS"):
+        FlightPlan(NOWHERE, scenario := mission(), configure(scenario), fault)
 
 
 def test_with_an_estimator_its_kernel_is_a_node_and_the_world_reads_what_it_says():
-    plan = FlightPlan(Ros1(), scenario := mission(localization="estimator"), configure(scenario))
+    plan = FlightPlan(NOWHERE, scenario := mission(localization="estimator"), configure(scenario))
     found = plan.graph.routes
     assert plan.nodes[0] == "state_estimation" and "sensor.odometry" not in found
     for sensor in ("sensor.imu", "sensor.position"):

@@ -8,7 +8,7 @@ from mavfi.cli import run
 from mavfi.extras.ros.ros2 import environment
 from mavfi.extras.ros.ros2.graph import AgentClient, Endpoint, GraphSnapshot, TopicInfo
 from mavfi.extras.ros.ros2.processes import GraphProcesses
-from mavfi.extras.ros.survey import Survey, SurveyedNode, SurveyedService, SurveyedTopic
+from mavfi.extras.ros.ros2.survey import Survey, SurveyedNode, SurveyedService, SurveyedTopic
 
 
 @pytest.mark.ros
@@ -44,8 +44,8 @@ def test_the_text_has_the_answer_first_and_fits_a_terminal(capsys, monkeypatch):
     service = SurveyedService("/switch", "std_srvs/srv/SetBool", ("/driver",))
     parameters = SurveyedService("/driver/describe_parameters", "rcl_interfaces/srv/DescribeParameters", ("/driver",))
     action = SurveyedService("/go", "test_msgs/action/Fibonacci", ("/driver",))
-    survey = Survey(2, "domain 0", (node, far), (topic, hidden), (service, parameters), (action,))
-    monkeypatch.setattr("mavfi.extras.ros.survey.survey_all", lambda seconds: [survey])
+    survey = Survey("domain 0", (node, far), (topic, hidden), (service, parameters), (action,))
+    monkeypatch.setattr("mavfi.extras.ros.ros2.survey.survey_graph", lambda seconds: survey)
     monkeypatch.setenv("COLUMNS", "80")
     assert run(["ros", "list"]) == 0
     out = capsys.readouterr().out
@@ -56,15 +56,30 @@ def test_the_text_has_the_answer_first_and_fits_a_terminal(capsys, monkeypatch):
     assert "_action" not in out and "describe_parameters" not in out
 
 
-def test_without_a_graph_it_is_said_where_one_was_looked_for(capsys, monkeypatch):
-    monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:1/")
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["ros", "list"],
+        ["ros", "watch", "--topics", "/a"],
+        ["ros", "inject", "--topic", "/a", "--drop"],
+        ["ros", "fly"],
+        ["inject", "--ros-node", "/a"],
+    ],
+)
+def test_without_ros_one_line_says_what_to_do(capsys, monkeypatch, arguments):
     monkeypatch.setattr(environment, "installations", lambda: iter(()))
-    assert run(["ros", "list"]) == 2
+    assert run(arguments) == 2
     message = capsys.readouterr().err
-    assert (
-        "no ROS master at http://127.0.0.1:1/" in message and "ROS 2 is not installed: run `mavfi ros setup`" in message
-    )
-    assert message.count("\n") == 1
+    assert message.startswith("mavfi: ROS 2 is not installed: run `mavfi ros setup`") and message.count("\n") == 1
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.parametrize("ros2", ["jazzy"], indirect=True)
+def test_a_graph_without_a_node_is_refused(ros2, capsys, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "77")
+    assert run(["ros", "list", "--seconds", "0"]) == 2
+    assert capsys.readouterr().err == "mavfi: no ROS 2 node in domain 77, rmw_fastrtps_cpp\n"
 
 
 def test_an_unknown_process_has_a_reason():

@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from mavfi.cli import run
 from mavfi.errors import BadInputError
-from mavfi.extras.ros.ros2 import watch
+from mavfi.extras.ros.ros2 import listener
 from mavfi.extras.ros.ros2.graph import AgentClient
 from mavfi.extras.ros.ros2.message_types import TypeLibrary
 
@@ -60,7 +60,7 @@ def test_a_detector_trained_on_a_recording_raises_alarms_for_wild_values_and_pub
 @pytest.mark.slow
 @pytest.mark.parametrize("ros2", ["kilted"], indirect=True)
 def test_an_unknown_topic_is_refused(ros2, capsys, monkeypatch):
-    monkeypatch.setattr(watch, "_PATIENCE_S", 0.5)
+    monkeypatch.setattr(listener, "_PATIENCE_S", 0.5)
     ros2.start("talker.py")
     assert run(["ros", "watch", "--topics", "/joint_state"]) == 2
     assert (

@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 import time
-from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,14 +34,10 @@ changes its flight."""
 
 
 class LockstepHost(Host):
-    """Runs every kernel, the world, injector and detector as separate ROS nodes; subclasses name the ROS."""
+    """The host `ros2`: runs every kernel, the world, injector and detector as separate nodes of ROS 2."""
 
+    name = "ros2"
     levels: frozenset[str] = frozenset({StateFault.level, SensorFault.level})
-
-    @classmethod
-    @abstractmethod
-    def middleware(cls) -> Middleware:
-        """The ROS of this machine; raises `BadInputError` if there is none."""
 
     def resolve(self, spec: MissionSpec) -> Scenario:
         """See `Host.resolve`; raises `BadInputError` for options that ROS does not support."""
@@ -64,7 +59,7 @@ class LockstepHost(Host):
         Raises:
             BadInputError: ROS is not installed, or a private network cannot be created.
         """
-        self.middleware().require()
+        Middleware.installed().require()
         isolation()
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "LockstepFlights":
@@ -81,7 +76,7 @@ class LockstepFlights(ArmFlights):
         setup = self._arms[arm]
         first = arm not in self._detectors
         plan = FlightPlan(
-            self._host.middleware(),
+            Middleware.installed(),
             setup.scenario,
             configure(setup.scenario),
             fault,
@@ -118,7 +113,7 @@ def configure(scenario: Scenario) -> PipelineConfig:
 
 
 def isolation(allow_bind_all: bool = False) -> list[str]:
-    """See `private_network`; with `allow_bind_all` it may be missing, and ROS's C++ nodes listen on all interfaces.
+    """See `private_network`; with `allow_bind_all` it may be missing, and ROS 2's discovery listens on all interfaces.
 
     Raises:
         BadInputError: A private network is required and cannot be created.

@@ -141,7 +141,7 @@ class FlightPlan:
     """A flight on ROS.
 
     Attributes:
-        middleware: ROS 1 or ROS 2.
+        middleware: ROS 2 as the flight uses it.
         scenario: The mission; `config`: configuration of its kernels.
         fault: Fault in a state, injected by a node, or failure of a sensor or motor, in the world; None = none.
         detector: The detector in its initial state; None = none.

@@ -20,7 +20,6 @@ SILENT = "does not answer"
 ENDED = "its process has ended"
 """Cause of a lost node, as in events: it ended by itself, or was killed by somebody else."""
 _POLL_S = 0.005
-_RECONNECT_S = 1.0
 _LOOK_S = 0.02
 """Period at which a waiting node looks whether the awaited process still runs (s, wall clock)."""
 _FOREVER_S = 3600.0
@@ -131,17 +130,11 @@ class Ports:
     # ---- connections to the other nodes ------------------------------------------------------------------------------
     def wait_until_connected(self) -> None:
         """Wait until this node is connected to every publisher and subscriber of the flight, or raise `MavfiError`."""
-        now = time.monotonic()
-        end = now + self.plan.patience_s
-        reconnect = now + _RECONNECT_S
+        end = time.monotonic() + self.plan.patience_s
         while not self._is_connected():
             self.transport.wait(lambda: False, _POLL_S)
-            now = time.monotonic()
-            if now > end:
+            if time.monotonic() > end:
                 raise MavfiError(f"node {self.node}: not connected within {self.plan.patience_s:g} s")
-            if now > reconnect:
-                reconnect = now + _RECONNECT_S
-                self.transport.reconnect([topic for topic, pid in self._greeted_by.items() if pid is None])
         self._is_ready = True
         self._note()
 

@@ -7,7 +7,6 @@ in a moment.  Orphans become its children, so that every process of the flight c
 import gc
 import os
 import signal
-import subprocess
 import sys
 import time
 import traceback
@@ -55,8 +54,8 @@ def main() -> None:
     try:
         files.write_file(files.PID, str(os.getpid()).encode())
         plan = load_plan()
-        core = plan.middleware.start(folder)
-        _supervise(_load(plan), folder, core)
+        plan.middleware.prepare(folder)
+        _supervise(_load(plan), folder)
     finally:
         end_all()
         if os.getppid() != parent:  # no process is left to read the results
@@ -79,18 +78,15 @@ def _load(plan: FlightPlan) -> FlightPlan:
     return load_plan()
 
 
-def _supervise(plan: FlightPlan, folder: Path, core: "subprocess.Popen[bytes] | None") -> None:
-    """Keep the nodes running until the flight has ended, the world's node or ROS's core is dead, or a signal comes."""
-    core_pid = -1
-    if core is not None:
-        core_pid = core.pid
+def _supervise(plan: FlightPlan, folder: Path) -> None:
+    """Keep the nodes running until the flight has ended, the world's node is dead, or a signal comes."""
     running: dict[int, str] = {}
     for name in (WORLD, *plan.nodes):
         running[_fork(name, plan, folder)] = name
     while not _STOP[0] and not any((folder / name).exists() for name in (files.FLIGHT, files.FAILURE)):
         pid, _ = os.waitpid(-1, os.WNOHANG)
         name = running.pop(pid, "")
-        if name == WORLD or pid == core_pid:
+        if name == WORLD:
             return
         if name:
             running[_fork(name, plan, folder)] = name

@@ -47,8 +47,7 @@ _SCENERY_PERIOD = 50
 """The same in control periods."""
 LOG = "/log"
 """Topic of events, alarms, injections and the end of the mission."""
-LOG_TYPES = {True: "rosgraph_msgs/Log", False: "rcl_interfaces/Log"}
-"""Its type, by whether the middleware is ROS 1."""
+LOG_TYPE = "rcl_interfaces/Log"
 
 
 class Views:
@@ -60,13 +59,12 @@ class Views:
     """
 
     def __init__(self, transport: Transport, plan: FlightPlan) -> None:
-        self._is_ros1 = plan.middleware.name == "ros1"
         kinds = {
             **TICKS,
             **dict(PUBLICATIONS.values()),
             TRAJECTORY: TRAJECTORY_TYPE,
             **SCENERY,
-            LOG: LOG_TYPES[self._is_ros1],
+            LOG: LOG_TYPE,
         }
         advertised = {topic: transport.view(topic, kind) for topic, kind in kinds.items()}
         self._views: dict[str, StandardView] = {topic: view for topic, view in advertised.items() if view is not None}
@@ -121,7 +119,7 @@ class Views:
         from mavfi.extras.logs import timeline
         from mavfi.extras.logs.files import Maker
 
-        self._maker = Maker(is_ros1=self._is_ros1)
+        self._maker = Maker(is_ros1=False)
         self._convert = timeline.Converter(self._grid)
         self._scenery = list(timeline.scenery(self._world))
         self._timeline = timeline

@@ -1,1 +1,1 @@
-"""Flips bits in numbers of ROS 1 messages of any type, in serialized form."""
+"""Faults in messages: where a number stands in the bytes of one, and changes of whole publications."""

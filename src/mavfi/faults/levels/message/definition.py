@@ -1,4 +1,6 @@
-"""ROS 1 messages of any type, parsed with the definition that the publisher transmits, without generated classes.
+"""Messages of any type in the serialization of ROS 1, that of bags, without generated classes.
+
+Messages of ROS 2 are converted to it.
 
 A serialized message is the sequence of its fields, little-endian, packed; strings and lists of variable length start
 with a uint32 (http://wiki.ros.org/msg).  So a field is located by traversing all previous fields.
@@ -297,29 +299,6 @@ class Definition:
             inner_numbers, offset = self._walk(part, data, offset, part_path, longest)
             numbers += inner_numbers
         return numbers, offset
-
-    def without(self, data: bytes, ignored: tuple[str, ...]) -> bytes:
-        """The message with all members of these names zeroed, for comparisons.
-
-        The members must have a fixed size and must not be lists, e.g. "stamp", "seq".
-        """
-        blank = bytearray(data)
-        self._blank(Member("", self.kind), data, 0, ignored, blank)
-        return bytes(blank)
-
-    def _blank(self, member: Member, data: bytes, offset: int, ignored: tuple[str, ...], blank: bytearray) -> int:
-        """Zero the ignored parts of a member in `blank`; returns the end offset of the member."""
-        if member.name in ignored:
-            end = self._skip(member, data, offset)
-            blank[offset:end] = bytes(end - offset)
-            return end
-        if member.kind in FORMATS or member.kind == _STRING:
-            return self._skip(member, data, offset)
-        count, offset = self._count(member, data, offset)
-        for _ in range(count):
-            for part in self.types[member.kind]:
-                offset = self._blank(part, data, offset, ignored, blank)
-        return offset
 
 
 @cache
