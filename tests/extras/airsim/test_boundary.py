@@ -126,5 +126,5 @@ def test_a_detector_learns_normal_calls_and_names_the_number_that_is_not():
 
 
 def test_too_few_calls_teach_nothing():
-    with pytest.raises(BadInputError, match="no call happened 50 times"):
+    with pytest.raises(BadInputError, match="no number to monitor"):
         ApiRecording().train("gaussian", "paper")

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mavfi.cli.commands import run
-from mavfi.extras.logs.circular import Numbers, recognise
-from mavfi.extras.logs.counting import COUNTS, counts
+from mavfi.detectors.foreign import COUNTS
 from mavfi.extras.logs.recording import exposure_s, longest_gap_us
 
 TIME = np.arange(0.0, 30.0, 0.02)
@@ -41,24 +40,31 @@ def turn(centre, phase, period, low):
 
 
 @pytest.mark.parametrize(
-    ("name", "period", "low", "profile"),
+    ("centre", "period", "low", "profile"),
     [
-        ("yaw", 2 * np.pi, -np.pi, "tuned"),
-        ("yaw", 2 * np.pi, -np.pi, "paper"),
-        ("heading", 2 * np.pi, 0.0, "tuned"),
-        ("hdg_deg", 360.0, 0.0, "paper"),
-        ("u7", 360.0, -180.0, "tuned"),
+        (np.pi, 2 * np.pi, -np.pi, "tuned"),
+        (np.pi, 2 * np.pi, -np.pi, "paper"),
+        (0.0, 2 * np.pi, 0.0, "tuned"),
+        (0.0, 360.0, 0.0, "paper"),
     ],
 )
-def test_sign_flips_of_an_angle_are_found_wherever_it_turns(table, capsys, name, period, low, profile):
-    for centre in (0.0, np.pi):
-        if name == "u7" and centre != np.pi:
-            continue  # a plain number, unless it passes the end of its range
-        logs = [table(f"{phase}.csv", {"time": TIME, name: turn(centre, phase, period, low)}) for phase in (0.0, 1.1)]
-        result = judged(capsys, logs[1], "--train", logs[0], "--inject", "300", "--profile", profile)
-        assert result["flips"]["sign"]["rate"] >= 0.8
-        assert result["alarms_per_hour"]["events"] == 0
-        assert result["angles_and_quaternions"][f"row:{name}"].startswith("angle")
+def test_sign_flips_of_an_angle_that_passes_the_end_of_its_range_are_found(table, capsys, centre, period, low, profile):
+    logs = [table(f"{phase}.csv", {"time": TIME, "u7": turn(centre, phase, period, low)}) for phase in (0.0, 1.1)]
+    result = judged(capsys, logs[1], "--train", logs[0], "--inject", "300", "--profile", profile)
+    assert result["flips"]["sign"]["rate"] >= 0.8
+    assert result["alarms_per_hour"]["events"] == 0
+    assert result["angles_and_quaternions"]["row:u7"].startswith("angle")
+
+
+def test_an_angle_that_passes_the_end_of_its_range_only_later_is_declared(table, capsys):
+    logs = [
+        table(f"{phase}.csv", {"time": TIME, "yaw": turn(centre, phase, 360.0, -180.0)})
+        for centre, phase in ((2.0, 0.0), (np.pi, 1.1))
+    ]
+    assert judged(capsys, logs[1], "--train", logs[0])["alarms_per_hour"]["events"] > 0
+    result = judged(capsys, logs[1], "--train", logs[0], "--kinds", "yaw=deg")
+    assert result["alarms_per_hour"]["events"] == 0
+    assert result["angles_and_quaternions"] == {"row:yaw": "angle (deg)"}
 
 
 @pytest.mark.parametrize("names", [("qw", "qx", "qy", "qz"), ("q[0]", "q[1]", "q[2]", "q[3]"), ("a", "b", "c", "d")])
@@ -81,27 +87,6 @@ def test_a_quaternion_and_its_opposite_are_the_same(table, capsys, names):
     # one component alone brings the others: its sign follows from them
     result = judged(capsys, logs[1], "--train", logs[0], "--fields", names[0])
     assert result["fields"] == {"row": list(names)}
-
-
-@pytest.mark.parametrize(
-    ("name", "largest", "kind"),
-    [
-        ("att.roll", 1.0, 2 * np.pi),
-        ("DesYaw", 170.0, 360.0),
-        ("nav_pitch", 14.0, 360.0),
-        ("yaw_rate", 1.0, None),
-        ("rollspeed", 1.0, None),
-        ("YawRate", 1.0, None),
-        ("theta_dot", 1.0, None),
-        ("yaw [deg/s]", 1.0, None),
-        ("roll_deg", 3.0, 360.0),
-        ("x", 3.0, None),
-        ("hydraulics", 3.0, None),
-    ],
-)
-def test_names_of_angles(name, largest, kind):
-    values = np.linspace(-largest, largest, 50)[:, None]
-    assert recognise([Numbers([name], values)], {}).turns.get(name) == kind
 
 
 def test_what_a_field_is_can_be_declared(table, capsys):
@@ -178,31 +163,6 @@ def test_the_first_message_of_a_recording_has_no_change_to_judge(table, capsys):
     logs = [table("a.csv", near), table("b.csv", {**near, "x": near["x"] + 7e6})]
     result = judged(capsys, logs[1], "--train", logs[0])
     assert result["alarms_per_hour"]["events"] == 0 and result["fields"] == {"row": ["x", "y"]}
-
-
-@pytest.mark.parametrize(
-    ("name", "values", "is_counter"),
-    [
-        ("header.seq", 4000.0 + NUMBER, True),
-        ("loopIteration", 32.0 * NUMBER, True),
-        ("seq", NUMBER % 256, True),
-        ("frame_count", np.floor(1.3 * NUMBER), True),  # some are lost
-        ("msg_id", NUMBER % 800, True),  # the node was restarted
-        ("column 1", NUMBER, True),
-        ("stamp.secs", np.floor(1.7e9 + TIME), True),
-        ("stamp.nsecs", np.floor(1e9 * (TIME % 1.0)), True),
-        ("time_boot_ms", np.floor(1e3 * TIME), True),
-        ("gps_time", 3e5 + TIME + 0.003 * np.sin(50 * NUMBER), True),
-        ("lat", np.floor(4.7e8 + 450.0 * TIME + 20.0 * np.sin(TIME)), False),
-        ("x", TIME, False),
-        ("battery_mah", np.floor(5.0 * TIME), False),
-        ("count", np.floor(TIME / 5.0), False),  # of resets
-        ("pwm", np.floor(1500.0 + 300.0 * np.sin(TIME)), False),
-        ("n", 0.0 * TIME, False),
-    ],
-)
-def test_what_counts_messages_or_time(name, values, is_counter):
-    assert counts(name, [values], [np.rint(1e6 * TIME).astype(np.int64)]) == is_counter
 
 
 def test_counters_are_not_monitored_unless_they_are_named(table, capsys):

@@ -22,8 +22,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TextIO
 
-from mavfi.detectors.detector import Detector
-from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec, foreign_state, learn
+from mavfi.detectors.foreign import Monitor, NamedNumbers, train
 from mavfi.errors import BadInputError, not_known
 from mavfi.extras.airsim import cameras, flying, scene, sensing
 from mavfi.extras.airsim.calls import RecordedCall
@@ -569,35 +568,26 @@ class BoundaryWatch:
     """A detector that observes the numbers at the boundary, without effect on them.
 
     Args:
-        detector: Trained on error-free calls, see `train`.
-        specs: The watched states, by call and side.
+        name: Name of the detector.
+        monitor: Trained on error-free calls, see `ApiRecording.train`.
 
     Attributes:
         alarms: So far.
     """
 
-    def __init__(self, name: str, detector: Detector, specs: dict[str, Any]) -> None:
+    def __init__(self, name: str, monitor: Monitor) -> None:
         self._name = name
-        self._detector = detector
-        self._specs = specs
+        self._monitor = monitor
         self.alarms: list[AlarmRecord] = []
-        detector.start()
+        monitor.start()
 
     def check(self, source: str, value: Any, now_us: int) -> None:
         """Check one value."""
-        spec = self._specs.get(source)
-        if spec is None:
-            return
-        numbers = dict(leaves(value))
-        if list(numbers) != [number_field.name for number_field in spec.header]:
-            return
-        state = foreign_state(spec, list(numbers.values()))
-        alarm = self._detector.check(state, now_us)
+        alarm = self._monitor.judge(NamedNumbers(source, now_us, dict(leaves(value))))
         if alarm is not None:
             self.alarms.append(
                 AlarmRecord(1e-6 * now_us, self._name, source, "", alarm.score, alarm.fields, "none", "observed")
             )
-        self._detector.accept(state, now_us)
 
 
 class ApiRecording:
@@ -621,22 +611,6 @@ class ApiRecording:
                 self._file.write(call.line())
 
     def train(self, kind: str, profile: str) -> BoundaryWatch:
-        """A detector trained on the calls that were made often enough, always with the same fields.
-
-        Raises:
-            BadInputError: There is no such call, or a number is not finite.
-        """
-        values = [(call.topic, call.values) for call in self._calls]
-        field_names: dict[str, list[tuple[str, ...]]] = {}
-        for source, numbers in values:
-            field_names.setdefault(source, []).append(tuple(numbers))
-        specs = {}
-        for source, samples in field_names.items():
-            if len(samples) >= SMALLEST_SAMPLE and len(set(samples)) == 1:
-                specs[source] = foreign_spec(source, samples[0])
-        if not specs:
-            raise BadInputError(
-                f"--detector: no call happened {SMALLEST_SAMPLE} times; allowed: programs that fly longer"
-            )
-        states = [foreign_state(specs[name], list(numbers.values())) for name, numbers in values if name in specs]
-        return BoundaryWatch(kind, learn(kind, profile, [states], specs), specs)
+        """A detector trained on the calls that were made often enough; `BadInputError` if there is none."""
+        calls = [NamedNumbers(call.topic, call.time_us, call.values) for call in self._calls]
+        return BoundaryWatch(kind, train(kind, profile, [calls]))

@@ -218,13 +218,17 @@ def watch(  # noqa: PLR0913 - one parameter per option
 
 def _selected(log_watches: list[LogWatch]) -> tuple[dict[str, list[str]], dict[str, str]]:
     """Monitored fields by topic, and what the angles and quaternions among them are."""
+    from mavfi.detectors.foreign import TURNS
+
     names: dict[str, list[str]] = {}
     geometry: dict[str, str] = {}
     for log_watch in log_watches:
         for topic, probe in log_watch.selection.probes.items():
             names[topic] = [field.name for field in probe.spec.header]
-            kinds_of_topic = log_watch.selection.geometries[topic].to_json()
-            geometry |= {f"{topic}:{name}": kind for name, kind in kinds_of_topic.items()}
+            for name, kind in log_watch.selection.kinds[topic].items():
+                geometry[f"{topic}:{name}"] = kind
+                if kind in TURNS:
+                    geometry[f"{topic}:{name}"] = f"angle ({kind})"
     return names, geometry
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.detectors.detector import Alarm, Detector, class_of
+from mavfi.detectors.foreign import Monitor
 from mavfi.detectors.gate import UNKNOWN_ARENA
 from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.registry import detector_class, is_named, load_detector
@@ -14,7 +15,6 @@ from mavfi.detectors.training import TrainedDetector
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.logs.log_rules import LogRules
 from mavfi.extras.logs.mapping import Mapper, UsedMapping, values_by_name
-from mavfi.extras.logs.monitor import Monitor, fitted
 from mavfi.extras.logs.selection import LogSelection
 from mavfi.plugins import reason
 from mavfi.states import ODOMETRY, STATES, VECTORS, State
@@ -47,7 +47,7 @@ def log_detector(
     mapping: UsedMapping,
     training: Sequence[Sequence[TimedState]],
     seed: int = 0,
-) -> Detector:
+) -> Monitor:
     """A detector for the messages of recordings.
 
     Args:
@@ -61,20 +61,18 @@ def log_detector(
     Raises:
         BadInputError: There is no such detector, or it cannot judge recordings; the message says why.
     """
-    specs = {topic: probe.spec for topic, probe in selection.probes.items()}
-    geometries = selection.geometries
+    topics = selection.topics
     if is_fitted(kind):
-        states = [[state for _, state in recording] for recording in training]
-        return fitted(kind, profile, states, specs, geometries)
+        return Monitor.fit(kind, profile, [[state for _, state in recording] for recording in training], topics)
     if uses_rules(kind):
-        return Monitor(LogRules(mapping, training), geometries)
+        return Monitor(LogRules(mapping, training), topics)
     limits = _mission_limits(mapping, training)
     detector = load_detector(kind, profile, None, {"limits": limits, "seed": seed, "v_max": limits.v_max}).detector
     if detector.seals or detector.duplicates:
         raise BadInputError(
             f"--detector: {kind}: compares values with those that were sent, or computed twice; a recording has neither"
         )
-    return Monitor(MappedDetector(detector, mapping), geometries)
+    return Monitor(MappedDetector(detector, mapping), topics)
 
 
 class MappedDetector(Detector):

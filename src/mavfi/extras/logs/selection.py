@@ -8,10 +8,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec
+from mavfi.detectors.foreign import (
+    COUNTER,
+    COUNTS,
+    QUATERNION,
+    SMALLEST_SAMPLE,
+    TOO_FEW,
+    TURNS,
+    NotMonitored,
+    Numbers,
+    Topic,
+    foreign_spec,
+    recognise,
+)
 from mavfi.errors import BadInputError, allowed, hint
-from mavfi.extras.logs.circular import KINDS, Geometry, Numbers, component_groups, recognise
-from mavfi.extras.logs.counting import COUNTS, counts
 from mavfi.extras.logs.mapping import NO_MAPPING, UsedMapping, choose_mapping, nearest_mapping
 from mavfi.extras.logs.recording import LogRecording, values_of
 from mavfi.flight.log_readers import LONGEST_LIST, LoggedMessage, Probe
@@ -21,20 +31,8 @@ _NOT_WANTED = "not in --fields"
 _NOT_MAPPED = "not in the mapping"
 _LATEST_BEGIN = 0.5
 """Largest share of the messages of a training before the first finite value of a monitored field."""
-
-
-class NotMonitored(NamedTuple):
-    """A number, or a whole topic, that is not monitored.
-
-    Attributes:
-        topic: Its topic.
-        field: Its name; "" = the whole topic.
-        reason: Why.
-    """
-
-    topic: str
-    field: str
-    reason: str
+_KINDS = (*TURNS, QUATERNION, "number")
+"""What a field can be declared as."""
 
 
 class Wanted(NamedTuple):
@@ -62,17 +60,22 @@ class LogSelection:
 
     Attributes:
         probes: Monitored fields by topic.
-        geometries: Angles and quaternions among them, by topic.
+        kinds: Which of them are angles and quaternions, by topic, see `recognise`.
         not_monitored: All other numbers, with the reason.
         mapping: Which monitored fields become states of missions.
         late: Monitored fields, by topic, that are not finite at the beginning of a recording of the training.
     """
 
     probes: Mapping[str, Probe]
-    geometries: Mapping[str, Geometry]
+    kinds: Mapping[str, Mapping[str, str]]
     not_monitored: Sequence[NotMonitored] = ()
     mapping: UsedMapping = NO_MAPPING
     late: Mapping[str, Collection[str]] = field(default_factory=dict)
+
+    @property
+    def topics(self) -> dict[str, Topic]:
+        """What is monitored, for a monitor."""
+        return {name: Topic(probe.spec, self.kinds[name]) for name, probe in self.probes.items()}
 
 
 def parse_kinds(texts: Sequence[str]) -> dict[str, str]:
@@ -84,14 +87,14 @@ def parse_kinds(texts: Sequence[str]) -> dict[str, str]:
     kinds = {}
     for text in texts:
         pattern, _, kind = text.rpartition("=")
-        if not pattern or kind not in KINDS:
-            raise BadInputError(f"--kinds: {text!r}: allowed: FIELD=KIND with a KIND of {', '.join(KINDS)}")
+        if not pattern or kind not in _KINDS:
+            raise BadInputError(f"--kinds: {text!r}: allowed: FIELD=KIND with a KIND of {', '.join(_KINDS)}")
         kinds[pattern] = kind
     return kinds
 
 
 def select(
-    training: Sequence[LogRecording], judged: Sequence[LogRecording], wanted: Wanted = EVERYTHING
+    training: Sequence[LogRecording], judged: Sequence[LogRecording] = (), wanted: Wanted = EVERYTHING
 ) -> LogSelection:
     """Monitored fields by topic: those that are finite in the training, from their first finite value on.
 
@@ -99,43 +102,40 @@ def select(
 
     Args:
         training: Normal recordings.
-        judged: Recordings to be judged.
+        judged: Recordings to be judged; empty = they come later.
         wanted: What to monitor.
 
     Raises:
         BadInputError: A wanted field cannot be monitored, or there is none at all.
     """
-    by_topic = _Topics(training, judged, wanted)
-    probes: dict[str, Probe] = {}
-    geometries: dict[str, Geometry] = {}
-    for topic in by_topic.names:
-        part = by_topic.monitored(topic)
-        if part is not None:
-            probes[topic], geometries[topic] = part
+    selector = _Selector(training, judged, wanted)
+    for topic in selector.names:
+        selector.add(topic)
+    probes = selector.probes
     # Refuse what the user has named in vain.
     cut = cut_text([*training, *judged])
     if cut:
         cut = f" ({cut})"
-    _check_wanted(wanted.fields, probes, by_topic.left_out, cut)
+    _check_wanted(wanted.fields, probes, selector.left_out, cut)
     if not probes:
         files = ", ".join(recording.name for recording in [*training, *judged])
         raise BadInputError(
             f"{files}: no numbers in common{cut}; allowed: topics with {SMALLEST_SAMPLE} messages or more "
-            f"in the training, with finite numbers{_examples(by_topic.left_out)}"
+            f"in the training, with finite numbers{_examples(selector.left_out)}"
         )
     for pattern in wanted.kinds:
-        if pattern not in by_topic.used_kinds:
+        if pattern not in selector.used_kinds:
             fields = [f"{topic}:{field.name}" for topic, probe in probes.items() for field in probe.spec.header]
             raise BadInputError(f"--kinds: {pattern}: no monitored field; allowed: {allowed(fields, pattern)}")
-    mapping = by_topic.mapping
+    mapping = selector.mapping
     if mapping.name:
         monitored = {topic: [field.name for field in probe.spec.header] for topic, probe in probes.items()}
         mapping = choose_mapping(wanted.mapping or mapping.name, monitored)
-    return LogSelection(probes, geometries, by_topic.left_out, mapping, by_topic.late)
+    return LogSelection(probes, selector.kinds, selector.left_out, mapping, selector.late)
 
 
-class _Topics:
-    """The topics of recordings.
+class _Selector:
+    """Selects the fields of one topic after the other.
 
     Args:
         training: See `select`.
@@ -143,11 +143,13 @@ class _Topics:
         wanted: See `select`.
 
     Attributes:
-        mapping: The mapping to states of missions.
         names: All topics, in the order of their first appearance.
-        left_out: What is not monitored in the topics asked for so far.
-        used_kinds: Patterns of the wanted kinds that a field of these topics has.
-        late: Monitored fields of these topics that are not finite at the beginning of the training.
+        mapping: The mapping to states of missions.
+        probes: See `LogSelection`, of the topics added so far; so are the others.
+        kinds: See `LogSelection`.
+        left_out: What is not monitored.
+        late: See `LogSelection`.
+        used_kinds: Patterns of the wanted kinds that a field has.
     """
 
     def __init__(self, training: Sequence[LogRecording], judged: Sequence[LogRecording], wanted: Wanted) -> None:
@@ -155,20 +157,20 @@ class _Topics:
         self._judged = [(recording.name, recording.by_topic()) for recording in judged]
         self._wanted = wanted
         self._faults = {recording.fault for recording in (*training, *judged)}
-        self._recommended: Mapping[str, Sequence[str]] = {}
-        for recording in training:
-            self._recommended = self._recommended or recording.recommended
+        self._recommended = next((recording.recommended for recording in training if recording.recommended), {})
         self.names = list(dict.fromkeys(topic for _, topics in (*self._training, *self._judged) for topic in topics))
+        self.probes: dict[str, Probe] = {}
+        self.kinds: dict[str, dict[str, str]] = {}
         self.left_out: list[NotMonitored] = []
-        self.used_kinds: set[str] = set()
         self.late: dict[str, set[str]] = {}
+        self.used_kinds: set[str] = set()
         self.mapping = NO_MAPPING
         if wanted.mapping is not None:
             self.mapping = self._usable_mapping(wanted.mapping)
 
     def _usable_mapping(self, name: str) -> UsedMapping:
         """The mapping of this name, see `choose_mapping`, to numbers that can be monitored."""
-        available = self._available()
+        available = {topic: self._numbers(topic) for _, topics in self._training for topic in topics}
         refusals: list[str] = []
         while True:
             try:
@@ -183,96 +185,106 @@ class _Topics:
                 )
             refused = 0
             for topic, numbers in available.items():
-                read = [number for number in numbers if f"{topic}:{number}" in mapping.fields]
-                reasons = self._reasons(topic, read)
+                mapped = [number for number in numbers if f"{topic}:{number}" in mapping.fields]
+                reasons = dict.fromkeys(mapped, self._reason_against(topic))
+                if not self._reason_against(topic):
+                    reasons = self._reasons_against(topic, mapped)
                 available[topic] = [number for number in numbers if number not in reasons]
                 refused += len(reasons)
                 refusals += [f"{topic}:{number} {reason}" for number, reason in reasons.items()]
             if not refused:
                 return mapping
 
-    def _reasons(self, topic: str, names: Sequence[str]) -> dict[str, str]:
-        """Why numbers of a topic cannot be monitored, by name."""
-        normal = [(name, topics[topic]) for name, topics in self._training if topic in topics]
-        others = [topics[topic] for _, topics in self._judged if topic in topics]
-        reason = self._reason_against(sum(len(messages) for _, messages in normal), others)
-        if reason:
-            return dict.fromkeys(names, reason)
-        return _reasons_against_fields(normal, others, names)
+    def _normal(self, topic: str) -> list[tuple[str, list[LoggedMessage]]]:
+        """Messages of a topic in the training, each with the name of the recording."""
+        return [(name, topics[topic]) for name, topics in self._training if topic in topics]
 
-    def _available(self) -> dict[str, list[str]]:
-        """Numbers of each topic of the training."""
-        available: dict[str, list[str]] = {}
-        for _, topics in self._training:
-            for topic, messages in topics.items():
-                if topic not in available:
-                    available[topic] = messages[0].layout.numbers(messages[0].data, LONGEST_LIST)
-        return available
+    def _numbers(self, topic: str) -> list[str]:
+        """Numbers of a topic of the training."""
+        example = self._normal(topic)[0][1][0]
+        return example.layout.numbers(example.data, LONGEST_LIST)
 
-    def _candidates(self, topic: str, numbers: Sequence[str]) -> set[str]:
-        """Numbers of a topic that are wanted, or mapped; by default those that are recommended."""
-        mapped = {name for name in numbers if f"{topic}:{name}" in self.mapping.fields}
-        if self._wanted.only_mapped and not self._wanted.fields:
-            return mapped
-        return mapped.union(_candidates(topic, numbers, self._wanted.fields, self._recommended))
-
-    def monitored(self, topic: str) -> tuple[Probe, Geometry] | None:
-        """What is monitored of a topic; None = nothing."""
-        normal = [(name, topics[topic]) for name, topics in self._training if topic in topics]
-        others = [topics[topic] for _, topics in self._judged if topic in topics]
-        reason = self._reason_against(sum(len(messages) for _, messages in normal), others)
-        if reason:
-            self.left_out.append(NotMonitored(topic, "", reason))
-            return None
-        # The numbers that are wanted, or recommended, and what may be further components of a quaternion.
-        example = normal[0][1][0]
-        numbers = example.layout.numbers(example.data, LONGEST_LIST)
-        candidates = self._candidates(topic, numbers)
-        read = set(candidates)
-        for group in component_groups(numbers):
-            if candidates.intersection(group):
-                read.update(group)
-        # Those of them that are finite in the training and exist in the others.
-        reasons = _reasons_against_fields(normal, others, [name for name in numbers if name in read])
-        reasons |= {name: "tells of the fault" for name in numbers if f"{topic}:{name}" in self._faults}
-        names = [name for name in numbers if name in read and name not in reasons]
-        tables = [Numbers(names, values_of(messages, names)[0]) for _, messages in normal]
-        units: Mapping[str, str] = getattr(example.layout, "units", {})
-        declared = _declared(topic, names, self._wanted.kinds, self.used_kinds)
-        # Counters and clocks are no signal, unless the user has named them; rules and custom detectors may read them.
-        if self._wanted.mapping is None and not self._wanted.fields:
-            times_us = [np.array([message.time_us for message in messages], np.int64) for _, messages in normal]
-            for index, name in enumerate(names):
-                if name not in declared and counts(name, [table.values[:, index] for table in tables], times_us):
-                    reasons[name] = COUNTS
-        geometry = recognise(tables, units, declared)
-        # The sign of a quaternion follows from all of its components: none is monitored alone.
-        for quaternion in geometry.quaternions:
-            if candidates.intersection(quaternion):
-                candidates.update(quaternion)
-        self._leave_out(topic, numbers, candidates, reasons)
-        names = [name for name in names if name in candidates and name not in reasons]
-        if not names:
-            return None
-        late = {name for name in names for table in tables if not np.isfinite(table.values[0, table.names.index(name)])}
-        if late:
-            self.late[topic] = late
-        return Probe(example.layout, foreign_spec(topic, names)), geometry.restricted(names)
-
-    def _reason_against(self, count: int, others: Sequence[Sequence[LoggedMessage]]) -> str:
-        """Why a topic with `count` messages in the training cannot be monitored; "" = it can."""
+    def _reason_against(self, topic: str) -> str:
+        """Why a topic cannot be monitored; "" = it can."""
+        count = sum(len(messages) for _, messages in self._normal(topic))
         if count == 0:
             return "not in the training"
         if count < SMALLEST_SAMPLE:
-            return f"fewer than {SMALLEST_SAMPLE} messages in the training"
-        if not others:
+            return TOO_FEW
+        if self._judged and not any(topic in topics for _, topics in self._judged):
             return f"silent in {', '.join(name for name, _ in self._judged)}"
         return ""
 
-    def _leave_out(
-        self, topic: str, numbers: Sequence[str], candidates: Collection[str], reasons: Mapping[str, str]
-    ) -> None:
-        """Add to `left_out` the numbers of a topic that are no candidates, and those with a reason against them."""
+    def _reasons_against(self, topic: str, names: Sequence[str]) -> dict[str, str]:
+        """Why fields of a topic cannot be monitored, by field; notes those that begin late."""
+        reasons: dict[str, str] = {}
+        self._late: set[str] = set()
+        for recording, messages in self._normal(topic):
+            values, present = values_of(messages, names)
+            for column, name in enumerate(names):
+                if not present[:, column].all():
+                    reasons.setdefault(name, f"absent in messages of {recording}")
+                    continue
+                # Not finite at the beginning: the value is not yet known, as before an estimator has converged.
+                is_finite = np.isfinite(values[:, column])
+                begin = int(np.argmax(is_finite))
+                if begin <= _LATEST_BEGIN * len(messages) and is_finite[begin:].all():
+                    if begin:
+                        self._late.add(name)
+                    continue
+                if begin > _LATEST_BEGIN * len(messages) or not is_finite.any():
+                    begin = 0
+                first = messages[begin + int(np.argmin(is_finite[begin:]))]
+                reasons.setdefault(name, f"not finite in {recording}, first at {1e-6 * first.time_us:.2f} s")
+        for _, topics in self._judged:
+            for name in names:
+                try:
+                    if topic in topics:
+                        topics[topic][0].layout.check(name)
+                except BadInputError:
+                    reasons.setdefault(name, "not in the recordings to be judged")
+        return reasons
+
+    def _candidates(self, topic: str, numbers: Sequence[str]) -> set[str]:
+        """Numbers of a topic that are wanted, or mapped; by default those that are recommended."""
+        candidates = {name for name in numbers if f"{topic}:{name}" in self.mapping.fields}
+        if self._wanted.fields:
+            return candidates.union(name for name in numbers if {name, f"{topic}:{name}"} & {*self._wanted.fields})
+        if self._wanted.only_mapped:
+            return candidates
+        if self._recommended:
+            # the same fields belong to all instances and sources of a topic
+            plain_topic = re.sub(r"(\.\d+)+$|\[\w+\]$", "", topic)
+            return candidates.union(set(numbers).intersection(self._recommended.get(plain_topic, ())))
+        return set(numbers)
+
+    def add(self, topic: str) -> None:
+        """Select what is monitored of a topic."""
+        reason = self._reason_against(topic)
+        if reason:
+            self.left_out.append(NotMonitored(topic, "", reason))
+            return
+        # What is wanted, and what may be further components of a quaternion, as far as it can be monitored.
+        numbers = self._numbers(topic)
+        candidates = self._candidates(topic, numbers)
+        near = {
+            number
+            for index, name in enumerate(numbers)
+            if name in candidates
+            for number in numbers[max(index - 3, 0) : index + 4]
+        }
+        reasons = self._reasons_against(topic, [name for name in numbers if name in near])
+        reasons |= {name: "tells of the fault" for name in numbers if f"{topic}:{name}" in self._faults}
+        names = [name for name in numbers if name in near and name not in reasons]
+        kinds = self._kinds_of(topic, names)
+        # Counters and clocks are no signal, unless the user has named them; rules and custom detectors may read them.
+        if self._wanted.mapping is None and not self._wanted.fields:
+            reasons |= {name: COUNTS for name in names if kinds.get(name) == COUNTER}
+        # The sign of a quaternion follows from all of its components: none is monitored alone.
+        components = [name for name in names if kinds.get(name) == QUATERNION]
+        for start in range(0, len(components), 4):
+            if candidates.intersection(components[start : start + 4]):
+                candidates.update(components[start : start + 4])
         default_reason = _NOT_RECOMMENDED
         if self._wanted.fields:
             default_reason = _NOT_WANTED
@@ -283,6 +295,40 @@ class _Topics:
                 self.left_out.append(NotMonitored(topic, name, default_reason))
             elif name in reasons:
                 self.left_out.append(NotMonitored(topic, name, reasons[name]))
+        names = [name for name in names if name in candidates and name not in reasons]
+        if names:
+            self.kinds[topic] = {name: kinds[name] for name in names if kinds.get(name) in (*TURNS, QUATERNION)}
+            self.late[topic] = self._late.intersection(names)
+            self.probes[topic] = Probe(self._normal(topic)[0][1][0].layout, foreign_spec(topic, names))
+
+    def _kinds_of(self, topic: str, names: Sequence[str]) -> dict[str, str]:
+        """What fields of a topic are, as declared by the user, or recognised."""
+        declared = {}
+        for pattern, kind in self._wanted.kinds.items():
+            for name in names:
+                if _matches(pattern, topic, name):
+                    declared[name] = kind
+                    self.used_kinds.add(pattern)
+        components = [name for name, kind in declared.items() if kind == QUATERNION]
+        if len(components) % 4:
+            raise BadInputError(
+                f"--kinds: {', '.join(components)}: allowed: {QUATERNION} for all four components of one"
+            )
+        others = [name for name in names if name not in declared]
+        tables = []
+        for _, messages in self._normal(topic):
+            times_us = np.array([message.time_us for message in messages], np.int64)
+            tables.append(Numbers(others, values_of(messages, others)[0], times_us))
+        units: Mapping[str, str] = getattr(self._normal(topic)[0][1][0].layout, "units", {})
+        return recognise(tables, units) | declared
+
+
+def _matches(pattern: str, topic: str, name: str) -> bool:
+    """Whether a pattern with "*" and "?", in which brackets are those of an index, means a field of a topic."""
+    escaped = pattern.replace("[", "[[]")
+    if ":" not in pattern:
+        escaped = f"*:{escaped}"
+    return fnmatchcase(f"{topic}:{name}", escaped)
 
 
 def cut_text(recordings: Sequence[LogRecording]) -> str:
@@ -291,74 +337,6 @@ def cut_text(recordings: Sequence[LogRecording]) -> str:
     if names:
         return f"{', '.join(dict.fromkeys(names))}: cut, the last message is not complete"
     return ""
-
-
-def _candidates(
-    topic: str, numbers: Sequence[str], requested: Sequence[str], recommended: Mapping[str, Sequence[str]]
-) -> list[str]:
-    """Numbers of a topic that are wanted; by default those that are recommended."""
-    if requested:
-        requested_names = [name.rpartition(":") for name in requested]
-        return [path for topic_of_name, _, path in requested_names if topic_of_name in ("", topic) and path in numbers]
-    if not recommended:
-        return list(numbers)
-    return [name for name in recommended.get(_without_instance(topic), ()) if name in numbers]
-
-
-def _without_instance(topic: str) -> str:
-    """Name of a topic without the number of its instance or source, to which the same fields belong."""
-    return re.sub(r"(\.\d+)+$|\[\w+\]$", "", topic)
-
-
-def _reasons_against_fields(
-    normal: Sequence[tuple[str, Sequence[LoggedMessage]]],
-    others: Sequence[Sequence[LoggedMessage]],
-    names: Sequence[str],
-) -> dict[str, str]:
-    """Why fields of a topic cannot be monitored, by field."""
-    reasons: dict[str, str] = {}
-    for recording, messages in normal:
-        values, present = values_of(messages, names)
-        for column, name in enumerate(names):
-            if not present[:, column].all():
-                reasons.setdefault(name, f"absent in messages of {recording}")
-                continue
-            # Not finite at the beginning: the value is not yet known, as before an estimator has converged.
-            is_finite = np.isfinite(values[:, column])
-            begin = int(np.argmax(is_finite))
-            if begin <= _LATEST_BEGIN * len(messages) and is_finite[begin:].all():
-                continue
-            if begin > _LATEST_BEGIN * len(messages) or not is_finite.any():
-                begin = 0
-            first = messages[begin + int(np.argmin(is_finite[begin:]))]
-            reasons.setdefault(name, f"not finite in {recording}, first at {1e-6 * first.time_us:.2f} s")
-    for messages in others:
-        layout = messages[0].layout
-        for name in names:
-            try:
-                layout.check(name)
-            except BadInputError:
-                reasons.setdefault(name, "not in the recordings to be judged")
-    return reasons
-
-
-def _declared(topic: str, names: Sequence[str], kinds: Mapping[str, str], used: set[str]) -> dict[str, str]:
-    """Kinds of a topic's fields that the user has declared; adds the patterns that apply to `used`."""
-    declared = {}
-    for pattern, kind in kinds.items():
-        for name in names:
-            if pattern in (name, f"{topic}:{name}") or fnmatchcase(f"{topic}:{name}", _literal_brackets(pattern)):
-                declared[name] = kind
-                used.add(pattern)
-    return declared
-
-
-def _literal_brackets(pattern: str) -> str:
-    """A pattern of names with "*" and "?", in which brackets are those of an index; without a topic, for all topics."""
-    escaped = pattern.replace("[", "[[]")
-    if ":" in pattern:
-        return escaped
-    return f"*:{escaped}"
 
 
 def _check_wanted(
@@ -375,16 +353,9 @@ def _check_wanted(
         for item in left_out:
             if topic in ("", item.topic) and item.field in ("", path) and (topic or item.field):
                 reason = item.reason
-        # What could be named instead: in the same topic if there is one, and in the same form.
-        topics = {owner for owner, _ in possible}
-        names = []
-        for owner, number in possible:
-            if topic in topics and owner != topic:
-                continue
-            if topic:
-                names.append(f"{owner}:{number}")
-            else:
-                names.append(number)
+        names = [f"{owner}:{number}" for owner, number in possible]
+        if not topic:
+            names = [number for _, number in possible]
         raise BadInputError(f"--fields: {name}: {reason}{cut}{hint(name, names)}; allowed: {allowed(names, name)}")
 
 

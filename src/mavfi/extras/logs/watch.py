@@ -8,13 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mavfi.analysis.statistics import EventRate, Rate, event_rate, wilson
-from mavfi.detectors.detector import Alarm, Detector
-from mavfi.detectors.foreign import foreign_state
+from mavfi.detectors.foreign import NOT_FINITE_RULE, NotMonitored, foreign_state
 from mavfi.extras.logs.detectors import log_detector
 from mavfi.extras.logs.mapping import values_by_name
-from mavfi.extras.logs.monitor import NOT_FINITE_RULE
 from mavfi.extras.logs.recording import LogRecording, Silence, exposure_s, longest_gap_us, silences
-from mavfi.extras.logs.selection import EVERYTHING, LogSelection, NotMonitored, Wanted, select
+from mavfi.extras.logs.selection import EVERYTHING, LogSelection, Wanted, select
 from mavfi.faults.levels.message.definition import Leaf, flip_bit
 from mavfi.faults.strata import bits_of
 from mavfi.flight.log_readers import LoggedMessage
@@ -218,7 +216,7 @@ class LogWatch:
         self.selection = selection
         self._training = training
         flights = [[(message.time_us, state) for message, state in self._states(recording)] for recording in training]
-        self.detector: Detector = log_detector(kind, profile, selection, selection.mapping, flights, seed)
+        self.detector = log_detector(kind, profile, selection, selection.mapping, flights, seed)
         self.trained_on = sum(map(len, flights))
 
     def _states(self, recording: LogRecording) -> list[Sample]:
@@ -307,7 +305,7 @@ class LogWatch:
         """The alarms of a flight."""
         self.detector.start()
         for index, (message, state) in enumerate(samples):
-            alarm = self._step(state, message.time_us)
+            alarm = self.detector.step(state, message.time_us)
             if alarm is not None:
                 topic, fields = self._names(message.topic, alarm.fields)
                 yield LogAlarm(index, message.time_us, topic, alarm.score, fields, alarm.source)
@@ -319,12 +317,6 @@ class LogWatch:
             if fields:
                 return owner, fields
         return topic, tuple(name.removeprefix(f"{topic}.") for name in names)
-
-    def _step(self, state: State, time_us: int) -> Alarm | None:
-        """The alarm on a message, which the detector accepts in any case; None = there is none."""
-        alarm = self.detector.check(state, time_us)
-        self.detector.accept(state, time_us)
-        return alarm
 
     def _inject(self, samples: Sequence[Sample], alarmed: set[int], count: int, seed: int) -> Iterator[Flip]:
         """Flips in order of time; messages that raise an alarm without it, or before such a one, are not drawn."""
@@ -346,7 +338,7 @@ class LogWatch:
         position = 0
         for index, follower, number in drawn:
             for message, state in samples[position:index]:
-                self._step(state, message.time_us)
+                self.detector.step(state, message.time_us)
             position = max(position, index)
             yield self._flip(samples[index : follower + 1], BIT_CLASSES[number % len(BIT_CLASSES)], random)
 
@@ -369,9 +361,9 @@ class LogWatch:
         assert changed is not None  # it has the numbers of the original
         # Judge, and restore the detector.
         memory = self.detector.memory()
-        detected = self._step(changed, message.time_us) is not None
+        detected = self.detector.step(changed, message.time_us) is not None
         for later, state in samples[1:]:
-            alarm = self._step(state, later.time_us)
+            alarm = self.detector.step(state, later.time_us)
             if alarm is not None and later.topic == message.topic:
                 detected = True
         self.detector.restore(memory)

@@ -14,6 +14,7 @@ from operator import and_
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from mavfi.detectors.foreign import Monitor
 from mavfi.errors import BadInputError
 from mavfi.extras.registers import inject
 from mavfi.extras.ros.processes import children
@@ -29,7 +30,7 @@ from mavfi.extras.ros.ros2.stack.clients import (
 from mavfi.extras.ros.ros2.stack.config import StackConfig
 from mavfi.extras.ros.ros2.stack.inputs import inputs_of
 from mavfi.extras.ros.ros2.stack.outputs import LOST, Outputs, compare, digest_of, status_of
-from mavfi.extras.ros.ros2.stack.watching import Publication, StackWatcher, train
+from mavfi.extras.ros.ros2.stack.watching import Publication, alarms_of, train
 from mavfi.faults.fault import Fault, MessageFault, RegisterFault
 from mavfi.outcomes import Effect
 from mavfi.record import AlarmRecord, Injection
@@ -133,7 +134,7 @@ class StackBench:
     def __init__(self, stack: StackConfig, folder: Path, detectors: Mapping[str, Sequence[str]] | None = None) -> None:
         self._stack = stack
         self._detectors = dict(detectors or {})
-        self._watchers: dict[str, StackWatcher] = {}
+        self._monitors: dict[str, Monitor] = {}
         self._folder = folder
         self._installation = find_installation(stack.distribution)
         self._page = ControlPage()
@@ -206,7 +207,9 @@ class StackBench:
                     )
             self._golden = runs[0]
             self._lasting = reduce(and_, (run.lasting for run in runs))
-            self._watchers = train(self._detectors, [run.publications for run in runs])
+            publications = [run.publications for run in runs]
+            for arm, detector_and_profile in self._detectors.items():
+                self._monitors[arm] = train(*detector_and_profile, publications)
         return self._golden
 
     def _error_free_runs(self) -> list[PlayedRun]:
@@ -235,8 +238,8 @@ class StackBench:
             "outputs": sum(map(len, golden.outputs.values())),
             "numbers": golden.numbers,
             "alarms": {
-                arm: [alarm.to_json() for alarm in watcher.alarms(golden.publications)]
-                for arm, watcher in self._watchers.items()
+                arm: [alarm.to_json() for alarm in alarms_of(monitor, golden.publications)]
+                for arm, monitor in self._monitors.items()
             },
         }
 
@@ -280,7 +283,7 @@ class StackBench:
             tuple(asdict(difference) for difference in comparison.differences),
             injections,
             self._status(run),
-            {arm: watcher.alarms(run.publications) for arm, watcher in self._watchers.items()},
+            {arm: alarms_of(monitor, run.publications) for arm, monitor in self._monitors.items()},
             run.seconds,
             run.start_s,
         )
