@@ -57,6 +57,7 @@ NAMES: Mapping[tuple[str, str], str] = {
     ("campaigns", "ros_robot_state_publisher"): "use examples/ros2/limiter.yaml with a stack of your own",
     ("campaigns", "recovery_memory"): "use detector_memory: no fault in the memory of recovery lost a mission",
     ("campaigns", "recovery_instructions"): "use detector_instructions: no fault in recovery lost a mission",
+    ("studies", "assumptions"): "use python -m studies.assumptions, in a clone of the repository",
 }
 """Shipped names, by kind and name, with what to do instead."""
 
