@@ -128,5 +128,8 @@ def dropped_name(kind: str, name: str) -> str:
     """The refusal of a shipped name of a kind, e.g. "detectors"; "" = no version shipped it."""
     replacement = NAMES.get((kind, name))
     if replacement:
-        return f"{kind.rstrip('s')} {name!r}: dropped; {replacement}"
+        singular = kind.removesuffix("s")
+        if kind == "studies":
+            singular = "study"
+        return f"{singular} {name!r}: dropped; {replacement}"
     return ""

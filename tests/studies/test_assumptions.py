@@ -217,7 +217,7 @@ def test_a_small_study_flies_and_resumes(tmp_path):
         other_environments = {"factory", "sparse", "dense"}
         assert written and set(written[0]) == set(stored_rows(published.stem)[0]) - other_environments, published.stem
     text = page(folder, "tables", small.environments)
-    assert "readings (" in text and "| all_states | gate |" in text
+    assert "readings (" in text and f"| {stored_rows('detectors', folder)[0]['where']} | gate |" in text
     assert len(changes(stored_rows("axes", folder), small.environments)) == 1
     # it resumes: nothing is flown again, and all rows are the same
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
