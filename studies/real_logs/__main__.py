@@ -198,7 +198,7 @@ def main(arguments: Sequence[str]) -> None:
         tables = judged_tables(Path(arguments[0]))
     about = [f"{name}: {log_set.text}" for name, log_set in SETS.items()]
     title = "Detectors on recorded flights"
-    page = results.write(PAGE, title, TEXT, tables, [EXCERPT], about, command="python -m studies.real_logs FOLDER")
+    page = results.write(PAGE, title, TEXT, tables, [EXCERPT], about, command="python -m studies.real_logs")
     print(f"wrote {page.relative_to(ROOT)}")
 
 

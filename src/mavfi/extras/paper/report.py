@@ -304,14 +304,14 @@ def _markdown(report: StudyReport, today: str, scale: str) -> str:
             parts += [f"![{name}]({name})", caption]
 
         # the findings, or the first table of a headline campaign
-        for table in section.tables[:1]:
-            if table.name == _FINDINGS:
-                parts.append(findings_in_short(table))
-            elif section in report.headline and definition.campaign not in campaigns_shown:
-                campaigns_shown.add(definition.campaign)
-                parts.append(markdown_table(replace(table, notes=())))
+        leading = next(iter(section.tables), None)
+        if leading is not None and leading.name == _FINDINGS:
+            parts.append(findings_in_short(leading))
+        elif leading is not None and section in report.headline and definition.campaign not in campaigns_shown:
+            campaigns_shown.add(definition.campaign)
+            parts.append(markdown_table(replace(leading, notes=())))
 
-        links = [f"[{table.name}]({TABLES_FOLDER}/{_file_of(section, table)}.csv)" for table in section.tables]
+        links = [f"[{part.name}]({TABLES_FOLDER}/{_file_of(section, part)}.csv)" for part in section.tables]
         if links:
             parts.append(f"All rows: {', '.join(links)}.")
     # campaigns share captions and texts: each stands where it is first needed
@@ -325,7 +325,7 @@ _TABLE_OF_LEVEL = re.compile(r"^Table I, [^:]*: ")
 
 
 def findings_in_short(table: Table) -> str:
-    """The findings in Markdown, by campaign: verdict, p after Holm's correction, and what was measured if it decides."""
+    """The findings in Markdown, by campaign: verdict, corrected p, and what was measured if it decides."""
     by_campaign: dict[str, list[list[str]]] = {}
     for entry in table.entries():
         statement = _TABLE_OF_LEVEL.sub("", str(entry["statement"]))
