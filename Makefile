@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 # When make began, if there is no $(VENV) yet: the time of set-up counts from here.
 BEGUN := $(if $(wildcard $(BIN)/python),,$(shell date +%s))
-CODE := src tests examples benchmarks tools
+CODE := src tests examples benchmarks studies tools
 # Many tests wait for programs that they start: one process more than processors.
 TESTERS := $(shell expr $(JOBS) + 1)
 # The summary lists skipped tests with their reasons: otherwise a missing program goes unnoticed.
@@ -105,4 +105,4 @@ lock:  ## renew requirements.lock from the ranges in pyproject.toml
 
 clean:  ## remove what was built (not .venv, not out)
 	@rm -rf dist build src/mavfi/data/site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
-	@find src tests examples benchmarks tools -name __pycache__ -type d -prune -exec rm -rf {} +
+	@find src tests examples benchmarks studies tools -name __pycache__ -type d -prune -exec rm -rf {} +

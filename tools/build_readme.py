@@ -179,7 +179,7 @@ def copy_study(out: Path) -> None:
     for source, folder in ((out / "figures", RESULTS / "figures"), (out / "tables", TABLES / "study")):
         shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(source, folder)
-    text = (out / "study.md").read_text(encoding="utf-8")
+    text = (out / "study.md").read_text(encoding="utf-8").replace("(tables/", "(tables/study/")
     (RESULTS / "study.md").write_text(banner("make results NAME=study SCALE=paper") + text, encoding="utf-8")
 
 

@@ -1,6 +1,6 @@
 """Write the reference pages of docs/generated from the data models behind YAML files and command line.
 
-Each page has a table of keys per model: type, default and meaning, all taken from the model.
+Each page has a list of keys per model: type, default and meaning, all taken from the model.
 """
 
 import inspect
@@ -27,7 +27,6 @@ from mavfi.plugins import extensions
 from tools.markers import GENERATED, banner
 
 COMMAND = "make docs"
-HEAD = ("| key | type | default | meaning |", "|---|---|---|---|")
 NAMES = {"str": "text", "int": "integer", "float": "number", "bool": "true or false", "Any": "any value"}
 SIGNS = {Ge: "≥", Gt: ">", Le: "≤", Lt: "<"}
 
@@ -208,14 +207,14 @@ def _item(value: Any) -> str:
 
 
 def model_section(model: type[BaseModel]) -> list[str]:
-    """Heading, docstring and table of keys of one model."""
-    lines = [f"## {model.__name__}", "", *inspect.cleandoc(model.__doc__ or "").splitlines(), "", *HEAD]
+    """Heading, docstring and keys of one model."""
+    lines = [f"## {model.__name__}", "", *inspect.cleandoc(model.__doc__ or "").splitlines(), ""]
     for name, field in model.model_fields.items():
         default = "required"
         if not field.is_required():
             default = shown(field.get_default(call_default_factory=True))
         words = "; ".join(filter(None, ((field.description or "").rstrip("."), limits(field))))
-        lines.append(row(name, kind(field.annotation), default, words))
+        lines.append(item(name, kind(field.annotation), default, words))
     return [*lines, ""]
 
 
@@ -236,15 +235,15 @@ def attributes(docstring: str) -> dict[str, str]:
 
 
 def fault_section(level: str, fault: Any) -> list[str]:
-    """Heading, first sentence and attribute table of one fault type."""
+    """Heading, first sentence and attributes of one fault type."""
     hints = get_type_hints(fault)
     meanings = attributes(fault.__doc__)
-    lines = [f"## Level `{level}`: {fault.__name__}", "", inspect.cleandoc(fault.__doc__).splitlines()[0], "", *HEAD]
+    lines = [f"## Level `{level}`: {fault.__name__}", "", inspect.cleandoc(fault.__doc__).splitlines()[0], ""]
     for field in fields(fault):
         default = "required"
         if field.default is not MISSING:
             default = shown(field.default)
-        lines.append(row(field.name, _kind_of_attribute(hints[field.name]), default, meanings[field.name]))
+        lines.append(item(field.name, _kind_of_attribute(hints[field.name]), default, meanings[field.name]))
     return [*lines, ""]
 
 
@@ -257,10 +256,13 @@ def _kind_of_attribute(annotation: Any) -> str:
     return kind(annotation)
 
 
-def row(*cells: str) -> str:
-    """One table row; bars inside cells are escaped."""
-    name, *rest = (" ".join(cell.split()).replace("|", "\\|") for cell in cells)
-    return "| " + " | ".join((f"`{name}`", *rest)) + " |"
+def item(name: str, type_name: str, default: str, meaning: str) -> str:
+    """One item of a list of keys: name, type and default in parentheses, meaning."""
+    in_parentheses = ", ".join(filter(None, (type_name, default)))
+    text = f"- `{name}` ({in_parentheses})"
+    if meaning:
+        text += f": {meaning}"
+    return " ".join(text.split())
 
 
 def pages() -> dict[Path, str]:

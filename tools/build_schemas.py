@@ -10,7 +10,6 @@ from pydantic.json_schema import models_json_schema
 
 from mavfi.campaign.config import ArmConfig, Campaign
 from mavfi.cli.init import SCHEMAS
-from mavfi.extras.paper.assumptions.design import AssumptionStudy
 from mavfi.extras.paper.study import Study
 from mavfi.faults.fault import find_level, level_names
 from mavfi.flight.host import GROUP
@@ -64,10 +63,8 @@ def campaign_schema() -> dict[str, Any]:
 
 
 def study_schema() -> dict[str, Any]:
-    """The schema of a study: of campaigns, or of assumptions."""
-    models: list[type[BaseModel]] = [Study, AssumptionStudy]
-    names, whole = models_json_schema([(model, "validation") for model in models])
-    return {"$schema": _DRAFT, "anyOf": list(names.values()), "$defs": whole["$defs"]}
+    """The schema of a study."""
+    return {"$schema": _DRAFT, **Study.model_json_schema(mode="validation")}
 
 
 def _definition(definitions: Mapping[str, Any], reference: Mapping[str, str]) -> dict[str, Any]:

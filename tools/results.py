@@ -71,6 +71,7 @@ def write(
     excerpts: Sequence[Excerpt],
     about: Sequence[str] = (),
     keep: Sequence[str] = (),
+    command: str = "",
 ) -> Path:
     """Write the tables of a page as CSV, and the page.
 
@@ -82,6 +83,7 @@ def write(
         excerpts: Rows that the page shows.
         about: Lines on what was flown.
         keep: Names of files of tables that others write; all further ones of the folder are removed.
+        command: Command that writes the page; "" = `make results NAME=...`.
 
     Returns:
         The page.
@@ -102,7 +104,7 @@ def write(
     if notes or about:
         parts.append("\n".join(f"- {line}" for line in (*about, *notes)))
     page = RESULTS / f"{name}.md"
-    page.write_text(banner(f"make results NAME={name}") + "\n\n".join(parts) + "\n", encoding="utf-8")
+    page.write_text(banner(command or f"make results NAME={name}") + "\n\n".join(parts) + "\n", encoding="utf-8")
     return page
 
 
@@ -188,15 +190,12 @@ CAMPAIGNS = {
     ),
 }
 MODULES = {
-    "assumptions": "tools.build_assumptions",
     "leaderboard": "tools.build_leaderboard",
     "figures": "tools.draw_results",
     "five-rules": "tools.build_rules",
     "hardening": "tools.build_hardening",
     "golden-rates": "tools.golden_rates",
     "fault-map": "tools.build_fault_map",
-    "firmware": "tools.firmware_faults",
-    "real-logs": "tools.real_logs",
     "pictures": "tools.pictures",
     "speed": "benchmarks.run",
     "study": "tools.build_readme",

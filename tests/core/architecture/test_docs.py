@@ -15,6 +15,7 @@ from tools import build_pages, results
 PAGES = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "tests/README.md")),
     *sorted((ROOT / "docs").rglob("*.md")),
+    *sorted((ROOT / "studies").rglob("*.md")),
 ]
 DOCS = ROOT / "docs"
 MAX_WORDS = 35_000
@@ -41,8 +42,11 @@ def test_written_pages_say_what_the_code_says():
     "page", sorted([*(DOCS / "generated").glob("*.md"), *(DOCS / "results").glob("*.md")]), ids=lambda page: page.name
 )
 def test_generated_pages_name_the_command_that_writes_them(page):
-    command = r"(<!-- Written by `make ([a-z-]+)(?: NAME=([a-z-]+))?(?: SCALE=paper)?`; do not edit\. -->)\n\n# "
-    banner, target, name = re.match(command, text(page)).groups()
+    command = r"(<!-- Written by `(make|python -m) ([\w.-]+)(?: NAME=([a-z-]+))?(?: SCALE=paper)?`; do not edit\. -->)"
+    banner, program, target, name = re.match(rf"{command}\n\n# ", text(page)).groups()
+    if program == "python -m":
+        assert (ROOT / target.replace(".", "/") / "__main__.py").is_file(), banner
+        return
     assert f"\n{target}: " in text(ROOT / "Makefile"), banner
     assert name is None or name == page.stem and name in {*results.CAMPAIGNS, *results.MODULES}, banner
 
@@ -50,8 +54,7 @@ def test_generated_pages_name_the_command_that_writes_them(page):
 @pytest.mark.parametrize("page", sorted((DOCS / "results").glob("*.md")), ids=lambda page: page.name)
 def test_a_page_of_results_links_all_of_its_tables(page):
     tables = {path.relative_to(page.parent).as_posix() for path in (results.TABLES / page.stem).glob("*.csv")}
-    if page.stem != "study":  # copied from the study, which writes its tables beside it
-        assert tables and tables <= set(re.findall(r"\]\(([^)#]+)", text(page)))
+    assert tables and tables <= set(re.findall(r"\]\(([^)#]+)", text(page)))
 
 
 def count_words(page: str) -> int:

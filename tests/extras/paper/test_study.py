@@ -4,7 +4,6 @@ from mavfi.campaign.config import load_campaign
 from mavfi.campaign.mission import plan_of
 from mavfi.config import config_root, parse
 from mavfi.errors import BadInputError
-from mavfi.extras.paper.assumptions.command import load_assumptions
 from mavfi.extras.paper.claims import claims_table
 from mavfi.extras.paper.report import check_names
 from mavfi.extras.paper.study import Study, load_study
@@ -19,15 +18,15 @@ def study(**more):
 def test_shipped_studies_name_campaigns_views_figures_and_claims_that_there_are():
     names = {path.stem for path in (config_root() / "studies").glob("*.yaml")}
     for name in names:
-        if load_assumptions(name) is not None:
-            continue
         whole = load_study(name)
         check_names(whole, name)
         for scale in ("quick", "paper"):
             at_scale = whole.at_scale(scale)
             assert set(at_scale.campaigns_at(scale)) == set(at_scale.campaigns)
-    with pytest.raises(BadInputError, match="study 'table1': not known; allowed: as_published, assumptions, paper, or"):
+    with pytest.raises(BadInputError, match="study 'table1': not known; allowed: as_published, paper, or"):
         load_study("table1")
+    with pytest.raises(BadInputError, match=r"^study 'assumptions': dropped; use python -m studies\.assumptions"):
+        load_study("assumptions")
 
 
 def test_a_scale_flies_tests_and_shows_what_it_has_the_flights_for():

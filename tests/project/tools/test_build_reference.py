@@ -1,11 +1,15 @@
+import re
 from dataclasses import fields
 from typing import Literal
 
 import pytest
+import typer
 from pydantic import Field
 
+from mavfi.cli.commands import app
 from mavfi.config import Config
 from mavfi.faults.fault import find_level, level_names
+from tools import build_commands
 from tools import build_reference as reference
 
 
@@ -23,17 +27,17 @@ class Whole(Config):
     mode: Literal["x", "y"] = "x"
 
 
-def test_a_model_becomes_a_table():
-    assert "| `size` | integer | `3` | of it; ≥ 1, ≤ 9 |" in reference.model_section(Part)
+def test_a_model_becomes_a_list_of_keys():
+    assert "- `size` (integer, `3`): of it; ≥ 1, ≤ 9" in reference.model_section(Part)
     lines = reference.model_section(Whole)
     assert lines[:3] == ["## Whole", "", "A whole | with a bar."]
-    assert "| `part` | [Part](#part) | required |  |" in lines and "| `names` | list of text | `[a, b]` |  |" in lines
+    assert "- `part` ([Part](#part), required)" in lines and "- `names` (list of text, `[a, b]`)" in lines
 
 
 @pytest.mark.parametrize("level", level_names())
 def test_every_attribute_of_a_fault_is_explained(level):
-    rows = [line for line in reference.fault_section(level, find_level(level).fault) if line.startswith("| `")]
-    assert len(rows) == len(fields(find_level(level).fault)) and not any(line.endswith("|  |") for line in rows)
+    items = [line for line in reference.fault_section(level, find_level(level).fault) if line.startswith("- `")]
+    assert len(items) == len(fields(find_level(level).fault)) and all("): " in line for line in items)
 
 
 def test_every_linked_model_has_a_section():
@@ -41,3 +45,20 @@ def test_every_linked_model_has_a_section():
         linked = {link.split(")")[0] for link in page.split("](#")[1:]}
         headings = {line[3:].lower() for line in page.splitlines() if line.startswith("## ")}
         assert linked <= headings
+
+
+def test_every_parameter_of_every_command_is_on_its_page():
+    page = build_commands.page()
+    common, *sections = re.split(r"^#+ `mavfi (?=[^`]+`$)", page, flags=re.MULTILINE)
+    text_by_command = {section.partition("`")[0]: section for section in sections}
+    program = typer.main.get_command(app)
+    for name, text in text_by_command.items():
+        command = program
+        for word in name.split():
+            command = command.commands[word]
+        for parameter in command.params:
+            label = parameter.name.upper() if parameter.param_type_name == "argument" else parameter.opts[0]
+            assert parameter.hidden or f"`{label}`" in text, f"{name}: {label}"
+        # what is only named stands in the common part, or on the page of missions
+        for line in re.findall(r"^- also (.*)$", text, re.MULTILINE):
+            assert all(f"\n- {label}" in common for label in line.split(", ")), f"{name}: {line}"

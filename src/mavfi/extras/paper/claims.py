@@ -49,6 +49,8 @@ LEVEL = 0.05
 CONFIRMED = "confirmed"
 CONTRADICTED = "contradicted"
 UNDECIDED = "undecided"
+NOT_TESTED = "not tested here"
+"""Beginning of the note on findings that are left to other scales."""
 
 
 def claims_table(
@@ -116,7 +118,7 @@ def _left_to_other_scales(untested: Mapping[str, Sequence[str]]) -> Iterable[str
     """A note for each scale that tests further claims."""
     for scale, names in untested.items():
         statements = "; ".join(CLAIMS[name].statement for name in names)
-        yield f"not tested here, where flights are too few to decide; tested at scale {scale}: {statements}"
+        yield f"{NOT_TESTED}, where flights are too few to decide; tested at scale {scale}: {statements}"
 
 
 _COLUMNS = (

@@ -70,19 +70,12 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     from mavfi.campaign.run import run_campaigns
     from mavfi.campaign.training import record
     from mavfi.campaign.warm_up import compile_ahead
-    from mavfi.extras.paper.assumptions.command import load_assumptions, reproduce_assumptions
     from mavfi.extras.paper.cli_report import StudyBar, show_study_report, write_study_report
     from mavfi.extras.paper.overheads import measure, save
     from mavfi.extras.paper.report import check_names
     from mavfi.extras.paper.steps import FLIGHTS as FLIGHTS_STEP
     from mavfi.extras.paper.steps import StepTimes
     from mavfi.extras.paper.study import load_study
-
-    # a study of assumptions has steps of its own
-    assumptions = load_assumptions(study)
-    if assumptions is not None:
-        reproduce_assumptions(assumptions, scale, out, workers, as_json=as_json)
-        return
 
     # everything that can be refused is refused before anything is flown
     whole = load_study(study)

@@ -1,6 +1,7 @@
 """The report of a study: sections in order, each with tables, figures and tested claims."""
 
 import json
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,19 +17,21 @@ from mavfi.analysis.views import VIEWS, table, views_for
 from mavfi.config import parse
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, not_known, write_text, writing
-from mavfi.extras.paper.claims import CLAIMS, claims_table
+from mavfi.extras.paper.claims import CLAIMS, NOT_TESTED, UNDECIDED, claims_table
 from mavfi.extras.paper.steps import FLIGHTS, SET_UP, StepTimes
 from mavfi.extras.paper.study import Study, StudySection
 from mavfi.files import LARGEST_TEXT, is_file, read_file
 from mavfi.record import plain
 from mavfi.report.campaign_report import markdown_table
 from mavfi.report.figures import FIGURES, draw, drawing
-from mavfi.report.text import checks, header, versions
+from mavfi.report.text import cell, checks, markdown_grid, versions
 
 FIGURES_FOLDER = "figures"
 TABLES_FOLDER = "tables"
 MARKDOWN = "study.md"
 JSON = "study.json"
+_FINDINGS = "claims"
+"""Name of the table of tested findings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +65,7 @@ class StudyReport:
         """Findings in sentences by title of their section: tested claims first, then the headline's campaigns."""
         sentences = {}
         for section in self.sections:
-            claims = [entry for table in section.tables if table.name == "claims" for entry in table.entries()]
+            claims = [entry for table in section.tables if table.name == _FINDINGS for entry in table.entries()]
             if claims:
                 sentences[section.definition.title] = _verdicts(claims)
         # the findings of a campaign stand in its first section
@@ -81,10 +84,7 @@ class StudyReport:
         """All tables by name; those of a campaign begin with its name."""
         tables: dict[str, Table] = {}
         for section in self.sections:
-            prefix = ""
-            if section.runs is not None:
-                prefix = f"{section.runs.campaign['name']}_"
-            tables |= {f"{prefix}{table.name}": table for table in section.tables}
+            tables |= {_file_of(section, table): table for table in section.tables}
         return tables
 
     @property
@@ -144,6 +144,13 @@ class StudyReport:
             }
         )
         return data
+
+
+def _file_of(section: SectionReport, table: Table) -> str:
+    """Name of the file of a table; that of a campaign begins with its name."""
+    if section.runs is None:
+        return table.name
+    return f"{section.runs.campaign['name']}_{table.name}"
 
 
 def _verdicts(claims: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -282,17 +289,58 @@ def title_of(study: Study) -> str:
 
 
 def _markdown(report: StudyReport, today: str, scale: str) -> str:
-    parts = [f"# {title_of(report.study)}", f"Study {report.study.name}, report of {today}, scale {scale}."]
-    parts.append("\n".join(f"- {line}" for line in (*report.provenance, *report.digests)))
-    for section in report.sections:
-        parts += [f"# {section.definition.title}", section.definition.text]
-        parts += [f"![{name}]({name})\n\n{text}" for name, text in section.captions.items()]
-        parts += map(markdown_table, section.tables)
-    parts += ["# Campaigns", *map(markdown_table, report.times)]
+    """What is read first: findings, the leading table of each headline campaign, figures; the rest is linked."""
+    head = [f"- {line}" for line in (*report.provenance, *report.digests)]
     for runs in report.campaigns.values():
-        first, *rest = header(runs.campaign)
-        parts += [f"## {first[0].upper()}{first[1:]}", "\n".join(f"- {line}" for line in [*rest, *checks(runs)])]
-    return "\n\n".join(part for part in parts if part) + "\n"
+        if len(runs.null) or runs.where(judged=False)["run_id"]:
+            head += [f"- {runs.campaign['name']}: {line}" for line in checks(runs)]
+    parts = [f"# {title_of(report.study)}", f"Study {report.study.name}, report of {today}, scale {scale}."]
+    parts.append("\n".join(head))
+    campaigns_shown = set()
+    for section in report.sections:
+        definition = section.definition
+        parts += [f"## {definition.title}", definition.text]
+        for name, caption in section.captions.items():
+            parts += [f"![{name}]({name})", caption]
+
+        # the findings, or the first table of a headline campaign
+        leading = next(iter(section.tables), None)
+        if leading is not None and leading.name == _FINDINGS:
+            parts.append(findings_in_short(leading))
+        elif leading is not None and section in report.headline and definition.campaign not in campaigns_shown:
+            campaigns_shown.add(definition.campaign)
+            parts.append(markdown_table(replace(leading, notes=())))
+
+        links = [f"[{part.name}]({TABLES_FOLDER}/{_file_of(section, part)}.csv)" for part in section.tables]
+        if links:
+            parts.append(f"All rows: {', '.join(links)}.")
+    # campaigns share captions and texts: each stands where it is first needed
+    return "\n\n".join(part for part in dict.fromkeys(parts) if part) + "\n"
+
+
+_DETAILS = re.compile(r" \[[^]]*\]| \(n = \d+\)|, \d+ worlds$")
+"""Intervals and numbers of flights in a finding: the file of the table has them."""
+_TABLE_OF_LEVEL = re.compile(r"^Table I, [^:]*: ")
+"""What all findings on Table I of one campaign begin with."""
+
+
+def findings_in_short(table: Table) -> str:
+    """The findings in Markdown, by campaign: verdict, corrected p, and what was measured if it decides."""
+    by_campaign: dict[str, list[list[str]]] = {}
+    for entry in table.entries():
+        statement = _TABLE_OF_LEVEL.sub("", str(entry["statement"]))
+        measured = ""
+        if entry["verdict"] != UNDECIDED:
+            measured = _DETAILS.sub("", str(entry["here"]))
+        row = [statement, str(entry["verdict"]), cell(entry["holm_p"], "number .2g"), measured]
+        by_campaign.setdefault(str(entry["campaign"]), []).append(row)
+    rows = []
+    for campaign, findings_of_campaign in by_campaign.items():
+        rows += [[f"*campaign {campaign}*", "", "", ""], *findings_of_campaign]
+    definition, *others = table.notes
+    notes = [definition, *(note for note in others if note.startswith(NOT_TESTED))]
+    lines = "\n".join(f"- {note}" for note in notes)
+    return f"{markdown_grid(['the paper', 'verdict', 'p (Holm)', 'here'], rows)}\n\n{lines}"
 
 
 # ---- breakdown of a study's time: wall time by step, and worker time from the ledgers of its campaigns -------------
@@ -329,7 +377,7 @@ def step_table(seconds: Mapping[str, float], campaigns: Mapping[str, Runs]) -> T
     ]
     if SET_UP in seconds:
         notes.append(f"{SET_UP}: once, also if it was for another study")
-    notes.append("report.html is written last, so that its own time is in study.md only")
+    notes.append("report.html is written last: its own time is in the wall time of study.md only")
     return Table("steps", "Where the time goes: steps of mavfi reproduce", columns, rows, notes=tuple(notes))
 
 

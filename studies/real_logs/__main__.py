@@ -1,12 +1,12 @@
 """Judge recorded flights of real and simulated vehicles, and write docs/results/real-logs.md.
 
-    make results NAME=real-logs LOGS=FOLDER
+    python -m studies.real_logs [FOLDER]        # without: from the stored rows
 
 The folder holds logs of RflyMAD (`rflymad_*.ulg`), of EuRoC (`euroc_*.csv`) and of ALFA (`carbonZ_*.csv`, tables with a
 row each 0.1 s and a column `is_boundary` that is 1 when the fault begins); they are not part of this project.
 """
 
-import os
+import csv
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -87,15 +87,25 @@ TEXT = (
     "without any alarm excludes only rates above the upper bound. How: [logs](../how-to/logs.md)."
 )
 NOTES = (
-    "alarms within one second count as one event; a detector that raises alarms all the time has few events, so the "
-    "share of messages with an alarm stands next to them",
+    "alarms within one second count as one event; the file also has the share of messages with an alarm, since a "
+    "detector that raises alarms all the time has few events",
     f"{FLIPS} bits per recording (ALFA: {FLIPS // 10}), equally many in sign, exponent and mantissa of floating-point "
     "fields, each alone; detected: an alarm on the message, or on the next one of its topic, that the recording itself "
     "does not have",
     "recommended: its rules 1 and 3, where the shipped mappings fit",
     "intervals: Poisson (exact) and Wilson, 95 %; flips in one recording are not independent flights",
 )
-FIELD_NOTES = ("gaussian, tuned; the flips of the table above, by field",)
+EXCERPT = results.Excerpt(
+    "logs",
+    lambda cells: cells["detector"].endswith("tuned"),
+    ("logs", "detector", "exposure", "false alarm events", *HEADINGS[6:10]),
+)
+"""The detectors in profile `tuned`: those of the paper, and the project's."""
+FILES = {
+    "logs": "Alarms and detected flips, by set of logs and detector",
+    "fields": "Detected flips by field, detector gaussian in profile tuned",
+}
+"""Titles of the tables, by file."""
 
 
 def judge_set(recordings: Sequence[LogRecording], kind: str, profile: str) -> list[JudgedLog]:
@@ -146,8 +156,8 @@ def field_rows(name: str, judged: Sequence[JudgedLog]) -> list[tuple[str, ...]]:
     return sorted(rows)
 
 
-def write_page(folder: Path) -> Path:
-    """Judge the recordings, and write the page."""
+def judged_tables(folder: Path) -> dict[str, Table]:
+    """Judge the recordings in a folder."""
     rows: list[tuple[str, ...]] = []
     rows_of_fields: list[tuple[str, ...]] = []
     for name, log_set in SETS.items():
@@ -165,22 +175,32 @@ def write_page(folder: Path) -> Path:
             rows.append(row(label, setting, judged))
             if setting == SETTINGS[0]:
                 rows_of_fields += field_rows(name, judged)
-    tables = {
-        "logs": Table.of_text("Alarms and detected flips, by set of logs and detector", HEADINGS, rows, NOTES),
-        "fields": Table.of_text("Detected flips by field", FIELD_HEADINGS, rows_of_fields, FIELD_NOTES),
+    return {
+        "logs": Table.of_text(FILES["logs"], HEADINGS, rows, NOTES),
+        "fields": Table.of_text(FILES["fields"], FIELD_HEADINGS, rows_of_fields, ()),
     }
-    excerpts = [results.Excerpt("logs"), results.Excerpt("fields", lambda cells: cells["logs"] != "RflyMAD")]
-    about = [f"{name}: {log_set.text}" for name, log_set in SETS.items()]
-    return results.write(PAGE, "Detectors on recorded flights", TEXT, tables, excerpts, about)
 
 
-def main() -> None:
+def stored_tables() -> dict[str, Table]:
+    """The published tables."""
+    tables = {}
+    for name, title in FILES.items():
+        with (results.TABLES / PAGE / f"{name}.csv").open(encoding="utf-8", newline="") as file:
+            headings, *rows = csv.reader(file)
+        tables[name] = Table.of_text(title, headings, [tuple(cells) for cells in rows], NOTES)
+    return tables
+
+
+def main(arguments: Sequence[str]) -> None:
     """Write the page."""
-    folder = os.environ.get("LOGS", "")
-    if not Path(folder).is_dir():
-        raise SystemExit(f"LOGS: {folder or 'not given'}; allowed: LOGS=folder of recorded flights")
-    sys.stdout.write(f"wrote {write_page(Path(folder)).relative_to(ROOT)}\n")
+    tables = stored_tables()
+    if arguments:
+        tables = judged_tables(Path(arguments[0]))
+    about = [f"{name}: {log_set.text}" for name, log_set in SETS.items()]
+    title = "Detectors on recorded flights"
+    page = results.write(PAGE, title, TEXT, tables, [EXCERPT], about, command="python -m studies.real_logs")
+    print(f"wrote {page.relative_to(ROOT)}")
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -14,12 +14,10 @@ from mavfi.campaign.config import Campaign, label_of
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaigns
 from mavfi.campaign.training import record
-from mavfi.extras.paper.assumptions.design import DETECTORS, AssumptionStudy, AxisChange, PaperReading
-from mavfi.extras.paper.assumptions.fit import EnvironmentFlights, Fit, Flights, Judgement, fit, judge
+from mavfi.extras.paper.cli_report import StudyBar
 from mavfi.mission import MissionSpec
-
-if TYPE_CHECKING:
-    from mavfi.extras.paper.cli_report import StudyBar
+from studies.assumptions.design import DETECTORS, AssumptionStudy, AxisChange, PaperReading
+from studies.assumptions.fit import EnvironmentFlights, Fit, Flights, Judgement, fit, judge
 
 FIT = "fit"
 JUDGED = "judged"
@@ -110,7 +108,7 @@ class AssumptionResults:
     ledgers: Mapping[str, str]
 
 
-def fly_assumptions(study: AssumptionStudy, folder: Path, workers: int, bar: "StudyBar") -> AssumptionResults:
+def fly_assumptions(study: AssumptionStudy, folder: Path, workers: int, bar: StudyBar) -> AssumptionResults:
     """Fly the study, or what is left of it: every ledger resumes.
 
     1. Single changes of both anchors fly in rounds; a reading that the paper's golden and injection cells reject is
@@ -153,7 +151,7 @@ def _fly_rounds(  # noqa: PLR0913 - what the study is flown with
     readings: Mapping[PaperReading, None],
     folder: Path,
     executor: LocalExecutor,
-    bar: "StudyBar",
+    bar: StudyBar,
     flown: dict[PaperReading, FlownReading],
 ) -> None:
     """Fly readings in rounds; those that have been flown already, or are rejected, are left out."""
@@ -254,7 +252,7 @@ def _fly_with_detectors(  # noqa: PLR0913 - what the study is flown with
     folder: Path,
     executor: LocalExecutor,
     workers: int,
-    bar: "StudyBar",
+    bar: StudyBar,
 ) -> JudgedFlights:
     """Train the detectors, and fly a frozen reading with each reading of them."""
     flights: dict[str, EnvironmentFlights] = {}
@@ -288,7 +286,7 @@ def _judge(study: AssumptionStudy, frozen: FittedReading, judged: JudgedFlights)
 
 
 def _train(  # noqa: PLR0913
-    study: AssumptionStudy, campaign: Campaign, training: tuple[str, ...], folder: Path, workers: int, bar: "StudyBar"
+    study: AssumptionStudy, campaign: Campaign, training: tuple[str, ...], folder: Path, workers: int, bar: StudyBar
 ) -> None:
     """Train both detectors, unless their models are in the folder."""
     detectors = {(arm.detector, arm.profile) for arm in campaign.arms.values()}

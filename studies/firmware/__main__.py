@@ -1,6 +1,6 @@
 """Register faults in a flight controller's firmware: fly them, and write docs/results/firmware.md.
 
-    N=400 make results NAME=firmware
+    python -m studies.firmware [FLIGHTS]
 
 Appends to out/firmware/*.jsonl and resumes; flight i has seed i.  The last faults of each pattern are flown again, and
 their digests compared.
@@ -8,6 +8,7 @@ their digests compared.
 
 import json
 import os
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -31,7 +32,7 @@ from mavfi.mission import MissionSpec
 from mavfi.outcomes import LOST_TILT, ControlEffect, ControlErrors, control_of, energy
 from mavfi.record import FlightLog
 from mavfi.report.text import header
-from tools import firmware_patterns as patterns
+from studies.firmware import patterns
 from tools import results
 from tools.fault_levels import level_table
 from tools.markers import DOCS, ROOT, fill
@@ -39,6 +40,8 @@ from tools.markers import DOCS, ROOT, fill
 OUT = Path("out/firmware")
 PAGE = "firmware"
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
+FLIGHTS = 400
+"""Flights with a fault of each pattern."""
 _FIRST_MISSION = 10_000
 _OTHER_NOISE = 100_000
 _VIEWS = (
@@ -277,7 +280,8 @@ def write_page(campaign: Path) -> Path:
         results.Excerpt("patterns", lambda row: row["by"] in ("all", "register")),
         results.Excerpt("firmware_faults", lambda row: row["registers"] == "in all"),
     ]
-    return results.write(PAGE, "Register faults in a flight controller's firmware", TEXT, tables, excerpts, about)
+    title = "Register faults in a flight controller's firmware"
+    return results.write(PAGE, title, TEXT, tables, excerpts, about, command="python -m studies.firmware")
 
 
 def headline() -> str:
@@ -286,9 +290,8 @@ def headline() -> str:
     return excerpt.markdown(pattern_table())
 
 
-def main() -> None:
-    """Fly what the ledgers lack, and write the page."""
-    count = int(os.environ.get("N") or 400)
+def main(count: int) -> None:
+    """Fly what the ledgers lack, up to a number of flights with a fault per pattern, and write the page."""
     for pattern in patterns.PATTERNS:
         fly_faults(pattern, 0, count)
         check(pattern, 20)
@@ -303,4 +306,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    flights = FLIGHTS
+    if sys.argv[1:]:
+        flights = int(sys.argv[1])
+    main(flights)

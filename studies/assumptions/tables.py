@@ -1,4 +1,4 @@
-"""Tables, figure and page of the study of assumptions."""
+"""Tables of the study of assumptions, from its flights."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -7,31 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 import polars as pl
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from mavfi.analysis import published as paper
 from mavfi.analysis.measures import recomputed_share
 from mavfi.analysis.rows import ALL_BITS
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import holm
-from mavfi.analysis.table import TEXT, Column, Table
-from mavfi.extras.paper.assumptions.design import INSTRUCTION, STATE, PaperReading
-from mavfi.extras.paper.assumptions.fit import (
-    Counts,
-    EnvironmentFlights,
-    PointsDifference,
-    deviance_interval,
-    lost_points,
-    paper_counts,
-)
-from mavfi.extras.paper.assumptions.rounds import (
-    NOT_REJECTED,
-    AssumptionResults,
-    FrozenReading,
-    JudgedDetectors,
-    fit_of,
-)
 from mavfi.extras.paper.claims import (
     AS_PUBLISHED,
     CLAIMS,
@@ -39,15 +20,29 @@ from mavfi.extras.paper.claims import (
     CONTRADICTED,
     INSTRUCTIONS,
     KERNELS,
-    LEVEL,
     UNDECIDED,
     VALUES,
     Claim,
     verdict,
 )
-from mavfi.report import style
-from mavfi.report.campaign_report import markdown_table
 from mavfi.report.text import short
+from studies.assumptions.design import INSTRUCTION, STATE, PaperReading
+from studies.assumptions.fit import (
+    Counts,
+    EnvironmentFlights,
+    PointsDifference,
+    deviance_interval,
+    lost_points,
+    paper_counts,
+)
+from studies.assumptions.rounds import (
+    NOT_REJECTED,
+    AssumptionResults,
+    FrozenReading,
+    JudgedDetectors,
+    fit_of,
+)
+from studies.assumptions.stored import StoredTable
 
 _SHOWN = 12
 """Rows of the table of readings."""
@@ -63,9 +58,10 @@ _OUT_OF_REACH = {
 """What would bear on a finding that no reading of this study does, by section of the paper."""
 
 
-def tables(results: AssumptionResults) -> list[Table]:
+def tables(results: AssumptionResults) -> list[StoredTable]:
     """All tables, the answer first."""
     return [
+        counts_table(results),
         differences_table(results),
         cells_table(results),
         detectors_table(results),
@@ -109,37 +105,11 @@ def best_combination(results: AssumptionResults) -> Combination:
     return max(combinations_of(results), key=quality)
 
 
-def summary(results: AssumptionResults) -> list[str]:
-    """The answer in a few sentences, computed."""
+def counts_table(results: AssumptionResults) -> StoredTable:
+    """How many readings were fitted, flown, and not rejected by the cells without detectors."""
     accepted = [item for item in results.fitted if item.fit.p_value >= NOT_REJECTED]
-    combinations = combinations_of(results)
-    left = [combination for combination in combinations if combination.corrected_p >= NOT_REJECTED]
-    best = best_combination(results)
-    kinds = dict.fromkeys(results.study.kind_of(part.fitted.reading) for part in results.frozen)
-    outside = _cells_outside(best.detectors)
-    where = "all eight cells lie in its prediction intervals"
-    if outside:
-        where = f"outside its prediction intervals (paper - predicted, points) {outside}"
-    fit = best.frozen.fitted.fit
-    reading = results.study.detectors[best.detectors.name]
-    alike = [
-        combination.detectors.name
-        for combination in combinations
-        if combination.frozen is best.frozen and combination.detectors.judgement == best.detectors.judgement
-    ]
-    return [
-        f"{len(results.fitted)} readings of the experiment were fitted to the paper's eight cells without detectors "
-        f"({len(results.flown)} of them flown, the others count the same flights in another way); {len(accepted)} are "
-        "not rejected at 5 %: these cells alone do not tell where the faults lay.",
-        f"The best with faults in {' and in '.join(kinds)} were frozen, and judged on fresh seeds on the eight cells "
-        f"with detectors, with {len(results.study.detectors)} readings of the detectors each. {len(left)} of "
-        f"{len(combinations)} combinations are not rejected at 5 % (Holm).",
-        f"The best (p = {best.detectors.judgement.p_value:.2g}): {where}. Its faults: "
-        f"{reading_text(results, best.frozen.fitted.reading)} (cells without detectors: deviance {fit.deviance:.1f}, "
-        f"{fit.freedom} degrees of freedom, p = {fit.p_value:.2g}). Its detectors: {reading.text} "
-        f"(`{best.detectors.name}`; "
-        f"alike: {', '.join(name for name in alike if name != best.detectors.name) or 'none'}).",
-    ]
+    rows = [("fitted", len(results.fitted)), ("flown", len(results.flown)), ("not rejected", len(accepted))]
+    return StoredTable("counts", ("readings", "n"), rows)
 
 
 def _cells_outside(item: JudgedDetectors) -> str:
@@ -151,12 +121,7 @@ def _cells_outside(item: JudgedDetectors) -> str:
     return ", ".join(cells)
 
 
-def reading_text(results: AssumptionResults, reading: PaperReading) -> str:
-    """A reading in words."""
-    return "; ".join(results.study.value(axis, name).text for axis, name in reading.values)
-
-
-def cells_table(results: AssumptionResults) -> Table:
+def cells_table(results: AssumptionResults) -> StoredTable:
     """The paper's Table I beside the best combination."""
     best = best_combination(results)
     rows: list[tuple[object, ...]] = []
@@ -168,25 +133,11 @@ def cells_table(results: AssumptionResults) -> Table:
             cell = best.detectors.judgement.cells[name, setting]
             interval = f"[{100 * cell.low:.1f}, {100 * cell.high:.1f}]"
             rows.append((name, words, cell.paper, cell.mean, interval, "predicted"))
-    columns = (
-        Column("environment", "environment"),
-        Column("setting", "setting"),
-        Column("paper", "paper", "percent"),
-        Column("here", "here", "percent"),
-        Column("interval", "95 % prediction"),
-        Column("status", "status"),
-    )
-    notes = (
-        f"missions that succeed, on fresh seeds from {results.study.rounds.judged_first_seed}; {best.name}",
-        "fitted: what else loses golden runs is fitted to the paper's golden and injection cells, and to nothing else; "
-        "predicted: where 300 runs of the paper should lie",
-    )
-    return Table(
-        "cells", "The paper's Table I, with the fitted losses of golden runs", columns, rows, keys=2, notes=notes
-    )
+    columns = ("environment", "setting", "paper", "here", "interval", "status")
+    return StoredTable("cells", columns, rows)
 
 
-def differences_table(results: AssumptionResults) -> Table:
+def differences_table(results: AssumptionResults) -> StoredTable:
     """Differences to the golden run in points, in the paper and here, which no background enters."""
     best = best_combination(results)
     rows = []
@@ -198,14 +149,8 @@ def differences_table(results: AssumptionResults) -> Table:
             ours = lost_points(best.frozen.flights[name], here, _deaths(results, best.frozen))
             cells.append(f"{-ours.points:+z.1f} ({papers:+z.1f})")
         rows.append(tuple(cells))
-    columns = (Column("setting", ""), *(Column(name, name) for name in results.study.environments))
-    notes = (
-        "success with the setting - success of golden runs, points, as flown; in brackets the paper's",
-        f"{best.name}, fresh seeds",
-    )
-    return Table(
-        "differences", "What a fault costs, and what the detectors bring back: as flown", columns, rows, notes=notes
-    )
+    columns = ("setting", *results.study.environments)
+    return StoredTable("differences", columns, rows)
 
 
 def _setting_of(results: AssumptionResults, best: Combination, papers: str) -> str:
@@ -237,7 +182,7 @@ def _deaths(results: AssumptionResults, frozen: FrozenReading) -> str:
     return results.study.value("deaths", frozen.fitted.reading["deaths"]).deaths
 
 
-def detectors_table(results: AssumptionResults) -> Table:
+def detectors_table(results: AssumptionResults) -> StoredTable:
     """The judged combinations."""
     rows = []
     for combination in combinations_of(results):
@@ -255,31 +200,8 @@ def detectors_table(results: AssumptionResults) -> Table:
                 _cells_outside(item) or "none",
             )
         )
-    columns = (
-        Column("where", "faults"),
-        Column("losses", "other losses"),
-        Column("name", "detectors"),
-        Column("gaussian", "GAD brings back"),
-        Column("autoencoder", "AAD brings back"),
-        Column("deviance", "deviance", "number .1f"),
-        Column("p", "p", "number .2g"),
-        Column("holm", "p (Holm)", "number .2g"),
-        Column("outside", "cells outside: paper - predicted, points"),
-    )
-    frozen = "; ".join(part.fitted.reading.text for part in results.frozen)
-    detectors = "; ".join(
-        f"{name}: {reading.text} ({reading.source})" for name, reading in results.study.detectors.items()
-    )
-    notes = (
-        f"frozen readings of the faults: {frozen}; {results.study.rounds.judged_missions} fresh missions per "
-        "environment and stage",
-        f"detectors: {detectors}",
-        "deviance of the paper's eight detector cells from the predicted rates; p: share of simulated tables of the "
-        "paper that deviate more, drawn with the uncertainty of what else loses golden runs, of our rates and of the "
-        "paper's samples: the wider the prediction, the larger a deviance may be",
-        "brings back: lost missions that the detector saves, and those that it newly loses",
-    )
-    return Table("detectors", "Readings of the detectors, judged", columns, rows, keys=2, notes=notes)
+    columns = ("where", "losses", "name", "gaussian", "autoencoder", "deviance", "p", "holm", "outside")
+    return StoredTable("detectors", columns, rows)
 
 
 def _brought_back(item: JudgedDetectors, setting: str) -> str:
@@ -363,7 +285,7 @@ def _best_deviance(results: AssumptionResults, reading: PaperReading) -> float:
     return min(fit_of(results.study, reading.with_value("losses", name), flights).deviance for name in values)
 
 
-def axes_table(results: AssumptionResults) -> Table:
+def axes_table(results: AssumptionResults) -> StoredTable:
     """Single changes of the anchors, the largest effect first."""
     study = results.study
     rows = []
@@ -373,29 +295,15 @@ def axes_table(results: AssumptionResults) -> Table:
         golden = " / ".join(f"{100 * rate:.0f}" for rate in effect.golden)
         title = study.axes[effect.axis].title
         rows.append((title, value.text, value.source, effect.anchor, golden, *cells, effect.deviance))
-    columns = (
-        Column("axis", "assumption"),
-        Column("value", "changed to"),
-        Column("source", "source"),
-        Column("anchor", "baseline"),
-        Column("golden", "golden, %"),
-        *(Column(name, name) for name in study.environments),
-        Column("deviance", "deviance", "number +.1f"),
-    )
-    anchors = "; ".join(f"{name}: {reading_text(results, study.anchor(name))}" for name in study.anchors)
-    notes = (
-        f"baselines: {anchors}",
-        "environments: change of the success that one fault loses, points [95 % interval: bootstrap of worlds]; "
-        "deviance: its change, each reading with the background that fits best; negative = closer to the paper",
-    )
-    return Table("axes", "Assumptions, ranked by how much they move what a fault loses", columns, rows, 2, notes)
+    columns = ("axis", "value", "source", "anchor", "golden", *results.study.environments, "deviance")
+    return StoredTable("axes", columns, rows)
 
 
 def _points_text(change: PointsDifference) -> str:
     return f"{change.points:+.1f} [{change.low:+.1f}, {change.high:+.1f}]"
 
 
-def readings_table(results: AssumptionResults) -> Table:
+def readings_table(results: AssumptionResults) -> StoredTable:
     """The readings that fit best, and the anchors."""
     study = results.study
     anchors = {study.anchor(name): name for name in study.anchors}
@@ -418,30 +326,8 @@ def readings_table(results: AssumptionResults) -> Table:
         rows.append((item.reading.text + names, *cells, n, deviance, item.fit.freedom, item.fit.p_value))
     paper_row = [f"{100 * (paper_counts(name, 'golden').rate - paper_counts(name, 'fi').rate):.1f}" for name in flights]
     rows.insert(0, ("the paper", *paper_row, None, "", None, None))
-    columns = (
-        Column("reading", "reading"),
-        *(Column(name, name) for name in study.environments),
-        Column("n", "n", "number"),
-        Column("deviance", "deviance"),
-        Column("freedom", "df", "number"),
-        Column("p", "p", "number .2g"),
-    )
-    accepted = sum(item.fit.p_value >= NOT_REJECTED for item in results.fitted)
-    notes = (
-        f"environments: success lost to one fault, points, before a background; the best {_SHOWN} of "
-        f"{len(results.fitted)} by deviance + 2 x fitted parameters, and the anchors; {accepted} have "
-        f"p >= {NOT_REJECTED:g}",
-        f"n: runs with a fault, in all; a reading is flown no further once p < {study.rounds.reject_below:g}, or "
-        f"{study.rounds.behind:g} behind the best, however its flights are counted; "
-        "deviance: [95 % interval: bootstrap of worlds] of the frozen readings",
-    )
-    return Table(
-        "readings",
-        "Readings: the best fits to the cells without detectors, the frozen ones, the anchors",
-        columns,
-        rows,
-        notes=notes,
-    )
+    columns = ("reading", *results.study.environments, "n", "deviance", "freedom", "p")
+    return StoredTable("readings", columns, rows)
 
 
 def _lost_text(part: EnvironmentFlights, deaths: str) -> str:
@@ -450,7 +336,7 @@ def _lost_text(part: EnvironmentFlights, deaths: str) -> str:
 
 
 # ---- the paper's findings under these readings -----------------------------------------------------------------------
-def findings_table(results: AssumptionResults) -> Table:
+def findings_table(results: AssumptionResults) -> StoredTable:
     """For each finding of the paper that is tested on missions, the readings that confirm or contradict it."""
     # ways of counting share their flights
     combinations = list({_name_of_flights(part): part.detectors.runs for part in combinations_of(results)}.items())
@@ -467,19 +353,8 @@ def findings_table(results: AssumptionResults) -> Table:
             tested = of_fields
         if not _has_twin(claim):
             rows.append(_finding(claim, tested))
-    columns = (
-        Column("statement", "the paper"),
-        Column("section", "section"),
-        Column("confirmed", "confirmed by"),
-        Column("contradicted", "contradicted by"),
-        Column("left", "else"),
-    )
-    notes = (
-        f"tests as in the study of the paper, at {LEVEL:g} after Holm's correction over the readings of a row; "
-        "findings on Table I and overhead: the judged combinations; findings on kernels: each reading with faults in "
-        "instructions; on future_collision_seq: each reading with faults in states",
-    )
-    return Table("findings", "The paper's findings under these readings", columns, rows, notes=notes)
+    columns = ("statement", "section", "confirmed", "contradicted", "left")
+    return StoredTable("findings", columns, rows)
 
 
 def _name_of_flights(combination: Combination) -> str:
@@ -532,7 +407,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 # ---- checks that were not fitted -------------------------------------------------------------------------------------
-def worst_times_table(results: AssumptionResults) -> Table:
+def worst_times_table(results: AssumptionResults) -> StoredTable:
     """Fig. 6 and Table II: worst flight times and recomputation, beside the paper's."""
     best = best_combination(results)
     rows = []
@@ -546,64 +421,11 @@ def worst_times_table(results: AssumptionResults) -> Table:
                 share = recomputed_share(runs.recorded(), ())
                 papers_share = paper.figure("overhead", environment=name, setting=setting)
             rows.append((name, words, worst, paper.worst_time(name, setting), share, papers_share))
-    columns = (
-        Column("environment", "environment"),
-        Column("setting", "setting"),
-        Column("worst", "worst flight time", "signed percent"),
-        Column("paper_worst", "paper", "signed percent"),
-        Column("share", "recomputation / compute", "small percent"),
-        Column("paper_share", "paper, with detection", "small percent"),
-    )
-    notes = (
-        "not fitted; worst flight time of missions that succeed, over the golden run; bounded by the time limit, which "
-        "the paper does not state",
-        f"recomputation modelled with the paper's latencies; {best.name}",
-    )
-    return Table("checks", "Further checks: Fig. 6 and Table II", columns, rows, keys=2, notes=notes)
+    columns = ("environment", "setting", "worst", "paper_worst", "share", "paper_share")
+    return StoredTable("checks", columns, rows)
 
 
-def ledgers_table(results: AssumptionResults) -> Table:
+def ledgers_table(results: AssumptionResults) -> StoredTable:
     """Digests of all ledgers."""
     rows = [(folder, short(digest)) for folder, digest in results.ledgers.items()]
-    return Table("ledgers", "Ledgers", (Column("folder", "ledger"), Column("digest", "digest", TEXT)), rows)
-
-
-# ---- figure and page -------------------------------------------------------------------------------------------------
-def axes_figure(results: AssumptionResults) -> Figure:
-    """How much each single change moves what a fault loses: one row per change, one mark per environment."""
-    shown = effects(results)
-    figure = Figure(figsize=(8.2, 0.34 * len(shown) + 1.4), layout="constrained")
-    axes: Axes = figure.subplots()
-    looks = dict(zip(results.study.environments, (style.BLUE, style.GREEN, style.AMBER, style.ORANGE), strict=False))
-    markers = dict(zip(results.study.environments, "os^D", strict=False))
-    for row, effect in enumerate(shown):
-        for shift, (name, colour) in enumerate(looks.items()):
-            change = effect.points[name]
-            y = row + 0.16 * (shift - 1.5)
-            axes.plot([change.low, change.high], [y, y], color=colour, linewidth=1.2, alpha=0.6)
-            label = name if row == 0 else None
-            axes.plot(change.points, y, markers[name], color=colour, markersize=4.5, label=label)
-    axes.axvline(0, color=style.GREY, linewidth=0.8)
-    axes.set_yticks(range(len(shown)), [_effect_label(results, effect) for effect in shown])
-    axes.invert_yaxis()
-    axes.set_xlabel("change of the success that one fault loses (points)")
-    axes.legend(loc="lower right", frameon=False)
-    return figure
-
-
-def _effect_label(results: AssumptionResults, effect: ChangeEffect) -> str:
-    title = results.study.axes[effect.axis].title
-    return f"{title}: {effect.value.replace('_', ' ')} ({effect.anchor})"
-
-
-def markdown(results: AssumptionResults, shown: Sequence[Table], figure: str, folder: str) -> str:
-    """The page, with links to its tables as CSV in a folder."""
-    parts = ["# Which assumptions produce the paper's tables?", results.study.text.strip()]
-    parts.append("\n".join(f"- {sentence}" for sentence in summary(results)))
-    for table in shown:
-        if table.name == "axes":
-            parts.append(f"![Effect of each assumption]({figure})")
-        parts.append(markdown_table(table))
-    links = ", ".join(f"[{table.name}]({folder}/{table.name}.csv)" for table in shown)
-    parts.append(f"The tables as CSV: {links}.")
-    return "\n\n".join(part for part in parts if part) + "\n"
+    return StoredTable("ledgers", ("folder", "digest"), rows)

@@ -1,16 +1,13 @@
-"""The study of assumptions: its design, its fit against naive counterparts, and a small study from end to end."""
+"""The study of assumptions: design, fit against naive counterparts, published page, and a small study to the end."""
 
 import numpy as np
 import pytest
 import scipy
-import yaml
 
-from mavfi.cli import run
-from mavfi.config import config_root, parse, read_yaml
-from mavfi.errors import BadInputError
-from mavfi.extras.paper.assumptions.command import load_assumptions
-from mavfi.extras.paper.assumptions.design import AssumptionStudy
-from mavfi.extras.paper.assumptions.fit import (
+from mavfi.config import parse, read_yaml
+from studies.assumptions.__main__ import DEFINITION, fly_study, load_study
+from studies.assumptions.design import AssumptionStudy
+from studies.assumptions.fit import (
     FAULT_N,
     GOLDEN_N,
     Counts,
@@ -23,6 +20,9 @@ from mavfi.extras.paper.assumptions.fit import (
     pair_deviance,
     paper_counts,
 )
+from studies.assumptions.page import changes, figure_of, page
+from studies.assumptions.stored import FOLDER, stored_rows
+from tools.results import RESULTS
 
 ENVIRONMENTS = ("factory", "farm", "sparse", "dense")
 SETTINGS = {"dr_gaussian": "dr_gaussian", "dr_autoencoder": "dr_autoencoder"}
@@ -30,9 +30,7 @@ SETTINGS = {"dr_gaussian": "dr_gaussian", "dr_autoencoder": "dr_autoencoder"}
 
 @pytest.fixture(scope="module")
 def study() -> AssumptionStudy:
-    shipped = load_assumptions("assumptions")
-    assert shipped is not None
-    return shipped
+    return load_study()
 
 
 def flights(rate: float, n: int, random: np.random.Generator) -> Flights:
@@ -53,8 +51,8 @@ def as_in_the_paper(n: int, background: float, random: np.random.Generator) -> d
 
 # ---- design ----------------------------------------------------------------------------------------------------------
 def test_readings_differ_from_their_anchor_in_one_axis_and_make_campaigns(study: AssumptionStudy) -> None:
-    for reading, changes in study.single_changes().items():
-        for change in changes:
+    for reading, axis_changes in study.single_changes().items():
+        for change in axis_changes:
             anchor = study.anchor(change.anchor)
             assert [axis for axis, value in reading.values if value != anchor[axis]] == [change.axis]
         campaign = study.campaign(reading, 0)
@@ -83,19 +81,6 @@ def test_arms_with_equal_keys_are_flown_once(study: AssumptionStudy) -> None:
     campaign = study.judged_campaign(study.anchor("states"), ())
     assert study.arm_of("largest", "gaussian") == study.arm_of("gate", "gaussian") in campaign.arms
     assert study.arm_of("largest", "autoencoder") != study.arm_of("gate", "autoencoder")
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"anchors": {"a": {"values": {"where": "monitored"}}}}, "anchors.a: no value of 'bit'"),
-        ({"anchors": {"a": {"values": {"where": "nowhere"}}}}, "anchors.a: no value of|nowhere"),
-    ],
-)
-def test_an_incomplete_study_is_refused(change: dict[str, object], message: str) -> None:
-    data = read_yaml(config_root() / "studies" / "assumptions.yaml")
-    with pytest.raises(BadInputError, match=message):
-        parse(AssumptionStudy, data | change, "study")
 
 
 # ---- fit -------------------------------------------------------------------------------------------------------------
@@ -190,10 +175,26 @@ def test_sizes_are_the_papers() -> None:
     assert paper_counts("dense", "fi") == (226, 300)
 
 
-# ---- from end to end -------------------------------------------------------------------------------------------------
+# ---- the page --------------------------------------------------------------------------------------------------------
+def test_the_published_page_is_that_of_the_stored_rows() -> None:
+    published = (RESULTS / "assumptions.md").read_text(encoding="utf-8")
+    assert published == page(FOLDER, "tables/assumptions")
+    assert len(published.split()) <= 900
+
+
+def test_the_figure_has_every_single_change_that_is_stored(study: AssumptionStudy) -> None:
+    stored = changes(stored_rows("axes"), study.environments)
+    axes = figure_of(stored).axes[0]
+    assert [label.get_text() for label in axes.get_yticklabels()] == [change.label for change in stored]
+    # each mark lies in its interval, and is drawn where the row says
+    assert all(low <= value <= high for change in stored for value, low, high in change.points.values())
+    marks = [line.get_xdata()[0] for line in axes.lines if len(line.get_xdata()) == 1]
+    assert marks == [value for change in stored for value, *_ in change.points.values()]
+
+
 @pytest.mark.slow
-def test_a_small_study_flies_and_resumes(tmp_path, capsys):
-    data = read_yaml(config_root() / "studies" / "assumptions.yaml")
+def test_a_small_study_flies_and_resumes(tmp_path):
+    data = read_yaml(DEFINITION)
     values = data["axes"]["where"]["values"]
     data["axes"]["where"]["values"] = {name: values[name] for name in ("monitored", "all_states")}
     data["axes"]["bit"]["values"] = {name: data["axes"]["bit"]["values"][name] for name in ("word", "sign_exponent")}
@@ -208,15 +209,17 @@ def test_a_small_study_flies_and_resumes(tmp_path, capsys):
         "rounds": {"missions": 2, "number": 1, "frozen": 1, "judged_missions": 2, "first_seed": 30_000},
         "training_flights": 2,
     }
-    path = tmp_path / "small.yaml"
-    path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
-    command = ["reproduce", str(path), "--out", str(tmp_path / "out"), "--workers", "1"]
-    assert run(command) == 0
-    answer = capsys.readouterr().out
-    assert "readings of the experiment were fitted" in answer
-    page = (tmp_path / "out" / "assumptions.md").read_text(encoding="utf-8")
-    assert "## Readings of the detectors, judged" in page and "| fit/monitored-" in page
-    assert (tmp_path / "out" / "assumptions.png").stat().st_size > 10_000
-    # the same command resumes, flies nothing and gives the same page
-    assert run(command) == 0
-    assert (tmp_path / "out" / "assumptions.md").read_text(encoding="utf-8") == page
+    small = parse(AssumptionStudy, data, "small")
+    folder = fly_study(small, tmp_path / "out", 1)
+    # its rows have the columns of the published ones, and make a page and a figure
+    for published in FOLDER.glob("*.csv"):
+        written = stored_rows(published.stem, folder)
+        other_environments = {"factory", "sparse", "dense"}
+        assert written and set(written[0]) == set(stored_rows(published.stem)[0]) - other_environments, published.stem
+    text = page(folder, "tables", small.environments)
+    assert "readings (" in text and f"| {stored_rows('detectors', folder)[0]['where']} | gate |" in text
+    assert len(changes(stored_rows("axes", folder), small.environments)) == 1
+    # it resumes: nothing is flown again, and all rows are the same
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert fly_study(small, tmp_path / "out", 1) == folder
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before

@@ -1,4 +1,4 @@
-"""Model of the study of assumptions (`configs/studies/assumptions.yaml`): axes, their values, anchors, readings.
+"""Model of the study of assumptions (`assumptions.yaml`): axes, their values, anchors, readings.
 
 A reading chooses one value of each axis.  It is flown as a campaign; values that only change how flights are counted
 share the flights of the readings that differ in nothing else.
@@ -94,7 +94,6 @@ class AssumptionStudy(Config):
     """Axes, anchors, and the readings of the detectors."""
 
     name: Name
-    text: str = ""
     environments: tuple[str, ...] = ("factory", "farm", "sparse", "dense")
     rounds: Rounds = Rounds()
     axes: dict[Name, Axis]

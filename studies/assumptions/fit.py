@@ -14,7 +14,7 @@ import scipy
 
 from mavfi.analysis import published as paper
 from mavfi.analysis.statistics import StratumRate, percentiles
-from mavfi.extras.paper.assumptions.design import AxisValue
+from studies.assumptions.design import AxisValue
 
 GOLDEN_N = 100
 FAULT_N = 300

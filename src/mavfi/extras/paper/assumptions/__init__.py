@@ -1,1 +1,0 @@
-"""Which assumptions produce the paper's tables: a designed set of readings, fitted, frozen and judged."""
