@@ -192,7 +192,6 @@ MODULES = {
     "leaderboard": "tools.build_leaderboard",
     "figures": "tools.draw_results",
     "five-rules": "tools.build_rules",
-    "hardening": "tools.build_hardening",
     "golden-rates": "tools.golden_rates",
     "fault-map": "tools.build_fault_map",
     "firmware": "tools.firmware_faults",

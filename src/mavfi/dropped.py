@@ -9,6 +9,7 @@ KEYS: Mapping[str, str] = {
     "node": "use stack, with host ros2_stack",
     "hull_radius": "use collision_radius",
     "scheme": "no replacement: instruction faults are drawn uniformly over dynamic instructions",
+    **dict.fromkeys(("studied", "certified"), "make the plan again with mavfi harden, which writes its proof beside it"),
 }
 """Keys of YAML files and of the Python API, with what to do instead."""
 
@@ -97,6 +98,11 @@ OPTIONS: Mapping[str, str] = {
     "vulnerability --lines": "use mavfi vulnerability DIR --json, which has every line",
     "fly --live-port": "no replacement: --live serves at port 8765",
     "--machine": "use make bench NAME=machine_level, which flips bits of registers in plain and in protected code",
+    **dict.fromkeys(
+        ("harden --certify", "harden --faults"),
+        "fly the campaign that mavfi harden writes beside the plan; its exit code is 3 if the plan does not hold",
+    ),
+    "harden --html": "use --json, or mavfi vulnerability DIR --html for the source lines",
 }
 """Options of the command line, alone or of one command ("states --json"), with what to do instead."""
 
