@@ -9,7 +9,9 @@ KEYS: Mapping[str, str] = {
     "node": "use stack, with host ros2_stack",
     "hull_radius": "use collision_radius",
     "scheme": "no replacement: instruction faults are drawn uniformly over dynamic instructions",
-    **dict.fromkeys(("studied", "certified"), "make the plan again with mavfi harden, which writes its proof beside it"),
+    **dict.fromkeys(
+        ("studied", "certified"), "make the plan again with mavfi harden, which writes its proof beside it"
+    ),
 }
 """Keys of YAML files and of the Python API, with what to do instead."""
 

@@ -44,6 +44,7 @@ ELSEWHERE = {
     "firmware setup": "tests/extras/firmware/test_cli.py",
     "report out/firmware-campaign": "tests/extras/firmware/test_cli.py",
     "mavfi harden out/hardening": "tests/extras/hardening/test_cli.py",
+    "campaign run plan.proof.yaml": "tests/extras/hardening/test_cli.py",
     "--protection plan.yaml": "tests/extras/hardening/test_protected.py",
     "python failure.py": "tests/extras/mavlink/test_mavsdk.py",
 }

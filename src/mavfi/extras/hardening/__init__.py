@@ -1,1 +1,1 @@
-"""Which instructions of the kernels to duplicate, chosen from the faults of a ledger, and missions that fly with them."""
+"""Which instructions of the kernels to duplicate, by the faults of a ledger, and missions that fly with them."""

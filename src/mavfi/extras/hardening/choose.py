@@ -1,9 +1,9 @@
 """Which values to duplicate within a budget of time: greedily, by silent corruptions removed per added time.
 
 The cost of a set of values is the number of simple dynamic instructions that it adds: shadows, opaque copies of
-operands, and comparisons where a value leaves the set (see `mavfi.extras.hardening.duplicate`).  Slow instructions count
-several times.  A value alone costs three to five instructions, next to a chosen one little more than itself: so slices
-grow around the values that are worth most.
+operands, and comparisons where a value leaves the set (see `mavfi.extras.hardening.duplicate`).  Slow instructions
+count several times.  A value alone costs three to five instructions, next to a chosen one little more than itself: so
+slices grow around the values that are worth most.
 """
 
 import heapq

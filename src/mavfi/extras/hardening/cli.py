@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 HELP_PANEL = "Campaigns"
 _HEADINGS = ("kernel", "function", "kernel time", "time", "adds", "SDCs removed", "sites")
 _NOTE = (
-    "kernel time: share of a golden flight's; time: measured, protected / plain; adds: of a flight's kernel time; SDCs "
-    "removed: by the faults from which the choice was made; sites: instructions that are duplicated, of those that can be"
+    "kernel time: share of a golden flight's; time: measured, protected / plain; adds: of a flight's kernel time; "
+    "SDCs removed: by the faults from which the choice was made; sites: instructions duplicated, of those that can be"
 )
 
 

@@ -91,9 +91,7 @@ class Target:
         """All instructions with a result, by site as in a plan."""
         table = self.seen.variant.table.blocks
         return {
-            ModuleSite(*block, row.offset): row
-            for block, rows in zip(self._blocks, table, strict=True)
-            for row in rows
+            ModuleSite(*block, row.offset): row for block, rows in zip(self._blocks, table, strict=True) for row in rows
         }
 
     @cached_property

@@ -1,4 +1,4 @@
-"""A campaign of instruction faults as input of the choice: its missions, its rates, what its faults cost, and the proof.
+"""A campaign of instruction faults as input of the choice: missions, rates, what faults cost, and the proof.
 
 Its faults say how often an instruction that is changed leads to a silent corruption.  There are fewer faults than
 instructions, so rates are those of groups: opcode and type, then source line and value class.
@@ -178,7 +178,9 @@ class HardeningLedger:
         informative = self.faults.where("golden_success")
         silent = informative.where(kernel_effect=SDC)
         dead = informative.where(pl.col("kernel_effect").is_in(KERNEL_DUE))
-        return Losses(len(silent), len(silent.where(~pl.col("success"))), len(dead), len(dead.where(~pl.col("success"))))
+        return Losses(
+            len(silent), len(silent.where(~pl.col("success"))), len(dead), len(dead.where(~pl.col("success")))
+        )
 
     # ---- proof ------------------------------------------------------------------------------------------------------
     def proof(self, plan: Path) -> dict[str, Any]:
@@ -196,7 +198,9 @@ class HardeningLedger:
         if not verdict.rate.rate:
             raise BadInputError(f"{self.directory}: no fault is a silent corruption; there is nothing to protect from")
         content = self.campaign.to_json()
-        unchanged = {key: content[key] for key in ("environments", "missions", "faults", "mission", "parts") if content.get(key)}
+        unchanged = {
+            key: content[key] for key in ("environments", "missions", "faults", "mission", "parts") if content.get(key)
+        }
         return {
             "name": f"{self.campaign.name}_proof",
             **unchanged,

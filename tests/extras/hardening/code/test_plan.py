@@ -24,9 +24,7 @@ def of(**more):
 @given(st.sets(st.tuples(st.integers(0, 3), st.integers(0, 20), st.integers(0, 30)), max_size=40))
 def test_a_plan_survives_its_file(tmp_path_factory, sites):
     path = tmp_path_factory.mktemp("plans") / "plan.yaml"
-    plan = ProtectionPlan(
-        functions=(of(sites=tuple(sites), time=1.16, predicted=0.9),)
-    )
+    plan = ProtectionPlan(functions=(of(sites=tuple(sites), time=1.16, predicted=0.9),))
     save_plan(plan, path)
     assert load_plan(path) == plan
     assert load_plan(path).functions[0].sites == tuple(sorted(ModuleSite(*site) for site in sites))
