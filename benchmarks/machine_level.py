@@ -1,4 +1,4 @@
-"""Instruction faults at machine level and at IR level on small kernels; writes instruction-level.md, hardening.md.
+"""Instruction faults at machine level and at IR level on small kernels; writes instruction-level.md.
 
     N=400 python -m benchmarks.machine_level
 
@@ -30,26 +30,21 @@ from benchmarks.single_step import SteppedCall
 from mavfi.analysis.statistics import Rate, wilson
 from mavfi.campaign.fingerprint import processor
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.battery import DETECTED, copied
-from mavfi.extras.hardening.certify import coverage
-from mavfi.extras.hardening.compiled import Compiled, compiled
-from mavfi.extras.hardening.duplicate import MESSAGE
-from mavfi.extras.hardening.protected import Protection
+from mavfi.extras.hardening.compiled import Compiled, compiled, copied
+from mavfi.extras.hardening.duplicate import MESSAGE, candidates, protect
 from mavfi.faults.levels.instruction import count, draw, run_forked
 from mavfi.faults.levels.instruction.api import digest
 from mavfi.faults.levels.instruction.variant import signature_of
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
+from mavfi.ir.module import Module
 from mavfi.mission import MissionSpec
+from mavfi.outcomes import Effect
 from mavfi.pipeline.functions import PLAIN
-from tools.full_protection import full_plan
 from tools.markers import between
-from tools.processors import with_others
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "instruction-level.md"
-HARDENING = PAGE.parents[1] / "how-to" / "hardening.md"
-MOST_SILENT = 0.04
-"""Share of faults that may stay silent in protected code, its upper bound included."""
+DETECTED = Effect.DETECTED.label
 ENVIRONMENT, AUTOPILOT, SEED = "sparse", "published", 10_000
 KERNELS = {"pid": "track", "point_cloud": "back_project", "collision_check": "time_to_collision"}
 MORE = {"pid": 3}
@@ -145,10 +140,14 @@ def entry_of(kernel: Any, args: tuple[Any, ...]) -> int:
     return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
 
 
-def protected(name: str, kernel: Any, args: tuple[Any, ...]) -> tuple[Compiled, int]:
-    """Code of a kernel with all instructions duplicated and addresses compared, and its address."""
-    signature = signature_of(args)
-    return compiled(kernel, signature, Protection(full_plan(name, kernel, signature)))
+def duplicated(module: Module) -> Module:
+    """A module with all instructions duplicated and addresses compared."""
+    return protect(module, candidates(module), addresses=True)
+
+
+def protected(kernel: Any, args: tuple[Any, ...]) -> tuple[Compiled, int]:
+    """Code of a kernel as `duplicated`, and its address."""
+    return compiled(kernel, signature_of(args), duplicated)
 
 
 def study(name: str, function: str, args: tuple[Any, ...], n: int, tell: Callable[[str], None]) -> Study:
@@ -156,7 +155,7 @@ def study(name: str, function: str, args: tuple[Any, ...], n: int, tell: Callabl
     kernel = getattr(PLAIN, function)
     call = SteppedCall(lambda: digest((kernel(*args), args)), entry_of(kernel, args))
     machine = inject_all(call, np.random.default_rng(SEED), n, lambda text: tell(f"{name}, machine level: {text}"))
-    code, entry = protected(name, kernel, args)
+    code, entry = protected(kernel, args)
     guarded = SteppedCall(lambda: digest((code(*args), args)), entry)
     after = inject_all(guarded, np.random.default_rng(SEED), n, lambda text: tell(f"{name}, {PROTECTED}: {text}"))
     ir: Counter[str] = Counter()
@@ -229,27 +228,6 @@ def table(studies: list[Study]) -> str:
     return "\n".join(lines)
 
 
-def judged(studies: list[Study]) -> str:
-    """The table written to the page of hardening: silent corruptions and crashes in plain and in protected code."""
-    lines = [
-        f"{date.today()}",
-        "",
-        "| kernel | function | n | sdc | sdc, protected | ≤ 4 % | removed per call | crash | crash, protected |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    for made in studies:
-        rates = [
-            wilson(made.outcomes[level][how], made.outcomes[level].total())
-            for how in ("sdc", "crash")
-            for level in ("machine", PROTECTED)
-        ]
-        removed = coverage(rates[0], rates[1], made.protected / made.injectable)
-        met = "yes" if (rates[1].high or 0.0) <= MOST_SILENT else "no"
-        cells = [*map(rate_text, rates[:2]), met, rate_text(removed), *map(rate_text, rates[2:])]
-        lines.append(f"| {made.kernel} | `{made.function}` | {rates[1].n} | {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
 def wanted_faults(text: str) -> int:
     """Parse the number of faults per kernel and level.
 
@@ -272,10 +250,6 @@ def main() -> None:
         sys.exit(2)
     block = table(studies)
     PAGE.write_text(between(PAGE.read_text(encoding="utf-8"), "machine-level", block), encoding="utf-8")
-    page = HARDENING.read_text(encoding="utf-8")
-    HARDENING.write_text(
-        between(page, "machine-level", with_others(judged(studies), page, "machine-level")), encoding="utf-8"
-    )
     sys.stdout.write(f"\n{block}\n")
 
 

@@ -18,7 +18,7 @@ RESCUE = (
 def main() -> None:
     """Run each module that draws, then a command that draws the picture of README.md."""
     scripts = [f"examples.pictures.{path.stem}" for path in sorted((ROOT / "examples" / "pictures").glob("*.py"))]
-    for script in [*scripts, "tools.draw_hardening"]:
+    for script in scripts:
         print(script)
         runpy.run_module(script, run_name="__main__")
     subprocess.run([sys.executable, "-m", "mavfi", *RESCUE.split()], check=True)

@@ -33,11 +33,13 @@ class Excerpt:
         file: Name of the table's file, without `.csv`.
         keep: Whether a row is shown.
         columns: Headings of the columns that are shown; () = all.
+        explained: Headings with which notes begin that are shown; () = all notes of the columns that are shown.
     """
 
     file: str
     keep: Callable[[Row], bool] = lambda row: True
     columns: tuple[str, ...] = ()
+    explained: tuple[str, ...] = ()
 
     def markdown(self, full: Table) -> str:
         """The rows as a Markdown table.
@@ -60,7 +62,10 @@ class Excerpt:
         headings = [column.heading for column in full.columns]
         hidden = set(headings) - set(self.columns or headings)
         # a note that explains a column begins with its heading
-        return [note for note in full.notes if note.partition(":")[0].partition(",")[0] not in hidden]
+        notes = {note: note.partition(":")[0].partition(",")[0] for note in full.notes}
+        if self.explained:
+            return [note for note, heading in notes.items() if heading in self.explained]
+        return [note for note, heading in notes.items() if heading not in hidden]
 
 
 def write(
@@ -152,11 +157,16 @@ CAMPAIGNS = {
         "corruption ([hardening](../how-to/hardening.md)).",
         {"protected": ("kernel_effects_by_setting", "schemes_instructions", "failures_per_hour")},
         (
-            Excerpt("schemes_instructions", columns=("scheme", "faults", "lost", "brought back", "lost under it")),
+            Excerpt(
+                "schemes_instructions",
+                columns=("scheme", "faults", "lost", "brought back", "lost under it"),
+                explained=("lost",),
+            ),
             Excerpt(
                 "kernel_effects_by_setting",
                 lambda row: row["kernel"] in ("pid", "rrt_connect") and row["setting"].startswith("fi"),
-                ("kernel", "setting", "n", "masked", "sdc", "due", "detected"),
+                ("kernel", "setting", "n", "sdc", "due", "detected"),
+                explained=("n",),
             ),
         ),
     ),
@@ -193,7 +203,6 @@ MODULES = {
     "leaderboard": "tools.build_leaderboard",
     "figures": "tools.draw_results",
     "five-rules": "tools.build_rules",
-    "hardening": "tools.build_hardening",
     "golden-rates": "tools.golden_rates",
     "fault-map": "tools.build_fault_map",
     "pictures": "tools.pictures",

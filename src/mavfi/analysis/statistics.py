@@ -6,7 +6,6 @@ resample whole worlds.  Bootstrap intervals have zero width if all flights end a
 differences are therefore combined from score intervals by MOVER (Newcombe 1998; Zou and Donner 2008).
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
@@ -21,12 +20,6 @@ _POWER = 0.8  # power for `smallest_difference`
 TAIL = (1 - CONFIDENCE) / 2  # probability outside an interval on each side
 _NORMAL = NormalDist()
 _Z2 = _NORMAL.inv_cdf(1 - TAIL) ** 2
-MIN_WORLDS = 3.0
-"""Fewest worlds, of equal size, from which a rate in further worlds is predicted."""
-_TYPICAL_CORRELATION = 0.1
-_TYPICAL_WORLDS = 2
-"""Correlation of flights in one world that is assumed before any are seen, and the number of worlds it counts for: few
-worlds show hardly how much they differ."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,59 +99,16 @@ def clustered_rate(success: Sequence[bool], world: Sequence[object]) -> Rate:
     return replace(independent, low=low, high=high)
 
 
-def rate_in_further_worlds(success: Sequence[bool], world: Sequence[object], further: int) -> Rate:
-    """Rate with an interval for its value in some further worlds, if it were measured there without error.
-
-    Wilson's interval for the number n' of independent flights with the same variance.  With k worlds of equal size and
-    m further ones it is 1 / n' = 1 / n + rho (t / z)^2 (1 / k - 1 / n + 1 / m), where rho is the correlation of two
-    flights in one world, and t the quantile for k - 1 degrees of freedom.
-
-    Args:
-        success: Of each flight.
-        world: World of each flight.
-        further: m.
-
-    Returns:
-        All None with fewer than `MIN_WORLDS` worlds of equal size.
-    """
-    n = len(success)
-    unknown = Rate(n, None, None, None)
-    if n == 0:
-        return unknown
-    sizes, successes = cluster_sums(world, np.ones(n), np.asarray(success, np.float64)).T
-    equal_worlds = n**2 / float(sizes @ sizes)  # Kish's number
-    if equal_worlds < MIN_WORLDS:
-        return unknown
-
-    # 1. The correlation: how much more the worlds differ than independent flights would.
-    rate = float(successes.sum()) / n
-    excess = 0.0
-    if 0.0 < rate < 1.0:
-        squares = float(((successes - rate * sizes) ** 2).sum()) / (rate * (1 - rate))
-        independent = float((sizes * (1 - sizes / n)).sum())
-        excess = max(squares - independent, 0.0) * equal_worlds / (equal_worlds - 1)
-    pairs = float((sizes * (sizes - 1)).sum())
-    typical_pairs = _TYPICAL_WORLDS * max(pairs / len(sizes), 1.0)
-    correlation = min((excess + _TYPICAL_CORRELATION * typical_pairs) / (pairs + typical_pairs), 1.0)
-
-    # 2. The error of what was seen, and the difference of the further worlds, whose sizes vary as much.
-    t2 = _quantile("t", 1 - TAIL, equal_worlds - 1) ** 2
-    worlds_term = 1 / equal_worlds - 1 / n + len(sizes) / (equal_worlds * further)
-    inverse = 1 / n + correlation * t2 / _Z2 * worlds_term
-    return Rate(n, rate, *score_bounds(rate, 1 / inverse), int(successes.sum()))
-
-
-def further_worlds_half_width(contributions: np.ndarray, further: float) -> float:
-    """Half-width of the interval of a linearised estimate for its value in some further worlds.
+def _half_width(contributions: np.ndarray) -> float:
+    """Half-width of the interval of a linearised estimate.
 
     Args:
         contributions: Of each world to the error of the estimate; their sum is 0. Shape (k,).
-        further: Number of the further worlds; infinity = the mean of all worlds.
     """
     k = len(contributions)
     if k < 2:
         return 0.0
-    variance = k / (k - 1) * float(contributions @ contributions) * (1 + k / further)
+    variance = k / (k - 1) * float(contributions @ contributions)
     return _quantile("t", 1 - TAIL, k - 1) * float(np.sqrt(variance))
 
 
@@ -487,7 +437,7 @@ def relative_difference(
         return Rate(n, ratio - 1, None, None)
     first_errors = first_sums / first_sums.sum() - first_counts / first_counts.sum()
     second_errors = second_sums / second_sums.sum() - second_counts / second_counts.sum()
-    half_width = further_worlds_half_width(ratio * (first_errors - second_errors), further=math.inf)
+    half_width = _half_width(ratio * (first_errors - second_errors))
     return Rate(n, ratio - 1, ratio - 1 - half_width, ratio - 1 + half_width)
 
 

@@ -44,6 +44,7 @@ ELSEWHERE = {
     "firmware setup": "tests/extras/firmware/test_cli.py",
     "report out/firmware-campaign": "tests/extras/firmware/test_cli.py",
     "mavfi harden out/hardening": "tests/extras/hardening/test_cli.py",
+    "campaign run plan.proof.yaml": "tests/extras/hardening/test_cli.py",
     "--protection plan.yaml": "tests/extras/hardening/test_protected.py",
 }
 """Commands that need the ledger of such a campaign, a client of some kind, or an absent one: the tests of the same on a

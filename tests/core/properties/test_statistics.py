@@ -14,7 +14,6 @@ from mavfi.analysis.statistics import (
     event_rate_by_flight,
     mcnemar,
     paired_difference,
-    rate_in_further_worlds,
     recovery,
     resample,
     smallest_difference,
@@ -179,28 +178,6 @@ def test_ten_identical_flights_per_world_count_once():
     found, plain = clustered_rate([w % 4 > 0 for w in range(40)] * 10, list(range(40)) * 10), wilson(30, 40)
     assert (found.low, found.high) == pytest.approx((plain.low, plain.high))
     assert clustered_rate([], []).rate is None
-
-
-def test_further_worlds_lie_in_the_interval_though_worlds_differ():
-    """Rates of worlds vary from 0 to 1; two further ones, measured without error, in 90 % of 200 draws and more."""
-    random = np.random.default_rng(5)
-    hits = 0
-    for _ in range(200):
-        rates = random.beta(3, 1.5, size=10)
-        sizes = random.integers(5, 25, size=8)
-        success = [bool(random.random() < rate) for rate, n in zip(rates, sizes, strict=False) for _ in range(n)]
-        world = [number for number, n in enumerate(sizes) for _ in range(n)]
-        predicted = rate_in_further_worlds(success, world, 2)
-        hits += predicted.low <= rates[8:].mean() <= predicted.high
-    assert 180 <= hits < 200
-
-
-def test_few_or_unequal_worlds_predict_nothing():
-    assert rate_in_further_worlds([True, False] * 9, [0, 1] * 9, 2).rate is None
-    assert rate_in_further_worlds([True] * 100, [0] * 90 + list(range(1, 11)), 2).rate is None
-    assert rate_in_further_worlds([], [], 2).rate is None
-    one_each = rate_in_further_worlds([True, False] * 4, range(8), 2)
-    assert one_each.low < wilson(4, 8).low < wilson(4, 8).high < one_each.high
 
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))

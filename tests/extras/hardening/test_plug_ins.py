@@ -1,14 +1,15 @@
-"""Hardening of a planner that is none of mavfi: its functions are observed, protected, and found again by name."""
+"""Hardening of a custom planner: its functions are observed, protected, and found again by name."""
 
 import pytest
 
-from mavfi.extras.hardening.battery import Battery
-from mavfi.extras.hardening.observed import check_golden, observe
+from mavfi.extras.hardening.harden import Target
+from mavfi.extras.hardening.ledger import CorruptionRates
+from mavfi.extras.hardening.observed import observe
 from mavfi.extras.hardening.plan import FunctionPlan, ProtectionPlan
 from mavfi.extras.hardening.protected import _called, check_plan
-from mavfi.extras.hardening.target import FunctionTarget
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
+from tests.extras.hardening.plans import calls_of_protected_code
 
 PLANNER = "tests.core.flights.plug_ins:Straight"
 
@@ -20,22 +21,20 @@ def scenario():
 
 
 def test_a_protected_planner_flies_as_the_plain_one(scenario):
-    ((seen,),) = observe(scenario, ["Straight"]).values()
-    assert seen.entry == "Straight.track" and seen.key.function == "tests.core.flights.plug_ins.track"
-    assert Battery(seen.entry, seen.function, seen.variant, seen.calls).counts.all()
+    (seen,) = observe([scenario], ["Straight"])
+    assert seen.kernels == ("Straight",) and seen.key.function == "tests.core.flights.plug_ins.track"
 
-    target = FunctionTarget(("Straight",), seen)
+    target = Target(seen, False, CorruptionRates([]))
     planned = FunctionPlan(
         kernel="Straight",
-        function=target.name,
-        signature=seen.signature_text,
+        function=seen.key.function,
+        signature=seen.key.signature,
         ir_sha256=seen.variant.ir_sha256,
         kind="duplicate",
-        sites=tuple(value.site for value in target.values),
+        sites=tuple(target.all_sites),
         time=1.5,
     )
     plan = ProtectionPlan(functions=(planned,))
     check_plan(plan, "mine.yaml")
     assert [called.function for called in _called(plan)] == [seen.function]
-    golden = check_golden(scenario, plan, ["Straight"])
-    assert golden.passed and golden.calls == seen.total
+    assert calls_of_protected_code(scenario, plan, ["Straight"]) == seen.recording.total

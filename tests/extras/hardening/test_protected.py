@@ -18,7 +18,7 @@ from mavfi.outcomes import Effect, effect_of
 from mavfi.pipeline.functions import PLAIN
 from mavfi.record import record_of
 from mavfi.report.explain import injection_lines, verdict
-from tools.full_protection import full_plan
+from tests.extras.hardening.plans import full_plan
 
 pytestmark = pytest.mark.slow
 
@@ -80,7 +80,7 @@ def paired_logs(protected, plain_faults):
 
 
 def test_the_shipped_plan_is_that_of_the_code(plan):
-    """Made again by tools/full_protection.py after a change of these kernels."""
+    """Made again after a change of a kernel: mavfi harden DIR --kernels pid,rrt_connect --addresses --budget 10."""
     shipped = load_plan("full")
     own = [one.model_copy(update={"time": 1.0}) for one in shipped.functions if one.kernel == "pid"]
     assert tuple(own) == plan.functions

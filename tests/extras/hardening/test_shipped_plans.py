@@ -8,7 +8,6 @@ from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.replay import replay
 from mavfi.campaign.run import run_campaign
 from mavfi.config import names, parse
-from mavfi.extras.hardening.observed import check_golden
 from mavfi.extras.hardening.plan import load_plan, save_plan, signature_text
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
@@ -17,6 +16,7 @@ from mavfi.ir.sources import cached_shape
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 from mavfi.states import INJECTABLE, PLANNERS
+from tests.extras.hardening.plans import calls_of_protected_code
 
 pytestmark = pytest.mark.slow
 
@@ -48,13 +48,13 @@ def test_golden_flights_are_those_of_plain_code_with_this_latency(golden, timed)
 
 
 def test_protected_code_computes_what_plain_code_does_in_a_whole_flight():
-    found = check_golden(mission(""), load_plan("ten_percent"), ("pid", "rrt_connect", "collision_check"))
-    assert found.passed and found.calls > 1000
+    kernels = ("pid", "rrt_connect", "collision_check")
+    assert calls_of_protected_code(mission(""), load_plan("ten_percent"), kernels) > 1000
 
 
 @pytest.mark.parametrize("name", names("protections"))
 def test_each_shipped_plan_is_that_of_the_code(golden, name):
-    """Made again by `make results NAME=hardening` and tools/full_protection.py after a change of a kernel."""
+    """Made again by `mavfi harden` after a change of a kernel."""
     plan = load_plan(name)
     for planner in {one.kernel for one in plan.functions} & (PLANNERS.keys() - {"rrt_connect"}):
         fly(mission("", planner=planner))  # its types are known then

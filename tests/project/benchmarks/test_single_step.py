@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from benchmarks.destinations import destinations, is_out_of_reach
-from benchmarks.machine_level import entry_of, inject_all, protected
+from benchmarks.machine_level import DETECTED, entry_of, inject_all, protected
 from benchmarks.single_step import MachineFault, SteppedCall
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.battery import DETECTED
 from mavfi.extras.registers.registers import decode
 from mavfi.faults.levels.instruction.api import digest
 from mavfi.numerics.jit import kernel_jit
@@ -135,7 +134,7 @@ def test_a_loop_that_does_not_end_is_a_hang():
 @pytest.mark.long
 def test_protected_code_detects_what_was_silent():
     plain = inject_all(stepped(copy_sum, VALUES, TOTAL), np.random.default_rng(SEED), 40, lambda _: None)
-    code, entry = protected("pid", copy_sum, (VALUES, TOTAL))
+    code, entry = protected(copy_sum, (VALUES, TOTAL))
     guarded = BriefCall(lambda: digest((code(VALUES, TOTAL), VALUES, TOTAL)), entry)
     found = inject_all(guarded, np.random.default_rng(SEED), 40, lambda _: None)
     assert plain["sdc"] > 4 and plain[DETECTED] == 0

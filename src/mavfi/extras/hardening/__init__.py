@@ -1,1 +1,1 @@
-"""Advice which instructions of the kernels to duplicate, from a ledger, and its certificate from fresh faults."""
+"""Which instructions of the kernels to duplicate, by the faults of a ledger, and missions that fly with them."""

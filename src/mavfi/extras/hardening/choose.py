@@ -1,26 +1,16 @@
-"""Which values to duplicate within a number of added instructions: by minimum cuts.
+"""Which values to duplicate within a budget of time: greedily, by silent corruptions removed per added time.
 
 The cost of a set of values is the number of simple dynamic instructions that it adds: shadows, opaque copies of
-operands, and comparisons where a value leaves the set (see `mavfi.extras.hardening.duplicate`).  A single instruction
-costs three to five others, one inside a duplicated slice little more than itself.  Slow instructions count several
-times.
-
-So whole slices must be chosen at once: the set that maximises benefit - price x cost is the source side of a minimum
-cut (project selection, Picard 1976), in which a comparison is one hyperedge: it is paid once if any use lies outside.
-`Chooser.within` takes the best minimum cut that the budget allows, and fills the rest greedily: a minimum cut exists
-only at the corners of the convex hull of cost and benefit.
+operands, and comparisons where a value leaves the set (see `mavfi.extras.hardening.duplicate`).  Slow instructions
+count several times.  A value alone costs three to five instructions, next to a chosen one little more than itself: so
+slices grow around the values that are worth most.
 """
 
 import heapq
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import NamedTuple
-
-import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from mavfi.extras.hardening.duplicate import candidates, is_fork, reads_memory
 from mavfi.extras.hardening.plan import ModuleSite
@@ -186,12 +176,6 @@ def total_cost(values: Sequence[Value], chosen: Set[int]) -> float:
     return sum(cost(values, index, chosen) for index in chosen)
 
 
-def added(values: Sequence[Value], chosen: Set[int]) -> float:
-    """Number of dynamic instructions added by a chosen set."""
-    heavier = sum((values[index].weight - 1.0) * values[index].executions for index in chosen)
-    return total_cost(values, chosen) - heavier
-
-
 def _copies(value: Value, chosen: Set[int]) -> float:
     """A shadow needs an operand that differs from the original's, or code generation would merge the two."""
     if value.in_loop_header:
@@ -206,11 +190,11 @@ def _comparisons(value: Value, chosen: Set[int]) -> float:
     """A value is compared where it is made, or where it leaves the set, whichever is executed less often."""
     exits = {use.block: use.executions for use in value.uses if use.compared or use.user not in chosen}
     if exits:
-        return value.comparison * least_executed(value, exits.values())
+        return value.comparison * _least_executed(value, exits.values())
     return 0.0
 
 
-def least_executed(value: Value, exits: Iterable[float | None]) -> float:
+def _least_executed(value: Value, exits: Iterable[float | None]) -> float:
     """Executions of a value's comparisons, from those of the blocks in which it leaves the chosen set."""
     at_exits = 0.0
     for executions in exits:
@@ -220,254 +204,77 @@ def least_executed(value: Value, exits: Iterable[float | None]) -> float:
     return min(value.executions, at_exits)
 
 
-# ---- minimum cuts ---------------------------------------------------------------------------------------------------
+# ---- the choice -----------------------------------------------------------------------------------------------------
 
-_SOURCE = 0
-_SINK = 1
-_FIRST = 2
-"""Nodes: the source, the sink, and that of the first value."""
-_SCALE = 2**29
-"""SciPy's capacities are 32-bit integers; more than the sum of all finite ones is infinite."""
+_FREE = 1e-9
+"""Time of a value that adds none, or saves a comparison: it is chosen before all that cost anything."""
 
 
-class Cuts:
-    """Minimum cuts of a kernel for a given benefit.
-
-    The copy of an operand, needed if no operand is chosen, is charged in equal parts to the operands that are not: a
-    condition on several operands is not representable in a cut.
-
-    Args:
-        values: See `values_of`.
-        benefit: Of choosing each value, not negative. Shape (values,).
-    """
-
-    def __init__(self, values: Sequence[Value], benefit: np.ndarray) -> None:
-        self._n = len(values)
-        self._nodes = _FIRST + self._n
-        self._edges: list[tuple[int, int, float]] = []  # from, to, cost
-        self._tied: list[tuple[int, int]] = []  # from, to, without limit
-        self._benefit = np.asarray(benefit, np.float64)
-        for index, value in enumerate(values):
-            self._add(_FIRST + index, value)
-
-    def _add(self, node: int, value: Value) -> None:
-        """Add the edges of a value."""
-        # Its shadow costs in any case,
-        cost_if_chosen = value.weight * value.executions
-        # a copy of an operand if that is not chosen,
-        if value.in_loop_header:
-            for entry in value.entries:
-                if not entry.closes_loop:
-                    cost_if_chosen += self._charge_unless(entry.value, node, entry.executions)
-        elif not value.reloads:
-            copy = min((entry.executions for entry in value.entries), default=value.executions)
-            for operand in value.operands or (OUTSIDE,):
-                cost_if_chosen += self._charge_unless(operand, node, copy / max(len(value.operands), 1))
-        # and a comparison if any use is not chosen.
-        exits = {use.block: use.executions for use in value.uses}
-        if exits:
-            comparison = value.comparison * least_executed(value, exits.values())
-            cost_if_chosen += self._charge_comparison(node, value, comparison)
-        self._edges.append((node, _SINK, cost_if_chosen))
-
-    def _charge_unless(self, other: int, node: int, price: float) -> float:
-        """Charge a price if a node is chosen and another value is not; returns what is due in any case."""
-        if other == OUTSIDE:
-            return price
-        self._edges.append((node, _FIRST + other, price))
-        return 0.0
-
-    def _charge_comparison(self, node: int, value: Value, price: float) -> float:
-        """Charge the comparison of a value once if any of its uses is not chosen; returns what is due in any case."""
-        if any(use.compared or use.user == OUTSIDE for use in value.uses):
-            return price
-        all_uses = self._nodes  # a new node, chosen only together with all uses
-        self._nodes += 1
-        self._edges.append((node, all_uses, price))
-        self._tied += [(all_uses, _FIRST + use.user) for use in value.uses]
-        return 0.0
-
-    def at(self, price: float) -> frozenset[int]:
-        """The set that maximises benefit - price x cost, by index of value."""
-        beneficial = np.flatnonzero(self._benefit > 0)
-        if not len(beneficial):
-            return frozenset()
-
-        # 1. Edges: from the source with benefits, with costs at this price, and unlimited ones; scaled to integers.
-        start, end, costs = (np.array(part) for part in zip(*self._edges, strict=True))
-        tied = np.array(self._tied, np.int64).reshape(-1, 2)
-        finite = np.concatenate([self._benefit[beneficial], price * costs])
-        scaled = np.rint(finite * (_SCALE / max(self._benefit.sum(), 1e-300))).clip(max=_SCALE)
-        starts = np.concatenate([np.full(len(beneficial), _SOURCE), start, tied[:, 0]])
-        ends = np.concatenate([_FIRST + beneficial, end, tied[:, 1]])
-        weights = np.concatenate([scaled, np.full(len(tied), _SCALE)]).astype(np.int32)
-        graph = csr_array((weights, (starts, ends)), shape=(self._nodes, self._nodes))
-        graph.sum_duplicates()
-        graph.data = graph.data.clip(max=_SCALE).astype(np.int32)
-
-        # 2. The source side of a minimum cut is what can be reached in the residual graph of a maximum flow.
-        residual = graph - maximum_flow(graph, _SOURCE, _SINK).flow
-        residual.data = np.maximum(residual.data, 0)
-        residual.eliminate_zeros()
-        reached = breadth_first_order(residual, _SOURCE, return_predecessors=False)
-        values = reached[(reached >= _FIRST) & (reached < _FIRST + self._n)]
-        return frozenset((values - _FIRST).tolist())
-
-
-# ---- choices --------------------------------------------------------------------------------------------------------
-
-_PRICES = np.geomspace(50.0, 1e-3, 48)
-"""Prices of the hull, relative to benefit / cost of duplicating everything."""
-
-
-class Choice(NamedTuple):
-    """A set of values to duplicate.
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """Values of a function among which to choose.
 
     Attributes:
-        chosen: Indices of the values.
-        cost: Dynamic instructions that it adds, by weight.
-        benefit: Sum over the values.
-    """
-
-    chosen: frozenset[int]
-    cost: float
-    benefit: float
-
-
-NOTHING = Choice(frozenset(), 0.0, 0.0)
-
-
-class Chooser:
-    """Choices for a kernel.
-
-    Args:
         values: See `values_of`.
-        benefit: Expected failures that duplicating each value removes, e.g. executions x SDC rate. Shape (values,).
+        benefit: Silent corruptions that duplicating each value removes, in the flights in which it was counted.
+        time_per_instruction: Time that an added instruction takes.
     """
 
-    def __init__(self, values: Sequence[Value], benefit: Sequence[float] | np.ndarray) -> None:
-        self.values = values
-        self.benefit = np.asarray(benefit, np.float64)
-        self._users: list[set[int]] = [set() for _ in values]
-        for index, value in enumerate(values):
+    values: Sequence[Value]
+    benefit: Sequence[float]
+    time_per_instruction: float
+
+    def neighbours(self) -> list[set[int]]:
+        """Of each value, those whose cost depends on whether it is chosen, or vice versa: operands and users."""
+        near = [set(value.operands) for value in self.values]
+        for index, value in enumerate(self.values):
             for operand in value.operands:
-                self._users[operand].add(index)
-
-    @cached_property
-    def full(self) -> Choice:
-        """Everything that is executed."""
-        return self.choice(index for index, value in enumerate(self.values) if value.executions)
-
-    def choice(self, chosen: Iterable[int]) -> Choice:
-        """The choice of a set of values, with its cost and benefit."""
-        indices = frozenset(chosen)
-        return Choice(indices, total_cost(self.values, indices), float(self.benefit[list(indices)].sum()))
-
-    @cached_property
-    def hull(self) -> list[Choice]:
-        """Choices on the upper convex hull of benefit over cost, from nothing to everything."""
-        full = self.full
-        cuts = Cuts(self.values, self.benefit)
-        scale = 0.0
-        if full.cost:
-            scale = full.benefit / full.cost
-        choices = {NOTHING.chosen: NOTHING, full.chosen: full}
-        for price in _PRICES:
-            chosen = cuts.at(float(price * scale))
-            if chosen not in choices:
-                choices[chosen] = self.choice(chosen)
-        return upper_hull(choices.values())
-
-    def share(self, fraction: float) -> Choice:
-        """The choice that adds at most a fraction of the instructions of full duplication."""
-        if fraction == 0.0:
-            return NOTHING
-        if fraction == 1.0:
-            return self.full
-        return self.within(fraction * self.full.cost)
-
-    def within(self, budget: float) -> Choice:
-        """The best known choice that adds at most `budget` dynamic instructions: a larger one never covers less."""
-        step = max((step for step in self._steps if step.cost <= budget), key=lambda step: step.benefit)
-        return self.choice([*step.corner.chosen, *step.added[: step.taken]])
-
-    @cached_property
-    def _steps(self) -> list["_GreedyStep"]:
-        """The corners of the hull, and greedy additions from each of them to the cost of the next one."""
-        steps = []
-        for corner, following in zip(self.hull, [*self.hull[1:], self.full], strict=True):
-            added: list[int] = []  # shared by all steps from this corner
-            steps.append(_GreedyStep(corner, added, 0, corner.cost, corner.benefit))
-            spent = corner.cost
-            gained = corner.benefit
-            for index, price in self._greedy(corner.chosen):
-                spent += price
-                gained += float(self.benefit[index])
-                if spent >= following.cost:
-                    break
-                added.append(index)
-                steps.append(_GreedyStep(corner, added, len(added), spent, gained))
-        return steps
-
-    def _greedy(self, start: frozenset[int]) -> Iterator[tuple[int, float]]:
-        """Values in order of benefit per added cost, with this cost, given those before."""
-        chosen = set(start)
-        heap: list[tuple[float, int, float]] = []
-
-        def push(index: int) -> None:
-            if index not in chosen and self.benefit[index] > 0 and self.values[index].executions:
-                price = self._added(index, chosen)
-                heapq.heappush(heap, (-self.benefit[index] / max(price, 1e-9), index, price))
-
-        for index in range(len(self.values)):
-            push(index)
-        while heap:
-            _, index, price = heapq.heappop(heap)
-            if index in chosen:
-                continue
-            if price != self._added(index, chosen):  # a relative has been chosen meanwhile
-                push(index)
-                continue
-            chosen.add(index)
-            yield index, price
-            for other in self._near(index):
-                push(other)
-
-    def _near(self, index: int) -> set[int]:
-        """Values whose cost depends on whether this one is chosen, or vice versa."""
-        return self._users[index].union(self.values[index].operands)
-
-    def _added(self, index: int, chosen: set[int]) -> float:
-        """Instructions that a value adds to a chosen set without it; those of its neighbours change, too."""
-        near = self._near(index) & chosen
-        before = sum(cost(self.values, other, chosen) for other in near)
-        chosen.add(index)
-        after = sum(cost(self.values, other, chosen) for other in (*near, index))
-        chosen.discard(index)
-        return after - before
+                near[operand].add(index)
+        return near
 
 
-class _GreedyStep(NamedTuple):
-    """A corner of the hull with the first `taken` of the values that are added to it greedily, and their total."""
+def choose(functions: Sequence[Candidates], budget: float) -> list[frozenset[int]]:
+    """Choose values of functions that share a budget of time; returns their indices, by function.
 
-    corner: Choice
-    added: list[int]
-    taken: int
-    cost: float
-    benefit: float
+    Always next is the value that removes most silent corruptions per time that it adds to what is chosen already;
+    one that does not fit any more is left out.
+    """
+    chosen: list[set[int]] = [set() for _ in functions]
+    near = [function.neighbours() for function in functions]
+    heap: list[tuple[float, int, int, float]] = []  # - benefit per time, function, value, time
 
+    def added_time(number: int, index: int) -> float:
+        """Time that a value adds to the chosen set, in which it changes the costs of its neighbours, too."""
+        function = functions[number]
+        selected = chosen[number]
+        affected = near[number][index] & selected
+        before = sum(cost(function.values, other, selected) for other in affected)
+        selected.add(index)
+        after = sum(cost(function.values, other, selected) for other in (*affected, index))
+        selected.discard(index)
+        return (after - before) * function.time_per_instruction
 
-def upper_hull(choices: Iterable[Choice]) -> list[Choice]:
-    """The choices on the upper convex hull of benefit over cost, by cost."""
-    hull: list[Choice] = []
-    for choice in sorted(choices, key=lambda choice: (choice.cost, -choice.benefit)):
-        if hull and choice.benefit <= hull[-1].benefit:
+    def push(number: int, index: int) -> None:
+        benefit = functions[number].benefit[index]
+        if index not in chosen[number] and benefit > 0:
+            time = added_time(number, index)
+            heapq.heappush(heap, (-benefit / max(time, _FREE), number, index, time))
+
+    for number, function in enumerate(functions):
+        for index in range(len(function.values)):
+            push(number, index)
+
+    left = budget
+    while heap:
+        _, number, index, time = heapq.heappop(heap)
+        if index in chosen[number]:
             continue
-        while len(hull) > 1 and _slope(hull[-2], choice) >= _slope(hull[-2], hull[-1]):
-            hull.pop()
-        hull.append(choice)
-    return hull
-
-
-def _slope(cheaper: Choice, dearer: Choice) -> float:
-    return (dearer.benefit - cheaper.benefit) / max(dearer.cost - cheaper.cost, 1e-12)
+        if time != added_time(number, index):  # a neighbour, or one of its neighbours, has been chosen meanwhile
+            push(number, index)
+            continue
+        if time <= left:
+            left -= time
+            chosen[number].add(index)
+            for other in near[number][index]:
+                push(number, other)
+    return [frozenset(indices) for indices in chosen]

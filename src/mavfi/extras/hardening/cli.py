@@ -1,142 +1,154 @@
-"""`mavfi harden`: which instructions of the kernels to duplicate, and the certificate of such a plan."""
+"""`mavfi harden`: which instructions of the kernels to duplicate, and the campaign that proves it."""
 
-import os
-from collections.abc import Iterable
-from contextlib import suppress
-from dataclasses import asdict
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.text import Text
 
 from mavfi.cli import options
-from mavfi.cli.console import PAGES, check_file, check_number, check_writable, console, say_written, write_json
-from mavfi.errors import BadInputError
-from mavfi.files import is_file
+from mavfi.cli.console import check_file, check_number, check_writable, console, say_written, write_json
+from mavfi.errors import write_text
 
 if TYPE_CHECKING:
     from mavfi.analysis.table import Table
-    from mavfi.extras.hardening.advise import HardeningStudy
+    from mavfi.extras.hardening.harden import HardenedFlight
+    from mavfi.extras.hardening.ledger import Losses
 
 HELP_PANEL = "Campaigns"
-EXIT_REFUTED = 3
-DEFAULT_BUDGET = 0.10
-DEFAULT_FAULTS = 400
+_HEADINGS = ("kernel", "function", "kernel time", "time", "adds", "SDCs removed", "sites")
+_NOTE = (
+    "kernel time: share of a golden flight's; time: measured, protected / plain; adds: of a flight's kernel time; "
+    "SDCs removed: by the faults from which the choice was made; sites: instructions duplicated, of those that can be"
+)
 
 
-def harden(  # noqa: PLR0913 - one parameter per option
+def harden(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a campaign with faults in instructions.")],
     plan: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.yaml", help="The plan: written, or with --certify read (a shipped one by name)."),
+        typer.Option(metavar="FILE.yaml", help="Write the plan, and beside it the campaign that proves it."),
     ] = None,
     budget: Annotated[
-        float | None, typer.Option(metavar="SHARE", help="Share of a flight's kernel time to spend; 0.10 by default.")
-    ] = None,
+        float, typer.Option(metavar="SHARE", help="Share of a flight's kernel time to spend at most.")
+    ] = 0.10,
     kernels: Annotated[str, typer.Option(metavar="NAMES", help="These kernels only, separated by commas.")] = "",
     addresses: Annotated[
         bool, typer.Option("--addresses", help="Compare addresses before loads, too: fewer crashes, more time.")
     ] = False,
-    html: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.html", help="Write the advice, or with --certify the certificate, as one offline page."
-        ),
-    ] = None,
-    certify: Annotated[
-        bool, typer.Option("--certify", help="Test a plan with missions and faults that its choice has not seen.")
-    ] = False,
-    faults: Annotated[int | None, typer.Option(metavar="N", help="Per function; 400 by default.")] = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Advise which instructions to duplicate, or certify a plan.
+    """Choose which instructions to duplicate within a budget of time.
 
-    The advice keeps to a budget of time. The exit code is 3 if the certificate refutes the plan: its prediction, its
-    budget, or a golden flight.
+    Those are chosen that remove most silent corruptions per added time, by the faults of a campaign.  Of that the
+    campaign written beside the plan is the proof: fresh missions, plain and protected; its exit code is 3 if protected
+    code has no fewer silent corruptions.
 
-    Example: [bold]mavfi harden out/kernels --budget 0.10 --plan plan.yaml --html harden.html[/bold]
+    Example: [bold]mavfi harden out/kernels --budget 0.10 --plan plan.yaml[/bold]
 
-    Example: [bold]mavfi harden out/kernels --plan plan.yaml --certify[/bold]
+    Example: [bold]mavfi campaign run plan.proof.yaml --out out/proof[/bold]
     """
-    from mavfi.extras.hardening.advise import HardeningStudy
+    import yaml
+
+    from mavfi.extras.hardening.harden import harden as harden_flights
+    from mavfi.extras.hardening.harden import plan_of
+    from mavfi.extras.hardening.ledger import HardeningLedger
+    from mavfi.extras.hardening.plan import save_plan
+    from mavfi.report.text import show_table
 
     check_number("--budget", budget, 0.0, 10.0)
-    check_number("--faults", faults, 1, 100_000)
-    names = options.listed(kernels)
-    if certify:
-        if plan is None:
-            raise BadInputError("--plan: not given: allowed with --certify: the file of a plan")
-        for option, value in (("--budget", budget), ("--addresses", addresses or None)):
-            if value is not None:
-                raise BadInputError(f"{option}: {value}: allowed: without --certify")
-        check_file("--html", html, PAGES)
-        _certify(HardeningStudy.open(directory, names), plan, faults or DEFAULT_FAULTS, html, as_json=as_json)
-        return
-    if faults is not None:
-        raise BadInputError(f"--faults: {faults}: allowed: with --certify")
     check_file("--plan", plan, (".yaml", ".yml"))
-    check_file("--html", html, PAGES)
-    if budget is None:
-        budget = DEFAULT_BUDGET
-    _advise(HardeningStudy.open(directory, names), budget, plan, html, addresses=addresses, as_json=as_json)
+    path = plan or Path("plan.yaml")
+    proof_path = path.with_suffix(".proof.yaml")
+    if plan is not None:
+        check_writable(proof_path)
+    ledger = HardeningLedger.open(directory, options.listed(kernels))
+    losses = ledger.losses
+    proof = ledger.proof(path)
+    flights = harden_flights(ledger, budget, _tell, addresses=addresses)
+    if plan is not None:
+        save_plan(plan_of(ledger, flights, budget), plan)
+        write_text(proof_path, yaml.safe_dump(proof, sort_keys=False, allow_unicode=True))
+    if as_json:
+        write_json({**_content(flights), "budget": budget, "losses": losses._asdict(), "proof": proof})
+        return
+    out = console()
+    out.print(Text(_headline(flights, len(ledger.faults)), style="bold"))
+    out.print(Text(_losses(losses)))
+    out.print()
+    show_table(_table(flights), out)
+    if plan is not None:
+        say_written(plan, proof_path)
+        out.print(Text.assemble(("The proof: ", "dim"), f"mavfi campaign run {proof_path} --out {directory}_proof"))
 
 
 def _tell(text: str) -> None:
     console(error=True).print(text, style="dim")
 
 
-def _advise(
-    study: "HardeningStudy", budget: float, path: Path | None, html: Path | None, *, addresses: bool, as_json: bool
-) -> None:
-    from mavfi.extras.hardening import certify, plan, report, summary
-    from mavfi.extras.hardening.advise import advise, plan_of
+def _headline(flights: Sequence["HardenedFlight"], faults: int) -> str:
+    from mavfi.extras.hardening.harden import removed_share
+    from mavfi.report.numbers import percent
 
-    harm = summary.harm_of(study.runs)
-    advices = advise(study, budget, _tell, addresses=addresses, workers=os.cpu_count() or 1)
-    advised_plan = plan_of(study, advices)
-    if path is not None:
-        with suppress(BadInputError):  # there is none yet
-            advised_plan = certify.with_certified(advised_plan, plan.load_plan(path))
-        plan.save_plan(advised_plan, path)
-    advice = summary.summary(study, advices, harm, advised_plan)
-    if html is not None:
-        report.write_page(html, advice, study.directory, path)
-    if as_json:
-        write_json(asdict(advice))
-        return
-    _show(report.headline(advice), report.caveats(advice), report.advice_table(advice))
-    say_written(path, html)
+    protected = dict.fromkeys(t.seen.kernels[0] for flight in flights for t in flight.new if t.sites)
+    if not protected:
+        return "Nothing can be protected within this budget."
+    added = max(flight.added for flight in flights)
+    targets = [target for flight in flights for target in flight.new]
+    return (
+        f"Protect {', '.join(protected)}: {percent(added)} more kernel time per flight is expected to remove "
+        f"{percent(removed_share(targets))} of the silent corruptions (SDC), by {faults:,} faults."
+    )
 
 
-def _certify(study: "HardeningStudy", path: Path, faults: int, html: Path | None, *, as_json: bool) -> None:
-    from mavfi.extras.hardening import certify, plan, report
-
-    planned = plan.load_plan(str(path))
-    check_writable(path.with_suffix(".certificate.json"))
-    certification = certify.certify_plan(study, planned, faults, _tell)
-    written = [certify.save_certification(certification, path)]
-    if is_file(path):  # not a shipped plan, given by name
-        plan.save_plan(certify.certified_plan(planned, certification), path)
-        written.append(path)
-    if html is not None:
-        report.write_certificate(html, certification, study.directory, path, study.selected)
-        written.append(html)
-    if as_json:
-        write_json(certify.certification_json(certification))
-    else:
-        _show(report.verdict_line(certification), (), report.certificate_table(certification))
-        say_written(*written)
-    if certification.refuted:
-        raise typer.Exit(EXIT_REFUTED)
+def _losses(losses: "Losses") -> str:
+    return (
+        f"It hardly buys missions: {losses.lost_silent} of {losses.silent} flights with an SDC were lost, "
+        f"{losses.lost_dead} of {losses.dead} with a dead kernel."
+    )
 
 
-def _show(headline: str, lines: Iterable[str], table: "Table") -> None:
-    from mavfi.report.text import show_table
+def _table(flights: Sequence["HardenedFlight"]) -> "Table":
+    from mavfi.analysis.table import Table
+    from mavfi.report.numbers import percent
 
-    out = console()
-    out.print(Text(headline, style="bold"))
-    for line in lines:
-        out.print(Text(line))
-    out.print()
-    show_table(table, out)
+    rows = [
+        (
+            row["kernel"],
+            row["function"],
+            percent(row["share"]),
+            f"×{row['time']:.2f}",
+            percent(row["added"], 2),
+            percent(row["removed"]),
+            f"{row['sites']} of {row['all_sites']}",
+        )
+        for row in _content(flights)["functions"]
+    ]
+    return Table.of_text("What to protect", _HEADINGS, rows, (_NOTE,))
+
+
+def _content(flights: Sequence["HardenedFlight"]) -> dict[str, Any]:
+    """The choice as plain data."""
+    from mavfi.extras.hardening.harden import removed_share
+
+    functions = [
+        {
+            "kernel": target.seen.kernels[0],
+            "function": target.seen.key.function.rpartition(".")[2],
+            "share": target.ticks / flight.ticks,
+            "time": target.time,
+            "added": target.added / flight.ticks,
+            "removed": removed_share([target]),
+            "sites": len(target.sites),
+            "all_sites": len(target.all_sites),
+        }
+        for flight in flights
+        for target in flight.new
+        if target.rates is not None
+    ]
+    return {
+        "added": {flight.planner: flight.added for flight in flights},
+        "removed": removed_share([target for flight in flights for target in flight.new]),
+        "functions": functions,
+    }

@@ -16,9 +16,8 @@ from typing import Any, NamedTuple
 import llvmlite.binding as llvm
 import numpy as np
 
-from mavfi.extras.hardening.battery import copied
 from mavfi.extras.hardening.duplicate import callees
-from mavfi.ir.build import KernelSource, Rewrite, environment_of, load_code, translate
+from mavfi.ir.build import KernelSource, environment_of, load_code, translate
 from mavfi.ir.module import Function, Module
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source
@@ -103,7 +102,9 @@ def inlined(module: Any, machine: Any, names: Collection[str]) -> Any:
     return module
 
 
-def compiled(function: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> tuple[Compiled, int]:
+def compiled(
+    function: Any, signature: tuple[Any, ...], rewrite: Callable[[Module], Module] | None = None
+) -> tuple[Compiled, int]:
     """Machine code of a function for any x86-64 processor, and the address at which it starts.
 
     Args:
@@ -134,6 +135,45 @@ def main_function(module: Module, wrapper: str) -> Function:
                 if f"{function.name} (" in text or f"{function.name}(" in text:
                     return function
     raise ValueError(f"{wrapper}: calls no function of its module")
+
+
+# ---- arguments ------------------------------------------------------------------------------------------------------
+
+
+def copied(value: Any) -> Any:  # noqa: ANN401 - numbers, arrays and tuples of these
+    """A deep copy; arrays keep strides, access and common memory, since Numba compiles by these."""
+    return _copy(value, {})
+
+
+def _copy(value: Any, memories: dict[int, tuple[int, np.ndarray]]) -> Any:
+    """A deep copy; `memories` has the lowest address and the copy of each array that owns memory, by its id."""
+    if isinstance(value, tuple):
+        parts = [_copy(part, memories) for part in value]
+        if hasattr(value, "_fields"):
+            return type(value)(*parts)
+        return tuple(parts)
+    if not isinstance(value, np.ndarray) or value.dtype.hasobject:
+        return value
+    # Views of one array stay views of one copy.
+    root = value
+    while isinstance(root.base, np.ndarray):
+        root = root.base
+    if id(root) not in memories:
+        memories[id(root)] = _memory(root)
+    start, memory = memories[id(root)]
+    moved: np.ndarray = np.ndarray(value.shape, value.dtype, memory.data, value.ctypes.data - start, value.strides)
+    moved.flags.writeable = value.flags.writeable
+    return moved
+
+
+def _memory(root: np.ndarray) -> tuple[int, np.ndarray]:
+    """Lowest address of an array, and a copy of its memory."""
+    if not root.size:
+        return root.ctypes.data, np.empty(1, np.uint8)
+    low, high = np.lib.array_utils.byte_bounds(root)
+    memory = np.empty(high - low, np.uint8)
+    ctypes.memmove(memory.ctypes.data, low, high - low)
+    return low, memory
 
 
 # ---- time -----------------------------------------------------------------------------------------------------------

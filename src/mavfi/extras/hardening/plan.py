@@ -4,25 +4,17 @@ A plan holds for the IR from which it was made (`ir_sha256`), the same on every 
 one processor; they are data, since they are charged to the latency of the simulated platform.
 """
 
-import hashlib
 import re
 import textwrap
 from collections.abc import Collection, Sequence
 from functools import partial
 from importlib.metadata import version
 from itertools import groupby
-from operator import not_
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import yaml
-from pydantic import (
-    Field,
-    NonNegativeInt,
-    field_serializer,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, field_serializer, field_validator, model_validator
 
 from mavfi.config import Config, load, shipped
 from mavfi.errors import BadInputError, write_text
@@ -45,10 +37,6 @@ class ModuleSite(NamedTuple):
     block: int
     offset: int
 
-    def __repr__(self) -> str:
-        """Part of `Protection.key`, by which faults of stored certificates were drawn: it must not change."""
-        return f"Site(function={self.function}, block={self.block}, offset={self.offset})"
-
 
 class FunctionKey(NamedTuple):
     """A compiled function, as in a plan.
@@ -60,20 +48,6 @@ class FunctionKey(NamedTuple):
 
     function: str
     signature: str
-
-
-class Coverage(Config):
-    """Share of the silent data corruptions per call that are removed, with its 95 % interval."""
-
-    estimate: float = Field(le=1)
-    low: float = Field(le=1)
-    high: float = Field(le=1)
-
-    @model_validator(mode="after")
-    def _ordered(self) -> "Coverage":
-        if not self.low <= self.estimate <= self.high:
-            raise ValueError(f"coverage {self.estimate}: not in its interval {self.low} to {self.high}")
-        return self
 
 
 def _is_none(value: Any) -> bool:
@@ -97,9 +71,8 @@ class FunctionPlan(Config):
     share: float | None = Field(
         None, ge=0, le=1, exclude_if=_is_none, description="of its kernel's plain execution time; absent = not known"
     )
-    predicted: Coverage | None = Field(None, description="coverage predicted from injections in recorded calls")
-    certified: Coverage | None = Field(
-        None, exclude_if=_is_none, description="coverage measured with fresh missions and faults"
+    predicted: float | None = Field(
+        None, ge=0, le=1, description="share of its silent corruptions that this removes, by the faults of the ledger"
     )
 
     @property
@@ -142,9 +115,6 @@ class ProtectionPlan(Config):
     llvmlite: str = Field(default_factory=partial(version, "llvmlite"))
     cpu: str = Field("", description="class of the processor on which times were measured")
     ledger: str = Field("", description="digest of the ledger whose missions were studied")
-    studied: dict[str, tuple[NonNegativeInt, NonNegativeInt]] = Field(
-        {}, exclude_if=not_, description="their first and last seed, by environment"
-    )
     budget: float | None = Field(
         None, ge=0, exclude_if=_is_none, description="largest share of a flight's kernel time that it was to add"
     )
@@ -152,9 +122,6 @@ class ProtectionPlan(Config):
 
     @model_validator(mode="after")
     def _consistent(self) -> "ProtectionPlan":
-        for environment, (first, last) in self.studied.items():
-            if last < first:
-                raise ValueError(f"studied.{environment}: {first}, {last}: allowed: ascending")
         seen = set()
         for planned in self.functions:
             if planned.key in seen:
@@ -164,30 +131,14 @@ class ProtectionPlan(Config):
 
     @property
     def bare(self) -> "ProtectionPlan":
-        """The plan without what flights do not depend on: lines, coverage, and functions that are left as they are."""
-        nothing = {"lines": (), "predicted": None, "certified": None}
+        """The plan without what flights do not depend on: lines, prediction, functions that are left as they are."""
+        nothing = {"lines": (), "predicted": None}
         functions = tuple(
             planned.model_copy(update=nothing)
             for planned in self.functions
             if planned.kind != "none" or planned.time > 1.0  # a time above 1 is charged even without sites
         )
-        return self.model_copy(update={"functions": functions, "studied": {}, "budget": None})
-
-    def has_studied(self, environment: str, seed: int) -> bool:
-        """Whether its choice has seen a mission; of environments that it does not list it has seen none."""
-        first, last = self.studied.get(environment, (0, -1))
-        return first <= seed <= last
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 of the bare content, which identifies the plan; modules of functions are not part of it."""
-        bare = self.bare
-        functions = []
-        for planned in bare.functions:
-            name_without_module = planned.function.rpartition(".")[2]
-            functions.append(planned.model_copy(update={"function": name_without_module}))
-        content = bare.model_copy(update={"functions": tuple(functions)})
-        return hashlib.sha256(content.model_dump_json().encode()).hexdigest()
+        return self.model_copy(update={"functions": functions, "budget": None})
 
     def time_of(self, kernel: str) -> float:
         """Protected / plain execution time of a kernel, 1 if none of its functions is protected.

@@ -3,7 +3,7 @@
 import mmap
 from collections import Counter
 
-from mavfi.extras.hardening.battery import copied
+from mavfi.extras.hardening.compiled import copied
 from mavfi.extras.hardening.duplicate import candidates, protect
 from mavfi.faults.levels.instruction import budget_for
 from mavfi.faults.levels.instruction.api import digest

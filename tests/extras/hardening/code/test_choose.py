@@ -1,13 +1,9 @@
-"""Choice of values: against exhaustive search on small graphs, and its properties on random ones."""
+"""Greedy choice of values: its costs, what it takes first, and that it keeps to its budget."""
 
-from itertools import chain, combinations
-
-import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavfi.extras.hardening.choose import OUTSIDE, Chooser, Cuts, Use, Value, total_cost
+from mavfi.extras.hardening.choose import OUTSIDE, Candidates, Use, Value, choose, total_cost
 from mavfi.extras.hardening.plan import ModuleSite
 
 HOT, COLD = 100.0, 1.0
@@ -27,24 +23,6 @@ def graph(operands, executions, outside=(), kinds=None):
     return values
 
 
-def modelled(values, chosen):
-    """The cost that a cut minimises, from its definition: copies in parts, comparisons with all uses."""
-    total = 0.0
-    for i in chosen:
-        value = values[i]
-        total += value.executions
-        missing = [operand for operand in value.operands if operand not in chosen]
-        total += value.executions * (len(missing) / len(value.operands) if value.operands else 1)
-        if any(use.user not in chosen for use in value.uses):
-            there = sum({use.block: use.executions for use in value.uses}.values())
-            total += value.comparison * min(value.executions, there)
-    return total
-
-
-def subsets(n):
-    return map(frozenset, chain.from_iterable(combinations(range(n), size) for size in range(n + 1)))
-
-
 @st.composite
 def graphs(draw, most=7):
     n = draw(st.integers(1, most))
@@ -53,38 +31,32 @@ def graphs(draw, most=7):
     outside = draw(st.sets(st.integers(0, n - 1)))
     benefit = [draw(st.integers(0, 60)) for _ in range(n)]
     kinds = {i: draw(st.sampled_from(["i64", "double"])) for i in range(n)}
-    return graph([sorted(own) for own in operands], executions, outside, kinds), np.array(benefit, float)
+    return Candidates(graph([sorted(own) for own in operands], executions, outside, kinds), benefit, 0.5)
 
 
 @settings(max_examples=30, deadline=None)
-@given(graphs(), st.sampled_from([0.05, 0.3, 1.0, 4.0]))
-def test_a_cut_is_the_best_of_all_sets_at_its_price(made, price):
-    values, benefit = made
-
-    def worth(chosen):
-        return benefit[list(chosen)].sum() - price * modelled(values, chosen)
-
-    assert worth(Cuts(values, benefit).at(price)) == pytest.approx(max(map(worth, subsets(len(values)))), abs=1e-4)
-
-
-@settings(max_examples=30, deadline=None)
-@given(graphs(), st.lists(st.floats(0, 600), min_size=2, max_size=6))
-def test_a_larger_budget_never_covers_less_and_is_never_exceeded(made, budgets):
-    chooser = Chooser(*made)
-    choices = [chooser.within(budget) for budget in sorted(budgets)]
-    assert all(choice.cost <= budget for choice, budget in zip(choices, sorted(budgets), strict=True))
-    assert all(one.benefit <= other.benefit for one, other in zip(choices, choices[1:], strict=False))
-    assert all(choice.cost == pytest.approx(total_cost(chooser.values, choice.chosen)) for choice in choices)
+@given(graphs(), graphs(), st.floats(0, 600))
+def test_a_budget_is_never_exceeded_and_a_large_one_buys_all_that_is_worth_anything(first, second, budget):
+    functions = [first, second]
+    chosen = choose(functions, budget)
+    assert sum(0.5 * total_cost(own.values, picked) for own, picked in zip(functions, chosen, strict=True)) <= budget
+    worth = [{index for index, benefit in enumerate(own.benefit) if benefit} for own in functions]
+    assert choose(functions, 1e9) == worth
 
 
-@settings(max_examples=30, deadline=None)
-@given(graphs(), st.floats(0, 600))
-def test_no_choice_beats_the_exhaustive_one_and_the_whole_budget_buys_everything(made, budget):
-    values, benefit = made
-    chooser = Chooser(values, benefit)
-    best = max(benefit[list(s)].sum() for s in subsets(len(values)) if total_cost(values, s) <= budget)
-    assert chooser.within(budget).benefit <= best + 1e-9
-    assert chooser.within(chooser.full.cost).benefit == pytest.approx(benefit.sum())
+def test_what_removes_most_per_time_is_taken_first_in_all_functions():
+    """Each value alone costs its execution, a copy and a comparison: 30; the second function is three times slower."""
+    fast = Candidates(graph([[], []], [10, 10], outside=[0, 1]), [9.0, 30.0], 1.0)
+    slow = Candidates(graph([[], []], [10, 10], outside=[0, 1]), [60.0, 15.0], 3.0)
+    for budget, expected in ((29, [set(), set()]), (30, [{1}, set()]), (120, [{1}, {0}]), (150, [{0, 1}, {0}])):
+        assert choose([fast, slow], budget) == expected
+
+
+def test_a_slice_grows_where_its_next_value_is_cheap():
+    """Value 3 is worth no more than 0, 1 and 2, but next to the chosen 4 it costs less."""
+    values = graph([[], [], [], [], [3]], [10] * 5, outside=[0, 1, 2, 4])
+    (chosen,) = choose([Candidates(values, [10.0, 10.0, 10.0, 10.0, 50.0], 1.0)], 45)
+    assert chosen == {3, 4} and total_cost(values, chosen) == 40
 
 
 def test_a_slice_is_cheaper_than_its_values_alone():

@@ -1,9 +1,10 @@
-"""Machine code of modules: what is inlined, and that protected code does as the plain one."""
+"""Machine code of modules: what is inlined, that protected code does as the plain one; copies of arguments."""
 
+import numba
 import numpy as np
 import pytest
 
-from mavfi.extras.hardening.compiled import code_of, compiled, text_of
+from mavfi.extras.hardening.compiled import code_of, compiled, copied, text_of
 from mavfi.extras.hardening.duplicate import candidates, protect
 from mavfi.ir.build import translate
 from mavfi.ir.parser import parse_module
@@ -82,3 +83,26 @@ def test_protected_code_does_as_the_plain_one(module):
     for one, other in zip(plain, protected, strict=True):
         np.testing.assert_array_equal(one, other)
     assert protected[3][46] != OCCUPIED and protected[3][0] == OCCUPIED
+
+
+def test_copies_keep_values_strides_access_and_signature():
+    table = np.arange(24.0).reshape(4, 6)
+    fixed = np.arange(3)
+    fixed.flags.writeable = False
+    args = (table[:, 1], table[::2, ::3], fixed, 2.5, np.zeros((0, 3)))
+    other = copied(args)
+    assert numba.typeof(other) == numba.typeof(args)
+    assert [a.strides for a in other if isinstance(a, np.ndarray)] == [
+        a.strides for a in args if isinstance(a, np.ndarray)
+    ]
+    np.testing.assert_equal(other, args)
+    other[0][:] = -1
+    assert table.min() == 0
+    assert other[1][0, 0] == 0 and np.shares_memory(other[0], other[1]) is False  # no common element
+
+
+def test_arrays_that_share_memory_share_it_in_the_copy():
+    table = np.arange(6.0)
+    first, second = copied((table[:4], table[2:]))
+    first[2] = 9.0
+    assert second[0] == 9.0 and table[2] == 2.0

@@ -9,7 +9,7 @@ import llvmlite.binding as llvm
 import numpy as np
 import pytest
 
-from mavfi.extras.hardening.battery import copied
+from mavfi.extras.hardening.compiled import copied
 from mavfi.extras.hardening.duplicate import candidates, protect
 from mavfi.faults.levels.instruction.api import digest
 from mavfi.ir.build import target_machine

@@ -1,9 +1,8 @@
 """Values, uses and entries of a small loop, read from its IR."""
 
-import numpy as np
 import pytest
 
-from mavfi.extras.hardening.choose import OUTSIDE, Chooser, PhiInput, added, total_cost, values_of, weight_of
+from mavfi.extras.hardening.choose import OUTSIDE, Candidates, PhiInput, choose, total_cost, values_of, weight_of
 from mavfi.ir.parser import parse_module
 
 LOOP = """
@@ -60,10 +59,9 @@ def test_a_slow_instruction_costs_several_simple_ones(module):
     plain, slow = values_of(module, COUNTS), values_of(divides, COUNTS)
     for chosen in ({MORE}, set(range(8))):
         assert total_cost(slow, chosen) == total_cost(plain, chosen) + 10 * (slow[MORE].weight - 1)
-        assert added(slow, chosen) == total_cost(plain, chosen) == added(plain, chosen)
-    dear = np.zeros(8)
-    dear[[MORE, X]] = 1.0
-    assert Chooser(slow, dear).within(60).chosen == {X} != Chooser(plain, dear).within(60).chosen
+    benefit = [float(index in (MORE, X)) for index in range(8)]
+    assert choose([Candidates(slow, benefit, 1.0)], 60) == [{X}]
+    assert choose([Candidates(plain, benefit, 1.0)], 60) == [{MORE, X}]
 
 
 @pytest.mark.parametrize(

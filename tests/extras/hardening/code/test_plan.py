@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 
 from mavfi.errors import BadInputError
 from mavfi.extras.hardening.plan import (
-    Coverage,
     FunctionPlan,
     ModuleSite,
     ProtectionPlan,
@@ -25,9 +24,7 @@ def of(**more):
 @given(st.sets(st.tuples(st.integers(0, 3), st.integers(0, 20), st.integers(0, 30)), max_size=40))
 def test_a_plan_survives_its_file(tmp_path_factory, sites):
     path = tmp_path_factory.mktemp("plans") / "plan.yaml"
-    plan = ProtectionPlan(
-        functions=(of(sites=tuple(sites), time=1.16, predicted=Coverage(estimate=0.9, low=0.8, high=0.95)),)
-    )
+    plan = ProtectionPlan(functions=(of(sites=tuple(sites), time=1.16, predicted=0.9),))
     save_plan(plan, path)
     assert load_plan(path) == plan
     assert load_plan(path).functions[0].sites == tuple(sorted(ModuleSite(*site) for site in sites))
@@ -42,35 +39,34 @@ def test_sites_are_written_as_ranges_by_block(tmp_path):
 
 
 PROTECTED = of(sites=((0, 0, 1),))
-KNOWN = Coverage(estimate=0.9, low=0.8, high=0.95)
 
 
 @pytest.mark.parametrize(
     "functions",
     [
         (of(sites=((0, 0, 1),), lines=("m.py:1",)),),
-        (of(sites=((0, 0, 1),), function="n.o.f"),),
-        (of(sites=((0, 0, 1),), certified=KNOWN), of(function="m.g", kind="none")),
+        (of(sites=((0, 0, 1),), predicted=0.9), of(function="m.g", kind="none")),
     ],
 )
-def test_neither_lines_nor_modules_nor_coverage_identify_a_plan(functions, tmp_path):
-    plan = ProtectionPlan(functions=functions, studied={"dense": (10_000, 10_007)}, budget=0.1)
-    assert plan.digest == ProtectionPlan(functions=(PROTECTED,)).digest
+def test_neither_lines_nor_predictions_identify_a_plan(functions, tmp_path):
+    plan = ProtectionPlan(functions=functions, budget=0.1)
+    assert plan.bare == ProtectionPlan(functions=(PROTECTED,)).bare
     save_plan(plan, tmp_path / "p.yaml")
     assert load_plan(tmp_path / "p.yaml") == plan
 
 
 @pytest.mark.parametrize("change", [{"sites": ((0, 0, 2),)}, {"time": 1.5}, {"function": "m.g"}])
 def test_what_a_flight_depends_on_identifies_a_plan(change):
-    assert (
-        ProtectionPlan(functions=(of(**{"sites": ((0, 0, 1),), **change}),)).digest
-        != ProtectionPlan(functions=(PROTECTED,)).digest
-    )
+    changed = ProtectionPlan(functions=(of(**{"sites": ((0, 0, 1),), **change}),))
+    assert changed.bare != ProtectionPlan(functions=(PROTECTED,)).bare
 
 
-def test_a_plan_keeps_its_digest_in_later_versions():
-    plan = ProtectionPlan(mavfi="1", numba="1", llvmlite="1", functions=(of(sites=((0, 0, 1),), time=1.5),))
-    assert plan.digest.startswith("09d426171a426501aa6ac895f2cf0653")
+@pytest.mark.parametrize("key", ["studied", "certified"])
+def test_a_plan_of_an_earlier_version_says_how_to_make_it_again(key, tmp_path):
+    path = tmp_path / "plan.yaml"
+    path.write_text(f"{key}: 1\nfunctions: []\n")
+    with pytest.raises(BadInputError, match=f"key '{key}': dropped; make the plan again with mavfi harden"):
+        load_plan(path)
 
 
 def test_the_time_of_a_kernel_weights_its_functions_by_their_shares():

@@ -22,15 +22,15 @@ class ControlWord(IntEnum):
     INJECTED = 5  # 1 after the injection
     REPORT = 6  # address of the report, see `REPORT_WORDS`
     STOP = 7  # address of `_exit`
-    HISTOGRAM = 8  # address of the execution counts of all blocks (PROFILE, LOCATE)
+    HISTOGRAM = 8  # address of the execution counts of all blocks (PROFILE)
     TRACE = 9  # address of the executed blocks, in order (PROFILE)
     TRACE_ROOM = 10  # largest length of the trace
     TRACE_LENGTH = 11  # its present length
-    EVENTS = 12  # address of the wanted dynamic indices (RESOLVE), or executions by block (LOCATE)
+    EVENTS = 12  # address of the wanted dynamic indices (RESOLVE)
     EVENT_COUNT = 13  # number of wanted dynamic indices
     NEXT_EVENT = 14  # position of the next wanted dynamic index
-    EVENT_BLOCKS = 15  # address of their blocks (RESOLVE), or of the next wanted execution of each block (LOCATE)
-    EVENT_OFFSETS = 16  # address of their offsets in these (RESOLVE), or of the indices where these start (LOCATE)
+    EVENT_BLOCKS = 15  # address of their blocks (RESOLVE)
+    EVENT_OFFSETS = 16  # address of their offsets in these (RESOLVE)
     PLANNED = 17  # 1 if the call uses planned memory, see `arena`
     FRAME = 18  # first free address for stack frames
     HEAP = 19  # first free address for arrays
@@ -42,7 +42,6 @@ class RunMode(IntEnum):
     INJECT = 0  # change one value, then check budget and memory accesses
     PROFILE = 1  # count the executions of each block, and note their order
     RESOLVE = 2  # find block and offset of dynamic indices
-    LOCATE = 3  # find the dynamic indices at which executions of blocks start
 
 
 WORDS = 32
@@ -98,10 +97,12 @@ change:                 ; the target is in this block: report it first, since th
 injected:               ; a kernel that writes more values than its budget hangs
 {_load("budget", ControlWord.BUDGET)}
   %over = icmp ugt i64 %after, %budget
-  br i1 %over, label %exhausted, label %located
+  br i1 %over, label %exhausted, label %going
 exhausted:
 {_load("stop", ControlWord.STOP, "ptr")}
   call void %stop(i32 {HANG_EXIT})
+  ret i64 -1
+going:
   ret i64 -1
 """
 
@@ -164,33 +165,6 @@ finished:               ; no wanted index is left: run fast to the end
   ret i64 -1
 """
 
-_LOCATE = f"""
-locate:                 ; number of this execution of the block; see `variant.Passes`
-{_load("passed", ControlWord.HISTOGRAM, "ptr")}
-  %pass.address = getelementptr i64, ptr %passed, i64 %block
-  %pass = load i64, ptr %pass.address
-  %next.pass = add i64 %pass, 1
-  store i64 %next.pass, ptr %pass.address
-                        ; is it the next wanted execution of this block?
-{_load("cursors", ControlWord.EVENT_BLOCKS, "ptr")}
-  %cursor.address = getelementptr i64, ptr %cursors, i64 %block
-  %cursor = load i64, ptr %cursor.address
-{_load("passes", ControlWord.EVENTS, "ptr")}
-  %wanted.address = getelementptr i64, ptr %passes, i64 %cursor
-  %wanted = load i64, ptr %wanted.address
-  %now.wanted = icmp eq i64 %pass, %wanted
-  br i1 %now.wanted, label %start, label %located
-start:                  ; yes: note the index at which it starts, and wait for the one after it
-{_load("starts", ControlWord.EVENT_OFFSETS, "ptr")}
-  %start.address = getelementptr i64, ptr %starts, i64 %cursor
-  store i64 %base, ptr %start.address
-  %next.cursor = add i64 %cursor, 1
-  store i64 %next.cursor, ptr %cursor.address
-  br label %located
-located:
-  ret i64 -1
-"""
-
 RUNTIME = f"""
 @mavfi_control = global [{WORDS} x i64] zeroinitializer, align 64
 @mavfi_keep = global [{MASK_BYTES} x i8] zeroinitializer, align 64
@@ -201,12 +175,10 @@ entry:                  ; counter before the block
   %base = sub i64 %after, %n
 {_load("mode", ControlWord.MODE)}
   switch i64 %mode, label %inject [ i64 {RunMode.PROFILE:d}, label %profile
-                                    i64 {RunMode.RESOLVE:d}, label %resolve
-                                    i64 {RunMode.LOCATE:d}, label %locate ]
+                                    i64 {RunMode.RESOLVE:d}, label %resolve ]
 {_INJECT}
 {_PROFILE}
 {_RESOLVE}
-{_LOCATE}
 }}
 """
 """The control block and masks, and `mavfi_slow`; values of sites that are not injected go to `mavfi_unseen`."""

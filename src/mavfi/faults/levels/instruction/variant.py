@@ -7,7 +7,7 @@ import ctypes
 import mmap
 import os
 import weakref
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, cast
 
@@ -46,39 +46,6 @@ class InjectionReport:
     before: int
     after: int
     planned: bool
-
-
-class Passes:
-    """Wanted block executions: the k-th execution of a block in a call.
-
-    Attributes:
-        counts: Number of executions of each block so far. Shape (blocks,).
-        wanted: Wanted executions of each block in order, each list terminated by -1. Shape (m,).
-        cursors: Index in `wanted` of the next wanted execution of each block. Shape (blocks,).
-        starts: Dynamic index at which a wanted execution starts; -1 = not reached. Shape (m,).
-    """
-
-    def __init__(self, blocks: int, wanted: Iterable[tuple[int, int]]) -> None:
-        """For a kernel of `blocks` blocks: the wanted blocks, each with its execution number, from 0."""
-        ordered: dict[int, list[int]] = {}
-        for block, number in sorted(set(wanted)):
-            ordered.setdefault(block, []).append(number)
-        self.counts = np.zeros(blocks, np.int64)
-        self.cursors = np.zeros(blocks, np.int64)
-        passes = [-1]  # a block without wanted executions has its cursor here
-        self._index_of: dict[tuple[int, int], int] = {}
-        for block, numbers in ordered.items():
-            self.cursors[block] = len(passes)
-            for number in numbers:
-                self._index_of[block, number] = len(passes)
-                passes.append(number)
-            passes.append(-1)
-        self.wanted = np.array(passes, np.int64)
-        self.starts = np.full(len(passes), -1, np.int64)
-
-    def start(self, block: int, number: int) -> int:
-        """Dynamic index at which a wanted execution starts; -1 = not reached."""
-        return int(self.starts[self._index_of[block, number]])
 
 
 class BlockProfile(NamedTuple):
@@ -243,18 +210,6 @@ class Variant:
             if block >= 0:
                 sites[int(index)] = self.table.blocks[block][offset]
         return result, [sites.get(index) for index in indices]
-
-    def locate(self, passes: Passes, *args: Any) -> Any:
-        """Run without a fault, and store in `passes` the dynamic indices at which wanted executions start."""
-        return self._run(
-            RunMode.LOCATE,
-            0,
-            args,
-            HISTOGRAM=passes.counts.ctypes.data,
-            EVENTS=passes.wanted.ctypes.data,
-            EVENT_BLOCKS=passes.cursors.ctypes.data,
-            EVENT_OFFSETS=passes.starts.ctypes.data,
-        )
 
     def inject(self, index: int, keep: int, flip: int, budget: int, *args: Any) -> Any:
         """Run with one injection: the value at this dynamic index, from 0, becomes (value & keep) ^ flip.

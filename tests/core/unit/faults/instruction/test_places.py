@@ -1,26 +1,8 @@
-"""Places of dynamic instructions: uniform over calls, and block executions found by number."""
+"""Draws of dynamic instructions: uniform over calls."""
 
 import numpy as np
 
-from mavfi.faults.levels.instruction import choose, count, resolve
-from mavfi.faults.levels.instruction.variant import Passes, variant_for
-from tests.core.unit.faults.instruction.kernels import LOOP, loop
-
-
-def test_every_pass_through_every_block_begins_where_resolving_finds_it():
-    variant = variant_for(loop, LOOP)
-    total = count(loop, *LOOP)
-    sites = resolve(loop, range(total), *LOOP)
-    passed, expected = {}, {}
-    for index, site in enumerate(sites):
-        if site.offset == 0:
-            number = passed.get(site.block, 0)
-            expected[site.block, number] = index
-            passed[site.block] = number + 1
-    passes = Passes(len(variant.table.blocks), expected)
-    assert variant.locate(passes, *LOOP) == loop(*LOOP)
-    assert {place: passes.start(*place) for place in expected} == expected
-    assert len(expected) > 40
+from mavfi.faults.levels.instruction import choose
 
 
 def test_calls_are_drawn_with_the_weight_of_their_counts():
