@@ -5,6 +5,7 @@ densely: comments and layout count nothing, a docstring counts one.
 """
 
 import io
+import sys
 import tokenize
 import tomllib
 from collections.abc import Iterator
@@ -117,4 +118,4 @@ def test_the_whole_is_below_the_ceilings():
 
 
 if __name__ == "__main__":
-    print(as_toml(MEASURED))
+    sys.stdout.write(as_toml(MEASURED) + "\n")

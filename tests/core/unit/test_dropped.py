@@ -3,9 +3,7 @@
 import pytest
 
 from mavfi.cli import run
-from mavfi.config import shipped
 from mavfi.dropped import COMMANDS, NAMES, OPTIONS, dropped_name
-from mavfi.errors import BadInputError
 
 
 @pytest.mark.parametrize("option", OPTIONS)

@@ -6,7 +6,7 @@ from mavfi.detectors import load_detector
 from mavfi.detectors.autoencoder import AutoencoderDetector
 from mavfi.detectors.detector import NoDetector
 from mavfi.detectors.gaussian import GaussianDetector
-from mavfi.detectors.registry import OF_OWN, check_detector, contains, mission_keys
+from mavfi.detectors.registry import OF_OWN, contains, mission_keys
 from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.flight.compose import with_keys_of
 from mavfi.mission import MissionSpec
