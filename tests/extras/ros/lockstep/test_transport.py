@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from mavfi.errors import BadInputError
+from mavfi.extras.ros.lockstep.transport import Middleware
 from mavfi.extras.ros.ros2.environment import Installation
-from mavfi.extras.ros.ros2.transport import Ros2
 from tests.extras.ros.lockstep.needs import find, flying
 
 CODE = """
 from pathlib import Path
-from mavfi.extras.ros.ros2.transport import Ros2
-Ros2.installed({!r}).load()
+from mavfi.extras.ros.lockstep.transport import Middleware
+Middleware.installed({!r}).load()
 import numpy, rclpy, yaml
 print(rclpy.__file__, numpy.__file__, yaml.__file__)
 import em
@@ -39,4 +39,4 @@ def test_an_rclpy_of_another_python_is_refused(tmp_path):
     folder.mkdir(parents=True)
     (folder / "_rclpy_pybind11.cpython-399-x86_64-linux-gnu.so").touch()
     with pytest.raises(BadInputError, match="ROS 2 jazzy: its rclpy is not compiled for this Python"):
-        Ros2(Installation("jazzy", "python3", tmp_path, {"AMENT_PREFIX_PATH": str(tmp_path)}), 1).require()
+        Middleware(Installation("jazzy", "python3", tmp_path, {"AMENT_PREFIX_PATH": str(tmp_path)}), 1).require()
