@@ -16,7 +16,7 @@ from mavfi.analysis.table import Table
 from mavfi.errors import BadInputError
 from mavfi.extras.logs.detectors import is_fitted, uses_rules
 from mavfi.extras.logs.recording import LogRecording, read_recording
-from mavfi.extras.logs.selection import EVERYTHING, Wanted, select
+from mavfi.extras.logs.selection import Wanted, select
 from mavfi.extras.logs.watch import BIT_CLASSES, JudgedLog, LogRates, LogWatch, rate_text
 from mavfi.report.text import ABSENT, rate
 from tools import results
@@ -39,11 +39,13 @@ class LogSet(NamedTuple):
     Attributes:
         pattern: Their file names.
         fault: Number that tells of the known fault; "" = none.
+        kinds: What fields are that the format does not define, see `parse_kinds`.
         text: What they are, and how they are used.
     """
 
     pattern: str
     fault: str
+    kinds: dict[str, str]
     text: str
 
 
@@ -51,18 +53,20 @@ SETS = {
     "RflyMAD": LogSet(
         "rflymad_*.ulg",
         "rfly_ctrl_lxl:mode",
+        {},
         "PX4 in simulation, motor fault at a known time: trained on the part before the fault of the other flights, "
         "judged on the part before the fault of each; then the fault",
     ),
     "EuRoC": LogSet(
-        "euroc_*.csv", "", "ground truth of indoor flights, 200 Hz: trained on the other flights, judged on each"
+        "euroc_*.csv", "", {}, "ground truth of indoor flights, 200 Hz: trained on the other flights, judged on each"
     ),
     "ALFA": LogSet(
         "carbonZ_*.csv",
         "row:is_boundary",
+        dict.fromkeys(("heading", "pitch", "roll", "yaw"), "deg"),
         "real flights of a fixed-wing aircraft (Keipour, Mousaei and Scherer, IJRR 40, 2021), faults of engine and "
         "control surfaces at known times; 8 fields, resampled to 10 Hz as in github.com/gotham29/htm-state: trained on "
-        "the flights without a fault, judged on all others",
+        "the flights without a fault, judged on all others; its angles are declared (`--kinds`)",
     ),
 }
 
@@ -108,9 +112,9 @@ FILES = {
 """Titles of the tables, by file."""
 
 
-def judge_set(recordings: Sequence[LogRecording], kind: str, profile: str) -> list[JudgedLog]:
+def judge_set(recordings: Sequence[LogRecording], kinds: dict[str, str], kind: str, profile: str) -> list[JudgedLog]:
     """Each recording judged by a detector trained on all others, or on those without a fault if there are any."""
-    wanted = EVERYTHING
+    wanted = Wanted(kinds=kinds)
     if not is_fitted(kind):
         wanted = Wanted(mapping="", only_mapped=uses_rules(kind))
     normal = [recording for recording in recordings if NORMAL_FLIGHT in recording.name]
@@ -167,7 +171,7 @@ def judged_tables(folder: Path) -> dict[str, Table]:
         label = f"{name}, {len(recordings)} logs"
         for setting in SETTINGS:
             try:
-                judged = judge_set(recordings, *setting)
+                judged = judge_set(recordings, log_set.kinds, *setting)
             except BadInputError:  # no shipped mapping fits
                 if not uses_rules(setting[0]):
                     raise

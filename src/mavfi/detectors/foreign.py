@@ -27,9 +27,6 @@ from mavfi.states import Field, Stage, State, StateSpec, floats
 
 SMALLEST_SAMPLE = 50
 """Messages required of each source."""
-TOO_FEW = f"fewer than {SMALLEST_SAMPLE} messages in the training"
-COUNTS = "counts messages or time (see --kinds)"
-"""Reasons against a topic, and against a number."""
 NOT_FINITE_RULE = "not finite"
 """Source of alarms on numbers that were finite in the training and are not now."""
 TURNS = {"rad": 2.0 * math.pi, "deg": 360.0, "cdeg": 36_000.0, "degE7": 3.6e9}
@@ -56,12 +53,12 @@ _UNIT_SHARE = 0.99
 """Share of the messages with at most that."""
 _PARENT = re.compile(r"\[\d+\]$|[^.\[]*$")
 """What the path of a number adds to that of the structure or list that holds it."""
-_ROUNDING = 0.005
-"""Spare at the ends of an angle's range, in turns."""
-_NEAR_END = 0.1
-"""Values this near to an end of the range are at it (turns): a number that jumps between both ends is an angle."""
+_LONGEST_RANGE = 1.005
+"""Largest range of an angle, in turns, with its rounding."""
+_SHORTEST_JUMP = 0.9
+"""Smallest jump from one end of the range to the other, in turns."""
 _LARGEST_STEP = 0.25
-"""Largest other change of such a number, in turns."""
+"""Largest other change of an angle, in turns."""
 _MAX_TURNS = 3.0
 """Values beyond this many turns are no angles but corrupted: they are not changed."""
 _MAX_COUNTED = 1e6
@@ -108,20 +105,6 @@ class NamedNumbers(NamedTuple):
     numbers: Mapping[str, float]
 
 
-class NotMonitored(NamedTuple):
-    """A number, or a whole topic, that is not monitored.
-
-    Attributes:
-        topic: Its topic.
-        field: Its name; "" = the whole topic.
-        reason: Why.
-    """
-
-    topic: str
-    field: str
-    reason: str
-
-
 class Numbers(NamedTuple):
     """Numbers of a topic in one recording, by message.
 
@@ -153,7 +136,7 @@ def recognise(recordings: Sequence[Numbers], units: Mapping[str, str] | None = N
         kind = unit.replace("degheading", "deg")
         if not unit:
             kind = _angle_by_jumps([numbers.values[:, index] for numbers in recordings])
-        if _counts(longest.values[:, index], longest.times_us):
+        if kind not in TURNS and _counts(longest.values[:, index], longest.times_us):
             kind = COUNTER
         if kind in (*TURNS, COUNTER):
             kinds[name] = kind
@@ -188,16 +171,15 @@ def _angle_by_jumps(columns: Sequence[np.ndarray]) -> str:
     columns = [column[np.isfinite(column)] for column in columns]
     values = np.concatenate(columns)
     with np.errstate(over="ignore"):
-        changes = np.abs(np.concatenate([np.diff(column) for column in columns]))
+        steps = np.abs(np.concatenate([np.diff(column) for column in columns]))
     for unit, turn in TURNS.items():
-        steps = changes / turn
-        if not (steps.max(initial=0.0) > 1.0 - _NEAR_END and np.abs(steps - np.rint(steps)).max() < _LARGEST_STEP):
-            continue
-        for begin in (-0.5, 0.0):
-            low = values.min() / turn - begin
-            high = values.max() / turn - begin
-            if -_ROUNDING <= low <= _NEAR_END and 1.0 - _NEAR_END <= high <= 1.0 + _ROUNDING:
-                return unit
+        is_jump = steps > _SHORTEST_JUMP * turn
+        if (
+            is_jump.any()
+            and np.ptp(values) <= _LONGEST_RANGE * turn
+            and (is_jump | (steps < _LARGEST_STEP * turn)).all()
+        ):
+            return unit
     return ""
 
 
@@ -239,14 +221,17 @@ class Topic:
 
     Attributes:
         spec: The numbers.
+        kinds: Which of them are angles and quaternions.
         is_circular: Whether each is an angle, or a component of a quaternion. Shape (fields,).
         factors: Factor of each number in what the detector sees, set by `Monitor.fit`. Shape (fields,).
     """
 
     def __init__(self, spec: StateSpec, kinds: Mapping[str, str]) -> None:
         self.spec = spec
-        of_fields = [kinds.get(field.name, "") for field in spec.header]
-        self.is_circular = np.array([kind in (*TURNS, QUATERNION) for kind in of_fields])
+        names = [field.name for field in spec.header]
+        self.kinds = {name: kinds[name] for name in names if kinds.get(name) in (*TURNS, QUATERNION)}
+        of_fields = [self.kinds.get(name, "") for name in names]
+        self.is_circular = np.array([kind != "" for kind in of_fields])
         self.factors = np.ones(len(of_fields))
         self._turns = np.array([TURNS.get(kind, np.nan) for kind in of_fields])
         self._quaternions = np.flatnonzero([kind == QUATERNION for kind in of_fields]).reshape(-1, 4)
@@ -288,15 +273,10 @@ class Monitor(Detector):
         detector: The detector, with the same states.
         topics: The monitored numbers by topic.
         compares: Whether the detector judges changes only: the first message of a topic, which has none, passes.
-
-    Attributes:
-        topics: The monitored numbers by topic.
-        not_monitored: Other numbers of the training, with the reason, if made by `train`.
     """
 
     def __init__(self, detector: Detector, topics: Mapping[str, Topic], *, compares: bool = False) -> None:
-        self.topics = topics
-        self.not_monitored: Sequence[NotMonitored] = ()
+        self._topics = topics
         self._detector = detector
         self._compares = compares
         self._last: dict[str, np.ndarray] = {}  # values without jumps of the last message, by topic
@@ -351,7 +331,7 @@ class Monitor(Detector):
 
     def judge(self, message: NamedNumbers) -> Alarm | None:
         """The alarm on a message; None = there is none, or it lacks a monitored number."""
-        topic = self.topics.get(message.topic)
+        topic = self._topics.get(message.topic)
         state = None
         if topic is not None:
             state = topic.read(message.numbers)
@@ -369,7 +349,7 @@ class Monitor(Detector):
     def _prepare(self, state: State) -> tuple[State, np.ndarray, State]:
         """A message, its values without jumps, and what the detector sees of it."""
         if self._prepared is None or self._prepared[0] is not state:
-            topic = self.topics[state.spec.name]
+            topic = self._topics[state.spec.name]
             values = topic.continued(state, self._last.get(state.spec.name))
             self._prepared = state, values, topic.shown(values)
         return self._prepared
@@ -421,51 +401,32 @@ def _not_finite(state: State) -> list[str]:
 
 
 # ---- training --------------------------------------------------------------------------------------------------------
-def train(
-    kind: str, profile: str, recordings: Sequence[Sequence[NamedNumbers]], *, keeps_counters: bool = False
-) -> Monitor:
+def train(kind: str, profile: str, recordings: Sequence[Sequence[NamedNumbers]]) -> Monitor:
     """A monitor fitted to normal messages: of the finite numbers that all messages of a topic have.
 
-    Args:
-        kind: Name of the detector, see `Monitor.fit`.
-        profile: "paper" or "tuned".
-        recordings: Messages of each recording, in order.
-        keeps_counters: Whether counters and clocks, which are no signal, are monitored.
+    Counters and clocks are no signal, and topics with few messages teach nothing: both are left out.
 
     Raises:
         BadInputError: There is no such number, or the detector is not fitted to messages.
     """
     topics: dict[str, Topic] = {}
-    not_monitored: list[NotMonitored] = []
     for topic in dict.fromkeys(message.topic for messages in recordings for message in messages):
         of_topic = [[message for message in messages if message.topic == topic] for messages in recordings]
-        numbers = [message.numbers for messages in of_topic for message in messages]
-        if len(numbers) < SMALLEST_SAMPLE:
-            not_monitored.append(NotMonitored(topic, "", TOO_FEW))
-            continue
-        reasons = {}
-        for name in dict.fromkeys(name for of_message in numbers for name in of_message):
-            reasons[name] = ""
-            if not all(math.isfinite(of_message.get(name, math.nan)) for of_message in numbers):
-                reasons[name] = "absent or not finite in the training"
-        names = [name for name, reason in reasons.items() if not reason]
+        every = [message.numbers for messages in of_topic for message in messages]
+        names = [name for name in every[0] if all(math.isfinite(numbers.get(name, math.nan)) for numbers in every)]
         kinds = recognise([_table(messages, names) for messages in of_topic])
-        if not keeps_counters:
-            reasons |= {name: COUNTS for name in names if kinds.get(name) == COUNTER}
-        not_monitored += [NotMonitored(topic, name, reason) for name, reason in reasons.items() if reason]
-        names = [name for name, reason in reasons.items() if not reason]
-        if names:
+        names = [name for name in names if kinds.get(name) != COUNTER]
+        if names and len(every) >= SMALLEST_SAMPLE:
             topics[topic] = Topic(foreign_spec(topic, names), kinds)
     if not topics:
-        examples = "; ".join(f"{item.topic} {item.field} {item.reason}" for item in not_monitored[:3])
-        raise BadInputError(f"detector {kind!r}: no number to monitor ({examples}); allowed: numbers in each message")
+        raise BadInputError(
+            f"detector {kind!r}: no number to monitor; allowed: {SMALLEST_SAMPLE} messages or more with finite numbers"
+        )
     runs = []
     for messages in recordings:
         states = [topics[message.topic].read(message.numbers) for message in messages if message.topic in topics]
         runs.append([state for state in states if state is not None])
-    monitor = Monitor.fit(kind, profile, runs, topics)
-    monitor.not_monitored = not_monitored
-    return monitor
+    return Monitor.fit(kind, profile, runs, topics)
 
 
 def _table(messages: Sequence[NamedNumbers], names: Sequence[str]) -> Numbers:

@@ -8,8 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
-from mavfi.detectors.foreign import foreign_spec, foreign_state
-from mavfi.errors import BadInputError, MavfiError, allowed, not_known
+from mavfi.detectors.foreign import foreign_state
+from mavfi.errors import BadInputError, MavfiError, not_known
 from mavfi.faults.levels.message.definition import FORMATS, AbsentError, Leaf
 from mavfi.files import check_regular
 from mavfi.plugins import build, known, load_object, reason
@@ -23,8 +23,6 @@ _FORMAT_OF_FOLDERS = "mcap"
 """Folders are recordings of rosbag2, read by the reader of its files."""
 _DESCRIPTION = "metadata.yaml"
 """Name of the file in such a folder that describes it."""
-_MOST_FIELDS = 64
-"""Largest number of monitored fields."""
 LONGEST_LIST = 16
 """Longer lists in messages are left out."""
 
@@ -207,63 +205,3 @@ class Probe:
         except AbsentError:
             return None
         return foreign_state(self.spec, [float(leaf.value(message)) for leaf in leaves])
-
-
-def make_probes(examples: Mapping[str, tuple[Layout, bytes]], requested: Sequence[str]) -> dict[str, Probe]:
-    """The probe of each topic that has a monitored number.
-
-    Args:
-        examples: Layout and one message, by topic.
-        requested: Field paths, each for every topic that has it, or `topic:path` for one topic; empty = all numbers.
-
-    Raises:
-        BadInputError: A field that no topic has or that is not numeric; no fields at all; too many.
-    """
-    fields: dict[str, list[str]] = {topic: [] for topic in examples}
-    for name in requested:
-        _assign(name, examples, fields)
-    if not requested:
-        fields = {topic: layout.numbers(message, LONGEST_LIST) for topic, (layout, message) in examples.items()}
-    count = sum(map(len, fields.values()))
-    if not 0 < count <= _MOST_FIELDS:
-        topics = ", ".join(examples)
-        raise BadInputError(f"--fields: {count} numbers in {topics}; allowed: 1 to {_MOST_FIELDS}, name them")
-    probes = {}
-    for topic, paths in fields.items():
-        if paths:
-            layout, _ = examples[topic]
-            probes[topic] = Probe(layout, foreign_spec(topic, paths))
-    return probes
-
-
-def _assign(name: str, examples: Mapping[str, tuple[Layout, bytes]], fields: dict[str, list[str]]) -> None:
-    """Add a requested field to those of its topics; `fields` is updated."""
-    # the topic that is named, or all
-    topic, colon, path = name.rpartition(":")
-    candidates = list(examples)
-    if colon:
-        candidates = [_with_slash(topic, examples)]
-        if candidates[0] not in examples:
-            raise BadInputError(f"field {name}: topic {topic}: not watched; allowed: {allowed(examples)}")
-
-    # those of them that have it: at least one
-    refusal: BadInputError | None = None  # of the first topic that lacks it
-    is_assigned = False
-    for candidate in candidates:
-        try:
-            layout, _ = examples[candidate]
-            layout.check(path)
-        except BadInputError as error:
-            refusal = refusal or error
-        else:
-            fields[candidate].append(path)
-            is_assigned = True
-    if not is_assigned and refusal is not None:
-        raise refusal
-
-
-def _with_slash(topic: str, topics: Collection[str]) -> str:
-    """Name of a topic, with the slash of ROS if it was omitted."""
-    if topic in topics:
-        return topic
-    return "/" + topic.removeprefix("/")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mavfi.cli.commands import run
-from mavfi.detectors.foreign import COUNTS
 from mavfi.extras.logs.recording import exposure_s, longest_gap_us
+from mavfi.extras.logs.selection import COUNTS
 
 TIME = np.arange(0.0, 30.0, 0.02)
 NUMBER = np.arange(len(TIME), dtype=float)

@@ -225,7 +225,7 @@ def _selected(log_watches: list[LogWatch]) -> tuple[dict[str, list[str]], dict[s
     for log_watch in log_watches:
         for topic, probe in log_watch.selection.probes.items():
             names[topic] = [field.name for field in probe.spec.header]
-            for name, kind in log_watch.selection.kinds[topic].items():
+            for name, kind in log_watch.selection.topics[topic].kinds.items():
                 geometry[f"{topic}:{name}"] = kind
                 if kind in TURNS:
                     geometry[f"{topic}:{name}"] = f"angle ({kind})"
@@ -319,7 +319,7 @@ def _judge(
     """
     from mavfi.extras.logs.recording import read_recording
     from mavfi.extras.logs.selection import cut_text, select
-    from mavfi.extras.logs.watch import LogWatch, judge_rest
+    from mavfi.extras.logs.watch import LogWatch
 
     recordings = [read_recording(path, fault) for path in logs]
     normal = [read_recording(path, fault, required=False).normal for path in train]
@@ -335,8 +335,14 @@ def _judge(
         log_watch = LogWatch(*detector_and_profile, selection, normal, flips[1])
         judged = [log_watch.judge(recording, *flips) for recording in recordings]
         return [log_watch] * len(recordings), recordings, judged
-    pairs = [judge_rest(*detector_and_profile, recording, split, wanted, *flips) for recording in recordings]
-    return [log_watch for log_watch, _ in pairs], recordings, [judged for _, judged in pairs]
+    log_watches = []
+    judged = []
+    for recording in recordings:
+        first, rest = recording.split(split)
+        log_watch = LogWatch(*detector_and_profile, select([first.normal], [rest], wanted), [first.normal], flips[1])
+        log_watches.append(log_watch)
+        judged.append(log_watch.judge(rest, *flips))
+    return log_watches, recordings, judged
 
 
 def _flown(recordings: list[LogRecording]) -> list[LogRecording]:

@@ -61,18 +61,19 @@ def log_detector(
     Raises:
         BadInputError: There is no such detector, or it cannot judge recordings; the message says why.
     """
-    topics = selection.topics
     if is_fitted(kind):
-        return Monitor.fit(kind, profile, [[state for _, state in recording] for recording in training], topics)
+        return Monitor.fit(
+            kind, profile, [[state for _, state in recording] for recording in training], selection.topics
+        )
     if uses_rules(kind):
-        return Monitor(LogRules(mapping, training), topics)
+        return Monitor(LogRules(mapping, training), selection.topics)
     limits = _mission_limits(mapping, training)
     detector = load_detector(kind, profile, None, {"limits": limits, "seed": seed, "v_max": limits.v_max}).detector
     if detector.seals or detector.duplicates:
         raise BadInputError(
             f"--detector: {kind}: compares values with those that were sent, or computed twice; a recording has neither"
         )
-    return Monitor(MappedDetector(detector, mapping), topics)
+    return Monitor(MappedDetector(detector, mapping), selection.topics)
 
 
 class MappedDetector(Detector):

@@ -10,12 +10,9 @@ import numpy as np
 
 from mavfi.detectors.foreign import (
     COUNTER,
-    COUNTS,
     QUATERNION,
     SMALLEST_SAMPLE,
-    TOO_FEW,
     TURNS,
-    NotMonitored,
     Numbers,
     Topic,
     foreign_spec,
@@ -26,6 +23,7 @@ from mavfi.extras.logs.mapping import NO_MAPPING, UsedMapping, choose_mapping, n
 from mavfi.extras.logs.recording import LogRecording, values_of
 from mavfi.flight.log_readers import LONGEST_LIST, LoggedMessage, Probe
 
+COUNTS = "counts messages or time (see --kinds)"
 _NOT_RECOMMENDED = "not recommended (see --fields)"
 _NOT_WANTED = "not in --fields"
 _NOT_MAPPED = "not in the mapping"
@@ -33,6 +31,20 @@ _LATEST_BEGIN = 0.5
 """Largest share of the messages of a training before the first finite value of a monitored field."""
 _KINDS = (*TURNS, QUATERNION, "number")
 """What a field can be declared as."""
+
+
+class NotMonitored(NamedTuple):
+    """A number, or a whole topic, that is not monitored.
+
+    Attributes:
+        topic: Its topic.
+        field: Its name; "" = the whole topic.
+        reason: Why.
+    """
+
+    topic: str
+    field: str
+    reason: str
 
 
 class Wanted(NamedTuple):
@@ -60,22 +72,17 @@ class LogSelection:
 
     Attributes:
         probes: Monitored fields by topic.
-        kinds: Which of them are angles and quaternions, by topic, see `recognise`.
+        topics: The same fields for a monitor, which knows the angles and quaternions among them.
         not_monitored: All other numbers, with the reason.
         mapping: Which monitored fields become states of missions.
         late: Monitored fields, by topic, that are not finite at the beginning of a recording of the training.
     """
 
     probes: Mapping[str, Probe]
-    kinds: Mapping[str, Mapping[str, str]]
+    topics: Mapping[str, Topic]
     not_monitored: Sequence[NotMonitored] = ()
     mapping: UsedMapping = NO_MAPPING
     late: Mapping[str, Collection[str]] = field(default_factory=dict)
-
-    @property
-    def topics(self) -> dict[str, Topic]:
-        """What is monitored, for a monitor."""
-        return {name: Topic(probe.spec, self.kinds[name]) for name, probe in self.probes.items()}
 
 
 def parse_kinds(texts: Sequence[str]) -> dict[str, str]:
@@ -123,15 +130,15 @@ def select(
             f"{files}: no numbers in common{cut}; allowed: topics with {SMALLEST_SAMPLE} messages or more "
             f"in the training, with finite numbers{_examples(selector.left_out)}"
         )
+    fields = [f"{topic}:{field.name}" for topic, probe in probes.items() for field in probe.spec.header]
     for pattern in wanted.kinds:
-        if pattern not in selector.used_kinds:
-            fields = [f"{topic}:{field.name}" for topic, probe in probes.items() for field in probe.spec.header]
+        if not any(_matches(pattern, field) for field in fields):
             raise BadInputError(f"--kinds: {pattern}: no monitored field; allowed: {allowed(fields, pattern)}")
     mapping = selector.mapping
     if mapping.name:
         monitored = {topic: [field.name for field in probe.spec.header] for topic, probe in probes.items()}
         mapping = choose_mapping(wanted.mapping or mapping.name, monitored)
-    return LogSelection(probes, selector.kinds, selector.left_out, mapping, selector.late)
+    return LogSelection(probes, selector.topics, selector.left_out, mapping, selector.late)
 
 
 class _Selector:
@@ -145,32 +152,39 @@ class _Selector:
     Attributes:
         names: All topics, in the order of their first appearance.
         mapping: The mapping to states of missions.
-        probes: See `LogSelection`, of the topics added so far; so are the others.
-        kinds: See `LogSelection`.
-        left_out: What is not monitored.
-        late: See `LogSelection`.
-        used_kinds: Patterns of the wanted kinds that a field has.
+        probes: See `LogSelection`, of the topics added so far; so are `topics` and `late`.
+        left_out: What is not monitored of them.
     """
 
     def __init__(self, training: Sequence[LogRecording], judged: Sequence[LogRecording], wanted: Wanted) -> None:
-        self._training = [(recording.name, recording.by_topic()) for recording in training]
-        self._judged = [(recording.name, recording.by_topic()) for recording in judged]
         self._wanted = wanted
+        self._default_reason = _NOT_RECOMMENDED
+        if wanted.fields:
+            self._default_reason = _NOT_WANTED
+        elif wanted.only_mapped:
+            self._default_reason = _NOT_MAPPED
         self._faults = {recording.fault for recording in (*training, *judged)}
         self._recommended = next((recording.recommended for recording in training if recording.recommended), {})
-        self.names = list(dict.fromkeys(topic for _, topics in (*self._training, *self._judged) for topic in topics))
+        self._judged = {recording.name: recording.by_topic() for recording in judged}
+        # messages of each topic in the training, with the name of the recording
+        self._normal: dict[str, list[tuple[str, list[LoggedMessage]]]] = {}
+        for recording in training:
+            for topic, messages in recording.by_topic().items():
+                self._normal.setdefault(topic, []).append((recording.name, messages))
+        self.names = list(
+            dict.fromkeys([*self._normal, *(name for topics in self._judged.values() for name in topics)])
+        )
         self.probes: dict[str, Probe] = {}
-        self.kinds: dict[str, dict[str, str]] = {}
-        self.left_out: list[NotMonitored] = []
+        self.topics: dict[str, Topic] = {}
         self.late: dict[str, set[str]] = {}
-        self.used_kinds: set[str] = set()
+        self.left_out: list[NotMonitored] = []
         self.mapping = NO_MAPPING
         if wanted.mapping is not None:
             self.mapping = self._usable_mapping(wanted.mapping)
 
     def _usable_mapping(self, name: str) -> UsedMapping:
         """The mapping of this name, see `choose_mapping`, to numbers that can be monitored."""
-        available = {topic: self._numbers(topic) for _, topics in self._training for topic in topics}
+        available = {topic: self._numbers(topic) for topic in self._normal}
         refusals: list[str] = []
         while True:
             try:
@@ -178,48 +192,41 @@ class _Selector:
             except BadInputError as error:
                 raise BadInputError("; ".join([str(error), *refusals[:_MAX_REASONS]])) from None
             if self._wanted.only_mapped and not mapping.states:
+                files = dict.fromkeys(file for recordings in self._normal.values() for file, _ in recordings)
                 needs = "; ".join([nearest_mapping(available), *refusals[:_MAX_REASONS]])
                 raise BadInputError(
-                    f"{', '.join(name for name, _ in self._training)}: the rules apply to states of missions, and no "
-                    f"shipped mapping fits ({needs}); allowed: --mapping FILE, see docs/how-to/logs.md"
+                    f"{', '.join(files)}: the rules apply to states of missions, and no shipped mapping fits "
+                    f"({needs}); allowed: --mapping FILE, see docs/how-to/logs.md"
                 )
-            refused = 0
+            before = len(refusals)
             for topic, numbers in available.items():
-                mapped = [number for number in numbers if f"{topic}:{number}" in mapping.fields]
-                reasons = dict.fromkeys(mapped, self._reason_against(topic))
-                if not self._reason_against(topic):
-                    reasons = self._reasons_against(topic, mapped)
+                reasons = self._reasons_against(topic, [n for n in numbers if f"{topic}:{n}" in mapping.fields])
                 available[topic] = [number for number in numbers if number not in reasons]
-                refused += len(reasons)
                 refusals += [f"{topic}:{number} {reason}" for number, reason in reasons.items()]
-            if not refused:
+            if len(refusals) == before:
                 return mapping
-
-    def _normal(self, topic: str) -> list[tuple[str, list[LoggedMessage]]]:
-        """Messages of a topic in the training, each with the name of the recording."""
-        return [(name, topics[topic]) for name, topics in self._training if topic in topics]
 
     def _numbers(self, topic: str) -> list[str]:
         """Numbers of a topic of the training."""
-        example = self._normal(topic)[0][1][0]
+        example = self._normal[topic][0][1][0]
         return example.layout.numbers(example.data, LONGEST_LIST)
 
     def _reason_against(self, topic: str) -> str:
         """Why a topic cannot be monitored; "" = it can."""
-        count = sum(len(messages) for _, messages in self._normal(topic))
-        if count == 0:
+        if topic not in self._normal:
             return "not in the training"
-        if count < SMALLEST_SAMPLE:
-            return TOO_FEW
-        if self._judged and not any(topic in topics for _, topics in self._judged):
-            return f"silent in {', '.join(name for name, _ in self._judged)}"
+        if sum(len(messages) for _, messages in self._normal[topic]) < SMALLEST_SAMPLE:
+            return f"fewer than {SMALLEST_SAMPLE} messages in the training"
+        if self._judged and not any(topic in topics for topics in self._judged.values()):
+            return f"silent in {', '.join(self._judged)}"
         return ""
 
     def _reasons_against(self, topic: str, names: Sequence[str]) -> dict[str, str]:
-        """Why fields of a topic cannot be monitored, by field; notes those that begin late."""
+        """Why fields of a topic cannot be monitored, by field; notes in `late` those that begin late."""
+        if self._reason_against(topic):
+            return dict.fromkeys(names, self._reason_against(topic))
         reasons: dict[str, str] = {}
-        self._late: set[str] = set()
-        for recording, messages in self._normal(topic):
+        for recording, messages in self._normal[topic]:
             values, present = values_of(messages, names)
             for column, name in enumerate(names):
                 if not present[:, column].all():
@@ -228,15 +235,15 @@ class _Selector:
                 # Not finite at the beginning: the value is not yet known, as before an estimator has converged.
                 is_finite = np.isfinite(values[:, column])
                 begin = int(np.argmax(is_finite))
-                if begin <= _LATEST_BEGIN * len(messages) and is_finite[begin:].all():
-                    if begin:
-                        self._late.add(name)
-                    continue
-                if begin > _LATEST_BEGIN * len(messages) or not is_finite.any():
+                if begin > _LATEST_BEGIN * len(messages):
                     begin = 0
+                if is_finite[begin:].all():
+                    if begin:
+                        self.late.setdefault(topic, set()).add(name)
+                    continue
                 first = messages[begin + int(np.argmin(is_finite[begin:]))]
                 reasons.setdefault(name, f"not finite in {recording}, first at {1e-6 * first.time_us:.2f} s")
-        for _, topics in self._judged:
+        for topics in self._judged.values():
             for name in names:
                 try:
                     if topic in topics:
@@ -267,48 +274,36 @@ class _Selector:
         # What is wanted, and what may be further components of a quaternion, as far as it can be monitored.
         numbers = self._numbers(topic)
         candidates = self._candidates(topic, numbers)
-        near = {
-            number
-            for index, name in enumerate(numbers)
-            if name in candidates
-            for number in numbers[max(index - 3, 0) : index + 4]
-        }
+        near: set[str] = set()
+        for index, name in enumerate(numbers):
+            if name in candidates:
+                near.update(numbers[max(index - 3, 0) : index + 4])
         reasons = self._reasons_against(topic, [name for name in numbers if name in near])
         reasons |= {name: "tells of the fault" for name in numbers if f"{topic}:{name}" in self._faults}
-        names = [name for name in numbers if name in near and name not in reasons]
-        kinds = self._kinds_of(topic, names)
+        usable = [name for name in numbers if name in near and name not in reasons]
+        kinds = self._kinds_of(topic, usable)
         # Counters and clocks are no signal, unless the user has named them; rules and custom detectors may read them.
         if self._wanted.mapping is None and not self._wanted.fields:
-            reasons |= {name: COUNTS for name in names if kinds.get(name) == COUNTER}
+            reasons |= {name: COUNTS for name in usable if kinds.get(name) == COUNTER}
         # The sign of a quaternion follows from all of its components: none is monitored alone.
-        components = [name for name in names if kinds.get(name) == QUATERNION]
+        components = [name for name in usable if kinds.get(name) == QUATERNION]
         for start in range(0, len(components), 4):
             if candidates.intersection(components[start : start + 4]):
                 candidates.update(components[start : start + 4])
-        default_reason = _NOT_RECOMMENDED
-        if self._wanted.fields:
-            default_reason = _NOT_WANTED
-        elif self._wanted.only_mapped:
-            default_reason = _NOT_MAPPED
-        for name in numbers:
-            if name not in candidates:
-                self.left_out.append(NotMonitored(topic, name, default_reason))
-            elif name in reasons:
-                self.left_out.append(NotMonitored(topic, name, reasons[name]))
-        names = [name for name in names if name in candidates and name not in reasons]
+        reasons |= dict.fromkeys(set(numbers) - candidates, self._default_reason)
+        self.left_out += [NotMonitored(topic, name, reasons[name]) for name in numbers if name in reasons]
+        names = [name for name in usable if name not in reasons]
         if names:
-            self.kinds[topic] = {name: kinds[name] for name in names if kinds.get(name) in (*TURNS, QUATERNION)}
-            self.late[topic] = self._late.intersection(names)
-            self.probes[topic] = Probe(self._normal(topic)[0][1][0].layout, foreign_spec(topic, names))
+            spec = foreign_spec(topic, names)
+            self.probes[topic] = Probe(self._normal[topic][0][1][0].layout, spec)
+            self.topics[topic] = Topic(spec, kinds)
+            self.late[topic] = self.late.get(topic, set()).intersection(names)
 
     def _kinds_of(self, topic: str, names: Sequence[str]) -> dict[str, str]:
         """What fields of a topic are, as declared by the user, or recognised."""
         declared = {}
         for pattern, kind in self._wanted.kinds.items():
-            for name in names:
-                if _matches(pattern, topic, name):
-                    declared[name] = kind
-                    self.used_kinds.add(pattern)
+            declared |= {name: kind for name in names if _matches(pattern, f"{topic}:{name}")}
         components = [name for name, kind in declared.items() if kind == QUATERNION]
         if len(components) % 4:
             raise BadInputError(
@@ -316,19 +311,19 @@ class _Selector:
             )
         others = [name for name in names if name not in declared]
         tables = []
-        for _, messages in self._normal(topic):
+        for _, messages in self._normal[topic]:
             times_us = np.array([message.time_us for message in messages], np.int64)
             tables.append(Numbers(others, values_of(messages, others)[0], times_us))
-        units: Mapping[str, str] = getattr(self._normal(topic)[0][1][0].layout, "units", {})
+        units: Mapping[str, str] = getattr(self._normal[topic][0][1][0].layout, "units", {})
         return recognise(tables, units) | declared
 
 
-def _matches(pattern: str, topic: str, name: str) -> bool:
-    """Whether a pattern with "*" and "?", in which brackets are those of an index, means a field of a topic."""
+def _matches(pattern: str, field: str) -> bool:
+    """Whether a pattern with "*" and "?", in which brackets are those of an index, means a field, "TOPIC:FIELD"."""
     escaped = pattern.replace("[", "[[]")
     if ":" not in pattern:
         escaped = f"*:{escaped}"
-    return fnmatchcase(f"{topic}:{name}", escaped)
+    return fnmatchcase(field, escaped)
 
 
 def cut_text(recordings: Sequence[LogRecording]) -> str:

@@ -1,18 +1,17 @@
 """Detectors on recorded flights: trained on some, applied to others, with injected flips and known faults."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from mavfi.analysis.statistics import EventRate, Rate, event_rate, wilson
-from mavfi.detectors.foreign import NOT_FINITE_RULE, NotMonitored, foreign_state
+from mavfi.detectors.foreign import NOT_FINITE_RULE
 from mavfi.extras.logs.detectors import log_detector
-from mavfi.extras.logs.mapping import values_by_name
 from mavfi.extras.logs.recording import LogRecording, Silence, exposure_s, longest_gap_us, silences
-from mavfi.extras.logs.selection import EVERYTHING, LogSelection, Wanted, select
+from mavfi.extras.logs.selection import LogSelection, NotMonitored
 from mavfi.faults.levels.message.definition import Leaf, flip_bit
 from mavfi.faults.strata import bits_of
 from mavfi.flight.log_readers import LoggedMessage
@@ -230,9 +229,9 @@ class LogWatch:
             if state is not None:
                 samples.append((message, state))
         for topic, names in self.selection.late.items():
-            indices = [index for index, (message, _) in enumerate(samples) if message.topic == topic]
+            headers = [state.header for message, state in samples if message.topic == topic]
             for name in names:
-                _fill_beginning(samples, indices, name)
+                _fill_beginning([header[name] for header in headers])
         return samples
 
     def _read(self, message: LoggedMessage, data: bytes) -> State | None:
@@ -370,32 +369,15 @@ class LogWatch:
         return Flip(message.topic, name, bit, bit_class, detected)
 
 
-def _fill_beginning(samples: list[Sample], indices: Sequence[int], name: str) -> None:
-    """Set a field of messages of one topic before its first finite value to this value; `samples` is updated."""
-    values = np.array([samples[index][1].value(name) for index in indices])
-    is_finite = np.isfinite(values)
-    if not is_finite.any():
+def _fill_beginning(values: Sequence[np.ndarray]) -> None:
+    """Set the values of a field before its first finite value to this value, in place; each has the shape (1,)."""
+    first = next((value for value in values if np.isfinite(value[0])), None)
+    if first is None:
         return  # each message is an alarm
-    first = int(np.argmax(is_finite))
-    for index in indices[:first]:
-        message, state = samples[index]
-        numbers = values_by_name(state) | {name: float(values[first])}
-        samples[index] = message, foreign_state(state.spec, list(numbers.values()))
-
-
-def judge_rest(
-    kind: str,
-    profile: str,
-    recording: LogRecording,
-    share: float,
-    wanted: Wanted = EVERYTHING,
-    flips: int = 0,
-    seed: int = 0,
-) -> tuple[LogWatch, JudgedLog]:
-    """Train a detector on the first share of a recording, and judge the rest."""
-    first, rest = recording.split(share)
-    log_watch = LogWatch(kind, profile, select([first.normal], [rest], wanted), [first.normal], seed)
-    return log_watch, log_watch.judge(rest, flips, seed)
+    for value in values:
+        if value is first:
+            break
+        value[:] = first
 
 
 def _next_of_topic(samples: Sequence[Sample]) -> list[int | None]:
@@ -436,26 +418,16 @@ class LogRates:
     @property
     def flips(self) -> Mapping[str, Rate]:
         """Share of detected flips by class of the bit."""
-        flips = [flip for judged in self.recordings for flip in judged.flips]
-        rates = {}
-        for name in BIT_CLASSES:
-            detected = [flip.detected for flip in flips if flip.bit_class == name]
-            if detected:
-                rates[name] = wilson(sum(detected), len(detected))
-        return rates
+        return _rates(flip for judged in self.recordings for flip in judged.flips)
 
     @property
     def flips_by_field(self) -> dict[str, dict[str, Rate]]:
         """Share of detected flips by field, "TOPIC:FIELD", and class of the bit."""
-        detected: dict[str, dict[str, list[bool]]] = {}
+        flips: dict[str, list[Flip]] = {}
         for judged in self.recordings:
             for flip in judged.flips:
-                of_field = detected.setdefault(f"{flip.topic}:{flip.field}", {})
-                of_field.setdefault(flip.bit_class, []).append(flip.detected)
-        return {
-            field: {bits: wilson(sum(flags), len(flags)) for bits, flags in of_field.items()}
-            for field, of_field in detected.items()
-        }
+                flips.setdefault(f"{flip.topic}:{flip.field}", []).append(flip)
+        return {field: _rates(of_field) for field, of_field in flips.items()}
 
     @property
     def blind(self) -> list[str]:
@@ -516,6 +488,14 @@ class LogRates:
                 for judged in self.recordings
             ],
         }
+
+
+def _rates(flips: Iterable[Flip]) -> dict[str, Rate]:
+    """Share of detected flips by class of the bit."""
+    detected: dict[str, list[bool]] = {}
+    for flip in sorted(flips, key=lambda flip: BIT_CLASSES.index(flip.bit_class)):
+        detected.setdefault(flip.bit_class, []).append(flip.detected)
+    return {bits: wilson(sum(flags), len(flags)) for bits, flags in detected.items()}
 
 
 def rate_text(rate: EventRate) -> str:

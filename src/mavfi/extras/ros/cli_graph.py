@@ -178,6 +178,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     check_number("--duration", duration, 0.0, _MAX_DURATION_S)
     check_name("--profile", profile, PROFILES)
     check_name("--detector", detector, of_monitored_fields())
+    from mavfi.extras.logs.selection import summary
     from mavfi.extras.ros.ros2.environment import find_installation
     from mavfi.extras.ros.ros2.listener import GraphListener
     from mavfi.extras.ros.watch import TopicWatch, train_on_file, train_online
@@ -193,15 +194,17 @@ def watch(  # noqa: PLR0913 - one parameter per option
         # learn what is normal
         field_names = options.listed(fields)
         if train == "online":
-            training = train_online(listener, (detector, profile), field_names, learn_s)
+            trained = train_online(listener, (detector, profile), field_names, learn_s)
         else:
-            training = train_on_file(
+            trained = train_on_file(
                 Path(train), listener.topics, listener.definitions, (detector, profile), field_names
             )
-        watching = TopicWatch(listener, training.probes, training.detector)
+        watching = TopicWatch(listener, trained)
         if not as_json:
-            topic_names = ", ".join(sorted(training.probes))
-            out.print(f"learned from {training.messages} messages; watching {topic_names}", markup=False)
+            topic_names = ", ".join(sorted(trained.selection.probes))
+            out.print(f"learned from {trained.trained_on} messages; watching {topic_names}", markup=False)
+            for line in summary(trained.selection.not_monitored):
+                out.print(line, markup=False)
 
         # judge each message
         try:
@@ -217,7 +220,8 @@ def watch(  # noqa: PLR0913 - one parameter per option
             if as_json:
                 write_json(
                     {
-                        "learned_from": training.messages,
+                        "learned_from": trained.trained_on,
+                        "not_monitored": [item._asdict() for item in trained.selection.not_monitored],
                         "judged": dict(watching.judged),
                         "skipped": dict(watching.skipped),
                         "alarms": [alarm.to_json() for alarm in watching.alarms],

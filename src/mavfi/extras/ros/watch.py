@@ -6,22 +6,22 @@ The detectors are observers: they withhold no message, and publish their alarms 
 import json
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.detector import Detector
 from mavfi.detectors.foreign import foreign_state
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.extras.logs.circular import Geometry, Numbers, recognise
-from mavfi.extras.logs.monitor import fitted
+from mavfi.extras.logs.recording import LogRecording
+from mavfi.extras.logs.selection import Wanted, select
+from mavfi.extras.logs.watch import LogWatch
+from mavfi.extras.ros.ros2.graph import absolute
 from mavfi.extras.ros.ros2.listener import GraphListener
 from mavfi.faults.levels.message.definition import Definition
-from mavfi.flight.log_readers import Probe, make_probes, open_flight_log
-from mavfi.states import State, StateSpec, floats
+from mavfi.flight.log_readers import LoggedMessage, open_flight_log
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,15 +57,16 @@ class TopicWatch:
         skipped: Number of messages that lack a monitored field, by topic.
     """
 
-    def __init__(self, listener: GraphListener, probes: dict[str, Probe], detector: Detector) -> None:
-        self._probes = probes
-        self._detector = detector
+    def __init__(self, listener: GraphListener, trained: LogWatch) -> None:
+        self._probes = trained.selection.probes
+        self._monitor = trained.detector
         self.alarms: list[ForeignAlarm] = []
         self.judged: Counter[str] = Counter()
         self.skipped: Counter[str] = Counter()
-        self._detector.start()
-        for probe in probes.values():  # compile in advance, as messages would queue up meanwhile
-            self._detector.check(foreign_state(probe.spec, [0.0] * len(probe.spec.header)), 0)
+        for probe in self._probes.values():  # compile in advance, as messages would queue up meanwhile
+            for _ in range(2):
+                self._monitor.step(foreign_state(probe.spec, np.zeros(len(probe.spec.header))), 0)
+        self._monitor.start()
         self._listener = listener
         self._listener.open_alarms()
 
@@ -79,8 +80,7 @@ class TopicWatch:
             return None
         self.judged[topic] += 1
         now = time.time()
-        verdict = self._detector.check(state, int(1e6 * now))
-        self._detector.accept(state, int(1e6 * now))
+        verdict = self._monitor.step(state, int(1e6 * now))
         if verdict is None:
             return None
         fields = tuple(name.removeprefix(f"{topic}.") for name in verdict.fields)
@@ -94,26 +94,15 @@ class TopicWatch:
 
 
 # ---- training --------------------------------------------------------------------------------------------------------
-class MonitorTraining(NamedTuple):
-    """A detector trained on messages.
-
-    Attributes:
-        probes: The monitored fields, by topic.
-        detector: Trained on them.
-        messages: Number of training messages.
-    """
-
-    probes: dict[str, Probe]
-    detector: Detector
-    messages: int
-
-
 def train_online(
-    listener: GraphListener, detector_and_profile: tuple[str, str], fields: list[str], seconds: float
-) -> MonitorTraining:
+    listener: GraphListener, detector_and_profile: tuple[str, str], fields: Sequence[str], seconds: float
+) -> LogWatch:
     """Train a detector on what the topics publish now, for a duration (s)."""
-    probes = make_probes(listener.first(), fields)
-    return MonitorTraining(probes, *_train(*detector_and_profile, probes, listener.take(seconds)))
+    listener.first()
+    messages = []
+    for topic, data in listener.take(seconds):
+        messages.append(LoggedMessage(topic, int(1e6 * time.time()), listener.definitions[topic], data))
+    return _train("online", messages, detector_and_profile, fields)
 
 
 def train_on_file(
@@ -121,8 +110,8 @@ def train_on_file(
     topics: Sequence[str],
     definitions: Mapping[str, Definition],
     detector_and_profile: tuple[str, str],
-    fields: list[str],
-) -> MonitorTraining:
+    fields: Sequence[str],
+) -> LogWatch:
     """Train a detector on the messages of a recording.
 
     Raises:
@@ -134,39 +123,23 @@ def train_on_file(
         for notice in getattr(reader, "notices", ()):
             if any(notice.startswith(f"{topic}: not read") for topic in topics):
                 raise BadInputError(notice)
-        first = {message.topic: (message.layout, message.data) for message in reversed(messages)}
-        for topic, definition in definitions.items():
-            if topic in first and definition != first[topic][0]:
-                raise BadInputError(f"{topic} has another type there than now ({definition.kind})")
-        probes = make_probes(first, fields)
-        parts = ((message.topic, message.data) for message in messages)
-        return MonitorTraining(probes, *_train(*detector_and_profile, probes, parts))
+        for message in messages:
+            if message.topic in definitions and definitions[message.topic] != message.layout:
+                raise BadInputError(f"{message.topic} has another type there than now ({message.layout.kind})")
+        return _train(str(source), messages, detector_and_profile, fields)
     except MavfiError as error:
         raise BadInputError(f"{source}: {str(error).removeprefix(f'{source}: ')}") from None
 
 
 def _train(
-    kind: str, profile: str, probes: dict[str, Probe], messages: Iterator[tuple[str, bytes]]
-) -> tuple[Detector, int]:
-    """Train a detector on normal messages (topic and bytes, in order); also returns their number.
-
-    Raises:
-        BadInputError: See `learn`.
-    """
-    states: list[State] = []
-    for topic, message in messages:
-        if topic in probes:
-            state = probes[topic].read(message)
-            if state is not None:
-                states.append(state)
-    # Angles and quaternions are recognised as in recordings.
-    specs = {topic: probe.spec for topic, probe in probes.items()}
-    geometries = {topic: _geometry(spec, states) for topic, spec in specs.items()}
-    return fitted(kind, profile, [states], specs, geometries), len(states)
-
-
-def _geometry(spec: StateSpec, states: Sequence[State]) -> Geometry:
-    """Angles and quaternions among the fields of a topic."""
-    names = [field.name for field in spec.header]
-    rows = [floats(state.header, len(names)) for state in states if state.spec is spec]
-    return recognise([Numbers(names, np.array(rows).reshape(-1, len(names)))], {})
+    name: str, messages: list[LoggedMessage], detector_and_profile: tuple[str, str], fields: Sequence[str]
+) -> LogWatch:
+    """Train a detector on normal messages in their order, as on a recorded flight."""
+    recording = LogRecording(name, messages)
+    wanted = []
+    for field in fields:
+        topic, colon, path = field.rpartition(":")
+        if colon:
+            topic = absolute(topic)
+        wanted.append(f"{topic}{colon}{path}")
+    return LogWatch(*detector_and_profile, select([recording], wanted=Wanted(wanted)), [recording])

@@ -5,11 +5,9 @@ import pytest
 
 from mavfi.detectors.foreign import (
     COUNTER,
-    COUNTS,
     QUATERNION,
     Monitor,
     NamedNumbers,
-    NotMonitored,
     Numbers,
     Topic,
     foreign_spec,
@@ -74,29 +72,23 @@ def test_normal_numbers_raise_no_alarm_and_a_wild_one_does(kind, profile):
         assert min(alarms) == index and name in alarms[index]
 
 
-def test_what_is_not_monitored_is_named_with_the_reason():
-    few = messages_of("/few", x=NUMBER[:49])
-    many = messages_of("/many", x=np.sin(TIME), seq=NUMBER, late=np.where(TIME < 1.0, np.nan, 0.0))
-    del many[7].numbers["x"]
-    many = [message._replace(numbers={**message.numbers, "y": np.cos(n)}) for n, message in enumerate(many)]
-    monitor = train("gaussian", "tuned", [few + many])
-    finite = "absent or not finite in the training"
-    assert set(monitor.not_monitored) == {
-        NotMonitored("/few", "", "fewer than 50 messages in the training"),
-        NotMonitored("/many", "x", finite),
-        NotMonitored("/many", "late", finite),
-        NotMonitored("/many", "seq", COUNTS),
-    }
-    assert [field.name for field in monitor.topics["/many"].spec.header] == ["y"]
-    counted = train("gaussian", "tuned", [few + many], keeps_counters=True)
-    assert [field.name for field in counted.topics["/many"].spec.header] == ["seq", "y"]
+def test_it_monitors_the_finite_numbers_of_all_messages_that_are_no_counters():
+    few = messages_of("/few", x=np.sin(TIME[:49]))
+    many = messages_of("/many", x=np.sin(TIME), y=np.cos(TIME), seq=NUMBER, late=np.where(TIME < 1.0, np.nan, TIME))
+    many = changed(few + many, 70, x=np.sin(TIME[21]))
+    del many[70].numbers["x"]
+    monitor = train("gaussian", "tuned", [many])
+    wild = NamedNumbers("/many", 0, dict.fromkeys(("x", "y", "seq", "late"), np.nan))
+    assert monitor.judge(wild).fields == ("/many.y",)
+    assert monitor.judge(NamedNumbers("/few", 0, {"x": np.nan})) is None
+    assert monitor.judge(NamedNumbers("/many", 0, {"x": np.nan})) is None
 
 
 @pytest.mark.parametrize(
     ("kind", "count", "message"),
     [
         ("oracle", 100, "detector 'oracle': is not fitted to messages; allowed: gaussian, autoencoder"),
-        ("gaussian", 49, "no number to monitor (/arm  fewer than 50 messages in the training)"),
+        ("gaussian", 49, "no number to monitor; allowed: 50 messages or more"),
     ],
 )
 def test_what_cannot_be_learned_is_refused(kind, count, message):
