@@ -139,7 +139,7 @@ CAMPAIGNS = {
             Excerpt("schemes", columns=("scheme", "faults", *SUMMARY)),
             Excerpt(
                 "schemes_by_duration",
-                lambda row: row["scheme"] in ("recommended", "hold"),
+                lambda row: row["scheme"] in ("recommended", "hold") and row["fault"] not in ("twice", "burst of 4"),
                 ("fault", "scheme", "lost", "brought back", "vehicle saved"),
             ),
         ),
