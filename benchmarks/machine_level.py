@@ -43,8 +43,7 @@ from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 from tools.full_protection import full_plan
-from tools.markers import between
-from tools.processors import with_others
+from tools.markers import between, with_others
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "instruction-level.md"
 HARDENING = PAGE.parents[1] / "how-to" / "hardening.md"
@@ -274,7 +273,8 @@ def main() -> None:
     PAGE.write_text(between(PAGE.read_text(encoding="utf-8"), "machine-level", block), encoding="utf-8")
     page = HARDENING.read_text(encoding="utf-8")
     HARDENING.write_text(
-        between(page, "machine-level", with_others(judged(studies), page, "machine-level")), encoding="utf-8"
+        between(page, "machine-level", with_others(processor(), judged(studies), page, "machine-level")),
+        encoding="utf-8",
     )
     sys.stdout.write(f"\n{block}\n")
 

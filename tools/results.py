@@ -192,10 +192,8 @@ CAMPAIGNS = {
 MODULES = {
     "leaderboard": "tools.build_leaderboard",
     "figures": "tools.draw_results",
-    "five-rules": "tools.build_rules",
     "hardening": "tools.build_hardening",
     "golden-rates": "tools.golden_rates",
-    "fault-map": "tools.build_fault_map",
     "pictures": "tools.pictures",
     "speed": "benchmarks.run",
     "study": "tools.build_readme",
