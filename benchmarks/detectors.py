@@ -15,14 +15,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from datetime import date
 from pathlib import Path
 
+from mavfi.campaign.fingerprint import processor
 from mavfi.errors import NotInstalledError, SpecMismatchError
 from mavfi.extras.paper.overhead_views import ALL
 from mavfi.extras.paper.overheads import LONG_S, Cost, cost
 from mavfi.flight.compose import detector_for, resolve, with_keys_of
 from mavfi.mission import MissionSpec
 from mavfi.states import BASELINES
-from tools.markers import DOCS, between
-from tools.processors import with_others
+from tools.markers import DOCS, between, with_others
 
 PAGE = DOCS / "reference" / "detectors.md"
 ENVIRONMENTS, AUTOPILOTS = ("dense", "factory"), ("published", "hardened")
@@ -146,7 +146,7 @@ def main() -> None:
     written = table(costs, len(missions), repeats, left_out)
     if not only:
         page = PAGE.read_text(encoding="utf-8")
-        block = with_others(written, page, "detector-cost")
+        block = with_others(processor(), written, page, "detector-cost")
         PAGE.write_text(between(page, "detector-cost", block), encoding="utf-8")
     sys.stdout.write(f"\n{written}\n")
 

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterable
+from itertools import groupby
 from pathlib import Path
 from typing import cast
 
@@ -26,21 +27,24 @@ from tools.markers import DOCS, between
 _INSTANT_US = 10_000_000
 
 
-def field_text(field: Field) -> str:
-    """Name and unit, and the profiles that read the field unless all do."""
-    readers = ""
-    if set(field.read_in) != set(AUTOPILOTS):
-        readers = f" [{', '.join(field.read_in) or 'dead'}]"
-    return f"`{field.name}` ({field.unit}){readers}"
+def fields_text(fields: Iterable[Field]) -> str:
+    """Names of fields, each unit once; then the profiles that read them unless all do."""
+    parts = []
+    for (unit, read_in), group in groupby(fields, key=lambda field: (field.unit, field.read_in)):
+        part = " ".join(f"`{field.name}`" for field in group)
+        if unit != "-":
+            part += f" {unit}"
+        if set(read_in) != set(AUTOPILOTS):
+            part += f" [{', '.join(read_in) or 'dead'}]"
+        parts.append(part)
+    return ", ".join(parts)
 
 
 def state_row(state: StateSpec) -> str:
     """One row of the table of states."""
-    header = ", ".join(map(field_text, state.header))
-    elements = ", ".join(map(field_text, state.elements))
-    fields = header
+    fields = fields_text(state.header)
     if state.elements:
-        fields = f"per {state.element}: {elements}; once: {header}"
+        fields = f"per {state.element}: {fields_text(state.elements)}; once: {fields}"
     when = state.rate
     if state.only_with:
         when = f"{state.rate}; only with localization `{state.only_with}`"
@@ -72,16 +76,21 @@ def memory_table() -> str:
 
 
 def _word_names(names: Iterable[str]) -> str:
-    """Names of words in one line: those with the same start together, elements of lists once."""
+    """Names of words in one line: by their common start, elements of lists once, messages by their state."""
     ends_by_start: dict[str, list[str]] = {}
     for name in names:
         start, _, end = re.sub(r"\[\d+\]", "[ ]", name).rpartition(".")
         ends = ends_by_start.setdefault(start, [])
         if end not in ends:
             ends.append(end)
+    states = {
+        frozenset(field.name for field in (*state.elements, *state.header)): name for name, state in STATES.items()
+    }
     parts = []
     for start, ends in ends_by_start.items():
         listed = ", ".join(ends)
+        if start and frozenset(ends) in states:
+            listed = f"fields of `{states[frozenset(ends)]}`"
         if start:
             listed = f"`{start}.`({listed})"
         parts.append(listed)

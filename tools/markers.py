@@ -1,5 +1,6 @@
 """Folders of the documentation, and functions to write whole pages or the parts between their markers."""
 
+import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -28,6 +29,23 @@ def between(page: str, name: str, block: str) -> str:
     if page.count(begin) != 1 or page.count(end) != 1 or page.index(begin) > page.index(end):
         raise ValueError(f"must hold {begin} and {end} once each, in this order")
     return f"{page.split(begin)[0]}{begin}\n{block.strip()}\n{end}{page.split(end)[1]}"
+
+
+def with_others(heading: str, table: str, page: str, name: str) -> str:
+    """What was measured on a processor, then what a page has of others.
+
+    Args:
+        heading: Name of the processor.
+        table: What was measured; no line begins with `**`.
+        page: The page with earlier tables between its markers, or none.
+        name: Name of the markers.
+    """
+    tables = [f"**{heading}**\n\n{table}"]
+    for part in re.split(r"(?m)^(?=\*\*)", block_of(page, name)):
+        other = part.strip()
+        if other and not other.startswith(f"**{heading}**"):
+            tables.append(other)
+    return "\n\n".join(tables)
 
 
 def block_of(page: str, name: str) -> str:

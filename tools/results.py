@@ -144,7 +144,7 @@ CAMPAIGNS = {
             Excerpt("schemes", columns=("scheme", "faults", *SUMMARY)),
             Excerpt(
                 "schemes_by_duration",
-                lambda row: row["scheme"] in ("recommended", "hold"),
+                lambda row: row["scheme"] in ("recommended", "hold") and row["fault"] not in ("twice", "burst of 4"),
                 ("fault", "scheme", "lost", "brought back", "vehicle saved"),
             ),
         ),
@@ -202,9 +202,7 @@ CAMPAIGNS = {
 MODULES = {
     "leaderboard": "tools.build_leaderboard",
     "figures": "tools.draw_results",
-    "five-rules": "tools.build_rules",
     "golden-rates": "tools.golden_rates",
-    "fault-map": "tools.build_fault_map",
     "pictures": "tools.pictures",
     "speed": "benchmarks.run",
     "study": "tools.build_readme",

@@ -1,4 +1,4 @@
-"""Four public bug reports of autopilots, each in one short flight; their rates: benchmarks/bug_reports.py."""
+"""Four public bug reports of autopilots, each in one short flight; their rates: studies/bug_reports."""
 
 import math
 

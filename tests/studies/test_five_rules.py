@@ -2,8 +2,8 @@
 
 from mavfi.errors import BadInputError
 from mavfi.extras.bench.bench import load_bench
-from tools import build_rules
-from tools.build_rules import ALL, SINGLE, main
+from studies.five_rules import __main__ as five_rules
+from studies.five_rules.__main__ import ALL, SINGLE, main
 
 
 def test_the_shipped_bench_flies_each_rule_and_all():
@@ -14,7 +14,7 @@ def test_bad_input_is_one_line(monkeypatch, capsys, tmp_path):
     def absent(folder):
         raise BadInputError(f"{folder}: no ledger")
 
-    monkeypatch.setattr(build_rules, "load", absent)
+    monkeypatch.setattr(five_rules, "load", absent)
     assert main([str(tmp_path)]) == 2
     message = capsys.readouterr().err
     assert message.startswith("bad input: ") and message.count("\n") == 1

@@ -1,6 +1,6 @@
 """Fly the bench `five-rules`, and write the benefit of each rule alone in docs/concepts/engineers.md.
 
-make results NAME=five-rules
+python -m studies.five_rules [FOLDER]       # a folder of the bench, flown before
 """
 
 import sys

@@ -1,6 +1,6 @@
 """Fly the campaign `fault_map`, and write docs/results/fault-map.md: what one flipped bit does, site by site.
 
-make results NAME=fault-map
+python -m studies.fault_map
 """
 
 import sys
@@ -51,7 +51,9 @@ def write_page(sites: Table, about: list[str]) -> None:
     """Write the page."""
     harmful = {target for target, fails, *_ in sites.rows if (fails.rate or 0.0) >= MOST_HARMFUL}
     excerpt = results.Excerpt("sites", lambda row: row["injected"] in harmful or row["injected"].startswith(NAMED))
-    page = results.write(PAGE, "Fault map: what one flipped bit does", TEXT, {"sites": sites}, [excerpt], about)
+    title = "Fault map: what one flipped bit does"
+    command = "python -m studies.fault_map"
+    page = results.write(PAGE, title, TEXT, {"sites": sites}, [excerpt], about, command=command)
     print(f"wrote {page.relative_to(ROOT)}")
 
 
