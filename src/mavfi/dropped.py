@@ -57,6 +57,19 @@ NAMES: Mapping[tuple[str, str], str] = {
     ("campaigns", "ros_robot_state_publisher"): "use examples/ros2/limiter.yaml with a stack of your own",
     ("campaigns", "recovery_memory"): "use detector_memory: no fault in the memory of recovery lost a mission",
     ("campaigns", "recovery_instructions"): "use detector_instructions: no fault in recovery lost a mission",
+    **{
+        (kind, name): "use limits: it brings back as many missions"
+        for kind in ("detectors", "kernels")
+        for name in (
+            "autoencoder_all",
+            "gradient_boosting",
+            "half_space_trees",
+            "isolation_forest",
+            "mahalanobis",
+            "matrix_profile",
+            "pca",
+        )
+    },
 }
 """Shipped names, by kind and name, with what to do instead."""
 
@@ -96,6 +109,7 @@ OPTIONS: Mapping[str, str] = {
     "campaign run --dry-run": "no replacement: names are checked before the first flight, campaign status counts runs",
     "vulnerability --lines": "use mavfi vulnerability DIR --json, which has every line",
     "fly --live-port": "no replacement: --live serves at port 8765",
+    "--baselines": "no replacement: a model of a library becomes a detector as docs/how-to/extending.md shows",
     "--machine": "use make bench NAME=machine_level, which flips bits of registers in plain and in protected code",
 }
 """Options of the command line, alone or of one command ("states --json"), with what to do instead."""

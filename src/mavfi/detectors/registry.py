@@ -224,7 +224,6 @@ def load_detector(
         SpecMismatchError: The model was trained for another configuration.
     """
     _check_profile(profile)
-    _refuse_dropped(name)
     factory = detector_class(name)
     chosen = _options_of(name, profile, factory, options or {})
     if not _is_trained(factory):
@@ -305,6 +304,7 @@ def _refuse_dropped(name: str) -> None:
 
 def detector_class(name: str) -> Any:  # noqa: ANN401 - a class, or a function of a user's own
     """The class of a detector by name, imported; `BadInputError` if there is none."""
+    _refuse_dropped(name)
     return load_object("detector", name, GROUP, _SHIPPED)
 
 

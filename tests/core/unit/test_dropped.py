@@ -41,3 +41,14 @@ def test_recovery_is_no_target_of_faults():
     for text in ("memory:recovery.restarts_left", "instruction:recovery"):
         with pytest.raises(BadInputError, match="kernel 'recovery': dropped; no fault in recovery lost a mission"):
             mavfi.draw(text)
+
+
+@pytest.mark.parametrize("name", ["autoencoder_all", "isolation_forest", "pca"])
+def test_learned_models_of_all_fields_are_refused_with_the_one_that_stays(name, capsys):
+    refusal = "dropped; use limits: it brings back as many missions"
+    assert run(["fly", "--detector", name]) == 2
+    assert capsys.readouterr().err == f"mavfi: detector {name!r}: {refusal}\n"
+    with pytest.raises(BadInputError, match=f"kernel {name!r}: {refusal}"):
+        mavfi.draw(f"instruction:{name}")
+    assert run(["train", "--baselines"]) == 2
+    assert "--baselines: dropped; no replacement: a model of a library becomes a detector" in capsys.readouterr().err
