@@ -18,6 +18,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from mavfi.errors import BadInputError
+from mavfi.extras.bench.bench import scheme_of
 from mavfi.extras.paper.report import JSON
 from mavfi.report.text import markdown_grid
 from tools import published_digests
@@ -34,6 +36,33 @@ PUBLISHED = "paper"
 """The scale whose results are shown."""
 Count = tuple[int, int]
 """Number of successes, and n."""
+LEVELS = {
+    "state": "a value between kernels, every stage alike",
+    "sites": "a value between kernels, fields and bits that lose most",
+    "message": "a message between kernels: sign, exponent or length of a list",
+    "instruction": "an instruction of the planner",
+    "memory": "what a node remembers: the words that lose most",
+}
+"""Parts in README.md, and the place of their faults in words."""
+COMPARED = ("gaussian", "autoencoder", "recommended")
+"""Schemes that are compared in README.md: the paper's two detectors, and this project's."""
+BACK = "brought back"
+"""Heading of that number and of all lost missions, in rows of the leaderboard."""
+RECOVERY = """\
+Missions in the worlds `dense` and `factory` lost to one flipped bit, and how many of them a detector brings back:
+
+| one flipped bit in | lost | the paper's Gaussian detector | its autoencoder | `recommended` |
+|---|---:|---:|---:|---:|
+{rows}
+
+{remarks}"""
+MOVED = 'Where a cell says "of", only faults in the same value count: the scheme\'s false alarms move the others.'
+RECOMMENDED = (
+    "`recommended` consists of rules of physics and protocol; nothing is trained. "
+    "[Leaderboard](docs/results/leaderboard.md), with intervals; [five rules](docs/concepts/engineers.md) for a stack "
+    "of your own."
+)
+_COUNT = re.compile(r"(\d+)/(\d+)$")
 
 
 def totals(block: str) -> dict[tuple[str, str], Count]:
@@ -120,6 +149,58 @@ def by_reading(blocks: Mapping[str, str]) -> str:
     return markdown_grid(
         ["one flipped bit in", "missions", "lost", "with the Gaussian detector", "with the autoencoder"], lines, left=1
     )
+
+
+def count_of(text: str) -> Count | None:
+    """The count in a cell like `57.6 [49.0, 65.7] 76/132`."""
+    count = _COUNT.search(text)
+    if count is None:
+        return None
+    return int(count[1]), int(count[2])
+
+
+def recovery_block(rows: Mapping[str, Sequence[Mapping[str, str]]], alarms_per_hour: Mapping[str, str]) -> str:
+    """Missions brought back by the compared schemes, by level, and their false alarms.
+
+    Args:
+        rows: Published rows of the leaderboard, by part.
+        alarms_per_hour: False alarms on golden flights, by scheme; empty if these were not flown.
+
+    Raises:
+        BadInputError: No level has rows of all of these schemes.
+    """
+    # a row for each level that was flown with all of them
+    lines = []
+    shares: list[str] = []
+    for part, where in LEVELS.items():
+        of_scheme = {scheme_of(row): row for row in rows.get(part, ())}
+        if of_scheme.keys() >= set(COMPARED):
+            lost = int(of_scheme[COMPARED[-1]]["lost"])
+            cells = [_share(of_scheme[scheme][BACK], lost) for scheme in COMPARED]
+            lines.append(f"| {where} | {lost} | {' | '.join(cells)} |")
+            shares += cells
+    if not lines:
+        raise BadInputError(f"leaderboard: no part has rows of {', '.join(COMPARED)}; needed: one")
+
+    # the sentences below them
+    remarks = []
+    alarms = [f"{alarms_per_hour[scheme]} (`{scheme}`)" for scheme in COMPARED if scheme in alarms_per_hour]
+    if alarms:
+        remarks.append(f"False alarms per hour of flight without a fault: {', '.join(alarms)}.")
+    if any(" of " in share for share in shares):
+        remarks.append(MOVED)
+    return RECOVERY.format(rows="\n".join(lines), remarks=" ".join([*remarks, RECOMMENDED]))
+
+
+def _share(back: str, lost: int) -> str:
+    """E.g. "3 (50 %)"; with the number of which, if not all lost missions can be compared."""
+    count = count_of(back)
+    if count is None:
+        return back
+    share = f"{100 * count[0] / count[1]:.0f} %"
+    if count[1] != lost:
+        return f"{count[0]} of {count[1]} ({share})"
+    return f"{count[0]} ({share})"
 
 
 def _judged(lost: str, cell: str) -> int:

@@ -6,6 +6,7 @@ A page is docs/results/NAME.md; its tables are docs/results/tables/NAME/*.csv, w
 of `CAMPAIGNS` flies its campaigns at scale paper to out/, or resumes them; the other names are modules of `MODULES`.
 """
 
+import os
 import runpy
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from mavfi.analysis.table import Table
 from mavfi.api import load, table
 from mavfi.errors import BadInputError
 from mavfi.report.text import header, markdown_grid, shown
+from mavfi.states import WATCHING
 from tools.markers import DOCS, ROOT, banner
 
 RESULTS = DOCS / "results"
@@ -195,7 +197,7 @@ CAMPAIGNS = {
         },
         (
             Excerpt("detector_memory-by_target"),
-            Excerpt("detector_memory_others-by_target"),
+            Excerpt("detector_memory_others-by_target", lambda row: row["target"] in WATCHING),
         ),
     ),
 }
@@ -217,6 +219,13 @@ def fly(campaign: str, scale: str = "paper") -> Path:
     if scale:
         command += ["--scale", scale]
     subprocess.run(command, cwd=ROOT, check=True)
+    return folder
+
+
+def fly_bench(name: str, folder: Path) -> Path:
+    """Fly a shipped bench at scale paper, or resume it; returns its folder."""
+    command = [sys.executable, "-m", "mavfi", "bench", "detectors", name, "--scale", "paper", "--out", str(folder)]
+    subprocess.run([*command, "--workers", str(os.cpu_count() or 1)], cwd=ROOT, check=True)
     return folder
 
 

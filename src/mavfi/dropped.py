@@ -16,6 +16,19 @@ NAMES: Mapping[tuple[str, str], str] = {
     ("hosts", "ros1"): "use ros2; recordings of ROS 1 (.bag) are still read and written",
     ("campaigns", "ros1_smoke"): "use mavfi ros fly, or host: ros2 in a campaign of your own",
     ("studies", "assumptions"): "use python -m studies.assumptions, in a clone of the repository",
+    **{
+        (kind, name): "use limits: it brings back as many missions"
+        for kind in ("detectors", "kernels")
+        for name in (
+            "autoencoder_all",
+            "gradient_boosting",
+            "half_space_trees",
+            "isolation_forest",
+            "mahalanobis",
+            "matrix_profile",
+            "pca",
+        )
+    },
 }
 """Shipped names, by kind and name, with what to do instead."""
 
@@ -26,6 +39,7 @@ OPTIONS: Mapping[str, str] = {
         "fly the campaign that mavfi harden writes beside the plan; its exit code is 3 if the plan does not hold",
     ),
     "harden --html": "use --json, or mavfi vulnerability DIR --html for the source lines",
+    "--baselines": "no replacement: a model of a library becomes a detector as docs/how-to/extending.md shows",
 }
 """Options of the command line, alone or of one command ("states --json"), with what to do instead."""
 

@@ -111,14 +111,12 @@ _MESSAGES = ("status", "path", "trajectory", "waypoint", "command", "tracking")
 _ESTIMATE = ("judge_estimate", "note_estimate", "note_fix")
 """Functions of the acceptance test in flights with an estimator."""
 _CODES = (*(f"measure_{name}" for name in _MESSAGES), "note_vehicle", "judge")
-"""Functions of detectors of all fields."""
-BASELINES = ("isolation_forest", "pca", "mahalanobis", "half_space_trees", "gradient_boosting", "matrix_profile")
-"""Detectors whose models other libraries fit (extra `bench`)."""
+"""Functions of the detector `limits`, which watches all fields."""
 DETECTORS: dict[str, tuple[str, ...]] = {
     "acceptance": (*(f"judge_{name}" for name in _MESSAGES), *(f"note_{name}" for name in _MESSAGES[:3]), *_ESTIMATE),
     **dict.fromkeys(("gaussian", "autoencoder"), ("judge",)),
     "physics_gate": ("judge_gate",),
-    **dict.fromkeys(("limits", "autoencoder_all", *BASELINES), _CODES),
+    "limits": _CODES,
     "checksum": ("crc32c",),
 }
 """Injectable functions of detectors, in flights with that detector, by their alarm source."""

@@ -1,6 +1,6 @@
-"""Fly the bench `five-rules`, and write the benefit of each rule alone in docs/concepts/engineers.md.
+"""The rules of docs/concepts/engineers.md: their benefit in the leaderboard's flights, and that of each rule alone.
 
-python -m studies.five_rules [FOLDER]       # a folder of the bench, flown before
+python -m studies.five_rules          # flies the bench `five-rules`: each rule alone
 """
 
 import sys
@@ -9,12 +9,46 @@ from pathlib import Path
 from mavfi.analysis.statistics import Rate
 from mavfi.api import load, table
 from mavfi.errors import BadInputError
-from tools.build_leaderboard import RULES, fly
+from mavfi.report.text import rate
 from tools.markers import DOCS, fill
+from tools.results import fly_bench
 
+RULES = {
+    "collision flag": 1,
+    "collision counter": 1,
+    "path epoch": 2,
+    "trajectory epochs": 2,
+    "path vertices": 3,
+    "way-point": 4,
+}
+"""Rule that protects each site of the part `sites`."""
+PAPERS = "gaussian"
 SINGLE = tuple(f"rule {number}" for number in range(1, 6))
 ALL = "recommended"
 DEAD = "the planner's instructions: it dies"
+
+
+def rules(sites: Path, instructions: Path) -> str:
+    """Missions lost to faults at the site of each rule, and recovered by the paper's GAD and by all rules.
+
+    Raises:
+        BadInputError: A folder holds no ledger.
+    """
+    lines = ["| rule | fault in | lost | back, GAD of the paper | back, recommended |", "|---|---|---:|---:|---:|"]
+    entries_of_sites = table(load(sites), "schemes_by_target").entries()
+    for target, number in RULES.items():
+        entries = {entry["arm"]: entry for entry in entries_of_sites if entry["target"] == target}
+        lost = entries[PAPERS]["lost"]
+        lines.append(
+            f"| {number} | {target} | {lost} | {rate(entries[PAPERS]['back'])} | {rate(entries[ALL]['back'])} |"
+        )
+
+    # the fifth rule restarts a node that has died
+    entries = {entry["arm"]: entry for entry in table(load(instructions), "schemes_instructions").entries()}
+    lost = entries[ALL]["died_back"].n
+    back = [rate(entries[scheme]["died_back"]) for scheme in (PAPERS, ALL)]
+    lines.append(f"| 5 | {DEAD} | {lost} | {' | '.join(back)} |")
+    return "\n".join(lines)
 
 
 def single_rules(sites: Path, instructions: Path) -> str:
@@ -58,7 +92,7 @@ def main(arguments: list[str]) -> int:
     if arguments:
         bench = Path(arguments[0])
     else:
-        bench = fly("paper", "five-rules")
+        bench = fly_bench("five-rules", Path("out/five-rules-paper"))
     try:
         rows = single_rules(bench / "sites", bench / "instruction")
     except BadInputError as error:

@@ -18,7 +18,7 @@ from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.pipeline.words import change, words_of
 from mavfi.sim.environments.world import World
-from mavfi.states import BASELINES, WATCHING
+from mavfi.states import WATCHING
 
 LENGTH = 3
 """Steps on a tape."""
@@ -169,7 +169,7 @@ def _watching(scenario, autopilot, localization, published):
     """Tapes of every detector with injectable memory, in both profiles; with the estimator of the acceptance test,
     which then remembers more."""
     tapes = []
-    detectors = [name for name in WATCHING if name in detector_names() and name not in BASELINES]
+    detectors = [name for name in WATCHING if name in detector_names()]
     apart = len(published) // (INSTANTS + 1)
     for kind in detectors if localization == "truth" else ["acceptance"]:
         for profile in ("paper", "tuned") if kind in of_monitored_fields() else ("paper",):

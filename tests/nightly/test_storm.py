@@ -5,11 +5,11 @@ import pytest
 
 from mavfi.detectors.detector import Alarm
 from mavfi.kernels.planning.trajectory import POINT_LIMIT
-from mavfi.states import BASELINES, STATES, WATCHING
+from mavfi.states import STATES, WATCHING
 from tests.nightly.tapes import ESTIMATOR, KernelTape, flip_array, record
 
 KERNELS = ("point_cloud", "octomap", "collision_check", "planner", "trajectory", "waypoint", "pid", ESTIMATOR)
-DETECTORS = set(WATCHING) - set(BASELINES)
+DETECTORS = set(WATCHING)
 TRIALS = 20
 """Of each kernel and detector."""
 

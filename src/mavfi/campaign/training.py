@@ -124,9 +124,9 @@ def training_mission(mission: MissionSpec, seed: int = TRAINING_SEED, environmen
     return resolve(mission.model_copy(update=world))
 
 
-def trainings_of(extras: Collection[str] = (), only: Collection[tuple[str, str]] | None = None) -> tuple[Training, ...]:
-    """The trainings of the detectors that are to be fitted; arguments as for `record`."""
-    classes = trainable(extras)
+def trainings_of(only: Collection[tuple[str, str]] | None = None) -> tuple[Training, ...]:
+    """The trainings of the detectors that are to be fitted; `only` as for `record`."""
+    classes = trainable()
     names: Collection[str] = classes
     if only is not None:
         names = {name for name, _ in only}
@@ -208,7 +208,7 @@ class RecordedFlights:
         flights: What was recorded, by environment and seed.
         provenance: Origin of the models, without seeds.
         disks: Copies of the recordings.
-        extras, only: See `record`.
+        only: See `record`.
         fits_all_environments: Whether all detectors are fitted to all environments, not to those of their training.
     """
 
@@ -217,7 +217,6 @@ class RecordedFlights:
     flights: dict[str, dict[int, Recorded]]
     provenance: dict[str, Any]
     disks: list[KeptRecordings]
-    extras: Sequence[str]
     only: Collection[tuple[str, str]] | None
     fits_all_environments: bool
 
@@ -248,7 +247,7 @@ class RecordedFlights:
                 "flights": len(recordings),
                 "seeds": seeds,
             }
-            models |= fit(training, recordings, provenance, self.extras, self.only)
+            models |= fit(training, recordings, provenance, self.only)
         files = [model.save(self.folder) for model in models.values()]
         for disk in self.disks:
             disk.delete()
@@ -259,7 +258,6 @@ def fit(
     training: Training,
     recordings: Sequence[Any],
     provenance: Mapping[str, Any],
-    extras: Collection[str] = (),
     only: Collection[tuple[str, str]] | None = None,
 ) -> dict[str, Model]:
     """Fit the detectors of a kind of training.
@@ -269,7 +267,6 @@ def fit(
         recordings: Its recordings of error-free flights.
         provenance: Origin of the flights: `stack` (the autopilot profile), platform, v_max, planner, and further keys
             (seeds, flights).
-        extras: See `record`.
         only: See `record`.
 
     Returns:
@@ -282,7 +279,7 @@ def fit(
     if missing:
         raise BadInputError(f"provenance of a model: lacks {', '.join(missing)}")
     origin = {**provenance, "versions": {name: version(name) for name in ("numpy", "scikit-learn")}}
-    classes = {name: detector for name, detector in trainable(extras).items() if detector.training == training}
+    classes = {name: detector for name, detector in trainable().items() if detector.training == training}
     models = {}
     for profile in training.profiles:
         fitted = {name: detector for name, detector in classes.items() if only is None or (name, profile) in only}
@@ -301,7 +298,6 @@ def record(
     workers: int = 2,
     progress: Progress | None = None,
     environments: Sequence[str] = (),
-    extras: Sequence[str] = (),
     only: Collection[tuple[str, str]] | None = None,
 ) -> RecordedFlights:
     """Fly error-free missions to train detectors on.
@@ -315,19 +311,16 @@ def record(
         workers: Number of processes; the models do not depend on it.
         progress: Called with the numbers of recorded and required flights, for each environment in turn.
         environments: Environments of the missions; empty = those of each detector's training.
-        extras: Optional dependencies whose detectors are fitted, too: "bench".
         only: Detectors to fit, as (name, profile); None = all in every profile.
 
     Raises:
         BadInputError: A name is unknown, too few flights arrive, or the folder cannot be written.
     """
     # Refuse before the first flight what would fail after the last.
-    for detector in trainable(extras).values():
-        detector.check_installed()
     check_folder(folder)
 
     # Fly the missions of all environments.
-    trainings = trainings_of(extras, only)
+    trainings = trainings_of(only)
     scenarios = {
         name: training_mission(mission or MissionSpec(), environment=name)
         for name in environments or environments_of(trainings)
@@ -352,7 +345,6 @@ def record(
         recordings,
         provenance,
         disks,
-        extras,
         only,
         fits_all_environments=bool(environments),
     )

@@ -49,15 +49,12 @@ def train(  # noqa: PLR0913 - one for each option
         str,
         typer.Option(
             help="Where the missions are flown, separated by commas: --flights in each. By default training, and for "
-            "detectors of all fields factory, too."
+            "limits factory, too."
         ),
     ] = "",
     check_environments: Annotated[
         str, typer.Option(help="Where false alarms are counted; where the missions are flown by default.")
     ] = "",
-    baselines: Annotated[
-        bool, typer.Option("--baselines", help="Fit those of other libraries (extra bench), too.")
-    ] = False,
     as_json: options.AsJson = False,
 ) -> None:
     """Fly error-free missions, and fit the detectors to them.
@@ -81,9 +78,8 @@ def train(  # noqa: PLR0913 - one for each option
     from mavfi.detectors.model import Model
 
     # environments of the flights; an unknown name is refused before the first of them
-    extras = ("bench",) if baselines else ()
     trained_in = _names(environments)
-    checked_in = _names(check_environments) or trained_in or environments_of(trainings_of(extras))
+    checked_in = _names(check_environments) or trained_in or environments_of(trainings_of())
     for name in checked_in:
         training_mission(mission, environment=name)
 
@@ -97,7 +93,6 @@ def train(  # noqa: PLR0913 - one for each option
             workers=workers,
             progress=bar.show,
             environments=trained_in,
-            extras=extras,
         )
     messages = console(error=True)
     with stoppable(stop_message):

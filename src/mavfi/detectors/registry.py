@@ -86,10 +86,10 @@ def contains(name: str, profile: str, source: str, options: Mapping[str, Any] | 
     return _is_trained(factory) and bool(_options_of(name, profile, factory, options or {}).get("gate", False))
 
 
-def trainable(extras: Collection[str] = ()) -> dict[str, type[TrainedDetector]]:
-    """Detectors with training, by name, shipped ones first; those that need an extra only for the given `extras`."""
+def trainable() -> dict[str, type[TrainedDetector]]:
+    """Detectors with training, by name, shipped ones first."""
     every = {name: detector_class(name) for name in _SHIPPED | known(GROUP, _SHIPPED)}
-    return {name: kind for name, kind in every.items() if _is_trained(kind) and kind.extra in ("", *extras)}
+    return {name: kind for name, kind in every.items() if _is_trained(kind)}
 
 
 def of_monitored_fields() -> dict[str, type[TrainedDetector]]:
@@ -222,10 +222,8 @@ def load_detector(
         BadInputError: Unknown detector, profile, option or model, no model for `trained_for`, or what the constructor
             needs of the mission is absent.
         SpecMismatchError: The model was trained for another configuration.
-        NotInstalledError: A package that the detector needs is absent.
     """
     _check_profile(profile)
-    _refuse_dropped(name)
     factory = detector_class(name)
     chosen = _options_of(name, profile, factory, options or {})
     if not _is_trained(factory):
@@ -233,7 +231,6 @@ def load_detector(
         return Loaded(_build(name, factory, of_mission, chosen), "")
 
     # Options that choose the model and the gate; the rest are arguments of the class.
-    factory.check_installed()
     has_gate = chosen.pop("gate", False)
     model_profile = factory.training.profiles[0]
     features = None
@@ -279,11 +276,8 @@ def _model_of(
             stems = [model.stem for model in sorted(path.parent.glob(f"*{ending}.json"))]
             trained = [stem.removesuffix(ending).replace("-", "/", 1) for stem in stems]
             raise BadInputError(f"trained_for: {not_known(trained_for, trained)}")
-        baselines = ""
-        if factory.extra:
-            baselines = "--baselines "
         raise SpecMismatchError(
-            f"{shown}: no model is trained for this autopilot and platform; train one (mavfi train {baselines}"
+            f"{shown}: no model is trained for this autopilot and platform; train one (mavfi train "
             "--autopilot ... --platform ... --out FOLDER), then name the folder with --models; "
             "or take that of another mission (--trained-for, key trained_for)"
         )
@@ -310,6 +304,7 @@ def _refuse_dropped(name: str) -> None:
 
 def detector_class(name: str) -> Any:  # noqa: ANN401 - a class, or a function of a user's own
     """The class of a detector by name, imported; `BadInputError` if there is none."""
+    _refuse_dropped(name)
     return load_object("detector", name, GROUP, _SHIPPED)
 
 

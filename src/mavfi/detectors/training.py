@@ -294,16 +294,10 @@ class TrainedDetector(Detector):
     Attributes:
         model_kind: Kind of the model, part of the name of its file.
         training: How it is trained.
-        extra: Extra whose packages it needs, e.g. "bench".
     """
 
     model_kind: ClassVar[str]
     training: ClassVar[Training] = MONITORED_FIELDS
-    extra: ClassVar[str] = ""
-
-    @classmethod
-    def check_installed(cls) -> None:
-        """Raise a `NotInstalledError`, which names the extra to install, unless the packages are there."""
 
     @classmethod
     def of_messages(

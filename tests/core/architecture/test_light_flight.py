@@ -6,13 +6,11 @@ import sys
 HEAVY = (
     "dask",
     "jinja2",
-    "lightgbm",
     "matplotlib",
     "mavfi.analysis",
     "mavfi.campaign.config",
     "pandas",
     "polars",
-    "pyod",
     "rosbags",
     "scipy.linalg",
     "scipy.optimize",

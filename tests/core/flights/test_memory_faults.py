@@ -21,7 +21,7 @@ from mavfi.levels.memory import MemoryRequest, fly_exposed
 from mavfi.mission import MissionStatus
 from mavfi.pipeline.waypoints import SetpointGenerator
 from mavfi.pipeline.words import change, words_of
-from mavfi.states import BASELINES, KERNELS, WATCHING, new_state
+from mavfi.states import KERNELS, WATCHING, new_state
 from tests.core.flights.missions import golden, mission
 
 pytestmark = pytest.mark.slow
@@ -189,7 +189,7 @@ def content(part):
     return {name: array.tobytes() for name, array in part.arrays().items()}
 
 
-@pytest.mark.parametrize("name", [name for name in WATCHING if name not in BASELINES])
+@pytest.mark.parametrize("name", WATCHING)
 def test_everything_that_a_detector_remembers_has_words_that_can_be_changed(name):
     watching = detector(*WATCHED.get(name, (name, "paper")))
     fly(mission(), None, watching)

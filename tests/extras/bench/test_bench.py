@@ -10,9 +10,7 @@ from mavfi.campaign.mission import model_hashes, scenarios_of
 from mavfi.campaign.plan import arms_of
 from mavfi.campaign.run import run_campaign
 from mavfi.config import config_root, names, parse
-from mavfi.detectors.registry import trainable
 from mavfi.errors import BadInputError
-from mavfi.extras.bench import library
 from mavfi.extras.bench.bench import (
     COLUMNS,
     FOLDER,
@@ -35,7 +33,6 @@ SLOW = BENCH.model_copy(
     update={"parts": {"slow": BENCH.parts["sites"].model_copy(update={"mission": {"platform": "cortex-a57"}})}}
 )
 """A bench on a computer that no detector was trained for."""
-LIBRARIES = set(trainable(["bench"])) - set(trainable())
 
 
 def test_every_part_of_a_shipped_bench_can_be_flown():
@@ -60,13 +57,6 @@ def test_parts_that_detectors_were_not_trained_for_are_flown_with_the_models_the
     trained = select_parts(BENCH, "quick", parts=["sites"])["sites"].campaign
     assert used == model_hashes(trained, scenarios_of(trained, arms_of(trained)), None)
     assert {"gaussian", "limits", "recommended"} <= set(used)
-
-
-def test_schemes_of_libraries_that_are_not_installed_are_left_out_with_the_reason(monkeypatch):
-    monkeypatch.setattr(library, "find_spec", lambda name: None)
-    found = select_parts(BENCH, "quick", parts=["sites"])["sites"]
-    assert set(found.left_out) == {name for name, arm in BENCH.arms.items() if arm.detector in LIBRARIES}
-    assert all("; install it with: pip install 'mavfi[bench]'" in one for one in found.left_out.values())
 
 
 def test_parts_by_level_and_by_name():

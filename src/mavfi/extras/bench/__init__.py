@@ -1,5 +1,5 @@
-"""Detectors from established libraries (extra `bench`), applied to all fields, with limits set as for the others.
+"""Detectors and recovery schemes compared on the same flights and faults, and what they are compared with.
 
-Libraries are imported when a detector is constructed.  A model stores its training rows and is refitted with a fixed
-seed: this avoids the libraries' own file formats, which execute code on loading.
+Reference detectors: learned limits of all fields (`limits`), checksums, repeated steps, and bounds (`oracle`,
+`random`).
 """

@@ -19,7 +19,7 @@ from mavfi.campaign.mission import check_names, scenarios_of
 from mavfi.campaign.plan import FI, arms_of
 from mavfi.campaign.store import Store
 from mavfi.config import Config, Name, config_root, parse, shipped
-from mavfi.errors import BadInputError, NotInstalledError, SpecMismatchError, not_known
+from mavfi.errors import BadInputError, SpecMismatchError, not_known
 from mavfi.files import is_file
 from mavfi.flight.compose import detector_for
 
@@ -189,7 +189,7 @@ def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
 
 
 def _selected(bench: Bench, name: str, campaign: Campaign, models_dir: Path | None) -> SelectedPart:
-    """The part without schemes whose detectors were trained for a different configuration, or are not installed."""
+    """The part without schemes whose detectors were trained for a different configuration."""
     check_names(campaign, f"bench {bench.name}: {name}")
     left_out = {}
     for arm in arms_of(campaign):
@@ -198,7 +198,7 @@ def _selected(bench: Bench, name: str, campaign: Campaign, models_dir: Path | No
             spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.overrides)
             try:
                 detector_for(scenario, arm.detector, arm.profile, models_dir, spec.trained_for, arm.options)
-            except (NotInstalledError, SpecMismatchError) as error:
+            except SpecMismatchError as error:
                 left_out[arm.name] = str(error)
     arms = {arm: config for arm, config in campaign.arms.items() if arm not in left_out}
     return SelectedPart(bench.parts[name], campaign.model_copy(update={"arms": arms}), left_out)
@@ -246,6 +246,14 @@ def published_rows(bench: Bench, part: str, scale: str) -> list[dict[str, str]]:
         return []
     with path.open(encoding="utf-8", newline="") as lines:
         return list(csv.DictReader(lines))
+
+
+def scheme_of(row: Mapping[str, str]) -> str:
+    """Scheme of a published row, which is named by its arm, or in golden flights by its setting."""
+    for heading in ("scheme", "arm"):
+        if heading in row:
+            return row[heading]
+    return row["setting"].removeprefix("golden_")
 
 
 def checksum(faults: str) -> str:

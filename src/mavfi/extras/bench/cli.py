@@ -75,12 +75,13 @@ def detectors(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi bench detectors --level state --detector my_package:MyDetector[/bold]
     """
-    from mavfi.extras.bench.bench import select_parts
+    from mavfi.extras.bench.bench import load_bench, select_parts
     from mavfi.extras.bench.leaderboard import BenchFlights, default_folder, write_leaderboard
     from mavfi.extras.bench.verdict import results_of, sentences
 
     # Check the options, and select schemes and parts.
-    chosen = _chosen_bench(bench, scale, scheme, detector, profile)
+    shipped = load_bench(bench)
+    chosen = _chosen_bench(shipped, scale, scheme, detector, profile)
     selected = select_parts(chosen, scale, levels=level or (), parts=part or (), models_dir=models)
     if out is None:
         names: Sequence[str] = ()
@@ -90,7 +91,7 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     check_folder(out)
 
     # Fly, and write the tables; a bench with other schemes than its own is shown beside its own.
-    flights = BenchFlights(chosen, selected, scale, out)
+    flights = BenchFlights(shipped, selected, scale, out)
     with stoppable(f"Stopped. What is done is kept in {out}; the same command resumes."):
         flights.fly(workers, models)
         scores_by_arm = flights.scores(workers, models)
@@ -122,12 +123,11 @@ def detectors(  # noqa: PLR0913 - one parameter per option
 
 
 def _chosen_bench(
-    name: str, scale: str, schemes: list[str] | None, detectors: list[str] | None, profile: str | None
+    bench: "Bench", scale: str, schemes: list[str] | None, detectors: list[str] | None, profile: str | None
 ) -> "Bench":
     """The bench with the schemes or detectors that the options select; refuses options that do not go together."""
-    from mavfi.extras.bench.bench import load_bench, scales, with_only, with_schemes
+    from mavfi.extras.bench.bench import scales, with_only, with_schemes
 
-    bench = load_bench(name)
     if scale not in scales(bench):
         raise BadInputError(f"--scale: bench {bench.name}: {not_known(scale, scales(bench))}")
     if schemes and detectors:

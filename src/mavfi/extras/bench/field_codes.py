@@ -197,7 +197,6 @@ class FieldCodes:
         """Forget the publication measured last; the memory stays."""
         self.vehicles.clear()
         self.measured.status[residual_state.ACCEPTED] = 0
-        self.measured.status[residual_state.LEARNED] = residual_state.NEVER
 
     def _is_read(self, name: str) -> bool:
         """Whether something of a state is watched, or predicts residuals of other states."""

@@ -18,7 +18,16 @@ from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.run import run_campaigns
 from mavfi.cli.progress import Bar
 from mavfi.errors import write_text
-from mavfi.extras.bench.bench import SCORES, Bench, SelectedPart, checksum, faults_of, frozen_faults, published_rows
+from mavfi.extras.bench.bench import (
+    SCORES,
+    Bench,
+    SelectedPart,
+    checksum,
+    faults_of,
+    frozen_faults,
+    published_rows,
+    scheme_of,
+)
 from mavfi.extras.bench.scores import Scores, scores, unscored
 from mavfi.extras.bench.scores import table as table_of_scores
 from mavfi.files import is_file, make_folder
@@ -37,7 +46,7 @@ class BenchFlights:
     """Selected parts of a bench at a scale, and the folder of their ledgers.
 
     Attributes:
-        bench: The bench.
+        bench: The bench as shipped, whatever schemes are selected.
         parts: The selected parts.
         scale: Size of its campaigns.
         folder: Contains a folder for each part.
@@ -108,15 +117,16 @@ class BenchFlights:
     def beside_others(self, name: str, flown: Table) -> Table:
         """The table of a part with rows of other schemes on the same faults.
 
-        These are the published rows; for a part without any, those of the bench's own schemes in their default folder,
-        if they are flown.
+        These are the published rows of the bench's schemes; for a part without any, the flown ones in the bench's
+        default folder, if there are.
         """
         path = self.folder / name / "faults.csv"
         if not is_file(path):
             return flown
         faults = path.read_text(encoding="utf-8")
         if faults == frozen_faults(self.bench, name, self.scale):
-            rows = published_rows(self.bench, name, self.scale)
+            published = published_rows(self.bench, name, self.scale)
+            rows = [row for row in published if scheme_of(row) in self.bench.arms]
             return beside_published(flown, rows, f"published in {self.bench.name}")
         stored = default_folder(self.scale) / name
         if is_file(stored / "faults.csv") and (stored / "faults.csv").read_text(encoding="utf-8") == faults:

@@ -1,4 +1,4 @@
-"""Codes of the fields of messages of any program, for the detectors of all fields: changes of each field, quantized.
+"""Codes of the fields of messages of any program, for the detector `limits`: changes of each field, quantized.
 
 Their quanta are learned from normal messages, since units and sizes of the fields are unknown.
 """

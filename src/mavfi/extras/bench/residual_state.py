@@ -12,10 +12,8 @@ from mavfi.detectors.features import REGIMES
 from mavfi.extras.bench import residuals
 from mavfi.numerics.jit import kernel_jit
 
-SLOT, REGIME, ACCEPTED, LEARNED = range(4)
+SLOT, REGIME, ACCEPTED, COMMITTED = range(4)
 """Indices in `ResidualState.status`, whose docstring says what they are."""
-NEVER = -1
-"""`LEARNED` if there is nothing to learn."""
 _MOTION = 6
 """Numbers at the start of odometry: position and velocity."""
 _STATUS, _PATH, _TRAJECTORY, _WAYPOINT, _COMMAND, _TRACKING = range(residuals.SLOTS)
@@ -32,8 +30,7 @@ class ResidualState(NamedTuple):
         codes: Their latest codes. Shape (n,), int16.
         spans: First and one past the last residual of each state. Shape (SLOTS, 2), int64.
         status: Slot of its state; its regime, -1 - regime if a watched number is not finite, or -1 for a regime that
-            does not exist; whether it was accepted; slot of an accepted publication that a scorer has not learned yet.
-            Shape (4,), int64.
+            does not exist; whether it was accepted; slot of the publication committed last. Shape (4,), int64.
     """
 
     known: np.ndarray
@@ -55,7 +52,7 @@ def initial_state(quanta: np.ndarray, spans: np.ndarray) -> ResidualState:
         quanta,
         np.zeros(size, np.int16),
         spans,
-        np.array([0, 0, 0, NEVER]),
+        np.zeros(4, np.int64),
     )
 
 
@@ -64,7 +61,8 @@ def settle(measured: ResidualState) -> None:
     """Commit the publication measured last, if accepted."""
     if measured.status[ACCEPTED] != 0:
         measured.known[:] = measured.after
-        measured.status[ACCEPTED], measured.status[LEARNED] = 0, measured.status[SLOT]
+        # COMMITTED is read nowhere: without it, faults in the instructions of `limits` would be others.
+        measured.status[ACCEPTED], measured.status[COMMITTED] = 0, measured.status[SLOT]
 
 
 @kernel_jit

@@ -23,7 +23,7 @@ from mavfi.flight.forks import fly_instruction_faults
 from mavfi.flight.restarts import Restarts
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec, MissionStatus
-from mavfi.states import BASELINES, DETECTORS, new_state
+from mavfi.states import DETECTORS, new_state
 from tests.core.unit.detectors.streams import LIMITS, command
 from tests.core.unit.detectors.test_registry import FITS
 
@@ -40,7 +40,6 @@ WITH_GATE = "gaussian"
     [
         (name, profile)
         for name in DETECTORS
-        if name not in BASELINES  # tests/extras/bench/test_baselines.py
         for profile in PROFILES
         if contains(name if name != GATE else WITH_GATE, profile, name)
     ],

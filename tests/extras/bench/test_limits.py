@@ -11,7 +11,7 @@ from tests.core.unit.detectors import streams
 from tests.core.unit.detectors.streams import PROVENANCE, fly, later, strike
 from tests.core.unit.detectors.test_registry import FITS
 
-NAMES = ("limits", "autoencoder_all")
+NAME = "limits"
 GROSS = [
     ("perception.collision_status", 40, "future_collision_seq", 4096),
     ("perception.collision_status", 40, "collision", True),
@@ -49,33 +49,30 @@ def recordings():
 @pytest.fixture(scope="module")
 def folder(recordings, tmp_path_factory):
     models = fit(ALL_FIELDS, recordings, PROVENANCE)
-    assert set(models) == {f"{name}-tuned" for name in NAMES}
-    place = tmp_path_factory.mktemp("models")
-    for model in models.values():
-        model.save(place)
-    return place
+    assert set(models) == {"limits-tuned"}
+    models_dir = tmp_path_factory.mktemp("models")
+    models["limits-tuned"].save(models_dir)
+    return models_dir
 
 
-def load(name, folder):
-    return load_detector(name, "paper", folder, FITS)[0]
+def load(folder):
+    return load_detector(NAME, "paper", folder, FITS)[0]
 
 
-@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(("state", "count", "field", "value"), GROSS)
-def test_a_gross_fault_is_an_alarm_about_its_state(folder, name, state, count, field, value):
+def test_a_gross_fault_is_an_alarm_about_its_state(folder, state, count, field, value):
     events = flight(400)
     struck = later(events, state, count)
-    alarms = dict(fly(load(name, folder), strike(events, struck, field, value)))
+    alarms = dict(fly(load(folder), strike(events, struck, field, value)))
     alarm = alarms[struck]
-    assert (alarm.source, alarm.stage, alarm.hard) == (name, STATES[state].stage, False)
+    assert (alarm.source, alarm.stage, alarm.hard) == (NAME, STATES[state].stage, False)
     assert alarm.score > 1.0 and alarm.fields[0].startswith(state)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_number_that_is_not_finite_is_an_alarm_and_leaves_the_rest_as_it_was(folder, name):
+def test_a_number_that_is_not_finite_is_an_alarm_and_leaves_the_rest_as_it_was(folder):
     events = flight(400)
     struck = later(events, "planning.waypoint", 20)
-    found = dict(fly(load(name, folder), strike(events, struck, "vx", np.nan)))[struck]
+    found = dict(fly(load(folder), strike(events, struck, "vx", np.nan)))[struck]
     assert found.score == NOT_FINITE and found.fields[0].startswith("planning.waypoint")
     assert set(found.fields) <= {f"planning.waypoint.{field}" for field in ("x", "vx")}
 
@@ -96,9 +93,8 @@ def finish(detector, events):
     return found, detector.memory()
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_detector_with_replaced_functions_does_as_the_compiled_one(folder, name):
-    plain, replaced, events = load(name, folder), load(name, folder), struck_in_many_places()
+def test_a_detector_with_replaced_functions_does_as_the_compiled_one(folder):
+    plain, replaced, events = load(folder), load(folder), struck_in_many_places()
     called = dict.fromkeys(replaced.compiled, 0)
 
     def counting(own):
@@ -131,10 +127,6 @@ def test_every_field_that_is_read_is_watched_and_no_other(autopilot):
     assert {f"planning.path.{name}" for name in ("start", "end", "detour")} <= watched
 
 
-# ---- shipped models: memory, copies, scores, and golden flights ------------------------------------------------------
+# ---- shipped model: memory, copies, scores, and golden flights -------------------------------------------------------
 class TestLimits(DetectorContract):
-    detector = "limits"
-
-
-class TestAutoencoderOfAllFields(DetectorContract):
-    detector = "autoencoder_all"
+    detector = NAME
