@@ -9,9 +9,6 @@ KEYS: Mapping[str, str] = {
 }
 """Keys of YAML files and of the Python API, with what to do instead."""
 
-VALUES: Mapping[tuple[str, str], str] = {}
-"""Values of keys, by key and value, with the value to use instead."""
-
 NAMES: Mapping[tuple[str, str], str] = {
     ("hosts", "ros1"): "use ros2; recordings of ROS 1 (.bag) are still read and written",
     ("campaigns", "ros1_smoke"): "use mavfi ros fly, or host: ros2 in a campaign of your own",
@@ -54,13 +51,6 @@ def dropped_key(name: str) -> str:
     if name in KEYS:
         return f"key {name!r}: dropped; {KEYS[name]}"
     return ""
-
-
-def dropped_value(key: str, value: object) -> str:
-    """The refusal of a value that earlier versions allowed for a key; "" = none did."""
-    if not isinstance(value, str) or (key, value) not in VALUES:
-        return ""
-    return f"key {key!r}: {value!r}: dropped; use {VALUES[key, value]!r}"
 
 
 def dropped_name(kind: str, name: str) -> str:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from mavfi.dropped import dropped_key, dropped_value
+from mavfi.dropped import dropped_key
 from mavfi.errors import hint
 
 _ALLOWED = {
@@ -62,8 +62,6 @@ def finding(error: ValidationError, model: type[BaseModel] | None = None, under:
     # what earlier versions accepted: the message says what replaces it
     if kind == "extra_forbidden" and dropped_key(name):
         return dropped_key(name)
-    if kind == "literal_error" and dropped_value(name, value):
-        return dropped_value(name, value)
 
     # keys that do not exist, or are absent
     if kind == "extra_forbidden" and owner is not None:

@@ -16,7 +16,6 @@ from pydantic.fields import FieldInfo
 from mavfi.cli import completion
 from mavfi.cli.panels import DETECTION, FAULT, MISSION, OF_OPTIONS, OUTPUT, PIPELINE
 from mavfi.config import Vector
-from mavfi.dropped import VALUES
 from mavfi.errors import BadInputError, not_known
 from mavfi.mission import LARGEST_SEED, OF_A_DETECTOR, MissionSpec
 from mavfi.plugins import extensions, known
@@ -171,9 +170,6 @@ def mission_of(values: Mapping[str, Any]) -> MissionSpec:
         words = _words(MissionSpec.model_fields[name])
         if words:
             reason = not_known(value, words).removeprefix(f"{shown}: ")
-        replacement = VALUES.get((name, str(value)))
-        if replacement:
-            reason = f"dropped; use {replacement!r}"
         raise BadInputError(f"{option_name(name)}: {shown}: {reason}") from None
 
 
