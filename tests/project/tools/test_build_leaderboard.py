@@ -1,54 +1,35 @@
 """The worth of each rule is that of the ledgers; bad input is one line."""
 
-from dataclasses import replace
-from pathlib import Path
-
 import pytest
 
 from mavfi.analysis.statistics import Rate
 from mavfi.analysis.views import VIEWS
 from mavfi.errors import BadInputError
 from mavfi.extras.bench.bench import load_bench, published_rows
-from tests.core.unit.analysis.handmade import INSTRUCTION, died, flown, golden, injected, runs
 from tools import build_leaderboard, results
-from tools.build_leaderboard import LOST_ALONE, NAME, OBSERVER, RULES, headline, main, summary
+from tools.build_leaderboard import LOST_ALONE, NAME, OBSERVER, main, publish, summary
+from tools.build_readme import recovery_block
 
 
-@pytest.fixture
-def bench(monkeypatch):
-    """One fault at each target, lost without a scheme; learned ones bring back way-points, the recommended one all."""
-    arms = ("gaussian", "recommended", "readback", "autoencoder")
-    base = [golden(1), *(golden(1, arm=arm) for arm in arms)]
-    sites, dead = list(base), list(base)
-    lost = flown(success=False)
-    for place, target in enumerate(RULES):
-        sites.append(injected(1, lost, index=place, target=target))
-        for arm in (*arms[:2], arms[3]):
-            back = arm == "recommended" or target == "way-point"
-            sites.append(injected(1, flown() if back else lost, index=place, target=target, arm=arm))
-    kernel = replace(INSTRUCTION, kernel="rrt_connect")
-    dead.append(injected(1, died(success=False), kernel, target="rrt_connect"))
-    for arm in arms:
-        dead.append(injected(1, died(success=arm == "recommended"), kernel, arm=arm, target="rrt_connect"))
-    ledgers = {"sites": runs(*sites), "instruction": runs(*dead)}
-
-    def stored(folder):
-        if folder.name not in ledgers:
-            raise BadInputError("no ledger")
-        return ledgers[folder.name]
-
-    monkeypatch.setattr(build_leaderboard, "load", stored)
-    return Path("bench")
-
-
-def test_the_headline_counts_what_comes_back(bench):
-    lines = headline(bench).splitlines()
-    assert [line for line in lines if line.startswith("| a")] == [
-        "| a value between kernels, fields and bits that lose most | 6 | 1 (17 %) | 1 (17 %) | 6 (100 %) |",
-        "| an instruction of the planner | 1 | 0 (0 %) | 0 (0 %) | 1 (100 %) |",
+def test_the_headline_counts_what_comes_back():
+    back = {"gaussian": "16.7 [3.0, 56.4] 1/6", "autoencoder": "—", "recommended": "100.0 [61.0, 100.0] 6/6"}
+    sites = [{"scheme": scheme, "lost": "6", "brought back": text} for scheme, text in back.items()]
+    planner = [{**row, "lost": "8"} for row in sites]
+    block = recovery_block(
+        {"sites": sites, "instruction": planner, "memory": sites[:2]}, {"gaussian": "2.0 [1.0, 3.0]"}
+    )
+    assert [line for line in block.splitlines() if line.startswith("| a")] == [
+        "| a value between kernels, fields and bits that lose most | 6 | 1 (17 %) | — | 6 (100 %) |",
+        "| an instruction of the planner | 8 | 1 of 6 (17 %) | — | 6 of 6 (100 %) |",
     ]
-    assert not any("alarms" in line for line in lines), "no golden flights, and no fault is moved by them"
-    assert not any("remembers" in line for line in lines), "not flown"
+    assert "remembers" not in block, "not flown with all three"
+    assert "False alarms per hour of flight without a fault: 2.0 [1.0, 3.0] (`gaussian`)." in block
+    assert "only faults in the same value count" in block
+
+    block = recovery_block({"sites": sites}, {})
+    assert "alarms" not in block, "no golden flights, and no fault is moved by them"
+    with pytest.raises(BadInputError, match="no part has rows of gaussian, autoencoder, recommended; needed: one"):
+        recovery_block({"memory": sites[:2]}, {})
 
 
 @pytest.mark.parametrize("arguments", [["a"], ["a", "b", "c"], ["no-such-folder", "paper"]])
@@ -102,6 +83,13 @@ def test_the_published_page_has_the_sums_of_the_published_rows():
     for name, full in summary(BENCH, rows).items():
         path = results.TABLES / "leaderboard" / f"{name}.csv"
         assert path.read_text(encoding="utf-8") == full.to_csv(), "run `python -m tools.build_leaderboard page`"
+
+
+def test_rows_of_schemes_that_were_not_flown_remain(tmp_path):
+    path = tmp_path / "sites-paper.rows.csv"
+    publish(BENCH, path, [{"scheme": "recommended", "lost": "5"}, {"scheme": "gone", "lost": "4"}])
+    publish(BENCH, path, [{"scheme": "gaussian", "lost": "3", "late": "1"}, {"scheme": "recommended", "lost": "6"}])
+    assert path.read_text(encoding="utf-8") == "scheme,lost,late\ngaussian,3,1\nrecommended,6,\ngone,4,\n"
 
 
 def test_frozen_faults_are_not_overwritten(monkeypatch, tmp_path):
