@@ -25,9 +25,9 @@ from mavfi.campaign.config import load_campaign
 from mavfi.errors import BadInputError
 from mavfi.extras.bench.bench import FOLDER, ROWS, SCORES, Bench, level_of, load_bench, published_rows, scheme_of
 from mavfi.extras.bench.leaderboard import default_folder, text_rows
+from studies.five_rules.__main__ import rules
 from tools import results
 from tools.build_readme import BACK, Count, count_of, recommended_item, recovery_block
-from tools.build_rules import rules
 from tools.markers import DOCS, IMAGES, ROOT, fill
 
 NAME = "mavfi-bench-1"

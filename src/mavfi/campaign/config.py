@@ -30,21 +30,8 @@ DESIGN_SEEDS = range(10_000)  # seeds used for tuning the autopilot profiles
 TRAINING_SEED = 1_000_000  # first seed of the training flights of detectors; never used by campaigns
 MOST_FAULTS = 100_000  # per environment and target
 
-_RENAMED = {
-    "law": "sampling.scheme",
-    "strata": "sampling.strata",
-    "groups": "sampling.groups",
-    "sites": "sampling.sites",
-    "kernels": "sampling.kernels (with level: instruction)",
-    "detectors": "arms",
-    "flights": "missions",
-    **{name: f"mission.{name}" for name in ("platform", "planner", "map", "vehicle", "v_max")},
-    "kind": "host",
-    "trials": "faults",
-    "command": "node.command",
-    "faults_per_mission": "sampling.faults_per_mission (with level: combined)",
-}
-"""Keys of campaign schema 1, and keys in another part of the file, with what is written instead."""
+_OF_SAMPLING = ("groups", "kernels", "scheme", "sites", "strata")
+"""Keys of `sampling` that are easily written one level too high."""
 _SETTINGS = ("golden", "fi", "dr", "null")
 """Settings, and the beginnings of their names."""
 _STORED_WITHOUT_VALUE = ("until_halfwidth", "node", "program")
@@ -168,8 +155,12 @@ class Campaign(Config):
         data = {key: value for key, value in data.items() if value is not None or key not in _STORED_WITHOUT_VALUE}
         data = _with_under_test(data, info)
         for key in data:
-            if key in _RENAMED and key not in cls.model_fields:
-                raise ValueError(f"key {key!r}: is now {_RENAMED[key]!r} (docs/generated/campaign-keys.md)")
+            if key in cls.model_fields:
+                continue
+            if key in _OF_SAMPLING:
+                raise ValueError(f"key {key!r}: allowed as sampling.{key}")
+            if key in MissionSpec.model_fields:
+                raise ValueError(f"key {key!r}: allowed as mission.{key}")
         if isinstance(data.get("mission"), dict):
             data["mission"] = _mission_keys(data["mission"], "mission", info)
         if "sampling" in data:

@@ -17,8 +17,6 @@ from mavfi.states import State, StateSpec
 
 GROUP = "mavfi.log_readers"
 """Entry points of this group are readers by file name extension: classes constructed with a path."""
-_OLD_GROUP = "mavfi.flight_logs"
-"""Name of the group in earlier versions."""
 _FORMAT_OF_FOLDERS = "mcap"
 """Folders are recordings of rosbag2, read by the reader of its files."""
 _DESCRIPTION = "metadata.yaml"
@@ -156,7 +154,7 @@ def open_flight_log(path: Path) -> FlightLogReader:
     extension = path.suffix.removeprefix(".").lower()
     if path.is_dir():
         extension = _FORMAT_OF_FOLDERS
-    formats = known(GROUP, known(_OLD_GROUP, {}))
+    formats = known(GROUP, {})
     if extension not in formats:
         endings = ", ".join(f".{name}" for name in sorted(formats))
         raise BadInputError(f"{path}: no reader of flight logs knows this format; allowed: {endings}")

@@ -301,7 +301,7 @@ class _Selector:
 
     def _kinds_of(self, topic: str, names: Sequence[str]) -> dict[str, str]:
         """What fields of a topic are, as declared by the user, or recognised."""
-        declared = {}
+        declared: dict[str, str] = {}
         for pattern, kind in self._wanted.kinds.items():
             declared |= {name: kind for name in names if _matches(pattern, f"{topic}:{name}")}
         components = [name for name, kind in declared.items() if kind == QUATERNION]
