@@ -6,8 +6,6 @@ JOBS ?= $(shell nproc)
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-# When make began, if there is no $(VENV) yet: the time of set-up counts from here.
-BEGUN := $(if $(wildcard $(BIN)/python),,$(shell date +%s))
 CODE := src tests examples benchmarks studies tools
 # Many tests wait for programs that they start: one process more than processors.
 TESTERS := $(shell expr $(JOBS) + 1)
@@ -42,8 +40,6 @@ $(STAMP): requirements.lock pyproject.toml
 	@$(BIN)/python -m pip install -qq --no-compile --requirement requirements.lock
 	@$(BIN)/python -m pip install -qq --no-deps --no-build-isolation --editable .
 	@$(BIN)/python -m tools.bytecode
-	@# shown by `mavfi reproduce`; only for a new environment: an update takes a part of the time
-	@$(if $(BEGUN),echo $$(( $$(date +%s) - $(BEGUN) )) > $(VENV)/setup-seconds)
 	@touch $@
 	@echo "Next:  $(BIN)/mavfi fly       (a flight; the first one compiles its code)"
 	@echo "       $(BIN)/mavfi doctor    (what is here, and what is missing)"

@@ -12,7 +12,6 @@ from pathlib import Path
 from mavfi.cli.stopping import stoppable
 from mavfi.config import parse, read_yaml
 from mavfi.extras.paper.cli_report import StudyBar
-from mavfi.extras.paper.steps import StepTimes
 from mavfi.files import check_folder, make_folder
 from mavfi.report import style
 from studies.assumptions.design import AssumptionStudy
@@ -39,13 +38,13 @@ def fly_study(study: AssumptionStudy, out: Path, workers: int) -> Path:
     """Fly the study, or what is left of it, to a folder; returns the folder of its tables."""
     check_folder(out)
     stopped = f"Stopped. What is done is kept in {out}; the same command resumes."
-    with stoppable(stopped), StudyBar(f"study {study.name}", StepTimes.begin(out, workers)) as bar:
+    with stoppable(stopped), StudyBar(f"study {study.name}") as bar:
         results = fly_assumptions(study, out, workers, bar)
         folder = out / "tables"
         make_folder(folder)
-        with bar.timed("tables"):
-            for table in tables(results):
-                table.write(folder)
+        bar.begin_step("tables")
+        for table in tables(results):
+            table.write(folder)
     return folder
 
 

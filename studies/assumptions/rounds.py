@@ -158,8 +158,8 @@ def _fly_rounds(  # noqa: PLR0913 - what the study is flown with
     active = [reading for reading in readings if reading not in flown]
     for number in range(study.rounds.number):
         campaigns = {folder / FIT / f"{reading.folder}-{number}": study.campaign(reading, number) for reading in active}
-        with bar.timed(f"round {number + 1}, {len(active)} readings"):
-            run_campaigns(campaigns, executor=executor, progress=bar.show_campaigns)
+        bar.begin_step(f"round {number + 1}, {len(active)} readings")
+        run_campaigns(campaigns, executor=executor, progress=bar.show_campaigns)
         for reading, (path, campaign) in zip(active, campaigns.items(), strict=True):
             flown.setdefault(reading, FlownReading({}, [])).add(flights_in(path, campaign, study), path)
         active = [reading for reading in active if _may_be_the_best(study, reading, flown)]
@@ -263,8 +263,8 @@ def _fly_with_detectors(  # noqa: PLR0913 - what the study is flown with
         models = folder / MODELS / f"{reading['difficulty']}-{name}"
         _train(study, campaign, training, models, workers, bar)
         path = folder / JUDGED / f"{reading.folder}-{name}"
-        with bar.timed(f"judged flights, detectors trained on {name} worlds"):
-            run_campaigns({path: campaign}, executor=executor, models_dir=models, progress=bar.show_campaigns)
+        bar.begin_step(f"judged flights, detectors trained on {name} worlds")
+        run_campaigns({path: campaign}, executor=executor, models_dir=models, progress=bar.show_campaigns)
         runs_by_training[training] = _named_as_the_papers(Runs.read(path), campaign, study)
         # the arms of all trainings together
         for environment, part in flights_in(path, campaign, study).items():
@@ -293,18 +293,18 @@ def _train(  # noqa: PLR0913
     if not list(folder.glob("*.json")):
         mission: MissionSpec = campaign.spec(campaign.environments[0], campaign.first_seed)
         show: Callable[[int, int], None] = bar.show
-        with bar.timed("training flights"):
-            recorded = record(
-                folder,
-                study.training_flights,
-                mission,
-                workers=workers,
-                progress=show,
-                environments=training,
-                only=detectors,
-            )
-        with bar.timed("fitting of detectors"):
-            recorded.fit()
+        bar.begin_step("training flights")
+        recorded = record(
+            folder,
+            study.training_flights,
+            mission,
+            workers=workers,
+            progress=show,
+            environments=training,
+            only=detectors,
+        )
+        bar.begin_step("fitting of detectors")
+        recorded.fit()
 
 
 def _named_as_the_papers(runs: Runs, campaign: Campaign, study: AssumptionStudy) -> Runs:

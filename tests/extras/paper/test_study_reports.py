@@ -1,4 +1,4 @@
-"""The report of a study: of its folder, by several processes, and the bar with the wall times of its steps."""
+"""The report of a study: of its folder, and by several processes."""
 
 import shutil
 import subprocess

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.training import RecordedFlights
     from mavfi.extras.paper.cli_report import StudyBar
-    from mavfi.extras.paper.steps import StepTimes
     from mavfi.extras.paper.study import Study
     from mavfi.mission import MissionSpec
 
@@ -72,9 +71,8 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     from mavfi.campaign.warm_up import compile_ahead
     from mavfi.extras.paper.cli_report import StudyBar, show_study_report, write_study_report
     from mavfi.extras.paper.overheads import measure, save
+    from mavfi.extras.paper.provenance import note_run
     from mavfi.extras.paper.report import check_names
-    from mavfi.extras.paper.steps import FLIGHTS as FLIGHTS_STEP
-    from mavfi.extras.paper.steps import StepTimes
     from mavfi.extras.paper.study import load_study
 
     # everything that can be refused is refused before anything is flown
@@ -92,21 +90,22 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
 
     # each step writes its results, so that the command can be stopped and resumed
     stopped = f"Stopped. What is done is kept in {out}; the same command resumes."
-    with stoppable(stopped), StudyBar(f"study {chosen.name}", StepTimes.begin(out, workers)) as bar:
-        with bar.timed("compilation", "tasks"):
-            compile_ahead(campaigns.values(), executor, bar.show)
+    note_run(out, workers)
+    with stoppable(stopped), StudyBar(f"study {chosen.name}") as bar:
+        bar.begin_step("compilation", "tasks")
+        compile_ahead(campaigns.values(), executor, bar.show)
         fly = partial(record, out / MODELS, chosen.training_flights, workers=workers, progress=bar.show, only=wanted)
         _train(lacking, fly, executor, bar)
-        with bar.timed(FLIGHTS_STEP):
-            run_campaigns(
-                {out / folder: campaign for folder, campaign in campaigns.items()},
-                executor=executor,
-                models_dir=out / MODELS,
-                progress=bar.show_campaigns,
-            )
+        bar.begin_step("flights of all campaigns")
+        run_campaigns(
+            {out / folder: campaign for folder, campaign in campaigns.items()},
+            executor=executor,
+            models_dir=out / MODELS,
+            progress=bar.show_campaigns,
+        )
         for folder in timed:  # in one process, with no other work at the same time
-            with bar.timed("timed flights"):
-                save(measure(campaigns[folder], TIMED_FLIGHTS, out / MODELS, bar.show), out / folder)
+            bar.begin_step("timed flights")
+            save(measure(campaigns[folder], TIMED_FLIGHTS, out / MODELS, bar.show), out / folder)
         flights = FLIGHTS_EACH * len(campaigns)
         report, _ = write_study_report(chosen, scale, out, out / PAGE, flights, workers, bar=bar)
 
@@ -115,7 +114,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
         write_json(report.to_json())
         return
     show_study_report(report, show_all)
-    _say_where(out, report.campaigns, bar.steps)
+    _say_where(out, report.campaigns)
 
 
 def _train(
@@ -127,19 +126,17 @@ def _train(
 
     trainings = []
     for mission in lacking:
-        with bar.timed("training flights"):
-            trainings.append(fly(mission))
+        bar.begin_step("training flights")
+        trainings.append(fly(mission))
     if trainings:
-        with bar.timed("fitting of detectors", "trainings"):
-            for done, _ in enumerate(map_each(executor, RecordedFlights.fit, trainings), 1):
-                bar.show(done, len(trainings))
+        bar.begin_step("fitting of detectors", "trainings")
+        for done, _ in enumerate(map_each(executor, RecordedFlights.fit, trainings), 1):
+            bar.show(done, len(trainings))
 
 
-def _say_where(out: Path, campaigns: Mapping[str, "Runs"], steps: "StepTimes") -> None:
-    """Print where report, ledgers and models are, the digests of the ledgers, and how long it took."""
-    from mavfi.cli.progress import duration
+def _say_where(out: Path, campaigns: Mapping[str, "Runs"]) -> None:
+    """Print where report, ledgers and models are, and the digests of the ledgers."""
     from mavfi.extras.paper.report import MARKDOWN
-    from mavfi.extras.paper.steps import SET_UP
     from mavfi.report.text import short
 
     terminal = console()
@@ -150,12 +147,7 @@ def _say_where(out: Path, campaigns: Mapping[str, "Runs"], steps: "StepTimes") -
         name = runs.campaign["name"]
         digest = short(runs.campaign["digest"])
         terminal.print(Text(f"  {name:{width}}  {digest}  {out / folder}"), soft_wrap=True)
-    wall_time = duration(sum(steps.seconds.values()))
-    if SET_UP in steps.seconds:
-        wall_time += ", set-up included"
-    else:
-        wall_time += " in all"
-    terminal.print(f"The models are in {out / MODELS}. It took {wall_time}.", soft_wrap=True)
+    terminal.print(f"The models are in {out / MODELS}.", soft_wrap=True)
 
 
 def _missions_to_train(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> list["MissionSpec"]:

@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,8 +18,7 @@ from mavfi.campaign.store import FILE, Store
 from mavfi.cli.console import console
 from mavfi.cli.progress import Bar
 from mavfi.cli.report import Reported, page_bar
-from mavfi.extras.paper.report import StudyReport, stored_study, title_of, write_study, write_texts
-from mavfi.extras.paper.steps import StepTimes
+from mavfi.extras.paper.report import StudyReport, stored_study, title_of, write_study
 from mavfi.extras.paper.study import Study
 from mavfi.files import check_folder
 from mavfi.report.campaign_report import CampaignReport, write_report
@@ -41,20 +40,15 @@ class StudyBar(Bar):
 
     Args:
         study: Name of the study.
-        steps: To which the wall times of the steps are added.
     """
 
-    def __init__(self, study: str, steps: StepTimes) -> None:
+    def __init__(self, study: str) -> None:
         super().__init__(study)
-        self.steps = steps
         self._study = study
 
-    @contextmanager
-    def timed(self, step: str, unit: str = "flights") -> Iterator[Bar]:
-        """Show a step, counted in units, and add its wall time to those of the study."""
+    def begin_step(self, step: str, unit: str = "flights") -> None:
+        """Show a step, counted in units."""
         self.begin(f"{self._study}, {step}", unit)
-        with self.steps.timed(step):
-            yield self
 
 
 def write_study_report(  # noqa: PLR0913 - what the command was given
@@ -76,7 +70,7 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
         page: HTML file to write; None = none.
         flights: Maximum number of flights in the page; None = see `write_page`.
         workers: Number of processes.
-        bar: Shows the progress, and records the time of tables and page; None = the page has a bar of its own.
+        bar: Shows the progress; None = the page has a bar of its own.
 
     Returns:
         The report of the study, and the flights in the page.
@@ -96,26 +90,21 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
     if bar is None:
         study_report, *campaign_reports = _write_all(tasks, report_workers)
     else:
-        with bar.timed("tables and figures", "reports"):
-            study_report, *campaign_reports = _write_all(tasks, report_workers, bar.show)
-        study_report = replace(study_report, steps=bar.steps)
+        bar.begin_step("tables and figures", "reports")
+        study_report, *campaign_reports = _write_all(tasks, report_workers, bar.show)
 
     # the page needs the reports of all campaigns
     reports = dict(zip(campaigns, campaign_reports, strict=True))
     page_flights = NO_FLIGHTS
     if page is not None:
+        shown_bar: AbstractContextManager[Bar] = page_bar()
         if bar is not None:
-            timed_bar: AbstractContextManager[Bar] = bar.timed("report.html and its flights")
-        else:
-            timed_bar = page_bar()
-        with timed_bar as running_bar:
+            bar.begin_step("report.html and its flights")
+            shown_bar = nullcontext(bar)
+        with shown_bar as running_bar:
             page_flights = write_study_html(
                 page, folder, study_report, scale, reports, flights, workers, running_bar.show
             )
-
-    # once more, with the time of the page
-    if bar is not None:
-        write_texts(study_report, scale, folder)
     return study_report, page_flights
 
 
@@ -168,8 +157,6 @@ def show_study_report(written: StudyReport, show_all: bool) -> None:
     if show_all:
         for section in written.sections:
             _show_tables(section.definition.title, section.tables)
-        for table in written.times:
-            show_table(table, terminal)
     else:
         for section in written.headline:
             _show_tables(section.definition.title, section.tables[:1])
@@ -188,7 +175,7 @@ def _show_tables(title: str, tables: Sequence[Table]) -> None:
 
 # ---- the page --------------------------------------------------------------------------------------------------------
 def sections_of_study(study: StudyReport) -> list[PageSection]:
-    """Sections of a study: the headline, then all sections in order, then the times."""
+    """Sections of a study: the headline, then all sections in order."""
     sections = []
     for report in study.sections:
         figures = drawn(report.runs, report.definition.figures) if report.runs else ()
@@ -197,7 +184,7 @@ def sections_of_study(study: StudyReport) -> list[PageSection]:
     if study.headline:
         leading = sections[study.sections.index(study.headline[0])]
         headline.append(PageSection(leading.title, leading.tables[:1], leading.figures[:1]))
-    return [*headline, *sections, PageSection("Where the time goes", study.times)]
+    return [*headline, *sections]
 
 
 def drawn_of_study(study: StudyReport) -> list[Drawn]:

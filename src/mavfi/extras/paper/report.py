@@ -12,13 +12,13 @@ from typing import Any
 from mavfi.analysis.findings import findings
 from mavfi.analysis.listing import with_flights
 from mavfi.analysis.runs import Runs
-from mavfi.analysis.table import PERCENT, Column, Table
+from mavfi.analysis.table import Table
 from mavfi.analysis.views import VIEWS, table, views_for
 from mavfi.config import parse
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, not_known, write_text, writing
 from mavfi.extras.paper.claims import CLAIMS, NOT_TESTED, UNDECIDED, claims_table
-from mavfi.extras.paper.steps import FLIGHTS, SET_UP, StepTimes
+from mavfi.extras.paper.provenance import load_runs
 from mavfi.extras.paper.study import Study, StudySection
 from mavfi.files import LARGEST_TEXT, is_file, read_file
 from mavfi.record import plain
@@ -51,7 +51,7 @@ class StudyReport:
     study: Study
     campaigns: Mapping[str, Runs]  # by folder
     sections: tuple[SectionReport, ...]
-    steps: StepTimes
+    flown_in: Sequence[Mapping[str, str]]  # see `load_runs`; empty if `mavfi reproduce` did not fly it
     files: tuple[Path, ...] = ()
 
     @property
@@ -88,30 +88,19 @@ class StudyReport:
         return tables
 
     @property
-    def times(self) -> list[Table]:
-        """Tables of wall time by step, if it was flown by `mavfi reproduce`, and of worker time by campaign."""
-        tables = (step_table(self.steps.seconds, self.campaigns), time_table(self.campaigns))
-        return [table for table in tables if table.rows]
-
-    @property
     def programs(self) -> list[str]:
         """The programs that flew the study, with their commits; empty if it was not flown by `mavfi reproduce`."""
-        return list(dict.fromkeys(run["program"] for run in self.steps.runs))
+        return list(dict.fromkeys(run["program"] for run in self.flown_in))
 
     @property
     def provenance(self) -> list[str]:
-        """Lines on where, when, by which program and with which versions the study was flown, and how long it took."""
-        runs = self.steps.runs
-        minutes = sum(self.steps.seconds.values()) / 60
-        lines = [f"Machine: {name}." for name in dict.fromkeys(run["machine"] for run in runs)]
-        if runs:
+        """Lines on where, when, by which program and with which versions the study was flown."""
+        lines = [f"Machine: {name}." for name in dict.fromkeys(run["machine"] for run in self.flown_in)]
+        if self.flown_in:
             resumed = ""
-            if len(runs) > 1:
-                resumed = f", last resumed {runs[-1]['begun']} (run {len(runs)})"
-            set_up = ""
-            if SET_UP in self.steps.seconds:
-                set_up = ", set-up included"
-            lines.append(f"Begun {runs[0]['begun']}{resumed}; wall time in all: {minutes:.1f} min{set_up}.")
+            if len(self.flown_in) > 1:
+                resumed = f", last resumed {self.flown_in[-1]['begun']} (run {len(self.flown_in)})"
+            lines.append(f"Begun {self.flown_in[0]['begun']}{resumed}.")
             lines.append(f"Program: {'; then '.join(self.programs)}.")
 
         # campaigns of a resumed study may have been flown with different versions: each is named once
@@ -198,7 +187,7 @@ def study_report(study: Study, folder: Path) -> StudyReport:
     campaigns = {name: Runs.read(folder / name) for name in study.campaigns}
     sections = study.sections or _leading_sections(campaigns)
     reports = tuple(_section_report(section, campaigns, folder) for section in sections)
-    return StudyReport(study, campaigns, reports, StepTimes.load(folder))
+    return StudyReport(study, campaigns, reports, load_runs(folder))
 
 
 def _leading_sections(campaigns: Mapping[str, Runs]) -> tuple[StudySection, ...]:
@@ -341,96 +330,3 @@ def findings_in_short(table: Table) -> str:
     notes = [definition, *(note for note in others if note.startswith(NOT_TESTED))]
     lines = "\n".join(f"- {note}" for note in notes)
     return f"{markdown_grid(['the paper', 'verdict', 'p (Holm)', 'here'], rows)}\n\n{lines}"
-
-
-# ---- breakdown of a study's time: wall time by step, and worker time from the ledgers of its campaigns -------------
-
-_MINUTES = "number .1f min"
-
-
-def step_table(seconds: Mapping[str, float], campaigns: Mapping[str, Runs]) -> Table:
-    """Wall time (s) by step, with the runs per second of the campaigns, and the sum."""
-    # only the step of the flights has a pace; a study without times has no rows
-    total = sum(seconds.values())
-    runs = sum(map(len, campaigns.values()))
-    rows = []
-    for step, spent in [*seconds.items(), ("all", total)]:
-        share = None
-        if total:
-            share = spent / total
-        pace = None
-        if step == FLIGHTS and spent:
-            pace = runs / spent
-        rows.append((step, spent / 60, share, pace))
-    if not seconds:
-        rows = []
-
-    columns = (
-        Column("step", "step"),
-        Column("wall", "wall time", _MINUTES),
-        Column("share", "share", PERCENT),
-        Column("pace", "runs per second", "number .1f"),
-    )
-    notes = [
-        "wall time, added over the runs of a resumed study; that of flights includes drawing their faults and "
-        "writing the ledgers; compilation: of what was not in the cache"
-    ]
-    if SET_UP in seconds:
-        notes.append(f"{SET_UP}: once, also if it was for another study")
-    notes.append("report.html is written last: its own time is in the wall time of study.md only")
-    return Table("steps", "Where the time goes: steps of mavfi reproduce", columns, rows, notes=tuple(notes))
-
-
-def time_table(campaigns: Mapping[str, Runs]) -> Table:
-    """Number of runs and worker time by campaign and in total; those together include null runs."""
-    rows = [_row(str(runs.campaign["name"]), [runs]) for runs in campaigns.values()]
-    rows.append(_row("all", list(campaigns.values())))
-    return Table(
-        "times",
-        "Where the time goes: workers of the campaigns",
-        _COLUMNS,
-        rows,
-        notes=(
-            "time of worker processes, added over workers: with two workers about twice the wall time; golden runs "
-            "include the counting of instructions, those with a fault start at checkpoints of golden runs; a golden "
-            "flight that campaigns share is in the time of the one that flew it; together: with null runs; pace: runs "
-            "of a campaign per second and worker",
-        ),
-    )
-
-
-_COLUMNS = (
-    Column("campaign", "campaign"),
-    Column("golden", "golden runs", "number"),
-    Column("golden_s", "time", _MINUTES),
-    Column("golden_mean_s", "each", "number .2f s"),
-    Column("faulty", "with a fault", "number"),
-    Column("faulty_s", "time", _MINUTES),
-    Column("faulty_mean_s", "each", "number .2f s"),
-    Column("all_s", "together", _MINUTES),
-    Column("pace", "pace", "number .1f /s"),
-)
-
-
-def _row(name: str, parts: list[Runs]) -> tuple[object, ...]:
-    """A row of the table of times, for the runs of one campaign or of all."""
-    golden = [wall for runs in parts for wall in runs.golden["wall_s"] if wall is not None]
-    faulty = [wall for runs in parts for wall in runs.injected["wall_s"] if wall is not None]
-    every = [wall for runs in parts for wall in runs["wall_s"] if wall is not None]
-    return (
-        name,
-        len(golden),
-        sum(golden) / 60,
-        _mean(golden),
-        len(faulty),
-        sum(faulty) / 60,
-        _mean(faulty),
-        sum(every) / 60,
-        len(every) / sum(every) if every else None,
-    )
-
-
-def _mean(seconds: list[float]) -> float | None:
-    if not seconds:
-        return None
-    return sum(seconds) / len(seconds)
