@@ -221,6 +221,7 @@ class Topic:
 
     Attributes:
         spec: The numbers.
+        names: Their names.
         kinds: Which of them are angles and quaternions.
         is_circular: Whether each is an angle, or a component of a quaternion. Shape (fields,).
         factors: Factor of each number in what the detector sees, set by `Monitor.fit`. Shape (fields,).
@@ -228,9 +229,9 @@ class Topic:
 
     def __init__(self, spec: StateSpec, kinds: Mapping[str, str]) -> None:
         self.spec = spec
-        names = [field.name for field in spec.header]
-        self.kinds = {name: kinds[name] for name in names if kinds.get(name) in (*TURNS, QUATERNION)}
-        of_fields = [self.kinds.get(name, "") for name in names]
+        self.names = [field.name for field in spec.header]
+        self.kinds = {name: kinds[name] for name in self.names if kinds.get(name) in (*TURNS, QUATERNION)}
+        of_fields = [self.kinds.get(name, "") for name in self.names]
         self.is_circular = np.array([kind != "" for kind in of_fields])
         self.factors = np.ones(len(of_fields))
         self._turns = np.array([TURNS.get(kind, np.nan) for kind in of_fields])
@@ -239,7 +240,7 @@ class Topic:
     def read(self, numbers: Mapping[str, float]) -> State | None:
         """The monitored numbers of a message; None if it lacks one."""
         try:
-            return foreign_state(self.spec, [numbers[field.name] for field in self.spec.header])
+            return foreign_state(self.spec, [numbers[name] for name in self.names])
         except KeyError:
             return None
 
@@ -311,7 +312,7 @@ class Monitor(Detector):
                 tables = [np.array([values for owner, values in run if owner == name]) for run in runs]
                 is_value = ~topic.is_circular & (profile == "paper")
                 thresholds += _scale(topic, [table for table in tables if len(table)], is_value)
-                circular += [f"{name}.{topic.spec.header[index].name}" for index in np.flatnonzero(topic.is_circular)]
+                circular += [f"{name}.{topic.names[index]}" for index in np.flatnonzero(topic.is_circular)]
         shown = [[topics[name].shown(values) for name, values in run] for run in runs]
         if not is_coded:
             return cls(factory.of_messages(shown, specs, figures_of(kind, "tuned")), topics, compares=True)
