@@ -157,11 +157,8 @@ def _quaternions(names: Sequence[str], values: np.ndarray) -> dict[str, str]:
         varies = (values[:, group] != values[:1, group]).any(axis=0).all()
         with np.errstate(over="ignore"):
             is_unit = np.abs(np.linalg.norm(values[:, group], axis=1) - 1.0) <= _NORM_ERROR
-        if (
-            (is_whole or varies)
-            and is_unit.sum() > _UNIT_SHARE * len(is_unit)
-            and kinds.keys().isdisjoint(names[group])
-        ):
+        is_quaternion = (is_whole or varies) and is_unit.sum() > _UNIT_SHARE * len(is_unit)
+        if is_quaternion and kinds.keys().isdisjoint(names[group]):
             kinds |= dict.fromkeys(names[group], QUATERNION)
     return kinds
 
@@ -172,13 +169,11 @@ def _angle_by_jumps(columns: Sequence[np.ndarray]) -> str:
     values = np.concatenate(columns)
     with np.errstate(over="ignore"):
         steps = np.abs(np.concatenate([np.diff(column) for column in columns]))
+        extent = values.max(initial=-np.inf) - values.min(initial=np.inf)
     for unit, turn in TURNS.items():
         is_jump = steps > _SHORTEST_JUMP * turn
-        if (
-            is_jump.any()
-            and np.ptp(values) <= _LONGEST_RANGE * turn
-            and (is_jump | (steps < _LARGEST_STEP * turn)).all()
-        ):
+        is_small = steps < _LARGEST_STEP * turn
+        if extent <= _LONGEST_RANGE * turn and is_jump.any() and (is_jump | is_small).all():
             return unit
     return ""
 
@@ -192,9 +187,9 @@ def _counts(values: np.ndarray, times_us: np.ndarray) -> bool:
     passed_s = 1e-6 * (times_us - times_us[0])[is_finite]
     is_whole = bool((values == np.floor(values)).all())
     limit = next((limit for limit in _RANGES if limit > values.max()), None)
-    if is_whole and limit is not None:
-        values = np.unwrap(values, period=limit)  # begins again at the end of the range
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
+        if is_whole and limit is not None:
+            values = np.unwrap(values, period=limit)  # begins again at the end of the range
         steps = np.diff(values)
     if not (steps >= 0.0).all():
         return False
