@@ -157,11 +157,8 @@ def _quaternions(names: Sequence[str], values: np.ndarray) -> dict[str, str]:
         varies = (values[:, group] != values[:1, group]).any(axis=0).all()
         with np.errstate(over="ignore"):
             is_unit = np.abs(np.linalg.norm(values[:, group], axis=1) - 1.0) <= _NORM_ERROR
-        if (
-            (is_whole or varies)
-            and is_unit.sum() > _UNIT_SHARE * len(is_unit)
-            and kinds.keys().isdisjoint(names[group])
-        ):
+        is_quaternion = (is_whole or varies) and is_unit.sum() > _UNIT_SHARE * len(is_unit)
+        if is_quaternion and kinds.keys().isdisjoint(names[group]):
             kinds |= dict.fromkeys(names[group], QUATERNION)
     return kinds
 
@@ -172,13 +169,11 @@ def _angle_by_jumps(columns: Sequence[np.ndarray]) -> str:
     values = np.concatenate(columns)
     with np.errstate(over="ignore"):
         steps = np.abs(np.concatenate([np.diff(column) for column in columns]))
+        extent = values.max(initial=-np.inf) - values.min(initial=np.inf)
     for unit, turn in TURNS.items():
         is_jump = steps > _SHORTEST_JUMP * turn
-        if (
-            is_jump.any()
-            and np.ptp(values) <= _LONGEST_RANGE * turn
-            and (is_jump | (steps < _LARGEST_STEP * turn)).all()
-        ):
+        is_small = steps < _LARGEST_STEP * turn
+        if extent <= _LONGEST_RANGE * turn and is_jump.any() and (is_jump | is_small).all():
             return unit
     return ""
 
@@ -192,9 +187,9 @@ def _counts(values: np.ndarray, times_us: np.ndarray) -> bool:
     passed_s = 1e-6 * (times_us - times_us[0])[is_finite]
     is_whole = bool((values == np.floor(values)).all())
     limit = next((limit for limit in _RANGES if limit > values.max()), None)
-    if is_whole and limit is not None:
-        values = np.unwrap(values, period=limit)  # begins again at the end of the range
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
+        if is_whole and limit is not None:
+            values = np.unwrap(values, period=limit)  # begins again at the end of the range
         steps = np.diff(values)
     if not (steps >= 0.0).all():
         return False
@@ -221,6 +216,7 @@ class Topic:
 
     Attributes:
         spec: The numbers.
+        names: Their names.
         kinds: Which of them are angles and quaternions.
         is_circular: Whether each is an angle, or a component of a quaternion. Shape (fields,).
         factors: Factor of each number in what the detector sees, set by `Monitor.fit`. Shape (fields,).
@@ -228,9 +224,9 @@ class Topic:
 
     def __init__(self, spec: StateSpec, kinds: Mapping[str, str]) -> None:
         self.spec = spec
-        names = [field.name for field in spec.header]
-        self.kinds = {name: kinds[name] for name in names if kinds.get(name) in (*TURNS, QUATERNION)}
-        of_fields = [self.kinds.get(name, "") for name in names]
+        self.names = [field.name for field in spec.header]
+        self.kinds = {name: kinds[name] for name in self.names if kinds.get(name) in (*TURNS, QUATERNION)}
+        of_fields = [self.kinds.get(name, "") for name in self.names]
         self.is_circular = np.array([kind != "" for kind in of_fields])
         self.factors = np.ones(len(of_fields))
         self._turns = np.array([TURNS.get(kind, np.nan) for kind in of_fields])
@@ -239,7 +235,7 @@ class Topic:
     def read(self, numbers: Mapping[str, float]) -> State | None:
         """The monitored numbers of a message; None if it lacks one."""
         try:
-            return foreign_state(self.spec, [numbers[field.name] for field in self.spec.header])
+            return foreign_state(self.spec, [numbers[name] for name in self.names])
         except KeyError:
             return None
 
@@ -311,7 +307,7 @@ class Monitor(Detector):
                 tables = [np.array([values for owner, values in run if owner == name]) for run in runs]
                 is_value = ~topic.is_circular & (profile == "paper")
                 thresholds += _scale(topic, [table for table in tables if len(table)], is_value)
-                circular += [f"{name}.{topic.spec.header[index].name}" for index in np.flatnonzero(topic.is_circular)]
+                circular += [f"{name}.{topic.names[index]}" for index in np.flatnonzero(topic.is_circular)]
         shown = [[topics[name].shown(values) for name, values in run] for run in runs]
         if not is_coded:
             return cls(factory.of_messages(shown, specs, figures_of(kind, "tuned")), topics, compares=True)

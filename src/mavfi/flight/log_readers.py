@@ -1,4 +1,4 @@
-"""Flights recorded elsewhere: interface of their readers, messages with numbers, and the numbers to monitor in them."""
+"""Flights recorded elsewhere: interface of their readers, and messages with numbers."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -8,12 +8,10 @@ from typing import Protocol
 
 import numpy as np
 
-from mavfi.detectors.foreign import foreign_state
 from mavfi.errors import BadInputError, MavfiError, not_known
-from mavfi.faults.levels.message.definition import FORMATS, AbsentError, Leaf
+from mavfi.faults.levels.message.definition import FORMATS, Leaf
 from mavfi.files import check_regular
 from mavfi.plugins import build, known, load_object, reason
-from mavfi.states import State, StateSpec
 
 GROUP = "mavfi.log_readers"
 """Entry points of this group are readers by file name extension: classes constructed with a path."""
@@ -181,25 +179,3 @@ def check_topics(path: Path, topics: Sequence[str], topics_of_file: Collection[s
     for topic in topics:
         if topic not in topics_of_file:
             raise BadInputError(f"{path}: topic {not_known(topic, topics_of_file)}")
-
-
-# ---- monitored numbers ------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Probe:
-    """Extracts the monitored fields of a topic's messages.
-
-    Attributes:
-        layout: Layout of the messages.
-        spec: Specification of the state that they become, with a field for each monitored number.
-    """
-
-    layout: Layout
-    spec: StateSpec
-
-    def read(self, message: bytes) -> State | None:
-        """The field values; None if the message lacks any of them."""
-        try:
-            leaves = [self.layout.locate(message, field.name) for field in self.spec.header]
-        except AbsentError:
-            return None
-        return foreign_state(self.spec, [float(leaf.value(message)) for leaf in leaves])

@@ -223,12 +223,12 @@ def _selected(log_watches: list[LogWatch]) -> tuple[dict[str, list[str]], dict[s
     names: dict[str, list[str]] = {}
     geometry: dict[str, str] = {}
     for log_watch in log_watches:
-        for topic, probe in log_watch.selection.probes.items():
-            names[topic] = [field.name for field in probe.spec.header]
-            for name, kind in log_watch.selection.topics[topic].kinds.items():
-                geometry[f"{topic}:{name}"] = kind
+        for name, topic in log_watch.selection.topics.items():
+            names[name] = topic.names
+            for field, kind in topic.kinds.items():
+                geometry[f"{name}:{field}"] = kind
                 if kind in TURNS:
-                    geometry[f"{topic}:{name}"] = f"angle ({kind})"
+                    geometry[f"{name}:{field}"] = f"angle ({kind})"
     return names, geometry
 
 

@@ -57,9 +57,7 @@ def _fields_of(log_watch: LogWatch, judged: JudgedLog) -> list[tuple[str, str]]:
     if judged.fault_alarm is not None:
         alarms.append(judged.fault_alarm)
     named = Counter((alarm.topic, name) for alarm in alarms for name in alarm.fields)
-    monitored = [
-        (topic, field.name) for topic, probe in log_watch.selection.probes.items() for field in probe.spec.header
-    ]
+    monitored = [(name, field) for name, topic in log_watch.selection.topics.items() for field in topic.names]
     chosen = [field for field, _ in named.most_common() if field in monitored]
     return (chosen or monitored)[:_MAX_FIELDS]
 

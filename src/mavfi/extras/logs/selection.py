@@ -21,7 +21,7 @@ from mavfi.detectors.foreign import (
 from mavfi.errors import BadInputError, allowed, hint
 from mavfi.extras.logs.mapping import NO_MAPPING, UsedMapping, choose_mapping, nearest_mapping
 from mavfi.extras.logs.recording import LogRecording, values_of
-from mavfi.flight.log_readers import LONGEST_LIST, LoggedMessage, Probe
+from mavfi.flight.log_readers import LONGEST_LIST, LoggedMessage
 
 COUNTS = "counts messages or time (see --kinds)"
 _NOT_RECOMMENDED = "not recommended (see --fields)"
@@ -71,14 +71,12 @@ class LogSelection:
     """What is monitored.
 
     Attributes:
-        probes: Monitored fields by topic.
-        topics: The same fields for a monitor, which knows the angles and quaternions among them.
+        topics: Monitored fields by topic, and which of them are angles and quaternions.
         not_monitored: All other numbers, with the reason.
         mapping: Which monitored fields become states of missions.
         late: Monitored fields, by topic, that are not finite at the beginning of a recording of the training.
     """
 
-    probes: Mapping[str, Probe]
     topics: Mapping[str, Topic]
     not_monitored: Sequence[NotMonitored] = ()
     mapping: UsedMapping = NO_MAPPING
@@ -116,29 +114,28 @@ def select(
         BadInputError: A wanted field cannot be monitored, or there is none at all.
     """
     selector = _Selector(training, judged, wanted)
-    for topic in selector.names:
-        selector.add(topic)
-    probes = selector.probes
+    for name in selector.names:
+        selector.add(name)
+    topics = selector.topics
     # Refuse what the user has named in vain.
     cut = cut_text([*training, *judged])
     if cut:
         cut = f" ({cut})"
-    _check_wanted(wanted.fields, probes, selector.left_out, cut)
-    if not probes:
+    fields = [f"{name}:{field}" for name, topic in topics.items() for field in topic.names]
+    _check_wanted(wanted.fields, fields, selector.left_out, cut)
+    if not topics:
         files = ", ".join(recording.name for recording in [*training, *judged])
-        raise BadInputError(
-            f"{files}: no numbers in common{cut}; allowed: topics with {SMALLEST_SAMPLE} messages or more "
-            f"in the training, with finite numbers{_examples(selector.left_out)}"
-        )
-    fields = [f"{topic}:{field.name}" for topic, probe in probes.items() for field in probe.spec.header]
+        needs = f"allowed: topics with {SMALLEST_SAMPLE} messages or more in the training, with finite numbers"
+        reasons = summary(selector.left_out)[:_MAX_EXAMPLES]
+        raise BadInputError("; ".join([f"{files}: no numbers in common{cut}", needs, *reasons]))
     for pattern in wanted.kinds:
         if not any(_matches(pattern, field) for field in fields):
             raise BadInputError(f"--kinds: {pattern}: no monitored field; allowed: {allowed(fields, pattern)}")
     mapping = selector.mapping
     if mapping.name:
-        monitored = {topic: [field.name for field in probe.spec.header] for topic, probe in probes.items()}
+        monitored = {name: topic.names for name, topic in topics.items()}
         mapping = choose_mapping(wanted.mapping or mapping.name, monitored)
-    return LogSelection(probes, selector.topics, selector.left_out, mapping, selector.late)
+    return LogSelection(topics, selector.left_out, mapping, selector.late)
 
 
 class _Selector:
@@ -152,7 +149,7 @@ class _Selector:
     Attributes:
         names: All topics, in the order of their first appearance.
         mapping: The mapping to states of missions.
-        probes: See `LogSelection`, of the topics added so far; so are `topics` and `late`.
+        topics: See `LogSelection`, those added so far; so is `late`.
         left_out: What is not monitored of them.
     """
 
@@ -174,7 +171,6 @@ class _Selector:
         self.names = list(
             dict.fromkeys([*self._normal, *(name for topics in self._judged.values() for name in topics)])
         )
-        self.probes: dict[str, Probe] = {}
         self.topics: dict[str, Topic] = {}
         self.late: dict[str, set[str]] = {}
         self.left_out: list[NotMonitored] = []
@@ -294,9 +290,7 @@ class _Selector:
         self.left_out += [NotMonitored(topic, name, reasons[name]) for name in numbers if name in reasons]
         names = [name for name in usable if name not in reasons]
         if names:
-            spec = foreign_spec(topic, names)
-            self.probes[topic] = Probe(self._normal[topic][0][1][0].layout, spec)
-            self.topics[topic] = Topic(spec, kinds)
+            self.topics[topic] = Topic(foreign_spec(topic, names), kinds)
             self.late[topic] = self.late.get(topic, set()).intersection(names)
 
     def _kinds_of(self, topic: str, names: Sequence[str]) -> dict[str, str]:
@@ -334,32 +328,21 @@ def cut_text(recordings: Sequence[LogRecording]) -> str:
     return ""
 
 
-def _check_wanted(
-    wanted: Sequence[str], probes: Mapping[str, Probe], left_out: Sequence[NotMonitored], cut: str
-) -> None:
+def _check_wanted(wanted: Sequence[str], monitored: Sequence[str], left_out: Sequence[NotMonitored], cut: str) -> None:
     """Refuse wanted fields that are not monitored, say why, and name the nearest ones."""
-    monitored = [(topic, field.name) for topic, probe in probes.items() for field in probe.spec.header]
-    possible = [*monitored, *((item.topic, item.field) for item in left_out if item.reason == _NOT_WANTED)]
+    possible = [*monitored, *(f"{item.topic}:{item.field}" for item in left_out if item.reason == _NOT_WANTED)]
     for name in wanted:
         topic, _, path = name.rpartition(":")
-        if any(path == monitored_path and topic in ("", owner) for owner, monitored_path in monitored):
+        if any(name in (field, field.rpartition(":")[2]) for field in monitored):
             continue
         reason = "no such number in messages of the training"
         for item in left_out:
             if topic in ("", item.topic) and item.field in ("", path) and (topic or item.field):
                 reason = item.reason
-        names = [f"{owner}:{number}" for owner, number in possible]
+        names = possible
         if not topic:
-            names = [number for _, number in possible]
+            names = [field.rpartition(":")[2] for field in possible]
         raise BadInputError(f"--fields: {name}: {reason}{cut}{hint(name, names)}; allowed: {allowed(names, name)}")
-
-
-def _examples(left_out: Sequence[NotMonitored]) -> str:
-    """The first reasons, for a message."""
-    reasons = [f"{item.topic} {item.field}".rstrip() + f" {item.reason}" for item in left_out[:3]]
-    if not reasons:
-        return ""
-    return f" ({'; '.join(reasons)})"
 
 
 # ---- what is said about it -------------------------------------------------------------------------------------------
@@ -367,6 +350,8 @@ _WIDTH = 80
 _MIN_NAMES = 3
 """Names that a line has in any case, if there are so many."""
 _MAX_REASONS = 8
+_MAX_EXAMPLES = 3
+"""Most lines of reasons, and of those in a refusal."""
 
 
 def summary(not_monitored: Sequence[NotMonitored]) -> list[str]:

@@ -1,20 +1,21 @@
 """Detectors on recorded flights: trained on some, applied to others, with injected flips and known faults."""
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from mavfi.analysis.statistics import EventRate, Rate, event_rate, wilson
-from mavfi.detectors.foreign import NOT_FINITE_RULE
+from mavfi.detectors.foreign import NOT_FINITE_RULE, foreign_state
 from mavfi.extras.logs.detectors import log_detector
 from mavfi.extras.logs.recording import LogRecording, Silence, exposure_s, longest_gap_us, silences
 from mavfi.extras.logs.selection import LogSelection, NotMonitored
-from mavfi.faults.levels.message.definition import Leaf, flip_bit
+from mavfi.faults.levels.message.definition import AbsentError, Leaf, flip_bit
 from mavfi.faults.strata import bits_of
-from mavfi.flight.log_readers import LoggedMessage
+from mavfi.flight.log_readers import Layout, LoggedMessage
 from mavfi.states import Field, State
 
 _EVENT_GAP_US = 1_000_000
@@ -164,28 +165,30 @@ def _event_of(alarms: Sequence[LogAlarm]) -> LogEvent:
     for alarm in alarms:
         by_cause.setdefault((alarm.topic, alarm.source == NOT_FINITE_RULE), []).append(alarm)
     causes = tuple(_cause_text(group, alarms[0].time_us) for group in by_cause.values())
-    topics = Counter(alarm.topic for alarm in alarms)
-    fields = Counter(name for alarm in alarms for name in alarm.fields)
-    sources = Counter(alarm.source for alarm in alarms)
     return LogEvent(
         alarms[0].time_us,
         alarms[-1].time_us,
         len(alarms),
-        tuple(topic for topic, _ in topics.most_common()),
-        tuple(name for name, _ in fields.most_common()),
-        tuple(source for source, _ in sources.most_common()),
+        _by_frequency(alarm.topic for alarm in alarms),
+        _by_frequency(name for alarm in alarms for name in alarm.fields),
+        _by_frequency(alarm.source for alarm in alarms),
         max(alarm.score for alarm in alarms),
         causes,
     )
 
 
+def _by_frequency(names: Iterable[str]) -> tuple[str, ...]:
+    """Different names, the most frequent ones first."""
+    return tuple(name for name, _ in Counter(names).most_common())
+
+
 def _cause_text(alarms: Sequence[LogAlarm], event_begin_us: int) -> str:
     """Fields and cause of alarms of one topic and kind, and when they began if this is later than their event."""
-    names = [name for name, _ in Counter(name for alarm in alarms for name in alarm.fields).most_common()]
+    names = _by_frequency(name for alarm in alarms for name in alarm.fields)
     fields = ", ".join(names[:_MAX_NAMED])
     if len(names) > _MAX_NAMED:
         fields += f" and {len(names) - _MAX_NAMED} more"
-    cause = Counter(alarm.source for alarm in alarms).most_common(1)[0][0]
+    cause = _by_frequency(alarm.source for alarm in alarms)[0]
     if cause != NOT_FINITE_RULE:
         cause += f", score {max(alarm.score for alarm in alarms):.3g}"
     if len(alarms) > 1:
@@ -225,7 +228,7 @@ class LogWatch:
         """
         samples = []
         for message in recording.messages:
-            state = self._read(message, message.data)
+            state = self.read(message.topic, message.layout, message.data)
             if state is not None:
                 samples.append((message, state))
         for topic, names in self.selection.late.items():
@@ -234,12 +237,16 @@ class LogWatch:
                 _fill_beginning([header[name] for header in headers])
         return samples
 
-    def _read(self, message: LoggedMessage, data: bytes) -> State | None:
-        """The monitored fields of bytes with the layout of a message, which may differ from file to file."""
-        probe = self.selection.probes.get(message.topic)
-        if probe is None:
+    def read(self, topic: str, layout: Layout, data: bytes) -> State | None:
+        """The monitored fields of a message; None if it lacks one, or nothing of its topic is monitored."""
+        monitored = self.selection.topics.get(topic)
+        if monitored is None:
             return None
-        return replace(probe, layout=message.layout).read(data)
+        try:
+            leaves = [layout.locate(data, name) for name in monitored.names]
+        except AbsentError:
+            return None
+        return foreign_state(monitored.spec, [float(leaf.value(data)) for leaf in leaves])
 
     def judge(self, recording: LogRecording, flips: int = 0, seed: int = 0) -> JudgedLog:
         """Judge a recording.
@@ -253,22 +260,16 @@ class LogWatch:
         samples = self._states(recording)
         alarms = list(self._run(samples))
         # The normal part, and what follows the known fault.
-        onset = recording.onset_us
-        normal = samples
-        faulty: list[Sample] = []
-        false_alarms = alarms
-        fault_alarm = None
+        onset_us = math.inf
+        if recording.onset_us is not None:
+            onset_us = recording.onset_us
+        normal = [sample for sample in samples if sample[0].time_us < onset_us]
+        faulty = samples[len(normal) :]
+        false_alarms = [alarm for alarm in alarms if alarm.time_us < onset_us]
+        fault_alarm = next((alarm for alarm in alarms if alarm.time_us >= onset_us), None)
         fault_delay_s = None
-        if onset is not None:
-            count = sum(message.time_us < onset for message, _ in samples)
-            normal = samples[:count]
-            faulty = samples[count:]
-            false_alarms = [alarm for alarm in alarms if alarm.time_us < onset]
-            for alarm in alarms:
-                if alarm.time_us >= onset:
-                    fault_alarm = alarm
-                    fault_delay_s = 1e-6 * (alarm.time_us - onset)
-                    break
+        if fault_alarm is not None:
+            fault_delay_s = 1e-6 * (fault_alarm.time_us - onset_us)
         injected = self._inject(normal, {alarm.place for alarm in false_alarms}, flips, seed)
         gap_us = longest_gap_us([message.time_us for message, _ in samples])
         return JudgedLog(
@@ -277,7 +278,7 @@ class LogWatch:
             len(normal),
             false_alarms,
             list(injected),
-            has_fault=onset is not None,
+            has_fault=recording.onset_us is not None,
             fault_delay_s=fault_delay_s,
             after_fault_s=exposure_s([message.time_us for message, _ in faulty], gap_us),
             cut=recording.cut,
@@ -292,7 +293,7 @@ class LogWatch:
         counts = Counter(message.topic for message in recording.messages)
         judged = Counter(message.topic for message, _ in samples)
         silent = []
-        for topic in self.selection.probes:
+        for topic in self.selection.topics:
             if not counts[topic]:
                 silent.append(NotMonitored(topic, "", f"silent in {recording.name}"))
             elif judged[topic] < counts[topic]:
@@ -311,7 +312,7 @@ class LogWatch:
 
     def _names(self, topic: str, names: Sequence[str]) -> tuple[str, tuple[str, ...]]:
         """Topic and names of the fields that an alarm names: "topic.field", or "topic:field" if they are mapped."""
-        for owner in self.selection.probes:
+        for owner in self.selection.topics:
             fields = tuple(name.removeprefix(f"{owner}:") for name in names if name.startswith(f"{owner}:"))
             if fields:
                 return owner, fields
@@ -325,7 +326,7 @@ class LogWatch:
             if follower is None or alarmed & {index, follower} or not self._floats(message):
                 continue
             # a message before the first finite value of a field is not judged as it is
-            original = self._read(message, message.data)
+            original = self.read(message.topic, message.layout, message.data)
             if original is not None and original.header.tobytes() == state.header.tobytes():
                 usable.append((index, follower))
         if not usable or not count:
@@ -343,8 +344,7 @@ class LogWatch:
 
     def _floats(self, message: LoggedMessage) -> list[tuple[str, str]]:
         """Monitored floating-point fields of a message, each with its kind."""
-        names = [field.name for field in self.selection.probes[message.topic].spec.header]
-        kinds = [(name, message.layout.check(name)) for name in names]
+        kinds = [(name, message.layout.check(name)) for name in self.selection.topics[message.topic].names]
         return [(name, kind) for name, kind in kinds if kind in _FLOATS]
 
     def _flip(self, samples: Sequence[Sample], bit_class: str, random: np.random.Generator) -> Flip:
@@ -356,7 +356,7 @@ class LogWatch:
         bits = bits_of(Field(name, _FLOATS[kind], "-"), bit_class)
         bit = int(random.integers(bits.start, bits.stop))
         leaf = Leaf(message.layout.locate(message.data, name).offset, kind)
-        changed = self._read(message, flip_bit(message.data, leaf, bit))
+        changed = self.read(message.topic, message.layout, flip_bit(message.data, leaf, bit))
         assert changed is not None  # it has the numbers of the original
         # Judge, and restore the detector.
         memory = self.detector.memory()

@@ -201,7 +201,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
             )
         watching = TopicWatch(listener, trained)
         if not as_json:
-            topic_names = ", ".join(sorted(trained.selection.probes))
+            topic_names = ", ".join(sorted(trained.selection.topics))
             out.print(f"learned from {trained.trained_on} messages; watching {topic_names}", markup=False)
             for line in summary(trained.selection.not_monitored):
                 out.print(line, markup=False)

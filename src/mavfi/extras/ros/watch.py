@@ -58,29 +58,26 @@ class TopicWatch:
     """
 
     def __init__(self, listener: GraphListener, trained: LogWatch) -> None:
-        self._probes = trained.selection.probes
-        self._monitor = trained.detector
+        self._trained = trained
         self.alarms: list[ForeignAlarm] = []
         self.judged: Counter[str] = Counter()
         self.skipped: Counter[str] = Counter()
-        for probe in self._probes.values():  # compile in advance, as messages would queue up meanwhile
+        for monitored in trained.selection.topics.values():  # compile in advance: messages would queue up meanwhile
             for _ in range(2):
-                self._monitor.step(foreign_state(probe.spec, np.zeros(len(probe.spec.header))), 0)
-        self._monitor.start()
+                trained.detector.step(foreign_state(monitored.spec, np.zeros(len(monitored.names))), 0)
+        trained.detector.start()
         self._listener = listener
         self._listener.open_alarms()
 
     def judge(self, topic: str, message: bytes) -> ForeignAlarm | None:
         """Check a message; an alarm is published, stored and returned."""
-        state = None
-        if topic in self._probes:
-            state = self._probes[topic].read(message)
+        state = self._trained.read(topic, self._listener.definitions[topic], message)
         if state is None:
             self.skipped[topic] += 1
             return None
         self.judged[topic] += 1
         now = time.time()
-        verdict = self._monitor.step(state, int(1e6 * now))
+        verdict = self._trained.detector.step(state, int(1e6 * now))
         if verdict is None:
             return None
         fields = tuple(name.removeprefix(f"{topic}.") for name in verdict.fields)

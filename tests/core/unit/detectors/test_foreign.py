@@ -145,6 +145,7 @@ def test_a_quaternion_and_its_opposite_are_the_same(names, is_planar):
         ({"x": wrapped(0.1 * TIME)}, {"x": "m"}, {}),
         ({"x": wrapped(0.1 * TIME)}, {}, {"x": "rad"}),
         ({"x": 10.0 * np.mod(TIME, 1.0)}, {}, {}),  # a saw-tooth
+        ({name: 1.7e308 * np.sign(np.sin(TIME + 0.1)) for name in "abcd"}, {}, {}),  # overflows
         ({name: np.full(len(TIME), float(name == "d")) for name in "abcd"}, {}, dict.fromkeys("abcd", QUATERNION)),
         ({name: np.full(len(TIME), float(name == "d")) for name in "abcde"}, {}, {}),  # flags
     ],

@@ -208,8 +208,8 @@ class StackBench:
             self._golden = runs[0]
             self._lasting = reduce(and_, (run.lasting for run in runs))
             publications = [run.publications for run in runs]
-            for arm, (kind, profile) in self._detectors.items():
-                self._monitors[arm] = train(kind, profile, publications)
+            for arm, (detector, profile) in self._detectors.items():
+                self._monitors[arm] = train(detector, profile, publications)
         return self._golden
 
     def _error_free_runs(self) -> list[PlayedRun]:
