@@ -47,7 +47,7 @@ def test_a_plan_is_proved_by_its_campaign_and_one_that_protects_nothing_is_refut
     capsys.readouterr()
     assert run(["harden", "out", "--budget", "0.0001", "--plan", "plan.yaml"]) == 0
     output = capsys.readouterr().out
-    assert output.startswith("Protect pid: ") and "It hardly buys missions" in output
+    assert output.startswith("Protect pid: ") and "Missions that it may save: " in output
     assert "campaign run plan.proof.yaml --out out_proof" in output
     (planned,) = load_plan(Path("plan.yaml")).functions
     assert planned.kernel == "pid" and 0 < len(planned.sites) < 708

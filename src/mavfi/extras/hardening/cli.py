@@ -97,15 +97,15 @@ def _headline(flights: Sequence["HardenedFlight"], faults: int) -> str:
     added = max(flight.added for flight in flights)
     targets = [target for flight in flights for target in flight.new]
     return (
-        f"Protect {', '.join(protected)}: {percent(added)} more kernel time per flight is expected to remove "
+        f"Protect {', '.join(protected)}: {percent(added, 2)} more kernel time per flight is expected to remove "
         f"{percent(removed_share(targets))} of the silent corruptions (SDC), by {faults:,} faults."
     )
 
 
 def _losses(losses: "Losses") -> str:
     return (
-        f"It hardly buys missions: {losses.lost_silent} of {losses.silent} flights with an SDC were lost, "
-        f"{losses.lost_dead} of {losses.dead} with a dead kernel."
+        f"Missions that it may save: {losses.lost_silent} of {losses.silent} flights with an SDC were lost; dead "
+        f"kernels, which it does not prevent, lost {losses.lost_dead} of {losses.dead}."
     )
 
 
