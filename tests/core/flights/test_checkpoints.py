@@ -18,9 +18,8 @@ from mavfi.flight.fly import fly
 from mavfi.flight.loop import Loop
 from mavfi.flight.recovery import DetectorTap
 from mavfi.pipeline.memory import Memory
-from mavfi.sim.simulator import Simulator
 from mavfi.states import STATES
-from tests.core.flights.missions import AUTOPILOTS, FAR_GOAL, GOAL, Scripted, fault, mission
+from tests.core.flights.missions import AUTOPILOTS, GOAL, Scripted, fault, mission
 
 KERNELS = ("point_cloud", "octomap", "collision_check", "planner", "trajectory", "waypoint", "pid")
 
@@ -101,7 +100,6 @@ CASES = {
     "hardened": lambda: (mission("hardened"), None, None),
     "noise": lambda: (mission(depth_noise=0.01), None, None),
     "rrt": lambda: (mission(planner="rrt"), None, None),
-    "rrt_star": lambda: (mission(planner="rrt_star"), None, None),
     "octree": lambda: (mission(map="octree"), Nervous(), None),
     "gaussian": lambda: (mission(), detector_of("gaussian", "paper", mission()), fault("control.command", "vx", 4, 62)),
     "autoencoder": lambda: (
@@ -114,28 +112,16 @@ CASES = {
         detector_of("acceptance", "paper", mission()),
         fault("planning.trajectory", "y", 1, 62, element=9),
     ),
-    "acceptance hardened": lambda: (
-        mission("hardened"),
-        detector_of("acceptance", "paper", mission("hardened")),
-        fault("planning.waypoint", "x", 4, 61),
-    ),
-    "tuned": lambda: (
-        mission("hardened"),
-        detector_of("autoencoder", "tuned", mission("hardened")),
-        fault("planning.waypoint", "x", 4, 61),
-    ),
     "recovery": lambda: (mission(), Nervous(), fault("perception.point_cloud", "z", 4, 30, element=1000)),
     "recovery hardened": lambda: (mission("hardened"), Nervous(), fault("planning.trajectory", "y", 1, 62, element=9)),
 }
 
 
-REPEATED = ("rrt_star", "tuned", "acceptance hardened")
-"""They show what others show: another planner; the detector in another profile; another autopilot."""
 IN_THE_FAST_SUITE = ("published", "hardened", "octree", "gaussian", "autoencoder", "recovery")
 
 
 def marked(case):
-    marks = () if case in IN_THE_FAST_SUITE else (pytest.mark.slow, *[pytest.mark.long] * (case in REPEATED))
+    marks = () if case in IN_THE_FAST_SUITE else pytest.mark.slow
     return pytest.param(case, marks=marks)
 
 
@@ -175,35 +161,6 @@ def same_from_everywhere(autopilot="published", goal=GOAL):
 @pytest.mark.slow
 def test_nothing_is_forgotten():
     assert same_from_everywhere()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", KERNELS)
-def test_a_checkpoint_that_forgets_a_kernel_is_noticed(name, monkeypatch):
-    monkeypatch.setattr(type(new_loop(mission()).kernels[name]), "restore", lambda *_: None)
-    if name == "octomap":  # the clock of `hardened` follows the known space, scan by scan
-        assert not same_from_everywhere("hardened", FAR_GOAL)
-    else:
-        assert not same_from_everywhere()
-
-
-@pytest.mark.parametrize("name", ["awaited", "command"])
-def test_a_checkpoint_that_forgets_a_part_of_the_loop_is_noticed(name, monkeypatch):
-    restore = Loop.restore
-
-    def forgetful(loop, memory):
-        kept = getattr(loop, name)
-        restore(loop, memory)
-        setattr(loop, name, kept)
-
-    monkeypatch.setattr(Loop, "restore", forgetful)
-    assert not same_from_everywhere()
-
-
-@pytest.mark.parametrize("forgets", [Nervous, Simulator])
-def test_a_checkpoint_that_forgets_the_detector_or_the_vehicle_is_noticed(forgets, monkeypatch):
-    monkeypatch.setattr(forgets, "restore", lambda *_: None)
-    assert not same_from_everywhere()
 
 
 def test_an_instant_is_recognised_and_no_other_is():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mavfi.config import EnvironmentConfig, parse
+from mavfi.config import EnvironmentConfig
 from mavfi.errors import BadInputError
 from mavfi.flight.compose import find_environment, new_loop, resolve
 from mavfi.flight.fly import fly
@@ -150,26 +150,6 @@ def test_a_huge_command_is_shortened():
     )
     assert max(abs(values[2]) for values in seen) > 1e100
     assert np.abs(flight.log.columns("vx", "vy", "vz")).max() < 6.0
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"environment": "nowhere"}, "environment 'nowhere': not known; allowed: "),
-        ({"seed": -1}, "'seed': -1"),
-        ({"v_max": 99.0}, "'v_max': 99.0"),
-        ({"autopilot": "soft"}, "autopilot 'soft': not known; allowed: hardened, published"),
-        ({"platform": "abacus"}, "platform 'abacus': not known"),
-    ],
-)
-def test_bad_names_are_refused_with_what_is_allowed(options, message):
-    with pytest.raises(BadInputError, match=message):
-        resolve(parse(MissionSpec, options, "mission"))
-
-
-def test_an_unknown_planner_is_refused_when_the_flight_starts():
-    with pytest.raises(BadInputError, match="planner 'dowsing': not known; allowed: rrt, rrt_connect, rrt_star"):
-        fly(mission(planner="dowsing"))
 
 
 def test_what_is_not_given_comes_from_the_environment():

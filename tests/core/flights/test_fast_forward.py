@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import cache
 
-import numpy as np
 import pytest
 
 from mavfi.campaign.config import load_campaign
@@ -14,11 +13,10 @@ from mavfi.extras.bench.sealed import Checksum, Duplicate, Oracle
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
 from mavfi.flight import fast_forward
 from mavfi.flight.checkpoints import take
-from mavfi.flight.decide import INLINE, History, RecoveryPolicy
+from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.fast_forward import FastForward
 from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup
-from mavfi.flight.loop import SensorMemory
 from mavfi.flight.mission_flights import LocalHost
 from mavfi.levels.level import parse
 from mavfi.record import End, canonical
@@ -85,23 +83,10 @@ def every_fault(autopilot, arm, forward, detector, faults=FAULTS):
 
 
 IN_THE_FAST_SUITE = [("published", "gaussian"), ("hardened", "")]
-REPEATED = [
-    ("published", ""),
-    ("published", "autoencoder"),
-    ("published", "nervous"),
-    ("hardened", "gaussian"),
-    ("hardened", "silent"),
-]
-"""Part of what arms with a detector show; such an arm on the other profile, or with another detector.  Alarms in every
-stage: `test_detectors_share_what_was_flown_in_any_order` and `test_an_observer_is_fast_forwarded_too` have them."""
 
 
 def marked(autopilot, arm):
-    marks = (
-        ()
-        if (autopilot, arm) in IN_THE_FAST_SUITE
-        else (pytest.mark.slow, *[pytest.mark.long] * ((autopilot, arm) in REPEATED))
-    )
+    marks = () if (autopilot, arm) in IN_THE_FAST_SUITE else (pytest.mark.slow, pytest.mark.long)
     return pytest.param(autopilot, arm, marks=marks)
 
 
@@ -162,18 +147,6 @@ def test_a_masked_fault_costs_a_second_of_flight():
     before = forward.share.flown
     forward.fly(fault("sensor.odometry", "wx", 7.0, 62))  # nobody reads it
     assert forward.share.flown - before <= 2 * forward.pitch
-
-
-@pytest.mark.slow
-def test_to_stop_too_early_is_noticed(monkeypatch):
-    monkeypatch.setattr(fast_forward, "is_at", lambda *_: True)
-    assert every_fault("published", "", FastForward(mission()), None, FAULTS[:4]) != []
-
-
-@pytest.mark.slow
-def test_a_start_at_the_wrong_place_is_noticed(monkeypatch):
-    monkeypatch.setattr(fast_forward.KnownFlight, "before", lambda flight, time_us: sorted(flight.checkpoints)[-2])
-    assert every_fault("published", "", FastForward(mission()), None, FAULTS[:4]) != []
 
 
 def test_a_detector_of_which_no_copy_can_be_made_flies_the_long_way():
@@ -242,20 +215,6 @@ def test_detectors_share_flights_between_their_alarms():
     )  # the second one has its stop later than the first, the third one than the second
 
 
-def test_to_follow_a_flight_through_an_alarm_of_its_detector_is_noticed(monkeypatch):
-    stored = FastForward._fly_injected
-
-    def silent(forward, injected, arm):
-        track = stored(forward, injected, arm)
-        checkpoints = {rows: replace(checkpoint, alarms=()) for rows, checkpoint in track.checkpoints.items()}
-        end = replace(track.end, alarms=())
-        forward._known_flights(injected)[arm.name] = replace(track, checkpoints=checkpoints, end=end)
-        return track
-
-    monkeypatch.setattr(FastForward, "_fly_injected", silent)
-    assert alike(FastForward(mission()))[1] != []
-
-
 ESTIMATED = [FAULTS[number] for number in (0, 6, 16)]
 ESTIMATED += [fault("sensor.imu", "fx", 4.0, 62), fault("sensor.position", "x", 5.0, 60)]
 ESTIMATED += [fault("perception.odometry", "x", 4.0, 62)]
@@ -279,12 +238,6 @@ def test_the_estimated_state_is_fast_forwarded_too(arm):
     assert other == []
     if arm != "nervous":
         assert forward.share.flown < 0.9 * forward.share.ticks
-
-
-@pytest.mark.slow
-def test_a_checkpoint_without_the_sensors_memory_is_noticed(monkeypatch):
-    monkeypatch.setattr(SensorMemory, "copy", lambda memory: memory)
-    assert under_an_estimator("", [None, ESTIMATED[-1]])[1] != []
 
 
 def test_flights_with_jitter_of_latencies_are_fast_forwarded_too():
@@ -349,27 +302,6 @@ def test_a_detector_that_takes_part_is_flown_before_and_after_one_that_does_not(
     assert forward.fly().profile.to_bytes() == golden().profile.to_bytes()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "mutant"),
-    [
-        ("checksum", (fast_forward, "takes_part", lambda *_: False)),
-        ("duplicate", (fast_forward, "takes_part", lambda *_: False)),
-        ("silent", (fast_forward, "takes_part", lambda *_: False)),
-        ("restarts", (fast_forward.FlightBranch, "begin_empty", lambda _: None)),
-        ("hold", (History, "copy", lambda _: History())),
-    ],
-)
-def test_what_such_a_detector_needs_is_noticed_if_it_is_missing(monkeypatch, name, mutant):
-    monkeypatch.setattr(*mutant)
-    forward = FastForward(mission())
-    try:
-        forward.fly()
-        assert under(name, forward, [STRUCK[5]] if name == "hold" else STRUCK[:7])[0] != []
-    except Exception as error:  # the flight from take-off would decide
-        assert not isinstance(error, AssertionError), error
-
-
 @cache
 def table1(autopilot):
     """The table's campaign on a profile."""
@@ -401,8 +333,3 @@ def test_a_mission_of_the_table_leaves_the_same_records(environment, autopilot):
     records = [{run: canonical(record.to_json()) for run, record in runs.items()} for runs in flown]
     assert records[0] == records[1] and len(records[0]) >= 12
     assert all(record.end is End.FLOWN for record in flown[0].values())
-
-
-def test_counts_are_whole_numbers():
-    counts = FastForward(mission()).golden().end.counts
-    assert all(isinstance(count, (int, np.integer)) for count in counts)

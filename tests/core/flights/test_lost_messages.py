@@ -6,7 +6,6 @@ import pytest
 from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
-from mavfi.report.explain import _fault
 from tests.core.flights.missions import Scripted, golden, mission
 
 LOST_AT_S = 3.0
@@ -61,10 +60,3 @@ def test_a_node_whose_messages_nobody_can_read_is_restarted():
         (alarm.action, alarm.outcome) for alarm in fly(mission(), fault, Scripted(), recovery=recovery).log.alarms
     ]
     assert actions == [("resend", "rejected"), ("recompute", "rejected"), ("restart", "restarted")]
-
-
-def test_the_story_says_that_a_message_was_lost():
-    fault = StateFault(FaultSite("planning.path", "length_z"), 0, 31)
-    log = fly(mission(), fault).log
-    (injection,) = log.injections
-    assert _fault(injection, fault, log).endswith(", message lost")

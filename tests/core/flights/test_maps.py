@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from mavfi.config import MapConfig
-from mavfi.errors import BadInputError
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec
@@ -59,14 +58,3 @@ def test_whole_missions_have_the_same_digest_with_both_maps(environment, autopil
         scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=autopilot))
         logs = [fly(of_kind(scenario, kind, resolution)).log for kind in ("dense", "octree")]
         assert logs[0].digest() == logs[1].digest()
-
-
-def test_an_unknown_kind_of_map_is_refused_in_one_line():
-    with pytest.raises(BadInputError, match="map 'hash': not known; allowed: dense, octree, or package:Class"):
-        mission(map="hash")
-
-
-def test_the_kind_of_map_is_part_of_the_scenario_and_leaves_the_rest():
-    dense, octree = mission(), mission(map="octree")
-    assert dense.key() != octree.key()
-    assert octree == dense.model_copy(update={"map": MapConfig(kind="octree")})

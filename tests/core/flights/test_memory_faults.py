@@ -7,7 +7,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-import mavfi
 from mavfi.detectors.detector import part_of
 from mavfi.errors import BadInputError
 from mavfi.faults import strata
@@ -154,20 +153,10 @@ def test_draws_are_those_of_the_instant_and_words_that_do_not_exist_are_named():
             request.draw(ArmSetup(mission()), 0)
 
 
-def test_python_takes_it_as_text():
-    result = mavfi.fly(environment="sparse", seed=1, goal=(20.0, 0.0, 3.0), fault="memory:planner.acted_seq:bit=1@2")
-    assert result.fault == MemoryFault("planner", "decisions.acted_seq", None, "i4", 2_000_000, 1)
-
-
 def test_a_fault_of_another_type_than_the_word_is_refused():
     fault = MemoryFault("planner", "decisions.acted_seq", None, "f8", AT, 60)
     with pytest.raises(BadInputError, match="dtype 'f8'; allowed: i4"):
         fly(mission(), fault)
-
-
-def test_there_is_no_word_before_the_first():
-    fault = MemoryFault("planner", "decisions.acted_seq", -1, "i4", AT, 20)
-    assert not fly(mission(), fault).log.injections[0].activated
 
 
 # ---- detectors --------------------------------------------------------------------------------------

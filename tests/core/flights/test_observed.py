@@ -104,11 +104,3 @@ def count_rollbacks(kernel, seen):
 
     kernel.rollback = rollback
     return kernel
-
-
-def test_flights_repeat():
-    wrong = fault("planning.waypoint", "x", 3.0, 55)
-    flights = [
-        fly(mission(), wrong, Scripted("planning.waypoint", n=6, stage="planning"), recovery=OBSERVER) for _ in range(2)
-    ]
-    assert flights[0].log.digest() == flights[1].log.digest()

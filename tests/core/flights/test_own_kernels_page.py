@@ -50,22 +50,3 @@ def test_the_campaign_of_the_page_names_the_kernels_of_the_example(folder):
         "VoxelMap": "perception",
         "Jumps": "",
     }
-
-
-def test_the_planner_of_the_example_finds_a_free_way():
-    import numpy as np
-    from examples.own_kernels.my_planner import AStar
-
-    from mavfi.config import PlannerConfig
-    from mavfi.numerics.voxels import Grid, segment_free
-
-    grid = Grid(0.0, 0.0, 0.0, 2.0, 20, 20, 8)
-    counter = np.zeros((20, 20, 8), np.int16)
-    counter[10, :16, :] = 1  # a wall with a gap
-    start, goal = np.array([1.0, 1.0, 2.0]), np.array([9.0, 1.0, 2.0])
-    box = np.zeros(3), np.array([10.0, 10.0, 4.0])
-    path = AStar(PlannerConfig(), 1).search(counter.ravel(), grid, start, goal, *box)
-    assert (path[0] == start).all() and (path[-1] == goal).all() and path[:, 1].max() > 8.0
-    assert all(segment_free(counter.ravel(), grid, *leg) for leg in zip(path[:-1], path[1:], strict=True))
-    counter[10] = 1
-    assert len(AStar(PlannerConfig(), 1).search(counter.ravel(), grid, start, goal, *box)) == 0

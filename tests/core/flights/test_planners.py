@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from examples.planner_detour import Detour
 
 from mavfi.config import PlannerConfig
 from mavfi.errors import BadInputError
@@ -8,7 +7,7 @@ from mavfi.flight.compose import find_planner
 from mavfi.flight.fly import fly
 from mavfi.mission import MissionStatus
 from mavfi.numerics.voxels import Grid
-from mavfi.pipeline.planners import PathSearch, make_search
+from mavfi.pipeline.planners import make_search
 from tests.core.flights.missions import AUTOPILOTS, FAR_GOAL, golden, mission
 
 NAME = "examples.planner_detour:Detour"
@@ -62,18 +61,3 @@ def test_range_goal_bias_and_budget_reach_the_search():
         assert path(name=name, goal_bias=0.0) == b""  # the goal itself is then never drawn
         assert path(name=name) != path(name=name, range=1.0)
         assert path(name=name) != path(name=name, goal_bias=0.5)
-
-
-def test_it_goes_around_a_wall_and_keeps_its_randomness_in_one_place():
-    planner: PathSearch = make_search(PlannerConfig(name=NAME), 1)
-    assert isinstance(planner, Detour)
-    grid = Grid(0.0, 0.0, 0.0, 1.0, 10, 5, 8)
-    counter = np.zeros((10, 5, 8), np.int16)
-    counter[5, :3] = 1
-    start, goal = np.array([1.5, 2.5, 1.5]), np.array([8.5, 2.5, 1.5])
-    path = planner.search(counter.ravel(), grid, start, goal, np.zeros(3), np.array([10.0, 5.0, 8.0]))
-    assert len(path) == 3 and path[1, 1] > 3.0
-    before = planner.random.copy()
-    counter[3, :4] = counter[7, 1:] = 1  # gaps on opposite sides: one detour is not enough
-    path = planner.search(counter.ravel(), grid, start, goal, np.zeros(3), np.array([10.0, 5.0, 8.0]))
-    assert len(path) > 2 and (planner.random != before).any()

@@ -280,27 +280,6 @@ def test_keys_of_a_mission_hold_against_those_of_a_detector_only_if_they_are_set
     assert found == [0, stage_latency(mission().platform, Stage.PLANNING)], "the way-point alone takes no time"
 
 
-@pytest.mark.slow
-def test_the_repetition_of_whole_stages_can_cost_the_mission():
-    flight = fly(mission("hardened"), detector=Everything(COMPUTED))
-    assert flight.log.status is not MissionStatus.SUCCESS
-
-
-def test_abandoning_while_the_way_point_is_run_again_breaks_nothing():
-    class Both(Scripted):
-        def check(self, state, time_us):
-            if state.spec.name == "planning.waypoint":
-                self.state, self.stage, self.alarm, self.n, self.seen = state.spec.name, "planning", {}, 0, -1
-            elif state.spec.name == "control.command":
-                self.state, self.stage, self.alarm = state.spec.name, "control", {"abandon_waypoint": True}
-                self.n, self.seen = 0, -1
-            else:
-                return None
-            return super().check(state, time_us)
-
-    assert ends_as_its_status_says(fly(mission(), detector=Both()))
-
-
 def test_a_sensor_cannot_be_run_again_so_its_value_passes():
     observed = []
     detector = Scripted("sensor.odometry", 50, "planning")

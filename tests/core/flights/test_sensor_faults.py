@@ -11,11 +11,9 @@ from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.replay import explain
 from mavfi.campaign.run import run_campaign
 from mavfi.errors import BadInputError
-from mavfi.extras.ros.ros2.stack.host import Ros2StackHost
 from mavfi.faults.levels.sensor.fault import UNITS, SensorFault
 from mavfi.flight.compose import new_loop
 from mavfi.flight.fly import fly
-from mavfi.flight.host import require_level
 from mavfi.flight.sensor_faults import SensorInjector
 from mavfi.report.explain import steps
 from tests.core.flights.missions import golden, mission
@@ -68,11 +66,6 @@ def test_motors_of_a_server_are_refused():
     del loop.plant.controller
     with pytest.raises(BadInputError, match="motor off: the motors are the server's; allowed with --world: sensors"):
         SensorInjector(loop, SensorFault("motor", "off"))
-
-
-def test_a_host_without_the_signals_refuses():
-    with pytest.raises(BadInputError, match="host ros2_stack: faults of level 'sensor': allowed: message"):
-        require_level(Ros2StackHost, "sensor")
 
 
 def test_on_the_command_line_the_instant_is_drawn_from_the_golden_run():

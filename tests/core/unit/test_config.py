@@ -81,12 +81,8 @@ def test_bad_data_are_refused_in_one_line_that_names_key_value_and_what_is_allow
         ({}, "key 'hull': is required; allowed: wood, steel"),
         ({"hull": "wax"}, "key 'hull': 'wax': not known; allowed: 'wood' or 'steel'"),
         ({"hull": "wood", "crew": {"a": 1}}, "key 'crew': keys with values: allowed: a list"),
-        ({"hull": "stel"}, "key 'hull': 'stel': not known (did you mean 'steel'?); allowed: 'wood' or 'steel'"),
         ({"hull": "wood", "masts": True}, "key 'masts': true: allowed: a whole number"),
         ({"hull": "wood", "speed": False}, "key 'speed': false: allowed: a number"),
-        ({"hull": "wood", "sails": {"main": [1, True]}}, "key 'sails': true: allowed: a number"),
-        ({"hull": "wood", "afloat": 1}, "key 'afloat': 1: allowed: true, false"),
-        ({"hull": "wood", "masts": None}, "key 'masts': nothing: allowed: a whole number"),
         (
             {"hul": "wood"},
             "unknown key 'hul' (did you mean 'hull'?); allowed: hull, masts, crew, sails, speed, afloat, armed",

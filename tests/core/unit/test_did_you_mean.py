@@ -11,7 +11,6 @@ from mavfi.config import parse
 from mavfi.errors import BadInputError
 from mavfi.faults.sampling import stage_target
 from mavfi.flight.host import host_class
-from mavfi.mission import MissionSpec
 from mavfi.report.figures import drawing
 
 COMMANDS = [
@@ -19,35 +18,21 @@ COMMANDS = [
     ("campaign rnu", "run"),
     ("fly --enviroment sparse", "--environment"),
     ("fly --environment dence", "dense"),
-    ("fly --autopilot harden", "hardened"),
     ("fly --planner rrt_conect", "rrt_connect"),
-    ("fly --platform cortex-a75", "cortex-a57"),
-    ("fly --vehicle small_qad", "small_quad"),
-    ("fly --map octre", "octree"),
-    ("fly --flight-controller cascad", "cascade"),
     ("fly --protection ful", "full"),
-    ("fly --localization truht", "truth"),
     ("fly --detector recomended", "recommended"),
     ("fly --detector gaussian --profile tunned", "tuned"),
     ("fly --fault stat:planning.waypoint", "state"),
     ("fly --fault state:planning.waypont.x", "planning.waypoint"),
-    ("fly --fault state:planning.waypoint.jaw", "yaw"),
-    ("fly --fault state:planning.waypoint.x:bits=3", "bit="),
-    ("fly --fault sensor:gyr:off", "gyro"),
     ("fly --fault sensor:gyro:drft", "drift"),
-    ("fly --fault message:control.comand:drop", "control.command"),
     ("fly --fault message:control.command:dop", "drop"),
-    ("fly --fault memory:planer", "planner"),
-    ("fly --fault instruction:octmap", "octomap"),
     ("fly --fault instruction:pid:model=zeros", "zero"),
     ("states --autopilot publishd", "published"),
-    ("states --localization estimater", "estimator"),
     ("campaign run smoek", "smoke"),
     ("campaign run smoke --scale quik", "quick"),
     ("campaign run smoke --executor locl", "local"),
     ("campaign run smoke --require 'succes > 5 %'", "success"),
     ("completion bahs", "bash"),
-    ("reproduce papr", "paper"),
 ]
 
 
@@ -70,16 +55,9 @@ def campaign(**changes):
 READ = [
     (lambda: campaign(mision={}), "mission"),
     (lambda: campaign(environments=["spars"]).spec("sparse", 1, {"planer": "rrt"}), "planner"),
-    (lambda: campaign(monitored_set="paper13"), "paper-13"),
     (lambda: campaign(sampling={"level": "stat"}), "state"),
-    (lambda: campaign(sampling={"level": "sensor", "units": ["giro"]}), "gyro"),
-    (lambda: campaign(sampling={"level": "message", "states": ["planning.pth"]}), "planning.path"),
-    (lambda: campaign(sampling={"level": "instruction", "kernels": ["octmap"]}), "octomap"),
-    (lambda: campaign(sampling={"level": "state", "strata": {"sign_exponents": 1}}), "sign_exponent"),
-    (lambda: campaign(arms={"a": {"detecor": "gaussian"}}), "detector"),
     (lambda: campaign(scales={"paper": {"mission": 3}}), "missions"),
     (lambda: campaign(parts={"spars": {"environment": "sparse"}}), "sparse"),
-    (lambda: parse(MissionSpec, {"plannr": "rrt"}, "m.yaml"), "planner"),
     (lambda: Requirement.parse("succes > 90 %"), "success"),
     (lambda: table(Runs.of([]), "succes"), "success"),
     (lambda: drawing("kernel"), "kernels"),

@@ -17,17 +17,10 @@ def test_there_is_nothing_of_an_impossible_name(tmp_path, name):
     "command",
     [
         "fly --environment {}",
-        "fly --protection {}",
         "fly --detector {}.npz",
         "campaign run {}",
-        "campaign status {}",
         "campaign merge {} {} --out {}",
-        "report {}",
-        "shrink {} 3",
-        "harden {} --budget 0.1",
         "export {} 3 --to a.csv",
-        "reproduce --out {}",
-        "airsim run {}",
     ],
 )
 def test_a_name_that_is_too_long_is_one_line(command, tmp_path, monkeypatch, capsys):

@@ -150,13 +150,8 @@ def test_code_that_was_allowed_in_a_ledger_is_remembered_until_it_changes(tmp_pa
     ("text", "arguments"),
     [
         ("name: gates\ngenerator: pydoc:pipepager\n", ["fly", "--environment", "FILE"]),
-        ("name: pydoc:pipepager\n", ["fly", "--planner", "FILE"]),
         (
             "name: c\nenvironments: [sparse]\nmissions: 1\nmission: {map: 'pydoc:pipepager'}\n",
-            ["campaign", "run", "FILE", "--out", "OUT"],
-        ),
-        (
-            "name: c\nenvironments: [sparse]\nmissions: 1\nhost: 'pydoc:pipepager'\n",
             ["campaign", "run", "FILE", "--out", "OUT"],
         ),
         (

@@ -3,11 +3,10 @@
 import json
 import subprocess
 import sys
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import pytest
 
-from mavfi.faults.levels.instruction import MismatchError
 from mavfi.flight.compose import resolve
 from mavfi.flight.forks import fly_instruction_faults
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
@@ -91,8 +90,3 @@ def test_another_environment_heap_and_hash_seed_give_the_same_bytes(faults, reco
     )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == records
-
-
-def test_a_fault_of_other_machine_code_is_refused(faults):
-    with pytest.raises(MismatchError, match="drawn for IR 000000000000"):
-        fly_instruction_faults(scenario(), [replace(faults[0], ir_sha256="0" * 64)])

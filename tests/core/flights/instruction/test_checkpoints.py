@@ -16,7 +16,6 @@ from mavfi.flight.forks import fly_from_checkpoints, fly_instruction_faults
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.loop import Loop
 from mavfi.flight.mission_flights import LocalHost
-from mavfi.flight.restarts import Restarts
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from tests.core.flights.missions import FAR_GOAL, Scripted, mission
 from tests.core.flights.test_checkpoints import Nervous, detector_of
@@ -141,26 +140,6 @@ def test_a_fault_without_a_site_or_beyond_the_last_call_is_not_activated():
     fast, slow = both_ways(faults)
     assert fast == slow
     assert [record.kernel.effect for record in fast] == ["not_activated"] * 2
-
-
-def of_octomap():
-    return [fault for fault in drawn("address", 4, 12) if fault.kernel == "octomap"]
-
-
-def test_work_arrays_are_restored():
-    """What earlier scans left in them is read by instructions whose address is wrong."""
-    fast, slow = both_ways(of_octomap())
-    assert fast == slow
-
-
-def test_restarts_that_do_not_know_the_flight_so_far_are_noticed(monkeypatch):
-    dying = [fault for fault in drawn("address", 4) if fault.kernel in ("point_cloud", "collision_check")]
-    flown = scenario()
-    golden, forward = fly(flown), FastForward(flown, scratch=True)
-    slow = records(fly_instruction_faults(flown, dying, None, golden).flights)
-    assert records(fly_from_checkpoints(forward, dying, golden).flights) == slow
-    monkeypatch.setattr(Restarts, "keep", lambda *_: None)
-    assert records(fly_from_checkpoints(forward, dying, golden).flights) != slow
 
 
 def test_children_that_converge_end_there(monkeypatch):

@@ -75,16 +75,6 @@ def test_an_observer_sees_the_fault_when_its_consumers_do(faults):
     raise AssertionError("no fault reached the vehicle")
 
 
-@pytest.mark.slow
-def test_an_observed_flight_with_a_fault_in_an_address():
-    request = InstructionRequest({"pid": 1}, which="address")
-    faults = draw_instruction_faults(scenario(), request, seed=3).faults["pid"]
-    observed = fly_instruction_faults(
-        scenario(), faults, Scripted("control.command", n=40), recovery=RecoveryPolicy("observer")
-    )
-    assert observed.golden.log.alarms and observed.flights[0].log.injections[0].activated
-
-
 @pytest.fixture(scope="module")
 def counts():
     counting = Profiling(PLAIN.insert_scan)
@@ -105,16 +95,6 @@ def test_a_call_that_is_too_short_is_passed_by_where_a_detector_may_have_shifted
     (alone,) = fly_instruction_faults(scenario(), [shifted]).flights
     assert not alone.log.injections[0].activated
     assert alone.log.kernel.effect == "masked"
-
-
-def test_an_instruction_that_never_comes_is_not_activated(faults, counts):
-    fault = faults["octomap"][0]
-    beyond = replace(fault, call=len(counts) - 3, index=2 * max(counts))
-    flown = fly_instruction_faults(scenario(), [beyond], Scripted())
-    (flight,) = flown.flights
-    assert not flight.log.injections[0].activated
-    assert flight.log.kernel.effect == "not_activated"
-    assert flight.log.digest() == flown.golden.log.digest()
 
 
 @pytest.mark.slow

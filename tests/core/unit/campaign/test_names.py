@@ -20,13 +20,10 @@ GROUND = "the_ground:Host"
             {"environments": ["fast"], "parts": {"fast": {"environment": "dense", "platform": "i8"}}},
             "key 'parts.fast.platform': 'i8': not known; allowed: ",
         ),
-        ({"mission": {"planner": "foo"}}, "key 'mission.planner': 'foo': not known; allowed: "),
-        ({"arms": {"x": {"map": "octre"}}}, "key 'arms.x.map': 'octre': not known (did you mean 'octree'?)"),
         (
             {"arms": {"x": {"detector": "gausian"}}},
             "'arms.x.detector': 'gausian': not known (did you mean 'gaussian'?)",
         ),
-        ({"mission": {"vehicle": "absent.yaml"}}, "absent.yaml: cannot be read"),
     ],
 )
 def test_a_name_that_does_not_exist_is_refused_with_its_file_and_key(changes, message):

@@ -6,9 +6,6 @@ from mavfi.campaign import warm_up
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.executor import Done
 from mavfi.extras.paper.study import load_study
-from mavfi.flight.compiling import STAGES
-from mavfi.flight.compose import resolve
-from mavfi.mission import MissionSpec
 
 
 class Inline:
@@ -36,20 +33,6 @@ def missions(compiled):
     return [(campaign.name, getattr(campaign.sampling, "kernels", ())) for campaign in own]
 
 
-def test_stages_come_first_then_each_kernel_then_each_mission(compiled):
-    warm_up.compile_ahead([load_campaign("table1"), load_campaign("table1_instructions")], Inline())
-    assert [task.name for task in compiled[:4]] == list(STAGES)
-    kernels = ("rrt_connect", "point_cloud", "octomap", "collision_check", "pid")
-    whole = (*kernels[1:4], kernels[0], kernels[4])
-    assert missions(compiled) == [
-        *(("table1_instructions", (kernel,)) for kernel in kernels),
-        ("table1", ()),
-        ("table1_instructions", whole),
-    ]
-    detectors = [(task.name, task.profile) for task in compiled if isinstance(task, warm_up._Detector)]
-    assert detectors == [("gaussian", "paper"), ("autoencoder", "paper")]
-
-
 def test_nothing_is_compiled_twice(compiled):
     campaigns = list(load_study("paper").campaigns_at("quick").values())
     told = []
@@ -74,21 +57,3 @@ def test_what_failed_is_compiled_again(compiled, monkeypatch):
         warm_up.compile_ahead([load_campaign("smoke")], Inline())
     warm_up.compile_ahead([load_campaign("smoke")], Inline())
     assert missions(compiled) == [("smoke", ())]
-
-
-def test_a_detector_with_faults_is_compiled_with_its_shipped_model(compiled, monkeypatch):
-    flown = []
-    monkeypatch.setattr(warm_up, "warm_up", flown.append)
-    warm_up.compile_ahead([load_campaign("failure_rate")], Inline())
-    for task in compiled:
-        task.compile()
-    arms = [(plan.campaign.sampling.kernels, *plan.models) for plan in flown if plan.models]
-    detectors = {("acceptance",): ["recommended"], ("gaussian",): ["gaussian"], ("autoencoder",): ["autoencoder"]}
-    assert arms == [(kernels, *own) for kernels, own in detectors.items()]
-    assert warm_up.is_compiled(load_campaign("failure_rate"))
-
-
-def test_a_flight_is_compiled_by_stages(compiled):
-    scenario = resolve(MissionSpec(environment="sparse", seed=7))
-    warm_up.compile_flight(scenario, Inline())
-    assert [(task.name, task.scenario) for task in compiled] == [(stage, scenario) for stage in STAGES]

@@ -58,33 +58,3 @@ def test_the_effects_on_kernel_and_mission_are_reported(flown):
     assert flown["golden"]["status"] == "success"
     if flown["kernel"]["effect"] == "masked":
         assert flown["digest"] == flown["golden"]["digest"]
-
-
-def test_the_same_seed_gives_the_same_record_and_another_one_another(capsys):
-    short = ["--start", "2", "0", "3", "--goal", "9", "0", "3", "--json", "--fault", "instruction:pid"]
-    found = []
-    for seed in ("3", "3", "4"):
-        assert run([*MISSION, *short, "--fault-seed", seed]) == 0
-        found.append(json.loads(capsys.readouterr().out))
-    same, again, other = found
-    assert same == again
-    assert same["injections"] != other["injections"]
-
-
-@pytest.mark.parametrize(
-    ("fault", "message"),
-    [
-        ("instruction:lidar", "kernel 'lidar': not known; allowed: point_cloud, octomap"),
-        ("instruction:rrt", "the planner of this mission is 'rrt_connect'; allowed: planner rrt"),
-        ("instruction:pid:which=sometimes", "instructions 'sometimes': not understood; allowed: all, floating_point"),
-        ("instruction:pid:model=gamma", "model 'gamma': not known; allowed: one_bit, bits, random, zero"),
-        ("instruction:pid:bit=7", "'bit': not known; allowed: which=, model="),
-        ("instruction:pid:which=opcode:udiv", "executes no instruction 'opcode:udiv' there; allowed: a class"),
-    ],
-)
-def test_bad_faults_are_one_line_and_exit_code_2(capsys, fault, message):
-    assert run([*MISSION, "--fault", fault, "--json"]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.startswith("mavfi: ") and captured.err.count("\n") == 1
-    assert message in captured.err

@@ -1,14 +1,12 @@
 """Every key of a mission is an option of the verbs that fly one."""
 
 from collections.abc import Callable
-from typing import Literal, get_args, get_origin
 
 import pytest
 import typer
 from typer.testing import CliRunner
 
 from mavfi.cli.options import mission_of, option_name, with_mission_options
-from mavfi.config import parse
 from mavfi.errors import BadInputError
 from mavfi.mission import LARGEST_SEED, MissionSpec
 
@@ -106,22 +104,3 @@ def test_a_value_that_is_not_allowed_is_named_with_its_option(given, message):
     with pytest.raises(BadInputError) as caught:
         mission_of(given)
     assert str(caught.value).startswith(message)
-
-
-BOUNDED = [name for name, field in MissionSpec.model_fields.items() if field.metadata]
-CHOICES = [name for name, field in MissionSpec.model_fields.items() if get_origin(field.annotation) is Literal]
-
-
-@pytest.mark.parametrize(("name", "wrong"), [*((name, -1.0) for name in BOUNDED), *((name, "no") for name in CHOICES)])
-def test_files_and_options_refuse_the_same(name, wrong):
-    """Numbers beyond their bounds, and words that are none of the allowed ones."""
-    with pytest.raises(BadInputError):
-        mission_of({name: wrong})
-    with pytest.raises(BadInputError, match=name):
-        parse(MissionSpec, {name: wrong}, "file.yaml")
-
-
-@pytest.mark.parametrize("name", CHOICES)
-def test_every_allowed_word_is_accepted(name):
-    for word in get_args(MissionSpec.model_fields[name].annotation):
-        assert getattr(mission_of({name: word}), name) == word

@@ -183,18 +183,13 @@ def test_texts_may_leave_out_what_is_usual():
     ("text", "message"),
     [
         ("", "not known; allowed: bit=, flip, set"),
-        ("times=3", "no operation; allowed: bit=N, flip, set"),
         ("set", "set: needs a number; allowed: set=a number, nan, inf or -inf"),
         ("bias=inf", "bias: inf: allowed: finite numbers"),
-        ("drop=3", "drop=3: takes no number; allowed: drop"),
         ("drop:freeze", "'freeze': allowed: one operation, each option once"),
         ("delay=0", "delay: 0.0: allowed: above 0, to 3600 s"),
-        ("duplicate=0", "duplicate: 0: allowed: 1 to 1000"),
-        ("drop:times=x", "times: 'x': allowed: a whole number"),
         ("drop:share=2", "share: 2.0: allowed: above 0, to 1"),
         ("drop@n=0", "first: 0: allowed: 1 or more"),
         ("drop@5..3", "instant '5..3': ends before it starts; allowed: 10, 10..12"),
-        ("drop@soon", "instant: 'soon': allowed: 10, 10..12, 10.. "),
         ("drop@x>nan", "x>nan: allowed: finite numbers"),
     ],
 )

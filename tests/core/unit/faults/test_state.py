@@ -80,7 +80,7 @@ def test_what_is_not_there_is_not_flipped(state, site, bit, message):
         flip(state, site, bit)
 
 
-# ---- the injector, and mutants of it that these checks must catch ---------------------------------------------------
+# ---- the injector ---------------------------------------------------------------------------------------------------
 def run_injector(injector) -> list[State]:
     """Publications at 0.5 s pitch of which the one at 2 s must be changed, with others in between."""
     published = []
@@ -93,8 +93,8 @@ def run_injector(injector) -> list[State]:
 FAULT = StateFault(FaultSite("planning.trajectory", "y", 3), 1_700_000, 52)
 
 
-def check_injector(make) -> None:
-    injector = make(FAULT)
+def test_the_injector_injects_as_the_fault_says():
+    injector = StateInjector(FAULT)
     published = run_injector(injector)
     differing = [place for place, state in enumerate(published) if not state.same_bits(trajectory(len(state.elements)))]
     assert differing == [5], "exactly the first publication after the instant that has elements"
@@ -105,34 +105,6 @@ def check_injector(make) -> None:
     assert (injection.before, injection.after, injection.bit) == (13.0, 26.0, 52)
     assert injection.time_s == pytest.approx(2.5)
     assert injection.site == "planning.trajectory.y[3]"
-
-
-class OnePublicationLate(StateInjector):
-    def __init__(self, fault):
-        super().__init__(StateFault(fault.where, fault.time_us + 1_000_000, fault.bit))
-
-
-class Sticky(StateInjector):
-    def __call__(self, state, time_us):
-        if self.injections and state.spec is self._spec and len(state.elements):
-            return flip(state, self._fault.where, self._fault.bit)[0]
-        return super().__call__(state, time_us)
-
-
-class Liar(StateInjector):
-    def _inject(self, state, time_us):
-        super()._inject(state, time_us)
-        return state
-
-
-def test_injector_injects_as_the_fault_says():
-    check_injector(StateInjector)
-
-
-@pytest.mark.parametrize("mutant", [OnePublicationLate, Sticky, Liar])
-def test_the_checks_catch_mutants_of_the_injector(mutant):
-    with pytest.raises(AssertionError):
-        check_injector(mutant)
 
 
 def test_untouched_publications_are_the_same_objects():
@@ -180,9 +152,9 @@ def test_event_states_are_struck_only_when_consumers_act_on_them():
 PERIOD_US = 20_000
 
 
-def lasting_values(make, fault, values) -> list[int]:
+def lasting_values(fault, values) -> list[int]:
     """Words of the way-points that consumers see, published at the control period."""
-    injector, seen = make(fault), []
+    injector, seen = StateInjector(fault), []
     for number, value in enumerate(values):
         state = injector(waypoint(value), number * PERIOD_US)
         seen.append(int(state.header["x"].view(np.uint64)[0]))
@@ -213,25 +185,7 @@ def expected_values(fault, values) -> list[int]:
 )
 def test_a_fault_that_lasts_sticks_as_its_definition_says(values, bit, width, times, lasts_s, time_us):
     fault = StateFault(WAYPOINT, time_us, bit, lasts_s=lasts_s, width=width, times=times)
-    assert lasting_values(StateInjector, fault, values) == expected_values(fault, values)
-
-
-class Toggling(StateInjector):
-    def _inject(self, state, time_us):
-        self._stuck = ~int(state.header["x"].view(np.uint64)[0])
-        return super()._inject(state, time_us)
-
-
-class TooShort(StateInjector):
-    def __init__(self, fault):
-        super().__init__(replace(fault, lasts_s=fault.lasts_s - 1e-6 * PERIOD_US))
-
-
-@pytest.mark.parametrize("mutant", [Toggling, TooShort])
-def test_the_definition_catches_mutants_of_faults_that_last(mutant):
-    fault, values = StateFault(WAYPOINT, 40_000, 52, lasts_s=0.06, width=2), [1.0, 2.0, 3.0, 9.0, 5.0, 6.0, 7.0, 8.0]
-    assert lasting_values(StateInjector, fault, values) == expected_values(fault, values)
-    assert lasting_values(mutant, fault, values) != expected_values(fault, values)
+    assert lasting_values(fault, values) == expected_values(fault, values)
 
 
 def test_an_intermittent_fault_hits_its_share_and_the_seed_says_which():
@@ -239,7 +193,7 @@ def test_an_intermittent_fault_hits_its_share_and_the_seed_says_which():
 
     def hits(seed, share=0.3):
         fault = StateFault(WAYPOINT, 0, 63, seed=seed, lasts_s=float("inf"), share=share)
-        return [word >> 63 for word in lasting_values(StateInjector, fault, values)]
+        return [word >> 63 for word in lasting_values(fault, values)]
 
     assert hits(1) == hits(1) and hits(1) != hits(2) and hits(1)[0] == hits(2)[0] == 1
     assert abs(sum(hits(1)) - 600) < 5 * np.sqrt(2000 * 0.3 * 0.7)

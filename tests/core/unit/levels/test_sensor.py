@@ -53,7 +53,6 @@ def test_a_null_run_changes_nothing_and_units_alternate():
     [
         ({"units": ["radar"]}, "'radar': not known; allowed: gyro"),
         ({"types": ["ok"]}, "'ok': not known; allowed: off"),
-        ({"units": ["gyro", "gyro"]}, "named 2 times"),
         ({"lasts_s": 0}, "allowed: above 0"),
     ],
 )

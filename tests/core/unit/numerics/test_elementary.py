@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from mavfi.numerics import elementary
 from mavfi.numerics.elementary import acos, asin, atan2, cbrt, cos, exp, log, quick_tanh, sin, tan, tanh
-from mavfi.numerics.jit import kernel_jit, uncached_copy
+from mavfi.numerics.jit import uncached_copy
 
 PRECISION = 1300  # bits: angles as large as 2^1024 need that many of pi
 MANY = 1500
@@ -122,10 +122,6 @@ def test_exponentials_that_are_denormal(number):
     assert abs(exp(number) - float(mpmath.exp(number))) <= 5e-324
 
 
-def of_the_c_library(angle):
-    return math.sin(angle) + math.exp(angle)
-
-
 def text_of(function, *arguments):
     """Machine code and IR; code from a cache does not show them."""
     recompiled = uncached_copy(function)
@@ -143,9 +139,3 @@ def test_neither_contracted_nor_given_to_the_c_library(function):
     assembly, ir = text_of(function, *[0.5] * (2 if function is atan2 else 1))
     assert not re.search(r"fn?m(add|sub)", assembly)
     assert not CALL.search(ir)
-
-
-@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
-def test_a_call_of_the_c_library_would_be_found():
-    _, ir = text_of(kernel_jit(of_the_c_library), 0.5)
-    assert {found[2] for found in CALL.finditer(ir)} == {"sin", "exp"}

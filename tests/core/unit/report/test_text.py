@@ -21,14 +21,9 @@ def test_rate_with_count():
         (0.917, "rate", "91.7"),
         (Rate(6, -1 / 6, -0.571, 0.265), "percent with interval", "-16.7 % [-57.1, 26.5]"),
         (Rate(6, 0.1, 0.02, 0.2), "points", "+10.0 [2.0, 20.0]"),
-        (Rate(4, 0.25, 0.1, 0.5, 1), "percent", "25.0 %"),
         (EventRate(7, 0.36, 19.3, 5.7, 39.8, 36.2), "per hour", "19.3 [5.7, 39.8]"),
         (21404.7, "number .1f kJ", "21.4 kJ"),
-        (42.89, "number .1f s", "42.9 s"),
         (0.000488, "number .3g", "0.000488"),
-        (12.0, "number g", "12"),
-        (7, "number", "7"),
-        ("fi", "text", "fi"),
         (0.0000023, "small percent", "0.00023 %"),
     ],
 )
@@ -42,10 +37,7 @@ def test_cells(value, form, shown):
         (2.5, 1e300, ("2.5", "1e+300")),
         (2.7495712345, 2.7495712346, ("2.7495712345", "2.7495712346")),
         (0.0, -0.0, ("0", "-0")),
-        (3, 4, ("3", "4")),
         (1.5, "inf", ("1.5", "inf")),
-        (False, True, ("False", "True")),
-        (2.5, 2.5, ("2.5", "2.5")),
     ],
 )
 def test_as_short_as_shows_the_difference(before, after, expected):

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from mavfi.config import VehicleConfig, WindConfig, parse, shipped
-from mavfi.errors import BadInputError
+from mavfi.config import VehicleConfig, WindConfig, shipped
 from mavfi.sim.engine import GRAVITY
 from mavfi.sim.simulator import Simulator
 from mavfi.sim.wind import Weather, Wind, wind_at
@@ -73,18 +72,3 @@ def test_hover_in_a_steady_wind_drifts_and_leans_until_the_forces_balance(mean):
     assert lean == pytest.approx(math.atan2(drag, VEHICLE.mass * GRAVITY), rel=0.03)
     assert rows[-1, 5] == pytest.approx(0.0, abs=0.03) and rows[-1, 4] == pytest.approx(0.0, abs=1e-6)
     np.testing.assert_allclose(np.linalg.norm(flight.imu()[:3]), GRAVITY, atol=0.15)
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        {"gust": 31.0},
-        {"gust": math.nan},
-        {"mean": (30.0, 1.0, 0.0)},
-        {"length": 0.0},
-        {"speed": 1.0},
-    ],
-)
-def test_impossible_wind_is_refused(data):
-    with pytest.raises(BadInputError, match=f"wind: .*{next(iter(data))}"):
-        parse(WindConfig, data, "wind")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mavfi.faults.levels.instruction.api import digest, histogram
-from mavfi.faults.levels.instruction.variant import signature_of, variant_for
+from mavfi.faults.levels.instruction.variant import variant_for
 from mavfi.numerics.jit import kernel_jit
 
 
@@ -56,22 +56,3 @@ def test_counts_results_and_arguments_are_those_of_the_slow_path(function):
 def test_a_call_that_raises_is_an_exception_as_without_counts():
     with pytest.raises(ValueError, match="none"):
         variant_for(first_above, arguments(first_above)).tally(np.zeros(3), 2.0)
-
-
-@pytest.mark.parametrize(
-    "args",
-    [
-        (np.zeros(3), 1.0),
-        (np.zeros((3, 2))[:, 0], 1.0),
-        (np.zeros((3, 2), np.float32), True),
-        (1, "text"),
-        (-(1 << 63), (1 << 63) - 1),
-        (1 << 63, True),
-    ],
-)
-def test_types_from_the_cache_are_numbas(args):
-    import numba
-
-    wanted = tuple(numba.typeof(argument) for argument in args)
-    assert signature_of(args) == wanted
-    assert signature_of(args) == wanted
