@@ -1,6 +1,6 @@
 """Model of a campaign: the YAML files in configs/campaigns."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -18,7 +18,8 @@ from mavfi.campaign.requirement import Requirement
 from mavfi.config import STORED, Config, Name, names, parse, parse_part, shipped
 from mavfi.errors import BadInputError, not_known
 from mavfi.faults.fault import find_level, level_names
-from mavfi.levels.level import Sampling, check_distinct, check_known, sampler_for
+from mavfi.faults.plug_ins import PlugIn, is_custom_detector, plug_ins_of_spec
+from mavfi.levels.level import Level, Sampling, check_distinct, check_known
 from mavfi.mission import MissionSpec
 from mavfi.plugins import extensions
 from mavfi.states import MONITORED_SETS, PLANNERS
@@ -221,14 +222,13 @@ class Campaign(Config):
         try:
             if host is not None:
                 host.check_sampling(self.sampling)
-            sampler_for(self)
+            self.level.sampler(self)
         except BadInputError as error:
             raise ValueError(str(error)) from None
-        for text in self.require:
-            try:
-                Requirement.parse(text).of(self)
-            except BadInputError as error:
-                raise ValueError(f"require: {error}") from None
+        try:
+            self.requirements(self.require)
+        except BadInputError as error:
+            raise ValueError(f"require: {error}") from None
         return self
 
     def at_scale(self, name: str) -> "Campaign":
@@ -247,6 +247,19 @@ class Campaign(Config):
         """The campaign with the missions and faults of a scale."""
         return self.model_copy(update={**size.model_dump(exclude_none=True), "grown": ()})
 
+    def with_sampling(self, sampling: Sampling) -> "Campaign":
+        """The campaign with faults that are drawn otherwise, and without null runs."""
+        return self.model_copy(update={"sampling": sampling, "null_runs": 0})
+
+    def requirements(self, texts: Iterable[str]) -> list[Requirement]:
+        """Requirements on its result, each with its arm.
+
+        Raises:
+            BadInputError: A text is not understood, or the campaign has no such arm.
+        """
+        detectors = {name: arm.detector for name, arm in self.arms.items()}
+        return [Requirement.parse(text).of(detectors) for text in texts]
+
     def without_requirements(self) -> "Campaign":
         """The campaign as ledgers hold it: requirements judge its result, and are no part of it."""
         if not self.require:
@@ -260,7 +273,7 @@ class Campaign(Config):
         return flown_by is None or flown_by.flies
 
     @property
-    def level(self) -> Any:  # noqa: ANN401 - a `mavfi.levels.level.Level`
+    def level(self) -> Level:
         """The level of the sampling, as its host draws it."""
         return _level_at(self.host, self.sampling.level)
 
@@ -304,6 +317,16 @@ class Campaign(Config):
         if len(arms) != 1:
             raise BadInputError(f"sampling.kernels: {target!r}: is in {len(arms)} arms; allowed: what is in one arm")
         return arms[0]
+
+    @property
+    def custom_detectors(self) -> dict[str, PlugIn]:
+        """The detectors that are not part of mavfi, by arm."""
+        detectors = {}
+        for name, arm in self.arms.items():
+            if is_custom_detector(arm.detector):
+                spec = self.spec(self.environments[0], self.first_seed, arm.mission)
+                detectors[name] = plug_ins_of_spec(spec, arm.detector)[-1]
+        return detectors
 
     def environment_of(self, name: str) -> str:
         """The environment of a part, by its name; without parts, the name itself."""
@@ -371,12 +394,13 @@ def _refuse_keys_of_other_hosts(data: Mapping[str, Any]) -> None:
                 )
 
 
-def _level_at(host_name: Any, level: str) -> Any:
+def _level_at(host_name: Any, name: str) -> Level:
     """A level, as a host draws its faults; a BadInputError if there is no such level."""
+    find: Callable[[str], Level] = find_level
     host = _class_of_host(host_name)
-    if host is None:
-        return find_level(level)
-    return host.level_of(level)
+    if host is not None:
+        find = host.level_of
+    return find(name)
 
 
 def _sampling(data: Any, info: ValidationInfo | None, host_name: Any = _LOCAL) -> Sampling:

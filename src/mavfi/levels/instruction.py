@@ -30,11 +30,12 @@ from mavfi.faults.fault import MODELS, MOST_CALLS, NO_SITE, RESTART_S, Fault, In
 from mavfi.faults.levels.instruction import InjectionSite, Profiling, Resolving, budget_for, choose
 from mavfi.faults.levels.instruction.plan import plan
 from mavfi.faults.levels.instruction.table import parse_selection
-from mavfi.faults.plug_ins import custom_detectors, planner_name, plug_ins_of_spec, without_module
+from mavfi.faults.plug_ins import planner_name, plug_ins_of_spec, without_module
 from mavfi.faults.sampling import stream
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.targets import InjectionTarget, Targets
 from mavfi.ir.module import DIGEST_VERSION
+from mavfi.levels.campaign import SampledCampaign
 from mavfi.levels.level import DECIMAL, WHOLE, Draw, Golden, Level, Sampled, Sampler, Sampling, check_distinct
 from mavfi.mission import Scenario
 from mavfi.record import Injection
@@ -377,7 +378,7 @@ class InstructionSampler(Sampler):
 
     instruments = True
 
-    def __init__(self, campaign: Any) -> None:
+    def __init__(self, campaign: SampledCampaign) -> None:
         super().__init__(campaign)
         # Numba compiles Python's bytecode, which determines the fault space.
         self.versions = {"python": ".".join(platform.python_version_tuple()[:2]), "fault space": DIGEST_VERSION}
@@ -453,7 +454,7 @@ class InstructionSampler(Sampler):
         raise BadInputError("null runs: allowed with faults in states")
 
 
-def _check_arms(campaign: Any, drawn: Sequence[str], kernels: Mapping[str, str]) -> None:
+def _check_arms(campaign: SampledCampaign, drawn: Sequence[str], kernels: Mapping[str, str]) -> None:
     """Refuse an arm that replaces functions with drawn faults, which would never be activated there.
 
     `kernels`: the kernel whose functions change, by mission key.
@@ -496,7 +497,7 @@ def _stage_of(name: str, role: str) -> str:
     return str(KERNEL_STAGES.get(name, ""))
 
 
-def campaign_targets(campaign: Any) -> list[CampaignTarget]:
+def campaign_targets(campaign: SampledCampaign) -> list[CampaignTarget]:
     """The targets that the sampling of a campaign names.
 
     Raises:
@@ -509,7 +510,7 @@ def campaign_targets(campaign: Any) -> list[CampaignTarget]:
     return targets
 
 
-def _campaign_target(campaign: Any, name: str) -> CampaignTarget:
+def _campaign_target(campaign: SampledCampaign, name: str) -> CampaignTarget:
     """See `campaign_targets`: the target of this name."""
     spec = campaign.spec(campaign.environments[0], campaign.first_seed)
     planner = planner_name(spec.planner)
@@ -527,7 +528,7 @@ def _campaign_target(campaign: Any, name: str) -> CampaignTarget:
             return CampaignTarget(plug_in.name, plug_in.role)
     if name == "planner":
         return CampaignTarget(planner)
-    detectors = custom_detectors(campaign)
+    detectors = campaign.custom_detectors
     watching = [(arm, plug_in) for arm, plug_in in detectors.items() if plug_in.is_called(name)]
     if len(watching) > 1:
         raise BadInputError(f"sampling.kernels: {name!r}: is in {len(watching)} arms; allowed: what is in one arm")
@@ -626,7 +627,7 @@ class InstructionLevel(Level):
             "value_class": fault.value_class,
         }
 
-    def about(self, campaign: Any) -> dict[str, Any]:
+    def about(self, campaign: SampledCampaign) -> dict[str, Any]:
         """See `Level.about`."""
         sampling = campaign.sampling
         how = f"instructions: {sampling.which}, model {sampling.model}"

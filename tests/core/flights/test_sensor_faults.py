@@ -9,7 +9,6 @@ from mavfi.analysis.runs import Runs
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.replay import explain
-from mavfi.campaign.run import run_campaign
 from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros2.stack.host import Ros2StackHost
 from mavfi.faults.levels.sensor.fault import UNITS, SensorFault
@@ -18,6 +17,7 @@ from mavfi.flight.fly import fly
 from mavfi.flight.host import require_level
 from mavfi.flight.sensor_faults import SensorInjector
 from mavfi.report.explain import steps
+from tests.campaigns import run_campaign
 from tests.core.flights.missions import golden, mission
 
 pytestmark = pytest.mark.slow

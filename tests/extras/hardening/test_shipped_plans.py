@@ -6,7 +6,6 @@ from mavfi.analysis.runs import Runs
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.replay import replay
-from mavfi.campaign.run import run_campaign
 from mavfi.config import names, parse
 from mavfi.extras.hardening.observed import check_golden
 from mavfi.extras.hardening.plan import load_plan, save_plan, signature_text
@@ -17,6 +16,7 @@ from mavfi.ir.sources import cached_shape
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 from mavfi.states import INJECTABLE, PLANNERS
+from tests.campaigns import run_campaign
 
 pytestmark = pytest.mark.slow
 

@@ -23,7 +23,7 @@ from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import processor
 from mavfi.campaign.ledger import stored_campaign
-from mavfi.campaign.mission import host_of
+from mavfi.campaign.resolve import resolve
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError, not_known
 from mavfi.extras.hardening.choose import NOTHING, Choice
@@ -502,13 +502,15 @@ class HardeningStudy:
 
     def scenario(self, environment: str, seed: int, planner: str) -> Scenario:
         """A mission of the campaign."""
-        scenario: Scenario = host_of(self.campaign).resolve(self.campaign.spec(environment, seed, {"planner": planner}))
+        scenario: Scenario = resolve(self.campaign).host.resolve(
+            self.campaign.spec(environment, seed, {"planner": planner})
+        )
         return scenario
 
     @property
     def worlds(self) -> list[str]:
         """Names of the environments of its campaign, whose own names may be paths or parts."""
-        host = host_of(self.campaign)
+        host = resolve(self.campaign).host
         seed = self.campaign.first_seed
         specs = (self.campaign.spec(environment, seed) for environment in self.campaign.environments)
         return list(dict.fromkeys(host.resolve(spec).environment.name for spec in specs))

@@ -4,7 +4,6 @@ import pytest
 
 from mavfi.analysis.runs import Runs
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign
 from mavfi.campaign.shrink import shrink
 from mavfi.campaign.store import Store
 from mavfi.cli import run
@@ -15,6 +14,7 @@ from mavfi.faults.strata import WORD_BITS
 from mavfi.levels.level import parse, text_of
 from mavfi.levels.state import change_of
 from mavfi.states import STATES
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import fly, small
 
 

@@ -82,7 +82,7 @@ def test_a_detector_with_faults_is_compiled_with_its_shipped_model(compiled, mon
     warm_up.compile_ahead([load_campaign("failure_rate")], Inline())
     for task in compiled:
         task.compile()
-    arms = [(plan.campaign.sampling.kernels, *plan.models) for plan in flown if plan.models]
+    arms = [(plan.campaign.config.sampling.kernels, *plan.campaign.models) for plan in flown if plan.campaign.models]
     detectors = {("acceptance",): ["recommended"], ("gaussian",): ["gaussian"], ("autoencoder",): ["autoencoder"]}
     assert arms == [(kernels, *own) for kernels, own in detectors.items()]
     assert warm_up.is_compiled(load_campaign("failure_rate"))

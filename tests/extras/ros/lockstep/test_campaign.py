@@ -3,13 +3,13 @@
 import pytest
 
 from mavfi.campaign.config import Campaign, load_campaign
-from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros1 import finder
 from mavfi.extras.ros.ros1.host import Ros1Host
 from mavfi.faults.fault import RegisterFault
 from mavfi.flight.host import SHIPPED, ArmSetup
+from tests.campaigns import run_campaign
 from tests.core.flights.missions import mission
 from tests.extras.ros.lockstep.needs import ANY, any_ros, number
 
