@@ -31,7 +31,7 @@ from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.ledger import repair, status
 from mavfi.campaign.plan import Plan
-from mavfi.campaign.replay import setup_of_run
+from mavfi.campaign.replay import resolve_stored, setup_of_run
 from mavfi.campaign.resolve import resolve as resolve_campaign
 from mavfi.campaign.store import (
     BOUND,
@@ -514,7 +514,7 @@ def read_ledger(path):
             table(runs, view)
     with Store.open(directory) as store:
         for run in itertools.islice(store.runs(), 2):
-            setup_of_run(store, run.spec)
+            setup_of_run(resolve_stored(store), store, run.spec)
 
 
 def read_damaged(path):

@@ -1,6 +1,7 @@
 """A campaign before its first flight: its names are checked, and it is resolved as its ledger has begun it."""
 
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mavfi.campaign.config import Campaign
@@ -68,40 +69,37 @@ def check_names(campaign: Campaign, source: str) -> None:
         BadInputError: Something does not exist, or cannot be combined; the message names the source, and the key.
     """
     resolved = resolve(campaign)
-    try:
-        _ = resolved.host
-    except BadInputError as error:
-        raise _at(error, source, "host", "host") from None
+    with _named(source, [("host", campaign.host, "host")]):
+        host = resolved.host
     for arm in resolved.arms:
-        _check_detector(arm, source)
+        if arm.detector:
+            with_keys_of(MissionSpec(), arm.detector)
+            keys = f"arms.{arm.name}"
+            named = [
+                ("detector", arm.detector, f"{keys}.detector"),
+                ("detector profile", arm.profile, f"{keys}.profile"),
+            ]
+            with _named(source, named):
+                check_detector(arm.detector, arm.profile)
         for environment in campaign.environments:
-            _check_mission(resolved, environment, arm, source)
+            spec = resolved.spec(environment, arm)
+            options = [(name.replace("_", " "), value, _key(campaign, environment, arm, name)) for name, value in spec]
+            with _named(source, options):
+                host.resolve(spec)
 
 
-def _check_detector(arm: Arm, source: str) -> None:
-    """Check detector and profile of an arm; an error names the key of the campaign."""
-    if not arm.detector:
-        return
-    with_keys_of(MissionSpec(), arm.detector)
+@contextmanager
+def _named(source: str, values: Iterable[tuple[str, object, str]]) -> Iterator[None]:
+    """Errors name the source, and of a value, given with the word for it, the key that has it."""
     try:
-        check_detector(arm.detector, arm.profile)
+        yield
     except BadInputError as error:
-        if str(error).startswith("detector profile"):
-            raise _at(error, source, f"arms.{arm.name}.profile", "detector profile") from None
-        raise _at(error, source, f"arms.{arm.name}.detector", "detector") from None
-
-
-def _check_mission(campaign: ResolvedCampaign, environment: str, arm: Arm, source: str) -> None:
-    """Check the first mission of an arm in an environment; an error names the key of the campaign."""
-    spec = campaign.spec(environment, arm)
-    try:
-        campaign.host.resolve(spec)
-    except BadInputError as error:
-        for name, value in spec:
-            word = name.replace("_", " ")
-            if str(error).startswith(f"{word} {value!r}: "):
-                raise _at(error, source, _key(campaign.config, environment, arm, name), word) from None
-        raise _at(error, source) from None
+        text = str(error)
+        for word, value, key in values:
+            if text.startswith(f"{word} {value!r}: "):
+                text = f"key {key!r}: {text.removeprefix(word).lstrip()}"
+                break
+        raise type(error)(f"{source}: {text}") from None
 
 
 def _key(campaign: Campaign, environment: str, arm: Arm, name: str) -> str:
@@ -114,11 +112,3 @@ def _key(campaign: Campaign, environment: str, arm: Arm, name: str) -> str:
     if arm.name and name in arm.overrides:
         return f"arms.{arm.name}.{name}"
     return f"mission.{name}"
-
-
-def _at(error: BadInputError, source: str, key: str = "", word: str = "") -> BadInputError:
-    """The same error with its source and key, in place of the word for what is named."""
-    text = str(error).removeprefix(f"{word} ")
-    if key:
-        text = f"key {key!r}: {text}"
-    return type(error)(f"{source}: {text}")

@@ -19,6 +19,7 @@ from mavfi.config import STORED, Config, Name, names, parse, parse_part, shipped
 from mavfi.errors import BadInputError, not_known
 from mavfi.faults.fault import find_level, level_names
 from mavfi.faults.plug_ins import PlugIn, is_custom_detector, plug_ins_of_spec
+from mavfi.levels.campaign import MOST_FAULTS, Size
 from mavfi.levels.level import Level, Sampling, check_distinct, check_known
 from mavfi.mission import MissionSpec
 from mavfi.plugins import extensions
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
 DESIGN_SEEDS = range(10_000)  # seeds used for tuning the autopilot profiles
 TRAINING_SEED = 1_000_000  # first seed of the training flights of detectors; never used by campaigns
-MOST_FAULTS = 100_000  # per environment and target
 
 _RENAMED = {
     "law": "sampling.scheme",
@@ -105,13 +105,6 @@ class Scale(Config):
 
     missions: int | None = Field(None, ge=1)
     faults: int | None = Field(None, ge=1, le=MOST_FAULTS)
-
-
-class Size(Config):
-    """A size that a campaign had before it was extended."""
-
-    missions: int = Field(ge=1)
-    faults: int = Field(ge=1, le=MOST_FAULTS)
 
 
 class Campaign(Config):
@@ -333,6 +326,11 @@ class Campaign(Config):
         if name in self.parts:
             return self.parts[name].environment
         return name
+
+    @property
+    def first_mission(self) -> MissionSpec:
+        """The first mission in the first environment."""
+        return self.spec(self.environments[0], self.first_seed)
 
     def spec(self, environment: str, seed: int, overrides: Mapping[str, Any] | None = None) -> MissionSpec:
         """The mission for an environment and seed, with the overrides of an arm."""

@@ -20,7 +20,7 @@ from mavfi.detectors.detector import Detector, is_custom
 from mavfi.errors import MachineError, MavfiError, SpecMismatchError, machine_failure
 from mavfi.faults.fault import Fault
 from mavfi.flight.decide import RecoveryPolicy
-from mavfi.flight.host import ArmSetup, DetectorChoice, Host, MissionFlights, Recorded
+from mavfi.flight.host import ArmSetup, DetectorChoice, MissionFlights, Recorded
 from mavfi.levels.level import NULL, Sampled
 from mavfi.mission import Scenario
 from mavfi.plugins import plugin_failure, reason
@@ -115,24 +115,17 @@ class _ResolvedMission:
     def of(mission: MissionPlan) -> "_ResolvedMission":
         """Resolve the scenarios; a SpecMismatchError if local files (environment, vehicle) differ from the planned."""
         campaign = mission.campaign
-        scenarios = campaign.scenarios_in([mission.environment])
-        keys = {name: scenario.key() for name, scenario in scenarios.items()}
-        for (environment, arm), key in keys.items():
+        here = campaign.with_scenarios([mission.environment])
+        for (environment, arm), key in here.scenario_keys.items():
             if campaign.scenario_keys.get((environment, arm), key) != key:
                 raise SpecMismatchError(
                     f"environment {environment}, arm {arm or 'golden'}: other files than planned with"
                 )
-        plan = Plan(replace(campaign, scenario_keys=keys))
-        return _ResolvedMission(mission, plan, {arm.name: setup_of(mission, arm) for arm in campaign.arms})
-
-    @property
-    def host(self) -> Host:
-        """Where it is flown."""
-        return self.mission.campaign.host
+        return _ResolvedMission(mission, Plan(here), {arm.name: setup_of(mission, arm) for arm in campaign.arms})
 
     def custom_arms(self) -> frozenset[str]:
         """The arms with a custom detector that is called in this process, which it may block or end."""
-        if not self.host.in_process:
+        if not self.mission.campaign.host.in_process:
             return frozenset()
         return frozenset(name for name, setup in self.setups.items() if is_custom(setup.detector()))
 
@@ -168,8 +161,7 @@ def fly_missions(job: Job) -> Iterator[tuple[int, Planned | CompletedRun]]:
         setups: dict[str, ArmSetup] = {}
         for _, resolved in resolved_missions:
             setups |= resolved.setups
-        host = resolved_missions[0][1].host
-        flights = host.mission(setups, fast_forward=current.fast_forward)
+        flights = current.campaign.host.mission(setups, fast_forward=current.fast_forward)
 
         runs_by_fault: _RunsByFault = {}
         for number, resolved in resolved_missions:
@@ -277,7 +269,7 @@ class _SeparateFlights:
 
     def _from_take_off(self, arm: str) -> MissionFlights:
         """Flights of an arm that share nothing with those of this process."""
-        return self._resolved.host.mission({arm: self._resolved.setups[arm]}, fast_forward=False)
+        return self._resolved.mission.campaign.host.mission({arm: self._resolved.setups[arm]}, fast_forward=False)
 
 
 def _golden(

@@ -64,7 +64,7 @@ def replay(directory: Path, run_id: str) -> Replay:
         run = store.run(run_id)
         if run.record is None:
             raise BadInputError(f"{directory}: run {run.spec.run_id} is not flown yet")
-        return Replay(run, fly_again(store, run.spec).record())
+        return Replay(run, fly_again(resolve_stored(store), store, run.spec).record())
 
 
 def flight_again(store: Store, spec: RunSpec) -> Flight:
@@ -73,27 +73,22 @@ def flight_again(store: Store, spec: RunSpec) -> Flight:
     Raises:
         BadInputError, SpecMismatchError: See `replay`; or the host's runs are no flights.
     """
-    campaign = _resolved(store)
+    campaign = resolve_stored(store)
     if not campaign.host.flies:  # before it is run
         raise BadInputError(f"{store.directory}: host {campaign.host.name}: its runs leave no flight log")
-    flown = _fly_again(campaign, store, spec)
+    flown = fly_again(campaign, store, spec)
     assert isinstance(flown, Flight)  # by `Host.flies`
     return flown
 
 
-def fly_again(store: Store, spec: RunSpec) -> Recorded:
-    """Replay a run of a ledger in full, without fast-forward; raises the errors of `replay`."""
-    return _fly_again(_resolved(store), store, spec)
-
-
-def _resolved(store: Store) -> ResolvedCampaign:
+def resolve_stored(store: Store) -> ResolvedCampaign:
     """The campaign of a ledger, with the models that were flown."""
     return resolve(stored_campaign(store), store.models_dir, store.meta("identity")["models"])
 
 
-def _fly_again(campaign: ResolvedCampaign, store: Store, spec: RunSpec) -> Recorded:
-    """See `fly_again`."""
-    setup = _setup(campaign, store, spec)
+def fly_again(campaign: ResolvedCampaign, store: Store, spec: RunSpec) -> Recorded:
+    """Replay a run of a ledger in full, without fast-forward; raises the errors of `replay`."""
+    setup = setup_of_run(campaign, store, spec)
     flights = campaign.host.mission({spec.arm: setup}, fast_forward=False)
     flown: Recorded | Exception
     if spec.fault is None:
@@ -105,14 +100,8 @@ def _fly_again(campaign: ResolvedCampaign, store: Store, spec: RunSpec) -> Recor
     return flown
 
 
-def setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
-    """Host and arm setup of a run; raises the errors of `replay`."""
-    campaign = _resolved(store)
-    return campaign.host, _setup(campaign, store, spec)
-
-
-def _setup(campaign: ResolvedCampaign, store: Store, spec: RunSpec) -> ArmSetup:
-    """Arm setup of a run."""
+def setup_of_run(campaign: ResolvedCampaign, store: Store, spec: RunSpec) -> ArmSetup:
+    """Arm setup of a run of a ledger; raises the errors of `replay`."""
     host = campaign.host
     if not host.deterministic:
         raise BadInputError(
@@ -226,8 +215,9 @@ def recorded_again(directory: Path, run_id: str) -> tuple[Flight, list[TimedStat
 
 def _setup_to_record(store: Store, spec: RunSpec) -> ArmSetup:
     """Arm setup of a run whose publications can be recorded; raises the errors of `explain`."""
-    host, setup = setup_of_run(store, spec)
-    levels = explained_levels(host)
+    campaign = resolve_stored(store)
+    setup = setup_of_run(campaign, store, spec)
+    levels = explained_levels(campaign.host)
     if not levels or (spec.fault is not None and spec.fault.level not in levels):
         raise BadInputError(
             f"{store.directory}: run {spec.run_id}: its publications cannot be recorded; allowed: faults of level "
@@ -291,7 +281,7 @@ def verify(
         if not runs:
             raise BadInputError(f"{directory}: holds no replayable run")
         number = max(1, round(share * len(runs)))
-        campaign = _resolved(store)
+        campaign = resolve_stored(store)
         chosen = np.sort(np.random.default_rng(seed).choice(len(runs), number, replace=False))
         differing = []
         for done, index in enumerate(chosen):
@@ -315,5 +305,5 @@ def _record_again(campaign: ResolvedCampaign, store: Store, run: Run) -> FlightR
     """Record of the replayed run, with the counts of a golden run, used only for drawing faults, copied."""
     stored = run.record
     assert stored is not None
-    now = FlightRecord.from_json(_fly_again(campaign, store, run.spec).record().to_json())
+    now = FlightRecord.from_json(fly_again(campaign, store, run.spec).record().to_json())
     return replace(now, counts=stored.counts, acted_on=stored.acted_on)

@@ -54,11 +54,6 @@ class Requirement:
             raise BadInputError(f"{text!r}: {number} %: allowed: 0 to 100")
         return Requirement(" ".join(text.split()), (arm or "").strip(), name, comparison, percent / 100.0)
 
-    @property
-    def is_upper(self) -> bool:
-        """Whether the rate must lie below the limit."""
-        return self.comparison in ("<", "<=")
-
     def of(self, detectors: Mapping[str, str]) -> "Requirement":
         """The requirement with its arm; a measure of detectors is that of the only arm with one, unless it names one.
 

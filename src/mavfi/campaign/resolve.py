@@ -67,21 +67,17 @@ class ResolvedCampaign:
 
         return find_host(self.config.host, self.config.under_test)
 
-    def scenarios_in(self, environments: Sequence[str]) -> dict[tuple[str, str], Scenario]:
-        """Scenario with the campaign's first seed, by environment and arm, from the files as they are now.
+    def with_scenarios(self, environments: Sequence[str] = ()) -> "ResolvedCampaign":
+        """With its scenarios in these environments (empty = all), from the files as they are now.
 
         Raises:
             BadInputError: A name is unknown, or options are incompatible.
         """
-        return {
+        scenarios: dict[tuple[str, str], Scenario] = {
             (environment, arm.name): self.host.resolve(self.spec(environment, arm))
-            for environment in environments
+            for environment in environments or self.config.environments
             for arm in self.arms
         }
-
-    def with_scenarios(self) -> "ResolvedCampaign":
-        """With its scenarios; raises the error of `scenarios_in`."""
-        scenarios = self.scenarios_in(self.config.environments)
         keys = {name: scenario.key() for name, scenario in scenarios.items()}
         return replace(self, scenario_keys=keys, scenarios=scenarios)
 
@@ -141,28 +137,23 @@ _NAMES: dict[str, tuple[tuple[Arm, ...], Sampler]] = {}
 
 def _names_of(config: Campaign) -> tuple[tuple[Arm, ...], Sampler]:
     """Arms and sampler of a campaign; cached, since the sampler holds the strata of all missions."""
+    from mavfi.detectors.registry import mission_keys
+
     key = config.model_dump_json()
     if key not in _NAMES:
         while len(_NAMES) >= _MOST_CAMPAIGNS:
             del _NAMES[next(iter(_NAMES))]
         sampler = config.level.sampler(config)
-        _NAMES[key] = _arms(config, sampler), sampler
+        variants = [Arm(name, overrides, is_variant=True) for name, overrides in sampler.variants.items()]
+        arms = [
+            Arm(
+                name,
+                {**mission_keys(arm.detector), **arm.mission},
+                arm.detector,
+                arm.profile if arm.detector else "",
+                arm.options,
+            )
+            for name, arm in config.arms.items()
+        ]
+        _NAMES[key] = (Arm(), *variants, *arms), sampler
     return _NAMES[key]
-
-
-def _arms(config: Campaign, sampler: Sampler) -> tuple[Arm, ...]:
-    """The campaign's own mission, the variants required by its sampling scheme, and its arms."""
-    from mavfi.detectors.registry import mission_keys
-
-    arms = [
-        Arm(
-            name,
-            {**mission_keys(arm.detector), **arm.mission},
-            arm.detector,
-            arm.profile if arm.detector else "",
-            arm.options,
-        )
-        for name, arm in config.arms.items()
-    ]
-    variants = [Arm(name, overrides, is_variant=True) for name, overrides in sampler.variants.items()]
-    return (Arm(), *variants, *arms)

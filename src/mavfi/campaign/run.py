@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +43,7 @@ class Session:
     store: Store
     fast_forward: bool
     shard: Shard
-    report: Callable[[Progress], None]
+    report: Callable[[Path, Progress], None] | None
     log: Log
     total: int  # runs of the shard
     flown: int = 0
@@ -141,8 +140,11 @@ class Session:
         return sum(number for _, number, _ in self.counts.values())
 
     def tell(self, *, compiling: bool = False) -> None:
-        """Report the progress."""
+        """Report the progress, if somebody follows it."""
+        if self.report is None:
+            return
         self.report(
+            self.store.directory,
             Progress(
                 self._runs_done,
                 self.total,
@@ -150,7 +152,7 @@ class Session:
                 flies=self.plan.campaign.config.flies,
                 flown=self.flown,
                 compiling=compiling,
-            )
+            ),
         )
 
 
@@ -329,20 +331,13 @@ def run_campaigns(
     with ExitStack() as stack:
         sessions = []
         for directory, campaign in campaigns.items():
-            tell: Callable[[Progress], None] = _ignore
-            if progress is not None:
-                tell = partial(progress, directory)
-            session = _session(stack, campaign, directory, fast_forward, shard, extend, tell)
+            session = _session(stack, campaign, directory, fast_forward, shard, extend, progress)
             stack.enter_context(session.logged(executor))
             sessions.append(session)
         for session in sessions:
             _prepare(session, executor)
         Flying(sessions).fly(executor)
         return {directory: status(directory) for directory in campaigns}
-
-
-def _ignore(_: Progress) -> None:
-    """The progress of a campaign that nobody asked for."""
 
 
 def _session(  # noqa: PLR0913 - what `run_campaigns` is given
@@ -352,7 +347,7 @@ def _session(  # noqa: PLR0913 - what `run_campaigns` is given
     fast_forward: bool,
     shard: Shard,
     extend: bool,
-    tell: Callable[[Progress], None],
+    progress: Callable[[Path, Progress], None] | None,
 ) -> Session:
     """The session of a campaign; its ledger is closed with `stack`."""
     # The ledger; one that exists must hold the same campaign, or a smaller one that is extended.
@@ -386,7 +381,7 @@ def _session(  # noqa: PLR0913 - what `run_campaigns` is given
         store,
         fast_forward,
         shard,
-        tell,
+        progress,
         Log(directory),
         plan.count(shard),
         counts=store.counts(),

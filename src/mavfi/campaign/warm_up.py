@@ -2,11 +2,10 @@
 
 import fcntl
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor, map_each
@@ -16,7 +15,6 @@ from mavfi.campaign.resolve import Arm, ResolvedCampaign, resolve
 from mavfi.detectors.registry import is_named
 from mavfi.errors import BadInputError
 from mavfi.flight.compiling import STAGES, compile_stage
-from mavfi.flight.compose import detector_for
 from mavfi.mission import Scenario
 from mavfi.numerics.dependencies import packages_digest
 from mavfi.numerics.jit import code_folder, in_turns
@@ -49,17 +47,15 @@ class _Stage:
 
 @dataclass(frozen=True, slots=True)
 class _Detector:
-    """A detector with its shipped model, if there is one: the code of other models is the same."""
+    """The detector of an arm with its shipped model, if there is one: the code of other models is the same."""
 
+    campaign: ResolvedCampaign
+    arm: Arm
     scenario: Scenario
-    name: str
-    profile: str
-    trained_for: str
-    options: Mapping[str, Any]
 
     def compile(self) -> None:
         with suppress(BadInputError):
-            detector_for(self.scenario, self.name, self.profile, trained_for=self.trained_for, options=self.options)
+            self.campaign.detector(self.arm, self.scenario)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +157,8 @@ def _with_shipped_models(campaign: Campaign) -> ResolvedCampaign | None:
 
 def _scenarios(campaign: ResolvedCampaign) -> Iterator[tuple[Arm, Scenario]]:
     """Each arm, with its scenario in the first environment."""
-    return zip(campaign.arms, campaign.scenarios_in(campaign.config.environments[:1]).values(), strict=True)
+    scenarios = campaign.with_scenarios(campaign.config.environments[:1]).scenarios.values()
+    return zip(campaign.arms, scenarios, strict=True)
 
 
 def _stages(campaigns: Sequence[ResolvedCampaign]) -> Iterator[_Stage]:
@@ -194,9 +191,9 @@ def _detectors(campaigns: Sequence[ResolvedCampaign]) -> list[_Detector]:
         for arm, scenario in _scenarios(campaign):
             if not arm.detector:
                 continue
-            spec = campaign.spec(campaign.config.environments[0], arm)
-            key = arm.detector, arm.profile, scenario.autopilot.name, spec.trained_for, str(arm.options)
-            tasks[key] = _Detector(scenario, arm.detector, arm.profile, spec.trained_for, arm.options)
+            trained_for = campaign.spec(campaign.config.environments[0], arm).trained_for
+            key = arm.detector, arm.profile, scenario.autopilot.name, trained_for, str(arm.options)
+            tasks[key] = _Detector(campaign, arm, scenario)
     return list(tasks.values())
 
 

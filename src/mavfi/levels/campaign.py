@@ -3,20 +3,20 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
+from pydantic import Field
+
+from mavfi.config import Config
 from mavfi.faults.plug_ins import PlugIn
 from mavfi.mission import MissionSpec
 
+MOST_FAULTS = 100_000  # per environment and target
 
-class SampledSize(Protocol):
+
+class Size(Config):
     """A size of a campaign."""
 
-    @property
-    def missions(self) -> int:
-        """Missions per environment."""
-
-    @property
-    def faults(self) -> int:
-        """Faults per environment and target."""
+    missions: int = Field(ge=1)
+    faults: int = Field(ge=1, le=MOST_FAULTS)
 
 
 class SampledArm(Protocol):
@@ -27,7 +27,7 @@ class SampledArm(Protocol):
         """Keys of the mission that differ from the campaign's."""
 
 
-class SampledCampaign(SampledSize, Protocol):
+class SampledCampaign(Protocol):
     """A campaign whose faults are drawn."""
 
     @property
@@ -43,12 +43,16 @@ class SampledCampaign(SampledSize, Protocol):
         """Seed of the first mission in each environment."""
 
     @property
-    def grown(self) -> Sequence[SampledSize]:
-        """Earlier sizes."""
+    def missions(self) -> int:
+        """Missions per environment."""
 
     @property
-    def sizes(self) -> Sequence[SampledSize]:
-        """Earlier sizes, and its own."""
+    def faults(self) -> int:
+        """Faults per environment and target."""
+
+    @property
+    def sizes(self) -> Sequence[Size]:
+        """The sizes that it has had, and its own."""
 
     @property
     def nulls(self) -> int:
@@ -79,6 +83,10 @@ class SampledCampaign(SampledSize, Protocol):
 
     def environment_of(self, name: str) -> str:
         """The environment of a part, by its name; without parts, the name itself."""
+
+    @property
+    def first_mission(self) -> MissionSpec:
+        """The first mission in the first environment."""
 
     def spec(self, environment: str, seed: int, overrides: Mapping[str, Any] | None = None) -> MissionSpec:
         """The mission for an environment and seed, with the overrides of an arm."""

@@ -167,12 +167,12 @@ class CombinedSampler(Sampler):
 
     def __init__(self, campaign: SampledCampaign) -> None:
         super().__init__(campaign)
-        spec = campaign.spec(campaign.environments[0], campaign.first_seed)
+        spec = campaign.first_mission
         self._localization = spec.localization
         self._members = list(self._find_members())
         if campaign.nulls:
             raise BadInputError(f"null_runs: {campaign.nulls}; allowed: 0 with several faults")
-        if campaign.grown:  # numbers and strata of the further faults depend on the size of the campaign
+        if len(campaign.sizes) > 1:  # numbers and strata of the further faults depend on the size of the campaign
             text = "with several faults in a mission, a campaign cannot be extended by them"
             raise BadInputError(f"missions, faults: {text}; allowed: more environments and arms")
         # The first source has the rows.

@@ -382,7 +382,7 @@ class InstructionSampler(Sampler):
         super().__init__(campaign)
         # Numba compiles Python's bytecode, which determines the fault space.
         self.versions = {"python": ".".join(platform.python_version_tuple()[:2]), "fault space": DIGEST_VERSION}
-        planner = planner_name(campaign.spec(campaign.environments[0], campaign.first_seed).planner)
+        planner = planner_name(campaign.first_mission.planner)
         drawn_from = campaign_targets(campaign)
         self._kernels = kernels = [target.name for target in drawn_from]
         other_planners = [name for name in kernels if name in PLANNERS and name != planner]
@@ -459,11 +459,10 @@ def _check_arms(campaign: SampledCampaign, drawn: Sequence[str], kernels: Mappin
 
     `kernels`: the kernel whose functions change, by mission key.
     """
-    world = campaign.environments[0], campaign.first_seed
     for name, arm in campaign.arms.items():
         for key, kernel in kernels.items():
-            campaign_value = getattr(campaign.spec(*world), key)
-            arm_value = getattr(campaign.spec(*world, arm.mission), key)
+            campaign_value = getattr(campaign.first_mission, key)
+            arm_value = getattr(campaign.spec(campaign.environments[0], campaign.first_seed, arm.mission), key)
             if arm_value != campaign_value and kernel in drawn:
                 raise BadInputError(
                     f"arms: {name!r}: {key}: {arm_value!r}: does not call what faults in {kernel} are drawn from; "
@@ -512,7 +511,7 @@ def campaign_targets(campaign: SampledCampaign) -> list[CampaignTarget]:
 
 def _campaign_target(campaign: SampledCampaign, name: str) -> CampaignTarget:
     """See `campaign_targets`: the target of this name."""
-    spec = campaign.spec(campaign.environments[0], campaign.first_seed)
+    spec = campaign.first_mission
     planner = planner_name(spec.planner)
     members = plug_ins_of_spec(spec)
     replaced = [PLUG_INS[plug_in.role].kernel for plug_in in members]

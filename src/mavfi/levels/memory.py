@@ -304,7 +304,7 @@ class MemorySampler(Sampler):
 
     def __init__(self, campaign: SampledCampaign) -> None:
         super().__init__(campaign)
-        spec = campaign.spec(campaign.environments[0], campaign.first_seed)
+        spec = campaign.first_mission
         self._kernels = _kernels_with(spec.localization)
         self._plug_ins = plug_ins_of_spec(spec)
         self._detectors = campaign.custom_detectors

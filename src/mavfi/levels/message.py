@@ -105,7 +105,7 @@ class MessageSampler(Sampler):
 
     def __init__(self, campaign: SampledCampaign) -> None:
         super().__init__(campaign)
-        self._spec = campaign.spec(campaign.environments[0], campaign.first_seed)
+        self._spec = campaign.first_mission
         published = states_with(self._spec.localization)
         names = self.sampling.states
         if not names:

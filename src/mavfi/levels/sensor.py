@@ -97,7 +97,7 @@ class SensorSampler(Sampler):
 
     def __init__(self, campaign: SampledCampaign) -> None:
         super().__init__(campaign)
-        mission = campaign.spec(campaign.environments[0], campaign.first_seed)
+        mission = campaign.first_mission
         units = self.sampling.units or tuple(unit for unit in UNITS if _is_read(unit, mission))
         if campaign.under_test is None:
             for unit in units:

@@ -307,7 +307,7 @@ class StateSampler(Sampler):
 
     def __init__(self, campaign: SampledCampaign) -> None:
         super().__init__(campaign)
-        spec = campaign.spec(campaign.environments[0], campaign.first_seed)
+        spec = campaign.first_mission
         # What exists and is acted on depends on the mission.
         self._autopilot = spec.autopilot
         self._localization = spec.localization

@@ -46,7 +46,7 @@ def test_stages_come_first_then_each_kernel_then_each_mission(compiled):
         ("table1", ()),
         ("table1_instructions", whole),
     ]
-    detectors = [(task.name, task.profile) for task in compiled if isinstance(task, warm_up._Detector)]
+    detectors = [(task.arm.detector, task.arm.profile) for task in compiled if isinstance(task, warm_up._Detector)]
     assert detectors == [("gaussian", "paper"), ("autoencoder", "paper")]
 
 

@@ -17,7 +17,6 @@ from mavfi.campaign.run import run_campaigns
 from mavfi.campaign.training import record
 from mavfi.extras.paper.assumptions.design import DETECTORS, AssumptionStudy, AxisChange, PaperReading
 from mavfi.extras.paper.assumptions.fit import EnvironmentFlights, Fit, Flights, Judgement, fit, judge
-from mavfi.mission import MissionSpec
 
 if TYPE_CHECKING:
     from mavfi.extras.paper.cli_report import StudyBar
@@ -296,7 +295,7 @@ def _train(  # noqa: PLR0913
     """Train both detectors, unless their models are in the folder."""
     detectors = {(arm.detector, arm.profile) for arm in campaign.arms.values()}
     if not list(folder.glob("*.json")):
-        mission: MissionSpec = campaign.spec(campaign.environments[0], campaign.first_seed)
+        mission = campaign.first_mission
         show: Callable[[int, int], None] = bar.show
         with bar.timed("training flights"):
             recorded = record(
