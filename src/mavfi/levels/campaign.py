@@ -13,7 +13,7 @@ MOST_FAULTS = 100_000  # per environment and target
 
 
 class Size(Config):
-    """A size of a campaign."""
+    """A size that a campaign had before it was extended."""
 
     missions: int = Field(ge=1)
     faults: int = Field(ge=1, le=MOST_FAULTS)
