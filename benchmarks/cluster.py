@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from mavfi.campaign.begin import begin
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Done, Executor, Lost, R, T
 from mavfi.campaign.executors.local import LocalExecutor
@@ -42,7 +43,7 @@ ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
 
 def stand_in(mission: MissionPlan) -> Iterator[Planned | CompletedRun]:
     """A mission whose flights have zero duration."""
-    campaign, (environment, seed) = mission.campaign, mission.world
+    campaign, (environment, seed) = mission.campaign.config, mission.world
     first = (campaign.environments.index(environment) * campaign.missions + seed - campaign.first_seed) * RUNS
     rows = [
         Row(
@@ -166,7 +167,7 @@ def measure(name: str, missions: int) -> Cost:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         executor: Executor = DaskExecutor(address) if address else LocalExecutor(WORKERS)
         scheduler, wall, own = processor_time(pid), time.perf_counter(), time.process_time()
-        run_campaign(campaign, folder, executor=StandIns(executor))
+        run_campaign(begin(campaign, folder), folder, executor=StandIns(executor))
         wall, own, scheduler = time.perf_counter() - wall, time.process_time() - own, processor_time(pid) - scheduler
         memory = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         opening = time.perf_counter()

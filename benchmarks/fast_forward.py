@@ -19,8 +19,9 @@ from datetime import UTC, datetime
 
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.fingerprint import versions
-from mavfi.campaign.mission import MissionPlan, fly_mission, model_hashes, scenarios_of
-from mavfi.campaign.plan import CompletedRun, Planned, arms_of
+from mavfi.campaign.mission import MissionPlan, fly_mission
+from mavfi.campaign.plan import CompletedRun, Planned
+from mavfi.campaign.resolve import resolve
 from mavfi.extras.bench.bench import load_bench, select_parts, with_schemes
 from mavfi.record import FlightRecord
 
@@ -48,13 +49,10 @@ class Account:
 
 def plans(campaign: Campaign, missions: int) -> Iterator[dict[str, MissionPlan]]:
     """Missions in alternating environments, each in both modes."""
-    models = model_hashes(campaign, scenarios_of(campaign, arms_of(campaign)), None)
+    resolved = resolve(campaign).with_models()
     for seed in campaign.seeds[:missions]:
         for environment in campaign.environments:
-            yield {
-                way: MissionPlan(campaign, environment, seed, models=models, fast_forward=way == FAST)
-                for way in (TAKE_OFF, FAST)
-            }
+            yield {way: MissionPlan(resolved, environment, seed, fast_forward=way == FAST) for way in (TAKE_OFF, FAST)}
 
 
 def cpu_s() -> float:

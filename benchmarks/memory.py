@@ -27,6 +27,7 @@ from mavfi.campaign.executors.executor import Lost
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.mission import MissionPlan, fly_mission
 from mavfi.campaign.plan import CompletedRun
+from mavfi.campaign.resolve import resolve
 from mavfi.errors import MavfiError
 
 MOST_GROWTH_KIB = 1024.0
@@ -60,7 +61,8 @@ def campaign_of(level: str, runs: int) -> Campaign:
 
 def fly(campaign: Campaign) -> list[Look]:
     """Fly a campaign with one worker; returns its memory at the start of each mission."""
-    missions = [MissionPlan(campaign, *place) for place in product(campaign.environments, campaign.seeds)]
+    resolved = resolve(campaign)
+    missions = [MissionPlan(resolved, *place) for place in product(campaign.environments, campaign.seeds)]
     seen: list[Look] = []
     runs = 0
     for item in (item for _, items in LocalExecutor(1).map(_fly, missions) for item in items):

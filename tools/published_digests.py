@@ -10,8 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mavfi.campaign.mission import scenarios_of
-from mavfi.campaign.plan import arms_of
+from mavfi.campaign.resolve import resolve
 from mavfi.campaign.run import identity_of
 from mavfi.campaign.store import held
 from mavfi.extras.paper.study import load_study
@@ -38,8 +37,7 @@ def identities(scale: str) -> dict[str, str]:
     """What the program flies at a scale, by folder of the ledger, as canonical text; models are not in it."""
     campaigns = load_study("paper").at_scale(scale).campaigns_at(scale)
     return {
-        folder: canonical({**identity_of(campaign, scenarios_of(campaign, arms_of(campaign)), {}), "models": {}})
-        for folder, campaign in campaigns.items()
+        folder: canonical(identity_of(resolve(campaign).with_scenarios())) for folder, campaign in campaigns.items()
     }
 
 

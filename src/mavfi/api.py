@@ -134,13 +134,13 @@ def run(
         progress: Called after every run; None = one line is updated in notebooks and terminals.
 
     Raises:
-        BadInputError: See `campaign.run.run_campaign`.
+        BadInputError: See `campaign.begin` and `campaign.run.run_campaign`.
     """
     with naming_extra("mavfi.run"):  # before the flights
         from mavfi.analysis.runs import Runs
+    from mavfi.campaign.begin import begin, check_names
     from mavfi.campaign.config import Campaign, load_campaign
     from mavfi.campaign.executors.local import LocalExecutor
-    from mavfi.campaign.mission import check_names
     from mavfi.campaign.run import run_campaign
     from mavfi.report.progress_line import ProgressLine
 
@@ -151,10 +151,9 @@ def run(
         check_names(loaded_campaign, str(campaign))
     with ProgressLine(loaded_campaign.name) as line:
         run_campaign(
-            loaded_campaign,
+            begin(loaded_campaign, Path(directory), models_dir=_path(models), extend=extend),
             Path(directory),
             executor=executor or LocalExecutor(workers),
-            models_dir=_path(models),
             extend=extend,
             progress=progress or line,
         )

@@ -20,7 +20,7 @@ from mavfi.faults.fault import Fault, fault_from_json, find_level
 from mavfi.flight.compose import detector_for, resolve
 from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup, Host, host_class
-from mavfi.levels.level import Level, parse, sampler_for, text_of
+from mavfi.levels.level import Level, Sampler, parse, text_of
 from mavfi.mission import MissionSpec
 from mavfi.numerics.voxels import Grid
 from mavfi.pipeline.planners import MOST_VERTICES, PathSearch, make_search
@@ -116,7 +116,8 @@ class LevelContract:
         return campaign
 
     def _drawn(self) -> list[Fault | None]:
-        sampler = sampler_for(self._campaign())
+        campaign = self._campaign()
+        sampler: Sampler = campaign.level.sampler(campaign)
         environment = self.environments[0]
         draws = [block.draw(index) for block in sampler.blocks(environment) for index in range(block.count)]
         return sampler.draw(draws, environment, self.golden)

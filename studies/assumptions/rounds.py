@@ -10,12 +10,12 @@ import polars as pl
 
 from mavfi.analysis.rows import KERNEL_DUE
 from mavfi.analysis.runs import Runs
+from mavfi.campaign.begin import begin
 from mavfi.campaign.config import Campaign, label_of
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaigns
 from mavfi.campaign.training import record
 from mavfi.extras.paper.cli_report import StudyBar
-from mavfi.mission import MissionSpec
 from studies.assumptions.design import DETECTORS, AssumptionStudy, AxisChange, PaperReading
 from studies.assumptions.fit import EnvironmentFlights, Fit, Flights, Judgement, fit, judge
 
@@ -159,7 +159,8 @@ def _fly_rounds(  # noqa: PLR0913 - what the study is flown with
     for number in range(study.rounds.number):
         campaigns = {folder / FIT / f"{reading.folder}-{number}": study.campaign(reading, number) for reading in active}
         bar.begin_step(f"round {number + 1}, {len(active)} readings")
-        run_campaigns(campaigns, executor=executor, progress=bar.show_campaigns)
+        begun = {path: begin(campaign, path) for path, campaign in campaigns.items()}
+        run_campaigns(begun, executor=executor, progress=bar.show_campaigns)
         for reading, (path, campaign) in zip(active, campaigns.items(), strict=True):
             flown.setdefault(reading, FlownReading({}, [])).add(flights_in(path, campaign, study), path)
         active = [reading for reading in active if _may_be_the_best(study, reading, flown)]
@@ -264,7 +265,8 @@ def _fly_with_detectors(  # noqa: PLR0913 - what the study is flown with
         _train(study, campaign, training, models, workers, bar)
         path = folder / JUDGED / f"{reading.folder}-{name}"
         bar.begin_step(f"judged flights, detectors trained on {name} worlds")
-        run_campaigns({path: campaign}, executor=executor, models_dir=models, progress=bar.show_campaigns)
+        begun = begin(campaign, path, models_dir=models)
+        run_campaigns({path: begun}, executor=executor, progress=bar.show_campaigns)
         runs_by_training[training] = _named_as_the_papers(Runs.read(path), campaign, study)
         # the arms of all trainings together
         for environment, part in flights_in(path, campaign, study).items():
@@ -291,7 +293,7 @@ def _train(  # noqa: PLR0913
     """Train both detectors, unless their models are in the folder."""
     detectors = {(arm.detector, arm.profile) for arm in campaign.arms.values()}
     if not list(folder.glob("*.json")):
-        mission: MissionSpec = campaign.spec(campaign.environments[0], campaign.first_seed)
+        mission = campaign.first_mission
         show: Callable[[int, int], None] = bar.show
         bar.begin_step("training flights")
         recorded = record(

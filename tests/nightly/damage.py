@@ -19,11 +19,11 @@ from collections import Counter
 from pathlib import Path
 
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import FILE, Store
 from mavfi.cli import commands
 from mavfi.errors import BadInputError
 from mavfi.plugins import allow_plugins
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import small
 from tests.nightly.chaos import say
 

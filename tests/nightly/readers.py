@@ -26,13 +26,13 @@ from rosbags.typesys import Stores, get_typestore
 
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.views import VIEWS, table
+from mavfi.campaign.begin import check_names
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.ledger import repair, status
-from mavfi.campaign.mission import check_names, model_hashes, plan_of, scenarios_of
-from mavfi.campaign.plan import WHOLE, arms_of
-from mavfi.campaign.replay import setup_of_run
-from mavfi.campaign.run import run_campaign
+from mavfi.campaign.plan import Plan
+from mavfi.campaign.replay import resolve_stored, setup_of_run
+from mavfi.campaign.resolve import resolve as resolve_campaign
 from mavfi.campaign.store import (
     BOUND,
     IDENTITY,
@@ -63,6 +63,7 @@ from mavfi.record import COLUMNS, AlarmRecord, Event, FlightLog, Injection, Kern
 from mavfi.sim.environments import build_world, environment_for_file
 from mavfi.sim.mjcf import find_vehicle
 from mavfi.states import STATES, new_state
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import golden_profile, small
 from tests.core.unit.sim.environments.octrees import bits, tree_of, values
 from tests.nightly.mutations import NUMBERS, RAW, RAW_JSON, TEXTS, changed, mangled, to_json, to_yaml
@@ -141,8 +142,7 @@ def read_campaign(path):
     for scale in ("quick", *campaign.scales):
         sized = campaign.at_scale(scale)
         check_names(sized, str(path))
-        scenarios = scenarios_of(sized, arms_of(sized))
-        assert plan_of(sized, model_hashes(sized, scenarios, None), scenarios).count(WHOLE)
+        assert Plan(resolve_campaign(sized).with_models()).count()
 
 
 def read_study(path):
@@ -514,7 +514,7 @@ def read_ledger(path):
             table(runs, view)
     with Store.open(directory) as store:
         for run in itertools.islice(store.runs(), 2):
-            setup_of_run(store, run.spec)
+            setup_of_run(resolve_stored(store), store, run.spec)
 
 
 def read_damaged(path):

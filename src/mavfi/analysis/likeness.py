@@ -73,7 +73,7 @@ def _of_mission(campaign: Campaign) -> list[str]:
     if campaign.parts:  # platforms that are compared with each other, as in the paper's Fig. 9
         ignored = ("environment", "seed", "platform")
     papers_mission = MissionSpec(**paper_data()["mission"])
-    spec = campaign.spec(campaign.environments[0], campaign.first_seed)
+    spec = campaign.first_mission
     for key in MissionSpec.model_fields:
         value = getattr(spec, key)
         if key not in ignored and value != getattr(papers_mission, key):

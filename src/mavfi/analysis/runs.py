@@ -15,7 +15,6 @@ from mavfi.campaign.config import ArmConfig, Campaign, label_of
 from mavfi.campaign.ledger import status, stored_campaign
 from mavfi.campaign.plan import FI
 from mavfi.campaign.store import Run, Store
-from mavfi.faults.plug_ins import custom_detectors
 from mavfi.mission import MissionSpec
 from mavfi.plugins import extensions
 from mavfi.record import FlightRecord
@@ -240,7 +239,7 @@ def describe(store: Store) -> dict[str, Any]:
         "digest": store.digest(),
         "done": progress.done,
         "total": progress.total,
-        "custom_detectors": [plug_in.name for plug_in in custom_detectors(campaign).values()],
+        "custom_detectors": [plug_in.name for plug_in in campaign.custom_detectors.values()],
         **drawn(campaign),
     }
 

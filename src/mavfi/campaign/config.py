@@ -1,6 +1,6 @@
 """Model of a campaign: the YAML files in configs/campaigns."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -18,7 +18,9 @@ from mavfi.campaign.requirement import Requirement
 from mavfi.config import STORED, Config, Name, names, parse, parse_part, shipped
 from mavfi.errors import BadInputError, not_known
 from mavfi.faults.fault import find_level, level_names
-from mavfi.levels.level import Sampling, check_distinct, check_known, sampler_for
+from mavfi.faults.plug_ins import PlugIn, is_custom_detector, plug_ins_of_spec
+from mavfi.levels.campaign import MOST_FAULTS, Size
+from mavfi.levels.level import Level, Sampling, check_distinct, check_known
 from mavfi.mission import MissionSpec
 from mavfi.plugins import extensions
 from mavfi.states import MONITORED_SETS, PLANNERS
@@ -28,7 +30,6 @@ if TYPE_CHECKING:
 
 DESIGN_SEEDS = range(10_000)  # seeds used for tuning the autopilot profiles
 TRAINING_SEED = 1_000_000  # first seed of the training flights of detectors; never used by campaigns
-MOST_FAULTS = 100_000  # per environment and target
 
 _OF_SAMPLING = ("groups", "kernels", "scheme", "sites", "strata")
 """Keys of `sampling` that are easily written one level too high."""
@@ -91,13 +92,6 @@ class Scale(Config):
 
     missions: int | None = Field(None, ge=1)
     faults: int | None = Field(None, ge=1, le=MOST_FAULTS)
-
-
-class Size(Config):
-    """A size that a campaign had before it was extended."""
-
-    missions: int = Field(ge=1)
-    faults: int = Field(ge=1, le=MOST_FAULTS)
 
 
 class Campaign(Config):
@@ -212,14 +206,13 @@ class Campaign(Config):
         try:
             if host is not None:
                 host.check_sampling(self.sampling)
-            sampler_for(self)
+            self.level.sampler(self)
         except BadInputError as error:
             raise ValueError(str(error)) from None
-        for text in self.require:
-            try:
-                Requirement.parse(text).of(self)
-            except BadInputError as error:
-                raise ValueError(f"require: {error}") from None
+        try:
+            self.requirements(self.require)
+        except BadInputError as error:
+            raise ValueError(f"require: {error}") from None
         return self
 
     def at_scale(self, name: str) -> "Campaign":
@@ -238,6 +231,19 @@ class Campaign(Config):
         """The campaign with the missions and faults of a scale."""
         return self.model_copy(update={**size.model_dump(exclude_none=True), "grown": ()})
 
+    def with_sampling(self, sampling: Sampling) -> "Campaign":
+        """The campaign with faults that are drawn otherwise, and without null runs."""
+        return self.model_copy(update={"sampling": sampling, "null_runs": 0})
+
+    def requirements(self, texts: Iterable[str]) -> list[Requirement]:
+        """Requirements on its result, each with its arm.
+
+        Raises:
+            BadInputError: A text is not understood, or the campaign has no such arm.
+        """
+        detectors = {name: arm.detector for name, arm in self.arms.items()}
+        return [Requirement.parse(text).of(detectors) for text in texts]
+
     def without_requirements(self) -> "Campaign":
         """The campaign as ledgers hold it: requirements judge its result, and are no part of it."""
         if not self.require:
@@ -251,7 +257,7 @@ class Campaign(Config):
         return flown_by is None or flown_by.flies
 
     @property
-    def level(self) -> Any:  # noqa: ANN401 - a `mavfi.levels.level.Level`
+    def level(self) -> Level:
         """The level of the sampling, as its host draws it."""
         return _level_at(self.host, self.sampling.level)
 
@@ -296,11 +302,26 @@ class Campaign(Config):
             raise BadInputError(f"sampling.kernels: {target!r}: is in {len(arms)} arms; allowed: what is in one arm")
         return arms[0]
 
+    @property
+    def custom_detectors(self) -> dict[str, PlugIn]:
+        """The detectors that are not part of mavfi, by arm."""
+        detectors = {}
+        for name, arm in self.arms.items():
+            if is_custom_detector(arm.detector):
+                spec = self.spec(self.environments[0], self.first_seed, arm.mission)
+                detectors[name] = plug_ins_of_spec(spec, arm.detector)[-1]
+        return detectors
+
     def environment_of(self, name: str) -> str:
         """The environment of a part, by its name; without parts, the name itself."""
         if name in self.parts:
             return self.parts[name].environment
         return name
+
+    @property
+    def first_mission(self) -> MissionSpec:
+        """The first mission in the first environment."""
+        return self.spec(self.environments[0], self.first_seed)
 
     def spec(self, environment: str, seed: int, overrides: Mapping[str, Any] | None = None) -> MissionSpec:
         """The mission for an environment and seed, with the overrides of an arm."""
@@ -362,12 +383,13 @@ def _refuse_keys_of_other_hosts(data: Mapping[str, Any]) -> None:
                 )
 
 
-def _level_at(host_name: Any, level: str) -> Any:
+def _level_at(host_name: Any, name: str) -> Level:
     """A level, as a host draws its faults; a BadInputError if there is no such level."""
+    find: Callable[[str], Level] = find_level
     host = _class_of_host(host_name)
-    if host is None:
-        return find_level(level)
-    return host.level_of(level)
+    if host is not None:
+        find = host.level_of
+    return find(name)
 
 
 def _sampling(data: Any, info: ValidationInfo | None, host_name: Any = _LOCAL) -> Sampling:

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.ledger import stored_campaign
-from mavfi.campaign.mission import plan_of
 from mavfi.campaign.plan import Plan, Row, RunSpec, Shard
+from mavfi.campaign.resolve import resolve
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
 from mavfi.levels.level import NULL, Draw
@@ -64,12 +64,12 @@ def extend_ledger(store: Store, plan: Plan, identity: Mapping[str, Any], shard: 
         BadInputError: The campaign does not extend the stored one; the message names the key.
     """
     stored = stored_campaign(store)
-    stored_plan = plan_of(stored, {}, {})  # only what its runs are, not where they are flown
+    stored_plan = Plan(resolve(stored))  # only what its runs are, not where they are flown
     extension = _Extension(str(store.directory), stored_plan, plan)
     extension.check_keys(store.meta("identity"), identity)
     extension.check_draws()
 
-    missions_of_shard = set(shard.worlds(plan.campaign))
+    missions_of_shard = set(shard.worlds(plan.campaign.config))
     rows = []
     unflown = set()
     replaced = []
@@ -127,7 +127,7 @@ class _Extension:
         if not differ_in_size(stored_identity, identity):
             changed = {key for key in {*stored_keys, *keys} - {*_MAY_GROW} if stored_keys.get(key) != keys.get(key)}
             raise self.refusal(min(changed), f"differs from the ledger's; {_ALLOWED}")
-        self._check_sizes(self._stored.campaign, self._extended.campaign)
+        self._check_sizes(self._stored.campaign.config, self._extended.campaign.config)
         for key in ("arms", "parts"):
             self._check_members(key, stored_keys.get(key, {}), keys.get(key, {}))
 
@@ -164,9 +164,9 @@ class _Extension:
         Raises:
             BadInputError: The message names the key on which the draws depend.
         """
-        before = self._stored.sampler
-        now = self._extended.sampler
-        for environment in self._stored.campaign.environments:
+        before = self._stored.campaign.sampler
+        now = self._extended.campaign.sampler
+        for environment in self._stored.campaign.config.environments:
             for stored_block, block in zip(before.blocks(environment), now.blocks(environment), strict=False):
                 for index in range(stored_block.count):
                     draw = stored_block.draw(index)
@@ -177,7 +177,7 @@ class _Extension:
     def _other_draw(self, draw: Draw) -> BadInputError:
         """The refusal of a draw that is another one in the larger campaign."""
         name = f"fault {draw.index} of {draw.target}"
-        extended = self._extended.campaign
+        extended = self._extended.campaign.config
         text = f"the faults of a mission are drawn together: with more of them, {name} would be another one"
         return self.refusal(
             "faults",
@@ -233,5 +233,5 @@ class _Extension:
         """Whether a mission has no further runs in the larger campaign."""
         draws = self._draws_of(environment, seed)
         same_draws = draws.stored == draws.extended
-        same_arms = [arm.name for arm in self._stored.arms] == [arm.name for arm in self._extended.arms]
-        return same_draws and same_arms
+        arms, arms_now = ([arm.name for arm in plan.campaign.arms] for plan in (self._stored, self._extended))
+        return same_draws and arms == arms_now

@@ -11,7 +11,8 @@ from typing import Any
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.fingerprint import differences
-from mavfi.campaign.plan import WHOLE, Shard
+from mavfi.campaign.plan import WHOLE, Plan, Shard
+from mavfi.campaign.resolve import resolve
 from mavfi.campaign.store import (
     BOUND,
     FILE,
@@ -81,9 +82,7 @@ def status_of(store: Store) -> Status:
     shard = shard_of(store)
     campaign = stored_campaign(store)
     if not store.complete:
-        from mavfi.campaign.mission import plan_of  # knows what can fly: imported for what is not flown only
-
-        total = plan_of(campaign, {}, {}).count(shard)
+        total = Plan(resolve(campaign)).count(shard)
     return Status(done, total, counts, store.unknown().total(), shard, campaign.flies)
 
 

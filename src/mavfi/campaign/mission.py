@@ -10,22 +10,19 @@ import json
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
 from mavfi.campaign.alone import fly_alone
-from mavfi.campaign.config import Campaign
-from mavfi.campaign.plan import Arm, CompletedRun, Plan, Planned, RunSpec, arms_of, model_of
+from mavfi.campaign.plan import CompletedRun, Plan, Planned, RunSpec
+from mavfi.campaign.resolve import Arm, ResolvedCampaign
 from mavfi.detectors.detector import Detector, is_custom
-from mavfi.detectors.registry import check_detector
-from mavfi.errors import BadInputError, MachineError, MavfiError, SpecMismatchError, machine_failure
+from mavfi.errors import MachineError, MavfiError, SpecMismatchError, machine_failure
 from mavfi.faults.fault import Fault
-from mavfi.flight.compose import detector_for, with_keys_of
 from mavfi.flight.decide import RecoveryPolicy
-from mavfi.flight.host import ArmSetup, DetectorChoice, Host, MissionFlights, Recorded, find_host
-from mavfi.levels.level import NULL, Sampled, Sampler, sampler_for
-from mavfi.mission import MissionSpec, Scenario
+from mavfi.flight.host import ArmSetup, DetectorChoice, MissionFlights, Recorded
+from mavfi.levels.level import NULL, Sampled
+from mavfi.mission import Scenario
 from mavfi.plugins import plugin_failure, reason
 from mavfi.record import End, FlightRecord
 
@@ -34,12 +31,9 @@ from mavfi.record import End, FlightRecord
 class MissionPlan:
     """A mission with all inputs that determine its runs."""
 
-    campaign: Campaign
+    campaign: ResolvedCampaign  # files that give other scenarios or models than its own are refused
     environment: str
     seed: int
-    models_dir: Path | None = None  # of trained models; None = the shipped ones
-    models: Mapping[str, str] = field(default_factory=dict)  # sha256 as in `Plan.models`; others are refused
-    scenarios: Mapping[str, str] = field(default_factory=dict)  # their keys by arm; others are refused
     fast_forward: bool = True  # start flights at checkpoints of known ones; the records are the same either way
     done: frozenset[str] = frozenset()  # ids of the runs in the ledger
     alone: bool = False  # fly each injected run in a separate child process, after this mission has crashed a worker
@@ -56,79 +50,23 @@ _RunsByFault = dict[tuple[str, Fault | None], CompletedRun]
 """Injected runs by arm and fault, which determine their records."""
 
 
-def host_of(campaign: Campaign) -> Host:
-    """The host of a campaign."""
-    return find_host(campaign.host, campaign.under_test)
-
-
-def scenarios_of(
-    campaign: Campaign, arms: Sequence[Arm], environments: Sequence[str] = ()
-) -> dict[tuple[str, str], Scenario]:
-    """Scenario with the campaign's first seed, by environment (empty = all of the campaign's) and arm.
-
-    Raises:
-        BadInputError: A name is unknown, or options are incompatible.
-    """
-    host = host_of(campaign)
-    return {
-        (environment, arm.name): host.resolve(campaign.spec(environment, campaign.first_seed, arm.overrides))
-        for environment in environments or campaign.environments
-        for arm in arms
-    }
-
-
-def plan_of(campaign: Campaign, models: Mapping[str, str], scenarios: Mapping[tuple[str, str], Scenario]) -> Plan:
-    """The plan of a campaign."""
-    keys = {name: scenario.key() for name, scenario in scenarios.items()}
-    return Plan(campaign, _sampler_of(campaign), arms_of(campaign), keys, models)
-
-
-def model_hashes(
-    campaign: Campaign, scenarios: Mapping[tuple[str, str], Scenario], models_dir: Path | None
-) -> dict[str, str]:
-    """Load every arm's detector for every environment, and return the sha256 of its model, by arm.
-
-    A host that trains detectors itself has no models.  Campaigns with parts, which may differ in what detectors are
-    trained for, have keys "environment/arm".
-
-    Raises:
-        BadInputError: A detector is unknown, or a model is absent or does not match.
-    """
-    hashes: dict[str, str] = {}
-    if host_of(campaign).trains:
-        return hashes
-    for arm in arms_of(campaign):
-        if not arm.detector:
-            continue
-        spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.overrides)
-        for environment in campaign.environments:
-            scenario = scenarios[environment, arm.name]
-            _, model = detector_for(scenario, arm.detector, arm.profile, models_dir, spec.trained_for, arm.options)
-            key = arm.name
-            if campaign.parts:
-                key = f"{environment}/{arm.name}"
-            hashes[key] = model
-    return hashes
-
-
-def flights_of(plan: Plan, environment: str) -> dict[str, str]:
-    """What determines the golden flights of a plan's missions in an environment but their seed, as text by arm."""
-    campaign = plan.campaign
+def flights_of(campaign: ResolvedCampaign, environment: str) -> dict[str, str]:
+    """What determines the golden flights of a campaign's missions in an environment but their seed, as text by arm."""
     return {
         arm.name: json.dumps(
             [
-                campaign.host,
-                str(campaign.under_test),
+                campaign.config.host,
+                str(campaign.config.under_test),
                 arm.detector,
                 arm.profile,
                 dict(arm.options),
-                model_of(plan.models, environment, arm.name),
-                plan.scenarios[environment, arm.name],
-                campaign.spec(environment, campaign.first_seed, arm.overrides).model_dump_json(),
+                campaign.model(environment, arm.name),
+                campaign.scenario_keys[environment, arm.name],
+                campaign.spec(environment, arm).model_dump_json(),
             ],
             sort_keys=True,
         )
-        for arm in plan.arms
+        for arm in campaign.arms
     }
 
 
@@ -137,45 +75,30 @@ def share(flights: Mapping[str, str], others: Mapping[str, str]) -> bool:
     return flights[""] == others[""] and all(others.get(arm, text) == text for arm, text in flights.items())
 
 
-_SAMPLERS: dict[str, Sampler] = {}
-_MOST_SAMPLERS = 16
-
-
-def _sampler_of(campaign: Campaign) -> Sampler:
-    """The sampler of a campaign; cached, since it holds the strata of all missions."""
-    key = campaign.model_dump_json()
-    if key not in _SAMPLERS:
-        while len(_SAMPLERS) >= _MOST_SAMPLERS:
-            del _SAMPLERS[next(iter(_SAMPLERS))]
-        _SAMPLERS[key] = sampler_for(campaign)
-    return _SAMPLERS[key]
-
-
-def setup_of(plan: MissionPlan, arm: Arm, host: Host, scenario: Scenario | None = None) -> ArmSetup:
+def setup_of(mission: MissionPlan, arm: Arm, scenario: Scenario | None = None) -> ArmSetup:
     """Setup of an arm; a model other than the planned one is refused when the detector is constructed.
 
     Without a scenario, the mission is resolved from the files that it names.
     """
-    spec = plan.campaign.spec(plan.environment, plan.seed, arm.overrides)
-    scenario = scenario or host.resolve(spec)
+    campaign = mission.campaign
+    spec = campaign.config.spec(mission.environment, mission.seed, arm.overrides)
+    scenario = scenario or campaign.host.resolve(spec)
 
     def make() -> Detector:
         """Load the detector; its model must be the planned one."""
-        detector, model = detector_for(
-            scenario, arm.detector, arm.profile, plan.models_dir, spec.trained_for, arm.options
-        )
-        planned = model_of(plan.models, plan.environment, arm.name)
+        detector, model = campaign.detector(arm, scenario)
+        planned = campaign.model(mission.environment, arm.name)
         if model != planned:
             raise SpecMismatchError(
-                f"arm {arm.name}: planned with the model {planned[:12]}, but {plan.models_dir or 'the shipped folder'} "
-                f"holds {model[:12]}"
+                f"arm {arm.name}: planned with the model {planned[:12]}, but "
+                f"{campaign.models_dir or 'the shipped folder'} holds {model[:12]}"
             )
         return detector
 
     recovery = RecoveryPolicy.of(spec)
     if not arm.detector:
         return ArmSetup(scenario, None, recovery)
-    if host.trains:
+    if campaign.host.trains:
         return ArmSetup(scenario, None, recovery, choice=DetectorChoice(arm.detector, arm.profile))
     return ArmSetup(scenario, make, recovery)
 
@@ -186,21 +109,23 @@ class _ResolvedMission:
 
     mission: MissionPlan
     plan: Plan
-    host: Host
     setups: Mapping[str, ArmSetup]
 
     @staticmethod
     def of(mission: MissionPlan) -> "_ResolvedMission":
-        """Resolve the scenarios."""
+        """Resolve the scenarios; a SpecMismatchError if local files (environment, vehicle) differ from the planned."""
         campaign = mission.campaign
-        plan = plan_of(campaign, mission.models, scenarios_of(campaign, arms_of(campaign), [mission.environment]))
-        _check_scenarios(mission, plan)
-        host = host_of(campaign)
-        return _ResolvedMission(mission, plan, host, {arm.name: setup_of(mission, arm, host) for arm in plan.arms})
+        here = campaign.with_scenarios([mission.environment])
+        for (environment, arm), key in here.scenario_keys.items():
+            if campaign.scenario_keys.get((environment, arm), key) != key:
+                raise SpecMismatchError(
+                    f"environment {environment}, arm {arm or 'golden'}: other files than planned with"
+                )
+        return _ResolvedMission(mission, Plan(here), {arm.name: setup_of(mission, arm) for arm in campaign.arms})
 
     def custom_arms(self) -> frozenset[str]:
         """The arms with a custom detector that is called in this process, which it may block or end."""
-        if not self.host.in_process:
+        if not self.mission.campaign.host.in_process:
             return frozenset()
         return frozenset(name for name, setup in self.setups.items() if is_custom(setup.detector()))
 
@@ -236,8 +161,7 @@ def fly_missions(job: Job) -> Iterator[tuple[int, Planned | CompletedRun]]:
         setups: dict[str, ArmSetup] = {}
         for _, resolved in resolved_missions:
             setups |= resolved.setups
-        host = resolved_missions[0][1].host
-        flights = host.mission(setups, fast_forward=current.fast_forward)
+        flights = current.campaign.host.mission(setups, fast_forward=current.fast_forward)
 
         runs_by_fault: _RunsByFault = {}
         for number, resolved in resolved_missions:
@@ -345,23 +269,14 @@ class _SeparateFlights:
 
     def _from_take_off(self, arm: str) -> MissionFlights:
         """Flights of an arm that share nothing with those of this process."""
-        return self._resolved.host.mission({arm: self._resolved.setups[arm]}, fast_forward=False)
-
-
-def _check_scenarios(mission: MissionPlan, plan: Plan) -> None:
-    """Raise a `SpecMismatchError` if a local file (environment, vehicle) differs from the planned one."""
-    for arm, key in mission.scenarios.items():
-        if plan.scenarios[mission.environment, arm] != key:
-            raise SpecMismatchError(
-                f"environment {mission.environment}, arm {arm or 'golden'}: other files than planned with"
-            )
+        return self._resolved.mission.campaign.host.mission({arm: self._resolved.setups[arm]}, fast_forward=False)
 
 
 def _golden(
     plan: Plan, spec: RunSpec, flights: MissionFlights, setup: ArmSetup, sampled: dict[str, Sampled]
 ) -> CompletedRun:
     """Fly a golden run; where faults are drawn from it, its sample is stored in `sampled`."""
-    arm = next(arm for arm in plan.arms if arm.name == spec.arm)
+    arm = next(arm for arm in plan.campaign.arms if arm.name == spec.arm)
 
     def fly() -> FlightRecord:
         draws = []
@@ -370,7 +285,7 @@ def _golden(
                 draws.append(draw)
         if arm.name and not arm.is_variant and not draws:
             return flights.golden(arm.name).record()
-        sample = plan.sampler.golden(arm.name, draws, spec.environment, flights, setup)
+        sample = plan.campaign.sampler.golden(arm.name, draws, spec.environment, flights, setup)
         sampled[arm.name] = sample
         profile = sample.flight.profile
         acted_on = {}
@@ -383,7 +298,7 @@ def _golden(
 
 def _draw(plan: Plan, mission: MissionPlan, sampled: Mapping[str, Sampled]) -> list[RunSpec]:
     """All injected and null runs of a mission, in plan order."""
-    sampler = plan.sampler
+    sampler = plan.campaign.sampler
     environment = mission.environment
     positioned_draws = list(plan.positioned_draws(*mission.world))
     draws = [draw for _, draw in positioned_draws if draw.target != NULL]
@@ -440,72 +355,3 @@ def _note(error: Exception) -> str:
     if not line:
         line = str(error) if isinstance(error, MavfiError) else reason(error)
     return f"{traceback.format_exc()}{' '.join(line.split())}"
-
-
-# ---- Names in a campaign (of hosts, environments, detectors, options of missions), checked where its file is known.
-
-
-def check_names(campaign: Campaign, source: str) -> None:
-    """Check that everything a campaign names exists, before its first flight.
-
-    Args:
-        campaign: The campaign.
-        source: Its file, for messages.
-
-    Raises:
-        BadInputError: Something does not exist, or cannot be combined; the message names the source, and the key.
-    """
-    try:
-        host = host_of(campaign)
-    except BadInputError as error:
-        raise _at(error, source, "host", "host") from None
-    for arm in arms_of(campaign):
-        _check_detector(arm, source)
-        for environment in campaign.environments:
-            _check_mission(campaign, host, environment, arm, source)
-
-
-def _check_detector(arm: Arm, source: str) -> None:
-    """Check detector and profile of an arm; an error names the key of the campaign."""
-    if not arm.detector:
-        return
-    with_keys_of(MissionSpec(), arm.detector)
-    try:
-        check_detector(arm.detector, arm.profile)
-    except BadInputError as error:
-        if str(error).startswith("detector profile"):
-            raise _at(error, source, f"arms.{arm.name}.profile", "detector profile") from None
-        raise _at(error, source, f"arms.{arm.name}.detector", "detector") from None
-
-
-def _check_mission(campaign: Campaign, host: Host, environment: str, arm: Arm, source: str) -> None:
-    """Check the first mission of an arm in an environment; an error names the key of the campaign."""
-    spec = campaign.spec(environment, campaign.first_seed, arm.overrides)
-    try:
-        host.resolve(spec)
-    except BadInputError as error:
-        for name, value in spec:
-            word = name.replace("_", " ")
-            if str(error).startswith(f"{word} {value!r}: "):
-                raise _at(error, source, _key(campaign, environment, arm, name), word) from None
-        raise _at(error, source) from None
-
-
-def _key(campaign: Campaign, environment: str, arm: Arm, name: str) -> str:
-    """The key of a campaign from which a mission has its value."""
-    part = campaign.parts.get(environment)
-    if part is not None and getattr(part, name, None) is not None:
-        return f"parts.{environment}.{name}"
-    if name == "environment":
-        return "environments"
-    if arm.name and name in arm.overrides:
-        return f"arms.{arm.name}.{name}"
-    return f"mission.{name}"
-
-
-def _at(error: BadInputError, source: str, key: str = "", word: str = "") -> BadInputError:
-    """The same error with its source and key, in place of the word for what is named."""
-    text = str(error).removeprefix(f"{word} ")
-    if key:
-        text = f"key {key!r}: {text}"
-    return type(error)(f"{source}: {text}")

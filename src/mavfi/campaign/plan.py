@@ -9,15 +9,16 @@ import hashlib
 import itertools
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
 from mavfi.campaign.config import Campaign, label_of
+from mavfi.campaign.resolve import Arm, ResolvedCampaign
 from mavfi.config import checked
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, fault_from_json
-from mavfi.levels.level import NULL, Draw, FaultBlock, Sampler, draws_of, sampler_for
+from mavfi.levels.level import NULL, Draw, FaultBlock, draws_of
 from mavfi.mission import MissionStatus
 from mavfi.record import End, FlightRecord, canonical
 
@@ -131,18 +132,6 @@ class RunSpec:
 
 
 @dataclass(frozen=True, slots=True)
-class Arm:
-    """A configuration under comparison: overrides of the campaign's mission, and a detector."""
-
-    name: str = ""  # "" = the campaign's own mission
-    overrides: Mapping[str, Any] = field(default_factory=dict)
-    detector: str = ""  # "" = none
-    profile: str = ""
-    options: Mapping[str, Any] = field(default_factory=dict)  # of the detector
-    is_variant: bool = False  # required by the sampling scheme; flown only with the faults drawn in it
-
-
-@dataclass(frozen=True, slots=True)
 class Planned:
     """Runs of a mission before they are flown; `last`: the mission has no further runs."""
 
@@ -198,25 +187,21 @@ def _with_arm(setting: str, arm: str) -> str:
 class Plan:
     """The runs of a campaign, before any is flown."""
 
-    campaign: Campaign
-    sampler: Sampler
-    arms: tuple[Arm, ...]  # the campaign's own mission, the variants, the arms, in this order
-    scenarios: Mapping[tuple[str, str], str]  # key of the scenario by environment and arm
-    models: Mapping[str, str]  # sha256 of the trained model by arm, or by environment/arm
+    campaign: ResolvedCampaign
 
     @property
     def repeating_arms(self) -> tuple[Arm, ...]:
         """Arms in which every fault is repeated."""
-        return tuple(arm for arm in self.arms if arm.name and not arm.is_variant)
+        return tuple(arm for arm in self.campaign.arms if arm.name and not arm.is_variant)
 
     def golden(self, environment: str, seed: int) -> list[RunSpec]:
         """The golden runs of a mission, one per arm."""
-        campaign = self.campaign
+        campaign = self.campaign.config
         mission = campaign.environments.index(environment) * campaign.missions + seed - campaign.first_seed
-        first = mission * len(self.arms)
+        first = mission * len(self.campaign.arms)
         return [
             self._run("golden", _with_arm(GOLDEN, arm.name), environment, seed, arm, position=first + number)
-            for number, arm in enumerate(self.arms)
+            for number, arm in enumerate(self.campaign.arms)
         ]
 
     def positioned_draws(self, environment: str, seed: int) -> Iterator[tuple[int, Draw]]:
@@ -225,9 +210,9 @@ class Plan:
         Positions go through the environments; in each, through its faults, with one position for every arm that could
         repeat the fault, and then through its null runs.
         """
-        campaign = self.campaign
+        campaign = self.campaign.config
         runs_per_fault = 1 + len(self.repeating_arms)
-        blocks = self.sampler.blocks(environment)
+        blocks = self.campaign.sampler.blocks(environment)
         mission = seed - campaign.first_seed
         draws = sum(block.count for block in blocks)
         per_environment = draws * runs_per_fault + campaign.nulls
@@ -267,7 +252,7 @@ class Plan:
 
     def _null_setting(self, index: int) -> tuple[Arm, str]:
         """Arm and setting of a null run."""
-        arms = [arm for arm in self.arms if not arm.is_variant]
+        arms = [arm for arm in self.campaign.arms if not arm.is_variant]
         arm = arms[index % len(arms)]
         return arm, _with_arm(NULL, arm.name)
 
@@ -284,12 +269,12 @@ class Plan:
 
     def count(self, shard: Shard = WHOLE) -> int:
         """Maximum number of runs of the campaign or a shard; faults that cannot be drawn have no runs."""
-        campaign = self.campaign
+        campaign = self.campaign.config
         total = self.golden_count(shard)
         for number, name in enumerate(campaign.environments):
             # the shard's first mission in this environment, since the missions of all environments are numbered through
             first = (shard.number - 1 - number * campaign.missions) % shard.of
-            for block in self.sampler.blocks(name):
+            for block in self.campaign.sampler.blocks(name):
                 if block.count:
                     runs_per_fault = len(self._settings_of_fault(block.draw(0)))
                     total += _of_shard(block, first, shard.of) * runs_per_fault
@@ -299,15 +284,11 @@ class Plan:
 
     def golden_count(self, shard: Shard = WHOLE) -> int:
         """Number of golden runs of the campaign or a shard."""
-        return shard.missions(self.campaign) * len(self.arms)
-
-    def keys(self, environment: str) -> dict[str, str]:
-        """Scenario keys of an environment, by arm."""
-        return {arm.name: self.scenarios[environment, arm.name] for arm in self.arms}
+        return shard.missions(self.campaign.config) * len(self.campaign.arms)
 
     def _arm(self, name: str) -> Arm:
         """The arm of this name."""
-        return next(arm for arm in self.arms if arm.name == name)
+        return next(arm for arm in self.campaign.arms if arm.name == name)
 
     def _run(self, kind: Kind, setting: str, environment: str, seed: int, arm: Arm, **more: Any) -> RunSpec:
         """A run of an arm, with what is planned for it."""
@@ -316,18 +297,13 @@ class Plan:
             setting,
             environment,
             seed,
-            self.scenarios[environment, arm.name],
+            self.campaign.scenario_keys[environment, arm.name],
             arm.name,
             arm.detector,
             arm.profile,
-            model_of(self.models, environment, arm.name),
+            self.campaign.model(environment, arm.name),
             **more,
         )
-
-
-def model_of(models: Mapping[str, str], environment: str, arm: str) -> str:
-    """The sha256 of an arm's model in an environment, "" = it has none; see `Plan.models`."""
-    return models.get(f"{environment}/{arm}", models.get(arm, ""))
 
 
 def _of_shard(block: FaultBlock, first: int, step: int) -> int:
@@ -338,21 +314,3 @@ def _of_shard(block: FaultBlock, first: int, step: int) -> int:
     last_round = [range(block.mission, min(end, block.missions)), range(end - block.missions)]
     in_last_round = sum(len(range(first, part.stop, step)) - len(range(first, part.start, step)) for part in last_round)
     return rounds * len(range(first, block.missions, step)) + in_last_round
-
-
-def arms_of(campaign: Campaign) -> tuple[Arm, ...]:
-    """The campaign's own mission, the variants required by its sampling scheme, and its arms."""
-    from mavfi.detectors.registry import mission_keys
-
-    variants = sampler_for(campaign).variants
-    arms = [
-        Arm(
-            name,
-            {**mission_keys(config.detector), **config.mission},
-            config.detector,
-            config.profile if config.detector else "",
-            config.options,
-        )
-        for name, config in campaign.arms.items()
-    ]
-    return (Arm(), *(Arm(name, overrides, is_variant=True) for name, overrides in variants.items()), *arms)

@@ -17,8 +17,9 @@ from mavfi.campaign.divergence import (
     spread,
 )
 from mavfi.campaign.ledger import stored_campaign
-from mavfi.campaign.mission import MissionPlan, host_of, setup_of
-from mavfi.campaign.plan import RunSpec, arms_of, reason_of
+from mavfi.campaign.mission import MissionPlan, setup_of
+from mavfi.campaign.plan import RunSpec, reason_of
+from mavfi.campaign.resolve import ResolvedCampaign, resolve
 from mavfi.campaign.store import Run, Store
 from mavfi.config import parse
 from mavfi.errors import BadInputError, not_known
@@ -63,7 +64,7 @@ def replay(directory: Path, run_id: str) -> Replay:
         run = store.run(run_id)
         if run.record is None:
             raise BadInputError(f"{directory}: run {run.spec.run_id} is not flown yet")
-        return Replay(run, fly_again(store, run.spec).record())
+        return Replay(run, fly_again(resolve_stored(store), store, run.spec).record())
 
 
 def flight_again(store: Store, spec: RunSpec) -> Flight:
@@ -72,18 +73,23 @@ def flight_again(store: Store, spec: RunSpec) -> Flight:
     Raises:
         BadInputError, SpecMismatchError: See `replay`; or the host's runs are no flights.
     """
-    host = host_of(stored_campaign(store))
-    if not host.flies:  # before it is run
-        raise BadInputError(f"{store.directory}: host {host.name}: its runs leave no flight log")
-    flown = fly_again(store, spec)
+    campaign = resolve_stored(store)
+    if not campaign.host.flies:  # before it is run
+        raise BadInputError(f"{store.directory}: host {campaign.host.name}: its runs leave no flight log")
+    flown = fly_again(campaign, store, spec)
     assert isinstance(flown, Flight)  # by `Host.flies`
     return flown
 
 
-def fly_again(store: Store, spec: RunSpec) -> Recorded:
+def resolve_stored(store: Store) -> ResolvedCampaign:
+    """The campaign of a ledger, with the models that were flown."""
+    return resolve(stored_campaign(store), store.models_dir, store.meta("identity")["models"])
+
+
+def fly_again(campaign: ResolvedCampaign, store: Store, spec: RunSpec) -> Recorded:
     """Replay a run of a ledger in full, without fast-forward; raises the errors of `replay`."""
-    host, setup = setup_of_run(store, spec)
-    flights = host.mission({spec.arm: setup}, fast_forward=False)
+    setup = setup_of_run(campaign, store, spec)
+    flights = campaign.host.mission({spec.arm: setup}, fast_forward=False)
     flown: Recorded | Exception
     if spec.fault is None:
         flown = flights.golden(spec.arm)
@@ -94,16 +100,15 @@ def fly_again(store: Store, spec: RunSpec) -> Recorded:
     return flown
 
 
-def setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
-    """Host and arm setup of a run; raises the errors of `replay`."""
-    campaign = stored_campaign(store)
-    host = host_of(campaign)
+def setup_of_run(campaign: ResolvedCampaign, store: Store, spec: RunSpec) -> ArmSetup:
+    """Arm setup of a run of a ledger; raises the errors of `replay`."""
+    host = campaign.host
     if not host.deterministic:
         raise BadInputError(
             f"{store.directory}: host {host.name} is not deterministic: runs cannot be flown again; fault, values and "
             f"effect of each, as stored: mavfi runs {store.directory} --csv"
         )
-    arms = {arm.name: arm for arm in arms_of(campaign)}
+    arms = {arm.name: arm for arm in campaign.arms}
     if spec.arm not in arms:
         raise BadInputError(f"{store.directory}: run {spec.run_id}: arm {not_known(spec.arm, arms)}")
     stored = store.meta("identity")["scenarios"][f"{spec.environment}/{spec.arm}"]
@@ -112,8 +117,7 @@ def setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
         scenario = _scenario(store, {**stored, "seed": spec.seed})
     else:
         host.check_stored(stored)
-    mission = MissionPlan(campaign, *spec.world, store.models_dir, store.meta("identity")["models"])
-    return host, setup_of(mission, arms[spec.arm], host, scenario)
+    return setup_of(MissionPlan(campaign, *spec.world), arms[spec.arm], scenario)
 
 
 def _scenario(store: Store, stored: dict[str, Any]) -> Scenario:
@@ -211,8 +215,9 @@ def recorded_again(directory: Path, run_id: str) -> tuple[Flight, list[TimedStat
 
 def _setup_to_record(store: Store, spec: RunSpec) -> ArmSetup:
     """Arm setup of a run whose publications can be recorded; raises the errors of `explain`."""
-    host, setup = setup_of_run(store, spec)
-    levels = explained_levels(host)
+    campaign = resolve_stored(store)
+    setup = setup_of_run(campaign, store, spec)
+    levels = explained_levels(campaign.host)
     if not levels or (spec.fault is not None and spec.fault.level not in levels):
         raise BadInputError(
             f"{store.directory}: run {spec.run_id}: its publications cannot be recorded; allowed: faults of level "
@@ -276,13 +281,14 @@ def verify(
         if not runs:
             raise BadInputError(f"{directory}: holds no replayable run")
         number = max(1, round(share * len(runs)))
+        campaign = resolve_stored(store)
         chosen = np.sort(np.random.default_rng(seed).choice(len(runs), number, replace=False))
         differing = []
         for done, index in enumerate(chosen):
             if progress is not None:
                 progress(done, number)
             run = runs[index]
-            if _record_again(store, run) != run.record:
+            if _record_again(campaign, store, run) != run.record:
                 differing.append(run.spec.run_id)
     return Verification(len(runs), number, tuple(differing))
 
@@ -295,9 +301,9 @@ def _is_replayable(run: Run) -> bool:
     return all(injection.details.get("replayable", True) for injection in record.injections)
 
 
-def _record_again(store: Store, run: Run) -> FlightRecord:
+def _record_again(campaign: ResolvedCampaign, store: Store, run: Run) -> FlightRecord:
     """Record of the replayed run, with the counts of a golden run, used only for drawing faults, copied."""
     stored = run.record
     assert stored is not None
-    now = FlightRecord.from_json(fly_again(store, run.spec).record().to_json())
+    now = FlightRecord.from_json(fly_again(campaign, store, run.spec).record().to_json())
     return replace(now, counts=stored.counts, acted_on=stored.acted_on)

@@ -1,13 +1,10 @@
 """A requirement on a campaign's result, as text: "sdc < 5 %", "recommended: success >= 95 %"."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from mavfi.errors import BadInputError, not_known
-
-if TYPE_CHECKING:
-    from mavfi.campaign.config import Campaign
 
 EFFECTS = ("masked", "sdc", "crash", "hang", "exception", "due")
 """Measures of what a fault does to the computation; due = a crash, a hang or an exception."""
@@ -57,22 +54,20 @@ class Requirement:
             raise BadInputError(f"{text!r}: {number} %: allowed: 0 to 100")
         return Requirement(" ".join(text.split()), (arm or "").strip(), name, comparison, percent / 100.0)
 
-    @property
-    def is_upper(self) -> bool:
-        """Whether the rate must lie below the limit."""
-        return self.comparison in ("<", "<=")
-
-    def of(self, campaign: "Campaign") -> "Requirement":
+    def of(self, detectors: Mapping[str, str]) -> "Requirement":
         """The requirement with its arm; a measure of detectors is that of the only arm with one, unless it names one.
+
+        Args:
+            detectors: The detector of each arm of the campaign; "" = none.
 
         Raises:
             BadInputError: The campaign has no such arm, or the measure needs one.
         """
-        if self.arm and self.arm not in campaign.arms:
-            raise BadInputError(f"{self.text!r}: arm {not_known(self.arm, campaign.arms)}")
+        if self.arm and self.arm not in detectors:
+            raise BadInputError(f"{self.text!r}: arm {not_known(self.arm, detectors)}")
         if self.measure not in WATCHED:
             return self
-        watched = [name for name, arm in campaign.arms.items() if arm.detector]
+        watched = [arm for arm, detector in detectors.items() if detector]
         arm = self.arm
         if not arm and len(watched) == 1:
             arm = watched[0]

@@ -10,38 +10,24 @@ import json
 import os
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Done, Executor, Lost
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.extension import as_grown, differ_in_size, extend_ledger
+from mavfi.campaign.extension import differ_in_size, extend_ledger
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.ledger import ORDERED, Progress, Status, check_shard, check_versions, status
 from mavfi.campaign.log import Log
-from mavfi.campaign.mission import (
-    Job,
-    MissionPlan,
-    flights_of,
-    fly_missions,
-    host_of,
-    model_hashes,
-    plan_of,
-    scenarios_of,
-    share,
-)
-from mavfi.campaign.plan import WHOLE, CompletedRun, Plan, Planned, Shard, arms_of
+from mavfi.campaign.mission import Job, MissionPlan, flights_of, fly_missions, share
+from mavfi.campaign.plan import WHOLE, CompletedRun, Plan, Planned, Shard
+from mavfi.campaign.resolve import ResolvedCampaign
 from mavfi.campaign.store import IDENTITY, Store, held
 from mavfi.campaign.warm_up import fly_missions_anywhere, is_compiled, warm_up
-from mavfi.config import STORED
 from mavfi.detectors.registry import detector_options, mission_keys
 from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError, machine_failure
-from mavfi.flight.host import require_level
-from mavfi.mission import Scenario
 from mavfi.record import End, FlightRecord, canonical
 
 ATTEMPTS = 3  # further attempts after a machine failure, or for missions that crash their workers
@@ -55,10 +41,9 @@ class Session:
 
     plan: Plan
     store: Store
-    models_dir: Path | None
     fast_forward: bool
     shard: Shard
-    report: Callable[[Progress], None]
+    report: Callable[[Path, Progress], None] | None
     log: Log
     total: int  # runs of the shard
     flown: int = 0
@@ -67,7 +52,7 @@ class Session:
 
     def worlds(self) -> Iterable[tuple[str, int]]:
         """All missions, environment by environment."""
-        return self.shard.worlds(self.plan.campaign)
+        return self.shard.worlds(self.plan.campaign.config)
 
     def incomplete_mission(self, world: tuple[str, int]) -> MissionPlan | None:
         """A mission, if runs of it are missing."""
@@ -78,21 +63,12 @@ class Session:
     def flights(self, environment: str) -> Mapping[str, str]:
         """What determines the golden flights of the missions in an environment, see `flights_of`."""
         if environment not in self._flights:
-            self._flights[environment] = flights_of(self.plan, environment)
+            self._flights[environment] = flights_of(self.plan.campaign, environment)
         return self._flights[environment]
 
     def mission(self, world: tuple[str, int]) -> MissionPlan:
         """A mission without its runs in the ledger."""
-        plan = self.plan
-        return MissionPlan(
-            plan.campaign,
-            *world,
-            self.models_dir,
-            plan.models,
-            plan.keys(world[0]),
-            self.fast_forward,
-            self.store.done(world),
-        )
+        return MissionPlan(self.plan.campaign, *world, self.fast_forward, self.store.done(world))
 
     def take(self, mission: MissionPlan, items: Sequence[Planned | CompletedRun], last: Done | Lost | None) -> None:
         """Store and log new items of a mission, and its end."""
@@ -145,7 +121,7 @@ class Session:
         """Log start and end of the session."""
         self.log.note(
             "begin",
-            campaign=self.plan.campaign.name,
+            campaign=self.plan.campaign.config.name,
             versions=versions(),
             pid=os.getpid(),
             workers=executor.workers,
@@ -164,16 +140,19 @@ class Session:
         return sum(number for _, number, _ in self.counts.values())
 
     def tell(self, *, compiling: bool = False) -> None:
-        """Report the progress."""
+        """Report the progress, if somebody follows it."""
+        if self.report is None:
+            return
         self.report(
+            self.store.directory,
             Progress(
                 self._runs_done,
                 self.total,
                 dict(self.counts),
-                flies=self.plan.campaign.flies,
+                flies=self.plan.campaign.config.flies,
                 flown=self.flown,
                 compiling=compiling,
-            )
+            ),
         )
 
 
@@ -251,7 +230,7 @@ class Flying:
         return all(share(flights, self.sessions[other].flights(there)) for other, (there, _) in group)
 
     def _instruments(self, number: int) -> bool:
-        return self.sessions[number].plan.sampler.instruments
+        return self.sessions[number].plan.campaign.sampler.instruments
 
     def _alone(self, number: int, mission: MissionPlan) -> MissionPlan:
         """The missing runs of a mission, each of which is flown in a process of its own."""
@@ -301,11 +280,10 @@ class Flying:
 
 
 def run_campaign(
-    campaign: Campaign,
+    campaign: ResolvedCampaign,
     directory: Path,
     *,
     executor: Executor | None = None,
-    models_dir: Path | None = None,
     fast_forward: bool = True,
     shard: Shard = WHOLE,
     extend: bool = False,
@@ -314,23 +292,21 @@ def run_campaign(
     """Fly the missing runs of a campaign; a stop at any time loses only the flights in progress.
 
     Args:
-        campaign: The campaign.
+        campaign: The campaign, as resolved by `campaign.begin`.
         directory: Folder of its ledger, existing or new.
         executor: Runs the missions; None = two local processes.
-        models_dir: Folder of trained models; None = that of the ledger, or the shipped ones.
         fast_forward: Whether runs may start at checkpoints of their golden run; the ledger is the same either way.
         shard: Subset of missions; the ledgers of all shards can be merged.
         extend: Whether the ledger may be that of a smaller campaign, whose runs are kept; see `campaign.extension`.
         progress: Called after every run, in this process.
 
     Raises:
-        BadInputError: The directory cannot be written or holds another campaign, a name is unknown, a model does not
-            match, or versions differ from those with which the ledger was started.
+        BadInputError: The directory cannot be written or holds another campaign, or versions differ from those with
+            which the ledger was started.
     """
     return run_campaigns(
         {directory: campaign},
         executor=executor,
-        models_dir=models_dir,
         fast_forward=fast_forward,
         shard=shard,
         extend=extend,
@@ -339,10 +315,9 @@ def run_campaign(
 
 
 def run_campaigns(
-    campaigns: Mapping[Path, Campaign],
+    campaigns: Mapping[Path, ResolvedCampaign],
     *,
     executor: Executor | None = None,
-    models_dir: Path | None = None,
     fast_forward: bool = True,
     shard: Shard = WHOLE,
     extend: bool = False,
@@ -356,10 +331,7 @@ def run_campaigns(
     with ExitStack() as stack:
         sessions = []
         for directory, campaign in campaigns.items():
-            tell: Callable[[Progress], None] = _ignore
-            if progress is not None:
-                tell = partial(progress, directory)
-            session = _session(stack, campaign, directory, models_dir, fast_forward, shard, extend, tell)
+            session = _session(stack, campaign, directory, fast_forward, shard, extend, progress)
             stack.enter_context(session.logged(executor))
             sessions.append(session)
         for session in sessions:
@@ -368,31 +340,18 @@ def run_campaigns(
         return {directory: status(directory) for directory in campaigns}
 
 
-def _ignore(_: Progress) -> None:
-    """The progress of a campaign that nobody asked for."""
-
-
 def _session(  # noqa: PLR0913 - what `run_campaigns` is given
     stack: ExitStack,
-    campaign: Campaign,
+    campaign: ResolvedCampaign,
     directory: Path,
-    models_dir: Path | None,
     fast_forward: bool,
     shard: Shard,
     extend: bool,
-    tell: Callable[[Progress], None],
+    progress: Callable[[Path, Progress], None] | None,
 ) -> Session:
     """The session of a campaign; its ledger is closed with `stack`."""
-    # What determines the runs, refused before the ledger is created.
-    campaign = _as_begun(campaign.without_requirements(), directory, extend=extend)
-    models_dir = models_dir or _models_dir(directory)
-    require_level(host_of(campaign), campaign.sampling.level)
-    scenarios = scenarios_of(campaign, arms_of(campaign))
-    models = model_hashes(campaign, scenarios, models_dir)
-    plan = plan_of(campaign, models, scenarios)
-
     # The ledger; one that exists must hold the same campaign, or a smaller one that is extended.
-    identity: dict[str, Any] = json.loads(canonical(identity_of(campaign, scenarios, models)))
+    identity: dict[str, Any] = json.loads(canonical(identity_of(campaign)))
     stored_identity = held(directory, IDENTITY)
     extends = extend and stored_identity not in (None, identity)
     identity_to_open = identity
@@ -404,25 +363,25 @@ def _session(  # noqa: PLR0913 - what `run_campaigns` is given
         if stored_identity in (None, identity_to_open) or not differ_in_size(stored_identity, identity):
             raise
         raise BadInputError(f"{error}, or keep its runs with --extend") from None
-    check_versions(store, {**versions(), **plan.sampler.versions}, adds_runs=extends)
+    plan = Plan(campaign)
+    check_versions(store, {**versions(), **campaign.sampler.versions}, adds_runs=extends)
     check_shard(store, shard)
     with store.writing():
         if extends:
             extend_ledger(store, plan, identity, shard)
         store.write_meta(
             {
-                ORDERED: campaign.model_dump_json(),
-                "models_dir": None if models_dir is None else _as_held(models_dir, directory),
-                "missions": shard.missions(campaign),
+                ORDERED: campaign.config.model_dump_json(),
+                "models_dir": _as_held(campaign.models_dir, directory),
+                "missions": shard.missions(campaign.config),
             }
         )
     return Session(
         plan,
         store,
-        models_dir,
         fast_forward,
         shard,
-        tell,
+        progress,
         Log(directory),
         plan.count(shard),
         counts=store.counts(),
@@ -432,42 +391,22 @@ def _session(  # noqa: PLR0913 - what `run_campaigns` is given
 def _prepare(session: Session, executor: Executor) -> None:
     """Check the host, and compile in this process what its forks will need, if missions are left."""
     campaign = session.plan.campaign
-    host = host_of(campaign)
     missions = (session.incomplete_mission(world) for world in session.worlds())
     first = next((mission for mission in missions if mission is not None), None)
     if first is None:
         return
-    host.check()
-    if not host.in_process:
+    campaign.host.check()
+    if not campaign.host.in_process:
         return
     session.tell(compiling=True)
-    if executor.forks and not is_compiled(campaign):
+    if executor.forks and not is_compiled(campaign.config):
         warm_up(first)
 
 
-def _as_begun(campaign: Campaign, directory: Path, *, extend: bool) -> Campaign:
-    """The campaign with sizes that its ledger has had, and its keys in the order of it.
-
-    Both determine draws and positions of runs.
-    """
-    with suppress(ValueError):  # no ledger, or damage, which is reported when the ledger is opened
-        begun = Campaign.model_validate_json(held(directory, ORDERED) or "", context=STORED)
-        campaign = as_grown(begun, campaign, extend=extend)
-        if begun == campaign:
-            return begun
-    return campaign
-
-
-def _models_dir(directory: Path) -> Path | None:
-    """Folder of models with which a ledger was begun; None = the shipped ones, or there is no ledger."""
-    path: str | None = held(directory, "models_dir")
-    if path is None:
-        return None
-    return directory / path
-
-
-def _as_held(models_dir: Path, directory: Path) -> str:
+def _as_held(models_dir: Path | None, directory: Path) -> str | None:
     """The path as stored in a ledger: relative if inside the ledger's folder, so that both can be moved."""
+    if models_dir is None:
+        return None
     path = models_dir.absolute()
     ledger_folder = directory.absolute()
     if path.is_relative_to(ledger_folder):
@@ -475,19 +414,18 @@ def _as_held(models_dir: Path, directory: Path) -> str:
     return str(path)
 
 
-def identity_of(
-    campaign: Campaign, scenarios: Mapping[tuple[str, str], Scenario], models: Mapping[str, str]
-) -> dict[str, Any]:
+def identity_of(campaign: ResolvedCampaign) -> dict[str, Any]:
     """Identity of a ledger's campaign, as plain data."""
+    scenarios = {"/".join(name): scenario.to_json() for name, scenario in campaign.scenarios.items()}
     identity: dict[str, Any] = {
-        "campaign": campaign.identity(),
-        "scenarios": {f"{environment}/{arm}": scenario.to_json() for (environment, arm), scenario in scenarios.items()},
-        "models": dict(models),
+        "campaign": campaign.config.identity(),
+        "scenarios": scenarios,
+        "models": dict(campaign.models),
     }
     # Keys that came later, absent if empty, so that ledgers without them keep their identity.
     default_keys = {}
     options = {}
-    for name, arm in campaign.arms.items():
+    for name, arm in campaign.config.arms.items():
         default_keys[name] = dict(mission_keys(arm.detector))
         options[name] = {**detector_options(arm.detector), **arm.options}
     for key, by_arm in (("mission_keys", default_keys), ("detector_options", options)):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mavfi.campaign.plan import RunSpec
-from mavfi.campaign.replay import setup_of_run
+from mavfi.campaign.replay import resolve_stored, setup_of_run
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, find_level
@@ -71,7 +71,8 @@ def shrink(directory: Path, run_id: str, report: Callable[[int], None] | None = 
     """
     with Store.open(directory) as store:
         spec = store.run(run_id).spec
-        host, setup = setup_of_run(store, spec)
+        campaign = resolve_stored(store)
+        setup = setup_of_run(campaign, store, spec)
     # A fault that can be made smaller ...
     fault = spec.fault
     if fault is None or not find_level(fault.level).reductions:
@@ -79,7 +80,7 @@ def shrink(directory: Path, run_id: str, report: Callable[[int], None] | None = 
             f"{directory}: run {spec.run_id}: no fault to make smaller; allowed: runs with a fault in a state, a "
             "memory or an instruction"
         )
-    candidates = _CandidateFlights(host.mission({spec.arm: setup}), spec.arm, report or (lambda _: None))
+    candidates = _CandidateFlights(campaign.host.mission({spec.arm: setup}), spec.arm, report or (lambda _: None))
     golden = candidates.flights.golden(spec.arm)
     assert isinstance(golden, Flight)  # as hosts of faults that can be smaller do
     original = next(candidates.fly([fault]))

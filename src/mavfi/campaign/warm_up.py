@@ -2,30 +2,19 @@
 
 import fcntl
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor, map_each
-from mavfi.campaign.mission import (
-    Job,
-    MissionPlan,
-    fly_mission,
-    fly_missions,
-    has_custom_detectors,
-    host_of,
-    model_hashes,
-    scenarios_of,
-)
-from mavfi.campaign.plan import Arm, CompletedRun, Planned, arms_of
+from mavfi.campaign.mission import Job, MissionPlan, fly_mission, fly_missions, has_custom_detectors
+from mavfi.campaign.plan import CompletedRun, Planned
+from mavfi.campaign.resolve import Arm, ResolvedCampaign, resolve
 from mavfi.detectors.registry import is_named
 from mavfi.errors import BadInputError
-from mavfi.faults.plug_ins import custom_detectors
 from mavfi.flight.compiling import STAGES, compile_stage
-from mavfi.flight.compose import detector_for
 from mavfi.mission import Scenario
 from mavfi.numerics.dependencies import packages_digest
 from mavfi.numerics.jit import code_folder, in_turns
@@ -38,7 +27,8 @@ def warm_up(mission: MissionPlan) -> None:
     With a custom detector, only those without a detector: it may not return, or end this process.
     """
     if has_custom_detectors(mission):
-        mission = replace(mission, campaign=_bare(mission.campaign), scenarios={})
+        campaign = mission.campaign
+        mission = replace(mission, campaign=resolve(_bare(campaign.config), campaign.models_dir, campaign.models))
     for item in fly_mission(mission):
         if isinstance(item, Planned) and item.last:
             return
@@ -57,17 +47,15 @@ class _Stage:
 
 @dataclass(frozen=True, slots=True)
 class _Detector:
-    """A detector with its shipped model, if there is one: the code of other models is the same."""
+    """The detector of an arm with its shipped model, if there is one: the code of other models is the same."""
 
+    campaign: ResolvedCampaign
+    arm: Arm
     scenario: Scenario
-    name: str
-    profile: str
-    trained_for: str
-    options: Mapping[str, Any]
 
     def compile(self) -> None:
         with suppress(BadInputError):
-            detector_for(self.scenario, self.name, self.profile, trained_for=self.trained_for, options=self.options)
+            self.campaign.detector(self.arm, self.scenario)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +65,9 @@ class _Mission:
     campaign: Campaign
 
     def compile(self) -> None:
-        campaign = self.campaign
-        models = _shipped_models(self.campaign)
-        if models is not None:
-            warm_up(MissionPlan(campaign, campaign.environments[0], campaign.first_seed, models=models))
+        campaign = _with_shipped_models(self.campaign)
+        if campaign is not None:
+            warm_up(MissionPlan(campaign, self.campaign.environments[0], self.campaign.first_seed))
 
 
 _CompileTask = _Stage | _Detector | _Mission
@@ -116,11 +103,11 @@ def compile_ahead(
     incomplete = set()
     for tasks in rounds:
         for task in tasks:
-            if isinstance(task, _Mission) and _shipped_models(task.campaign) is None:
+            if isinstance(task, _Mission) and _with_shipped_models(task.campaign) is None:
                 incomplete.add(task.campaign.name)
     for campaign in left:
-        if campaign.name not in incomplete:
-            _warm_file(campaign).touch()
+        if campaign.config.name not in incomplete:
+            _warm_file(campaign.config).touch()
 
 
 def compile_flight(scenario: Scenario, executor: Executor) -> None:
@@ -139,17 +126,18 @@ def is_compiled(campaign: Campaign) -> bool:
     return _warm_file(campaign).exists()
 
 
-def _not_compiled(campaigns: Iterable[Campaign]) -> list[Campaign]:
+def _not_compiled(campaigns: Iterable[Campaign]) -> list[ResolvedCampaign]:
     """Campaigns whose code is not in the cache; hosts with processes of their own compile none."""
-    return [campaign for campaign in campaigns if host_of(campaign).in_process and not _warm_file(campaign).exists()]
+    left = [resolve(campaign) for campaign in campaigns if not is_compiled(campaign)]
+    return [campaign for campaign in left if campaign.host.in_process]
 
 
-def _rounds(campaigns: Sequence[Campaign]) -> list[list[_CompileTask]]:
+def _rounds(campaigns: Sequence[ResolvedCampaign]) -> list[list[_CompileTask]]:
     """Tasks of campaigns in rounds, each of which uses the code of the former ones."""
     return [
         list(_stages(campaigns)),
         [*_kernels(campaigns), *_detectors(campaigns)],
-        [_Mission(_bare(campaign)) for campaign in campaigns],
+        [_Mission(_bare(campaign.config)) for campaign in campaigns],
     ]
 
 
@@ -159,21 +147,21 @@ def _compile(task: _CompileTask) -> None:
         task.compile()
 
 
-def _shipped_models(campaign: Campaign) -> dict[str, str] | None:
-    """Hashes of the shipped models of a campaign's detectors; None = one is not shipped: the campaign compiles it."""
+def _with_shipped_models(campaign: Campaign) -> ResolvedCampaign | None:
+    """The campaign with the shipped models of its detectors; None = one is not shipped: the campaign compiles it."""
     try:
-        return model_hashes(campaign, scenarios_of(campaign, arms_of(campaign)), None)
+        return resolve(campaign).with_models()
     except BadInputError:
         return None
 
 
-def _scenarios(campaign: Campaign) -> Iterator[tuple[Arm, Scenario]]:
+def _scenarios(campaign: ResolvedCampaign) -> Iterator[tuple[Arm, Scenario]]:
     """Each arm, with its scenario in the first environment."""
-    arms = arms_of(campaign)
-    return zip(arms, scenarios_of(campaign, arms, campaign.environments[:1]).values(), strict=True)
+    scenarios = campaign.with_scenarios(campaign.config.environments[:1]).scenarios.values()
+    return zip(campaign.arms, scenarios, strict=True)
 
 
-def _stages(campaigns: Sequence[Campaign]) -> Iterator[_Stage]:
+def _stages(campaigns: Sequence[ResolvedCampaign]) -> Iterator[_Stage]:
     """The stages of flights with different code."""
     tasks: dict[tuple[str, ...], _Stage] = {}
     for campaign in campaigns:
@@ -185,27 +173,27 @@ def _stages(campaigns: Sequence[Campaign]) -> Iterator[_Stage]:
     yield from sorted(tasks.values(), key=lambda task: list(STAGES).index(task.name))
 
 
-def _kernels(campaigns: Sequence[Campaign]) -> list[_Mission]:
+def _kernels(campaigns: Sequence[ResolvedCampaign]) -> list[_Mission]:
     """Campaigns with faults in instructions of one kernel or detector each, the longest compilations first."""
     order = [*DETECTORS, *PLANNERS]
     ranked = []
     for campaign in campaigns:
-        for kernel in campaign.sampling.instrumented:
+        for kernel in campaign.config.sampling.instrumented:
             rank = order.index(kernel) if kernel in order else len(order)
-            ranked.append((rank, _Mission(_with_kernels(campaign, (kernel,)))))
+            ranked.append((rank, _Mission(_with_kernels(campaign.config, (kernel,)))))
     return [mission for _, mission in sorted(ranked, key=lambda entry: entry[0])]
 
 
-def _detectors(campaigns: Sequence[Campaign]) -> list[_Detector]:
+def _detectors(campaigns: Sequence[ResolvedCampaign]) -> list[_Detector]:
     """Detectors of all arms, without duplicates."""
     tasks: dict[tuple[str, ...], _Detector] = {}
     for campaign in campaigns:
         for arm, scenario in _scenarios(campaign):
             if not arm.detector:
                 continue
-            spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.overrides)
-            key = arm.detector, arm.profile, scenario.autopilot.name, spec.trained_for, str(arm.options)
-            tasks[key] = _Detector(scenario, arm.detector, arm.profile, spec.trained_for, arm.options)
+            trained_for = campaign.spec(campaign.config.environments[0], arm).trained_for
+            key = arm.detector, arm.profile, scenario.autopilot.name, trained_for, str(arm.options)
+            tasks[key] = _Detector(campaign, arm, scenario)
     return list(tasks.values())
 
 
@@ -213,7 +201,7 @@ def _bare(campaign: Campaign) -> Campaign:
     """The campaign without arms that have a detector, and without faults in detectors."""
     kernels = campaign.sampling.instrumented
     if kernels:
-        custom = custom_detectors(campaign).values()
+        custom = campaign.custom_detectors.values()
         in_detectors = {name for name in kernels if any(plug_in.is_called(name) for plug_in in custom)}
         return _with_kernels(campaign, tuple(name for name in kernels if name not in {*DETECTORS, *in_detectors}))
     if hasattr(campaign.sampling, "kernels"):  # whose memory: of all kernels, since the detectors are missing
@@ -230,7 +218,7 @@ def _with_kernels(campaign: Campaign, kernels: tuple[str, ...]) -> Campaign:
 
 def _with_arms(campaign: Campaign, detectors: tuple[str, ...]) -> Campaign:
     """The campaign with only those arms that have no detector or one of these."""
-    custom = custom_detectors(campaign)
+    custom = campaign.custom_detectors
     arms = {}
     for name, arm in campaign.arms.items():
         is_one = any(is_named(arm.detector, detector) for detector in detectors)
@@ -244,14 +232,14 @@ def _with_arms(campaign: Campaign, detectors: tuple[str, ...]) -> Campaign:
 def fly_missions_anywhere(job: Job) -> Iterator[tuple[int, Planned | CompletedRun]]:
     """`fly_missions` in a process that is not a fork of the campaigns'."""
     for _, mission in job:
-        if host_of(mission.campaign).in_process:
+        if mission.campaign.host.in_process:
             _warm_up_machine(mission)
     yield from fly_missions(job)
 
 
 def _warm_up_machine(mission: MissionPlan) -> None:
     """Compile in one process of this machine, while the others wait."""
-    warm_file = _warm_file(mission.campaign)
+    warm_file = _warm_file(mission.campaign.config)
     if warm_file.exists():
         return
     with (code_folder() / "warm-up.lock").open("w", encoding="utf-8") as lock:

@@ -100,8 +100,8 @@ def run(  # noqa: PLR0913 - options
 
     Example: [bold]mavfi campaign run configs/campaigns/states.yaml --out out/states[/bold]
     """
+    from mavfi.campaign.begin import begin, check_names
     from mavfi.campaign.config import load_campaign
-    from mavfi.campaign.mission import check_names
     from mavfi.campaign.plan import WHOLE, Shard
     from mavfi.campaign.run import run_campaign
     from mavfi.campaign.store import FILE, IDENTITY, held
@@ -125,10 +125,9 @@ def run(  # noqa: PLR0913 - options
     stop_message = f"Stopped. What is done is kept in {ledger}; the same command resumes."
     with stoppable(stop_message), Bar(f"campaign {campaign.name}", "runs") as bar:
         status = run_campaign(
-            campaign,
+            begin(campaign, ledger, models_dir=models, extend=extend),
             ledger,
             executor=chosen_executor,
-            models_dir=models,
             fast_forward=fast_forward,
             shard=chosen_shard,
             extend=extend,
@@ -155,14 +154,10 @@ def run(  # noqa: PLR0913 - options
 
 def _requirements(campaign: "Campaign", texts: Sequence[str], junit: Path | None) -> "list[Requirement]":
     """Requirements on a campaign, checked before its first flight."""
-    from mavfi.campaign.requirement import Requirement
-
-    requirements = []
-    for text in texts:
-        try:
-            requirements.append(Requirement.parse(text).of(campaign))
-        except BadInputError as error:
-            raise BadInputError(f"--require: {error}") from None
+    try:
+        requirements = campaign.requirements(texts)
+    except BadInputError as error:
+        raise BadInputError(f"--require: {error}") from None
     if junit is not None and not requirements:
         raise BadInputError(f"--junit: {junit}: there is no test case; allowed: with --require, or the key require")
     check_writable(junit)

@@ -8,10 +8,10 @@ A plug-in stands in faults and tables under the name that the mission gives it, 
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from mavfi.config import PlannerConfig, shipped
 from mavfi.errors import BadInputError
+from mavfi.mission import MissionSpec
 from mavfi.plugins import known
 from mavfi.states import DETECTORS, INJECTABLE, KERNELS, PLANNERS, PLUG_INS, REPLACEABLE
 
@@ -84,8 +84,8 @@ def plug_ins(addresses: Mapping[str, str]) -> list[PlugIn]:
     return members
 
 
-def plug_ins_of_spec(spec: Any, detector: str = "") -> list[PlugIn]:
-    """The plug-ins of a `MissionSpec`, with a detector that is none of mavfi ("" = none)."""
+def plug_ins_of_spec(spec: MissionSpec, detector: str = "") -> list[PlugIn]:
+    """The plug-ins of a mission, with a detector that is none of mavfi ("" = none)."""
     of_kernels = {name: getattr(spec, name) for name in REPLACEABLE}
     return plug_ins(
         {
@@ -101,13 +101,3 @@ def plug_ins_of_spec(spec: Any, detector: str = "") -> list[PlugIn]:
 def is_custom_detector(name: str) -> bool:
     """Whether a name is that of a detector which is not part of mavfi; "" is none."""
     return bool(name) and not known("mavfi.detectors", {}).get(name, name).startswith("mavfi.")
-
-
-def custom_detectors(campaign: Any) -> dict[str, PlugIn]:
-    """The detectors of a campaign that are none of mavfi, by arm."""
-    detectors = {}
-    for arm_name, arm in campaign.arms.items():
-        if is_custom_detector(arm.detector):
-            spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.mission)
-            detectors[arm_name] = plug_ins_of_spec(spec, arm.detector)[-1]
-    return detectors

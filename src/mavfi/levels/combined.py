@@ -17,6 +17,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.combined import AND, START_FORM, CombinedFault, Start
 from mavfi.faults.fault import Fault, find_level, level_names
 from mavfi.faults.sampling import share_out, stream
+from mavfi.levels.campaign import SampledCampaign
 from mavfi.levels.level import COMBINED, Draw, Golden, Level, Request, Sampled, Sampler, Sampling, parse, text_of
 from mavfi.record import Injection
 
@@ -164,14 +165,14 @@ class CombinedSampler(Sampler):
         BadInputError: A sampling draws in another mission than the campaign's own, or a text is not understood.
     """
 
-    def __init__(self, campaign: Any) -> None:
+    def __init__(self, campaign: SampledCampaign) -> None:
         super().__init__(campaign)
-        spec = campaign.spec(campaign.environments[0], campaign.first_seed)
+        spec = campaign.first_mission
         self._localization = spec.localization
         self._members = list(self._find_members())
         if campaign.nulls:
             raise BadInputError(f"null_runs: {campaign.nulls}; allowed: 0 with several faults")
-        if campaign.grown:  # numbers and strata of the further faults depend on the size of the campaign
+        if len(campaign.sizes) > 1:  # numbers and strata of the further faults depend on the size of the campaign
             text = "with several faults in a mission, a campaign cannot be extended by them"
             raise BadInputError(f"missions, faults: {text}; allowed: more environments and arms")
         # The first source has the rows.
@@ -196,7 +197,7 @@ class CombinedSampler(Sampler):
                 sources.append(MemberText.of(member))
                 parse(sources[-1].text, self._localization)  # type: ignore[union-attr] # refuses what is not understood
                 continue
-            alone = self.campaign.model_copy(update={"sampling": member, "null_runs": 0})
+            alone = self.campaign.with_sampling(member)
             sampler = find_level(member.level).sampler(alone)
             if sampler.variants or any(sampler.arms.values()):
                 text = "allowed with several faults: those of the campaign's own mission"
@@ -349,7 +350,7 @@ class CombinedLevel(Level):
         columns.pop("population", None)
         return columns
 
-    def about(self, campaign: Any) -> dict[str, Any]:
+    def about(self, campaign: SampledCampaign) -> dict[str, Any]:
         """See `Level.about`."""
         sampling = campaign.sampling
         sources = []
@@ -358,7 +359,7 @@ class CombinedLevel(Level):
             if isinstance(member, str):
                 sources.append(member)
                 continue
-            alone = campaign.model_copy(update={"sampling": member, "null_runs": 0})
+            alone = campaign.with_sampling(member)
             about = find_level(member.level).about(alone)
             sources.append(f"{member.level} ({about['how']})")
             if number == 0:

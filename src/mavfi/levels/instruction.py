@@ -30,11 +30,12 @@ from mavfi.faults.fault import MODELS, MOST_CALLS, NO_SITE, RESTART_S, Fault, In
 from mavfi.faults.levels.instruction import InjectionSite, Profiling, Resolving, budget_for, choose
 from mavfi.faults.levels.instruction.plan import plan
 from mavfi.faults.levels.instruction.table import parse_selection
-from mavfi.faults.plug_ins import custom_detectors, planner_name, plug_ins_of_spec, without_module
+from mavfi.faults.plug_ins import planner_name, plug_ins_of_spec, without_module
 from mavfi.faults.sampling import stream
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.targets import InjectionTarget, Targets
 from mavfi.ir.module import DIGEST_VERSION
+from mavfi.levels.campaign import SampledCampaign
 from mavfi.levels.level import DECIMAL, WHOLE, Draw, Golden, Level, Sampled, Sampler, Sampling, check_distinct
 from mavfi.mission import Scenario
 from mavfi.record import Injection
@@ -377,11 +378,11 @@ class InstructionSampler(Sampler):
 
     instruments = True
 
-    def __init__(self, campaign: Any) -> None:
+    def __init__(self, campaign: SampledCampaign) -> None:
         super().__init__(campaign)
         # Numba compiles Python's bytecode, which determines the fault space.
         self.versions = {"python": ".".join(platform.python_version_tuple()[:2]), "fault space": DIGEST_VERSION}
-        planner = planner_name(campaign.spec(campaign.environments[0], campaign.first_seed).planner)
+        planner = planner_name(campaign.first_mission.planner)
         drawn_from = campaign_targets(campaign)
         self._kernels = kernels = [target.name for target in drawn_from]
         other_planners = [name for name in kernels if name in PLANNERS and name != planner]
@@ -453,16 +454,15 @@ class InstructionSampler(Sampler):
         raise BadInputError("null runs: allowed with faults in states")
 
 
-def _check_arms(campaign: Any, drawn: Sequence[str], kernels: Mapping[str, str]) -> None:
+def _check_arms(campaign: SampledCampaign, drawn: Sequence[str], kernels: Mapping[str, str]) -> None:
     """Refuse an arm that replaces functions with drawn faults, which would never be activated there.
 
     `kernels`: the kernel whose functions change, by mission key.
     """
-    world = campaign.environments[0], campaign.first_seed
     for name, arm in campaign.arms.items():
         for key, kernel in kernels.items():
-            campaign_value = getattr(campaign.spec(*world), key)
-            arm_value = getattr(campaign.spec(*world, arm.mission), key)
+            campaign_value = getattr(campaign.first_mission, key)
+            arm_value = getattr(campaign.spec(campaign.environments[0], campaign.first_seed, arm.mission), key)
             if arm_value != campaign_value and kernel in drawn:
                 raise BadInputError(
                     f"arms: {name!r}: {key}: {arm_value!r}: does not call what faults in {kernel} are drawn from; "
@@ -496,7 +496,7 @@ def _stage_of(name: str, role: str) -> str:
     return str(KERNEL_STAGES.get(name, ""))
 
 
-def campaign_targets(campaign: Any) -> list[CampaignTarget]:
+def campaign_targets(campaign: SampledCampaign) -> list[CampaignTarget]:
     """The targets that the sampling of a campaign names.
 
     Raises:
@@ -509,9 +509,9 @@ def campaign_targets(campaign: Any) -> list[CampaignTarget]:
     return targets
 
 
-def _campaign_target(campaign: Any, name: str) -> CampaignTarget:
+def _campaign_target(campaign: SampledCampaign, name: str) -> CampaignTarget:
     """See `campaign_targets`: the target of this name."""
-    spec = campaign.spec(campaign.environments[0], campaign.first_seed)
+    spec = campaign.first_mission
     planner = planner_name(spec.planner)
     members = plug_ins_of_spec(spec)
     replaced = [PLUG_INS[plug_in.role].kernel for plug_in in members]
@@ -527,7 +527,7 @@ def _campaign_target(campaign: Any, name: str) -> CampaignTarget:
             return CampaignTarget(plug_in.name, plug_in.role)
     if name == "planner":
         return CampaignTarget(planner)
-    detectors = custom_detectors(campaign)
+    detectors = campaign.custom_detectors
     watching = [(arm, plug_in) for arm, plug_in in detectors.items() if plug_in.is_called(name)]
     if len(watching) > 1:
         raise BadInputError(f"sampling.kernels: {name!r}: is in {len(watching)} arms; allowed: what is in one arm")
@@ -626,7 +626,7 @@ class InstructionLevel(Level):
             "value_class": fault.value_class,
         }
 
-    def about(self, campaign: Any) -> dict[str, Any]:
+    def about(self, campaign: SampledCampaign) -> dict[str, Any]:
         """See `Level.about`."""
         sampling = campaign.sampling
         how = f"instructions: {sampling.which}, model {sampling.model}"

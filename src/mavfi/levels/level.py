@@ -23,6 +23,7 @@ from mavfi.faults.injector import Injector
 from mavfi.faults.operations import OPERATIONS, SYNONYMS, PlannedChange, is_trigger, parse_change, parse_text
 from mavfi.faults.sampling import share_out
 from mavfi.faults.strata import EACH_CLASS, STRATA
+from mavfi.levels.campaign import SampledCampaign
 from mavfi.record import Injection
 from mavfi.states import STATES
 
@@ -247,7 +248,7 @@ class Batch(NamedTuple):
     repetition: int
 
 
-def _batches(campaign: Any) -> list[Batch]:
+def _batches(campaign: SampledCampaign) -> list[Batch]:
     """The batches of a campaign, from the sizes that it has had."""
     begun = campaign.sizes[0]
     batches = [Batch(0, 0, begun.faults, begun.missions, 0, 0)]
@@ -284,8 +285,11 @@ Golden = Mapping[str, Sampled]
 class Sampler:
     """Draws the faults of a campaign; a pure function of the campaign and of golden runs.
 
+    Raises:
+        BadInputError: The sampling names unknown sites, or conflicts with the rest of the campaign.
+
     Args:
-        campaign: The `mavfi.campaign.config.Campaign`, with `faults` per target.
+        campaign: The campaign, with `faults` per target.
 
     Attributes:
         targets: Shares of the strata in each target, in the order of the plan.
@@ -305,7 +309,7 @@ class Sampler:
     instruments = False
     draws_together = True
 
-    def __init__(self, campaign: Any) -> None:
+    def __init__(self, campaign: SampledCampaign) -> None:
         self.campaign = campaign
         self.sampling = campaign.sampling
         self.targets: Mapping[str, Mapping[str, float]] = {}
@@ -414,16 +418,6 @@ def draws_of(blocks: Sequence[FaultBlock], missions: range) -> list[tuple[int, D
     return sorted(draws, key=lambda pair: pair[0])
 
 
-def sampler_for(campaign: Any) -> Sampler:
-    """The sampler of a campaign.
-
-    Raises:
-        BadInputError: The sampling names unknown sites, or conflicts with the rest of the campaign.
-    """
-    sampler: Sampler = campaign.level.sampler(campaign)
-    return sampler
-
-
 # ---- the level -------------------------------------------------------------------------------------------------------
 class Level:
     """A fault level.  Only what a level can do is overridden; it needs `fault`, the type of its faults.
@@ -478,7 +472,7 @@ class Level:
         """Columns of the table of runs for the site of a fault, see `analysis.rows`."""
         return {}
 
-    def about(self, campaign: Any) -> dict[str, Any]:
+    def about(self, campaign: SampledCampaign) -> dict[str, Any]:
         """How a campaign draws, for the notes of tables: `each` (what `faults` counts), `how`, and further keys.
 
         `per_mission` is the number of faults in a mission in words, unless it is one; `stages` are those with faults,

@@ -18,10 +18,11 @@ from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, hint
 from mavfi.faults.fault import NO_SITE, Fault, MemoryFault
 from mavfi.faults.operations import OPERATIONS, VALUE_OPERATIONS, PlannedChange
-from mavfi.faults.plug_ins import custom_detectors, plug_ins_of_spec, without_module
+from mavfi.faults.plug_ins import plug_ins_of_spec, without_module
 from mavfi.faults.sampling import stream
 from mavfi.faults.strata import WORD_BITS, bits_of
 from mavfi.flight.targets import find_plug_in, plug_ins_of
+from mavfi.levels.campaign import SampledCampaign
 from mavfi.levels.level import (
     NULL,
     SECONDS,
@@ -301,12 +302,12 @@ class MemorySampler(Sampler):
 
     draws_together = False
 
-    def __init__(self, campaign: Any) -> None:
+    def __init__(self, campaign: SampledCampaign) -> None:
         super().__init__(campaign)
-        spec = campaign.spec(campaign.environments[0], campaign.first_seed)
+        spec = campaign.first_mission
         self._kernels = _kernels_with(spec.localization)
         self._plug_ins = plug_ins_of_spec(spec)
-        self._detectors = custom_detectors(campaign)
+        self._detectors = campaign.custom_detectors
         self._sites = self._find_targets()
         self.targets = dict.fromkeys(self._sites, self.sampling.strata or {"": 1.0})
         self.arms = {name: self._flown_in(sites) for name, sites in self._sites.items()}
@@ -512,7 +513,7 @@ class MemoryLevel(Level):
             columns["operation"] = fault.change.name
         return columns
 
-    def about(self, campaign: Any) -> dict[str, Any]:
+    def about(self, campaign: SampledCampaign) -> dict[str, Any]:
         """See `Level.about`."""
         sampling = campaign.sampling
         unit = {"kernel": "kernel", "exposure": "environment"}[sampling.share]

@@ -17,6 +17,7 @@ from mavfi.faults.fault import NO_SITE, Fault, FaultSite, MessageFault, find_fie
 from mavfi.faults.levels.message.injector import PublicationInjector
 from mavfi.faults.operations import MESSAGE_OPERATIONS, PlannedChange, parse_text
 from mavfi.faults.sampling import draw_publication, stream
+from mavfi.levels.campaign import SampledCampaign
 from mavfi.levels.level import (
     Draw,
     Golden,
@@ -102,9 +103,9 @@ class MessageSampler(Sampler):
     profile = True
     draws_together = False
 
-    def __init__(self, campaign: Any) -> None:
+    def __init__(self, campaign: SampledCampaign) -> None:
         super().__init__(campaign)
-        self._spec = campaign.spec(campaign.environments[0], campaign.first_seed)
+        self._spec = campaign.first_mission
         published = states_with(self._spec.localization)
         names = self.sampling.states
         if not names:
@@ -196,7 +197,7 @@ class MessageLevel(Level):
             columns["operation"] = fault.change.name
         return columns
 
-    def about(self, campaign: Any) -> dict[str, Any]:
+    def about(self, campaign: SampledCampaign) -> dict[str, Any]:
         """See `Level.about`."""
         operations = ", ".join(campaign.sampling.operations)
         return {"each": "state", "how": f"publications uniform, operations {operations}"}

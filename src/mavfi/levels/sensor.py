@@ -15,6 +15,7 @@ from mavfi.errors import BadInputError, not_known
 from mavfi.faults.fault import NO_SITE, Fault
 from mavfi.faults.levels.sensor.fault import FAILING, NULL, RANDOM, UNITS, SensorFault, check_read
 from mavfi.faults.sampling import stream
+from mavfi.levels.campaign import SampledCampaign
 from mavfi.levels.level import SECONDS, Draw, Golden, Level, Sampler, Sampling, check_distinct, check_known
 from mavfi.mission import MissionSpec
 
@@ -94,9 +95,9 @@ class SensorSampler(Sampler):
 
     draws_together = False
 
-    def __init__(self, campaign: Any) -> None:
+    def __init__(self, campaign: SampledCampaign) -> None:
         super().__init__(campaign)
-        mission = campaign.spec(campaign.environments[0], campaign.first_seed)
+        mission = campaign.first_mission
         units = self.sampling.units or tuple(unit for unit in UNITS if _is_read(unit, mission))
         if campaign.under_test is None:
             for unit in units:
@@ -200,7 +201,7 @@ class SensorLevel(Level):
         """See `Level.columns`."""
         return {"state": fault.unit, "field": fault.kind}
 
-    def about(self, campaign: Any) -> dict[str, Any]:
+    def about(self, campaign: SampledCampaign) -> dict[str, Any]:
         """See `Level.about`."""
         sampling = campaign.sampling
         if sampling.lasts_s == "inf":

@@ -44,6 +44,7 @@ from mavfi.faults.sampling import (
     stream,
 )
 from mavfi.faults.strata import EACH_CLASS, HEADLINE, WHOLE_WORD, WORD_BITS, WORDS, bits_of
+from mavfi.levels.campaign import SampledCampaign
 from mavfi.levels.level import (
     DECIMAL,
     SECONDS,
@@ -304,9 +305,9 @@ class StateSampler(Sampler):
     profile = True
     draws_together = False
 
-    def __init__(self, campaign: Any) -> None:
+    def __init__(self, campaign: SampledCampaign) -> None:
         super().__init__(campaign)
-        spec = campaign.spec(campaign.environments[0], campaign.first_seed)
+        spec = campaign.first_mission
         # What exists and is acted on depends on the mission.
         self._autopilot = spec.autopilot
         self._localization = spec.localization
@@ -705,7 +706,7 @@ class StateLevel(Level):
             columns["population"] = fault.stratum
         return columns
 
-    def about(self, campaign: Any) -> dict[str, Any]:
+    def about(self, campaign: SampledCampaign) -> dict[str, Any]:
         """See `Level.about`."""
         sampling = campaign.sampling
         unit = {"stage_balanced": "stage", "groups": "group", "messages": "message"}[sampling.scheme]

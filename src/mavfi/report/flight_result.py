@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavfi.errors import BadInputError, NotInstalledError, naming_extra, write_text
-from mavfi.outcomes import Effect, QoF, effect_of, quality_of
+from mavfi.outcomes import QoF, quality_of
 from mavfi.record import COLUMNS, FlightRecord, record_of
+from mavfi.report.compared_flights import ComparedFlights
 
 if TYPE_CHECKING:
     import polars
 
-    from mavfi.faults.fault import Fault
-    from mavfi.flight.host import ArmSetup, Flight
+    from mavfi.flight.host import ArmSetup
     from mavfi.mission import MissionStatus, Scenario
     from mavfi.record import FlightLog
     from mavfi.report.notebook import NotebookFigure
@@ -37,26 +37,13 @@ class FlownAs:
 
 
 @dataclass(frozen=True, repr=False)
-class FlightResult:
-    """A flight, with its golden run for comparison; a notebook shows its page.
+class FlightResult(ComparedFlights):
+    """A flight, with those that it is compared with; a notebook shows its page.
 
     Attributes:
-        scenario: The mission.
-        flight: The requested flight.
-        golden: Its golden run with the same detector; None = the flight itself is golden.
-        fault: The injected fault; None = no fault.
-        detector: Name and profile, e.g. "gaussian (paper)"; "" = no detector.
-        unwatched: The flight with the same fault, without the detector and its mission keys; None without a detector or
-            a fault, and for faults in the detector itself.
         flown_as: How it was flown; None = it cannot be flown again in this process.
     """
 
-    scenario: Scenario
-    flight: Flight
-    golden: Flight | None = None
-    fault: Fault | None = None
-    detector: str = ""
-    unwatched: Flight | None = None
     flown_as: FlownAs | None = None
 
     def __repr__(self) -> str:
@@ -69,26 +56,9 @@ class FlightResult:
         return f"<FlightResult: {mission}, {fault}, {self.status.name} after {self.quality.flight_time_s:.2f} s>"
 
     @property
-    def log(self) -> FlightLog:
-        """Log of the flight."""
-        return self.flight.log
-
-    @property
     def status(self) -> MissionStatus:
         """Final status of the mission."""
         return self.flight.log.status
-
-    @cached_property
-    def record(self) -> FlightRecord:
-        """Record of the flight, as in a ledger."""
-        return self.flight.record()
-
-    @cached_property
-    def golden_record(self) -> FlightRecord | None:
-        """Record of the golden run, as in a ledger; None if the flight itself is golden."""
-        if self.golden is None:
-            return None
-        return self.golden.record()
 
     @property
     def quality(self) -> QoF:
@@ -101,13 +71,6 @@ class FlightResult:
         import polars
 
         return polars.DataFrame(self.log.rows, schema=list(COLUMNS))
-
-    @property
-    def effect(self) -> Effect | None:
-        """Effect of the fault on the flight; None if the flight itself is golden."""
-        if self.golden_record is None:
-            return None
-        return effect_of(self.golden_record, self.record)
 
     def plot(self) -> NotebookFigure:
         """Draw the flight from above and from the side, with what it is compared with; a notebook shows the figure.

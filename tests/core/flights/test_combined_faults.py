@@ -6,7 +6,6 @@ import pytest
 
 import mavfi
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.faults.combined import CombinedFault, Start
 from mavfi.faults.fault import FaultSite, MemoryFault, MessageFault, StateFault
@@ -17,6 +16,7 @@ from mavfi.flight.forks import fly_instruction_faults
 from mavfi.flight.mission_flights import fly_recorded
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from mavfi.pipeline.waypoints import SetpointGenerator
+from tests.campaigns import run_campaign
 from tests.core.flights.missions import GOAL, fault, golden, mission
 
 pytestmark = pytest.mark.slow

@@ -133,7 +133,7 @@ def test_the_view_of_the_page_is_a_table_of_a_report(folder, tmp_path_factory, m
     from my_views import CHAPTER  # of the page
 
     from mavfi.campaign.executors.local import LocalExecutor
-    from mavfi.campaign.run import run_campaign
+    from tests.campaigns import run_campaign
     from tests.core.unit.campaign.fakes import small
 
     monkeypatch.setenv("MAVFI_ALLOW_PLUGINS", "all")

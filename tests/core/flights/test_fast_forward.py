@@ -6,8 +6,9 @@ from functools import cache
 import pytest
 
 from mavfi.campaign.config import load_campaign
-from mavfi.campaign.mission import MissionPlan, fly_mission, model_hashes, scenarios_of
-from mavfi.campaign.plan import CompletedRun, arms_of
+from mavfi.campaign.mission import MissionPlan, fly_mission
+from mavfi.campaign.plan import CompletedRun
+from mavfi.campaign.resolve import resolve as resolve_campaign
 from mavfi.detectors.detector import Alarm
 from mavfi.extras.bench.sealed import Checksum, Duplicate, Oracle
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
@@ -319,9 +320,8 @@ def table1(autopilot):
 )
 def test_a_mission_of_the_table_leaves_the_same_records(environment, autopilot):
     """All arms, all stages, both strata and a null fault; `benchmarks/fast_forward.py` compares hundreds of runs."""
-    campaign = table1(autopilot)
-    models = model_hashes(campaign, scenarios_of(campaign, arms_of(campaign)), None)
-    plan = MissionPlan(campaign, environment, campaign.first_seed, models=models)
+    campaign = resolve_campaign(table1(autopilot)).with_models()
+    plan = MissionPlan(campaign, environment, campaign.config.first_seed)
     flown = [
         {
             item.run_id: item.record

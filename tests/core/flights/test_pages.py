@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from mavfi.campaign.begin import check_names
 from mavfi.campaign.config import load_campaign
-from mavfi.campaign.mission import check_names
 from mavfi.cli import run
 from mavfi.errors import BadInputError
 from mavfi.extras.firmware import build

@@ -3,9 +3,8 @@
 import pytest
 
 from mavfi import api
-from mavfi.campaign import mission
-from mavfi.campaign.mission import MissionPlan, host_of, model_hashes, scenarios_of, setup_of
-from mavfi.campaign.plan import arms_of
+from mavfi.campaign.mission import MissionPlan, setup_of
+from mavfi.campaign.resolve import resolve
 from mavfi.cli import fly
 from mavfi.flight import compose
 from mavfi.mission import MissionSpec
@@ -24,26 +23,19 @@ def ask(scenario, name, profile, models_dir=None, trained_for="", options=None):
 
 def by_campaign():
     campaign = small(arms={"mine": {"detector": "limits", "trained_for": NAME}}, host="local")
-    (arm,) = arms_of(campaign)[1:]
-    return campaign, arm
-
-
-def hashes():
-    campaign, arm = by_campaign()
-    model_hashes(campaign, scenarios_of(campaign, [arm]), None)
+    return resolve(campaign, models={"mine": ""})
 
 
 def setup():
-    campaign, arm = by_campaign()
-    plan = MissionPlan(campaign, "sparse", 1, models={"mine": ""})
-    setup_of(plan, arm, host_of(campaign)).make_detector()
+    campaign = by_campaign()
+    setup_of(MissionPlan(campaign, "sparse", 1), campaign.arms[1]).make_detector()
 
 
 CALLERS = {
     "api": (compose, lambda: api.fly(SPEC, detector="limits")),
     "fly": (compose, lambda: fly.watched(SPEC, "limits", None, None)),
-    "plan": (mission, hashes),
-    "flight": (mission, setup),
+    "plan": (compose, lambda: by_campaign().with_models()),
+    "flight": (compose, setup),
 }
 
 

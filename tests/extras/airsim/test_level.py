@@ -3,12 +3,13 @@
 from collections import Counter
 
 from mavfi.campaign.config import Campaign
+from mavfi.campaign.resolve import resolve
 from mavfi.config import parse
 from mavfi.extras.airsim.boundary import PassedCall
 from mavfi.extras.airsim.level import CallLevel, CallSampling
 from mavfi.faults.fault import MessageFault
 from mavfi.flight.host import RunResult
-from mavfi.levels.level import Sampled, draws_of, sampler_for
+from mavfi.levels.level import Sampled, draws_of
 from mavfi.levels.message import MessageLevel, MessageSampling
 from mavfi.record import End, FlightRecord
 from mavfi.testing import HostContract, LevelContract
@@ -23,7 +24,7 @@ def campaign(**changes):
 
 
 def faults(of, calls=CALLS):
-    sampler = sampler_for(of)
+    sampler = resolve(of).sampler
     draws = [draw for _, draw in draws_of(sampler.blocks("sparse"), range(1))]
     golden = {"": Sampled(RunResult(FlightRecord(End.FLOWN), tuple(calls)))}
     return sampler.draw(draws, "sparse", golden), sampler, golden

@@ -6,9 +6,7 @@ import pytest
 
 from mavfi.analysis.views import VIEWS
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.mission import model_hashes, scenarios_of
-from mavfi.campaign.plan import arms_of
-from mavfi.campaign.run import run_campaign
+from mavfi.campaign.resolve import resolve
 from mavfi.config import config_root, names, parse
 from mavfi.errors import BadInputError
 from mavfi.extras.bench.bench import (
@@ -26,6 +24,7 @@ from mavfi.extras.bench.bench import (
 )
 from mavfi.faults.strata import STRATA
 from mavfi.states import STATES
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import DETECTOR, small
 
 BENCH = load_bench("mavfi-bench-1")
@@ -52,10 +51,9 @@ def test_a_scheme_that_was_trained_for_other_flights_is_left_out_with_the_reason
 @pytest.mark.parametrize("part", ["cortex-a57", "rrt", "rrt-star", "other-profile"])
 def test_parts_that_detectors_were_not_trained_for_are_flown_with_the_models_there_are(part):
     found = select_parts(BENCH, "quick", parts=[part])[part]
-    arms = arms_of(found.campaign)
-    used = model_hashes(found.campaign, scenarios_of(found.campaign, arms), None)
+    used = resolve(found.campaign).with_models().models
     trained = select_parts(BENCH, "quick", parts=["sites"])["sites"].campaign
-    assert used == model_hashes(trained, scenarios_of(trained, arms_of(trained)), None)
+    assert used == resolve(trained).with_models().models
     assert {"gaussian", "limits", "recommended"} <= set(used)
 
 

@@ -3,9 +3,9 @@ import json
 import pytest
 
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign
 from mavfi.cli.commands import run
 from mavfi.extras.paper import overhead_views, overheads
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import DETECTOR, small
 
 

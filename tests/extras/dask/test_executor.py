@@ -13,11 +13,11 @@ import pytest
 
 from mavfi.campaign import fingerprint
 from mavfi.campaign.executors.executor import Done, Lost
-from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError, MachineError
 from mavfi.extras.dask import executor as dask
 from mavfi.extras.dask.executor import DaskExecutor
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.executors.test_local import count_to, die, flat, hang, items_of
 from tests.core.unit.campaign.fakes import small
 

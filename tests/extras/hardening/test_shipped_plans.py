@@ -6,7 +6,6 @@ from mavfi.analysis.runs import Runs
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.replay import replay
-from mavfi.campaign.run import run_campaign
 from mavfi.config import names, parse
 from mavfi.extras.hardening.plan import load_plan, save_plan, signature_text
 from mavfi.flight.compose import resolve
@@ -16,6 +15,7 @@ from mavfi.ir.sources import cached_shape
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 from mavfi.states import INJECTABLE, PLANNERS
+from tests.campaigns import run_campaign
 from tests.extras.hardening.plans import calls_of_protected_code
 
 pytestmark = pytest.mark.slow

@@ -9,7 +9,6 @@ import yaml
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.views import VIEWS, table_asked_for
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.cli import run
 from mavfi.extras.paper import overhead_views
@@ -17,6 +16,7 @@ from mavfi.extras.paper.cli_report import StudyBar
 from mavfi.extras.paper.provenance import load_runs
 from mavfi.extras.paper.report import study_report
 from mavfi.extras.paper.study import load_study
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import small
 
 
@@ -175,6 +175,7 @@ def test_training_that_is_stopped_resumes(capsys, tmp_path, monkeypatch):
             raise KeyboardInterrupt
 
     monkeypatch.setattr(StudyBar, "show", stop)
+    monkeypatch.setattr("mavfi.campaign.begin.begin", lambda *_, **__: None)
     monkeypatch.setattr("mavfi.campaign.run.run_campaigns", lambda *_, **__: None)
     no_report(monkeypatch)
     assert run([*arguments, "--out", str(out)]) == 130
@@ -195,6 +196,7 @@ def trained(monkeypatch):
         "mavfi.extras.paper.cli._is_trained", lambda campaign, *_: campaign.mission.get("autopilot") in found
     )
     no_report(monkeypatch)
+    monkeypatch.setattr("mavfi.campaign.begin.begin", lambda *_, **__: None)
     monkeypatch.setattr("mavfi.campaign.run.run_campaigns", lambda *_, **__: None)
     monkeypatch.setattr("mavfi.campaign.training.record", lambda _, __, mission, **___: found.append(mission.autopilot))
     monkeypatch.setattr("mavfi.campaign.training.RecordedFlights.fit", lambda _: None)

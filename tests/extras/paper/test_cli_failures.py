@@ -1,8 +1,8 @@
 import pytest
 
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign
 from mavfi.cli.commands import run
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import small
 from tests.extras.paper.test_failure_views import campaign
 

@@ -1,7 +1,8 @@
 import pytest
 
 from mavfi.campaign.config import load_campaign
-from mavfi.campaign.mission import plan_of
+from mavfi.campaign.plan import Plan
+from mavfi.campaign.resolve import resolve
 from mavfi.config import config_root, parse
 from mavfi.errors import BadInputError
 from mavfi.extras.paper.claims import claims_table
@@ -66,7 +67,7 @@ def test_the_paper_at_its_scale_has_the_sizes_that_its_head_names():
         "platforms": (100, 100),
         "failure_rate": (25, 50),
     }
-    assert 21_000 < sum(plan_of(found, {}, {}).count() for found in campaigns.values()) < 22_000
+    assert 21_000 < sum(Plan(resolve(found)).count() for found in campaigns.values()) < 22_000
 
 
 def test_sizes_of_a_study_come_before_those_of_its_campaigns():

@@ -5,9 +5,9 @@ from starlette.testclient import TestClient
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign
 from mavfi.extras.serve.app import application
 from mavfi.extras.serve.flights import RequestedFlights, flown_page
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import HOST
 from tests.core.unit.report.html.conftest import browser, driver  # noqa: F401
 

@@ -5,10 +5,10 @@ import re
 import pytest
 
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.extras.paper.study import load_study
 from mavfi.report.text import short
+from tests.campaigns import run_campaign
 from tools import published_digests
 from tools.markers import DOCS
 

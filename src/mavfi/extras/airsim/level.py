@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from mavfi.campaign.config import label_of
 from mavfi.faults.fault import Fault, MessageFault
+from mavfi.levels.campaign import SampledCampaign
 from mavfi.levels.level import Draw, Golden, Sampler, Sampling, check_distinct
 from mavfi.levels.message import MessageLevel
 
@@ -43,7 +44,7 @@ class CallSampler(Sampler):
     alternates = True
     draws_together = False
 
-    def __init__(self, campaign: Any) -> None:
+    def __init__(self, campaign: SampledCampaign) -> None:
         super().__init__(campaign)
         self.targets = dict.fromkeys(self.sampling.sides, {"": 1.0})
 
@@ -92,7 +93,7 @@ class CallLevel(MessageLevel):
     sampling = CallSampling
     sampler = CallSampler
 
-    def about(self, campaign: Any) -> dict[str, Any]:
+    def about(self, campaign: SampledCampaign) -> dict[str, Any]:
         """See `Level.about`: the program under test."""
         calls = campaign.sampling.calls
         what = ""

@@ -14,14 +14,14 @@ from typing import Any
 
 from pydantic import Field, model_validator
 
+from mavfi.campaign.begin import check_names
 from mavfi.campaign.config import ArmConfig, Campaign, Scale, load_campaign
-from mavfi.campaign.mission import check_names, scenarios_of
-from mavfi.campaign.plan import FI, arms_of
+from mavfi.campaign.plan import FI
+from mavfi.campaign.resolve import resolve
 from mavfi.campaign.store import Store
 from mavfi.config import Config, Name, config_root, parse, shipped
 from mavfi.errors import BadInputError, SpecMismatchError, not_known
 from mavfi.files import is_file
-from mavfi.flight.compose import detector_for
 
 FOLDER = "bench"
 SCORES = "scores"
@@ -192,12 +192,12 @@ def _selected(bench: Bench, name: str, campaign: Campaign, models_dir: Path | No
     """The part without schemes whose detectors were trained for a different configuration."""
     check_names(campaign, f"bench {bench.name}: {name}")
     left_out = {}
-    for arm in arms_of(campaign):
+    resolved = resolve(campaign, models_dir)
+    for arm in resolved.arms:
         if arm.detector:
-            scenario = next(iter(scenarios_of(campaign, [arm]).values()))
-            spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.overrides)
+            scenario = resolved.host.resolve(resolved.spec(campaign.environments[0], arm))
             try:
-                detector_for(scenario, arm.detector, arm.profile, models_dir, spec.trained_for, arm.options)
+                resolved.detector(arm, scenario)
             except SpecMismatchError as error:
                 left_out[arm.name] = str(error)
     arms = {arm: config for arm, config in campaign.arms.items() if arm not in left_out}

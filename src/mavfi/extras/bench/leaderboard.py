@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import Table
 from mavfi.analysis.views import table
+from mavfi.campaign.begin import begin
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import versions
@@ -62,9 +63,12 @@ class BenchFlights:
         title = next(iter(self.parts))
         if len(self.parts) > 1:
             title = f"{len(self.parts)} parts"
-        campaigns = {self.folder / name: selected.campaign for name, selected in self.parts.items()}
         with Bar(f"bench: {title}", "runs") as bar:
-            run_campaigns(campaigns, executor=LocalExecutor(workers), models_dir=models, progress=bar.show_campaigns)
+            campaigns = {}
+            for name, selected in self.parts.items():
+                ledger = self.folder / name
+                campaigns[ledger] = begin(selected.campaign, ledger, models_dir=models)
+            run_campaigns(campaigns, executor=LocalExecutor(workers), progress=bar.show_campaigns)
 
     @property
     def scored_campaigns(self) -> dict[str, Campaign]:

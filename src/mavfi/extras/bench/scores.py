@@ -19,7 +19,9 @@ from mavfi.analysis.table import NUMBER, RATE, Column, Table
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor, map_each
 from mavfi.campaign.ledger import ORDERED
-from mavfi.campaign.plan import FI, Arm, arms_of
+from mavfi.campaign.plan import FI
+from mavfi.campaign.resolve import Arm
+from mavfi.campaign.resolve import resolve as resolve_campaign
 from mavfi.campaign.store import Store
 from mavfi.config import STORED
 from mavfi.detectors.detector import Detector
@@ -188,14 +190,14 @@ class _ScoreRecorder:
 
 def scored_arms(campaign: Campaign) -> list[Arm]:
     """Arms with a detector on the campaign's own mission, independent of their recovery options."""
-    return [arm for arm in arms_of(campaign) if arm.detector and set(arm.overrides) <= set(OF_A_DETECTOR)]
+    return [arm for arm in resolve_campaign(campaign).arms if arm.detector and set(arm.overrides) <= set(OF_A_DETECTOR)]
 
 
 def unscored(campaigns: Iterable[Campaign], scores_of_arms: Mapping[str, Scores]) -> dict[str, str]:
     """Arms with a detector that have no scores, with the reason."""
     reasons: dict[str, str] = {}
     for campaign in campaigns:
-        for arm in arms_of(campaign):
+        for arm in resolve_campaign(campaign).arms:
             if arm.detector and arm.name not in scores_of_arms:
                 reasons[arm.name] = "it compares with a seal, or has no scores"
                 other_keys = sorted(set(arm.overrides) - set(OF_A_DETECTOR))

@@ -18,9 +18,9 @@ from mavfi.analysis.rows import ACTIVATED, KERNEL_DUE
 from mavfi.analysis.runs import Runs
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.ledger import stored_campaign
-from mavfi.campaign.mission import host_of
 from mavfi.campaign.plan import FI
 from mavfi.campaign.requirement import Requirement
+from mavfi.campaign.resolve import ResolvedCampaign, resolve
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError, not_known
 from mavfi.extras.hardening.vulnerability.lines import SDC, no_instruction_faults
@@ -138,8 +138,12 @@ class HardeningLedger:
         return [self._scenario(environment, seed, planner) for environment, seed in missions[:MAX_OBSERVED]]
 
     def _scenario(self, environment: str, seed: int, planner: str) -> Scenario:
-        scenario: Scenario = host_of(self.campaign).resolve(self.campaign.spec(environment, seed, {"planner": planner}))
+        scenario: Scenario = self._resolved.host.resolve(self.campaign.spec(environment, seed, {"planner": planner}))
         return scenario
+
+    @cached_property
+    def _resolved(self) -> ResolvedCampaign:
+        return resolve(self.campaign)
 
     # ---- faults -----------------------------------------------------------------------------------------------------
     @cached_property

@@ -65,6 +65,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi reproduce --scale quick --out out/reproduce[/bold]
     """
+    from mavfi.campaign.begin import begin
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.run import run_campaigns
     from mavfi.campaign.training import record
@@ -97,12 +98,8 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
         fly = partial(record, out / MODELS, chosen.training_flights, workers=workers, progress=bar.show, only=wanted)
         _train(lacking, fly, executor, bar)
         bar.begin_step("flights of all campaigns")
-        run_campaigns(
-            {out / folder: campaign for folder, campaign in campaigns.items()},
-            executor=executor,
-            models_dir=out / MODELS,
-            progress=bar.show_campaigns,
-        )
+        begun = {out / folder: begin(campaigns[folder], out / folder, models_dir=out / MODELS) for folder in campaigns}
+        run_campaigns(begun, executor=executor, progress=bar.show_campaigns)
         for folder in timed:  # in one process, with no other work at the same time
             bar.begin_step("timed flights")
             save(measure(campaigns[folder], TIMED_FLIGHTS, out / MODELS, bar.show), out / folder)
@@ -172,7 +169,7 @@ def _folders_to_time(study: "Study", campaigns: Mapping[str, "Campaign"], out: P
 
 def _check_campaign(campaign: "Campaign", source: str, ledger: Path) -> None:
     """Refuse a campaign of a file that names what does not exist, or whose ledger holds another one."""
-    from mavfi.campaign.mission import check_names
+    from mavfi.campaign.begin import check_names
 
     check_names(campaign, source)
     _check_ledger(campaign, ledger)
@@ -181,8 +178,7 @@ def _check_campaign(campaign: "Campaign", source: str, ledger: Path) -> None:
 def _check_ledger(campaign: "Campaign", folder: Path) -> None:
     """Reject a folder that holds another campaign, before training or writing anything."""
     from mavfi.campaign.fingerprint import differences
-    from mavfi.campaign.mission import scenarios_of
-    from mavfi.campaign.plan import arms_of
+    from mavfi.campaign.resolve import resolve
     from mavfi.campaign.run import identity_of
     from mavfi.campaign.store import FILE, Store
 
@@ -190,7 +186,7 @@ def _check_ledger(campaign: "Campaign", folder: Path) -> None:
         return
     with Store.open(folder) as store:
         stored = store.meta("identity")
-    wanted = identity_of(campaign, scenarios_of(campaign, arms_of(campaign)), {})
+    wanted = identity_of(resolve(campaign).with_scenarios())
     # without the models, which may still have to be trained
     keys = ("campaign", "scenarios")
     differing = differences({key: stored.get(key) for key in keys}, {key: wanted.get(key) for key in keys})

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.fingerprint import processor
-from mavfi.campaign.plan import arms_of
+from mavfi.campaign.resolve import resolve as resolve_campaign
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError, write_text
 from mavfi.extras.paper.overhead_views import ALL, FILE
@@ -263,7 +263,7 @@ def measure(
         BadInputError: No arm has a detector, or a mission cannot be flown.
     """
     # the flights: each seed in each environment with each detector
-    arms = [arm for arm in arms_of(campaign) if arm.detector]
+    arms = [arm for arm in resolve_campaign(campaign).arms if arm.detector]
     if not arms:
         raise BadInputError(f"campaign {campaign.name}: arms: none has a detector; needed: one at least")
     seeds = range(campaign.first_seed, campaign.first_seed + missions)

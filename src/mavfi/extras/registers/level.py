@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import ACCESSES, MAX_WALK, Fault, RegisterFault
 from mavfi.faults.sampling import stream
+from mavfi.levels.campaign import SampledCampaign
 from mavfi.levels.level import Draw, Golden, Level, Sampler, Sampling, check_distinct, check_known
 
 PATIENCE_S = 20.0
@@ -43,7 +44,7 @@ class RegisterSampler(Sampler):
     alternates = True
     draws_together = False
 
-    def __init__(self, campaign: Any) -> None:
+    def __init__(self, campaign: SampledCampaign) -> None:
         super().__init__(campaign)
         self.targets = dict.fromkeys(self.sampling.registers, {"": 1.0})
 
@@ -101,6 +102,6 @@ class RegisterLevel(Level):
         """See `Level.columns`."""
         return {"register": fault.registers, "symbol": fault.symbol, "kernel": fault.node}
 
-    def about(self, campaign: Any) -> dict[str, Any]:
+    def about(self, campaign: SampledCampaign) -> dict[str, Any]:
         """See `Level.about`."""
         return {"each": "kind of registers", "how": "uniform over the firmware's instructions"}

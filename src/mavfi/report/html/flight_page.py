@@ -20,6 +20,7 @@ from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.host import ArmSetup, Flight
 from mavfi.mission import MissionSpec, MissionStatus, Scenario
 from mavfi.record import FlightLog
+from mavfi.report.compared_flights import ComparedFlights
 from mavfi.report.explain import (
     Story,
     around,
@@ -31,7 +32,6 @@ from mavfi.report.explain import (
     steps,
     verdict,
 )
-from mavfi.report.flight_result import FlightResult
 from mavfi.report.html import page
 from mavfi.report.html.page import AFTER, BEFORE, encoded
 from mavfi.sim.environments import World
@@ -219,7 +219,7 @@ FAULT = "with the fault"
 NO_FAULT = "golden run"
 
 
-def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, command: str) -> FlightPage:
+def page_of_result(result: ComparedFlights, setup: ArmSetup, bare: Scenario, command: str) -> FlightPage:
     """Build the page of a flight requested by `mavfi fly`.
 
     Args:

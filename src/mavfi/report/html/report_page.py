@@ -505,14 +505,14 @@ def write_html(
 
 def _cases(campaigns: Sequence[ReportedCampaign], most: int) -> list[Case]:
     """Select runs for the page: campaigns in turn, most illustrative runs first; only those that can be explained."""
-    from mavfi.campaign.mission import host_of
     from mavfi.campaign.replay import explained_levels
+    from mavfi.campaign.resolve import resolve
 
     # the runs of each campaign, the most illustrative first
     candidates = []
     for campaign in campaigns:
         with Store.open(campaign.directory) as store:
-            levels = explained_levels(host_of(stored_campaign(store)))
+            levels = explained_levels(resolve(stored_campaign(store)).host)
         explainable = campaign.report.runs.frame.filter(pl.col("level").is_in(levels))
         candidates.append([(run_id, campaign) for run_id in ordered(explainable)[:most]])
     # campaigns in turn; a run may be in several of them

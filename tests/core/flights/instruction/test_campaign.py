@@ -16,11 +16,11 @@ import pytest
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.replay import replay
-from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.cli import run
 from mavfi.outcomes import DUE
 from mavfi.record import plain
+from tests.campaigns import run_campaign
 
 pytestmark = pytest.mark.slow
 

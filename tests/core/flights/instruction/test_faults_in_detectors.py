@@ -10,7 +10,6 @@ from mavfi.analysis.runs import Runs
 from mavfi.analysis.views import table
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign
 from mavfi.detectors import load_detector
 from mavfi.detectors.acceptance import AcceptanceTest
 from mavfi.detectors.detector import Chain, part_of
@@ -24,6 +23,7 @@ from mavfi.flight.restarts import Restarts
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import DETECTORS, new_state
+from tests.campaigns import run_campaign
 from tests.core.unit.detectors.streams import LIMITS, command
 from tests.core.unit.detectors.test_registry import FITS
 

@@ -3,8 +3,8 @@
 import pytest
 
 from mavfi.campaign.config import Campaign, load_campaign
-from mavfi.campaign.mission import MissionPlan, model_hashes, scenarios_of
-from mavfi.campaign.plan import arms_of
+from mavfi.campaign.mission import MissionPlan
+from mavfi.campaign.resolve import resolve
 from mavfi.campaign.warm_up import warm_up
 from mavfi.faults.levels.instruction import variant
 from mavfi.faults.levels.instruction.build import Built, cached_build
@@ -44,8 +44,7 @@ def test_every_function_into_which_a_campaign_injects_has_planned_memory(
     monkeypatch.setattr(variant, "cached_build", noted)
     monkeypatch.setattr(variant, "_variants", {})
     monkeypatch.setattr(variant, "_variants_by_key", {})
-    models = model_hashes(campaign, scenarios_of(campaign, arms_of(campaign)), None)
-    warm_up(MissionPlan(campaign, campaign.environments[0], campaign.first_seed, models=models))
+    warm_up(MissionPlan(resolve(campaign).with_models(), campaign.environments[0], campaign.first_seed))
     assert isinstance(campaign.sampling, InstructionSampling)
     assert len(seen) >= len(campaign.sampling.kernels)
     assert [built.wrapper for built in seen if not built.owned] == []

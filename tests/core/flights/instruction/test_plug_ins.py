@@ -9,7 +9,6 @@ from mavfi.analysis import published
 from mavfi.analysis.runs import describe
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.cli import run
 from mavfi.errors import BadInputError
@@ -23,6 +22,7 @@ from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from mavfi.levels.level import parse, text_of
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.numerics.jit import KernelDispatcher
+from tests.campaigns import run_campaign
 from tests.core.flights import plug_ins
 from tests.core.flights.plug_ins import Largest
 

@@ -2,7 +2,7 @@ import pytest
 
 from mavfi.analysis.runs import Runs
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import small
 
 

@@ -4,8 +4,8 @@ import pytest
 import yaml
 
 from mavfi.campaign.config import Campaign, load_campaign
-from mavfi.campaign.mission import plan_of
-from mavfi.campaign.plan import arms_of
+from mavfi.campaign.plan import Plan
+from mavfi.campaign.resolve import resolve
 from mavfi.config import config_root, parse
 from mavfi.errors import BadInputError
 from mavfi.mission import MissionSpec
@@ -29,7 +29,7 @@ def instructions(*kernels, **changes):
 
 
 def count(campaign) -> int:
-    return plan_of(campaign, {}, {}).count()
+    return Plan(resolve(campaign)).count()
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -174,7 +174,7 @@ def test_the_plain_data_of_a_campaign_depend_on_what_is_flown():
     stored = {**BASE, "mission": {"stack": "hardened"}, "arms": {"x": {"mission": {"stack": "published"}}}}
     newer = {**BASE, "mission": {"autopilot": "hardened"}, "arms": {"x": {"mission": {"autopilot": "published"}}}}
     assert parse(Campaign, stored, "ledger", stored=True).to_json() == parse(Campaign, newer, "file").to_json()
-    assert [arm.name for arm in arms_of(small())] == ["", "gaussian"]
+    assert [arm.name for arm in resolve(small()).arms] == ["", "gaussian"]
 
 
 # ---- parts -------------------------------------------------------------------------------------------------------

@@ -11,10 +11,11 @@ import pytest
 from mavfi.campaign import log as log_module
 from mavfi.campaign import run as session_module
 from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.log import FILE, Log
-from mavfi.campaign.run import run_campaign, versions
 from mavfi.campaign.store import Store
 from mavfi.errors import MachineError
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import TROUBLE, deaths, failures, small
 
 TOTAL = 2 * (2 * (4 + 18) + 3)

@@ -8,9 +8,9 @@ import pytest
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.ledger import merge, status
 from mavfi.campaign.plan import WHOLE, Shard
-from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import TROUBLE, small
 from tests.core.unit.campaign.test_run import TOTAL, digest, stop_at
 

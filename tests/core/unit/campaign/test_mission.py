@@ -10,6 +10,7 @@ from mavfi.campaign import alone
 from mavfi.campaign.alone import ATTEMPTS_ALONE
 from mavfi.campaign.mission import MissionPlan, fly_mission
 from mavfi.campaign.plan import CompletedRun, Planned
+from mavfi.campaign.resolve import resolve
 from mavfi.errors import MachineError
 from mavfi.ir.forked import WALL_CLOCK, ChildEnd
 from mavfi.record import End
@@ -17,7 +18,7 @@ from tests.core.unit.analysis.handmade import injected
 from tests.core.unit.campaign import fakes
 from tests.core.unit.campaign.fakes import DEADLY, TROUBLE, deaths, small
 
-MISSION = MissionPlan(small(), "sparse", DEADLY)
+MISSION = MissionPlan(resolve(small()), "sparse", DEADLY)
 
 
 def flown(mission):

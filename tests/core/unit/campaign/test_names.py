@@ -1,6 +1,6 @@
 import pytest
 
-from mavfi.campaign.mission import check_names
+from mavfi.campaign.begin import check_names
 from mavfi.errors import BadInputError
 from mavfi.plugins import NotAllowedError
 from tests.core.unit.campaign.fakes import small

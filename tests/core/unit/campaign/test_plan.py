@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavfi.campaign.plan import Plan, RunSpec, Shard, arms_of, model_of
+from mavfi.campaign.plan import Plan, RunSpec, Shard
+from mavfi.campaign.resolve import resolve
 from mavfi.faults.fault import FaultSite, InstructionFault, MessageFault, RegisterFault, StateFault
 from mavfi.flight.host import Flight
-from mavfi.levels.level import NULL, Sampled, sampler_for
+from mavfi.levels.level import NULL, Sampled
 from mavfi.record import Profile
 from mavfi.states import STATES
 from tests.core.unit.campaign.fakes import DETECTOR, golden_profile, small
@@ -29,9 +30,9 @@ few = settings(max_examples=15)
 
 
 def plan_for(campaign) -> Plan:
-    arms = arms_of(campaign)
+    arms = resolve(campaign).arms
     scenarios = {(name, arm.name): f"{KEYS[name]} {arm.name}" for name in campaign.environments for arm in arms}
-    return Plan(campaign, sampler_for(campaign), arms, scenarios, {"gaussian": "abc"})
+    return Plan(resolve(campaign, models={"gaussian": "abc"}, scenario_keys=scenarios))
 
 
 def golden_of(seed):
@@ -53,11 +54,11 @@ def planned(campaign, lost=()):
 def mission_runs(plan, environment, seed, golden):
     places = list(plan.positioned_draws(environment, seed))
     draws = [draw for _, draw in places if draw.target != NULL]
-    drawn = iter(plan.sampler.draw(draws, environment, golden))
+    drawn = iter(plan.campaign.sampler.draw(draws, environment, golden))
     found = []
     for place, draw in places:
         null = draw.target == NULL
-        fault = plan.sampler.null(draw.index, draw.seed, environment, golden) if null else next(drawn)
+        fault = plan.campaign.sampler.null(draw.index, draw.seed, environment, golden) if null else next(drawn)
         found += plan.injected(environment, draw, place, fault)
     return found
 
@@ -231,6 +232,6 @@ def test_shards_share_the_runs(missions, faults, nulls, shards):
 
 
 def test_the_model_of_an_arm_may_depend_on_the_part():
-    held = {"sparse/gaussian": "of sparse", "other": "of all"}
-    assert model_of(held, "sparse", "gaussian") == "of sparse"
-    assert model_of(held, "dense", "other") == "of all" and model_of(held, "dense", "gaussian") == ""
+    campaign = resolve(small(), models={"sparse/gaussian": "of sparse", "other": "of all"})
+    assert campaign.model("sparse", "gaussian") == "of sparse"
+    assert campaign.model("dense", "other") == "of all" and campaign.model("dense", "gaussian") == ""

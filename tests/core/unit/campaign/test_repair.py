@@ -7,9 +7,9 @@ import pytest
 
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.ledger import DAMAGED, repair
-from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import FILE, Store
 from mavfi.cli import run
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import small
 
 

@@ -2,17 +2,18 @@ import shutil
 
 import pytest
 
-from mavfi.campaign import mission as mission_module
-from mavfi.campaign.replay import replay, setup_of_run
-from mavfi.campaign.run import run_campaign
+from mavfi.campaign.replay import replay, resolve_stored, setup_of_run
 from mavfi.campaign.store import Store
+from mavfi.detectors.registry import Loaded
 from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.extras.hardening.plan import load_plan, save_plan
+from mavfi.flight import compose
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import TROUBLE, FakeDetector, OneByOne, small
 
 
 def planned_with_a_model(monkeypatch, sha):
-    monkeypatch.setattr(mission_module, "detector_for", lambda *_: (FakeDetector(), sha))
+    monkeypatch.setattr(compose, "detector_for", lambda *_: Loaded(FakeDetector(), sha))
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +78,7 @@ def test_runs_are_flown_again_with_the_plan_of_the_ledger(protected, tmp_path):
         for ledger in (directory, tmp_path / "there"):
             with Store.open(ledger) as store:
                 found = next(run for run in store.runs() if run.spec.setting == "fi_safe")
-                _, setup = setup_of_run(store, found.spec)
+                setup = setup_of_run(resolve_stored(store), store, found.spec)
                 assert setup.scenario.protection == load_plan("ten_percent").bare
                 assert setup.scenario.seed == found.spec.seed
             assert replay(ledger, found.spec.run_id).same

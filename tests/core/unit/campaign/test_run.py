@@ -15,19 +15,21 @@ import pytest
 import yaml
 
 from mavfi.campaign import fingerprint
-from mavfi.campaign import mission as mission_module
+from mavfi.campaign import resolve as resolve_module
 from mavfi.campaign import run as run_module
+from mavfi.campaign.begin import begin
 from mavfi.campaign.executors.executor import Done
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.ledger import merge, status, stored_campaign
-from mavfi.campaign.mission import plan_of
-from mavfi.campaign.plan import Shard
+from mavfi.campaign.plan import Plan, Shard
 from mavfi.campaign.replay import verify
-from mavfi.campaign.run import run_campaign
+from mavfi.campaign.resolve import resolve
 from mavfi.campaign.store import Store
+from mavfi.detectors.registry import Loaded
 from mavfi.errors import BadInputError, MachineError, SpecMismatchError
-from mavfi.levels.level import sampler_for
+from mavfi.flight import compose
 from mavfi.record import End
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import (
     BROKEN,
     DEADLY,
@@ -151,9 +153,9 @@ def with_model(monkeypatch, sha=None):
     """Detectors have a model now, whose sha256 is the name of its folder."""
 
     def found(scenario, name, profile, models_dir=None, trained_for="", options=None):
-        return FakeDetector(), sha or (models_dir.name if models_dir else "shipped")
+        return Loaded(FakeDetector(), sha or (models_dir.name if models_dir else "shipped"))
 
-    monkeypatch.setattr(mission_module, "detector_for", found)
+    monkeypatch.setattr(compose, "detector_for", found)
 
 
 def test_another_campaign_or_model_is_refused(flown, tmp_path, monkeypatch):
@@ -202,10 +204,10 @@ def test_runs_know_the_model_that_they_fly_with_and_workers_refuse_another(tmp_p
     with Store.open(tmp_path / "out") as store:
         assert {(run.spec.arm, run.spec.model) for run in store.runs()} == {("", ""), ("gaussian", "mine")}
         assert store.meta("models_dir") == str(tmp_path / "mine")
-    monkeypatch.setattr(run_module, "model_hashes", lambda *_: {"gaussian": "mine"})
-    monkeypatch.setattr(mission_module, "detector_for", lambda *_: (FakeDetector(), "trained since"))
+    begun = begin(small(), tmp_path / "other", models_dir=tmp_path / "mine")
+    with_model(monkeypatch, "trained since")
     with pytest.raises(SpecMismatchError, match="arm gaussian: planned with the model mine, but .*mine holds trained"):
-        flown_into(tmp_path / "other", models_dir=tmp_path / "mine")
+        run_module.run_campaign(begun, tmp_path / "other")
     with Store.open(tmp_path / "other") as store:
         assert {run.record.end for run in store.runs(done=True)} <= {End.FLOWN}, "nothing is recorded of such a flight"
 
@@ -227,7 +229,7 @@ def test_another_python_resumes_faults_in_states_but_not_in_instructions(tmp_pat
             flown_into(tmp_path / name, campaign, progress=stop_at(3))
     later = SimpleNamespace(python_version_tuple=lambda: ("3", "99", "0"))
     monkeypatch.setattr("mavfi.levels.instruction.platform", later)
-    mission_module._SAMPLERS.clear()
+    resolve_module._NAMES.clear()
     assert flown_into(tmp_path / "state").complete
     with pytest.raises(BadInputError, match=r"was begun with python 3\.\d+, here is 3.99; runs cannot be mixed"):
         flown_into(tmp_path / "instruction", instructions)
@@ -449,7 +451,7 @@ def test_an_extended_shard_can_be_merged(tmp_path):
 def test_what_is_drawn_together_is_extended_by_missions_only():
     def drawn(missions, faults, grown=()):
         campaign = small(missions=missions, faults=faults, grown=grown, null_runs=0, sampling=INSTRUCTIONS, arms={})
-        sampler = sampler_for(campaign)
+        sampler = resolve(campaign).sampler
         return [sampler.basis("sparse", sampler.blocks("sparse")[0].draw(index)) for index in range(2)]
 
     begun = [{"missions": 2, "faults": 2}]
@@ -481,10 +483,10 @@ def test_the_campaign_that_init_writes_grows_in_faults_and_missions(tmp_path):
     assert seeds == [0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 6, 0, 1, 2, 3, 4], "new missions come first"
     assert [strata[a:b].count("mantissa") for a, b in ((0, 8), (8, 11), (11, 17))] == [3, 1, 2]
     assert len({(spec.seed, spec.fault) for spec in specs}) == 17
-    sampler = sampler_for(start)
+    sampler = resolve(start).sampler
     keys = [(seed, sampler.repetition(index)) for index, seed in enumerate(seeds)]
     assert len(set(keys)) == 17, "every fault has a random stream of its own"
-    plan = plan_of(start, {}, {})
+    plan = Plan(resolve(start))
     assert sum(plan.count(Shard(number, 3)) for number in (1, 2, 3)) == plan.count()
 
 

@@ -2,13 +2,15 @@
 
 import pytest
 
+from mavfi.campaign.begin import begin
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.executor import Done
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.mission import flights_of, plan_of, scenarios_of, share
-from mavfi.campaign.plan import arms_of
-from mavfi.campaign.run import run_campaign, run_campaigns
+from mavfi.campaign.mission import flights_of, share
+from mavfi.campaign.resolve import resolve
+from mavfi.campaign.run import run_campaigns
 from mavfi.campaign.store import Store
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import DETECTOR, TROUBLE, OneByOne, deaths, small
 
 
@@ -38,8 +40,7 @@ def digests(folders):
 
 
 def flights(name, environment):
-    campaign = load_campaign(name)
-    return flights_of(plan_of(campaign, {}, scenarios_of(campaign, arms_of(campaign))), environment)
+    return flights_of(resolve(load_campaign(name)).with_scenarios(), environment)
 
 
 def test_missions_share_golden_flights_unless_one_of_these_differs():
@@ -73,9 +74,8 @@ def alone(tmp_path_factory):
 
 def together(folder, executor=None, **options):
     """Fly all campaigns; returns the digests of their ledgers."""
-    run_campaigns(
-        {folder / name: one for name, one in CAMPAIGNS.items()}, executor=executor or LocalExecutor(2), **options
-    )
+    campaigns = {folder / name: begin(campaign, folder / name) for name, campaign in CAMPAIGNS.items()}
+    run_campaigns(campaigns, executor=executor or LocalExecutor(2), **options)
     return digests(folder / name for name in CAMPAIGNS)
 
 

@@ -4,7 +4,6 @@ import pytest
 
 from mavfi.analysis.runs import Runs
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign
 from mavfi.campaign.shrink import shrink
 from mavfi.campaign.store import Store
 from mavfi.cli import run
@@ -15,6 +14,7 @@ from mavfi.faults.strata import WORD_BITS
 from mavfi.levels.level import parse, text_of
 from mavfi.levels.state import change_of
 from mavfi.states import STATES
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import fly, small
 
 
@@ -33,7 +33,7 @@ def lost(directory):
 
 
 def test_the_smallest_fault_loses_the_mission_and_no_smaller_one_does(directory, lost):
-    from mavfi.campaign.replay import setup_of_run
+    from mavfi.campaign.replay import resolve_stored, setup_of_run
 
     for run_id in lost:
         found = shrink(directory, run_id)
@@ -41,7 +41,7 @@ def test_the_smallest_fault_loses_the_mission_and_no_smaller_one_does(directory,
         assert found.smallest.lost and (smallest.times, smallest.width) == (1, 1)
         assert (smallest.where, smallest.time_us) == (original.where, original.time_us), "the same site and instant"
         with Store.open(directory) as store:
-            _, setup = setup_of_run(store, found.spec)
+            setup = setup_of_run(resolve_stored(store), store, found.spec)
         dtype, before = STATES[smallest.where.state].find(smallest.where.field).dtype, found.smallest.injection.before
         size = change_of(before, dtype, smallest.bit)
         for bit in range(WORD_BITS[dtype]):

@@ -5,9 +5,9 @@ import json
 import pytest
 
 from mavfi.campaign.replay import Verification, verify
-from mavfi.campaign.run import run_campaign
 from mavfi.cli import run
 from mavfi.errors import BadInputError
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import TROUBLE, small
 
 

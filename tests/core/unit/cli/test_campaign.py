@@ -161,7 +161,7 @@ def test_digest_is_the_same_when_run_again(capsys, config, flown):
 def test_the_digest_of_a_part_says_that_it_is_one(capsys, tmp_path, flown, config):
     from mavfi.campaign.config import load_campaign
     from mavfi.campaign.ledger import status
-    from mavfi.campaign.run import run_campaign
+    from tests.campaigns import run_campaign
     from tests.core.unit.campaign.fakes import OneByOne
 
     def stop(progress):

@@ -5,12 +5,12 @@ import sys
 import pytest
 import yaml
 
+from mavfi.campaign.begin import check_names
 from mavfi.campaign.config import Scale, load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.mission import check_names
-from mavfi.campaign.run import run_campaign
 from mavfi.cli import run
 from mavfi.cli.init import SCHEMAS, templates
+from tests.campaigns import run_campaign
 
 GOAL = (12.0, 0.0, 3.0)
 """Near the start, so that flights are short (m)."""

@@ -8,9 +8,9 @@ import polars as pl
 import pytest
 
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.cli import run
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import small
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mavfi.campaign.plan import arms_of
+from mavfi.campaign.resolve import resolve as resolve_campaign
 from mavfi.detectors import load_detector
 from mavfi.detectors.autoencoder import AutoencoderDetector
 from mavfi.detectors.detector import NoDetector
@@ -150,4 +150,4 @@ def test_a_detector_of_ones_own_brings_its_recovery():
     with pytest.raises(BadInputError, match=r"Other': recovery: .*allowed: values of coupling, grain, "):
         mission_keys(f"{__name__}:Other")
     campaign = small(arms={"mine": {"detector": name, "answer_s": 1.0}}, host="local")
-    assert arms_of(campaign)[-1].overrides == {"same_twice": "limit", "grain": "message", "answer_s": 1.0}
+    assert resolve_campaign(campaign).arms[-1].overrides == {"same_twice": "limit", "grain": "message", "answer_s": 1.0}

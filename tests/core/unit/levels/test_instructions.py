@@ -6,13 +6,15 @@ from types import SimpleNamespace
 import pytest
 
 from mavfi.campaign.mission import MissionPlan, fly_mission
-from mavfi.campaign.plan import Plan, arms_of
+from mavfi.campaign.plan import Plan
+from mavfi.campaign.resolve import resolve
+from mavfi.detectors.registry import Loaded
 from mavfi.faults.fault import NO_SITE, InstructionFault
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.targets import InjectionTarget
 from mavfi.levels import instruction
 from mavfi.levels.instruction import DrawnFaults, InstructionRequest, InstructionSampling
-from mavfi.levels.level import draws_of, sampler_for
+from mavfi.levels.level import draws_of
 from tests.core.unit.campaign import fakes
 from tests.core.unit.campaign.fakes import DETECTOR, small
 
@@ -59,7 +61,7 @@ def flown(c):
     specs, golden = [], {}
     for environment in c.environments:
         for seed in c.seeds:
-            planned, *rest = fly_mission(MissionPlan(c, environment, seed))
+            planned, *rest = fly_mission(MissionPlan(resolve(c), environment, seed))
             ids = {spec.run_id: spec for spec in planned.specs}
             for item in rest:
                 if hasattr(item, "specs"):
@@ -71,7 +73,7 @@ def flown(c):
 
 def draws_in(campaign, environment):
     """All faults, in the order of the plan."""
-    blocks = sampler_for(campaign).blocks(environment)
+    blocks = resolve(campaign).sampler.blocks(environment)
     return [draw for _, draw in draws_of(blocks, range(campaign.missions))]
 
 
@@ -79,7 +81,7 @@ def draws_in(campaign, environment):
 def test_every_place_is_taken_and_every_arm_flies_every_fault(share):
     c = campaign(share)
     runs, golden = flown(c)
-    assert Plan(c, sampler_for(c), arms_of(c), {}, {}).count() == len(golden) + len(runs)
+    assert Plan(resolve(c)).count() == len(golden) + len(runs)
     assert sorted(run.position for run in [*golden, *runs]) == list(range(len(golden) + len(runs)))
     faults = {}
     for run in runs:
@@ -104,7 +106,7 @@ def test_kernels_of_a_stage_share_its_faults_equally_and_are_not_tied_to_mission
 def test_planners_that_are_not_flown_have_missions_of_their_own(requests):
     c = campaign("kernel", kernels=[*PLANNERS, "pid"], arms={}, environments=["sparse"], faults=3)
     runs, golden = flown(c)
-    assert [arm.name for arm in arms_of(c)] == ["", "rrt", "rrt_star"]
+    assert [arm.name for arm in resolve(c).arms] == ["", "rrt", "rrt_star"]
     assert {(run.arm, run.target) for run in runs} == {
         ("", "rrt_connect"),
         ("", "pid"),
@@ -123,7 +125,7 @@ def test_planners_that_are_not_flown_have_missions_of_their_own(requests):
 # ---- faults in detectors -----------------------------------------------------------------------------------------
 def with_detectors(monkeypatch, **changes):
     """Arms whose detector can be injected; the detector itself is made up."""
-    monkeypatch.setattr("mavfi.campaign.mission.detector_for", lambda *_: (fakes.FakeDetector(), ""))
+    monkeypatch.setattr("mavfi.flight.compose.detector_for", lambda *_: Loaded(fakes.FakeDetector(), ""))
     arms = {"watched": {"detector": "gaussian"}, "other": {"detector": DETECTOR}}
     kernels = changes.pop("kernels", ("pid", "gaussian"))
     return campaign("kernel", kernels, **{"arms": arms, "environments": ["sparse"], **changes})
@@ -139,7 +141,7 @@ def test_a_fault_in_a_detector_is_flown_in_its_arm_alone(monkeypatch, requests):
         ("pid", "dr_other"): 9,
         ("gaussian", "dr_watched"): 9,
     }
-    assert Plan(c, sampler_for(c), arms_of(c), {}, {}).count() == len(golden) + len(runs)
+    assert Plan(resolve(c)).count() == len(golden) + len(runs)
     positions = [run.position for run in [*golden, *runs]]
     assert len(set(positions)) == len(positions)
 

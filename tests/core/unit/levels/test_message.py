@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.config import Campaign
+from mavfi.campaign.resolve import resolve
 from mavfi.faults.fault import NO_SITE, StateFault
 from mavfi.flight.host import Flight
-from mavfi.levels.level import Sampled, parse, sampler_for
+from mavfi.levels.level import Sampled, parse
 from mavfi.levels.message import MessageLevel
 from mavfi.record import Profile
 from mavfi.states import PPC_STAGES, STATES
@@ -23,7 +24,7 @@ def campaign(**sampling):
 
 
 def drawn(of, profile=PROFILE):
-    sampler = sampler_for(of)
+    sampler = resolve(of).sampler
     found = []
     for block in sampler.blocks("sparse"):
         draws = [block.draw(index) for index in range(block.count)]
@@ -51,7 +52,7 @@ def test_each_state_of_the_pipeline_has_its_faults_by_default_or_none_without_a_
 
 
 def test_null_runs_have_an_empty_mask():
-    null = sampler_for(campaign()).null(1, 5, "sparse", {"": Sampled(Flight(None, PROFILE))})
+    null = resolve(campaign()).sampler.null(1, 5, "sparse", {"": Sampled(Flight(None, PROFILE))})
     assert isinstance(null, StateFault) and null.is_null and null.where.state.startswith("planning.")
 
 

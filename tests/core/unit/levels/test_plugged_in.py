@@ -10,7 +10,6 @@ import pytest
 from mavfi import plugins
 from mavfi.analysis.runs import Runs, drawn
 from mavfi.api import fly
-from mavfi.campaign.run import run_campaign
 from mavfi.campaign.shrink import shrink
 from mavfi.cli import run
 from mavfi.config import parse as parse_config
@@ -22,6 +21,7 @@ from mavfi.levels.level import Level, Sampler, Sampling, parse, text_of
 from mavfi.mission import MissionStatus
 from mavfi.record import Injection
 from mavfi.testing import LevelContract
+from tests.campaigns import run_campaign
 from tests.core.unit.campaign import fakes
 
 

@@ -5,11 +5,12 @@ from collections import Counter
 import pytest
 
 from mavfi.campaign.config import Campaign
+from mavfi.campaign.resolve import resolve
 from mavfi.config import parse
 from mavfi.errors import BadInputError
 from mavfi.faults.levels.sensor.fault import FAILING, UNITS
 from mavfi.flight.host import RunResult
-from mavfi.levels.level import Sampled, draws_of, sampler_for
+from mavfi.levels.level import Sampled, draws_of
 from mavfi.record import End, FlightRecord
 
 GOLDEN = {"": Sampled(RunResult(FlightRecord(End.FLOWN, flight_time_s=30.0)))}
@@ -21,7 +22,7 @@ def campaign(mission=None, **sampling):
 
 
 def faults(of, golden=GOLDEN):
-    sampler = sampler_for(of)
+    sampler = resolve(of).sampler
     return sampler.draw([draw for _, draw in draws_of(sampler.blocks("sparse"), range(4))], "sparse", golden)
 
 
@@ -42,7 +43,7 @@ def test_by_default_the_units_that_the_mission_reads():
 
 
 def test_a_null_run_changes_nothing_and_units_alternate():
-    sampler = sampler_for(campaign(units=["gyro", "motor"]))
+    sampler = resolve(campaign(units=["gyro", "motor"])).sampler
     nulls = [sampler.null(index, 10_000, "sparse", GOLDEN) for index in range(3)]
     assert [fault.unit for fault in nulls] == ["gyro", "motor", "gyro"] and {fault.kind for fault in nulls} == {"ok"}
     assert not sampler.null(0, 0, "sparse", {}).has_site

@@ -5,7 +5,7 @@ import pytest
 from mavfi.analysis.runs import Runs
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign
+from tests.campaigns import run_campaign
 
 
 @pytest.fixture(scope="session")

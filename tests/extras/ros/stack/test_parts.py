@@ -7,6 +7,7 @@ import pytest
 
 from mavfi.analysis.runs import drawn as describe_draws
 from mavfi.campaign.config import Campaign
+from mavfi.campaign.resolve import resolve
 from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros2.stack import launcher
 from mavfi.extras.ros.ros2.stack.config import StackConfig
@@ -14,7 +15,7 @@ from mavfi.extras.ros.ros2.stack.outputs import compare, status_of
 from mavfi.extras.ros.ros2.stack.sampling import MessageNumbers, TopicMessages
 from mavfi.extras.ros.ros2.stack.watching import Publication, alarms_of, train
 from mavfi.flight.host import RunResult
-from mavfi.levels.level import Sampled, sampler_for
+from mavfi.levels.level import Sampled
 from mavfi.record import End, FlightRecord
 from mavfi.testing import HostContract
 
@@ -50,7 +51,7 @@ def golden():
 
 def drawn(**sampling):
     made = campaign(**sampling)
-    sampler = sampler_for(made)
+    sampler = resolve(made).sampler
     draws = [block.draw(index) for block in sampler.blocks("node") for index in range(block.count)]
     return made, sampler.draw(draws, "node", golden())
 

@@ -8,7 +8,6 @@ import yaml
 
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.cli import run
 from mavfi.errors import BadInputError
@@ -18,6 +17,7 @@ from mavfi.extras.ros.ros2.stack.bench_process import BenchClient
 from mavfi.extras.ros.ros2.stack.config import StackConfig
 from mavfi.faults.fault import MessageFault, RegisterFault
 from mavfi.faults.operations import parse_text
+from tests.campaigns import run_campaign
 from tests.core.architecture.source import ROOT
 
 EXAMPLE = ROOT / "examples" / "ros2"

@@ -17,6 +17,7 @@ from mavfi.extras.ros.ros2.stack.config import StackConfig
 from mavfi.faults.fault import Fault, MessageFault
 from mavfi.faults.operations import MESSAGE_OPERATIONS, Operation, PlannedChange, When, check_number_operation
 from mavfi.faults.sampling import stream
+from mavfi.levels.campaign import SampledCampaign
 from mavfi.levels.level import (
     Draw,
     Golden,
@@ -99,7 +100,7 @@ class StackSampler(Sampler):
     alternates = True
     draws_together = False
 
-    def __init__(self, campaign: Any) -> None:
+    def __init__(self, campaign: SampledCampaign) -> None:
         super().__init__(campaign)
         stack: StackConfig = campaign.under_test
         topics = self.sampling.topics or stack.topics
@@ -226,7 +227,7 @@ class StackMessageLevel(MessageLevel):
     sampling = StackSampling
     sampler = StackSampler
 
-    def about(self, campaign: Any) -> dict[str, Any]:
+    def about(self, campaign: SampledCampaign) -> dict[str, Any]:
         """See `Level.about`: the stack under test."""
         operations = ", ".join(campaign.sampling.operations)
         return _about(campaign, "topic", f"one fault per run, {operations}; uniform over messages and numbers")
@@ -235,7 +236,7 @@ class StackMessageLevel(MessageLevel):
 class StackRegisterLevel(RegisterLevel):
     """Faults in registers of a stack's processes."""
 
-    def about(self, campaign: Any) -> dict[str, Any]:
+    def about(self, campaign: SampledCampaign) -> dict[str, Any]:
         """See `Level.about`: the stack under test."""
         sampling = campaign.sampling
         start = "from an input on"
@@ -245,7 +246,7 @@ class StackRegisterLevel(RegisterLevel):
         return _about(campaign, "kind of registers", how)
 
 
-def _about(campaign: Any, each: str, how: str) -> dict[str, Any]:
+def _about(campaign: SampledCampaign, each: str, how: str) -> dict[str, Any]:
     """What is under test, and how faults are drawn."""
     commands = "; ".join(" ".join(command) for command in campaign.under_test.commands)
     title = f"campaign {campaign.name} · ROS 2 stack {', '.join(campaign.environments)}"

@@ -1,0 +1,114 @@
+"""A campaign before its first flight: its names are checked, and it is resolved as its ledger has begun it."""
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from mavfi.campaign.config import Campaign
+from mavfi.campaign.extension import as_grown
+from mavfi.campaign.ledger import ORDERED
+from mavfi.campaign.resolve import Arm, ResolvedCampaign, resolve
+from mavfi.campaign.store import held
+from mavfi.config import STORED
+from mavfi.detectors.registry import check_detector
+from mavfi.errors import BadInputError
+from mavfi.flight.compose import with_keys_of
+from mavfi.flight.host import require_level
+from mavfi.mission import MissionSpec
+
+
+def begin(
+    campaign: Campaign, directory: Path, *, models_dir: Path | None = None, extend: bool = False
+) -> ResolvedCampaign:
+    """Resolve a campaign that is flown into a ledger, new or begun.
+
+    Args:
+        campaign: The campaign.
+        directory: Folder of the ledger.
+        models_dir: Folder of trained models; None = that of the ledger, or the shipped ones.
+        extend: Whether the ledger may be that of a smaller campaign, whose runs are kept; see `campaign.extension`.
+
+    Raises:
+        BadInputError: A name is unknown, options are incompatible, or a model is absent or does not match.
+    """
+    begun = _as_begun(campaign.without_requirements(), directory, extend=extend)
+    resolved = resolve(begun, models_dir or _models_dir(directory))
+    require_level(resolved.host, begun.sampling.level)
+    return resolved.with_models()
+
+
+def _as_begun(campaign: Campaign, directory: Path, *, extend: bool) -> Campaign:
+    """The campaign with sizes that its ledger has had, and its keys in the order of it.
+
+    Both determine draws and positions of runs.
+    """
+    with suppress(ValueError):  # no ledger, or damage, which is reported when the ledger is opened
+        begun = Campaign.model_validate_json(held(directory, ORDERED) or "", context=STORED)
+        campaign = as_grown(begun, campaign, extend=extend)
+        if begun == campaign:
+            return begun
+    return campaign
+
+
+def _models_dir(directory: Path) -> Path | None:
+    """Folder of models with which a ledger was begun; None = the shipped ones, or there is no ledger."""
+    path: str | None = held(directory, "models_dir")
+    if path is None:
+        return None
+    return directory / path
+
+
+def check_names(campaign: Campaign, source: str) -> None:
+    """Check that everything a campaign names exists, before its first flight.
+
+    Args:
+        campaign: The campaign.
+        source: Its file, for messages.
+
+    Raises:
+        BadInputError: Something does not exist, or cannot be combined; the message names the source, and the key.
+    """
+    resolved = resolve(campaign)
+    with _named(source, [("host", campaign.host, "host")]):
+        host = resolved.host
+    for arm in resolved.arms:
+        if arm.detector:
+            with_keys_of(MissionSpec(), arm.detector)
+            keys = f"arms.{arm.name}"
+            named = [
+                ("detector", arm.detector, f"{keys}.detector"),
+                ("detector profile", arm.profile, f"{keys}.profile"),
+            ]
+            with _named(source, named):
+                check_detector(arm.detector, arm.profile)
+        for environment in campaign.environments:
+            spec = resolved.spec(environment, arm)
+            options = [(name.replace("_", " "), value, _key(campaign, environment, arm, name)) for name, value in spec]
+            with _named(source, options):
+                host.resolve(spec)
+
+
+@contextmanager
+def _named(source: str, values: Iterable[tuple[str, object, str]]) -> Iterator[None]:
+    """Errors name the source, and of a value, given with the word for it, the key that has it."""
+    try:
+        yield
+    except BadInputError as error:
+        text = str(error)
+        for word, value, key in values:
+            if text.startswith(f"{word} {value!r}: "):
+                text = f"key {key!r}: {text.removeprefix(word).lstrip()}"
+                break
+        raise type(error)(f"{source}: {text}") from None
+
+
+def _key(campaign: Campaign, environment: str, arm: Arm, name: str) -> str:
+    """The key of a campaign from which a mission has its value."""
+    part = campaign.parts.get(environment)
+    if part is not None and getattr(part, name, None) is not None:
+        return f"parts.{environment}.{name}"
+    if name == "environment":
+        return "environments"
+    if arm.name and name in arm.overrides:
+        return f"arms.{arm.name}.{name}"
+    return f"mission.{name}"
