@@ -24,6 +24,7 @@ from pathlib import Path
 from mavfi.cli.console import MAX_LINE_LENGTH, one_line
 from mavfi.errors import BadInputError
 from tests.nightly.chaos import say
+from tests.nightly.mutations import changed, mangled
 
 LONGEST_S = 10
 MEMORY = 1 << 30
@@ -99,8 +100,10 @@ def _observed(reader, path, streams, folder):
 
 
 def content_of(reader, seeds, seed, number):
-    """The content of an input."""
-    return reader.mutate(random.Random(f"{seed}/{reader.name}/{number}"), seeds)
+    """The content of an input: structure is changed first, then in one of five cases bytes."""
+    draw = random.Random(f"{seed}/{reader.name}/{number}")
+    data = reader.encode(changed(draw.choice(seeds), draw, seeds, reader.raw))
+    return mangled(data, draw) if draw.random() < 0.2 else data
 
 
 # ---- batches -------------------------------------------------------------------------------------------------------

@@ -1,10 +1,11 @@
-"""What careless and hostile hands do to a file: mutations of plain data, of text and of bytes.
+"""What careless and hostile hands do to a file: a mutation of plain data, which every format has, and one of bytes.
 
 Plain data may hold the words of `RAW`: what no writer of YAML or JSON writes takes their place in the text.
 """
 
 import copy
 import json
+import re
 import struct
 
 import yaml
@@ -116,14 +117,26 @@ def _bent(value, draw):
         return draw.choice((value * factor, value + 1, str(value), f"{value} m", [value], int(factor)))
     if isinstance(value, str):
         return draw.choice((value[:-1], value.upper(), value + draw.choice(TEXTS), 3))
+    if isinstance(value, bytes):
+        return draw.choice((value[:-1], value.upper(), value[::-1], value * 2))
     if isinstance(value, list):
         return draw.choice((value[1:], value * 2, value * 100, value[::-1], dict(enumerate(value))))
     return draw.choice(([value], str(value), {"x": value}, [value] * 300))
 
 
-def to_yaml(tree, flow=None):
+def words_of(data):
+    """Words and numbers of a text or of bytes, and what is between them."""
+    return re.split(rb"([\w.+-]+)", data)
+
+
+def joined(words):
+    """The text of words, some of which have become something else."""
+    return b"".join(word if isinstance(word, bytes) else str(word).encode() for word in words)
+
+
+def to_yaml(tree):
     """YAML text."""
-    text = yaml.dump(tree, Dumper=yaml.CSafeDumper, allow_unicode=True, default_flow_style=flow)
+    text = yaml.dump(tree, Dumper=yaml.CSafeDumper, allow_unicode=True)
     return _with_raw(text, RAW).encode("utf-8", "surrogatepass")
 
 
@@ -138,13 +151,13 @@ def _with_raw(text, raw):
     return text
 
 
-def mangled(data, draw, others=()):
+def mangled(data, draw):
     """Bytes with one to four places changed: bits flipped, parts cut, repeated, put in or overwritten."""
     data = bytearray(data)
     for _ in range(draw.choice((1, 1, 2, 4))):
         at = draw.randrange(len(data) + 1)
         end = min(len(data), at + draw.choice((1, 2, 8, 64, 1024)))
-        kind = draw.randrange(7)
+        kind = draw.randrange(6)
         if kind == 0 and at < len(data):
             data[at] ^= 1 << draw.randrange(8)
         elif kind == 1:
@@ -157,11 +170,7 @@ def mangled(data, draw, others=()):
             )
         elif kind == 4:
             data[at:at] = data[at:end] * draw.choice((1, 2, 50))
-        elif kind == 5:
+        else:
             word = draw.choice((0, 1, 2**31 - 1, 2**32 - 1, 2**16, 1000))
             data[at : at + 4] = struct.pack("<I", word)
-        elif others:
-            other = draw.choice(others)
-            start = draw.randrange(len(other) + 1)
-            data[at:end] = other[start : start + 256]
     return bytes(data)

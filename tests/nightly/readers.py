@@ -17,7 +17,6 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import yaml
@@ -66,7 +65,7 @@ from mavfi.states import STATES, new_state
 from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import golden_profile, small
 from tests.core.unit.sim.environments.octrees import bits, tree_of, values
-from tests.nightly.mutations import NUMBERS, RAW, RAW_JSON, TEXTS, changed, mangled, to_json, to_yaml
+from tests.nightly.mutations import RAW, RAW_JSON, TEXTS, joined, to_json, to_yaml, words_of
 
 ROOT = Path(__file__).parents[2]
 CORPUS = Path(__file__).parent / "corpus"
@@ -81,11 +80,11 @@ class Reader:
     Attributes:
         name: As in ONLY and in the corpus.
         file: Name of the file that it reads.
-        seeds: Gives what its mutations begin with.
+        seeds: Gives the plain data with which its mutations begin.
         encode: Makes the content of a file of a seed.
-        mutate: Makes the content of a file of a random stream and the seeds.
         read: Reads a file; it may raise a `BadInputError`, or leave a result.
         share: Inputs of a thousand.
+        raw: Values of which a mutation may make use besides those for all.
         warm: Whether children may inherit what it has imported and compiled; threads of polars do not survive a fork.
     """
 
@@ -93,9 +92,9 @@ class Reader:
     file: str
     seeds: object
     encode: object
-    mutate: object
     read: object
     share: int
+    raw: object = TEXTS
     warm: bool = True
 
 
@@ -104,12 +103,6 @@ def shipped(*patterns):
     """Plain data of shipped files."""
     files = [path for pattern in patterns for path in sorted(ROOT.glob(pattern))]
     return [yaml.safe_load(path.read_text(encoding="utf-8")) for path in files]
-
-
-def mutate_yaml(draw, seeds):
-    """Structure first, then in one of five cases bytes."""
-    data = to_yaml(changed(draw.choice(seeds), draw, seeds, RAW), draw.choice((None, True)))
-    return mangled(data, draw) if draw.random() < 0.2 else data
 
 
 def fly_nowhere(path, option, find):
@@ -151,32 +144,17 @@ def read_study(path):
 
 
 # ---- text on the command line --------------------------------------------------------------------------------------
-FAULTS = (
-    "null",
-    "state:planning.waypoint.x",
-    "state:planning.trajectory.x[3]:bit=62@5.0",
-    "state:planning.waypoint",
-    "instruction:pid",
-    "instruction:rrt_connect:which=opcode:fadd",
-    "instruction:octomap:which=floating_point:model=zero",
-    "instruction:pid:which=line:pid.py:10-20",
-    "state:perception.collision_status.time_to_collision:bit=3@1e1",
-)
-
-
-def mutate_fault(draw, seeds):
-    """Parts of faults, and bytes."""
-    text = draw.choice(seeds)
-    if draw.random() < 0.6:
-        parts = [part for seed in seeds for part in seed.replace("@", ":@").split(":")] + [
-            *TEXTS[:30],
-            *map(str, NUMBERS),
-        ]
-        words = text.split(":")
-        words[draw.randrange(len(words))] = draw.choice(parts)
-        text = draw.choice((":", ":", "@", "[")).join(words)
-    data = text.encode("utf-8", "replace")
-    return mangled(data, draw) if draw.random() < 0.6 else data
+FAULTS = [
+    b"null",
+    b"state:planning.waypoint.x",
+    b"state:planning.trajectory.x[3]:bit=62@5.0",
+    b"state:planning.waypoint",
+    b"instruction:pid",
+    b"instruction:rrt_connect:which=opcode:fadd",
+    b"instruction:octomap:which=floating_point:model=zero",
+    b"instruction:pid:which=line:pid.py:10-20",
+    b"state:perception.collision_status.time_to_collision:bit=3@1e1",
+]
 
 
 def read_fault(path):
@@ -198,23 +176,6 @@ def maps():
     return [b"# Octomap OcTree binary file\n" + header + bits(tree), b"# Octomap OcTree file\n" + header + values(tree)]
 
 
-def mutate_map(draw, seeds):
-    """Its header, or its nodes."""
-    data = draw.choice(seeds)
-    head, mark, body = data.partition(b"data\n")
-    if draw.random() < 0.3:
-        lines = head.splitlines()
-        number = draw.randrange(len(lines))
-        key = lines[number].split(b" ")[0]
-        values = (
-            [str(value).encode() for value in NUMBERS] + [text.encode() for text in TEXTS[:30]] + [b"0.001", b"100"]
-        )
-        lines[number] = draw.choice((b"", key, key + b" " + draw.choice(values), draw.choice(lines)))
-        head = b"\n".join(lines) + b"\n"
-        return head + mark + body
-    return head + mark + mangled(body, draw, [seed[60:] for seed in seeds])
-
-
 def read_map(path):
     """As a mission in a scanned map begins."""
     build_world(environment_for_file(path), 0, **ENDS)
@@ -225,13 +186,6 @@ def models():
     """Shipped models, without their hash."""
     found = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(SHIPPED_MODELS.glob("*.json"))]
     return [{key: value for key, value in model.items() if key != "sha256"} for model in found]
-
-
-def mutate_model(draw, seeds):
-    """Content first, then a hash that is right; in one of six cases bytes."""
-    content = changed(draw.choice(seeds), draw, seeds, RAW_JSON)
-    data = hashed(content)
-    return mangled(data, draw) if draw.random() < 0.15 else data
 
 
 def hashed(content):
@@ -272,7 +226,7 @@ _MODEL_NAMES = (("published", "hardened"), ("gaussian", "autoencoder"), ("paper"
 
 # ---- archives of NumPy ---------------------------------------------------------------------------------------------
 def flights():
-    """A short flight, as arrays and a record."""
+    """A short flight, as lists and a record."""
     rows = np.zeros((6, len(COLUMNS)))
     rows[:, 0], rows[:, 1], rows[:, 7] = np.arange(6) * 0.1, np.arange(6), 1.0
     scenario = resolve(MissionSpec(environment="sparse", seed=7))
@@ -288,7 +242,8 @@ def flights():
     with tempfile.TemporaryDirectory() as folder:
         log.save(Path(folder) / "flight.npz")
         with np.load(Path(folder) / "flight.npz") as archive:
-            return [{name: archive[name] for name in archive.files}]
+            arrays = {name: archive[name].tolist() for name in archive.files}
+    return [{**arrays, "record": json.loads(arrays["record"])}]
 
 
 def recordings():
@@ -296,8 +251,7 @@ def recordings():
     recorder = Recorder()
     for name in ("sensor.odometry", "planning.waypoint", "control.command"):
         recorder.accept(new_state(name), 1000)
-    found = recorder.recording()
-    return [found._asdict()]
+    return [{name: array.tolist() for name, array in recorder.recording()._asdict().items()}]
 
 
 class Trap:
@@ -307,70 +261,23 @@ class Trap:
         return os._exit, (3,)
 
 
-def mutate_archive(draw, seeds):
-    """Arrays, then members of the archive; in one of four cases bytes."""
-    arrays = dict(draw.choice(seeds))
-    if draw.random() < 0.001:
-        return bomb(next(iter(arrays)))
-    if "record" in arrays and draw.random() < 0.5:
-        record = json.loads(str(arrays["record"]))
-        text = to_json(changed(record, draw, [record], RAW_JSON)).decode()
-        arrays["record"] = np.array(text)
-    else:
-        for _ in range(draw.choice((1, 1, 2))):
-            if arrays:
-                _change_array(arrays, draw.choice(list(arrays)), draw)
-    data = packed(arrays, draw)
-    return mangled(data, draw) if draw.random() < 0.25 else data
+_KINDS = {"kinds": np.int8, "times_us": np.int64, "content": np.uint8}
 
 
-def _change_array(arrays, name, draw):
-    """Take an array away, give it another name, or put another in its place."""
-    array, kind = arrays.pop(name), draw.randrange(12)
-    if kind == 1:
-        arrays[draw.choice((*TEXTS[1:3], "x", "record", "y"))] = array
-    elif kind > 1:
-        arrays[name] = draw.choice(_others(array, draw))
-
-
-_TYPES = ("f2", "f4", ">f8", "i1", "u8", "c16", "U8", "S3", "?", "M8[s]", "m8[us]")
-
-
-def _others(array, draw):
-    """What may stand in an array's place."""
-    found = [
-        np.array([Trap()], dtype=object),
-        np.zeros(0, array.dtype),
-        np.stack([array, array]),
-        np.array(draw.choice(NUMBERS)),
-        np.array(draw.choice(("", "{}", "[]", "null", "{", '{"status": 3}', "\x00"))),
-        np.zeros(3, [("a", "f8"), ("b", "i4")]),
-        np.repeat(array, draw.choice((2, 3))),
-        np.full(draw.choice((1, 5, 7, 100_000)), draw.choice((0.0, np.nan, -1.0))),
-    ]
-    if array.dtype.kind in "fiu":
-        found.append(array.astype(draw.choice(_TYPES)))
-    if array.dtype.kind == "f":
-        struck = np.arange(array.size) == draw.randrange(max(1, array.size))
-        found.append(np.where(struck.reshape(array.shape), draw.choice(NUMBERS), array))
-    return found
-
-
-def packed(arrays, draw=None):
-    """A zip archive of .npy members; with a random stream, some lie about their size."""
-    buffer, lie = io.BytesIO(), draw.randrange(20) if draw else 2
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        for place, (name, array) in enumerate(arrays.items()):
-            member = io.BytesIO()
-            np.lib.format.write_array(member, np.asarray(array), allow_pickle=True)
-            content = member.getvalue()
-            if place == 0 and lie == 0:
-                shape, text = np.shape(array), draw.choice(("(10000000000,)", "(-1,)", "(3, 99999999)", "(1e3,)", "[]"))
-                content = content.replace(str(shape).encode(), text.encode(), 1)
-            if place == 0 and lie == 1:
-                content = content[: draw.randrange(len(content))]
-            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), content)  # of no time: inputs repeat
+def packed(content):
+    """An archive of NumPy; what is no array is an object that ends the process which unpickles it."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **{str(name): _array(name, value) for name, value in content.items()})
     return buffer.getvalue()
+
+
+def _array(name, value):
+    if isinstance(value, dict):
+        return np.array(to_json(value).decode())
+    for kind in (_KINDS.get(name, float), None):
+        with contextlib.suppress(ValueError, TypeError, OverflowError):
+            return np.array(value, kind)
+    return np.array([Trap()], object)
 
 
 @functools.cache
@@ -431,14 +338,6 @@ def ledgers():
     for row in half["runs"][1::2]:
         row[7:] = None, "", None
     return [_flown(), half]
-
-
-def mutate_ledger(draw, seeds):
-    """Content, then checksums that are right; in one of six cases bytes or tables."""
-    content = draw.choice(seeds)
-    content = changed(content, draw, seeds, RAW_JSON)
-    data = ledger_of(content, draw.choice(TRICKS) if draw.random() < 0.06 else "")
-    return mangled(data, draw) if draw.random() < 0.15 else data
 
 
 _ENDLESS = "WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n) SELECT"
@@ -540,34 +439,6 @@ def bags():
         return [path.read_bytes()]
 
 
-def mutate_bag(draw, seeds):
-    """Its text (types, topics, definitions) by words of the same length or another, and bytes."""
-    data = draw.choice(seeds)
-    if draw.random() < 0.4:
-        words = (
-            b"float64",
-            b"string",
-            b"JointState",
-            b"position",
-            b"std_msgs",
-            b"Header",
-            b"stamp",
-            b"/a",
-            b"/b",
-            b"[]",
-        )
-        old, new = (
-            draw.choice(words),
-            draw.choice((*words, b"int8", b"[4000000000]", b"x", b"", b"\xff\xfe", b"bool[9]")),
-        )
-        at = draw.randrange(max(1, data.count(old)))
-        parts = data.split(old)
-        if draw.random() < 0.7:
-            new = new[: len(old)].ljust(len(old))
-        return old.join(parts[: at + 1]) + new + old.join(parts[at + 1 :])
-    return mangled(data, draw, seeds)
-
-
 def read_bag(path):
     """As `mavfi ros watch --train` does, up to the trained detector."""
     train_on_file(path, ["/a", "/b"], {}, ("gaussian", "tuned"), [])
@@ -579,55 +450,7 @@ def bodies():
     return [(ROOT / "examples" / "vehicle" / "courier.xml").read_bytes()]
 
 
-def mutate_body(draw, seeds):
-    """Elements and attributes of XML, and bytes."""
-    if draw.random() < 0.3:
-        return mangled(draw.choice(seeds), draw)
-    if draw.random() < 0.03:
-        return draw.choice(_XML)
-    tree = ElementTree.fromstring(draw.choice(seeds))
-    for _ in range(draw.choice((1, 1, 2))):
-        nodes = list(tree.iter())
-        node, other = draw.choice(nodes), draw.choice(nodes)
-        kind = draw.randrange(5)
-        if kind == 0 and len(node):
-            node.remove(draw.choice(list(node)))
-        elif kind == 1 and node.attrib:
-            key = draw.choice(list(node.attrib))
-            node.set(key, draw.choice((*map(str, NUMBERS), "", "x", "1 2 3", "0 0 0", "1 " * 50, node.get(key) + " 1")))
-        elif kind == 2 and node is not tree:
-            node.append(copy.deepcopy(other) if other is not tree else ElementTree.Element("freejoint"))
-        elif kind == 3:
-            node.tag = draw.choice(
-                ("geom", "body", "joint", "freejoint", "include", "replicate", "x", "inertial", "site")
-            )
-        else:
-            node.set(draw.choice(_ATTRIBUTES), draw.choice(_VALUES))
-    return ElementTree.tostring(tree)
-
-
-_ATTRIBUTES = ("mass", "size", "pos", "type", "mesh", "file", "name", "class", "count", "quat")
-_VALUES = ("1e30", "-1", "0", "mesh", "sphere", "/dev/zero", "model.xml", "999999999", "1 0 0 0")
-_FREE = b'<worldbody><body><freejoint/><geom size="0.1"/></body></worldbody></mujoco>'
-_XML = (
-    b"<mujoco>" + b"<worldbody>" * 100_000,
-    b"<mujoco><worldbody>" + b"<body>" * 20_000 + b"</body>" * 20_000 + b"</worldbody></mujoco>",
-    b'<mujoco><include file="model.xml"/></mujoco>',
-    b'<mujoco><include file="/dev/zero"/></mujoco>',
-    b'<mujoco><asset><mesh file="/dev/zero" name="a"/></asset><worldbody><body><freejoint/><geom type="mesh" mesh="a"/>'
-    b"</body></worldbody></mujoco>",
-    b'<mujoco><asset><texture type="2d" name="t" builtin="flat" width="2000000000" height="2000000000"/></asset>'
-    b'<worldbody><body><freejoint/><geom size="0.1"/></body></worldbody></mujoco>',
-    b'<mujoco><worldbody><body><freejoint/><replicate count="100000000"><geom size="0.1"/></replicate></body>'
-    b"</worldbody></mujoco>",
-    b'<mujoco><size memory="900G"/>' + _FREE,
-    b'<mujoco><size nuserdata="2000000000"/>' + _FREE,
-    b'<mujoco><asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset><worldbody><body><freejoint/>'
-    b'<geom type="hfield" hfield="h"/></body></worldbody></mujoco>',
-    b'<mujoco><extension><plugin plugin="mujoco.sdf.torus"/></extension></mujoco>',
-    b'<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]><mujoco model="&b;"/>',
-    b"<robot name='r'><link name='base'/></robot>",
-)
+_ENDLESS_XML = (b"<worldbody>" * 100_000, b"<body>" * 20_000 + b"</body>" * 20_000)
 
 
 def read_body(path):
@@ -652,12 +475,17 @@ def of_yaml(name, read, share, more=()):
     def seeds():
         return [*shipped(f"configs/{_FOLDERS.get(name, name + 's')}/*.yaml"), *more]
 
-    return Reader(name, "x.yaml", seeds, to_yaml, mutate_yaml, read, share)
+    return Reader(name, "x.yaml", seeds, to_yaml, read, share, RAW)
 
 
 def of_option(name, share, find, more=()):
     """A reader of YAML files that the option of `mavfi fly` with this name takes."""
     return of_yaml(name, lambda path: fly_nowhere(path, name, find), share, more)
+
+
+def of_text(name, file, texts, read, share, raw=TEXTS):
+    """A reader whose mutations change words."""
+    return Reader(name, file, lambda: [words_of(text) for text in texts()], joined, read, share, raw)
 
 
 READERS = {
@@ -671,14 +499,14 @@ READERS = {
         of_yaml("campaign", read_campaign, 45),
         of_yaml("study", read_study, 30),
         of_yaml("detector", lambda path: load(DetectorConfig, path), 90),
-        Reader("fault", "x.txt", lambda: FAULTS, str.encode, mutate_fault, read_fault, 150),
-        Reader("map", "x.bt", maps, bytes, mutate_map, read_map, 60),
-        Reader("model", "x.json", models, hashed, mutate_model, read_model, 60),
-        Reader("flight", "x.npz", flights, packed, mutate_archive, read_flight, 22),
-        Reader("recording", "0.npz", recordings, packed, mutate_archive, read_recording, 20),
-        Reader("ledger", LEDGER, ledgers, ledger_of, mutate_ledger, read_ledger, 12, warm=False),
-        Reader("damaged", LEDGER, ledgers, ledger_of, mutate_ledger, read_damaged, 10),
-        Reader("bag", "x.bag", bags, bytes, mutate_bag, read_bag, 20),
-        Reader("mjcf", "model.xml", bodies, bytes, mutate_body, read_body, 20),
+        of_text("fault", "x.txt", lambda: FAULTS, read_fault, 150),
+        of_text("map", "x.bt", maps, read_map, 60),
+        Reader("model", "x.json", models, hashed, read_model, 60, RAW_JSON),
+        Reader("flight", "x.npz", flights, packed, read_flight, 22, RAW_JSON),
+        Reader("recording", "0.npz", recordings, packed, read_recording, 20),
+        Reader("ledger", LEDGER, ledgers, ledger_of, read_ledger, 12, RAW_JSON, warm=False),
+        Reader("damaged", LEDGER, ledgers, ledger_of, read_damaged, 10, RAW_JSON),
+        of_text("bag", "x.bag", bags, read_bag, 20),
+        of_text("mjcf", "model.xml", bodies, read_body, 20, (*TEXTS, *_ENDLESS_XML)),
     )
 }

@@ -40,18 +40,6 @@ def test_a_failure_that_is_stored_as_a_result_is_noticed(reference, tmp_path):
     assert failed and any(line.startswith("stored: ") and "unknown" in line for line in wrong)
 
 
-def test_a_traceback_and_a_wrong_exit_code_are_noticed():
-    assert failures._words(1, "mavfi: ledger: disk I/O error\n") == []
-    for code, text in (
-        (2, "mavfi: ledger: disk I/O error\n"),
-        (1, "Traceback ..."),
-        (1, "mavfi: no\n"),
-        (-11, ""),
-        (None, ""),
-    ):
-        assert failures._words(code, text)
-
-
 def test_a_call_is_answered_with_the_error_that_was_chosen():
     def work():
         try:

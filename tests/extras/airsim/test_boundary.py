@@ -125,24 +125,6 @@ def test_a_detector_learns_normal_calls_and_names_the_number_that_is_not():
     assert watch.alarms[0].time_s == pytest.approx(0.38) and "vx" in watch.alarms[0].fields[0]
 
 
-def test_a_yaw_that_passes_the_end_of_its_range_is_normal_and_a_flipped_one_is_not():
-    def yaw_of(number):
-        return (180.0 + 30.0 * np.sin(0.1 * number) + 180.0) % 360.0 - 180.0
-
-    def fly(boundary):
-        for number in range(300):
-            arguments = [1.0, 0.0, 0.0, 5.0, 0, {"is_rate": False, "yaw_or_rate": yaw_of(number)}, ""]
-            call(boundary, "moveByVelocity", arguments, True, 20_000 * number)
-
-    recording = ApiRecording()
-    fly(Boundary(recording=recording))
-    assert yaw_of(15) < -149.0 and yaw_of(31) * yaw_of(32) < 0.0
-    for fault, first in ((None, []), ("moveByVelocity.yaw_mode.yaw_or_rate:bit=63#16", [0.3])):
-        watch = recording.train("gaussian", "tuned")
-        fly(Boundary(fault and parse_fault(fault), watch=watch))
-        assert [alarm.time_s for alarm in watch.alarms][:1] == pytest.approx(first)
-
-
 def test_too_few_calls_teach_nothing():
     with pytest.raises(BadInputError, match="no number to monitor"):
         ApiRecording().train("gaussian", "paper")

@@ -85,18 +85,14 @@ def test_keys_without_effect_are_named(tmp_path):
         ("{", "is no JSON"),
         ([], "the file: []: allowed: an object"),
         ({"SimMode": "Car"}, "SimMode: 'Car': allowed: Multirotor"),
-        ({"Vehicles": ["A"]}, "Vehicles: ['A']: allowed: an object"),
         (
             {"Vehicles": {"A": {"VehicleType": "PX4Multirotor"}}},
             "Vehicles.A.VehicleType: 'PX4Multirotor': allowed: SimpleFlight",
         ),
-        ({"Vehicles": {"A": {"X": "far"}}}, "Vehicles.A.X: 'far': allowed: -10000 to 10000"),
-        ({"Vehicles": {"A": {"Roll": 10}}}, "Vehicles.A.Roll: 10: allowed: 0 to 0"),
         (
             {"CameraDefaults": {"CaptureSettings": [{"Width": 9000}]}},
             "CameraDefaults.CaptureSettings.0.Width: 9000: allowed: 2 to 4096",
         ),
-        ({"CameraDefaults": {"CaptureSettings": {}}}, "CameraDefaults.CaptureSettings: {}: allowed: a list"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(tmp_path, content, text):

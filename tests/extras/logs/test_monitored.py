@@ -39,23 +39,6 @@ def turn(centre, phase, period, low):
     return np.mod(angle * period / (2 * np.pi) - low, period) + low
 
 
-@pytest.mark.parametrize(
-    ("centre", "period", "low", "profile"),
-    [
-        (np.pi, 2 * np.pi, -np.pi, "tuned"),
-        (np.pi, 2 * np.pi, -np.pi, "paper"),
-        (0.0, 2 * np.pi, 0.0, "tuned"),
-        (0.0, 360.0, 0.0, "paper"),
-    ],
-)
-def test_sign_flips_of_an_angle_that_passes_the_end_of_its_range_are_found(table, capsys, centre, period, low, profile):
-    logs = [table(f"{phase}.csv", {"time": TIME, "u7": turn(centre, phase, period, low)}) for phase in (0.0, 1.1)]
-    result = judged(capsys, logs[1], "--train", logs[0], "--inject", "300", "--profile", profile)
-    assert result["flips"]["sign"]["rate"] >= 0.8
-    assert result["alarms_per_hour"]["events"] == 0
-    assert result["angles_and_quaternions"]["row:u7"].startswith("angle")
-
-
 def test_an_angle_that_passes_the_end_of_its_range_only_later_is_declared(table, capsys):
     logs = [
         table(f"{phase}.csv", {"time": TIME, "yaw": turn(centre, phase, 360.0, -180.0)})
@@ -65,28 +48,6 @@ def test_an_angle_that_passes_the_end_of_its_range_only_later_is_declared(table,
     result = judged(capsys, logs[1], "--train", logs[0], "--kinds", "yaw=deg")
     assert result["alarms_per_hour"]["events"] == 0
     assert result["angles_and_quaternions"] == {"row:yaw": "angle (deg)"}
-
-
-@pytest.mark.parametrize("names", [("qw", "qx", "qy", "qz"), ("q[0]", "q[1]", "q[2]", "q[3]"), ("a", "b", "c", "d")])
-def test_a_quaternion_and_its_opposite_are_the_same(table, capsys, names):
-    logs = []
-    for phase in (0.0, 1.1):
-        yaw = turn(np.pi, phase, 100.0, -50.0) * 2 * np.pi / 100.0
-        roll = 0.2 * np.sin(TIME + phase)
-        q = np.array(
-            [np.cos(yaw / 2) * np.cos(roll), np.cos(yaw / 2) * np.sin(roll), np.sin(yaw / 2) * np.sin(roll),
-             np.sin(yaw / 2) * np.cos(roll)]
-        )  # fmt: skip
-        q *= np.sign(q[0])  # jumps to the opposite sign in each turn through pi
-        logs.append(table(f"{phase}.csv", {"time": TIME, **dict(zip(names, q, strict=True))}))
-    result = judged(capsys, logs[1], "--train", logs[0], "--inject", "300")
-    assert result["flips"]["sign"]["rate"] >= 0.8 and result["alarms_per_hour"]["events"] == 0
-    assert set(result["angles_and_quaternions"].values()) == {"quaternion"}
-    if names[0] == "a":
-        return
-    # one component alone brings the others: its sign follows from them
-    result = judged(capsys, logs[1], "--train", logs[0], "--fields", names[0])
-    assert result["fields"] == {"row": list(names)}
 
 
 def test_what_a_field_is_can_be_declared(table, capsys):
@@ -146,9 +107,7 @@ def test_a_second_cause_within_a_lasting_alarm_is_named(table, capsys):
         ([0.02] * 100, 2.0),
         ([0.02] * 50 + [60.0] + [0.02] * 50, 2.0),  # a pause
         ([1.0, 1.1, 0.95] * 20, 61.0),  # 1 Hz
-        ([5.0] * 30, 150.0),
         (([0.01] * 100 + [9.0]) * 10, 100.0),  # bursts
-        ([1.0] * 30 + [600.0] + [1.0] * 30, 60.0),
         (([0.02] * 100 + [4.0] + [0.02] * 50 + [30.0]) * 3, 9.0),  # pauses of all kinds
         ([0.02] * 50 + [-3.0] + [0.02] * 50, 2.0),  # a clock that was set back
     ],

@@ -139,8 +139,6 @@ def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(cap
     ("section", "message"),
     [
         ({"campaign": ".", "views": ["none"]}, "small.yaml: section 'a': views: 'none': not known; allowed: success"),
-        ({"campaign": ".", "figures": ["none"]}, "section 'a': figures: 'none': not known; allowed: success"),
-        ({"claims": ["none"]}, "section 'a': claims: 'none': not known; allowed:"),
         ({"campaign": "elsewhere", "views": ["success"]}, "campaign: 'elsewhere': not known; allowed: ., instructions"),
     ],
 )
@@ -215,11 +213,3 @@ def test_detectors_are_trained_once_for_each_mission_that_is_watched(tmp_path, t
     name = study(tmp_path, table1=first, table1_instructions=second)
     assert run(["reproduce", name, "--out", str(tmp_path / "out")]) == 0
     assert trained == wanted
-
-
-def test_detectors_are_trained_for_each_platform_of_a_campaign():
-    from mavfi.campaign.config import load_campaign
-    from mavfi.extras.paper.cli import _missions
-
-    assert [mission.platform for mission in _missions(load_campaign("platforms"))] == ["i9-9940x", "cortex-a57"]
-    assert [mission.environment for mission in _missions(load_campaign("table1"))] == ["factory"]

@@ -1,12 +1,11 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi.kernels.perception import octree
 from mavfi.kernels.perception.key_sets import KeyFrame
 from mavfi.pipeline import maps
-from tests.core.reference.octomap import trees
 from tests.core.reference.octomap.trees import RULE, NaiveOctree, tree_data
 
 FRAME = KeyFrame(0.5, 0.25, 0.25, 0.25, -4, -3, -1, 8, 7, 6)
@@ -87,14 +86,6 @@ def test_eight_equal_children_are_pruned_and_expanded_again():
     assert np.isnan(octree.search(tree, 2, 0, 0))
 
 
-def test_an_update_at_a_clamp_changes_nothing():
-    tree = grown()
-    apply(tree, [((0, 0, 0), True)] * 20)
-    before = held(tree)
-    assert apply(tree, [((0, 0, 0), True)]) == [RULE.clamp_max]
-    assert held(tree) == before
-
-
 def voxels_of(count, seed=0):
     return np.random.default_rng(seed).permutation(SIZE)[:count].astype(np.int32)
 
@@ -172,23 +163,6 @@ def struck(tree, random):
     bits ^= bits.dtype.type(1 << int(random.integers(8 * array.itemsize)))
 
 
-@settings(max_examples=60)
-@given(st.integers(0, 2**32), st.integers(1, 8))
-def test_struck_nodes_neither_hang_nor_lead_out_of_the_arrays(seed, strikes):
-    random = np.random.default_rng(seed)
-    tree = octree.new_octree(600)
-    dense, after = np.empty(SIZE, np.float32), np.empty(SIZE, np.float32)
-    voxels = voxels_of(60, seed)
-    octree.update_voxels(tree, FRAME, RULE, voxels, 30, 0, after)
-    for _ in range(strikes):
-        struck(tree, random)
-        done = octree.update_voxels(tree, FRAME, RULE, voxels_of(40, seed + 1), 20, 0, after)
-        assert 0 <= done <= 40
-        octree.to_dense(tree, FRAME, dense)
-        assert not np.isnan(dense).any()
-    octree.copy_into(octree.compact_copy(tree), octree.new_octree(600))
-
-
 def test_a_struck_node_is_found_and_healed_as_in_the_library():
     tree = grown()
     twin = NaiveOctree()
@@ -202,15 +176,6 @@ def test_a_struck_node_is_found_and_healed_as_in_the_library():
     apply(tree, updates[:1])
     twin.update(*updates[0])
     assert tree_data(tree) == twin.data() and tree.log_odds[0] < 10.0
-
-
-def test_bytes_of_leaves_come_back_as_a_grid():
-    tree = grown()
-    apply(tree, [((i, j, k), True) for i in (0, 1) for j in (0, 1) for k in (0, 1)] + [((3, 2, 1), False)])
-    dense = trees.dense_from(tree_data(tree), FRAME)
-    assert (dense == RULE.hit).sum() == 8 and dense[trees.voxel_of_key(FRAME, (3, 2, 1))] == RULE.miss
-    assert np.isnan(dense).sum() == SIZE - 9
-    assert trees.leaves(tree_data(tree))[0][:, 3].tolist() == [2, 1]
 
 
 def test_a_value_that_is_not_a_number_stays_in_its_leaf_as_in_the_library():

@@ -161,19 +161,15 @@ def test_only_what_the_paper_flew_is_called_its_table():
     [
         ({}, []),
         ({"mission": {"planner": "rrt", "v_max": 4.5}}, ["planner rrt", "v_max 4.5"]),
-        ({"mission": {"pid": "mine:Pid"}}, ["pid mine:Pid"]),
         ({"parts": {"sparse": {"environment": "dense"}}}, ["sparse = dense on the same computer"]),
         (
             {"sampling": {"level": "instruction", "kernels": ["octomap", "pid"], "share": "stage"}},
             ["no faults in planning"],
         ),
-        ({"sampling": {"lifetime": {"times": 2}}}, ["lifetime times 2"]),
         (
             {"sampling": {"scheme": "groups", "groups": [{"name": "x", "sites": ["planning.waypoint.x"]}]}},
             ["groups x", "30 faults per group, not per stage"],
         ),
-        ({"sampling": {"level": "sensor", "units": ["gyro"]}}, ["faults at level sensor"]),
-        ({"arms": {"gaussian": {"detector": "autoencoder", "options": {"policy": "keyed"}}}}, ["detector autoencoder"]),
         (
             {"arms": {"gaussian": {"detector": "gaussian", "profile": "tuned", "wind": 5}}},
             ["wind 5.0", "profile tuned"],

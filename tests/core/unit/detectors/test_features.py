@@ -28,14 +28,6 @@ class Stream:
         return deltas[first:last].tolist(), regime
 
 
-def test_the_paper_profile_takes_the_code_first_and_then_the_difference():
-    stream = Stream("paper")
-    assert stream.publish(waypoint([0.4, -60.0, 3.0], [1.0, 0.0, 0.0]))[0] == [0] * 7  # no delta yet
-    deltas, _ = stream.publish(waypoint([0.6, 60.0, 3.9], [0.0, -0.3, 0.2], yaw=0.25))
-    # Octaves above 0.5 m for positions, above 0.25 for the rest: 0.4 -> 0.6 is 0 -> 1, -60 -> 60 is -7 -> 7.
-    assert deltas == [1, 14, 0, 1, -3, -1, 0]
-
-
 def test_a_status_has_the_octaves_of_its_time_and_the_difference_of_its_counter():
     for profile in ("paper", "tuned"):
         stream = Stream(profile)
@@ -43,24 +35,6 @@ def test_a_status_has_the_octaves_of_its_time_and_the_difference_of_its_counter(
         assert stream.publish(status(6.0, 1))[0] == [-2, 1]
         assert stream.publish(status(6.0, -(2**31)))[0] == [0, -32767]
         assert stream.publish(status(6.0, 2**31 - 1))[0] == [0, 32767]
-
-
-def test_the_tuned_profile_sees_a_jump_that_the_code_hides():
-    paper, tuned = Stream("paper"), Stream("tuned")
-    for stream in (paper, tuned):
-        stream.publish(waypoint([60.0, 0.0, 3.0], [2.0, 0.0, 0.0]))
-    jumped = waypoint([63.0, 0.0, 3.0], [2.0, 0.0, 0.0])  # 61 m expected
-    assert paper.publish(jumped)[0][0] == 0
-    assert tuned.publish(jumped)[0][0] == 5  # 2 m are 5 octaves above 0.125 m
-
-
-@pytest.mark.parametrize("prediction", ["interval", "trapezoid"])
-def test_a_motion_at_constant_speed_has_no_innovation(prediction):
-    stream = Stream("tuned", prediction)
-    for step in range(5):
-        deltas, regime = stream.publish(waypoint([30.0 + step, -step, 2.0], [2.0, -2.0, 0.0], index=step))
-        assert deltas == [0] * 7
-        assert regime == (features.SWITCH if step else features.NEW_TRAJECTORY)
 
 
 @pytest.mark.parametrize(("prediction", "x"), [("interval", 11.5), ("trapezoid", 11.0)])

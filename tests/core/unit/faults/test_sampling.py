@@ -5,7 +5,7 @@ import pytest
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
-from mavfi.faults.sampling import draw, draw_in_message, group_target, live_fields, stage_target
+from mavfi.faults.sampling import draw, draw_in_message, group_target, stage_target
 from mavfi.record import Profile
 from mavfi.states import PPC_STAGES, STATES
 
@@ -16,17 +16,6 @@ def profile(**counts: int) -> Profile:
 
 
 WAYPOINTS = profile(planning__waypoint=0)
-
-
-def test_dead_fields_are_not_live():
-    assert "ax" not in live_fields(STATES["planning.waypoint"], "published")
-    assert "ax" in live_fields(STATES["planning.waypoint"], "hardened")
-    assert live_fields(STATES["perception.map_update"], "hardened") == ("voxel", "log_odds")
-    either = {
-        *live_fields(STATES["planning.waypoint"], "published"),
-        *live_fields(STATES["planning.waypoint"], "hardened"),
-    }
-    assert set(live_fields(STATES["planning.waypoint"], "of my own")) == either
 
 
 def test_only_states_that_exist_are_drawn():
@@ -85,36 +74,12 @@ def test_an_element_is_drawn_only_from_publications_that_carry_some():
     assert {fault.where.element for fault in drawn} == {0, 1, 2}
 
 
-def test_weights_lead_back_to_the_whole_word():
-    target = group_target("x", ["planning.waypoint.x"])
-    assert draw(target, "sign_exponent", WAYPOINTS, 0, 0).weight == 12 / 64
-    assert draw(target, "mantissa", WAYPOINTS, 0, 0).weight == 52 / 64
-
-
 def test_weights_count_the_fields_that_a_stratum_leaves_out():
     names = ["time_to_collision", "future_collision_seq", "collision"]
     target = group_target("status", [f"perception.collision_status.{name}" for name in names])
     expected = {"time_to_collision": 52 / 64 * 2 / 3, "future_collision_seq": 31 / 32 * 2 / 3}
     drawn = [draw(target, "mantissa", Profile(), seed, 0) for seed in range(40)]
     assert {fault.where.field: fault.weight for fault in drawn} == pytest.approx(expected)
-
-
-@pytest.mark.parametrize("autopilot", ["published", "hardened"])
-@pytest.mark.parametrize("stage", ["perception", "planning", "control"])
-@pytest.mark.parametrize("strata", [("sign_exponent", "mantissa"), ("sign", "exponent", "mantissa")])
-def test_the_mean_weights_of_strata_that_make_up_words_add_up_to_one(stage, autopilot, strata):
-    target = stage_target(stage, autopilot)
-    total = 0.0
-    for stratum in strata:
-        part = target.within(stratum)
-        fault_weight = {}
-        for seed in range(400):
-            fault = draw(target, stratum, Profile(), seed, 0)
-            fault_weight[fault.where.state, fault.where.field] = fault.weight
-        for (state, _), weight in fault_weight.items():
-            total += part.probability(state) * weight
-        assert sum(map(len, part.fields.values())) == len(fault_weight)
-    assert total == pytest.approx(1)
 
 
 def test_what_cannot_be_drawn_is_refused():

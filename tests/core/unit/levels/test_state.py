@@ -169,7 +169,6 @@ def test_operations_do_not_change_where_and_when_floats_are_hit():
     ("sampling", "message"),
     [
         ({"operations": ["drop"]}, "'drop': changes no drawn value; allowed: flip, set, bias"),
-        ({"operations": ["set=nan@3"]}, "'set=nan@3': the instant is drawn; allowed: without @"),
         ({"operations": ["flip"], "together": True}, "allowed with scheme stage_balanced or groups, without together"),
         (
             {"operations": ["set=nan"], "scheme": "groups", "groups": [{"name": "g", "sites": [SITES[1]]}]},

@@ -19,15 +19,6 @@ def depth(ranges=(4.0, 5.0, np.inf), position=(2.0, 5.0, 3.0)):
     return state
 
 
-def test_a_depth_image_becomes_a_cloud_in_the_world_frame():
-    kernel = PointCloud(config())
-    assert kernel.receive(depth(), 0)
-    (cloud,) = kernel.step(0)
-    points = cloud.elements.view(np.float32).reshape(3, 3)
-    np.testing.assert_allclose(points, [[6, 5, 3], [6, 8, 3], [2 + 20, 5 - 15, 3]], atol=1e-5)
-    assert floats(cloud.header, 3).tolist() == [2.0, 5.0, 3.0]
-
-
 def clouds():
     kernel = PointCloud(config())
     for position in ((2.0, 5.0, 3.0), (2.5, 5.2, 3.0), (3.0, 4.8, 2.9)):
