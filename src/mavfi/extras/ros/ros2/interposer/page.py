@@ -281,10 +281,6 @@ class ControlPage:
         """Number of messages that a fault has changed."""
         return int(self._control.faults[fault].changed)
 
-    def messages_refused(self, fault: int) -> int:
-        """Number of messages that were due but could not be changed; the reports say why."""
-        return int(self._control.faults[fault].refused)
-
     # ---- reports ----------------------------------------------------------------------------------------------------
     def reports(self) -> list[Report]:
         """Reports since the last call, in their order."""
