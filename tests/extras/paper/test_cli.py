@@ -69,7 +69,7 @@ def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(ca
     states, instructions = (
         table_asked_for(Runs.read(folder), view).title for folder, view in zip(folders, leading.values(), strict=True)
     )
-    assert 0 <= text.index(states) < text.index(instructions) < text.index("It took")
+    assert 0 <= text.index(states) < text.index(instructions) < text.index("The models are in")
     ends = [line.split() for line in text.partition("The ledgers, with their digests")[2].splitlines()[1:3]]
     ledgers = {"table1": out, "table1_instructions": out / "instructions"}
     digests = []

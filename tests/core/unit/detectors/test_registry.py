@@ -53,7 +53,7 @@ def test_profiles_are_presets_of_features_policy_and_gate(model_folder, name):
     [
         (
             "gausian",
-            r"not known \(did you mean 'gaussian'\?\); allowed: gaussian, .*, or package:Class",
+            r"not known \(did you mean 'gaussian'\?\); allowed: acceptance, .*, or package:Class",
         ),
         ("no_such_package:Detector", "cannot be imported"),
         ("json:NoSuchClass", "cannot be imported"),
