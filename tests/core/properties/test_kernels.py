@@ -5,10 +5,9 @@ from hypothesis import strategies as st
 from mavfi.kernels.control import pid
 from mavfi.kernels.perception import octomap
 from mavfi.kernels.planning import waypoint
-from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.waypoints import SetpointGenerator
 from tests.core.unit.kernels.cases import FRAME, GAINS, RULE
-from tests.core.unit.pipeline.parts import AUTOPILOTS, config, map_update, odometry, status, tracking, trajectory
+from tests.core.unit.pipeline.parts import AUTOPILOTS, config, odometry, status, tracking, trajectory
 
 seeds = st.integers(0, 2**32)
 anything = st.floats(allow_nan=True, allow_infinity=True)
@@ -42,21 +41,6 @@ def test_undoing_a_scan_restores_the_map_exactly(scans):
 updates = st.lists(
     st.tuples(st.integers(-(2**31), 2**31 - 1) | st.integers(0, 30_000), st.floats(width=32)), max_size=60
 )
-
-
-@settings(max_examples=25)
-@given(st.sampled_from(AUTOPILOTS), st.lists(updates, max_size=3), st.lists(updates, min_size=1, max_size=3))
-def test_rolling_the_clearance_map_back_is_exact(autopilot, kept, undone):
-    clearance = ClearanceMap(config(autopilot))
-    for content in kept:
-        clearance.apply(map_update([v for v, _ in content], [o for _, o in content]))
-    clearance.mark()
-    before = [array.tobytes() for array in (clearance.cells, clearance.wide, clearance.narrow)]
-    for content in undone:
-        clearance.apply(map_update([v for v, _ in content], [o for _, o in content]))
-    assert clearance.wide.min() >= 0 and clearance.narrow.min() >= 0
-    clearance.rollback()
-    assert [array.tobytes() for array in (clearance.cells, clearance.wide, clearance.narrow)] == before
 
 
 @given(st.lists(anything, min_size=11, max_size=11), st.lists(st.floats(-50, 50), min_size=3, max_size=3))

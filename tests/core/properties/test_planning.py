@@ -50,14 +50,6 @@ def test_a_path_is_free_of_collisions_and_joins_start_and_goal(name, seed, share
     assert naive.length(path) >= np.linalg.norm(goal - start) - 2e-3
 
 
-@pytest.mark.parametrize("name", PLANNERS)
-@settings(max_examples=25)
-@given(seeds)
-def test_the_same_seed_finds_the_same_path(name, seed):
-    counter, start, goal = problem(seed, 0.25)
-    assert search(name, seed, counter, start, goal).tobytes() == search(name, seed, counter, start, goal).tobytes()
-
-
 @settings(max_examples=25)
 @given(seeds, st.sampled_from([0.05, 0.15, 0.25]), st.sampled_from([0.5, 2.0, 8.0]))
 def test_no_cost_of_rrt_star_ever_grows(seed, share, max_step):

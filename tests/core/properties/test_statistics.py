@@ -115,15 +115,6 @@ def test_weighted_rate_finds_the_rate_of_the_population():
     assert rate.low <= 3 / 16 <= rate.high
 
 
-def test_weighted_rate_of_one_stratum_is_the_plain_rate():
-    random = np.random.default_rng(1)
-    success = random.integers(2, size=300).tolist()
-    rate = weighted_rate(success, [0.2] * 300, ["a"] * 300, worlds(300, 1))
-    plain = wilson(sum(success), 300)
-    assert rate.rate == pytest.approx(plain.rate)
-    assert (rate.low, rate.high) == pytest.approx((plain.low, plain.high), abs=0.01)
-
-
 @pytest.mark.parametrize("outcome", [0, 1])
 def test_flights_that_all_end_alike_still_leave_doubt(outcome):
     plain = wilson(60 * outcome, 60)
@@ -132,14 +123,6 @@ def test_flights_that_all_end_alike_still_leave_doubt(outcome):
     rate = weighted_rate([outcome] * 60, [0.2] * 40 + [0.8] * 20, ["a"] * 40 + ["b"] * 20, worlds(60, 2))
     assert rate.rate == pytest.approx(outcome)
     assert rate.high - rate.low > plain.high - plain.low
-
-
-def test_flights_of_one_world_are_not_independent():
-    """Ten identical flights per world say as much as one: the interval must not shrink."""
-    success = [1, 0] * 20
-    alone = weighted_rate(success, [1.0] * 40, ["a"] * 40, worlds(40, 1))
-    tenfold = weighted_rate(np.repeat(success, 10).tolist(), [1.0] * 400, ["a"] * 400, worlds(400, 10))
-    assert (alone.low, alone.high) == pytest.approx((tenfold.low, tenfold.high))
 
 
 @pytest.mark.parametrize("failing", range(1, 16))
@@ -172,12 +155,6 @@ def test_worlds_make_intervals_wider_never_narrower(flights):
     assert found.high >= plain.high - 1e-9
     alone = clustered_rate(success, range(len(success)))
     assert (alone.low, alone.high) == pytest.approx((plain.low, plain.high))
-
-
-def test_ten_identical_flights_per_world_count_once():
-    found, plain = clustered_rate([w % 4 > 0 for w in range(40)] * 10, list(range(40)) * 10), wilson(30, 40)
-    assert (found.low, found.high) == pytest.approx((plain.low, plain.high))
-    assert clustered_rate([], []).rate is None
 
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))

@@ -141,18 +141,6 @@ def test_each_voxel_is_updated_once_a_scan_and_occupied_wins():
     assert sorted(kernel.log_odds[kernel.log_odds > 0].tolist()) == [RULE.hit, RULE.hit]
 
 
-def test_undo_restores_the_map_bit_by_bit():
-    kernel = Map()
-    for points, origin in clouds(3):
-        before = kernel.log_odds.tobytes()
-        count = kernel.insert(points, origin)
-        after = kernel.log_odds.tobytes()
-        octomap.undo_scan(kernel.log_odds, kernel.touched, kernel.before, count)
-        assert kernel.log_odds.tobytes() == before != after
-        kernel.insert(points, origin)
-        assert kernel.log_odds.tobytes() == after
-
-
 @pytest.mark.parametrize("boxes", [False, True])
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_clearance_counters_equal_a_recount_and_undo_restores_them(seed, boxes):

@@ -148,23 +148,6 @@ def test_travel_time_is_that_of_the_naive_estimate():
             assert share == pytest.approx(naive.tight_share(wide, GRID, path[0], path[1]))
 
 
-def test_travel_time_knows_what_is_quick():
-    free, still = np.zeros(GRID.size, np.int16), np.zeros(3)
-    straight = np.array([[-2.0, 0.0, 1.0], [3.0, 0.0, 1.0]])
-    bent = np.array([[-2.0, 0.0, 1.0], [0.5, 1.0, 1.0], [3.0, 0.0, 1.0]])
-    shaft = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 3.5]])
-    time = {
-        name: travel.travel_time(free, GRID, path, len(path), still, PACE)
-        for name, path in (("straight", straight), ("bent", bent), ("shaft", shaft))
-    }
-    assert time["straight"] == pytest.approx(1.0)
-    assert time["bent"] > 1.2 and time["shaft"] > 5.0
-    back = travel.travel_time(free, GRID, straight, 2, np.array([-5.0, 0.0, 0.0]), PACE)
-    assert back == pytest.approx(1.0 + 5.0 / 2.5)
-    blocked = np.ones(GRID.size, np.int16)
-    assert travel.travel_time(blocked, GRID, straight, 2, still, PACE) == pytest.approx(5.0 / 1.5)
-
-
 def test_a_path_gets_quicker_and_stays_free_inside_of_its_box():
     random = np.random.default_rng(6)
     gained = 0
@@ -215,13 +198,6 @@ def test_the_speed_profile_holds_every_limit_and_is_as_fast_as_one_of_them_allow
     limited[:-1] |= np.isclose(np.abs(rates), LIMITS.tangential)
     limited[1:] |= np.isclose(np.abs(rates), LIMITS.tangential)
     assert limited.all()
-
-
-def test_too_fast_an_entry_brakes_no_harder_than_allowed():
-    _, arc, speed, _ = timed(zigzag(), entry=6.0)
-    assert speed[0] == 6.0
-    rates = np.diff(speed**2) / (2.0 * np.diff(arc))
-    assert rates[:-1].min() >= -LIMITS.braking - 1e-9
 
 
 def test_samples_lie_on_the_curve_at_equal_times():
