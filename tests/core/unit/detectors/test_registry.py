@@ -59,7 +59,7 @@ def test_dropped_names_say_what_replaced_them():
     [
         (
             "gausian",
-            r"not known \(did you mean 'gaussian'\?\); allowed: gaussian, .*, or package:Class",
+            r"not known \(did you mean 'gaussian'\?\); allowed: acceptance, .*, or package:Class",
         ),
         ("no_such_package:Detector", "cannot be imported"),
         ("json:NoSuchClass", "cannot be imported"),
