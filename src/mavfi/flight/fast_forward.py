@@ -274,15 +274,8 @@ class FlightBranch:
         self._log: FlightLog | None = None
 
         # Remove what the previous flight has left in the loop.
-        self.loop.status = None
-        self.loop.verify = None
-        self.loop.single_image = False
-        self.loop.taps.loses_unnoticed = False
-        self.loop.taps.detector = None
-        self.loop.taps.checked_at_producer = frozenset()
-        self.loop.taps.seal = None
-        self.loop.taps.answer_loss = None
-        self.loop.taps.recorders.clear()
+        self.loop.reset()
+        self.loop.watch_losses()
         if self._keeps_publications:
             self.loop.taps.recorders.append(lambda state, now: self.publications.append((state, now)))
 
@@ -337,6 +330,7 @@ class FlightBranch:
         record.alarms = list(start.alarms)
         record.set_counts(start.counts)
         self.publications = known_flight.publications[: start.publications]
+        self.loop.taps.injector = start.injector.copy()
         if self._restarts is not None:
             for state, now in self.publications:
                 self._restarts.keep(state, now)
@@ -492,7 +486,8 @@ class FlightBranch:
     def _is_settled(self) -> bool:
         """Whether injector and recovery have no further effect."""
         injector = self.loop.taps.injector
-        return not self.loop.awaited and not self.loop.requests and injector is not None and injector.spent
+        flight = self.loop.state
+        return not flight.awaited and not flight.requests and injector is not None and injector.spent
 
     def _find_converged(self) -> KnownFlight | None:
         """A known flight in the current state that can be followed from here; None = none."""
@@ -545,7 +540,6 @@ class FastForward:
         self.functions = {name: CountedFunction(name, getattr(PLAIN, name)) for name in ENTRIES}
         table = PLAIN.instrumented(ENTRIES, lambda name, _: self.functions[name])
         self.loop = new_loop(scenario, rewindable=True, functions=table)
-        self.loop.watch_losses()
         for function in self.functions.values():
             function.attach(self.loop)
         self.supported = can_save_kernels(self.loop)
@@ -623,7 +617,6 @@ class FastForward:
         branch = FlightBranch(self, arm, [plain], keeps_checkpoints=True)
         arm.detector.start()
         branch.begin(plain, plain.checkpoints[0])
-        self.loop.taps.injector = CounterWatch()
         branch.store_checkpoint(plain.checkpoints[0].here)
         branch.follow(plain, 0)
         return branch.fly()
@@ -744,7 +737,6 @@ class FastForward:
 
                 # Fly the others again, as long as wanted calls are to come.
                 FlightBranch(self, NO_DETECTOR).begin(golden, piece_start)
-                loop.taps.injector = piece_start.injector.copy()
                 put(loop, piece_start.here)
                 for name, function in functions.items():
                     function.continue_at(calls[name].start)

@@ -506,7 +506,7 @@ class Forks(Listener):
         child.step_fails = False
         if child.case.how == DETECTED:
             self._loop.record.alarms.append(rewriter().alarm(kernel.stage.value, states, now))
-            self._approach.restarts().recompute(kernel.name, now, states)
+            self._loop.repeat_step(kernel.name, now, states)
         else:
             self._approach.restarts().die(kernel.name, now, round(1e6 * child.case.fault.restart_s))
 
@@ -792,9 +792,8 @@ class FromCheckpoints(GoldenApproach):
         golden = self._golden
         start = self._golden.checkpoints[rows]
         branch = FlightBranch(self._forward, self._arm, [self._plain_golden], golden, keeps_publications=True)
-        branch.comparable = lambda: forks.child is not None and forks.child.comparable and not self.loop.down
+        branch.comparable = lambda: forks.child is not None and forks.child.comparable and not self.loop.state.down
         branch.begin(golden, start)
-        self.loop.taps.injector = start.injector.copy()
         branch.restore_detector(start.detector)
         put(self.loop, start.here)
         return branch

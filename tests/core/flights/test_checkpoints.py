@@ -55,12 +55,11 @@ class Stop:
         self.record = record.rows[:], record.events[:], record.alarms[:], record.counts()
         self.injector = None if self.loop.taps.injector is None else self.loop.taps.injector.copy()
         self.detector = self.watching.memory()
-        self.redoing = bool(self.loop.awaited)
+        self.redoing = bool(self.loop.state.awaited)
 
     def resume(self):
         loop, (rows, events, alarms, counts) = self.loop, self.record
         checkpoints.put(loop, self.instant)
-        loop.status = None
         loop.record.rows, loop.record.events, loop.record.alarms = rows[:], events[:], alarms[:]
         loop.record.set_counts(counts)
         loop.taps.injector = None if self.injector is None else self.injector.copy()

@@ -2,11 +2,13 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from mavfi.config import PlatformConfig
-from mavfi.flight.loop import Latencies
+from mavfi.flight.loop import HANDLERS, Latencies, Loop
 from mavfi.flight.restarts import Restarts
+from mavfi.flight.state import EventKind, FlightState
 from mavfi.flight.taps import Taps
 from mavfi.mission import MissionStatus
 from mavfi.states import KERNELS, new_state
@@ -36,24 +38,21 @@ class Kernel:
         self.marks += 1
 
 
-class Loop:
+class ToyLoop(Loop):
     """What `Restarts` uses of a loop."""
 
     def __init__(self):
-        self.taps, self.actions, self.queue = Taps(), {}, []
+        self.taps, self.state = Taps(), FlightState(np.zeros(3))
+        self.state.awaited = {"planning.path": 1, "control.command": 2}
         self.kernels = self.renew("planner")
         self.latencies = Latencies(PlatformConfig(name="toy", latency_us={"planner": 80_000, "trajectory": 0}))
         self.readers = {"planning.waypoint": [self.kernels["planner"]]}
-        self.busy, self.down, self.awaited, self.requests = {}, set(), {"planning.path": 1, "control.command": 2}, {}
-        self.status, self.marks, self.started, self.finished = None, False, [], []
+        self.marks, self.started, self.finished = False, [], []
         self.record = SimpleNamespace(recompute_us={"planning": 0})
 
     @staticmethod
     def renew(kernel):
         return {name: Kernel(name) for name in ("planner", "trajectory")}
-
-    def at(self, time_us, action, *arguments):
-        self.queue.append((time_us, action, *arguments))
 
     def start(self, kernel, now):
         self.started.append((kernel.name, now))
@@ -61,15 +60,13 @@ class Loop:
     def finish(self, kernel, states, now, latency_us):
         self.finished.append((kernel.name, states, now, latency_us))
         if latency_us:
-            self.busy[kernel.name] = None
-
-    def next(self):
-        time_us, action, *arguments = self.queue.pop(0)
-        self.actions[action](time_us, *arguments)
+            self.state.busy[kernel.name] = None
 
     def run(self):
-        assert len(self.queue) == 1
-        self.next()
+        """Handle the only event."""
+        ((time_us, _, kind, arguments),) = self.state.queue
+        self.state.queue.clear()
+        HANDLERS[kind](self, time_us, *arguments)
         return self.kernels["planner"]
 
 
@@ -87,7 +84,7 @@ def in_force(epoch):
 
 def dead(policy, *published):
     """A loop in which the planner has died after some publications."""
-    loop = Loop()
+    loop = ToyLoop()
     restarts = Restarts(loop, policy)
     for state in published:
         loop.taps(state, 0)
@@ -112,14 +109,15 @@ TRAJECTORY = new_state("planning.trajectory")
 def test_what_a_restarted_node_is_sent(policy, epoch, sent):
     waypoint = in_force(epoch)
     loop = dead(policy, *UPDATES, ALARM, TRAJECTORY, QUIET, in_force(0), waypoint)
-    assert loop.down == set(loop.busy) == {"planner", "trajectory"} and list(loop.awaited) == ["control.command"]
+    flight = loop.state
+    assert flight.down == set(flight.busy) == {"planner", "trajectory"} and list(flight.awaited) == ["control.command"]
     before = loop.kernels["planner"]
     kernel = loop.run()
     assert kernel is not before and loop.readers["planning.waypoint"] == [kernel]
     back = policy == "readback"
     assert kernel.received == [*UPDATES, *sent, *([] if back else [waypoint])], "nothing that passed within the node"
     assert (kernel.resumed is not None) == back
-    assert not loop.down and loop.started == [("planner", SECOND), ("trajectory", SECOND)] and kernel.marks == 0
+    assert not flight.down and loop.started == [("planner", SECOND), ("trajectory", SECOND)] and kernel.marks == 0
     if back:
         assert kernel.resumed["planning.trajectory"] is TRAJECTORY
         assert kernel.resumed["perception.collision_status"] is QUIET
@@ -133,28 +131,27 @@ def test_recoveries_do_not_take_back_what_a_node_was_sent():
 
 def test_the_mission_ends():
     loop = dead("end")
-    assert loop.status is MissionStatus.NODE_DIED and not loop.queue
+    assert loop.status is MissionStatus.NODE_DIED and not loop.state.queue
 
 
 @pytest.mark.parametrize("waiting", [None, QUIET])
 def test_a_detected_step_is_computed_again_at_once(waiting):
-    loop = Loop()
-    restarts = Restarts(loop, "fresh")
-    restarts.recompute("planner", 400_000, [OUTPUT])
-    assert loop.queue == [(480_000, "again", "planner", [OUTPUT])]
-    assert loop.down == {"planner"} and loop.record.recompute_us == {"planning": 80_000}
+    loop = ToyLoop()
+    loop.repeat_step("planner", 400_000, [OUTPUT])
+    assert loop.state.queue == [(480_000, 1, EventKind.REPETITION_DONE, ("planner", [OUTPUT]))]
+    assert loop.state.down == {"planner"} and loop.record.recompute_us == {"planning": 80_000}
     before = loop.kernels["planner"]
-    loop.busy["planner"] = waiting
+    loop.state.busy["planner"] = waiting
     assert loop.run() is before
     assert loop.finished == [("planner", [OUTPUT], 480_000, 80_000)]
-    assert not loop.down and loop.busy == {"planner": waiting}
+    assert not loop.state.down and loop.state.busy == {"planner": waiting}
 
 
 @pytest.mark.parametrize("policy", ["fresh", "readback"])
 def test_a_node_that_is_away_does_not_die_again(policy):
-    loop = Loop()
+    loop = ToyLoop()
     restarts = Restarts(loop, policy)
     restarts.die("planner", 0, SECOND)
-    queued = list(loop.queue)
+    queued = list(loop.state.queue)
     Restarts(loop, "readback").die("planner", SECOND // 2, 20_000)  # a detector that waits for its answer
-    assert len(queued) == 1 and loop.queue == queued
+    assert len(queued) == 1 and loop.state.queue == queued
