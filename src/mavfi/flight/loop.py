@@ -425,6 +425,15 @@ class Loop:
             self.plant.advance(-(-flight.now // STEP_US) * STEP_US)
             HANDLERS[kind](self, flight.now, *arguments)
 
+    def fly_until(self, may_stop: Callable[[], bool]) -> Flight | None:
+        """Fly until `may_stop`, called after each control period, is true, which returns None; or to the end."""
+        self.begin()
+        while self.status is None and not may_stop():
+            self.run(len(self.record.rows) + 1)
+        if self.status is None:
+            return None
+        return self.flight()
+
     def end(self, status: MissionStatus) -> None:
         """End the mission after the event in progress."""
         self.state.status = status

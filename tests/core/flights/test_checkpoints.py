@@ -15,8 +15,9 @@ from mavfi.faults.levels.state_injector import StateInjector
 from mavfi.flight import checkpoints
 from mavfi.flight.compose import detector_for, new_loop, watch
 from mavfi.flight.fly import fly
-from mavfi.flight.loop import Loop
+from mavfi.flight.loop import HANDLERS, Loop
 from mavfi.flight.recovery import DetectorTap
+from mavfi.flight.state import EventKind, FlightState
 from mavfi.pipeline.memory import Memory
 from mavfi.states import STATES
 from tests.core.flights.missions import AUTOPILOTS, GOAL, Scripted, fault, mission
@@ -170,6 +171,32 @@ def test_an_instant_is_recognised_and_no_other_is():
         assert [checkpoints.is_at(loop, other.instant) for other in stops] == [other is stop for other in stops]
 
 
+@dataclass(slots=True, eq=False)
+class WiderState(FlightState):
+    """The state of a flight with one more field, a list that changes in place."""
+
+    visited: list = field(default_factory=list)
+
+
+def test_a_new_field_of_the_state_is_in_checkpoints_forks_and_comparisons(monkeypatch):
+    monkeypatch.setattr("mavfi.flight.loop.FlightState", WiderState)
+    loop = new_loop(mission(), rewindable=True)
+    loop.state.visited.append("start")
+    instant = checkpoints.take(loop)
+    loop.state.visited.append("door")
+    assert not checkpoints.is_at(loop, instant), "a comparison sees it"
+    for _ in range(2):  # a fork, and another one: neither changes the checkpoint
+        checkpoints.put(loop, instant)
+        assert loop.state.visited == ["start"] and checkpoints.is_at(loop, instant)
+        loop.state.visited.append("window")
+    loop.reset()
+    assert loop.state.visited == [], "another flight begins without it"
+
+
+def test_every_kind_of_event_has_a_handler():
+    assert set(HANDLERS) == set(EventKind)
+
+
 @pytest.mark.parametrize("name", KERNELS)
 def test_a_kernel_that_differs_is_seen(name):
     _, stops = fly_with_stops(mission(), pitch=100)
@@ -188,7 +215,7 @@ def test_what_a_checkpoint_copies_is_small():
         if isinstance(saved, np.ndarray):
             return saved.nbytes
         if isinstance(saved, Memory):
-            return sum(size(getattr(saved, name)) for name in saved.__slots__)
+            return sum(size(getattr(saved, name)) for name in saved.__match_args__)
         if isinstance(saved, dict):
             return sum(map(size, saved.values()))
         return sum(map(size, saved)) if isinstance(saved, (list, tuple)) else 0

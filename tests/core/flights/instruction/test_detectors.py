@@ -9,7 +9,7 @@ from mavfi.faults.levels.instruction import Profiling
 from mavfi.flight.compose import resolve
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
-from mavfi.flight.forks import FromTakeOff, fly_instruction_faults
+from mavfi.flight.from_take_off import FromTakeOff, fly_instruction_faults
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN

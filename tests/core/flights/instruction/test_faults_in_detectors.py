@@ -18,7 +18,7 @@ from mavfi.detectors.preprocess import PROFILES
 from mavfi.detectors.registry import check_kernel, contains
 from mavfi.errors import BadInputError
 from mavfi.flight.compose import detector_for, new_loop, resolve, watch
-from mavfi.flight.forks import fly_instruction_faults
+from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.flight.restarts import Restarts
 from mavfi.flight.state import EventKind
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
