@@ -131,6 +131,7 @@ def resolve(spec: MissionSpec) -> Scenario:
         find_generator(environment.generator)
     with _read_from(vehicle_source, "vehicle"):
         vehicle = find_vehicle(environment.vehicle)
+    find_controller(spec.flight_controller)
     return Scenario(
         environment=environment,
         seed=spec.seed,
@@ -146,7 +147,7 @@ def resolve(spec: MissionSpec) -> Scenario:
         wind=parse(configs.WindConfig, {"gust": spec.wind}, "wind"),
         localization=parse(configs.LocalizationConfig, {"kind": spec.localization}, "localization"),
         dead_node=spec.dead_node,
-        flight_controller=_controller(spec.flight_controller),
+        flight_controller=spec.flight_controller,
         kernels=_own_kernels(spec),
         protection=protection,
         arrival_radius=spec.arrival_radius,
@@ -186,12 +187,6 @@ def _own_kernels(spec: MissionSpec) -> dict[str, str]:
     for name, address in kernels.items():
         find_kernel(name, address)
     return kernels
-
-
-def _controller(name: str) -> str:
-    """The name, after checking that there is such a flight controller."""
-    find_controller(name)
-    return name
 
 
 def _autopilot(spec: MissionSpec) -> configs.AutopilotConfig:

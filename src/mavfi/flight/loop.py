@@ -236,10 +236,6 @@ class LoopRecord:
         self.publications = publications
         self.calls: dict[str, int] = {}
 
-    def write_row(self, now: int, odometry: np.ndarray, command: np.ndarray, reference: np.ndarray) -> None:
-        """Append the row of a control period, see `record.COLUMNS`: shapes (13,), (4,) and (3,)."""
-        self.rows.append(np.concatenate(([1e-6 * now], odometry, command, reference)))
-
     def note(self, now: int, kind: str, data: dict[str, object]) -> None:
         """Append an event."""
         self.events.append(Event(now, kind, data))
@@ -468,7 +464,9 @@ class Loop:
         for listener in self.listeners:
             listener.before_tick(now)
         flight.status = flight.status or self.judge.status(self.plant, flight.failed_plans, now)
-        self.record.write_row(now, self.plant.odometry, flight.command, flight.reference)
+        # The row of this control period, see `record.COLUMNS`.
+        row = np.concatenate(([1e-6 * now], self.plant.odometry, flight.command, flight.reference))
+        self.record.rows.append(row)
         if flight.status is None:
             self._control_period(now)
         for listener in self.listeners:
