@@ -30,7 +30,7 @@ _MACHINE_OF_SQLITE = {
     sqlite3.SQLITE_PROTOCOL,
     sqlite3.SQLITE_CORRUPT,  # EIO while reading a ledger that was sound when opened
 }
-_PACKAGE_OF_MODULE = {"foxglove": "foxglove-sdk", "sklearn": "scikit-learn"}
+_PACKAGE_OF_MODULE = {"elftools": "pyelftools", "foxglove": "foxglove-sdk", "sklearn": "scikit-learn"}
 """Optional packages whose module has another name."""
 _NO_MEMORY = "could not allocate"
 """MuJoCo's message; it raises no MemoryError."""

@@ -22,7 +22,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TextIO
 
-from mavfi.detectors.foreign import Monitor, NamedNumbers, train
+from mavfi.extras.shared.foreign import Monitor, NamedNumbers, train
 from mavfi.errors import BadInputError, not_known
 from mavfi.extras.airsim import cameras, flying, scene, sensing
 from mavfi.extras.airsim.calls import RecordedCall

@@ -11,7 +11,7 @@ from typing import Any
 from mavfi.errors import BadInputError
 from mavfi.extras.airsim.grounded import times
 from mavfi.numerics.elementary import cos, sin
-from mavfi.numerics.frames import Numbers, Triple, geodetic, local
+from mavfi.extras.shared.frames import Numbers, Triple, geodetic, local
 
 Quaternion = tuple[float, float, float, float]
 """w x y z."""

@@ -21,7 +21,7 @@ from mavfi.flight.compose import resolve
 from mavfi.flight.sensor_faults import FailingController
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.numerics.elementary import atan2, cos, sin
-from mavfi.numerics.frames import Triple
+from mavfi.extras.shared.frames import Triple
 from mavfi.numerics.rotations import rotation_matrix, yaw_of
 from mavfi.sim.cascade import MEMORY_SIZE, YAW_REFERENCE, mix_rotors, wanted_rates
 from mavfi.sim.engine import GRAVITY

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.detectors.detector import Alarm, Detector, class_of
-from mavfi.detectors.foreign import Monitor
+from mavfi.extras.shared.foreign import Monitor
 from mavfi.detectors.gate import UNKNOWN_ARENA
 from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.registry import detector_class, is_named, load_detector

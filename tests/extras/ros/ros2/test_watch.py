@@ -17,7 +17,7 @@ from mavfi.extras.ros import watch
 from mavfi.extras.ros.ros2 import listener
 from mavfi.extras.ros.ros2.graph import AgentClient
 from mavfi.extras.ros.ros2.message_types import TypeLibrary
-from mavfi.flight.log_readers import RecordLayout
+from mavfi.extras.shared.log_readers import RecordLayout
 
 
 def record(agent, folder, plugin, count):

@@ -14,7 +14,7 @@ from operator import and_
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mavfi.detectors.foreign import Monitor
+from mavfi.extras.shared.foreign import Monitor
 from mavfi.errors import BadInputError
 from mavfi.extras.registers import inject
 from mavfi.extras.ros.processes import children

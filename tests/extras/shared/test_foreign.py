@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mavfi.detectors.foreign import (
+from mavfi.extras.shared.foreign import (
     COUNTER,
     QUATERNION,
     Monitor,
