@@ -8,6 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mavfi.errors import BadInputError, allowed, hint
+from mavfi.extras.logs.mapping import NO_MAPPING, UsedMapping, choose_mapping, nearest_mapping
+from mavfi.extras.logs.recording import LogRecording, values_of
 from mavfi.extras.shared.foreign import (
     COUNTER,
     QUATERNION,
@@ -18,9 +21,6 @@ from mavfi.extras.shared.foreign import (
     foreign_spec,
     recognise,
 )
-from mavfi.errors import BadInputError, allowed, hint
-from mavfi.extras.logs.mapping import NO_MAPPING, UsedMapping, choose_mapping, nearest_mapping
-from mavfi.extras.logs.recording import LogRecording, values_of
 from mavfi.extras.shared.log_readers import LONGEST_LIST, LoggedMessage
 
 COUNTS = "counts messages or time (see --kinds)"
