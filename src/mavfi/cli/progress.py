@@ -231,7 +231,7 @@ def run_counts(settings: Mapping[str, tuple[int, int, int]], *, flies: bool = Tr
 
     The share of successes has Wilson's interval.
     """
-    from mavfi.analysis.statistics import score_bounds
+    from mavfi.analysis.statistics import wilson
 
     table = _plain_table()
     is_incomplete = any(planned > done for planned, done, _ in settings.values())
@@ -252,8 +252,7 @@ def run_counts(settings: Mapping[str, tuple[int, int, int]], *, flies: bool = Tr
         if flies:
             share = ""
             if done:
-                low, high = score_bounds(success / done, done)
-                share = f"{100 * success / done:.1f} [{100 * low:.1f}, {100 * high:.1f}]"
+                share = f"{100 * success / done:.1f} {wilson(success, done).interval}"
             cells += [str(success), Text(share, style="dim")]
         table.add_row(*cells)
     return table
@@ -272,13 +271,10 @@ def effect_counts(effects: Mapping[str, Mapping[str, Rate]]) -> Table:
     for setting, rates in effects.items():
         name = setting
         for effect, rate in rates.items():
-            share = ""
-            if rate.rate is not None and rate.low is not None and rate.high is not None:
-                share = f"{100 * rate.rate:.1f} % [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
             runs = ""
             if rate.successes is not None:
                 runs = str(rate.successes)
-            table.add_row(name, HEADINGS.get(effect, effect), runs, str(rate.n), share)
+            table.add_row(name, HEADINGS.get(effect, effect), runs, str(rate.n), rate.percent)
             name = ""
     return table
 

@@ -174,7 +174,7 @@ def _show(models: list[Model], alarms: list[dict[str, EventRate]], folder: Path,
     for name in alarms[0]:
         shown.add_column(f"in {name}", justify="right")
     for model, rates in zip(models, alarms, strict=True):
-        shown.add_row(model.kind, model.profile, *map(_alarms, rates.values()))
+        shown.add_row(model.kind, model.profile, *(rate.text or "not counted" for rate in rates.values()))
     out.print(shown)
     out.print(Text(f"The models are in {folder}."), soft_wrap=True)
 
@@ -184,10 +184,3 @@ def _exposure(rates: dict[str, EventRate]) -> str:
     if len(rates) == 1:
         return f"{next(iter(rates.values())).hours:.2f} h"
     return ", ".join(f"{rate.hours:.2f} h ({name})" for name, rate in rates.items())
-
-
-def _alarms(rate: EventRate) -> str:
-    """A rate of false alarms with its interval."""
-    if rate.per_hour is None:
-        return "not counted"
-    return f"{rate.per_hour:.1f} [{rate.low:.1f}, {rate.high:.1f}]"
