@@ -50,17 +50,11 @@ def one_line(text: str) -> str:
     """The text as one line for a terminal: unprintable characters are escaped, long text is shortened in the middle."""
     line = " ".join(text.split())
     if not line.isprintable():
-        line = "".join(map(_printable, line))
+        line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
     if len(line) <= MAX_LINE_LENGTH:
         return line
     half = MAX_LINE_LENGTH // 2 - 3
     return f"{line[:half]} ... {line[-half:]}"
-
-
-def _printable(character: str) -> str:
-    if character.isprintable():
-        return character
-    return character.encode("unicode_escape").decode()
 
 
 def complain(text: str, code: int) -> int:
