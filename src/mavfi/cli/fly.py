@@ -67,8 +67,8 @@ def fly(  # noqa: PLR0913 - one parameter per option
     check_file("--html", html, PAGES)
     request: Request | Fault | None
     request, host = _chosen_by_extras(mission, {"fault": fault, "html": html, **extra})
-    from mavfi.cli.progress import compiling
     from mavfi.levels.level import parse
+    from mavfi.report.progress import compiling
 
     if fault is not None:
         request = parse(fault, mission.localization)

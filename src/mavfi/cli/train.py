@@ -74,8 +74,8 @@ def train(  # noqa: PLR0913 - one for each option
     import sklearn.neural_network  # noqa: F401
 
     from mavfi.campaign.training import count_false_alarms, environments_of, record, training_mission, trainings_of
-    from mavfi.cli.progress import Bar
     from mavfi.detectors.model import Model
+    from mavfi.report.progress import Bar
 
     # environments of the flights; an unknown name is refused before the first of them
     trained_in = _names(environments)

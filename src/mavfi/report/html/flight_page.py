@@ -14,7 +14,6 @@ from mavfi.campaign.divergence import TimedState, departure, first_difference, s
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.replay import Explanation, flight_again, fly_recorded
 from mavfi.campaign.store import Store
-from mavfi.errors import write_text
 from mavfi.faults.fault import Fault
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.host import ArmSetup, Flight
@@ -200,8 +199,7 @@ class FlightPage:
 
 def write_flight_page(path: Path, flight: FlightPage) -> Path:
     """Write the page of one flight; `BadInputError` if the file cannot be written."""
-    write_text(path, rendered_flight_page(flight))
-    return path
+    return page.write(path, "flight.html.j2", flight=flight.to_json())
 
 
 def rendered_flight_page(flight: FlightPage) -> str:

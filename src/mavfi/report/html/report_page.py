@@ -366,7 +366,7 @@ def write_report_page(
     write_text(path, text)  # at once: the flights may take a minute, and may be stopped
     # flights fill what is left of the file
     flight_data = _as_fit(flights, largest - size)
-    write_text(path, page.render("report.html.j2", **values, flights=flight_data))
+    page.write(path, "report.html.j2", **values, flights=flight_data)
     return len(flight_data)
 
 

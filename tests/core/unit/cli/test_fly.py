@@ -162,7 +162,7 @@ def test_an_empty_cache_is_filled_on_all_processors(monkeypatch, capsys):
         lambda scenario, executor: compiled.append((scenario.seed, executor.workers)),
     )
     for cold in (True, False):
-        monkeypatch.setattr("mavfi.cli.progress.compiling", lambda own=cold, **_: nullcontext(own))
+        monkeypatch.setattr("mavfi.report.progress.compiling", lambda own=cold, **_: nullcontext(own))
         assert run(["fly", "--environment", "sparse", "--seed", "7", "--json"]) == 0
     assert compiled == [(7, os.cpu_count())]
 

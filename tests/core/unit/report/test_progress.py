@@ -2,9 +2,9 @@ import pytest
 from rich.console import Console
 
 from mavfi.campaign.ledger import Progress
-from mavfi.cli import progress
-from mavfi.cli.progress import Bar, compiling
 from mavfi.errors import BadInputError
+from mavfi.report import progress
+from mavfi.report.progress import Bar, compiling
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def test_a_cache_is_cold_until_a_flight_has_ended(terminal, monkeypatch, tmp_pat
     (tmp_path / "some.nbc").touch()  # compiled by a command that does not fly
     monkeypatch.setattr("mavfi.numerics.jit.code_folder", lambda: tmp_path)
     out = Console(stderr=True, force_terminal=terminal, width=100)
-    monkeypatch.setattr("mavfi.cli.progress.console", lambda **_: out)
+    monkeypatch.setattr("mavfi.report.progress.console", lambda **_: out)
     with pytest.raises(BadInputError), compiling(flight=True):
         raise BadInputError("refused")
     capsys.readouterr()
