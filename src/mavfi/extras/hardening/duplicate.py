@@ -18,7 +18,7 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from mavfi.extras.hardening.plan import ModuleSite
-from mavfi.ir.flow import back_edges, loop_depths, successors
+from mavfi.ir.flow import back_edges, loop_depths, successors, uses
 from mavfi.ir.module import BasicBlock, Function, Instruction, Module, width
 from mavfi.ir.parser import VOLATILE_LOAD
 
@@ -81,9 +81,10 @@ def _can_differ(instruction: Instruction, kinds: dict[str, str]) -> bool:
     return instruction.opcode == "load" or any(name in kinds for name in instruction.uses())
 
 
-def reads_memory(instruction: Instruction) -> bool:
-    """Whether an instruction is a load, of one or several elements."""
-    return instruction.opcode == "load" or bool(_MEMORY.match(str(instruction.callee)))
+def is_address(name: str, user: Instruction) -> bool:
+    """Whether an instruction loads one or several elements from a value."""
+    is_load = user.opcode == "load" or bool(_MEMORY.match(str(user.callee)))
+    return is_load and name in user.addresses
 
 
 def can_copy(kind: str) -> bool:
@@ -190,7 +191,7 @@ class _Duplicator:
         home: Block and instruction that compute each value.
         headers: Labels of the latches of each loop header.
         duplicable: Names of the values that get a shadow.
-        uses: See `_uses`.
+        uses: Users of each of these values, with the label of the block in which it must be available.
         checked_in: See `_places_of_checks`.
         checked_last: See `_checks_at_end`.
         numbers: Number of added instructions.
@@ -213,7 +214,10 @@ class _Duplicator:
         for latch, header in back_edges(function):
             self.headers[header].add(latch)
         self.duplicable = self._separable(chosen)
-        self.uses = self._uses()
+        self.uses: dict[str, list[tuple[Instruction, str]]] = {name: [] for name in self.duplicable}
+        for name, user, label in uses(function):
+            if name in self.duplicable:
+                self.uses[name].append((user, label))
         self.checked_in = self._places_of_checks()
         self.checked_last = self._checks_at_end()
         self.numbers = 0
@@ -226,34 +230,21 @@ class _Duplicator:
     def _separable(self, chosen: set[str]) -> set[str]:
         """The chosen values without those whose shadow code generation could merge with them."""
         while True:  # removing a value may leave a user of it without an operand of its own
-            separable = {name for name in chosen if self._differs(self.home[name][1], chosen)}
+            separable = {name for name in chosen if self._can_differ(self.home[name][1], chosen)}
             if separable == chosen:
                 return separable
             chosen = separable
 
-    def _differs(self, instruction: Instruction, chosen: set[str]) -> bool:
+    def _can_differ(self, instruction: Instruction, chosen: set[str]) -> bool:
         """Whether a shadow of an instruction can have an operand that the original does not have."""
         if instruction.opcode in ("load", "phi"):
             return True
         return any(name in chosen or can_copy(self.kinds.get(name, "")) for name in instruction.uses())
 
-    def _uses(self) -> dict[str, list[tuple[Instruction, str]]]:
-        """Users of each chosen value, with the label of the block in which it must be available."""
-        uses: dict[str, list[tuple[Instruction, str]]] = defaultdict(list)
-        for block in self.function.blocks:
-            for user in block.all():
-                if user.opcode == "phi":
-                    for value, label in user.incoming:  # needed at the end of the block before
-                        uses[value].append((user, label))
-                else:
-                    for name in dict.fromkeys(user.uses()):
-                        uses[name].append((user, block.label))
-        return {name: uses[name] for name in self.duplicable}
-
     def _leaves(self, name: str, user: Instruction) -> bool:
         """Whether a value must be compared before this use of it."""
         if user.result in self.duplicable:
-            return self.addresses and reads_memory(user) and name in user.addresses
+            return self.addresses and is_address(name, user)
         return not (is_fork(user) and name == user.tokens[2])
 
     def _places_of_checks(self) -> dict[str, set[str]]:
@@ -301,15 +292,13 @@ class _Duplicator:
 
         # 3. Phis must name the parts of blocks that lead to them, and all checks need the block that stops.
         for block in self.blocks:
-            block.phis = [self._from_parts(phi, block.label) for phi in block.phis]
+            for number, phi in enumerate(block.phis):
+                incoming = [(value, self.ends.get((before, block.label), before)) for value, before in phi.incoming]
+                block.phis[number] = replace(phi, incoming=incoming)
         if any(_STOP in successors(block.terminator) for block in self.blocks):
             end = Instruction("ret", ["ret", "i32", str(DETECTED)])
             self.blocks.append(BasicBlock(_STOP, terminator=end, unreached=True))
         return replace(self.function, blocks=self.blocks)
-
-    def _from_parts(self, phi: Instruction, label: str) -> Instruction:
-        incoming = [(value, self.ends.get((before, label), before)) for value, before in phi.incoming]
-        return replace(phi, incoming=incoming)
 
     def _start(self, phi: Instruction, label: str) -> None:
         """Copy incoming values of a phi that have no shadow, where its own shadow would else equal the original."""

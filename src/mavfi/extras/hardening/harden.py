@@ -129,7 +129,7 @@ class Target:
     def _clock(self, module: Module) -> Clock:
         """Clock of a variant of the function."""
         environment = environment_of(self.seen.function, self.seen.signature)
-        return Timed(self.source, Timed.code_of(self.source, module), environment).ticks
+        return Timed(self.source, module, environment).ticks
 
     def _timed(self, sites: Collection[ModuleSite]) -> tuple[float, float]:
         """Ticks of a plain call, and the time of a protected one as a multiple of it."""

@@ -44,16 +44,12 @@ class Cost(NamedTuple):
         detection: Time of `check` and `accept`, by stage of the publications, and of steps that are computed again for
             comparison (s).
         recovery: Time of repeated steps, and of saving and restoring memory for them (s).
-        judged_count: Number of publications that the detector checked, and of steps that were computed again.
-        recomputed: Recomputations / computations, both in the platform's modelled time.
         compute: Compute time of the pipeline with the platform's latencies, without recomputations (s).
     """
 
     kernels: float
     detection: Mapping[str, float]
     recovery: Mapping[str, float]
-    judged_count: int
-    recomputed: float
     compute: float
 
 
@@ -67,7 +63,6 @@ class _Clock:
         self.seconds: defaultdict[tuple[str, str], float] = defaultdict(float)
         self.calls: Counter[tuple[str, str]] = Counter()
         self.verification_seconds: defaultdict[str, float] = defaultdict(float)
-        self.verification_count = 0
 
     def timed(self, kernel: Any, method: str) -> None:
         """Wrap a method of a kernel in a timer."""
@@ -95,7 +90,6 @@ class _Clock:
             self.verification_seconds[str(kernel.stage)] += time.perf_counter() - start
             self.seconds = seconds
             self.calls = calls
-            self.verification_count += 1
             return result
 
         return call
@@ -152,7 +146,7 @@ def cost(
     loop.recompute = count_and_recompute  # type: ignore[method-assign]
 
     # record what the detector checks, for the replay
-    states = loop.taps.watched
+    watched = loop.taps.watched
     publications = list[tuple[State, int]]()
     loop.taps.recorders.append(lambda state, now: publications.append((state, now)))
     meta = loop.fly().log.meta
@@ -162,14 +156,12 @@ def cost(
         raise BadInputError(f"platform {scenario.platform.name}: latency_us: all are 0; allowed: one above 0 at least")
 
     # replay them
-    judged = [(state, now) for state, now in publications if states is None or state.spec.name in states]
+    judged = [(state, now) for state, now in publications if watched is None or state.spec.name in watched]
     seconds_of_kernels = sum(spent for (_, method), spent in clock.seconds.items() if method in ("step", "receive"))
     return Cost(
         seconds_of_kernels,
         _detection(detector, judged, clock.verification_seconds),
         _recovery(clock, repeated),
-        len(judged) + clock.verification_count,
-        recompute_us / compute_us,
         1e-6 * (compute_us - recompute_us),
     )
 
