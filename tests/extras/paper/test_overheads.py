@@ -53,7 +53,7 @@ def test_medians_of_flights_are_divided_by_the_time_of_the_kernels_and_by_the_mo
     def cost(scenario, name, profile, models_dir, options):
         kernels = next(flights)
         return overheads.Cost(
-            kernels, dict.fromkeys(overheads.STAGES, 0.4), dict.fromkeys(overheads.STAGES, 0.8), 7, 0.0, 10 * kernels
+            kernels, dict.fromkeys(overheads.STAGES, 0.4), dict.fromkeys(overheads.STAGES, 0.8), 10 * kernels
         )
 
     monkeypatch.setattr(overheads, "cost", cost)
