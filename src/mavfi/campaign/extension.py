@@ -175,7 +175,7 @@ class _Extension:
                         raise self._other_draw(draw)
 
     def _other_draw(self, draw: Draw) -> BadInputError:
-        """The refusal of a draw that is another one in the larger campaign."""
+        """The refusal of a draw that differs in the larger campaign."""
         name = f"fault {draw.index} of {draw.target}"
         extended = self._extended.campaign.config
         text = f"the faults of a mission are drawn together: with more of them, {name} would be another one"

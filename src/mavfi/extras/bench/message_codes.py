@@ -68,7 +68,7 @@ class MessageCodes(FieldCodes):
         self.vehicles = VehicleQueue(self.measured)
 
     def instrument(self, made: Mapping[str, Any]) -> None:
-        """Nothing: faults are injected into its functions in missions only."""
+        """See `FieldCodes`; empty, since faults are injected into its functions in missions only."""
 
     def read(self, state: State, slot: int) -> None:
         """Compute the codes of a message of the state with this slot, in `measured`."""
@@ -76,7 +76,7 @@ class MessageCodes(FieldCodes):
         measure_message(floats(state.header, last - first), slot, self.measured)
 
     def note(self, state: State) -> None:
-        """Nothing: no code depends on other states."""
+        """See `FieldCodes`; empty, since codes of messages depend on their own state only."""
 
     def sample(self, states: Sequence[State]) -> Sample:
         """Sample of a recording, as a detector sees it."""
@@ -85,7 +85,7 @@ class MessageCodes(FieldCodes):
         held = np.zeros(len(self.fields), np.int16)
         slots = np.array([self.slots[state.spec.name] for state in states], np.int64)
         for row, (state, slot) in enumerate(zip(states, slots.tolist(), strict=True)):
-            self.measure(state, slot, held, keep=True)
+            self.record(state, slot, held)
             vectors[row] = held
         self.start()
         first = np.zeros(len(states), np.bool_)

@@ -40,9 +40,9 @@ def harden(
 ) -> None:
     """Choose which instructions to duplicate within a budget of time.
 
-    Those are chosen that remove most silent corruptions per added time, by the faults of a campaign.  Of that the
-    campaign written beside the plan is the proof: fresh missions, plain and protected; its exit code is 3 if protected
-    code has no fewer silent corruptions.
+    Chooses those that remove most silent corruptions per added time, by the faults of a campaign.  The campaign written
+    beside the plan is the proof: fresh missions in plain and in protected code; it exits with code 3 unless protected
+    code has fewer silent corruptions.
 
     Example: [bold]mavfi harden out/kernels --budget 0.10 --plan plan.yaml[/bold]
 

@@ -22,13 +22,11 @@ from mavfi.analysis.rows import ACTIVATED
 from mavfi.analysis.runs import Runs
 from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.extras.paper.redundancy import (
-    AUTOENCODER,
+    SCHEMES,
     DesignConfig,
     band,
-    energy_ratio,
-    performance,
+    energy,
     ratio,
-    schemes,
     shipped_designs,
 )
 from mavfi.extras.paper.views import (
@@ -308,7 +306,6 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
     calibrations = list(dict.fromkeys(design.calibration for design in designs))
     figure = Figure(figsize=(1.4 + 3.4 * len(vehicles), 3.9), layout="constrained")
     panels = figure.subplots(1, len(vehicles), squeeze=False)[0]
-    names = list(schemes())
     width = 0.7 / len(calibrations)
     from_paper = False
     for axes, vehicle in zip(panels, vehicles, strict=True):
@@ -320,18 +317,18 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
         for design in variants:
             calibration = calibrations.index(design.calibration)
             look = _DESIGN_LOOKS[calibration % len(_DESIGN_LOOKS)]
-            for x, name in enumerate(names):
+            for x, name in enumerate(SCHEMES):
                 _design_mark(axes, design, name, x + (calibration - (len(calibrations) - 1) / 2) * width, top, look)
 
         # those of the paper
-        for x, name in enumerate(names):
+        for x, name in enumerate(SCHEMES):
             printed = paper.figure("redundancy_time", vehicle=vehicle, scheme=name)
             if printed is not None:
                 from_paper = True
                 axes.plot([x - 0.42, x + 0.42], [printed, printed], color=style.PAPER, zorder=5)
                 axes.annotate(f"{printed:.2f}", (x + 0.44, printed), va="center", fontsize=8, color=style.PAPER)
-        axes.set_xticks(range(len(names)), names)
-        axes.set_xlim(-0.5, len(names) - 0.35)
+        axes.set_xticks(range(len(SCHEMES)), list(SCHEMES))
+        axes.set_xlim(-0.5, len(SCHEMES) - 0.35)
         axes.set_ylim(min([1.0, *finite]) - 0.06 * (top - 1.0), top)
         axes.tick_params(axis="x", length=0)
         axes.yaxis.set_major_formatter(lambda value, _: f"{value:g} ×")
@@ -365,22 +362,18 @@ def _design_mark(axes: Axes, design: DesignConfig, scheme: str, x: float, top: f
     if math.isinf(high):
         axes.plot(x, top, "^", color=colour, markersize=6, clip_on=False)
     axes.plot(x, min(ratio(design, scheme), top), marker, color=colour, markersize=6)
-    energy = _energy(design, scheme)
-    if math.isfinite(energy):
-        axes.plot(x, energy, marker, color=colour, markersize=6, fillstyle="none")
+    energy_of_scheme = energy(design, scheme)
+    if math.isfinite(energy_of_scheme):
+        axes.plot(x, energy_of_scheme, marker, color=colour, markersize=6, fillstyle="none")
 
 
 def _finite_ratios(designs: Sequence[DesignConfig]) -> list[float]:
     """All ratios of designs with which the vehicle can fly, for the scale of the axis."""
     ratios = []
     for design in designs:
-        for scheme in schemes():
-            ratios += [*band(design, scheme), _energy(design, scheme)]
+        for scheme in SCHEMES:
+            ratios += [*band(design, scheme), energy(design, scheme)]
     return [value for value in ratios if math.isfinite(value)]
-
-
-def _energy(design: DesignConfig, scheme: str) -> float:
-    return energy_ratio(performance(design, *schemes()[scheme]), performance(design, *schemes()[AUTOENCODER]))
 
 
 # ---- Fig. 7: rule-based selection of the runs of a ledger whose paths are drawn, which excludes hand-picking -------

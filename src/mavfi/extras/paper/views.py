@@ -373,27 +373,36 @@ def _power(runs: Runs) -> float | None:
     return None
 
 
-def _on_platform(quantity: str, setting: str = GOLDEN) -> Callable[[Runs], Any]:
-    """A value of the paper's table, shown in the rows of one setting."""
-
-    def of(runs: Runs) -> Any:
-        if runs.first("setting") != setting or not paper.comparable(runs):
-            return None
-        return paper.figure("platforms", quantity=quantity, platform=_platform(runs))
-
-    return of
+def _printed(runs: Runs, quantity: str) -> Any:
+    """A value of the paper's table, which stands beside golden flights; None beside others."""
+    if runs.first("setting") != GOLDEN or not paper.comparable(runs):
+        return None
+    return paper.figure("platforms", quantity=quantity, platform=platforms(runs).get(runs.first("environment"), ""))
 
 
-def _platform(runs: Runs) -> str:
-    return platforms(runs).get(runs.first("environment"), "")
+def _printed_energy(runs: Runs) -> float | None:
+    """Energy of the paper's flights (J)."""
+    kilojoule = _printed(runs, "energy_kj")
+    if kilojoule is None:
+        return None
+    return float(1000 * kilojoule)
 
 
-def _papers_power(runs: Runs) -> float | None:
-    time = _on_platform("flight_time_s")(runs)
-    energy = _on_platform("energy_kj")(runs)
+def _printed_power(runs: Runs) -> float | None:
+    """Mean power of the paper's flights (W)."""
+    time = _printed(runs, "flight_time_s")
+    energy = _printed_energy(runs)
     if time and energy:
-        return float(1000 * energy / time)
+        return float(energy / time)
     return None
+
+
+def _printed_processor(runs: Runs) -> str | None:
+    """Power of the paper's processor."""
+    power = _printed(runs, "power_w")
+    if power is None:
+        return None
+    return f"{power} W"
 
 
 def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
@@ -507,20 +516,13 @@ CHAPTER = Chapter(
                 m.count("n", "flights"),
                 Measure("median_s", "median time", _SECONDS, _median),
                 Measure("worst_s", "worst time", _SECONDS, _worst),
-                paper.beside(Measure("paper_s", "paper", _SECONDS, _on_platform("flight_time_s"))),
+                paper.beside(Measure("paper_s", "paper", _SECONDS, lambda runs: _printed(runs, "flight_time_s"))),
                 m.median("energy_j", "median energy", _KJ),
-                paper.beside(Measure("paper_kj", "paper", _KJ, lambda runs: _kilo(_on_platform("energy_kj")(runs)))),
+                paper.beside(Measure("paper_kj", "paper", _KJ, _printed_energy)),
                 Measure("power_w", "power", "number .0f W", _power),
-                paper.beside(Measure("paper_w", "paper", "number .0f W", _papers_power)),
+                paper.beside(Measure("paper_w", "paper", "number .0f W", _printed_power)),
                 _against_first,
-                paper.beside(
-                    Measure(
-                        "paper_processor",
-                        "paper: processor",
-                        "text",
-                        lambda runs: _watts(_on_platform("power_w")(runs)),
-                    )
-                ),
+                paper.beside(Measure("paper_processor", "paper: processor", "text", _printed_processor)),
             ),
             where=compared,
             headings=("platform", "setting"),
@@ -539,15 +541,3 @@ CHAPTER = Chapter(
         ),
     ),
 )
-
-
-def _kilo(kilojoule: float | None) -> float | None:
-    if kilojoule is None:
-        return None
-    return 1000 * kilojoule
-
-
-def _watts(text: str | None) -> str | None:
-    if text is None:
-        return None
-    return f"{text} W"
