@@ -82,11 +82,11 @@ class MessageCodes(FieldCodes):
         """Sample of a recording, as a detector sees it."""
         self.start()
         vectors = np.zeros((len(states), len(self.fields)), np.int16)
-        held = np.zeros(len(self.fields), np.int16)
+        codes = np.zeros(len(self.fields), np.int16)
         slots = np.array([self.slots[state.spec.name] for state in states], np.int64)
         for row, (state, slot) in enumerate(zip(states, slots.tolist(), strict=True)):
-            self.record(state, slot, held)
-            vectors[row] = held
+            self.record(state, slot, codes)
+            vectors[row] = codes
         self.start()
         first = np.zeros(len(states), np.bool_)
         first[np.unique(slots, return_index=True)[1]] = True

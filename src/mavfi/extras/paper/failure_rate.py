@@ -96,6 +96,10 @@ class Estimate:
         low, high = sorted((factor * self.low, factor * self.high))
         return Estimate(factor * self.value, low, high)
 
+    def not_negative(self) -> "Estimate":
+        """The estimate of a value that cannot be negative: value and interval are cut at 0, which loses no coverage."""
+        return Estimate(max(0.0, self.value), max(0.0, self.low), max(0.0, self.high))
+
 
 def upsets_per_instruction(upsets: UpsetConfig) -> Estimate:
     """Probability that an upset changes the result of one instruction, with the band due to flux and FIT rate.
@@ -131,11 +135,9 @@ class ExposedKernel:
     def without_negative_harm(self) -> "ExposedKernel":
         """The kernel as the cause of failures, of which a fault cannot cause fewer than none.
 
-        Value and interval are cut at 0, which loses no coverage.  A difference of two settings is one of harms as
-        measured, which may have either sign.
+        A difference of two settings is one of harms as measured, which may have either sign.
         """
-        harm = self.harm
-        return replace(self, harm=Estimate(max(0.0, harm.value), max(0.0, harm.low), max(0.0, harm.high)))
+        return replace(self, harm=self.harm.not_negative())
 
 
 def total_failures(exposed: Iterable[ExposedKernel], upset: float) -> Estimate:
