@@ -242,9 +242,9 @@ def failures(
 ) -> None:
     """Compare settings by failures per flight hour.
 
-    They are upset rate x instructions x harm, of detectors and recovery too. Harm is the increase in mission failures
-    per fault. Needs a campaign with instruction faults in which the golden runs of every arm are counted, e.g.
-    failure_rate.
+    They are the product of upset rate, instructions (those of detectors and recovery included) and harm, the increase
+    in mission failures per fault. Needs a campaign with instruction faults in which the golden runs of every arm are
+    counted, e.g. failure_rate.
 
     Example: [bold]mavfi failures out/failure_rate --upsets my_upsets.yaml[/bold]
     """
