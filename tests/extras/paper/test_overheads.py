@@ -53,7 +53,7 @@ def test_medians_of_flights_are_divided_by_the_time_of_the_kernels_and_by_the_mo
     def cost(scenario, name, profile, models_dir, options):
         kernels = next(flights)
         return overheads.Cost(
-            kernels, dict.fromkeys(overheads.STAGES, 0.4), dict.fromkeys(overheads.STAGES, 0.8), 10 * kernels
+            kernels, dict.fromkeys(overheads.STAGES, 0.4), dict.fromkeys(overheads.STAGES, 0.8), 7, 0.0, 10 * kernels
         )
 
     monkeypatch.setattr(overheads, "cost", cost)
@@ -83,7 +83,7 @@ def test_measured_shares_are_kept_with_the_ledger(tmp_path):
 
 def test_a_flight_is_measured_by_stage():
     found = overheads.cost(MissionSpec(environment="sparse", seed=10_000), "gaussian", "paper")
-    assert found.kernels > 0
+    assert found.kernels > 0 and found.judged_count > 1000
     assert found.compute > 10, "modelled: a map takes 0.28 s, and there are several a second"
     assert all(found.detection[stage] > 0 for stage in overheads.STAGES)
     assert found.detection["control"] > found.detection["planning"], "it publishes most"

@@ -44,12 +44,16 @@ class Cost(NamedTuple):
         detection: Time of `check` and `accept`, by stage of the publications, and of steps that are computed again for
             comparison (s).
         recovery: Time of repeated steps, and of saving and restoring memory for them (s).
+        judged_count: Number of publications that the detector checked, and of steps that were computed again.
+        recomputed: Recomputations / computations, both in the platform's modelled time.
         compute: Compute time of the pipeline with the platform's latencies, without recomputations (s).
     """
 
     kernels: float
     detection: Mapping[str, float]
     recovery: Mapping[str, float]
+    judged_count: int
+    recomputed: float
     compute: float
 
 
@@ -63,6 +67,7 @@ class _Clock:
         self.seconds: defaultdict[tuple[str, str], float] = defaultdict(float)
         self.calls: Counter[tuple[str, str]] = Counter()
         self.verification_seconds: defaultdict[str, float] = defaultdict(float)
+        self.verification_count = 0
 
     def timed(self, kernel: Any, method: str) -> None:
         """Wrap a method of a kernel in a timer."""
@@ -90,6 +95,7 @@ class _Clock:
             self.verification_seconds[str(kernel.stage)] += time.perf_counter() - start
             self.seconds = seconds
             self.calls = calls
+            self.verification_count += 1
             return result
 
         return call
@@ -162,6 +168,8 @@ def cost(
         seconds_of_kernels,
         _detection(detector, judged, clock.verification_seconds),
         _recovery(clock, repeated),
+        len(judged) + clock.verification_count,
+        recompute_us / compute_us,
         1e-6 * (compute_us - recompute_us),
     )
 
