@@ -57,8 +57,8 @@ Missions in the worlds `dense` and `factory` lost to one flipped bit, and how ma
 
 {remarks}"""
 MOVED = (
-    'A cell with "of" counts only faults that meet the same value with the scheme as without it: false alarms change the '
-    "course of the other flights."
+    'A cell with "of" counts only faults that meet the same value with the scheme as without it: false alarms change '
+    "the course of the other flights."
 )
 RECOMMENDED = (
     "`recommended` consists of rules of physics and protocol; nothing is trained. "
