@@ -201,79 +201,76 @@ def _schemes(
     )
 
 
-CHAPTER = Chapter(
-    110,
+_OF_STATES = _schemes(
+    STATE,
+    "schemes",
+    "Schemes on the same faults in states",
+    (*_COUNTED, _BACK_MONITORED, _P, *_HARM, _DETECTED, _ALARM_AFTER, *_ALARMS),
     (
-        _schemes(
-            STATE,
-            "schemes",
-            "Schemes on the same faults in states",
-            (*_COUNTED, _BACK_MONITORED, _P, *_HARM, _DETECTED, _ALARM_AFTER, *_ALARMS),
-            (
-                *_NOTES,
-                "of monitored: brought back of those lost to a fault in a field that the paper's detectors monitor",
-                "detected: of the lost ones, alarm on the corrupted publication",
-                _ranking,
-            ),
-        ),
-        _schemes(
-            MEMORY,
-            "schemes_memory",
-            "Schemes on the same faults in memory",
-            (*_TESTED, *_HARM, _ALARM_AFTER, *_ALARMS),
-            (*_NOTES, _ranking),
-        ),
-        _schemes(
-            SENSOR,
-            "schemes_sensor",
-            "Schemes on the same failures of sensors and motors",
-            (*_COUNTED, *_HARM, *_ALARMS),
-            (
-                *_NOTES_OF_SCHEMES,
-                "a failure lasts from its instant to the end of the flight: every message then carries what the "
-                "device gave, and its checksum and its copy agree with it",
-            ),
-        ),
-        _schemes(
-            INSTRUCTION,
-            "schemes_instructions",
-            "Schemes on the same faults in instructions",
-            (*_TESTED_CALLS, *_HARM_OF_CALLS, _ALARM_AFTER, *_ALARMS),
-            (
-                *_NOTES,
-                _ranking,
-                "died / sdc: the kernel died of the fault, or continued with a wrong value",
-                "a fault names its call and value by number; if a scheme changes the flight, by false alarms or "
-                "latencies (duplicate), that call computes something else, which may be harmless. Same value injected: "
-                "faults that meet the same value at the same instant; brought back, p and only it lost count these "
-                "alone, and golden flights. Lost under it counts all",
-            ),
-        ),
-        View(
-            "schemes_by_target",
-            "Schemes, by injected site",
-            ("target", "arm"),
-            (*_COUNTED, *_HARM),
-            where=pairs_only,
-            headings=("site", "scheme"),
-            notes=lambda _: _NOTES_OF_PAIRS,
-            applies=lambda runs: has(runs.injected, setting=FI) and len(runs.settings()) > 1,
-            by_name=True,
-        ),
-        View(
-            "schemes_by_duration",
-            "Schemes, by duration and width of the fault",
-            ("duration", "arm"),
-            (*_COUNTED, m.rate("vehicle_saved", "vehicle saved", _SAVED, _CRASHED), *_HARM),
-            where=by_duration,
-            headings=("fault", "scheme"),
-            notes=lambda _: (
-                *_NOTES_OF_PAIRS,
-                "vehicle saved: of lost missions that end in a collision or beyond the arena, those that "
-                "do not under the scheme: they succeed, or end in the air",
-            ),
-            applies=_has_durations,
-            by_name=True,
-        ),
+        *_NOTES,
+        "of monitored: brought back of those lost to a fault in a field that the paper's detectors monitor",
+        "detected: of the lost ones, alarm on the corrupted publication",
+        _ranking,
     ),
 )
+_OF_MEMORY = _schemes(
+    MEMORY,
+    "schemes_memory",
+    "Schemes on the same faults in memory",
+    (*_TESTED, *_HARM, _ALARM_AFTER, *_ALARMS),
+    (*_NOTES, _ranking),
+)
+_OF_SENSORS = _schemes(
+    SENSOR,
+    "schemes_sensor",
+    "Schemes on the same failures of sensors and motors",
+    (*_COUNTED, *_HARM, *_ALARMS),
+    (
+        *_NOTES_OF_SCHEMES,
+        "a failure lasts from its instant to the end of the flight: every message then carries what the "
+        "device gave, and its checksum and its copy agree with it",
+    ),
+)
+_OF_INSTRUCTIONS = _schemes(
+    INSTRUCTION,
+    "schemes_instructions",
+    "Schemes on the same faults in instructions",
+    (*_TESTED_CALLS, *_HARM_OF_CALLS, _ALARM_AFTER, *_ALARMS),
+    (
+        *_NOTES,
+        _ranking,
+        "died / sdc: the kernel died of the fault, or continued with a wrong value",
+        "a fault names its call and value by number; if a scheme changes the flight, by false alarms or "
+        "latencies (duplicate), that call computes something else, which may be harmless. Same value injected: "
+        "faults that meet the same value at the same instant; brought back, p and only it lost count these "
+        "alone, and golden flights. Lost under it counts all",
+    ),
+)
+_BY_TARGET = View(
+    "schemes_by_target",
+    "Schemes, by injected site",
+    ("target", "arm"),
+    (*_COUNTED, *_HARM),
+    where=pairs_only,
+    headings=("site", "scheme"),
+    notes=lambda _: _NOTES_OF_PAIRS,
+    applies=lambda runs: has(runs.injected, setting=FI) and len(runs.settings()) > 1,
+    by_name=True,
+)
+_BY_DURATION = View(
+    "schemes_by_duration",
+    "Schemes, by duration and width of the fault",
+    ("duration", "arm"),
+    (*_COUNTED, m.rate("vehicle_saved", "vehicle saved", _SAVED, _CRASHED), *_HARM),
+    where=by_duration,
+    headings=("fault", "scheme"),
+    notes=lambda _: (
+        *_NOTES_OF_PAIRS,
+        "vehicle saved: of lost missions that end in a collision or beyond the arena, those that "
+        "do not under the scheme: they succeed, or end in the air",
+    ),
+    applies=_has_durations,
+    by_name=True,
+)
+
+CHAPTER = Chapter(110, (_OF_STATES, _OF_MEMORY, _OF_SENSORS, _OF_INSTRUCTIONS, _BY_TARGET, _BY_DURATION))
