@@ -404,7 +404,7 @@ def shipped(kind: str, model: type[ConfigType], name: str, endings: Iterable[str
 
 
 def _unknown_name(kind: str, name: str, endings: Iterable[str]) -> str:
-    """The message on a name that is none of a kind of shipped configurations."""
+    """The message on a name that no shipped configuration of a kind has."""
     *others, last = dict.fromkeys([".yaml", *endings])
     files = last
     if others:
