@@ -1,5 +1,5 @@
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi.kernels.control import pid
@@ -13,7 +13,6 @@ seeds = st.integers(0, 2**32)
 anything = st.floats(allow_nan=True, allow_infinity=True)
 
 
-@settings(max_examples=25)
 @given(st.lists(seeds, min_size=1, max_size=4))
 def test_undoing_a_scan_restores_the_map_exactly(scans):
     size = FRAME.nx * FRAME.ny * FRAME.nz
@@ -81,7 +80,6 @@ events = st.lists(
 )
 
 
-@settings(max_examples=25)
 @given(st.sampled_from(AUTOPILOTS), events, events)
 def test_the_setpoint_generator_repeats_itself_from_the_same_memory(autopilot, before, between):
     kernel = SetpointGenerator(config(autopilot))

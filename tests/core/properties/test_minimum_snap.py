@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from mavfi.kernels.planning import knots, minimum_snap, time_allocation
@@ -34,7 +34,6 @@ def apart(vertices, least=0.5):
     return bool((np.linalg.norm(np.diff(vertices, axis=0), axis=1) > least).all())
 
 
-@settings(max_examples=25)
 @given(paths)
 def test_speed_and_acceleration_keep_to_their_limits_everywhere(vertices):
     assume(apart(vertices))
@@ -52,7 +51,6 @@ def test_speed_and_acceleration_keep_to_their_limits_everywhere(vertices):
     assert turns.max() <= MAX_YAW_RATE * 0.02 + 1e-9
 
 
-@settings(max_examples=25)
 @given(paths, st.floats(0.0, 4.5), st.floats(-0.5, 0.5), st.floats(0.0, 3.0))
 def test_the_limits_hold_from_any_present_motion(vertices, speed, angle, push):
     """Speed above the limit falls at the braking that is allowed; where no such curve exists, none is given."""
@@ -84,7 +82,6 @@ def test_the_limits_hold_from_any_present_motion(vertices, speed, angle, push):
         assert hardest <= CURVE_LIMITS.acceleration + 1e-9
 
 
-@settings(max_examples=25)
 @given(paths)
 def test_held_points_come_from_the_same_curve(vertices):
     assume(apart(vertices))
@@ -95,7 +92,6 @@ def test_held_points_come_from_the_same_curve(vertices):
     assert (np.linalg.norm(points[:, :3] - before, axis=1) / points[:, 10]).max() <= 0.97 * 3.0 + 1e-9
 
 
-@settings(max_examples=25)
 @given(paths, st.integers(0, 1000), st.sampled_from([0.0, 1.5]))
 def test_curves_stay_out_of_what_is_blocked(vertices, seed, speed):
     assume(apart(vertices))

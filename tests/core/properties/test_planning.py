@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi.config import PlannerConfig
@@ -34,7 +34,6 @@ def search(name, seed, counter, start, goal):
 
 
 @pytest.mark.parametrize("name", PLANNERS)
-@settings(max_examples=25)
 @given(seeds, st.sampled_from([0.0, 0.1, 0.25, 0.4]))
 def test_a_path_is_free_of_collisions_and_joins_start_and_goal(name, seed, share):
     counter, start, goal = problem(seed, share)
@@ -50,7 +49,6 @@ def test_a_path_is_free_of_collisions_and_joins_start_and_goal(name, seed, share
     assert naive.length(path) >= np.linalg.norm(goal - start) - 2e-3
 
 
-@settings(max_examples=25)
 @given(seeds, st.sampled_from([0.05, 0.15, 0.25]), st.sampled_from([0.5, 2.0, 8.0]))
 def test_no_cost_of_rrt_star_ever_grows(seed, share, max_step):
     counter, start, goal = problem(seed, share)

@@ -31,7 +31,7 @@ class Plain:
         self.array[:] = self.changes.restore(saved)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.lists(WRITES, max_size=8), st.lists(st.tuples(st.integers(0, 99), WRITES), max_size=8))
 def test_every_content_can_be_gone_back_to(first, more):
     plain = Plain()

@@ -98,7 +98,7 @@ def test_a_yaw_that_passes_pi_is_normal_and_a_flipped_one_is_not():
 
 @pytest.mark.ros
 @pytest.mark.slow
-@pytest.mark.parametrize("ros2", ["kilted"], indirect=True)
+@pytest.mark.parametrize("ros2", ["jazzy"], indirect=True)
 def test_an_unknown_topic_is_refused(ros2, capsys, monkeypatch):
     monkeypatch.setattr(listener, "_PATIENCE_S", 0.5)
     ros2.start("talker.py")

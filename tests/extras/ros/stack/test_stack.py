@@ -12,13 +12,14 @@ from mavfi.campaign.store import Store
 from mavfi.cli import run
 from mavfi.errors import BadInputError
 from mavfi.extras.ros.processes import private_network
-from mavfi.extras.ros.ros2.environment import DISTRIBUTIONS, find_installation
+from mavfi.extras.ros.ros2.environment import find_installation
 from mavfi.extras.ros.ros2.stack.bench_process import BenchClient
 from mavfi.extras.ros.ros2.stack.config import StackConfig
 from mavfi.faults.fault import MessageFault, RegisterFault
 from mavfi.faults.operations import parse_text
 from tests.campaigns import run_campaign
 from tests.core.architecture.source import ROOT
+from tests.extras.ros.distributions import BY_DAY, EACH
 
 EXAMPLE = ROOT / "examples" / "ros2"
 SHIPPED = yaml.safe_load((EXAMPLE / "limiter.yaml").read_text())
@@ -36,7 +37,7 @@ def stack(**changes):
     return {**content, "golden_runs": 2, "patience_s": 1.0, **changes}
 
 
-@pytest.fixture(params=DISTRIBUTIONS)
+@pytest.fixture(params=EACH)
 def distribution(request):
     """Each distribution that is installed, where there can be private networks."""
     try:
@@ -66,7 +67,7 @@ def bench(distribution):
 def test_forked_and_cold_trials_have_equal_outputs_and_effects(bench, distribution):
     trials = {}
     modes = (True, False)
-    if distribution != DISTRIBUTIONS[0]:
+    if distribution != BY_DAY:
         modes = (True,)
     for fork in modes:
         client = bench(fork=fork, golden_runs=3 if fork else 1)
@@ -96,7 +97,7 @@ def test_forked_and_cold_trials_have_equal_outputs_and_effects(bench, distributi
 @pytest.fixture
 def jazzy(distribution, tmp_path, monkeypatch):
     """A folder with the example, on one of the distributions."""
-    if distribution != "jazzy":
+    if distribution != BY_DAY:
         pytest.skip("the other distribution is enough")
     shutil.copytree(EXAMPLE, tmp_path / "examples" / "ros2")
     monkeypatch.chdir(tmp_path)
