@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -107,19 +106,6 @@ def test_curves_stay_out_of_what_is_blocked(vertices, seed, speed):
     assert all(
         segment_free(blocked, grid, a[:3], b[:3]) for a, b in zip(points[: count - 1], points[1:count], strict=True)
     )
-
-
-@pytest.mark.parametrize("factor, found", [(1.0, True), (256.0, False)])
-def test_a_path_with_an_absurd_vertex_is_given_up(factor, found):
-    """Without a limit of what is solved, 1,190 knots would be solved 25 times."""
-    grid = ClearanceMap(config()).grid
-    free = np.zeros(grid.size, np.int16)
-    random = np.random.default_rng(251)
-    path = random.uniform([1, 1, 1], [19, 9, 5], (8, 3))
-    path[random.integers(1, 7), 2] *= factor
-    random.choice(3)
-    velocity = random.uniform(0, 6) * (path[1] - path[0]) / np.linalg.norm(path[1] - path[0])
-    assert (time_allocation.fit(free, free, grid, path, 8, velocity, np.zeros(3), CURVE_LIMITS, WORK) > 0) == found
 
 
 def test_a_wall_in_the_corner_makes_the_curve_follow_the_path():
