@@ -5,10 +5,6 @@ import ast
 from tests.core.architecture.source import dotted, functions, imports, modules
 
 COMPILERS = {"njit", "jit", "vectorize", "guvectorize", "jitclass", "cfunc", "stencil", "prange", "generated_jit"}
-ROS = {
-    "rclpy": ("extras/ros/lockstep/transport.py", "extras/ros/ros2/", "extras/ros/templates/"),
-    "std_msgs": ("extras/ros/lockstep/transport.py", "extras/ros/ros2/"),
-}
 
 
 def kernels():

@@ -1,28 +1,14 @@
 import numpy as np
 import pytest
 
-from mavfi.kernels.planning import nearest, trajectory, travel, tree, waypoint
 from mavfi.kernels.planning import path as paths
+from mavfi.kernels.planning import trajectory, travel, waypoint
 from mavfi.numerics.random import seed_generator
 from mavfi.numerics.voxels import segment_free
 from tests.core.reference.kernels import naive, scenes
 
 GRID = scenes.GRID
 LIMITS = trajectory.Limits(3.0, 1.0, 3.5, 2.5, 4.0, 2.0, 3.0)
-
-
-def test_nearest_node_and_steering():
-    random = np.random.default_rng(0)
-    nodes = random.normal(size=(50, 3))
-    for _ in range(50):
-        target, step, result = random.normal(size=3), random.uniform(0.1, 2.0), np.empty(3)
-        best = nearest.scan(nodes, 40, target)
-        assert best == np.argmin(np.linalg.norm(nodes[:40] - target, axis=1))
-        reached = tree.steer(nodes[0], target, step, result)
-        gap = target - nodes[0]
-        away = np.linalg.norm(gap)
-        assert reached == (away <= step)
-        np.testing.assert_allclose(result, nodes[0] + gap * min(1.0, step / away), atol=1e-12)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.97])

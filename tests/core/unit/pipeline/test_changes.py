@@ -15,10 +15,6 @@ class Plain:
         self.array = np.zeros(SIZE, np.float32)
         self.changes = Changes(self.array)
 
-    def put(self, places, values):
-        for place, value in zip(places, values, strict=True):
-            self.array[place] = value
-
     def write(self, writes):
         places = np.array([place for place, _ in writes], np.int32)
         before = []
