@@ -138,20 +138,20 @@ def run(
     from mavfi.campaign.config import Campaign, load_campaign
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.run import run_campaign
-    from mavfi.report.progress_line import ProgressLine
+    from mavfi.report.progress import Bar
 
     if isinstance(campaign, Campaign):
         loaded_campaign = campaign
     else:
         loaded_campaign = load_campaign(campaign)
         check_names(loaded_campaign, str(campaign))
-    with ProgressLine(loaded_campaign.name) as line:
+    with Bar(loaded_campaign.name, "runs", prints_lines=False) as bar:
         run_campaign(
             begin(loaded_campaign, Path(directory), models_dir=_path(models), extend=extend),
             Path(directory),
             executor=executor or LocalExecutor(workers),
             extend=extend,
-            progress=progress or line,
+            progress=progress or bar.show_campaign,
         )
     return Runs.read(Path(directory))
 

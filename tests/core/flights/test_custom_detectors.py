@@ -84,23 +84,6 @@ def test_an_exception_before_it_is_raised():
             fly(mission(), injected, Broken())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("fast", [False, True])
-def test_nor_does_it_look_as_if_the_injected_kernel_had_died(fast):
-    faults = draw_instruction_faults(mission(), InstructionRequest({"pid": 6}), seed=3).faults["pid"]
-    arms = {"": ArmSetup(mission()), "own": ArmSetup(mission(), Brittle)}
-    flights = LocalHost().mission(arms, fast_forward=fast)
-    for arm in arms:
-        flights.register_golden(arm, flights.golden(arm))
-    runs = [(arm, one) for arm in arms for one in faults]
-    flown = {runs[place]: flight.log for place, flight in flights.injected(runs)}
-    crashed = [one for one in faults if flown["own", one].count(CRASHED)]
-    assert crashed
-    for one in crashed:
-        assert flown["own", one].kernel == flown["", one].kernel
-        assert flown["own", one].digest() == flown["", one].digest()
-
-
 # ---- calls that end the process -------------------------------------------------------------------------------------
 class Ending(Scripted):
     """Its n-th check ends the process."""

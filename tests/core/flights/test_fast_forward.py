@@ -9,11 +9,8 @@ from mavfi.campaign.config import load_campaign
 from mavfi.campaign.mission import MissionPlan, fly_mission
 from mavfi.campaign.plan import CompletedRun
 from mavfi.campaign.resolve import resolve as resolve_campaign
-from mavfi.detectors.detector import Alarm
 from mavfi.extras.bench.sealed import Checksum, Duplicate, Oracle
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
-from mavfi.flight import branches
-from mavfi.flight.checkpoints import take
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.fast_forward import FastForward
 from mavfi.flight.fly import fly
@@ -132,16 +129,6 @@ def test_the_octree_is_fast_forwarded_too():
     assert forward.share.flown < forward.share.ticks
 
 
-@pytest.mark.parametrize("watched", [True, False])
-def test_injected_runs_take_checkpoints_only_for_detectors(monkeypatch, watched):
-    forward, taken = FastForward(mission()), []
-    forward.watched = watched
-    forward.fly()
-    monkeypatch.setattr(branches, "take", lambda *given, **named: taken.append(1) or take(*given, **named))
-    assert content(forward.fly(FAULTS[3]).log) == content(fly(mission(), FAULTS[3]).log)
-    assert bool(taken) is watched
-
-
 def test_a_masked_fault_costs_a_second_of_flight():
     forward = FastForward(mission())
     forward.fly()
@@ -178,42 +165,6 @@ def test_other_recovery_without_restarts_is_fast_forwarded_too(recovery):
 
 def escalating(**more):
     return RecoveryPolicy(grain="message", same_twice="escalate", answer_s=0.6, **more)
-
-
-class Twice(Scripted):
-    """Stops the vehicle at a command after the fault, and again later, by one of `seconds` (commands)."""
-
-    seconds = (60, 200, 300)
-
-    def __init__(self, second):
-        super().__init__("control.command", n=320, stop=True)
-        self.second = second
-
-    def check(self, state, time_us):
-        alarm = super().check(state, time_us)
-        again = state.spec.name == self.state and self.seen == self.n + self.second
-        return Alarm("scripted", self.stage, stop=True) if again else alarm
-
-
-def alike(forward):
-    """Control periods after the fault that are not simulated, by detector; and runs that differ."""
-    saved, other = [], []
-    for second in Twice.seconds:
-        forward.fly(None, FlownArm(f"twice {second}", Twice(second)))
-        before = forward.share.flown
-        mine = forward.fly(FAULTS[1], FlownArm(f"twice {second}", Twice(second)))
-        saved.append(len(mine.log.rows) - 300 - (forward.share.flown - before))
-        if content(mine.log) != content(fly(mission(), FAULTS[1], Twice(second)).log):
-            other.append(second)
-    return saved, other
-
-
-def test_detectors_share_flights_between_their_alarms():
-    saved, other = alike(FastForward(mission()))
-    assert other == []
-    assert (
-        saved[1] == 0 and saved[2] > 50
-    )  # the second one has its stop later than the first, the third one than the second
 
 
 ESTIMATED = [FAULTS[number] for number in (0, 6, 16)]
@@ -292,15 +243,6 @@ def test_detectors_that_take_part_are_fast_forwarded_too(name):
     if name in ("restarts", "hold"):
         kinds = {alarm.action for log in logs for alarm in log.alarms}
         assert kinds >= {"restarts": {"resend", "recompute", "restart"}, "hold": {"hold"}}[name]
-
-
-@pytest.mark.slow
-def test_a_detector_that_takes_part_is_flown_before_and_after_one_that_does_not():
-    forward = FastForward(mission())
-    assert under("recommended", forward, STRUCK[:3])[0] == []
-    assert every_fault("published", "gaussian", forward, ARMS["published"]["gaussian"](), FAULTS[:4]) == []
-    assert under("duplicate", forward, STRUCK[:3])[0] == []
-    assert forward.fly().profile.to_bytes() == golden().profile.to_bytes()
 
 
 @cache

@@ -60,14 +60,6 @@ def test_they_are_faults_in_addresses_that_crash_corrupt_and_are_masked(records)
     assert any(record["details"]["type"] == "ptr" for _, record, _ in records)
 
 
-def test_order_and_company_do_not_matter(faults, records):
-    assert flown(faults[::-1]) == records[::-1]
-    crashed = next(i for i, row in enumerate(records) if row[2]["effect"] == "crash")
-    corrupted = next(i for i, row in enumerate(records) if row[2]["effect"] == "sdc")
-    for number in (crashed, corrupted):
-        assert flown([faults[number]]) == [records[number]]
-
-
 def test_another_environment_heap_and_hash_seed_give_the_same_bytes(faults, records, tmp_path):
     """With random addresses; other folders and CPUs: `tests/core/golden/test_machines.py`."""
     environment = {
