@@ -404,11 +404,12 @@ class PathDeadline:
             wait.waypoint = state
             return None
         number = int(state.header["future_collision_seq"][0])
+        # A path that answers the alarm, or a later one, ends the wait.
         if state.spec.name == PATH:
             if number >= wait.alarm_number:
                 wait.since_us = None
             return None
-        # a collision status
+        # A collision status: an alarm begins the wait, and one that is withdrawn ends it.
         is_alarm = bool(state.header["collision"][0])
         if is_alarm:
             wait.last_number = number
@@ -420,6 +421,7 @@ class PathDeadline:
         if self._can_withdraw and not is_alarm and number == wait.last_number and _is_free(state, wait.waypoint):
             wait.since_us = None
             return None
+        # Otherwise the time counts, but not while the planner is down.
         if planner_is_down:
             wait.since_us = now
             return None

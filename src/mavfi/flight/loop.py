@@ -295,6 +295,8 @@ class Listener:
 class Loop:
     """One flight.
 
+    In its methods, `flight` is the state of the flight, `state` a published value.
+
     Args:
         scenario: The mission.
         world: Its world.
