@@ -19,7 +19,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.plug_ins import plug_ins_of_spec
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.host import ArmSetup
-from mavfi.flight.loop import CONTROL_PERIOD_US, Loop, latency, stage_latency
+from mavfi.flight.loop import CONTROL_PERIOD_US, Loop, Profiler, latency, stage_latency
 from mavfi.flight.plant import MakePlant
 from mavfi.flight.recovery import DetectorTap, Duplicates
 from mavfi.flight.restarts import Restarts
@@ -39,7 +39,7 @@ from mavfi.sim.environments.registry import SCAN_GENERATOR
 from mavfi.sim.imported import ENVIRONMENT_FILES, EnvironmentReader, extensions_of, reader_of
 from mavfi.sim.mjcf import find_vehicle
 from mavfi.sim.simulator import Simulator
-from mavfi.states import INJECTED_KERNEL, PLANNERS, PLUG_INS, REPLACEABLE, Stage
+from mavfi.states import INJECTED_KERNEL, PLANNERS, PLUG_INS, REPLACEABLE, Stage, states_with
 
 _DEFAULT_V_MAX = 3.0
 """Speed limit where neither mission nor environment has one (m/s)."""
@@ -300,7 +300,10 @@ def new_loop(
     config = pipeline_config(scenario, world, plant.ray_directions, rewindable=rewindable, functions=functions)
     if world.is_voxels:
         _warn_of_walls(scenario.environment.name, world, config.plan_radius + _VOXELS_OFF * config.map.resolution)
-    loop = Loop(scenario, world, plant, partial(make_kernels, config), want_profile=profile, marks=rewindable)
+    loop = Loop(scenario, world, plant, partial(make_kernels, config), marks=rewindable)
+    if profile:
+        loop.profiler = Profiler(states_with(scenario.localization.kind).values())
+        loop.taps.recorders.append(loop.profiler)
     if isinstance(functions, FlightFunctions):
         loop.stand_ins = functions.stand_ins
     return loop
