@@ -1,7 +1,7 @@
 """Resolution of names into a scenario and its detector, and of these into a flight that has not started."""
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache, partial
 from itertools import chain
@@ -39,7 +39,7 @@ from mavfi.sim.environments.registry import SCAN_GENERATOR
 from mavfi.sim.imported import ENVIRONMENT_FILES, EnvironmentReader, extensions_of, reader_of
 from mavfi.sim.mjcf import find_vehicle
 from mavfi.sim.simulator import Simulator
-from mavfi.states import INJECTED_KERNEL, PLANNERS, PLUG_INS, REPLACEABLE, Stage, states_with
+from mavfi.states import INJECTED_KERNEL, PLANNERS, PLUG_INS, REPLACEABLE, Stage, State, states_with
 
 _DEFAULT_V_MAX = 3.0
 """Speed limit where neither mission nor environment has one (m/s)."""
@@ -337,32 +337,24 @@ def watch(loop: Loop, detector: Detector | None, recovery: RecoveryPolicy = INLI
         return
     check_states(detector)
     loop.marks = True
-    install(loop, detector, recovery, restarts_for(loop, recovery)).begin()
+    install(loop, detector, recovery).begin()
 
 
-def restarts_for(loop: Loop, recovery: RecoveryPolicy) -> Restarts | None:
-    """What restarts nodes for a recovery policy, from what it sees from now on; None = the policy restarts none."""
+def install(
+    loop: Loop, detector: Detector, recovery: RecoveryPolicy, earlier: Iterable[tuple[State, int]] = ()
+) -> DetectorTap:
+    """Install a detector's tap, and what it asks of the loop; `earlier`: publications so far, see `Restarts`."""
     if recovery.restarts:
-        return Restarts(loop, "readback")
-    return None
-
-
-def install(loop: Loop, detector: Detector, recovery: RecoveryPolicy, restarts: Restarts | None) -> DetectorTap:
-    """Install a detector's tap, and what it asks of the loop, in the place of those of another one."""
-    if restarts is None:
-        tap = DetectorTap(loop, detector, recovery)
+        tap = DetectorTap(loop, detector, recovery, Restarts(loop, "readback", earlier).die)
     else:
-        tap = DetectorTap(loop, detector, recovery, restarts.die)
+        tap = DetectorTap(loop, detector, recovery)
     loop.taps.detector = tap
     loop.taps.watched = tap.states
     loop.taps.checked_at_producer = CHECKED_AT_PRODUCER[recovery.detector_place]
-    loop.taps.seal = None
     if tap.seals:
         loop.taps.seal = tap.seal
-    loop.taps.answer_loss = None
     if recovery.resends:
         loop.taps.answer_loss = tap.lost
-    loop.verify = None
     if detector.duplicates:
         loop.verify = Duplicates(loop, detector.duplicates)
     return tap

@@ -238,7 +238,8 @@ class History(Memory):
     Attributes:
         restarts_left: Remaining number of node restarts.
         degraded: Whether it is in degraded mode: it replaces every command and checks nothing.
-        silenced: Whether the detector is disabled as faulty.
+        silenced: Whether the detector is disabled as faulty: it is asked no more.
+        crashed: Whether it is not even told what is published.
         first_us: First instant of the latest contiguous series of hard alarms (us).
         last_us: Its last instant (us).
         counted_us: Instants of the latest alarms that count against the detector (us): with `limit` all, else the hard
@@ -250,6 +251,7 @@ class History(Memory):
     restarts_left: int = MAX_RESTARTS
     degraded: bool = False
     silenced: bool = False
+    crashed: bool = False
     first_us: int = 0
     last_us: int = -GAP_US
     counted_us: list[int] = field(default_factory=list)

@@ -18,7 +18,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 from weakref import proxy
 
-from mavfi.detectors.detector import DIFFERENT, Alarm, Detector, NoDetector, NotedCalls, checked_alarm, is_custom
+from mavfi.detectors.detector import DIFFERENT, Alarm, Detector, NotedCalls, checked_alarm, is_custom
 from mavfi.errors import machine_failure
 from mavfi.flight.decide import (
     INLINE,
@@ -113,15 +113,10 @@ class DetectorTap:
         """Initialize the detector at the start of a flight."""
         self._calls.start()
 
-    @property
-    def gave_up(self) -> bool:
-        """Whether the detector is called no more."""
-        return isinstance(self._calls, NoDetector)
-
     def seal(self, state: State, now: int) -> None:
         """Keep a copy of a value as sent by its producer, and let the detector seal it."""
         self._sent = state
-        if self._detector_seals:
+        if self._detector_seals and not self.memory.crashed:
             try:
                 self._calls.seal(state, now)
             except Exception as error:  # noqa: BLE001 - of a custom detector
@@ -202,6 +197,8 @@ class DetectorTap:
 
     def _record_published(self, state: State, now: int) -> None:
         """Pass a published value to the detector that it has not accepted itself."""
+        if self.memory.crashed:
+            return
         try:
             self._calls.accept(state, now)
         except Exception as error:  # noqa: BLE001 - of a custom detector
@@ -238,7 +235,7 @@ class DetectorTap:
             raise error
         if not self.memory.silenced:
             self._silence(now, CRASHED, {"how": plugin_failure(error) or reason(error)})
-        self._calls = NoDetector()
+        self.memory.crashed = True
 
     # ---- decisions --------------------------------------------------------------------------------------------------
     def _choose(self, alarm: Alarm, spec: StateSpec, now: int, awaited: PendingResult | None) -> Action | None:
