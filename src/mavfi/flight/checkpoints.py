@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from mavfi.detectors.detector import Detector
+from mavfi.faults.acted_on import CounterWatch
 from mavfi.faults.injector import RewindableInjector
-from mavfi.flight.acted_on import CounterWatch
 from mavfi.flight.loop import Loop, LoopMemory
 from mavfi.pipeline.memory import OpaqueKeeper, Remembers, Saved, Scratch
 from mavfi.record import AlarmRecord

@@ -25,9 +25,9 @@ import numpy as np
 
 from mavfi.detectors.detector import Detector
 from mavfi.errors import MavfiError
+from mavfi.faults.acted_on import CounterWatch
 from mavfi.faults.fault import Fault, find_level
 from mavfi.faults.injector import RewindableInjector
-from mavfi.flight.acted_on import CounterWatch
 from mavfi.flight.checkpoints import (
     Checkpoint,
     Instant,

@@ -19,7 +19,7 @@ from tests.core.unit.kernels.cases import CASES
 COMPILE = """
 import json, sys
 import numba
-from mavfi.faults.levels.instruction.instrument import instrument
+from mavfi.ir.injection.instrument import instrument
 from mavfi.ir.build import source_of
 from tests.core.unit.kernels.cases import CASES
 
