@@ -30,8 +30,8 @@ from mavfi.states import STATES
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
-    from mavfi.flight.forks import Published
     from mavfi.flight.host import ArmSetup, Flight, MissionFlights, Recorded
+    from mavfi.flight.instruction_cases import Published
     from mavfi.flight.loop import Loop
 
 Begin = Callable[["Loop", int], Injector]

@@ -22,11 +22,11 @@ from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TextIO
 
-from mavfi.detectors.foreign import Monitor, NamedNumbers, train
 from mavfi.errors import BadInputError, not_known
 from mavfi.extras.airsim import cameras, flying, scene, sensing
 from mavfi.extras.airsim.calls import RecordedCall
 from mavfi.extras.airsim.table import CALLS
+from mavfi.extras.shared.foreign import Monitor, NamedNumbers, train
 from mavfi.faults.changes import MessageSchedule, parse_text
 from mavfi.faults.operations import Operation, changed_number
 from mavfi.levels.message.fault import MessageFault
