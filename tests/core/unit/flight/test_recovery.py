@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from mavfi.detectors import Alarm, Detector
@@ -17,6 +18,7 @@ from mavfi.flight.decide import (
     RecoveryPolicy,
 )
 from mavfi.flight.recovery import DetectorTap
+from mavfi.flight.state import FlightState
 from mavfi.mission import MissionSpec
 from mavfi.record import SILENCED
 from mavfi.states import PPC_STAGES, new_state
@@ -50,11 +52,11 @@ class Flight:
 
     def __init__(self, alarm="one_shot"):
         self.scenario = SimpleNamespace(autopilot=SimpleNamespace(alarm=alarm, replanning="on_alarm"), v_max=3.0)
-        self.awaited, self.requests, self.busy, self.down = {}, {}, {}, set()
+        self.state = FlightState(np.zeros(3))
         self.events = []
         self.record = SimpleNamespace(alarms=[], note=lambda now, kind, data: self.events.append((now, kind)))
         self.steps, self.restarted = [], []
-        self.deliver = self.at = self.charge = lambda *arguments: None
+        self.deliver = self.charge = lambda *arguments: None
 
     def recompute(self, action, now):
         self.steps.append((action.kernel, now))
