@@ -267,7 +267,10 @@ class FlightLog:
         """
         try:
             arrays = read_arrays(Path(path))
-            rows = _table(arrays)
+            columns = [arrays[name] for name in COLUMNS]
+            if any(column.ndim != 1 or column.dtype.kind not in "fiu" for column in columns) or not len(columns[0]):
+                raise ValueError("columns: allowed: one number per control tick, one tick or more")
+            rows = np.column_stack(columns).astype(np.float64)
             stored = checked(_Stored, json.loads(str(arrays["record"])), "record")
             status = MissionStatus[stored.status]
             events = [Event(*event) for event in stored.events]
@@ -293,14 +296,6 @@ class _Stored:
     alarms: list[AlarmRecord]
     meta: dict[str, Any]
     kernel: KernelEffect | None
-
-
-def _table(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The columns as one table; a ValueError if they are invalid."""
-    columns = [arrays[name] for name in COLUMNS]
-    if any(column.ndim != 1 or column.dtype.kind not in "fiu" for column in columns) or not len(columns[0]):
-        raise ValueError("columns: allowed: one number per control tick, one tick or more")
-    return np.column_stack(columns).astype(np.float64)
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:

@@ -90,18 +90,12 @@ PLANNERS: dict[str, tuple[str, ...]] = {
 """Functions called by the kernel `planner`, by the mission's planner: path search and shortening."""
 
 
-def _injectable() -> dict[str, tuple[str, ...]]:
-    """See `INJECTABLE`."""
-    functions: dict[str, tuple[str, ...]] = {}
-    for spec in _KERNEL_TABLE:
-        if spec.name == "planner":
-            functions.update(PLANNERS)
-        elif spec.functions:
-            functions[spec.name] = spec.functions
-    return functions
-
-
-INJECTABLE = _injectable()
+INJECTABLE: dict[str, tuple[str, ...]] = {}
+for _spec in _KERNEL_TABLE:
+    if _spec.name == "planner":
+        INJECTABLE.update(PLANNERS)
+    elif _spec.functions:
+        INJECTABLE[_spec.name] = _spec.functions
 """Functions by the kernel names of instruction faults, as in the paper's Fig. 3; for the planner, planner names."""
 INJECTED_KERNEL: dict[str, str] = {name: name for name in INJECTABLE} | dict.fromkeys(PLANNERS, "planner")
 """Row of `KERNELS` by the same name."""

@@ -301,7 +301,12 @@ def _arrange(figure: Figure, panels: Sequence[Axes], limit: float, sizes: _Lette
     flat = panels
     if figure.subfigs:  # their panels have the scale of a map
         flat = []
-    _join_labels(figure, flat, sizes)
+    # equal labels below all panels become one: those of narrow panels would overlap
+    labels = {axes.get_xlabel() for axes in flat}
+    if len(labels) == 1 and "" not in labels:
+        for axes in flat:
+            axes.set_xlabel("")
+        figure.supxlabel(labels.pop(), fontsize=sizes.normal)
     for legend in figure.findobj(Legend):
         _fold_legend(figure, legend, sizes)
     # extents are known only after a layout: each step below needs those that the step before has changed
@@ -333,18 +338,16 @@ def _resize(figure: Figure, panels: Sequence[Axes]) -> None:
     # height in proportion, but such that panels are not flat, and never above the one before
     figure.set_size_inches(target, min(height, max(height * target / width, 0.7 * target / columns, _MIN_HEIGHT)))
     _set_letters(figure, _IN_PAPERS)
-    _shrink(figure, max(_SCALE, target / width))
+    # marks and lines
+    scale = max(_SCALE, target / width)
+    for line in figure.findobj(Line2D):
+        line.set_markersize(scale * line.get_markersize())
+        line.set_linewidth(scale * line.get_linewidth())
+        line.set_markeredgewidth(scale * line.get_markeredgewidth())
+    for bars in figure.findobj(LineCollection):
+        bars.set_linewidth(list(scale * np.atleast_1d(bars.get_linewidth())))
     if len(panels) == 1:
         panels[0].set_title("", loc="left")
-
-
-def _join_labels(figure: Figure, panels: Sequence[Axes], sizes: _LetterSizes) -> None:
-    """Replace equal labels below all panels by one: those of narrow panels would overlap."""
-    labels = {axes.get_xlabel() for axes in panels}
-    if len(labels) == 1 and "" not in labels:
-        for axes in panels:
-            axes.set_xlabel("")
-        figure.supxlabel(labels.pop(), fontsize=sizes.normal)
 
 
 def _fold_texts(figure: Figure, panels: Sequence[Axes]) -> None:
@@ -365,16 +368,6 @@ def _set_letters(figure: Figure, sizes: _LetterSizes) -> None:
         if text.get_fontproperties().get_size_in_points() < _IN_PAPERS.normal:
             size = sizes.small
         text.set_fontsize(size)
-
-
-def _shrink(figure: Figure, scale: float) -> None:
-    """Scale marks and lines."""
-    for line in figure.findobj(Line2D):
-        line.set_markersize(scale * line.get_markersize())
-        line.set_linewidth(scale * line.get_linewidth())
-        line.set_markeredgewidth(scale * line.get_markeredgewidth())
-    for bars in figure.findobj(LineCollection):
-        bars.set_linewidth(list(scale * np.atleast_1d(bars.get_linewidth())))
 
 
 def _fold_legend(figure: Figure, legend: Legend, sizes: _LetterSizes) -> None:

@@ -183,24 +183,23 @@ def _work(pipe: Connection, function: Callable[[Any], Iterator[Any]]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     try:
-        _fly_all(pipe, function)
+        while True:
+            items = function(pipe.recv())
+            has_more = True
+            while has_more:
+                data, has_more = _next_of(items)
+                pipe.send_bytes(data)
+            # Collect reference cycles, i.e. flights with all their arrays, and return free memory to the system: few
+            # large objects do not trigger a collection, the heap keeps the size of the largest mission, and forks
+            # copy it.
+            gc.collect()
+            with contextlib.suppress(AttributeError):  # only in glibc
+                ctypes.CDLL(None).malloc_trim(0)
     except (EOFError, ConnectionError):  # the parent is dead
         return
     except (OSError, MemoryError) as error:
         if machine_failure(error):
             os._exit(_MUTE_EXIT)
-
-
-def _fly_all(pipe: Connection, function: Callable[[Any], Iterator[Any]]) -> None:
-    """Fly missions until the pipe is closed; raises errors of the pipe, e.g. if an item cannot be sent."""
-    while True:
-        mission = pipe.recv()
-        items = function(mission)
-        has_more = True
-        while has_more:
-            data, has_more = _next_of(items)
-            pipe.send_bytes(data)
-        _return_memory()
 
 
 def _next_of(items: Iterator[Any]) -> tuple[bytes, bool]:
@@ -211,16 +210,6 @@ def _next_of(items: Iterator[Any]) -> tuple[bytes, bool]:
         return pickle.dumps(Done(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)), False
     except Exception as error:  # raised in the parent
         return pickle.dumps(Raised(portable(error))), False
-
-
-def _return_memory() -> None:
-    """Collect reference cycles, i.e. flights with all their arrays, and return free memory to the system.
-
-    Few large objects do not trigger a collection, the heap keeps the size of the largest mission, and forks copy it.
-    """
-    gc.collect()
-    with contextlib.suppress(AttributeError):  # only in glibc
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 if __name__ == "__main__":

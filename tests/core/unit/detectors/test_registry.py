@@ -2,11 +2,10 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.resolve import resolve as resolve_campaign
-from mavfi.detectors import load_detector
 from mavfi.detectors.autoencoder import AutoencoderDetector
 from mavfi.detectors.detector import NoDetector
 from mavfi.detectors.gaussian import GaussianDetector
-from mavfi.detectors.registry import OF_OWN, contains, mission_keys
+from mavfi.detectors.registry import OF_OWN, contains, load_detector, mission_keys
 from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.flight.compose import with_keys_of
 from mavfi.mission import MissionSpec
