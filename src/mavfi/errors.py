@@ -147,7 +147,7 @@ def allowed(names: Collection[str], wanted: str = "") -> str:
 
 
 def not_known(name: object, names: Collection[str], also: str = "") -> str:
-    """The end of a message on a name that is none of those that are allowed.
+    """The end of a message on a name that is not allowed.
 
     Args:
         name: The name.

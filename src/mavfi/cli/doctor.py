@@ -47,7 +47,7 @@ class Check:
 
 
 def doctor() -> int:
-    """Say whether all is here that flights need, or how to get it.
+    """Say what flights need, what is missing, and how to get it.
 
     Exit code 1 if flights cannot work.
 

@@ -16,8 +16,7 @@ from mavfi.plugins import extensions
 
 if TYPE_CHECKING:
     from mavfi.faults.fault import Fault
-    from mavfi.flight.compose import WatchedMission
-    from mavfi.flight.host import Host
+    from mavfi.flight.host import ArmSetup, Host
     from mavfi.levels.level import Request
     from mavfi.report.flight_result import FlightResult
 
@@ -85,9 +84,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
             from mavfi.campaign.warm_up import compile_flight
 
             compile_flight(bare, LocalExecutor(os.cpu_count() or 1))
-        setup, label, _ = watched(mission, detector, profile, models)
+        setup = watched(mission, detector, profile, models)
         with observing.observing(observers, extra, pace) as views:
-            result = fly_request(replace(setup, observers=views), request, fault_seed or 0, label, bare, host)
+            result = fly_request(replace(setup, observers=views), request, fault_seed or 0, bare, host)
 
     # write files, and report
     if save is not None:
@@ -179,17 +178,17 @@ def check_option_dependencies(
             raise BadInputError(f"{name}: {value}: nothing watches the flight; allowed: together with --detector")
 
 
-def watched(mission: MissionSpec, detector: str, profile: str | None, models: Path | None) -> WatchedMission:
+def watched(mission: MissionSpec, detector: str, profile: str | None, models: Path | None) -> ArmSetup:
     """A mission under a detector; refuses options for which the detector has no use."""
-    from mavfi.flight.compose import watched as watched_by
+    from mavfi.flight.compose import prepare
 
     if detector == "none":
-        return watched_by(mission, None)
-    result = watched_by(mission, detector, profile or DEFAULT_PROFILE, models)
-    if not result.model:
+        return prepare(mission, None)
+    setup = prepare(mission, detector, profile or DEFAULT_PROFILE, models)
+    if not setup.model:
         if mission.trained_for:
             text = f"detector {detector!r} is not trained; allowed: none given"
             raise BadInputError(f"--trained-for: {mission.trained_for}: {text}")
         if profile is not None:
             raise BadInputError(f"--profile: {profile}: detector {detector!r} has no profiles; allowed: none given")
-    return result
+    return setup

@@ -113,7 +113,7 @@ def compare(
 def replay(directory: options.Ledger, run_id: options.RunId, as_json: options.AsJson = False) -> None:
     """Fly a run again, and check that its digest is the same.
 
-    It is flown from its specification. Exit code 1 if it is another run.
+    It is flown from its specification. Exit code 1 if the flights differ.
 
     Example: [bold]mavfi replay out/reproduce sparse-10003-golden-[/bold]
     """

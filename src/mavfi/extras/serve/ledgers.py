@@ -137,13 +137,15 @@ class ServedLedger:
 
     Args:
         directory: Its folder.
+        key: Its name on pages: its path relative to the served folder.
 
     Attributes:
         last_read: Result of the last call of `read`, which takes seconds for thousands of runs; None = not called yet.
     """
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, key: str = "") -> None:
         self.directory = directory
+        self.key = key
         self.last_read: ReadLedger | None = None
         self._read_until = 0.0
         self._read_duration_s = 0.0
