@@ -44,7 +44,6 @@ def test_profiles_are_presets_of_features_policy_and_gate(model_folder, name):
         wrong = [waypoint([400.0, 0, 0], [0, 0, 0]), command([np.nan, 0, 0])]
         assert [chosen.check(state, 0) for state in wrong] == [plain.check(state, 0) for state in wrong]
     assert contains(name, "tuned", "physics_gate") and not contains(name, "paper", "physics_gate")
-    assert contains(name, "paper", "physics_gate", {"gate": True})
 
 
 @pytest.mark.parametrize(
