@@ -174,24 +174,6 @@ class Profile:
     times_us: dict[str, np.ndarray] = field(default_factory=dict)
     counts: dict[str, np.ndarray] = field(default_factory=dict)
 
-    def to_bytes(self) -> bytes:
-        """Compressed form for the ledger."""
-        buffer = io.BytesIO()
-        arrays: dict[str, Any] = {f"t:{name}": times for name, times in self.times_us.items()}
-        arrays |= {f"n:{name}": counts for name, counts in self.counts.items()}
-        np.savez_compressed(buffer, **arrays)
-        return buffer.getvalue()
-
-    @staticmethod
-    def from_bytes(content: bytes) -> "Profile":
-        """Inverse of `to_bytes`."""
-        with np.load(io.BytesIO(content)) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        return Profile(
-            {name[2:]: array for name, array in arrays.items() if name.startswith("t:")},
-            {name[2:]: array for name, array in arrays.items() if name.startswith("n:")},
-        )
-
 
 @dataclass(slots=True)
 class FlightLog:

@@ -278,6 +278,13 @@ class State:
         return self.header.tobytes() == other.header.tobytes() and self.elements.tobytes() == other.elements.tobytes()
 
 
+def differing_rows(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Indices at which two arrays of one type and length differ bitwise, NaNs and signed zeros included."""
+    size = first.dtype.itemsize
+    bits = [np.ascontiguousarray(values).view(np.uint8).reshape(-1, size) for values in (first, second)]
+    return np.flatnonzero((bits[0] != bits[1]).any(axis=1))
+
+
 def floats(header: np.ndarray, count: int) -> np.ndarray:
     """The `count` leading float64 fields of a header, as a plain array that shares its memory. Shape (count,)."""
     # built on the same buffer: several times as fast as `view`, which inspects the fields of a structured array
