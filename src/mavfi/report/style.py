@@ -146,60 +146,6 @@ def setting_label(setting: str) -> str:
     return words
 
 
-class LineEnd(NamedTuple):
-    """The right end of a line: its height (data), and the name and colour of the line."""
-
-    y: float
-    name: str
-    colour: str
-
-
-def name_lines(axes: Axes, ends: Sequence[LineEnd]) -> None:
-    """Name lines to the right of the axes, each with a thin leader to its end; names keep a distance.
-
-    Args:
-        axes: With its final limits.
-        ends: The lines.
-    """
-    size = 8.5  # of the names (pt)
-    low, high = axes.get_ylim()
-    height_in = 0.8 * axes.figure.get_figheight()  # type: ignore[union-attr] # about that of the axes
-    gap = (high - low) * 1.3 * size / (72.0 * height_in)
-    ordered = sorted(ends, key=lambda end: -end.y)
-    # from above, each at its height or a gap below the one above it; then from below, into the axes
-    heights: list[float] = []
-    for end in ordered:
-        ceiling = high
-        if heights:
-            ceiling = heights[-1] - gap
-        heights.append(min(end.y, ceiling))
-    floor = low
-    for index in reversed(range(len(heights))):
-        heights[index] = max(heights[index], floor)
-        floor = heights[index] + gap
-    beside = axes.get_yaxis_transform()  # share of the width, and data
-    for end, height in zip(ordered, heights, strict=True):
-        axes.annotate(
-            end.name,
-            (1.0, end.y),
-            (1.04, height),
-            xycoords=beside,
-            textcoords=beside,
-            va="center",
-            fontsize=size,
-            color=end.colour,
-            annotation_clip=False,
-            arrowprops={
-                "arrowstyle": "-",
-                "color": end.colour,
-                "linewidth": 0.7,
-                "relpos": (0.0, 0.5),
-                "shrinkA": 2,
-                "shrinkB": 0,
-            },
-        )
-
-
 def write(figure: Figure, path: Path, dots_per_inch: float = DOTS_PER_INCH) -> Path:
     """Write a figure in the format given by the file extension; `BadInputError` if the file cannot be written."""
     with writing(path):
