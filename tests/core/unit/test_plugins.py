@@ -9,6 +9,7 @@ from mavfi import cli
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.errors import BadInputError
 from mavfi.plugins import (
+    _RememberedNames,
     allow_plugins,
     allow_typed,
     allowed_names,
@@ -116,8 +117,7 @@ def test_code_that_was_allowed_in_a_ledger_is_remembered_until_it_changes(tmp_pa
     def is_allowed(ledger, typed=""):
         """What a new process allows after it has opened the ledger."""
         monkeypatch.setenv("MAVFI_ALLOW_PLUGINS", typed)
-        monkeypatch.setattr("mavfi.plugins._allowed_by_trust", set())
-        monkeypatch.setattr("mavfi.plugins._changed", set())
+        monkeypatch.setattr("mavfi.plugins._remembered_names", _RememberedNames())
         use_ledger(ledger, content)
         return "my_plugin:X" in allowed_names()
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.training import fit
-from mavfi.detectors import load_detector
+from mavfi.detectors.registry import load_detector
 from mavfi.detectors.scoring import NOT_FINITE
 from mavfi.extras.bench.field_codes import ALL_FIELDS, CodeRecorder, FieldCodes
 from mavfi.states import AUTOPILOTS, STATES

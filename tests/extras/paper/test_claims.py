@@ -1,9 +1,8 @@
 import pytest
 
-from mavfi.analysis.statistics import holm
 from mavfi.errors import BadInputError
 from mavfi.extras.paper import claims
-from mavfi.extras.paper.claims import Claim, Evidence, claims_table, verdict
+from mavfi.extras.paper.claims import Claim, Evidence, claims_table, holm, verdict
 from mavfi.extras.paper.overhead_views import ALL
 from mavfi.record import EnergyTerms
 from tests.core.unit.analysis.handmade import alarm, flown, golden, injected, runs

@@ -10,12 +10,11 @@ from mavfi.analysis.runs import Runs
 from mavfi.analysis.views import table
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.detectors import load_detector
 from mavfi.detectors.acceptance import AcceptanceTest
 from mavfi.detectors.detector import Chain, part_of
 from mavfi.detectors.gate import SOURCE as GATE
 from mavfi.detectors.preprocess import PROFILES
-from mavfi.detectors.registry import check_kernel, contains
+from mavfi.detectors.registry import check_kernel, contains, load_detector
 from mavfi.errors import BadInputError
 from mavfi.flight.compose import detector_for, new_loop, resolve, watch
 from mavfi.flight.from_take_off import fly_instruction_faults

@@ -20,19 +20,19 @@ from tests.core.unit.analysis.handmade import (
 
 def test_unknown_runs_are_left_out_and_due_runs_fail():
     own = runs(golden(1), injected(1, flown()), injected(2, DUE), injected(3, UNKNOWN)).injected
-    rate = m.populations(own, "success")["sign_exponent"]
+    rate = m.rates_by_population(own, "success")["sign_exponent"]
     assert (rate.n, rate.successes) == (2, 1)
 
 
 def test_strata_that_part_the_word_make_up_whole_words():
     faults = [replace(FAULT, stratum=name) for name in ("sign", "exponent", "mantissa")]
     own = runs(*(injected(seed, flown(), fault) for seed, fault in enumerate(faults)))
-    assert WHOLE_WORD in m.populations(own, "success")
-    assert WHOLE_WORD not in m.populations(own.where(m.pl.col("seed") < 2), "success")
+    assert WHOLE_WORD in m.rates_by_population(own, "success")
+    assert WHOLE_WORD not in m.rates_by_population(own.where(m.pl.col("seed") < 2), "success")
     assert m.population_names(own, ()) == ["sign", "exponent", "whole_word", "mantissa"]
     instructions = [replace(INSTRUCTION, stratum=name) for name in ("a", "b")]
     own = runs(*(injected(seed, flown(), fault) for seed, fault in enumerate(instructions)))
-    assert list(m.populations(own, "success")) == [m.ALL_BITS], "bits of instructions are one population"
+    assert list(m.rates_by_population(own, "success")) == [m.ALL_BITS], "bits of instructions are one population"
 
 
 def test_slower_counts_from_five_per_cent():

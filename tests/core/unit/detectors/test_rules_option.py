@@ -2,7 +2,6 @@
 
 import pytest
 
-from mavfi.detectors import load_detector
 from mavfi.detectors.acceptance import (
     CHECKED,
     COPIES,
@@ -15,6 +14,7 @@ from mavfi.detectors.acceptance import (
     rule_of,
 )
 from mavfi.detectors.detector import part_of
+from mavfi.detectors.registry import load_detector
 from mavfi.errors import BadInputError
 from mavfi.states import STATES
 from tests.core.unit.detectors.streams import LIMITS

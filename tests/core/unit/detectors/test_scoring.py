@@ -3,7 +3,7 @@ import pickle
 import numpy as np
 import pytest
 
-from mavfi.detectors import load_detector
+from mavfi.detectors.registry import load_detector
 from mavfi.detectors.scoring import Reading, Threshold, score_of
 from tests.core.unit.detectors.streams import LIMITS, command, flight
 from tests.core.unit.detectors.test_registry import FITS
