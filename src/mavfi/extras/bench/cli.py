@@ -205,8 +205,8 @@ def overheads(
     from mavfi.analysis.views import table
     from mavfi.campaign.ledger import stored_campaign
     from mavfi.campaign.store import Store
-    from mavfi.cli.progress import Bar
     from mavfi.extras.paper.overheads import measure, save
+    from mavfi.report.progress import Bar
     from mavfi.report.text import show_table
 
     check_number("--missions", missions, 1, 1000)

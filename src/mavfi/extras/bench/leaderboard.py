@@ -17,7 +17,6 @@ from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.run import run_campaigns
-from mavfi.cli.progress import Bar
 from mavfi.errors import write_text
 from mavfi.extras.bench.bench import (
     SCORES,
@@ -34,6 +33,7 @@ from mavfi.extras.bench.scores import table as table_of_scores
 from mavfi.files import is_file, make_folder
 from mavfi.report import style
 from mavfi.report.campaign_report import markdown_table
+from mavfi.report.progress import Bar
 from mavfi.report.text import shown
 
 _COLOURS = (style.BLUE, style.ORANGE, style.GREEN, style.PURPLE, style.SKY, style.AMBER, style.INK)

@@ -162,7 +162,7 @@ def _setup(request: SavedRequest | None, scenario: Scenario) -> ArmSetup:
 
     if request is None:
         return ArmSetup(scenario)
-    return watched(request.mission, request.detector, request.profile, request.models).setup
+    return watched(request.mission, request.detector, request.profile, request.models)
 
 
 def _write(exported: ExportedFlight, to: Path, source: str) -> int:

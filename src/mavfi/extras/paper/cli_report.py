@@ -16,7 +16,6 @@ from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.store import FILE, Store
 from mavfi.cli.console import console
-from mavfi.cli.progress import Bar
 from mavfi.cli.report import Reported, page_bar
 from mavfi.extras.paper.report import StudyReport, stored_study, title_of, write_study
 from mavfi.extras.paper.study import Study
@@ -32,6 +31,7 @@ from mavfi.report.html.report_page import (
     more_flights,
     write_page,
 )
+from mavfi.report.progress import Bar
 from mavfi.report.text import show_table
 
 

@@ -17,7 +17,7 @@ from pydantic import Field, model_validator
 
 from mavfi.analysis.measures import Measure, against_fi
 from mavfi.analysis.runs import ALL, Runs
-from mavfi.analysis.statistics import Rate, paired_difference
+from mavfi.analysis.statistics import Estimate, Rate, paired_difference
 from mavfi.analysis.table import ESTIMATE, NUMBER, POINTS, Table
 from mavfi.analysis.views import View, has
 from mavfi.campaign.plan import FI
@@ -81,24 +81,6 @@ def altitude_factor(altitude: float) -> float:
     h = altitude / 304.8
     depth = 1033.0 * math.exp(-0.03813 * h - 0.00014 * h * h + 6.4e-7 * h**3)
     return math.exp((1033.0 - depth) / 131.3)
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """A value with the bounds of its interval or band."""
-
-    value: float
-    low: float
-    high: float
-
-    def times(self, factor: float) -> "Estimate":
-        """The estimate scaled by a factor."""
-        low, high = sorted((factor * self.low, factor * self.high))
-        return Estimate(factor * self.value, low, high)
-
-    def not_negative(self) -> "Estimate":
-        """The estimate of a value that cannot be negative: value and interval are cut at 0, which loses no coverage."""
-        return Estimate(max(0.0, self.value), max(0.0, self.low), max(0.0, self.high))
 
 
 def upsets_per_instruction(upsets: UpsetConfig) -> Estimate:
@@ -214,7 +196,7 @@ def _exposed(runs: Runs, success: str) -> ExposedKernels:
             weights = _weights(runs, kernel, [row["run_id"] for row in golden], worlds)
             without_fault = [row["success"] for row in golden]
             with_fault = [row[success] for row in rows]
-            harm = Estimate(*paired_difference(without_fault, with_fault, worlds, weights))
+            harm = paired_difference(without_fault, with_fault, worlds, weights)
             kernels = kernels_by_setting.setdefault((environment, setting), {})
             kernels[kernel] = KernelFaults([row["run_id"] for row in rows], ExposedKernel(counts[kernel], harm))
     return kernels_by_setting
@@ -316,14 +298,14 @@ def _changed(
     worlds = pairs["world"]
     fault_alone = pairs["fi_success"]
     weights = _weights(pairs, kernel, with_setting, worlds)
-    harm_change = Estimate(*paired_difference(fault_alone, pairs["dr_success"], worlds, weights))
+    harm_change = paired_difference(fault_alone, pairs["dr_success"], worlds, weights)
     with_setting_count, without_arm_count = instructions
     parts = [ExposedKernel(with_setting_count, harm_change)]
     if without_arm_count:
         added = with_setting_count - without_arm_count
         if added:
             weights = _weights(pairs, kernel, without_arm, worlds)
-            harm = Estimate(*paired_difference([True] * len(pairs), fault_alone, worlds, weights))
+            harm = paired_difference([True] * len(pairs), fault_alone, worlds, weights)
             parts.append(ExposedKernel(added, harm))
     return parts
 

@@ -184,7 +184,7 @@ def _success_gained(runs: Runs) -> Rate | None:
     if not len(runs):
         return None
     gain = paired_difference(runs["success"], runs["golden_success"], runs["world"])
-    return Rate(len(runs), gain.estimate, gain.low, gain.high)
+    return Rate(len(runs), gain.value, gain.low, gain.high)
 
 
 def _papers_gain(environment: str, setting: str) -> float | None:

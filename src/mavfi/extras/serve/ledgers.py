@@ -21,11 +21,11 @@ from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate
 from mavfi.campaign.ledger import Status, status_of
 from mavfi.campaign.store import FILE, LOCK, Store, connect
-from mavfi.cli.progress import duration, speed
 from mavfi.errors import BadInputError
 from mavfi.files import is_file
 from mavfi.report.campaign_report import CampaignReport, report_of
 from mavfi.report.html.report_page import ReportedCampaign, page_values, sections_of
+from mavfi.report.progress import duration, speed
 
 MAX_DEPTH = 4
 """Deepest folder in which ledgers are searched."""

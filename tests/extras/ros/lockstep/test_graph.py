@@ -12,7 +12,7 @@ from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.flight.compose import new_loop
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import PERIODIC, STATES
-from tests.core.flights.missions import AUTOPILOTS, mission
+from tests.core.flights.missions import each_autopilot, mission
 from tests.extras.ros.lockstep.needs import NOWHERE
 
 
@@ -75,7 +75,7 @@ def test_an_injector_sits_at_one_state():
     assert [name for name, other in found.items() if INJECTOR in other.nodes] == ["planning.waypoint"]
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 def test_only_triggers_make_steps_due(autopilot):
     seen = set()
 
