@@ -8,7 +8,7 @@ both sides derive from the definition of the message (https://mavlink.io/en/guid
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -95,10 +95,9 @@ class Frame:
         return self.data[_SEQUENCE[self.data[0]]]
 
     @property
-    def source(self) -> tuple[int, int]:
+    def source(self) -> bytes:
         """Number of the system that sends it, and of its component."""
-        place = _SEQUENCE[self.data[0]]
-        return self.data[place + 1], self.data[place + 2]
+        return self.data[_SEQUENCE[self.data[0]] + 1 :][:2]
 
     @property
     def is_signed(self) -> bool:
@@ -108,57 +107,46 @@ class Frame:
     @property
     def payload(self) -> bytes:
         """Its payload; with the zeros that MAVLink 2 omits at its end, if the message is known."""
-        begin = _HEADERS[self.data[0]]
-        payload = self.data[begin : begin + self.data[1]]
+        payload = self.data[_HEADERS[self.data[0]] :][: self.data[1]]
         if self.data[0] == _MAVLINK_2 and self.kind is not None:
             payload = payload.ljust(self.kind.unpacker.size, b"\0")
         return payload
 
-    def rebuilt(self, *, sequence: int | None = None, payload: bytes | None = None) -> "Frame":
-        """A copy with another sequence number or payload, and a valid checksum.
+    def checksum_extra(self) -> int | None:
+        """The byte behind the content in the checksum, of an unknown message the one that fits; None = none does."""
+        end = _HEADERS[self.data[0]] + self.data[1]
+        stored = int.from_bytes(self.data[end : end + _CHECKSUM], "little")
+        extras: Iterable[int] = range(256)
+        if self.kind is not None:
+            extras = [self.kind.crc_extra]
+        before = _checksum(self.data[1:end])
+        return next((extra for extra in extras if _checksum(bytes([extra]), before) == stored), None)
 
-        A signed frame, or a damaged one of an unknown message, is returned as it is.
-        """
-        extra = self._checksum_extra()
+    def rebuilt(self, *, sequence: int, payload: bytes | None = None) -> "Frame":
+        """A copy with this sequence number and perhaps another payload; a signed frame is returned as it is."""
+        extra = self.checksum_extra()
         if self.is_signed or extra is None:
             return self
         header = bytearray(self.data[: _HEADERS[self.data[0]]])
-        content = self.data[len(header) : len(header) + self.data[1]]
-        if sequence is not None:
-            header[_SEQUENCE[self.data[0]]] = sequence % 256
+        header[_SEQUENCE[header[0]]] = sequence % 256
+        content = self.data[len(header) :][: header[1]]
         if payload is not None:
             content = payload
-            if self.data[0] == _MAVLINK_2:  # zeros at the end are left out, but one byte always stays
+            if header[0] == _MAVLINK_2:  # zeros at the end are left out, but one byte always stays
                 content = payload[:1] + payload[1:].rstrip(b"\0")
             header[1] = len(content)
-        checked = bytes(header[1:]) + content
-        return Frame(self.data[:1] + checked + struct.pack("<H", _checksum(checked, extra)), self.kind)
-
-    def has_valid_checksum(self) -> bool:
-        """Whether the checksum fits; that of an unknown message always does."""
-        return self.kind is None or _checksum(self._checked(), self.kind.crc_extra) == self._stored_checksum()
-
-    def _checksum_extra(self) -> int | None:
-        """The byte behind the content in the checksum; of an unknown message, the one that explains its checksum."""
-        if self.kind is not None:
-            return int(self.kind.crc_extra)
-        checked, stored = self._checked(), self._stored_checksum()
-        return next((extra for extra in range(256) if _checksum(checked, extra) == stored), None)
-
-    def _checked(self) -> bytes:
-        """What the checksum covers."""
-        return self.data[1 : _HEADERS[self.data[0]] + self.data[1]]
-
-    def _stored_checksum(self) -> int:
-        place = _HEADERS[self.data[0]] + self.data[1]
-        return int.from_bytes(self.data[place : place + _CHECKSUM], "little")
+        checksum = _checksum(bytes(header[1:]) + content + bytes([extra]))
+        return Frame(bytes(header) + content + struct.pack("<H", checksum), self.kind)
 
 
-def _checksum(content: bytes, extra: int) -> int:
-    """CRC-16/MCRF4XX of the content and the extra byte."""
+def _checksum(content: bytes, before: int = 0xFFFF) -> int:
+    """CRC-16/MCRF4XX of bytes, behind others that have the checksum `before`."""
     from pymavlink.mavutil import x25crc
 
-    return int(x25crc(content + bytes([extra])).crc)
+    checksum = x25crc()
+    checksum.crc = before
+    checksum.accumulate(content)
+    return int(checksum.crc)
 
 
 class FrameSplitter:
@@ -180,15 +168,13 @@ class FrameSplitter:
             size = frame_size(data, start)
             if size is None or start + size > len(data):
                 break
-            if size == 0:
-                start += 1
-                continue
-            frame = Frame(data[start : start + size])
-            place = _SEQUENCE[data[start]] + 3
-            number = int.from_bytes(frame.data[place : _HEADERS[data[start]]], "little")
-            frame = Frame(frame.data, self._kinds.get(number))
-            if not frame.has_valid_checksum():  # damaged, or no frame at all: one may begin with the next byte
-                start += 1
+            frame = None
+            if size > 0:
+                number = data[start + _SEQUENCE[data[start]] + 3 : start + _HEADERS[data[start]]]
+                kind = self._kinds.get(int.from_bytes(number, "little"))
+                frame = Frame(data[start : start + size], kind)
+            if frame is None or frame.checksum_extra() is None:
+                start += 1  # nothing, or a damaged frame: the next one may begin with any byte
                 continue
             if between < start:
                 yield data[between:start]
