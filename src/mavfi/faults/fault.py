@@ -13,16 +13,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, get_args
 from mavfi.config import checked
 from mavfi.errors import BadInputError, not_known
 from mavfi.faults import DEFAULT_WALK, strata
+from mavfi.faults.changes import Change, When, parse_text
 from mavfi.faults.levels.transit import is_length
-from mavfi.faults.operations import (
-    MESSAGE_OPERATIONS,
-    VALUE_OPERATIONS,
-    Operation,
-    PlannedChange,
-    When,
-    check_number_operation,
-    parse_text,
-)
+from mavfi.faults.operations import MESSAGE_OPERATIONS, VALUE_OPERATIONS, Operation, check_number_operation
 from mavfi.plugins import known, load_object
 from mavfi.states import DETECTORS, KERNELS, PLUG_INS, STATES, WATCHING, StateSpec, find_state
 
@@ -170,7 +163,7 @@ class StateFault(Fault):
     width: int = 1
     times: int = 1
     also: tuple[tuple[str, int], ...] = ()
-    change: PlannedChange | None = None
+    change: Change | None = None
 
     def __post_init__(self) -> None:
         for key, is_allowed, allowed in (
@@ -186,7 +179,7 @@ class StateFault(Fault):
         if self.change is not None:
             self._check_change(self.change)
 
-    def _check_change(self, change: PlannedChange) -> None:
+    def _check_change(self, change: Change) -> None:
         """Check that the field can be changed in this way; the error names the field."""
         where = f"fault in {self.site}"
         operation = change.operation
@@ -341,7 +334,7 @@ class MemoryFault(Fault):
     weight: float = 1.0
     seed: int = 0
     lasts_s: float = 0.0
-    change: PlannedChange | None = None
+    change: Change | None = None
     role: str = ""
 
     def __post_init__(self) -> None:
@@ -361,7 +354,7 @@ class MemoryFault(Fault):
         if self.change is not None:
             self._check_change(self.change)
 
-    def _check_change(self, change: PlannedChange) -> None:
+    def _check_change(self, change: Change) -> None:
         """Check that the word can be changed in this way."""
         where = f"fault in {self.site}"
         operation, when = change
@@ -577,7 +570,7 @@ class MessageFault(Fault):
     weight: float = 1.0
     seed: int = 0
     time_us: int = 0
-    change: PlannedChange | None = None
+    change: Change | None = None
 
     def __post_init__(self) -> None:
         if self.at < 1:
@@ -596,13 +589,13 @@ class MessageFault(Fault):
             raise BadInputError(f"fault in {self.site}: bit, at, rate: allowed: those of the change {operation}")
 
     @property
-    def planned(self) -> PlannedChange:
+    def planned(self) -> Change:
         """What is done and when, also of a fault without `change`; a flip without a bit draws one each time."""
         if self.change is not None:
             return self.change
         if self.rate is None:
-            return PlannedChange(Operation("flip", bit=self.bit), When(first=self.at))
-        return PlannedChange(Operation("flip", bit=self.bit), When(first=self.at, times=0, share=self.rate))
+            return Change(Operation("flip", bit=self.bit), When(first=self.at))
+        return Change(Operation("flip", bit=self.bit), When(first=self.at, times=0, share=self.rate))
 
     @property
     def counts_publications(self) -> bool:

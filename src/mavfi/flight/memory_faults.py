@@ -14,10 +14,11 @@ import numpy as np
 
 from mavfi.detectors.detector import Detector, custom_parts, part_of
 from mavfi.errors import BadInputError, machine_failure
+from mavfi.faults.changes import MessageSchedule, When
 from mavfi.faults.fault import RESTART_S, MemoryFault
 from mavfi.faults.injector import Injector
 from mavfi.faults.levels.state_injector import schedule_of
-from mavfi.faults.operations import MessageSchedule, Operation, When, changed_number
+from mavfi.faults.operations import Operation, changed_number
 from mavfi.flight.loop import CONTROL_PERIOD_US, Loop
 from mavfi.flight.restarts import Restarts
 from mavfi.pipeline.clearance_map import ClearanceMap

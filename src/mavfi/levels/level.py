@@ -9,7 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, NoReturn, Protocol
 
 from pydantic import Field
@@ -17,10 +17,11 @@ from pydantic import Field
 from mavfi.config import Config
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, hint, not_known
+from mavfi.faults.changes import LATEST_S, Change, parse_change, parse_text
 from mavfi.faults.combined import AND, Start
 from mavfi.faults.fault import Fault, find_level, level_names
 from mavfi.faults.injector import Injector
-from mavfi.faults.operations import OPERATIONS, SYNONYMS, PlannedChange, is_trigger, parse_change, parse_text
+from mavfi.faults.operations import OPERATIONS, SYNONYMS
 from mavfi.faults.sampling import share_out
 from mavfi.faults.strata import EACH_CLASS, STRATA
 from mavfi.levels.campaign import SampledCampaign
@@ -45,8 +46,6 @@ SECONDS = (rf"inf|{DECIMAL}", "a number of seconds, or inf", float)
 """An option whose value is a duration (s), see `Level.options`."""
 _INSTANT = rf"{DECIMAL}([eE][+-]?\d+)?"
 """Pattern of an instant (s)."""
-_LATEST_S = 1e9
-"""Latest instant of a fault (s): far beyond any flight, and still exact in microseconds."""
 
 
 # ---- one fault, as text ----------------------------------------------------------------------------------------------
@@ -522,94 +521,20 @@ def instant_us(seconds: str) -> int | None:
         return None
     if not re.fullmatch(_INSTANT, seconds):
         raise BadInputError(f"instant {seconds!r}: allowed: a number of seconds from 0 on, e.g. @12.5")
-    if not float(seconds) <= _LATEST_S:
-        raise BadInputError(f"instant {seconds} s; allowed: 0 to {_LATEST_S:g}")
+    if not float(seconds) <= LATEST_S:
+        raise BadInputError(f"instant {seconds} s; allowed: 0 to {LATEST_S:g}")
     return round(float(seconds) * 1e6)
 
 
-def planned_at(change: PlannedChange, *, is_given: bool) -> tuple[PlannedChange, int | None]:
-    """A change without its earliest instant, and that instant (us); None = it `is_given` nowhere, and so drawn.
-
-    A flight has one time: instants in simulated time are instants of the flight.
-    """
-    start_s = change.when.start_s
-    if not start_s <= _LATEST_S:
-        raise BadInputError(f"instant {start_s:g} s; allowed: 0 to {_LATEST_S:g}")
-    planned = change._replace(when=replace(change.when, start_s=0.0, sim_time=False))
-    if not is_given:
-        return planned, None
-    return planned, round(1e6 * start_s)
+def parse_value_change(parts: list[str], instant: str) -> Change:
+    """The change of a value in a text, see `parse_change`; without an operation, a bit is flipped."""
+    names = {part.partition("=")[0] for part in parts}
+    if not names & {*OPERATIONS, *SYNONYMS, "bit"}:
+        parts = ["flip", *parts]
+    return parse_change(parts, instant)
 
 
-class ChangeText(NamedTuple):
-    """A change of a value, as it stands behind the site of a fault.
-
-    Attributes:
-        change: What is done, and when; without bit and earliest instant.
-        bit: Bit of a flip; None = not given.
-        time_us: Earliest instant (us); None = not given.
-        lasts_s: Duration (s); 0 = not given.
-    """
-
-    change: PlannedChange
-    bit: int | None
-    time_us: int | None
-    lasts_s: float
-
-
-def is_change(text: str) -> bool:
-    """Whether the text of a fault in a value has more than the flip of bits from an instant on."""
-    body, _, instant = text.partition("@")
-    names = {part.partition("=")[0] for part in body.split(":")[1:]}
-    return bool(names & {*OPERATIONS, *SYNONYMS, "every"}) or is_trigger(instant)
-
-
-def parse_value_change(parts: Sequence[str], instant: str, *, has_instant: bool) -> ChangeText:
-    """Parse a change of a value: an operation, or a trigger; without an operation, a bit is flipped.
-
-    Args:
-        parts: What stands between the site and the `@`.
-        instant: What stands behind the `@`.
-        has_instant: Whether there is an `@`.
-
-    Raises:
-        BadInputError: A part is not understood.
-    """
-    # A duration is that of the fault; all else is the change.
-    lasts_s = 0.0
-    rest = []
-    for part in parts:
-        name, _, value = part.partition("=")
-        if name != "lasts":
-            rest.append(part)
-            continue
-        pattern, description, kind = SECONDS
-        if not re.fullmatch(pattern, value):
-            raise BadInputError(f"lasts: {value!r}: allowed: {description}")
-        lasts_s = kind(value)
-    names = [part.partition("=")[0] for part in rest]
-    if not {*OPERATIONS, *SYNONYMS, "bit"} & set(names):
-        rest.insert(0, "flip")
-    change, time_us = planned_at(parse_change(rest, instant), is_given=has_instant)
-    if lasts_s > 0.0 and "times" not in names:
-        change = change._replace(when=replace(change.when, times=0))
-    # The bit of a flip is that of the fault.
-    bit = change.operation.bit
-    return ChangeText(change._replace(operation=replace(change.operation, bit=None)), bit, time_us, lasts_s)
-
-
-def change_text(change: PlannedChange, bit: int | None, time_us: int, lasts_s: float) -> str:
-    """The text of a change with bit, earliest instant (us) and duration (s): what `parse_value_change` reads."""
-    operation, when = change
-    dated = PlannedChange(replace(operation, bit=bit), replace(when, start_s=time_us / 1e6))
-    body, at, instant = str(dated).partition("@")
-    lasts = ""
-    if lasts_s > 0.0:
-        lasts = f":lasts={lasts_s}"
-    return f"{body}{lasts}{at}{instant}"
-
-
-def operation_of(text: str) -> PlannedChange:
+def operation_of(text: str) -> Change:
     """A change in the sampling of a campaign, which draws its instant.
 
     Raises:

@@ -16,8 +16,9 @@ from pydantic import Field, model_validator
 from mavfi.detectors.detector import part_of
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, hint
+from mavfi.faults.changes import Change, is_change
 from mavfi.faults.fault import NO_SITE, Fault, MemoryFault
-from mavfi.faults.operations import OPERATIONS, VALUE_OPERATIONS, PlannedChange
+from mavfi.faults.operations import OPERATIONS, VALUE_OPERATIONS
 from mavfi.faults.plug_ins import plug_ins_of_spec, without_module
 from mavfi.faults.sampling import stream
 from mavfi.faults.strata import WORD_BITS, bits_of
@@ -33,10 +34,8 @@ from mavfi.levels.level import (
     Sampled,
     Sampler,
     Sampling,
-    change_text,
     check_distinct,
     check_strata,
-    is_change,
     parse_value_change,
 )
 from mavfi.levels.state import SiteGroup, group_json, smaller_changes
@@ -79,7 +78,7 @@ class MemoryRequest:
     bit: int | None = None
     time_us: int | None = None
     lasts_s: float = 0.0
-    change: PlannedChange | None = None
+    change: Change | None = None
 
     def draw(self, setup: "ArmSetup", seed: int) -> "tuple[MemoryFault, Flight | None]":
         """See `Request.draw`; a BadInputError if the target has no such word or bit at that instant."""
@@ -450,7 +449,13 @@ class MemoryLevel(Level):
         if is_change(text):
             body, at, instant = text.partition("@")
             site, *options = body.split(":")
-            change, bit, time_us, lasts_s = parse_value_change(options, instant, has_instant=bool(at))
+            dated_change = parse_value_change(options, instant)
+            change = dated_change.without_fields()
+            bit = dated_change.operation.bit
+            lasts_s = dated_change.lasts_s
+            time_us = None
+            if at:
+                time_us = round(1e6 * dated_change.when.start_s)
         else:
             parts = self.parts_of(text)
             site = parts.site
@@ -475,7 +480,7 @@ class MemoryLevel(Level):
     def text_of(self, fault: MemoryFault) -> str:
         """See `Level.text_of`."""
         if fault.change is not None:
-            return f"{fault.site}:{change_text(fault.change, fault.bit, fault.time_us, fault.lasts_s)}"
+            return f"{fault.site}:{fault.change.with_fields(fault.bit, fault.time_us, fault.lasts_s)}"
         options = ""
         if fault.bit is not None:
             options = f":bit={fault.bit}"

@@ -7,15 +7,16 @@ of the sampling.  Hosts of other programs draw faults in the messages of these (
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
 from mavfi.errors import BadInputError
+from mavfi.faults.changes import Change, parse_text
 from mavfi.faults.fault import NO_SITE, Fault, FaultSite, MessageFault, find_field
 from mavfi.faults.levels.message.injector import PublicationInjector
-from mavfi.faults.operations import MESSAGE_OPERATIONS, PlannedChange, parse_text
+from mavfi.faults.operations import MESSAGE_OPERATIONS
 from mavfi.faults.sampling import draw_publication, stream
 from mavfi.levels.campaign import SampledCampaign
 from mavfi.levels.level import (
@@ -27,7 +28,6 @@ from mavfi.levels.level import (
     check_distinct,
     check_known,
     operation_of,
-    planned_at,
 )
 from mavfi.levels.state import fewer_changes, find_published, null_fault
 from mavfi.record import Injection, Profile
@@ -44,7 +44,7 @@ class MessageRequest:
     """A fault in publications as requested by the user: state, change, earliest instant (us); None is drawn."""
 
     state: str
-    change: PlannedChange
+    change: Change
     time_us: int | None
 
     def draw(self, setup: "ArmSetup", seed: int) -> "tuple[MessageFault, Flight | None]":
@@ -160,7 +160,11 @@ class MessageLevel(Level):
         if not state or not rest:
             self.not_understood()
         spec = find_published(state, localization)
-        change, time_us = planned_at(parse_text(f"{rest}{at}{instant}"), is_given=bool(at))
+        dated_change = parse_text(f"{rest}{at}{instant}")
+        change = dated_change.without_fields()
+        time_us = None
+        if at:
+            time_us = round(1e6 * dated_change.when.start_s)
         MessageFault(spec.name, change=change)  # checks it
         if change.when.condition is not None:
             find_field(spec, change.when.condition.field)
@@ -170,8 +174,7 @@ class MessageLevel(Level):
         """See `Level.text_of`; None for a number in a message of another program."""
         if fault.topic not in STATES or not fault.is_of_flight or fault.time_us == NO_SITE:
             return None
-        operation, when = fault.planned
-        return f"message:{fault.topic}:{PlannedChange(operation, replace(when, start_s=fault.time_us / 1e6))}"
+        return f"message:{fault.topic}:{fault.planned.with_fields(None, fault.time_us)}"
 
     def seed_of(self, fault: MessageFault) -> int | None:
         """See `Level.seed_of`: an intermittent fault draws its publications."""

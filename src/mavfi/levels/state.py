@@ -20,16 +20,11 @@ from pydantic import model_validator
 
 from mavfi.config import Config
 from mavfi.errors import BadInputError
+from mavfi.faults.changes import Change, is_change, parse_text
 from mavfi.faults.fault import LIFETIME, Fault, FaultSite, StateFault
 from mavfi.faults.injector import Injector
 from mavfi.faults.levels.state_injector import injector_of
-from mavfi.faults.operations import (
-    VALUE_OPERATIONS,
-    Operation,
-    PlannedChange,
-    check_number_operation,
-    parse_text,
-)
+from mavfi.faults.operations import VALUE_OPERATIONS, Operation, check_number_operation
 from mavfi.faults.sampling import (
     Target,
     When,
@@ -54,11 +49,9 @@ from mavfi.levels.level import (
     Level,
     Sampler,
     Sampling,
-    change_text,
     check_distinct,
     check_known,
     check_strata,
-    is_change,
     operation_of,
     parse_value_change,
 )
@@ -77,7 +70,7 @@ _SHORTER_COUNTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 
 
 class ParsedSite(NamedTuple):
-    """A state, the name of a field, and the index of an element, as given in a text; None = not given."""
+    """A state, the name of a field, and the index of an element, as given in a text; None = not dated_change."""
 
     state: StateSpec
     field: str | None
@@ -100,7 +93,7 @@ class StateRequest:
     null: bool = False
     lifetime: Mapping[str, Any] = dataclasses.field(default_factory=dict, hash=False)
     also: tuple[tuple[str, int], ...] = ()
-    change: PlannedChange | None = None
+    change: Change | None = None
 
     @property
     def needs_profile(self) -> bool:
@@ -466,7 +459,7 @@ def _accepting(target: Target, operations: Sequence[Operation]) -> Target:
     return Target(target.name, fields)
 
 
-def _with_operation(fault: StateFault, change: PlannedChange) -> StateFault:
+def _with_operation(fault: StateFault, change: Change) -> StateFault:
     """A drawn fault with another change than the flip of its bit in one publication."""
     if change == parse_text("flip"):
         return fault
@@ -514,7 +507,7 @@ def shorter_faults(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
             yield replace(fault, lasts_s=round(fault.lasts_s * part, 3))
 
 
-def fewer_changes(fault: Any, change: PlannedChange) -> Iterator[Fault]:
+def fewer_changes(fault: Any, change: Change) -> Iterator[Fault]:
     """Faults of levels state and message that change fewer publications than one that lasts, by increasing number."""
     for times in _SHORTER_COUNTS:
         if change.when.times == 0 or times < change.when.times:
@@ -642,10 +635,15 @@ class StateLevel(Level):
         site, *parts = body.split(":")
         spec, field, element = self._parse_site(site, localization)
 
-        change, bit, time_us, lasts_s = parse_value_change(parts, instant, has_instant=bool(at))
+        dated_change = parse_value_change(parts, instant)
+        bit = dated_change.operation.bit
+        change = dated_change.without_fields()
+        time_us = None
+        if at:
+            time_us = round(1e6 * dated_change.when.start_s)
         lifetime: dict[str, Any] = {}
-        if lasts_s > 0.0:
-            lifetime["lasts_s"] = lasts_s
+        if dated_change.lasts_s > 0.0:
+            lifetime["lasts_s"] = dated_change.lasts_s
 
         # A bit that is not given is drawn.
         checked_bit = bit
@@ -662,7 +660,7 @@ class StateLevel(Level):
     def text_of(self, fault: StateFault) -> str:
         """See `Level.text_of`."""
         if fault.change is not None:
-            return f"state:{fault.where}:{change_text(fault.change, fault.bit, fault.time_us, fault.lasts_s)}"
+            return f"state:{fault.where}:{fault.change.with_fields(fault.bit, fault.time_us, fault.lasts_s)}"
         options = ""
         if fault.bit is not None:
             options = f":bit={fault.bit}"

@@ -7,10 +7,10 @@ import pytest
 import mavfi
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.store import Store
+from mavfi.faults.changes import parse_text
 from mavfi.faults.combined import CombinedFault, Start
 from mavfi.faults.fault import FaultSite, MemoryFault, MessageFault, StateFault
 from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.faults.operations import parse_text
 from mavfi.flight.fly import fly
 from mavfi.flight.forks import fly_instruction_faults
 from mavfi.flight.mission_flights import fly_recorded

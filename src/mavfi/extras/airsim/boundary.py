@@ -27,11 +27,11 @@ from mavfi.errors import BadInputError, not_known
 from mavfi.extras.airsim import cameras, flying, scene, sensing
 from mavfi.extras.airsim.calls import RecordedCall
 from mavfi.extras.airsim.table import CALLS
+from mavfi.faults.changes import MessageSchedule, parse_text
 from mavfi.faults.fault import MessageFault
 from mavfi.faults.levels.sensor.failures import Failure
 from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.faults.levels.state_injector import schedule_of
-from mavfi.faults.operations import MessageSchedule, Operation, PlannedChange, changed_number, parse_text
+from mavfi.faults.operations import Operation, changed_number
 from mavfi.levels.sensor import parse_sensor
 from mavfi.record import AlarmRecord, Injection
 
@@ -319,14 +319,15 @@ def _parse_change(text: str, seed: int) -> BoundaryFault:
     _check_site(text, match["call"], path)
     try:
         change = parse_text(match["change"])
-        operation, when = change
+        operation = change.operation
+        when = change.when
         if operation.name == "reorder":
             raise BadInputError("reorder: calls are answered in order; allowed: drop, delay, duplicate, freeze")
         if operation.name == "flip" and operation.bit is None:
             operation = replace(operation, bit=random.Random(seed).randrange(_BITS))
         if operation.bit is not None and operation.bit >= _BITS:
             raise BadInputError(f"bit {operation.bit}: allowed: 0 to {_BITS - 1}")
-        planned = PlannedChange(operation, replace(when, start_s=0.0))
+        planned = change._replace(operation=operation, when=replace(when, start_s=0.0))
         fault = MessageFault(match["call"], path, seed=seed, time_us=round(1e6 * when.start_s), change=planned)
     except BadInputError as error:
         raise BadInputError(f"--fault: {text!r}: {error}") from None
@@ -374,7 +375,8 @@ class Boundary:
         planned = self.planned
         if planned is not None and planned.fault.change is not None:
             fault = planned.fault
-            self._schedule = schedule_of(fault.planned.when, fault.time_us, fault.seed)
+            change = fault.planned
+            self._schedule = MessageSchedule(change.when.starting_at(fault.time_us), fault.seed, change.lasts_s)
 
     @property
     def delays(self) -> bool:

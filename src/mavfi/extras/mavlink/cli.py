@@ -28,7 +28,7 @@ def _mavlink() -> None:
 
     Neither is modified. Needs pip install 'mavfi\[mavlink]'.
 
-    Example: [bold]mavfi mavlink inject --from udpin:localhost:14551 --to tcp:localhost:5760 --fault ATTITUDE:drop[/bold]
+    Example: [bold]mavfi mavlink inject --from udpin:localhost:14551 --to tcp:127.1:5760 --fault HEARTBEAT:drop[/bold]
     """
 
 
@@ -56,7 +56,7 @@ def inject(
     Addresses are those of pymavlink: udpin, udpout, tcp, tcpin with host and port, or a serial device. Messages without
     a fault pass byte for byte. The exit code is 3 if nothing was changed.
 
-    Example: [bold]mavfi mavlink inject --from udpin:localhost:14551 --to tcp:localhost:5760 --fault ATTITUDE:drop[/bold]
+    Example: [bold]mavfi mavlink inject --from udpin:localhost:14551 --to tcp:127.1:5760 --fault HEARTBEAT:drop[/bold]
     """
     check_name("--direction", direction, _DIRECTIONS)
     check_seed("--seed", seed)

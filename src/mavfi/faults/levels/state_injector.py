@@ -13,10 +13,11 @@ from typing import Any, Self
 import numpy as np
 
 from mavfi.errors import BadInputError
+from mavfi.faults.changes import MessageSchedule, When
 from mavfi.faults.fault import FaultSite, StateFault, find_field
 from mavfi.faults.injector import RewindableInjector
 from mavfi.faults.levels.transit import ChangedPublication, changed_bits, is_length, with_length
-from mavfi.faults.operations import MessageSchedule, When, changed_number
+from mavfi.faults.operations import changed_number
 from mavfi.faults.sampling import stream
 from mavfi.faults.strata import WORD_BITS
 from mavfi.record import Injection, plain
@@ -296,8 +297,7 @@ def number_in(state: State, path: str) -> float:
 
 def schedule_of(when: When, time_us: int, seed: int) -> MessageSchedule:
     """The schedule of a change of publications from an instant on (us; a negative one is that of no site)."""
-    start_s = max(time_us, 0) / 1e6
-    return MessageSchedule(replace(when, start_s=start_s, end_s=max(when.end_s, start_s)), seed)
+    return MessageSchedule(when.starting_at(time_us), seed)
 
 
 class ValueInjector(RewindableInjector):
@@ -325,7 +325,7 @@ class ValueInjector(RewindableInjector):
     def copy(self) -> Self:
         """See `RewindableInjector`."""
         other = super().copy()
-        other._schedule = self._schedule.copy()
+        other._schedule = copy(self._schedule)
         return other
 
     @property

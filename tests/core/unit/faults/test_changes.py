@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
+from mavfi.faults.changes import Change, When, parse_text
 from mavfi.faults.fault import NO_SITE, FaultSite, MessageFault, StateFault, fault_from_json
 from mavfi.faults.levels.message.injector import PublicationInjector
 from mavfi.faults.levels.state_injector import StateInjector, injector_of, number_in
-from mavfi.faults.operations import Operation, parse_text
+from mavfi.faults.operations import Operation
 from mavfi.states import new_state
 
 COMMAND = "control.command"
@@ -175,7 +176,7 @@ class Copied(PublicationInjector):
 
     def __call__(self, state, time_us):
         discarded = self.copy()
-        discarded._queue = Queue()
+        discarded._messages._send = lambda state, time_us: None
         PublicationInjector.__call__(discarded, command(99), time_us)
         copy = self.copy()
         seen = PublicationInjector.__call__(copy, state, time_us)
@@ -197,7 +198,7 @@ def test_stored_faults_have_a_change_as_text_and_published_ones_none():
     published = {"topic": "t", "field": "f", "bit": 3, "at": 2, "rate": None, "stratum": "", "weight": 1.0, "seed": 5}
     fault = fault_from_json({"level": "message", **published})
     assert fault.to_json() == {"level": "message", **published}
-    assert fault.planned == (Operation("flip", bit=3), replace(fault.planned.when, first=2))
+    assert fault.planned == Change(Operation("flip", bit=3), When(first=2))
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from mavfi.faults.changes import parse_text
 from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, MessageFault, RegisterFault, StateFault
 from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.faults.operations import parse_text
 from mavfi.flight.host import Flight, RunResult
 from mavfi.levels.instruction import InstructionLevel
 from mavfi.levels.level import Sampled

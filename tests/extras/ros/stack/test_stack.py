@@ -15,8 +15,8 @@ from mavfi.extras.ros.processes import private_network
 from mavfi.extras.ros.ros2.environment import DISTRIBUTIONS, find_installation
 from mavfi.extras.ros.ros2.stack.bench_process import BenchClient
 from mavfi.extras.ros.ros2.stack.config import StackConfig
+from mavfi.faults.changes import parse_text
 from mavfi.faults.fault import MessageFault, RegisterFault
-from mavfi.faults.operations import parse_text
 from tests.campaigns import run_campaign
 from tests.core.architecture.source import ROOT
 

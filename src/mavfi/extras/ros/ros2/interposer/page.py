@@ -18,7 +18,8 @@ from typing import Any, Literal, NamedTuple
 
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.registers.shared_library import shared_library
-from mavfi.faults.operations import MESSAGE_OPERATIONS, Operation, When
+from mavfi.faults.changes import When
+from mavfi.faults.operations import MESSAGE_OPERATIONS, Operation
 
 Side = Literal["publish", "take", "send_request", "take_request", "send_response", "take_response"]
 SIDES: tuple[Side, ...] = ("publish", "take", "send_request", "take_request", "send_response", "take_response")

@@ -179,8 +179,8 @@ class StackBench:
         side: Side = "publish"
         if fault.topic in (*self._stack.input_topics, *(entry["topic"] for entry in self._inputs)):
             side = "take"
-        operation, when = fault.planned
-        return InterposedFault(fault.topic, fault.field, operation, when, side, fault.seed)
+        change = fault.planned
+        return InterposedFault(fault.topic, fault.field, change.operation, change.when, side, fault.seed)
 
     def golden(self) -> PlayedRun:
         """The error-free run, after several equal ones.
