@@ -28,7 +28,8 @@ def _mavlink() -> None:
 
     Neither is modified. Needs pip install 'mavfi\[mavlink]'.
 
-    Example: [bold]mavfi mavlink inject --from udpin:localhost:14551 --to tcp:127.1:5760 --fault HEARTBEAT:drop[/bold]
+    Example: [bold]mavfi mavlink inject --from udpin:127.0.0.1:14551 --to tcp:127.0.0.1:5760
+    --fault SET_POSITION_TARGET_LOCAL_NED.vx:bit=31@n=10[/bold]
     """
 
 
@@ -40,7 +41,7 @@ def inject(
     autopilot: Annotated[
         str, typer.Option("--to", metavar="ADDRESS", help="Where the autopilot is, e.g. udpout:127.0.0.1:14560.")
     ],
-    fault_texts: Annotated[
+    fault: Annotated[
         list[str],
         typer.Option(
             metavar="TEXT", help=r"MESSAGE\[.FIELD]:OPERATION\[@WHEN], e.g. ATTITUDE.roll:set=nan@10; repeatable."
@@ -56,7 +57,8 @@ def inject(
     Addresses are those of pymavlink: udpin, udpout, tcp, tcpin with host and port, or a serial device. Messages without
     a fault pass byte for byte. The exit code is 3 if nothing was changed.
 
-    Example: [bold]mavfi mavlink inject --from udpin:localhost:14551 --to tcp:127.1:5760 --fault HEARTBEAT:drop[/bold]
+    Example: [bold]mavfi mavlink inject --from udpin:127.0.0.1:14551 --to tcp:127.0.0.1:5760
+    --fault SET_POSITION_TARGET_LOCAL_NED.vx:bit=31@n=10[/bold]
     """
     check_name("--direction", direction, _DIRECTIONS)
     check_seed("--seed", seed)
@@ -67,7 +69,7 @@ def inject(
     from mavfi.extras.mavlink.faults import FaultyStream, MavlinkFault
     from mavfi.extras.mavlink.link import Link, connect
 
-    faults = [MavlinkFault(text, dialect, seed + index) for index, text in enumerate(fault_texts)]
+    faults = [MavlinkFault(text, dialect, seed + index) for index, text in enumerate(fault)]
     injections: list[Injection] = []
 
     def report(injection: Injection) -> None:
@@ -92,18 +94,18 @@ def inject(
 
     passed = {name: stream.frames for name, stream in streams.items()}
     if as_json:
-        records = [
-            {"fault": fault.text, "passed": fault.passed, "changed": fault.changed, "refusals": fault.refusals}
-            for fault in faults
+        counts = [
+            {"fault": each.text, "passed": each.passed, "changed": each.changed, "refusals": each.refusals}
+            for each in faults
         ]
-        write_json({"frames": passed, "faults": records, "injections": [item.to_json() for item in injections]})
+        write_json({"frames": passed, "faults": counts, "injections": [item.to_json() for item in injections]})
     else:
         lines = [f"{counted(passed['to'], 'frame')} to the autopilot, {counted(passed['from'], 'frame')} from it"]
-        for fault in faults:
-            lines.append(f"{fault.text}: {fault.changed} of {fault.passed} {fault.kind.msgname} changed")
-            lines += [f"  {count} NOT changed: {reason}" for reason, count in fault.refusals.items()]
+        for each in faults:
+            lines.append(f"{each.text}: {each.changed} of {each.passed} {each.kind.msgname} changed")
+            lines += [f"  {count} NOT changed: {reason}" for reason, count in each.refusals.items()]
         console().print("\n".join(lines), markup=False, soft_wrap=True)
-    if not any(fault.changed for fault in faults):
+    if not any(each.changed for each in faults):
         raise typer.Exit(EXIT_NOTHING_CHANGED)
 
 

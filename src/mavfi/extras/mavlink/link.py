@@ -1,7 +1,9 @@
 """A link between two MAVLink peers: what comes from one is sent to the other, as it is or with faults."""
 
 import select
+import sys
 import time
+from contextlib import redirect_stdout
 from typing import Any
 
 from mavfi.errors import BadInputError
@@ -22,9 +24,12 @@ def connect(address: str) -> Any:
     from pymavlink import mavutil
 
     try:
-        return mavutil.mavlink_connection(address, retries=0)
+        connection = mavutil.mavlink_connection(address, retries=0)
     except Exception as error:  # of sockets, of the serial library, and of text that pymavlink takes apart
         raise BadInputError(f"{address}: cannot be opened ({error})") from None
+    if connection.fd is None:
+        raise BadInputError(f"{address}: is a file; allowed: a connection, e.g. udpin:127.0.0.1:14550")
+    return connection
 
 
 class Link:
@@ -45,7 +50,7 @@ class Link:
         self._start = time.monotonic()
 
     def run(self, until_s: float) -> None:
-        """Pass on what comes, until an instant (s) from the start of the link."""
+        """Pass on what comes, until an instant (s) from the start of the link, or the end of a TCP connection."""
         while (now_us := self._now_us()) < 1e6 * until_s:
             # Wait for bytes, for the next late frame, or for the end.
             next_us = min(1e6 * until_s, *(stream.next_us for _, _, stream, _ in self._ways))
@@ -54,7 +59,13 @@ class Link:
             ready, _, _ = select.select(list(files), [], [], wait_s)
             for file in ready:
                 source, splitter, stream, destination = files[file]
-                data = source.recv(_MOST_BYTES)
+                try:
+                    with redirect_stdout(sys.stderr):  # pymavlink prints what happens to a connection
+                        data = source.recv(_MOST_BYTES)
+                except OSError:
+                    data = b""
+                if data == b"":  # a stream has ended; without data, pymavlink returns ""
+                    return
                 sent = []
                 for piece in splitter.feed(data or b""):
                     if isinstance(piece, bytes):
