@@ -42,7 +42,6 @@ PLANNED = ("campaign run firmware", "campaign run hardening")
 ELSEWHERE = {
     "airsim serve --save": "tests/extras/airsim/test_serve.py",
     "firmware setup": "tests/extras/firmware/test_cli.py",
-    "mavlink inject": "tests/extras/mavlink/test_link.py",
     "report out/firmware-campaign": "tests/extras/firmware/test_cli.py",
     "mavfi harden out/hardening": "tests/extras/hardening/test_cli.py",
     "campaign run plan.proof.yaml": "tests/extras/hardening/test_cli.py",
