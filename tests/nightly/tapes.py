@@ -12,7 +12,7 @@ from mavfi.config import EnvironmentConfig
 from mavfi.detectors.detector import part_of
 from mavfi.detectors.registry import detector_names, of_monitored_fields
 from mavfi.flight.compose import detector_for, new_loop, resolve
-from mavfi.flight.memory_faults import ArrayMemory
+from mavfi.levels.memory.injector import ArrayMemory
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.ppc import build_pipeline

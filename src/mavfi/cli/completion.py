@@ -106,7 +106,7 @@ def _functions() -> Mapping[str, Iterable[str]]:
 
 
 def _units() -> Mapping[str, Iterable[str]]:
-    from mavfi.faults.levels.sensor.fault import FAILING, UNITS
+    from mavfi.levels.sensor.fault import FAILING, UNITS
 
     return {f"{unit}:": FAILING for unit in UNITS}
 

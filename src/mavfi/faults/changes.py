@@ -329,6 +329,14 @@ class ValueChange:
         self._stuck_bits: int | None = None  # the word after the first flip
         self._frozen: np.ndarray | None = None
 
+    def apply(self, carrier: Carrier) -> Values:
+        """Change the value of a carrier."""
+        word = carrier.read()
+        before = word[0].item()
+        self(word)
+        carrier.write(word)
+        return Values(before, word[0].item())
+
     def __call__(self, word: np.ndarray) -> None:
         """Change a word, an array of shape (1,), in place."""
         if self._operation.name == "flip":
@@ -395,11 +403,7 @@ class ChangeInjector:
 
     def change(self, carrier: Carrier) -> Values:
         """Change the value of a message that is due."""
-        word = carrier.read()
-        before = word[0].item()
-        self.value(word)
-        carrier.write(word)
-        return Values(before, word[0].item())
+        return self.value.apply(carrier)
 
 
 # ---- whole messages --------------------------------------------------------------------------------------------------
@@ -499,7 +503,7 @@ def parse_change(parts: list[str], instant: str = "") -> Change:
     options: dict[str, Any] = parse_instant(instant)
     lasts_s = 0.0
     keys: set[str] = set()
-    for part in parts:
+    for part in filter(None, parts):
         name, equals, text = part.partition("=")
         name = SYNONYMS.get(name, name)
         key = name
@@ -534,10 +538,18 @@ def parse_text(text: str) -> Change:
     return parse_change(body.split(":"), instant)
 
 
+def split_site(text: str) -> tuple[str, str]:
+    """The site of a fault, and the text of its change; an instant may follow either."""
+    body, at, instant = text.partition("@")
+    site, _, what = body.partition(":")
+    return site, f"{what}{at}{instant}"
+
+
 def is_change(text: str) -> bool:
     """Whether the text of a fault in a value has more than the flip of bits from an instant on."""
-    body, _, instant = text.partition("@")
-    names = {part.partition("=")[0] for part in body.split(":")[1:]}
+    _, what = split_site(text)
+    options, _, instant = what.partition("@")
+    names = {part.partition("=")[0] for part in options.split(":")}
     is_trigger = ".." in instant or _CONDITION.fullmatch(instant) is not None
     return bool(names & {*OPERATIONS, *SYNONYMS, "every"}) or is_trigger
 

@@ -6,7 +6,7 @@ from typing import Any, cast
 
 from mavfi.detectors.detector import Detector
 from mavfi.faults.injector import RewindableInjector
-from mavfi.faults.levels.state_injector import CounterWatch
+from mavfi.flight.acted_on import CounterWatch
 from mavfi.flight.loop import Loop, LoopMemory
 from mavfi.pipeline.memory import OpaqueKeeper, Remembers, Saved, Scratch
 from mavfi.record import AlarmRecord

@@ -25,11 +25,9 @@ import numpy as np
 
 from mavfi.detectors.detector import Detector
 from mavfi.errors import MavfiError
-from mavfi.faults.fault import MessageFault, StateFault
+from mavfi.faults.fault import Fault, find_level
 from mavfi.faults.injector import RewindableInjector
-from mavfi.faults.levels.instruction import Resolving
-from mavfi.faults.levels.message.injector import PublicationInjector
-from mavfi.faults.levels.state_injector import CounterWatch, injector_of
+from mavfi.flight.acted_on import CounterWatch
 from mavfi.flight.checkpoints import (
     Checkpoint,
     Instant,
@@ -44,6 +42,7 @@ from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.host import Flight
 from mavfi.flight.loop import CONTROL_PERIOD_US, Listener, Loop
 from mavfi.flight.taps import CHECKED_AT_PRODUCER
+from mavfi.ir.injection.variant import Resolving
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import ENTRIES, PLAIN
 from mavfi.record import FlightLog, Profile
@@ -181,22 +180,11 @@ def takes_part(detector: Detector | None, recovery: RecoveryPolicy) -> bool:
     return detector.seals or bool(detector.duplicates)
 
 
-PublicationFault = StateFault | MessageFault
-"""A fault in publications of a state: of a value, or of whole ones."""
-
-
-def changed_state(fault: PublicationFault) -> str:
-    """Name of the state whose publications a fault changes."""
-    if isinstance(fault, StateFault):
-        return fault.where.state
-    return fault.topic
-
-
-def checks_before(arm: FlownArm, fault: PublicationFault) -> bool:
+def checks_before(arm: FlownArm, fault: Fault) -> bool:
     """Whether an arm's detector checks the corrupted state before the fault: it does not see what flights publish."""
     if arm.detector is None:
         return False
-    return STATES[changed_state(fault)].stage in CHECKED_AT_PRODUCER[arm.recovery.detector_place]
+    return STATES[fault.changed_state].stage in CHECKED_AT_PRODUCER[arm.recovery.detector_place]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -556,12 +544,12 @@ class FastForward:
         self._take_off: Instant | None = None
         self._golden: dict[str, KnownFlight] = {}
         self._profile: Profile | None = None
-        self._latest_fault: PublicationFault | None = None
+        self._latest_fault: Fault | None = None
         self._flights_with_fault: dict[str, KnownFlight] = {}
 
     def fly(
         self,
-        fault: PublicationFault | None = None,
+        fault: Fault | None = None,
         detector: Detector | None = None,
         arm: str = "",
         recovery: RecoveryPolicy = INLINE,
@@ -629,20 +617,20 @@ class FastForward:
         return branch.fly()
 
     # ---- flights with faults in publications -------------------------------------------------------------------------
-    def _with_fault(self, fault: PublicationFault, arm: FlownArm) -> KnownFlight:
+    def _with_fault(self, fault: Fault, arm: FlownArm) -> KnownFlight:
         """The injected run; the one without a detector is kept for the other arms."""
         if arm.detector is None and "" in self._known_flights(fault):
             return self._known_flights(fault)[""]
         return self._fly_injected(fault, arm)
 
-    def _known_flights(self, fault: PublicationFault) -> dict[str, KnownFlight]:
+    def _known_flights(self, fault: Fault) -> dict[str, KnownFlight]:
         """The injected runs that others may follow, by arm; those of the latest fault are kept."""
         if self._latest_fault != fault:
             self._latest_fault = fault
             self._flights_with_fault = {}
         return self._flights_with_fault
 
-    def _fly_injected(self, fault: PublicationFault, arm: FlownArm) -> KnownFlight:
+    def _fly_injected(self, fault: Fault, arm: FlownArm) -> KnownFlight:
         """The injected run of an arm, flown with as much of the known flights as possible."""
         # Start from the golden flight of the arm at its last checkpoint before the fault.
         own_golden = self.golden(arm)
@@ -675,7 +663,7 @@ class FastForward:
         branch: FlightBranch,
         own_golden: KnownFlight,
         rows: int,
-        fault: PublicationFault,
+        fault: Fault,
         without_detector: KnownFlight | None = None,
     ) -> KnownFlight:
         """Fly from a golden checkpoint, along the run without a detector as far as that is the same."""
@@ -693,17 +681,10 @@ class FastForward:
                 branch.store_checkpoint(start.here)
         return branch.fly()
 
-    def _inject(self, fault: PublicationFault, start: Checkpoint) -> RewindableInjector:
+    def _inject(self, fault: Fault, start: Checkpoint) -> RewindableInjector:
         """Attach a fault to the loop, which is about to continue from a golden checkpoint."""
-        loop = self.loop
-        injector: RewindableInjector
-        if isinstance(fault, StateFault):
-            assert isinstance(start.injector, CounterWatch)  # a golden flight's tap
-            injector = injector_of(fault, start.injector)
-        else:
-            injector = PublicationInjector(fault, loop)
-            loop.watch_transit()
-        loop.taps.injector = injector
+        self.loop.taps.injector = start.injector
+        injector: RewindableInjector = find_level(fault.level).inject(self.loop, fault, None)
         return injector
 
     # ---- counting and resolving of instructions ---------------------------------------------------------------------

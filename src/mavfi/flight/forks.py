@@ -30,11 +30,7 @@ import numpy as np
 
 from mavfi.detectors.detector import Detector, split_noting_calls
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.faults.fault import InstructionFault
-from mavfi.faults.levels.instruction import ChildEnd, ForkPoint, MismatchError
-from mavfi.faults.levels.instruction.arena import arena, copy_result
-from mavfi.faults.levels.instruction.plan import DATA, changed_nothing, check_fault, injection_of
-from mavfi.faults.levels.instruction.variant import InjectionReport, Variant, variant_for
+from mavfi.faults.fault import CallFault
 from mavfi.flight.checkpoints import fill, put
 from mavfi.flight.compose import new_loop, watch
 from mavfi.flight.decide import INLINE, RecoveryPolicy
@@ -53,7 +49,10 @@ from mavfi.flight.host import Flight
 from mavfi.flight.loop import Listener, Loop
 from mavfi.flight.restarts import Restarts
 from mavfi.flight.targets import Targets
-from mavfi.ir.forked import WALL_CLOCK
+from mavfi.ir.forked import WALL_CLOCK, ChildEnd, ForkPoint
+from mavfi.ir.injection.arena import arena, copy_result
+from mavfi.ir.injection.table import DATA
+from mavfi.ir.injection.variant import InjectionReport, MismatchError, Variant, changed_nothing, variant_for
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.memory import Remembers, copied, same
@@ -136,7 +135,7 @@ class FaultCase:
         golden: Error-free output of the kernel in the same step.
     """
 
-    fault: InstructionFault
+    fault: CallFault
     kernel: str
     call: int
     time_us: int = 0
@@ -147,7 +146,7 @@ class FaultCase:
     golden: Output | None = None
 
 
-def case_of(fault: InstructionFault, scenario: Scenario, detector: Detector | None = None) -> FaultCase:
+def case_of(fault: CallFault, scenario: Scenario, detector: Detector | None = None) -> FaultCase:
     """The case of a fault before its injection; `BadInputError` if the mission lacks the kernel or detector."""
     target = Targets(scenario, detector).of_fault(fault)
     return FaultCase(fault, target.kernel, fault.call)
@@ -158,7 +157,7 @@ def flight_of(case: FaultCase, golden: Flight) -> Flight:
     log = golden.log
     if case.report is not None and case.report.log is not None:
         log = case.report.log
-    injection = injection_of(case.fault, case.value, case.time_us / 1e6, case.call)
+    injection = case.fault.injection(case.value, case.time_us / 1e6, case.call)
     log = replace(log, injections=[injection], kernel=_effect(case, golden.log))
     return Flight(log, None, golden.world, golden.pipeline)
 
@@ -259,7 +258,7 @@ class InjectedRuns:
 
 def fly_instruction_faults(
     scenario: Scenario,
-    faults: Sequence[InstructionFault],
+    faults: Sequence[CallFault],
     detector: Detector | None = None,
     golden: Flight | None = None,
     recovery: RecoveryPolicy = INLINE,
@@ -292,7 +291,7 @@ def fly_instruction_faults(
 
 
 def fly_with_publications(
-    scenario: Scenario, fault: InstructionFault, detector: Detector | None = None, recovery: RecoveryPolicy = INLINE
+    scenario: Scenario, fault: CallFault, detector: Detector | None = None, recovery: RecoveryPolicy = INLINE
 ) -> tuple[Flight, list[Published]]:
     """Fly one mission with an instruction fault; also returns its publications, in order.
 
@@ -311,7 +310,7 @@ def fly_with_publications(
 
 def fly_from_checkpoints(
     forward: FastForward,
-    faults: Sequence[InstructionFault],
+    faults: Sequence[CallFault],
     golden: Flight,
     arm: FlownArm = NO_DETECTOR,
     watched: Sequence[FlownArm] = (),
@@ -448,7 +447,7 @@ class Forks(Listener):
             self._awaited.setdefault(case.kernel, []).append(case)
         return None
 
-    def _end_outside_of_pipeline(self, fault: InstructionFault) -> None:
+    def _end_outside_of_pipeline(self, fault: CallFault) -> None:
         """In a child whose call died in no step of a kernel: end the detector, or the flight controller."""
         restarts = self._approach.restarts()
         down_us = round(1e6 * fault.restart_s)
@@ -457,9 +456,7 @@ class Forks(Listener):
         elif fault.role == "flight_controller":
             restarts.controller_dies(self._loop.now, down_us)
 
-    def _fault_in(
-        self, fault: InstructionFault, variant: Variant, function: Any, args: tuple[Any, ...]
-    ) -> InstructionFault | None:
+    def _fault_in(self, fault: CallFault, variant: Variant, function: Any, args: tuple[Any, ...]) -> CallFault | None:
         """The fault in the code of a call: itself, or its counterpart in protected code.
 
         None if call numbers may have shifted, and this call has other types, ends before the index, or lacks the bit.
@@ -468,14 +465,14 @@ class Forks(Listener):
             MismatchError: The fault was drawn for other machine code.
         """
         if not self._calls_may_shift:
-            check_fault(fault, variant, function)
+            fault.check(variant, function)
             return fault
         try:
             if self._rewriting is not None and fault.ir_sha256 != variant.ir_sha256:
                 plain = variant_for(function, args)
                 if fault.ir_sha256 == plain.ir_sha256:
                     fault = rewriter().pair(fault, plain, variant, args)
-            check_fault(fault, variant, function)
+            fault.check(variant, function)
         except (MismatchError, IndexError):
             return None
         if _has_bit(variant, fault, args):
@@ -511,7 +508,7 @@ class Forks(Listener):
             self._approach.restarts().die(kernel.name, now, round(1e6 * child.case.fault.restart_s))
 
     # ---- in a child -------------------------------------------------------------------------------------------------
-    def _injected_call(self, variant: Variant, fault: InstructionFault, function: Any, args: tuple[Any, ...]) -> Any:
+    def _injected_call(self, variant: Variant, fault: CallFault, function: Any, args: tuple[Any, ...]) -> Any:
         """The call with the fault; a child whose data equals the golden data ends here, as its remainder is golden."""
         child = self.child
         assert child is not None  # called in children only
@@ -598,7 +595,7 @@ def _note_end(case: FaultCase, ended: ChildEnd) -> None:
         case.detail = ""
 
 
-def _has_bit(variant: Variant, fault: InstructionFault, args: tuple[Any, ...]) -> bool:
+def _has_bit(variant: Variant, fault: CallFault, args: tuple[Any, ...]) -> bool:
     """Whether a call reaches the instruction's index with a value that has such a bit; without forking."""
     _, (site,) = variant.resolve([fault.index], *copied(args))
     keep, flip = fault.masks

@@ -9,8 +9,8 @@ import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, NoReturn, Protocol
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, NoReturn, Protocol
 
 from pydantic import Field
 
@@ -19,20 +19,23 @@ from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, hint, not_known
 from mavfi.faults.changes import LATEST_S, Change, parse_change, parse_text
 from mavfi.faults.combined import AND, Start
-from mavfi.faults.fault import Fault, find_level, level_names
+from mavfi.faults.fault import Fault, FliesFrom, find_level, level_names
 from mavfi.faults.injector import Injector
 from mavfi.faults.operations import OPERATIONS, SYNONYMS
 from mavfi.faults.sampling import share_out
 from mavfi.faults.strata import EACH_CLASS, STRATA
 from mavfi.levels.campaign import SampledCampaign
-from mavfi.record import Injection
+from mavfi.record import Injection, Profile
 from mavfi.states import STATES
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
+    from mavfi.flight.forks import Published
     from mavfi.flight.host import ArmSetup, Flight, MissionFlights, Recorded
     from mavfi.flight.loop import Loop
 
+Begin = Callable[["Loop", int], Injector]
+"""Injects a fault that has waited into a flight, from an instant on (us); returns its injector."""
 NULL = "null"
 """Target of null runs: the complete path through the injector, with an empty mask; and the text of such a fault."""
 COMBINED = "combined"
@@ -281,6 +284,13 @@ Golden = Mapping[str, Sampled]
 """Golden runs of a mission by variant, without failed ones."""
 
 
+def profile_of(golden: Golden) -> Profile:
+    """Publications of the golden run; none without it."""
+    if "" not in golden or golden[""].flight.profile is None:
+        return Profile()
+    return golden[""].flight.profile
+
+
 class Sampler:
     """Draws the faults of a campaign; a pure function of the campaign and of golden runs.
 
@@ -426,6 +436,7 @@ class Level:
         sampling: Model of the key `sampling` in campaigns; None = no campaigns.
         sampler: Draws the faults of a campaign.
         local: Whether flights in this process have its faults: whether `inject` can attach one to the loop.
+        can_wait: Whether its faults can wait for an event of the flight: they have a `time_us`, and an injector.
         form: Form of its text, for messages; "" = it has none.
         options: Options of the text in their order, by name: pattern, description and type of their values.
         operations: What its text may have instead of options, for messages: operations that it parses itself.
@@ -440,6 +451,7 @@ class Level:
     sampling: ClassVar[type[Sampling] | None] = None
     sampler: ClassVar[type[Sampler]]
     local: ClassVar[bool] = False
+    can_wait: ClassVar[bool] = False
     form: ClassVar[str] = ""
     options: ClassVar[Mapping[str, tuple[str, str, type]]] = {}
     operations: ClassVar[tuple[str, ...]] = ()
@@ -463,8 +475,30 @@ class Level:
         """The seed that a fault needs in addition to its text, for random choices during the flight; None = none."""
         return None
 
+    def flies_from(self, fault: Any) -> FliesFrom:
+        """Where flights with a fault are flown from: from take-off, unless nothing happens before it."""
+        return FliesFrom.TAKE_OFF
+
     def inject(self, loop: "Loop", fault: Any, detector: "Detector | None") -> Injector:
-        """Attach the fault to a flight that has not started; returns its injector."""
+        """Attach the fault to a flight, in the place of the tap `loop.taps.injector`; returns its injector.
+
+        The flight has not started; or its tap has watched all earlier publications (`flight.acted_on.CounterWatch`).
+        """
+        raise NotImplementedError
+
+    def wait(self, loop: "Loop", fault: Any, detector: "Detector | None") -> "Begin":
+        """Prepare a flight for a fault that waits for an event; see `can_wait`."""
+        loop.watch_losses()
+
+        def begin(loop: "Loop", time_us: int) -> Injector:
+            return self.inject(loop, replace(fault, time_us=time_us), detector)
+
+        return begin
+
+    def fly_forked(
+        self, setup: "ArmSetup", fault: Any, detector: "Detector | None", *, records: bool = False
+    ) -> "tuple[Flight, list[Published]]":
+        """The flight with a fault that `flies_from` several calls; and its publications, if `records`."""
         raise NotImplementedError
 
     def columns(self, fault: Any) -> dict[str, Any]:
@@ -526,12 +560,39 @@ def instant_us(seconds: str) -> int | None:
     return round(float(seconds) * 1e6)
 
 
-def parse_value_change(parts: list[str], instant: str) -> Change:
-    """The change of a value in a text, see `parse_change`; without an operation, a bit is flipped."""
+class ChangeFields(NamedTuple):
+    """A change in the text of a fault, as faults hold it.
+
+    Attributes:
+        change: What is done, and when; without the following.
+        bit: Bit of a flip; None = drawn.
+        time_us: Earliest instant (us); None = drawn.
+        lasts_s: Duration (s); 0 = as long as the change says.
+    """
+
+    change: Change
+    bit: int | None
+    time_us: int | None
+    lasts_s: float
+
+
+def parse_fields(text: str, default: str = "") -> ChangeFields:
+    """The change that stands behind the site of a fault, see `faults.changes.parse_text`.
+
+    Args:
+        text: What is done, how often, and when.
+        default: The operation if the text names none; "" = that is refused.
+    """
+    body, at, instant = text.partition("@")
+    parts = body.split(":")
     names = {part.partition("=")[0] for part in parts}
-    if not names & {*OPERATIONS, *SYNONYMS, "bit"}:
-        parts = ["flip", *parts]
-    return parse_change(parts, instant)
+    if default and not names & {*OPERATIONS, *SYNONYMS, "bit"}:
+        parts = [default, *parts]
+    change = parse_change(parts, instant)
+    time_us = None
+    if at:
+        time_us = round(1e6 * change.when.start_s)
+    return ChangeFields(change.without_fields(), change.operation.bit, time_us, change.lasts_s)
 
 
 def operation_of(text: str) -> Change:
@@ -545,7 +606,7 @@ def operation_of(text: str) -> Change:
     return parse_text(text)
 
 
-# ---- checks that the models of `sampling` share ----------------------------------------------------------------------
+# ---- what the models of `sampling` share ----------------------------------------------------------------------
 def check_known(key: str, names: Iterable[str], allowed: Collection[str]) -> None:
     """Raise a ValueError for a name that is not allowed."""
     for name in names:
@@ -570,3 +631,33 @@ def check_strata(strata: Mapping[str, float], *, by_class: bool = False) -> None
     check_known("sampling.strata", sorted(strata), [name for name in STRATA if by_class or name != EACH_CLASS])
     if not strata or not all(0 < share < float("inf") for share in strata.values()):
         raise ValueError(f"sampling.strata: {strata}: need at least one name, and shares above 0")
+
+
+class Lifetime(Config):
+    """Duration and width of state faults; by default one bit of one publication."""
+
+    lasts_s: Annotated[float, Field(ge=0)] | Literal["inf"] = Field(
+        0.0, description="stuck in every publication for this time (s, from 0 on); inf = for ever"
+    )
+    share: float = Field(1.0, gt=0, le=1, description="probability that a publication after the first one is changed")
+    width: int = Field(1, ge=1, le=64, description="adjacent bits")
+    times: int = Field(1, ge=1, description="publications, recomputed ones included, in which it is stuck at least")
+
+
+class SiteGroup(Config):
+    """Fields that share a row of a table; each fault is in one of them, drawn uniformly."""
+
+    name: str
+    sites: tuple[str, ...] = Field(min_length=1, description="state.field; of memories kernel.field")
+    strata: dict[str, float] | None = Field(None, description="instead of the campaign's")
+    lifetime: Lifetime | None = Field(
+        None, description="instead of the campaign's; groups of the same sites then have the same draws"
+    )
+
+
+def group_json(data: dict[str, Any]) -> dict[str, Any]:
+    """Plain data of a sampling with groups, without lifetimes that are not set."""
+    for group in data["groups"]:
+        if group["lifetime"] is None:
+            del group["lifetime"]
+    return data

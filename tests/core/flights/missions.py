@@ -5,9 +5,10 @@ from functools import cache
 import numpy as np
 
 from mavfi.detectors import Alarm, Detector
-from mavfi.faults.fault import FaultSite, StateFault
+from mavfi.faults.fault import FaultSite
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
+from mavfi.levels.state.fault import StateFault
 from mavfi.mission import ARRIVAL_RADIUS, FLY_AWAY_MARGIN, MissionSpec, MissionStatus, time_limit
 from mavfi.sim.environments.generated import arena_world
 

@@ -11,12 +11,12 @@ import pytest
 from mavfi.detectors import Alarm, Detector
 from mavfi.detectors.detector import NoDetector
 from mavfi.errors import BadInputError
-from mavfi.faults.levels.state_injector import StateInjector
 from mavfi.flight import checkpoints
 from mavfi.flight.compose import detector_for, new_loop, watch
 from mavfi.flight.fly import fly
 from mavfi.flight.loop import Loop
 from mavfi.flight.recovery import DetectorTap
+from mavfi.levels.state.injector import StateInjector
 from mavfi.pipeline.memory import Memory
 from mavfi.states import STATES
 from tests.core.flights.missions import AUTOPILOTS, GOAL, Scripted, fault, mission

@@ -8,13 +8,17 @@ import mavfi
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.store import Store
 from mavfi.faults.changes import parse_text
-from mavfi.faults.combined import CombinedFault, Start
-from mavfi.faults.fault import FaultSite, MemoryFault, MessageFault, StateFault
-from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.faults.combined import Start
+from mavfi.faults.fault import FaultSite
 from mavfi.flight.fly import fly
 from mavfi.flight.forks import fly_instruction_faults
 from mavfi.flight.mission_flights import fly_recorded
-from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
+from mavfi.levels.combined.fault import CombinedFault
+from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
+from mavfi.levels.memory.fault import MemoryFault
+from mavfi.levels.message.fault import MessageFault
+from mavfi.levels.sensor.fault import SensorFault
+from mavfi.levels.state.fault import StateFault
 from mavfi.pipeline.waypoints import SetpointGenerator
 from tests.campaigns import run_campaign
 from tests.core.flights.missions import GOAL, fault, golden, mission

@@ -13,7 +13,7 @@ from mavfi.flight.fast_forward import FastForward
 from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.mission_flights import LocalHost
-from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
+from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
 from mavfi.plugins import allow_typed
 from mavfi.record import CRASHED, End
 from mavfi.report.explain import alarm_lines

@@ -11,7 +11,7 @@ from mavfi.campaign.plan import CompletedRun
 from mavfi.campaign.resolve import resolve as resolve_campaign
 from mavfi.detectors.detector import Alarm
 from mavfi.extras.bench.sealed import Checksum, Duplicate, Oracle
-from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
+from mavfi.faults.fault import NO_SITE, FaultSite
 from mavfi.flight import fast_forward
 from mavfi.flight.checkpoints import take
 from mavfi.flight.decide import INLINE, RecoveryPolicy
@@ -20,6 +20,7 @@ from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.mission_flights import LocalHost
 from mavfi.levels.level import parse
+from mavfi.levels.state.fault import StateFault
 from mavfi.record import End, canonical
 from tests.core.flights.missions import AUTOPILOTS, Scripted, fault, golden, mission
 from tests.core.flights.test_checkpoints import Nervous, content, detector_of

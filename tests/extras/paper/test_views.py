@@ -8,7 +8,8 @@ from mavfi.analysis.measures import leads, population_names, population_text
 from mavfi.analysis.views import table
 from mavfi.extras.paper.figures import path_cases
 from mavfi.extras.paper.views import by_bits, by_state, value_at_risk
-from mavfi.faults.fault import FaultSite, StateFault
+from mavfi.faults.fault import FaultSite
+from mavfi.levels.state.fault import StateFault
 from tests.core.unit.analysis.handmade import FAULT, GOLDEN, INSTRUCTION, flown, golden, injected, runs
 
 PERCEPTION = StateFault(FaultSite("perception.collision_status", "time_to_collision"), 1, 62, "sign_exponent", 0.1)

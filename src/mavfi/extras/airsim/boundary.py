@@ -28,11 +28,11 @@ from mavfi.extras.airsim import cameras, flying, scene, sensing
 from mavfi.extras.airsim.calls import RecordedCall
 from mavfi.extras.airsim.table import CALLS
 from mavfi.faults.changes import MessageSchedule, parse_text
-from mavfi.faults.fault import MessageFault
-from mavfi.faults.levels.sensor.failures import Failure
-from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.faults.operations import Operation, changed_number
+from mavfi.levels.message.fault import MessageFault
 from mavfi.levels.sensor import parse_sensor
+from mavfi.levels.sensor.failures import Failure
+from mavfi.levels.sensor.fault import SensorFault
 from mavfi.record import AlarmRecord, Injection
 
 # ---- numbers in arguments and return values --------------------------------------------------------------------------

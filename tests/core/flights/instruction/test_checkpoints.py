@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from mavfi.faults.fault import NO_SITE, InstructionFault
+from mavfi.faults.fault import NO_SITE
 from mavfi.flight import forks, mission_flights
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.fast_forward import FastForward, FlightBranch, FlownArm
@@ -16,7 +16,8 @@ from mavfi.flight.forks import fly_from_checkpoints, fly_instruction_faults
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.loop import Loop
 from mavfi.flight.mission_flights import LocalHost
-from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
+from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
+from mavfi.levels.instruction.fault import InstructionFault
 from tests.core.flights.missions import FAR_GOAL, Scripted, mission
 from tests.core.flights.test_checkpoints import Nervous, detector_of
 

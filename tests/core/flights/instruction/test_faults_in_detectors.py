@@ -20,7 +20,7 @@ from mavfi.errors import BadInputError
 from mavfi.flight.compose import detector_for, new_loop, resolve, watch
 from mavfi.flight.forks import fly_instruction_faults
 from mavfi.flight.restarts import Restarts
-from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
+from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import DETECTORS, new_state
 from tests.campaigns import run_campaign

@@ -6,9 +6,9 @@ from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.mission import MissionPlan
 from mavfi.campaign.resolve import resolve
 from mavfi.campaign.warm_up import warm_up
-from mavfi.faults.levels.instruction import variant
-from mavfi.faults.levels.instruction.build import Built, cached_build
-from mavfi.levels.instruction import InstructionSampling
+from mavfi.ir.injection import variant
+from mavfi.ir.injection.build import Built, cached_build
+from mavfi.levels.instruction.sampling import InstructionSampling
 
 
 def only(detector: str, kernel: str) -> Campaign:

@@ -18,7 +18,7 @@ from mavfi.flight.fly import fly
 from mavfi.flight.forks import fly_instruction_faults
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.targets import Targets
-from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
+from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
 from mavfi.levels.level import parse, text_of
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.numerics.jit import KernelDispatcher

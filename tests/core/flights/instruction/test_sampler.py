@@ -3,10 +3,10 @@
 import json
 
 from mavfi.faults.fault import fault_from_json
-from mavfi.faults.levels.instruction import budget_for
 from mavfi.flight.compose import resolve
 from mavfi.flight.forks import fly_instruction_faults
-from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
+from mavfi.levels.instruction import budget_for
+from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec
 
 

@@ -7,18 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import (
-    NO_SITE,
-    FaultSite,
-    InstructionFault,
-    MemoryFault,
-    MessageFault,
-    RegisterFault,
-    StateFault,
-    fault_from_json,
-    find_level,
-)
-from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.extras.registers.fault import RegisterFault
+from mavfi.faults.fault import NO_SITE, FaultSite, fault_from_json, find_level
+from mavfi.levels.instruction.fault import InstructionFault
+from mavfi.levels.memory.fault import MemoryFault
+from mavfi.levels.message.fault import MessageFault
+from mavfi.levels.sensor.fault import SensorFault
+from mavfi.levels.state.fault import StateFault
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
-from mavfi.faults.levels.state_injector import StateInjector, flip
+from mavfi.faults.fault import NO_SITE, FaultSite
+from mavfi.faults.levels.state_injector import flip
+from mavfi.levels.state.fault import StateFault
+from mavfi.levels.state.injector import StateInjector
 from mavfi.states import State, new_state
 
 WAYPOINT = FaultSite("planning.waypoint", "x")

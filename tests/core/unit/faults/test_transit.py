@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 from rosbags.serde.errors import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mavfi.faults.fault import NO_SITE, FaultSite, StateFault, fault_from_json
-from mavfi.faults.levels.state_injector import StateInjector
-from mavfi.faults.levels.transit import parse, serialize, with_length
-from mavfi.faults.sampling import draw_in_message, locate_bit, message_bits
+from mavfi.faults.fault import NO_SITE, FaultSite, fault_from_json
 from mavfi.faults.strata import WORD_BITS
+from mavfi.levels.state.carriers import parse, serialize, with_length
+from mavfi.levels.state.drawing import draw_in_message, locate_bit, message_bits
+from mavfi.levels.state.fault import StateFault
+from mavfi.levels.state.injector import StateInjector
 from mavfi.record import Profile
 from mavfi.states import STATES, new_state
 

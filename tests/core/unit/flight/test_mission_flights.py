@@ -2,7 +2,7 @@
 
 import pytest
 
-from mavfi.faults.fault import RegisterFault
+from mavfi.extras.registers.fault import RegisterFault
 from mavfi.flight.fast_forward import FastForward
 from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup

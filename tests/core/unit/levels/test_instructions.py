@@ -9,11 +9,13 @@ from mavfi.campaign.mission import MissionPlan, fly_mission
 from mavfi.campaign.plan import Plan
 from mavfi.campaign.resolve import resolve
 from mavfi.detectors.registry import Loaded
-from mavfi.faults.fault import NO_SITE, InstructionFault
+from mavfi.faults.fault import NO_SITE
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.targets import InjectionTarget
 from mavfi.levels import instruction
-from mavfi.levels.instruction import DrawnFaults, InstructionRequest, InstructionSampling
+from mavfi.levels.instruction.drawing import DrawnFaults, InstructionRequest
+from mavfi.levels.instruction.fault import InstructionFault
+from mavfi.levels.instruction.sampling import InstructionSampling
 from mavfi.levels.level import draws_of
 from tests.core.unit.campaign import fakes
 from tests.core.unit.campaign.fakes import DETECTOR, small

@@ -8,8 +8,9 @@ from mavfi.errors import BadInputError
 from mavfi.extras.bench.sealed import Checksum, Duplicate
 from mavfi.extras.ros.lockstep.host import configure, isolation
 from mavfi.extras.ros.lockstep.plan import INJECTOR, WORLD, FlightGraph, FlightPlan
-from mavfi.faults.fault import FaultSite, StateFault
+from mavfi.faults.fault import FaultSite
 from mavfi.flight.compose import new_loop
+from mavfi.levels.state.fault import StateFault
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import PERIODIC, STATES
 from tests.core.flights.missions import AUTOPILOTS, mission

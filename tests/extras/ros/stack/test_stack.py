@@ -11,12 +11,13 @@ from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.store import Store
 from mavfi.cli import run
 from mavfi.errors import BadInputError
+from mavfi.extras.registers.fault import RegisterFault
 from mavfi.extras.ros.processes import private_network
 from mavfi.extras.ros.ros2.environment import DISTRIBUTIONS, find_installation
 from mavfi.extras.ros.ros2.stack.bench_process import BenchClient
 from mavfi.extras.ros.ros2.stack.config import StackConfig
 from mavfi.faults.changes import parse_text
-from mavfi.faults.fault import MessageFault, RegisterFault
+from mavfi.levels.message.fault import MessageFault
 from tests.campaigns import run_campaign
 from tests.core.architecture.source import ROOT
 

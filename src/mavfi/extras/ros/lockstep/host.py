@@ -18,10 +18,10 @@ from mavfi.extras.ros.lockstep.supervisor import ISOLATED
 from mavfi.extras.ros.lockstep.transport import Middleware
 from mavfi.extras.ros.processes import absolute_python_path, private_network
 from mavfi.faults.changes import parse_text
-from mavfi.faults.fault import StateFault
-from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.compose import pipeline_config, resolve
 from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host
+from mavfi.levels.sensor.fault import SensorFault
+from mavfi.levels.state.fault import StateFault
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.record import FlightLog, Profile

@@ -7,11 +7,12 @@ from pathlib import Path
 
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
+from mavfi.extras.registers.fault import RegisterFault
 from mavfi.extras.ros.lockstep.folder import flight_folder
 from mavfi.extras.ros.lockstep.transport import Middleware
-from mavfi.faults.fault import RegisterFault, StateFault
-from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.decide import INLINE, RecoveryPolicy
+from mavfi.levels.sensor.fault import SensorFault
+from mavfi.levels.state.fault import StateFault
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 from mavfi.pipeline.ppc import build_pipeline

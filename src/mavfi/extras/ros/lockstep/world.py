@@ -15,11 +15,11 @@ from mavfi.extras.ros.lockstep.ports import Client, Inbox, Loss, NodeLostError, 
 from mavfi.extras.ros.lockstep.register_injector import PLANNED, RegisterInjector
 from mavfi.extras.ros.lockstep.remote import Counter, Link, RemoteDetector, RemoteKernel, RemotePublication
 from mavfi.extras.ros.lockstep.views import Views
-from mavfi.faults.levels.state_injector import injector_of
 from mavfi.flight.compose import new_loop, watch
 from mavfi.flight.loop import Listener, Loop, ObserverListener
 from mavfi.flight.restarts import Restarts
-from mavfi.flight.sensor_faults import inject_sensor_fault
+from mavfi.levels.sensor.injector import inject_sensor_fault
+from mavfi.levels.state.injector import StateInjector
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 from mavfi.record import Injection
 from mavfi.states import State
@@ -238,5 +238,5 @@ class TopicTap:
         """
         injections: list[Injection] = []
         if self._plan.state_fault is not None:
-            injections = read_injections() or injector_of(self._plan.state_fault).finish()
+            injections = read_injections() or StateInjector(self._plan.state_fault).finish()
         return injections + self._registers.injections

@@ -5,9 +5,9 @@ import pytest
 from numba import int64
 from numba.typed import Dict
 
-from mavfi.faults.levels.instruction import NotInstrumentableError, count, draw, run_forked
-from mavfi.faults.levels.instruction.api import digest
-from mavfi.faults.levels.instruction.variant import variant_for
+from mavfi.ir.injection.variant import variant_for
+from mavfi.levels.instruction import NotInstrumentableError, count, draw, run_forked
+from mavfi.levels.instruction.api import digest
 from mavfi.numerics.jit import kernel_jit
 from tests.core.unit.faults.instruction.kernels import solved
 

@@ -7,12 +7,12 @@ import numba
 import numpy as np
 import pytest
 
-from mavfi.faults.levels.instruction import resolve
-from mavfi.faults.levels.instruction.api import digest
-from mavfi.faults.levels.instruction.instrument import instrument
-from mavfi.faults.levels.instruction.variant import variant_for
+from mavfi.ir.injection.instrument import instrument
+from mavfi.ir.injection.variant import variant_for
 from mavfi.ir.module import width
 from mavfi.kernels.control import pid
+from mavfi.levels.instruction import resolve
+from mavfi.levels.instruction.api import digest
 from mavfi.numerics.jit import uncached_copy
 from tests.core.unit.kernels.cases import CASES
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mavfi.faults.levels.instruction.api import digest, histogram
-from mavfi.faults.levels.instruction.variant import variant_for
+from mavfi.ir.injection.variant import variant_for
+from mavfi.levels.instruction.api import digest, histogram
 from mavfi.numerics.jit import kernel_jit
 
 

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 from mavfi.detectors.foreign import Monitor
 from mavfi.errors import BadInputError
 from mavfi.extras.registers import inject
+from mavfi.extras.registers.fault import RegisterFault
 from mavfi.extras.ros.processes import children
 from mavfi.extras.ros.ros2.environment import find_installation
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault, Report, Side
@@ -31,7 +32,8 @@ from mavfi.extras.ros.ros2.stack.config import StackConfig
 from mavfi.extras.ros.ros2.stack.inputs import inputs_of
 from mavfi.extras.ros.ros2.stack.outputs import LOST, Outputs, compare, digest_of, status_of
 from mavfi.extras.ros.ros2.stack.watching import Publication, alarms_of, train
-from mavfi.faults.fault import Fault, MessageFault, RegisterFault
+from mavfi.faults.fault import Fault
+from mavfi.levels.message.fault import MessageFault
 from mavfi.outcomes import Effect
 from mavfi.record import AlarmRecord, Injection
 

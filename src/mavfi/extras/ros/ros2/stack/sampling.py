@@ -15,7 +15,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.registers.level import RegisterLevel
 from mavfi.extras.ros.ros2.stack.config import StackConfig
 from mavfi.faults.changes import Change, When
-from mavfi.faults.fault import Fault, MessageFault
+from mavfi.faults.fault import Fault
 from mavfi.faults.operations import MESSAGE_OPERATIONS, Operation, check_number_operation
 from mavfi.faults.sampling import stream
 from mavfi.levels.campaign import SampledCampaign
@@ -29,6 +29,7 @@ from mavfi.levels.level import (
     operation_of,
 )
 from mavfi.levels.message import MessageLevel
+from mavfi.levels.message.fault import MessageFault
 
 INPUT_OPERATIONS = ("drop", "freeze")
 """What can be done to whole messages where they are received, as inputs are."""
