@@ -49,8 +49,7 @@ reproduce: setup  ## train, fly, print the tables and tested findings of the pap
 
 test: setup  ## run the tests
 	@$(BIN)/python -m tests.warm_up
-	@$(PYTEST) -n $(TESTERS) -m "not long and not machines and not alone"
-	@$(PYTEST) -n 2 -m "alone and not long and not machines"
+	@$(PYTEST) -n $(TESTERS)
 
 nightly: setup  ## hours: killed campaigns, full disks, damaged files, flipped bits, other machines, no compiler (ONLY="chaos machines" SHARE=0.1)
 	@$(BIN)/python -m tests.nightly
@@ -63,7 +62,7 @@ lint: setup  ## formatting, lint, types, import contracts, links of the document
 	@$(BIN)/python -m mkdocs build --site-dir build/site
 
 check: lint  ## the same, and fast tests
-	@$(PYTEST) -n $(JOBS) -m "not slow and not long and not machines and not alone"
+	@$(PYTEST) -n $(JOBS) -m "not slow and not long and not machines"
 
 format: setup  ## format the code, sort imports
 	@$(BIN)/ruff check --fix --select I $(CODE)

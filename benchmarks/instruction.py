@@ -32,7 +32,7 @@ Row = tuple[str, str]
 WARM_START = """
 import pickle, sys, time
 start = time.perf_counter()
-from mavfi.faults.levels.instruction.variant import variant_of
+from mavfi.ir.injection.variant import variant_of
 from mavfi.pipeline.functions import PLAIN
 imported = time.perf_counter() - start
 for name, signature in pickle.loads(sys.stdin.buffer.read()):

@@ -16,12 +16,13 @@ os.environ.pop("COLUMNS", None)  # processes of xdist have it: output is as wide
 
 import pytest
 from hypothesis import settings
+from xdist.scheduler import LoadFileScheduling
 
-# The first call of a compiled function takes seconds, so there is no deadline; `--hypothesis-profile=search` looks
-# for new examples instead of repeating the same ones.
-settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=100)
-settings.register_profile("search", deadline=None, max_examples=2000)
-settings.load_profile("repeatable")
+# The first call of a compiled function takes seconds, so there is no deadline.  By day the same few examples on every
+# machine; `make nightly ONLY=properties` looks for new ones with `--hypothesis-profile=night`.
+settings.register_profile("day", deadline=None, derandomize=True, max_examples=25)
+settings.register_profile("night", deadline=None, max_examples=100)
+settings.load_profile("day")
 
 
 def pytest_addoption(parser):
@@ -79,14 +80,20 @@ def flights_of_a_file_are_forgotten(request):
             function.cache_clear()
 
 
-_ALONE = (
-    "tests/extras/registers",
-    "tests/extras/ros/node/test_attach",
-    "tests/extras/ros/node/test_node_campaign",
-    "tests/extras/ros/lockstep/test_processes.py",
-)
-"""Other processes take part in these tests, and keep the time of the wall: they want the processors for themselves.
-Most wait most of the time, so two files run at once."""
+_TRACED = ("tests/extras/registers", "tests/extras/ros")
+"""Tests of processes that are traced or that wait for each other: one worker runs them all, one after another."""
+
+
+class FilesAndTracedProcesses(LoadFileScheduling):
+    """A file's tests run in one worker, for the flights that they share; so do all tests of traced processes."""
+
+    def _split_scope(self, nodeid):
+        file = super()._split_scope(nodeid)
+        return "traced processes" if file.startswith(_TRACED) else file
+
+
+def pytest_xdist_make_scheduler(config, log):
+    return FilesAndTracedProcesses(config, log) if config.getvalue("dist") == "loadfile" else None
 
 
 _SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text(encoding="utf-8").split())
@@ -94,41 +101,34 @@ _SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text(encoding="utf-8
 
 
 def pytest_ignore_collect(collection_path, config):
-    """Files without a test that was asked for are not imported: that takes longer than most of these tests."""
-    if not collection_path.is_file() or collection_path.suffix != ".py":
+    """Slow files are not imported where they are not run: that takes longer than most of the other tests."""
+    if not collection_path.is_file() or "not slow" not in config.option.markexpr:
         return None
-    name = collection_path.relative_to(config.rootpath).as_posix()
-    if config.option.markexpr.startswith("alone"):
-        is_alone = name.startswith(_ALONE) or "mark.alone" in collection_path.read_text(encoding="utf-8")
-        return None if is_alone else True
-    if "not slow" in config.option.markexpr and name in _SLOW:
-        return True
-    return None
+    return collection_path.relative_to(config.rootpath).as_posix() in _SLOW or None
+
+
+_FIRST = (
+    *_TRACED,
+    "tests/core/flights",
+    "tests/extras/firmware",
+    "tests/extras/hardening",
+    "tests/extras/paper",
+    "tests/extras",
+    "tests/core/unit/campaign",
+)
+"""Files that take longest start first, so that no worker is left with one when the others have ended."""
 
 
 def pytest_collection_modifyitems(config, items):
-    """The longest files start first; a file's tests stay in one process, for the flights that they share."""
-    for item in items:
+    """Mark tests that `make check` leaves out and those of properties, and begin with the longest files."""
+
+    def order(item):
         path = item.path.relative_to(config.rootpath).as_posix()
-        if path.startswith(_ALONE):
-            item.add_marker(pytest.mark.alone)
-        if path in _SLOW:
+        return next((rank for rank, prefix in enumerate(_FIRST) if path.startswith(prefix)), len(_FIRST))
+
+    for item in items:
+        if item.path.relative_to(config.rootpath).as_posix() in _SLOW:
             item.add_marker(pytest.mark.slow)
-    items.sort(key=lambda item: _order(item.path.as_posix()))
-
-
-_ORDER = {  # that of the first prefix counts; files that take longest start first
-    "tests/extras/registers/test_inject": 0,
-    "tests/extras/ros/lockstep": 0,
-    "tests/core/flights": 1,
-    "tests/extras/firmware": 1,
-    "tests/extras/hardening": 2,
-    "tests/extras/paper": 2,
-    "tests/extras": 3,
-    "tests/core/unit/campaign": 3,
-}
-
-
-def _order(path):
-    """The longest files first: none is left when the others have ended."""
-    return next((place for prefix, place in _ORDER.items() if prefix in path), 5)
+        if getattr(item.obj, "is_hypothesis_test", False):
+            item.add_marker(pytest.mark.properties)
+    items.sort(key=order)

@@ -234,7 +234,7 @@ class StateSpec:
 
     @property
     def lengths(self) -> tuple[Field, ...]:
-        """Lengths of the lists of a serialized message, one per field of the elements (see `faults.levels.transit`)."""
+        """Lengths of the lists of a serialized message, one per field of the elements (see `levels.state.carriers`)."""
         return tuple(Field(f"length_{f.name}", "u4", "-") for f in self.elements)
 
     def offset(self, name: str) -> int:

@@ -22,8 +22,8 @@ PAGE = "reliability"
 HEADINGS = ("test", "asks", "tries", "result", "minutes", "date", "last line")
 TEXT = (
     "Long tests of ledgers, workers and readers: none found a wrong ledger, a damaged one that was read as sound, or a "
-    "file that did anything but be read or refused. Short versions run with `make test`. What they found, and what "
-    "became of it: [reliability](../reliability.md)."
+    "file that was neither read nor refused. Short versions run with `make test`. What they found, and what "
+    "became of it: [reliability](../concepts/reliability.md)."
 )
 Row = dict[str, str]
 
@@ -44,7 +44,8 @@ class Long:
     def command(self) -> list[str]:
         """Arguments of Python that run the test."""
         if self.marker:
-            return ["-m", "pytest", "-rfEs", "-n", str(os.cpu_count()), "--dist=worksteal", "-m", self.marker]
+            options = ["-rfEs", "-n", str(os.cpu_count()), "--dist=worksteal", "--hypothesis-profile=night"]
+            return ["-m", "pytest", *options, "-m", self.marker]
         return ["-m", f"tests.nightly.{self.name.partition('-')[0]}"]
 
 
@@ -65,6 +66,7 @@ TESTS = (
     Long("storm", 100_000, "flipped bits", "Do kernels end, within their bounds, whatever is flipped in their memory?"),
     Long("nojit", 1, "run", "Do kernels pass their tests as plain Python, without the compiler?"),
     Long("machines", 1, "run", "Have flights and campaigns the same bits on every x86-64 machine?", marker="machines"),
+    Long("properties", 1, "run", "Do properties hold for examples that were never tried?", marker="properties"),
     Long("settings", 1, "run", "Do tests pass in the settings that the short ones leave out?", marker="long"),
 )
 

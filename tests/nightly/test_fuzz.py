@@ -13,8 +13,6 @@ import pytest
 
 from mavfi.cli.console import MAX_LINE_LENGTH, one_line
 from mavfi.errors import BadInputError
-from mavfi.mission import MissionSpec
-from mavfi.plugins import allow_plugins
 from tests.nightly import fuzz
 from tests.nightly.fuzz import ACCEPTED, REFUSED
 from tests.nightly.mutations import RAW
@@ -190,27 +188,8 @@ def test_seeds_are_read(outcomes, tmp_path):
         assert ACCEPTED in found or name == "ledger", name  # whose host is not allowed to be run
 
 
-def test_mutations_repeat_with_their_seed():
-    reader = READERS["flight"]
-    seeds = reader.seeds()
-    first, again = (fuzz.content_of(reader, seeds, 3, 5) for _ in range(2))
-    assert first == again != fuzz.content_of(reader, seeds, 3, 6)
-
-
 # ---- single rules --------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("text", ["a\nb", "\x1b[31m", "\x00", "\u202e", "\ud7ff", "x" * 10**6])
 def test_a_line_has_no_character_that_a_terminal_obeys_and_keeps_its_ends(text):
     line = one_line(f"x {text} y")
     assert line.isprintable() and len(line) <= MAX_LINE_LENGTH and (line[0], line[-1]) == ("x", "y")
-
-
-def test_what_is_no_generator_is_refused_in_one_line(tmp_path):
-    from mavfi.flight.compose import resolve
-    from mavfi.sim.environments import build_world
-
-    allow_plugins()
-    path = tmp_path / "x.yaml"
-    path.write_text("name: x\ngenerator: builtins:dict\n")
-    environment = resolve(MissionSpec(environment=str(path))).environment
-    with pytest.raises(BadInputError, match="generator '?builtins:dict"):
-        build_world(environment, 1)

@@ -8,19 +8,15 @@ from mavfi.config import parse, read_yaml
 from studies.assumptions.__main__ import DEFINITION, fly_study, load_study
 from studies.assumptions.design import AssumptionStudy
 from studies.assumptions.fit import (
-    FAULT_N,
-    GOLDEN_N,
     Counts,
     EnvironmentFlights,
     Flights,
     deviance,
     fit,
     judge,
-    lost_points,
-    pair_deviance,
     paper_counts,
 )
-from studies.assumptions.page import changes, figure_of, page
+from studies.assumptions.page import changes, page
 from studies.assumptions.stored import FOLDER, stored_rows
 from tools.results import RESULTS
 
@@ -67,53 +63,12 @@ def test_rounds_and_judgement_fly_different_missions(study: AssumptionStudy) -> 
     assert len(set.union(*seeds)) == sum(map(len, seeds))
 
 
-def test_values_that_only_count_share_flights(study: AssumptionStudy) -> None:
-    text = study.anchor("text")
-    ended = text.with_value("deaths", "end").with_value("losses", "background")
-    assert study.flights_of(ended) == text
-    assert ended in study.counted_alike(text)
-    assert len(study.counted_alike(text)) == 9
-    # no kernel dies at state level
-    assert len(study.counted_alike(study.anchor("states"))) == 3
-
-
-def test_arms_with_equal_keys_are_flown_once(study: AssumptionStudy) -> None:
-    campaign = study.judged_campaign(study.anchor("states"), ())
-    assert study.arm_of("largest", "gaussian") == study.arm_of("gate", "gaussian") in campaign.arms
-    assert study.arm_of("largest", "autoencoder") != study.arm_of("gate", "autoencoder")
-
-
 # ---- fit -------------------------------------------------------------------------------------------------------------
 def test_deviance_is_that_of_the_likelihoods() -> None:
     counts = Counts(27, 30)
     likelihood = scipy.stats.binom.logpmf
     expected = 2 * (likelihood(27, 30, 0.9) - likelihood(27, 30, 0.8))
     assert float(deviance(counts, 0.8)) == pytest.approx(expected)
-
-
-def test_deviance_of_a_pair_is_that_of_a_table_of_counts() -> None:
-    ours = Counts(80, 100)
-    papers = Counts(270, 300)
-    table = [[80, 20], [270, 30]]
-    expected = scipy.stats.chi2_contingency(table, correction=False, lambda_="log-likelihood").statistic
-    assert pair_deviance(ours, papers) == pytest.approx(expected, abs=0.01)
-
-
-def test_the_papers_rates_are_accepted_and_others_rejected(study: AssumptionStudy) -> None:
-    random = np.random.default_rng(1)
-    restart = study.value("deaths", "restart")
-    flown = study.value("losses", "flown")
-    background = study.value("losses", "background")
-
-    p_values = [fit(as_in_the_paper(300, 1.0, random), restart, flown).p_value for _ in range(20)]
-    assert np.mean(np.array(p_values) > 0.05) >= 0.85
-
-    # where nothing is lost, not even a background explains the paper's cells
-    perfect = {
-        name: EnvironmentFlights(flights(1, 300, random), {"fi": flights(1, 300, random)}) for name in ENVIRONMENTS
-    }
-    assert fit(perfect, restart, flown).p_value < 1e-6
-    assert fit(perfect, restart, background).p_value < 1e-3
 
 
 def test_a_background_and_a_time_limit_are_recovered(study: AssumptionStudy) -> None:
@@ -147,49 +102,11 @@ def test_judgement_accepts_what_predicts_the_paper_and_rejects_what_does_not(stu
     assert judge(frozen, right, restart, losses, useless).p_value < 0.01
 
 
-def test_dead_kernels_are_counted_as_asked() -> None:
-    part = Flights(
-        np.array([True, True, False, True]),
-        np.array([False, True, True, False]),
-        np.array([30.0, 31.0, np.inf, 60.0]),
-        np.array(["a", "b", "c", "d"]),
-    )
-    assert part.counts().rate == pytest.approx(0.75)
-    assert part.counts("end").rate == pytest.approx(0.5)
-    assert part.counts("not_counted").rate == pytest.approx(1.0)
-    assert part.counts("restart", limit_s=45.0).rate == pytest.approx(0.5)
-
-
-def test_lost_points_resample_worlds() -> None:
-    # one fault in each of ten worlds is harmful in two whole worlds: the interval is that of ten worlds, not of thirty
-    worlds = np.repeat([f"w{index}" for index in range(10)], 3)
-    faulty = Flights(~np.isin(worlds, ["w0", "w1"]), np.zeros(30, bool), np.full(30, 40.0), worlds)
-    golden = Flights(np.ones(10, bool), np.zeros(10, bool), np.full(10, 40.0), np.unique(worlds))
-    points = lost_points(EnvironmentFlights(golden, {"fi": faulty}))
-    assert points.points == pytest.approx(20)
-    assert points.high - points.low > 35
-
-
-def test_sizes_are_the_papers() -> None:
-    assert (GOLDEN_N, FAULT_N) == (100, 300)
-    assert paper_counts("dense", "fi") == (226, 300)
-
-
 # ---- the page --------------------------------------------------------------------------------------------------------
 def test_the_published_page_is_that_of_the_stored_rows() -> None:
     published = (RESULTS / "assumptions.md").read_text(encoding="utf-8")
     assert published == page(FOLDER, "tables/assumptions")
     assert len(published.split()) <= 900
-
-
-def test_the_figure_has_every_single_change_that_is_stored(study: AssumptionStudy) -> None:
-    stored = changes(stored_rows("axes"), study.environments)
-    axes = figure_of(stored).axes[0]
-    assert [label.get_text() for label in axes.get_yticklabels()] == [change.label for change in stored]
-    # each mark lies in its interval, and is drawn where the row says
-    assert all(low <= value <= high for change in stored for value, low, high in change.points.values())
-    marks = [line.get_xdata()[0] for line in axes.lines if len(line.get_xdata()) == 1]
-    assert marks == [value for change in stored for value, *_ in change.points.values()]
 
 
 @pytest.mark.slow

@@ -503,7 +503,7 @@ def parse_change(parts: list[str], instant: str = "") -> Change:
     options: dict[str, Any] = parse_instant(instant)
     lasts_s = 0.0
     keys: set[str] = set()
-    for part in filter(None, parts):
+    for part in parts:
         name, equals, text = part.partition("=")
         name = SYNONYMS.get(name, name)
         key = name

@@ -30,8 +30,8 @@ from mavfi.states import STATES
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
-    from mavfi.flight.forks import Published
     from mavfi.flight.host import ArmSetup, Flight, MissionFlights, Recorded
+    from mavfi.flight.instruction_cases import Published
     from mavfi.flight.loop import Loop
 
 Begin = Callable[["Loop", int], Injector]
@@ -482,7 +482,7 @@ class Level:
     def inject(self, loop: "Loop", fault: Any, detector: "Detector | None") -> Injector:
         """Attach the fault to a flight, in the place of the tap `loop.taps.injector`; returns its injector.
 
-        The flight has not started; or its tap has watched all earlier publications (`flight.acted_on.CounterWatch`).
+        The flight has not started; or its tap has watched all earlier publications (`faults.acted_on.CounterWatch`).
         """
         raise NotImplementedError
 
@@ -585,6 +585,8 @@ def parse_fields(text: str, default: str = "") -> ChangeFields:
     """
     body, at, instant = text.partition("@")
     parts = body.split(":")
+    if default and not body:
+        parts = []
     names = {part.partition("=")[0] for part in parts}
     if default and not names & {*OPERATIONS, *SYNONYMS, "bit"}:
         parts = [default, *parts]

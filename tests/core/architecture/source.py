@@ -39,11 +39,3 @@ def dotted(node: ast.AST) -> str:
 def functions(tree: ast.AST) -> Iterator[ast.FunctionDef]:
     """All functions, methods and inner functions."""
     return (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef))
-
-
-def body_lines(function: ast.FunctionDef) -> int:
-    """Lines of a function, its docstring excluded."""
-    first = function.body[0]
-    has_docstring = isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant)
-    docstring = first.end_lineno - first.lineno + 1 if has_docstring else 0
-    return function.end_lineno - function.lineno + 1 - docstring

@@ -22,7 +22,6 @@ ASKED = {"level", "scheme", "host", "kernels"}
 ALLOWED = {
     "campaign/config.py": 4,  # a host may bring keys and rules of its own
     "cli/fly.py": 1,  # options before the slow imports: flights that fork
-    "faults/combined.py": 1,  # several faults are not among several
 }
 """Questions elsewhere, by module; fewer is fine, lower the number then."""
 

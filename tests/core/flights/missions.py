@@ -3,6 +3,7 @@
 from functools import cache
 
 import numpy as np
+import pytest
 
 from mavfi.detectors import Alarm, Detector
 from mavfi.faults.fault import FaultSite
@@ -13,6 +14,8 @@ from mavfi.mission import ARRIVAL_RADIUS, FLY_AWAY_MARGIN, MissionSpec, MissionS
 from mavfi.sim.environments.generated import arena_world
 
 AUTOPILOTS = ("published", "hardened")
+each_autopilot = pytest.mark.parametrize("autopilot", ["published", pytest.param("hardened", marks=pytest.mark.long)])
+"""By day the default profile, at night both."""
 GOAL = (22.0, -4.0, 3.0)
 """There is a predicted collision and a second plan on the way."""
 FAR_GOAL = (45.0, 5.0, 3.0)

@@ -11,7 +11,7 @@ from mavfi.faults.changes import parse_text
 from mavfi.faults.combined import Start
 from mavfi.faults.fault import FaultSite
 from mavfi.flight.fly import fly
-from mavfi.flight.forks import fly_instruction_faults
+from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.flight.mission_flights import fly_recorded
 from mavfi.levels.combined.fault import CombinedFault
 from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults

@@ -9,7 +9,7 @@ from mavfi.flight.fly import fly
 from mavfi.flight.loop import Listener
 from mavfi.flight.restarts import Restarts
 from mavfi.mission import MissionSpec
-from tests.core.flights.missions import AUTOPILOTS, golden, mission
+from tests.core.flights.missions import each_autopilot, golden, mission
 
 AWAY_US = 570_000
 UNHEARD, REFUSED = (6002, 1), (6005, 2)
@@ -53,7 +53,7 @@ def test_a_mission_that_ends_with_its_node_ends_there():
     assert (log.rows == died("fresh", *REFUSED).rows[: len(log.rows)]).all()
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 def test_a_golden_flight_with_repeated_alarms_is_the_same_flight(autopilot):
     flown, plain = fly(mission(autopilot, alarm="repeated")).log, golden(autopilot).log
     assert flown.digest() == plain.digest() and flown.meta["publications"] == plain.meta["publications"]

@@ -8,12 +8,12 @@ from mavfi.flight.fly import fly
 from mavfi.flight.loop import Latencies
 from mavfi.mission import MissionStatus
 from mavfi.states import STATES, states_with
-from tests.core.flights.missions import AUTOPILOTS, ends_as_its_status_says, fault, golden, mission
+from tests.core.flights.missions import AUTOPILOTS, each_autopilot, ends_as_its_status_says, fault, golden, mission
 
 ROOT = Path(__file__).parents[3]
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 def test_the_short_mission_succeeds_and_replans(autopilot):
     log = golden(autopilot).log
     assert log.status is MissionStatus.SUCCESS
@@ -22,7 +22,7 @@ def test_the_short_mission_succeeds_and_replans(autopilot):
     assert log.injections == [] and log.alarms == []
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 def test_the_same_scenario_gives_the_same_bytes(autopilot):
     again = fly(mission(autopilot))
     assert again.log.digest() == golden(autopilot).log.digest()
@@ -41,7 +41,7 @@ def test_jitter_of_latencies_is_a_function_of_the_seed():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 @pytest.mark.parametrize("state", states_with("truth"))
 def test_a_null_fault_gives_the_golden_digest(state, autopilot):
     spec = STATES[state]
@@ -73,15 +73,7 @@ def test_a_fault_in_a_dead_field_is_masked(autopilot, state, field):
     assert flight.log.digest() == golden(autopilot).log.digest()
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-def test_an_acceleration_that_becomes_infinite_is_dead_or_refused(autopilot):
-    times = golden(autopilot).profile.times_us["planning.waypoint"]
-    for at in times[[3, len(times) // 2]]:
-        flight = fly(mission(autopilot), fault("planning.waypoint", "ax", 1e-6 * at, 62))
-        assert np.isfinite(flight.log.columns("x", "y", "z", "vx", "vy", "vz")).all()
-
-
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 def test_injected_twins_are_equal_until_the_fault_and_differ_after(autopilot):
     flight = fly(mission(autopilot), fault("planning.waypoint", "y", 4.0, 60))
     (injection,) = flight.log.injections
@@ -93,7 +85,7 @@ def test_injected_twins_are_equal_until_the_fault_and_differ_after(autopilot):
     assert differs.any() and not differs[before].any()
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 def test_a_fault_strikes_the_first_publication_at_or_after_its_time_once(autopilot):
     times = golden(autopilot).profile.times_us["planning.waypoint"]
     due = times[times >= 4_000_000][0]
@@ -109,7 +101,7 @@ def test_a_fault_strikes_the_first_publication_at_or_after_its_time_once(autopil
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("autopilot", ["published", pytest.param("hardened", marks=pytest.mark.long)])
+@each_autopilot
 @pytest.mark.parametrize("state", states_with("truth"))
 def test_a_flipped_exponent_in_any_field_ends_in_a_status(state, autopilot):
     spec = STATES[state]

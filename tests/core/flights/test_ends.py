@@ -3,13 +3,12 @@ import pytest
 
 from mavfi.config import EnvironmentConfig
 from mavfi.errors import BadInputError
-from mavfi.flight.compose import find_environment, new_loop, resolve
+from mavfi.flight.compose import new_loop
 from mavfi.flight.fly import fly
 from mavfi.flight.loop import Listener
-from mavfi.mission import FLY_AWAY_MARGIN, MissionSpec, MissionStatus
+from mavfi.mission import FLY_AWAY_MARGIN, MissionStatus
 from mavfi.sim.simulator import Simulator
-from mavfi.states import floats
-from tests.core.flights.missions import AUTOPILOTS, FAR_GOAL, GOAL, fault, golden, mission
+from tests.core.flights.missions import FAR_GOAL, GOAL, each_autopilot, golden, mission
 
 
 @pytest.mark.slow
@@ -88,15 +87,6 @@ def test_failed_plans_and_time_are_judged():
     assert judge({}, int(limit) - 20_000) is None
 
 
-def test_every_warning_of_the_simulator_is_an_event(monkeypatch):
-    monkeypatch.setattr(Simulator, "warnings", lambda _: ["BADQACC (2)", "CONTACTFULL (1)"])
-    monkeypatch.setattr("mavfi.flight.loop.time_limit", lambda *_: 0.1)
-    log = fly(mission()).log
-    assert [event.data["text"] for event in log.events if event.kind == "warning"] == ["BADQACC (2)", "CONTACTFULL (1)"]
-    monkeypatch.undo()
-    assert golden().log.count("warning") == 0
-
-
 def test_a_real_warning_of_mujoco_is_an_event_and_ends_the_flight():
     loop = new_loop(mission())
 
@@ -113,7 +103,7 @@ def test_a_real_warning_of_mujoco_is_an_event_and_ends_the_flight():
     assert log.column("time")[-1] <= 2.04
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_a_reference_that_is_not_a_number_never_reaches_the_vehicle_and_heals(axis, autopilot):
     class Corrupt:
@@ -138,22 +128,3 @@ def test_a_reference_that_is_not_a_number_never_reaches_the_vehicle_and_heals(ax
     assert np.isfinite(flight.log.columns("x", "y", "z", "vx", "vy", "vz")).all()
     assert flight.log.status in (MissionStatus.SUCCESS, MissionStatus.COLLISION)
     assert flight.log.column("time")[-1] < 40.0
-
-
-def test_a_huge_command_is_shortened():
-    seen = []
-    probe = fault("control.command", "vz", 2.0, 62)
-    flight = fly(
-        mission(),
-        probe,
-        recorders=[lambda s, t: seen.append(floats(s.header, 5).copy()) if s.spec.name == "control.command" else None],
-    )
-    assert max(abs(values[2]) for values in seen) > 1e100
-    assert np.abs(flight.log.columns("vx", "vy", "vz")).max() < 6.0
-
-
-def test_what_is_not_given_comes_from_the_environment():
-    scenario = resolve(MissionSpec(environment="sparse", seed=3))
-    assert scenario.v_max == 3.0 and scenario.environment == find_environment("sparse")
-    assert resolve(MissionSpec(environment="sparse", seed=3, v_max=2.0)).v_max == 2.0
-    assert scenario.key() != resolve(MissionSpec(environment="sparse", seed=4)).key()

@@ -9,15 +9,13 @@ from mavfi.campaign.config import load_campaign
 from mavfi.campaign.mission import MissionPlan, fly_mission
 from mavfi.campaign.plan import CompletedRun
 from mavfi.campaign.resolve import resolve as resolve_campaign
-from mavfi.detectors.detector import Alarm
 from mavfi.extras.bench.sealed import Checksum, Duplicate, Oracle
 from mavfi.faults.fault import NO_SITE, FaultSite
-from mavfi.flight import fast_forward
-from mavfi.flight.checkpoints import take
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.fast_forward import FastForward
 from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup
+from mavfi.flight.known_flights import FlownArm
 from mavfi.flight.mission_flights import LocalHost
 from mavfi.levels.level import parse
 from mavfi.levels.state.fault import StateFault
@@ -77,7 +75,7 @@ def every_fault(autopilot, arm, forward, detector, faults=FAULTS):
     """Runs of which its answer is another one."""
     other = []
     for number, injected in enumerate([None, *faults]):
-        mine = forward.fly(injected, detector, arm)
+        mine = forward.fly(injected, FlownArm(arm, detector))
         truth = fly(mission(autopilot), injected, detector, profile=injected is None)
         if content(mine.log) != content(truth.log):
             other.append(number)
@@ -99,7 +97,6 @@ def test_fast_forwarded_flights_are_the_flights(autopilot, arm):
     forward = FastForward(mission(autopilot))
     faults = FAULTS if autopilot == "published" else FAULTS[::2]
     assert every_fault(autopilot, arm, forward, ARMS[autopilot][arm](), faults) == []
-    assert forward.share.flights == 1 + len(faults)
     if arm != "nervous":  # which alarms all the time
         assert forward.share.flown < 0.85 * forward.share.ticks
         assert forward.share.converged > 0
@@ -112,7 +109,7 @@ def test_detectors_share_what_was_flown_in_any_order():
         for arm in reversed(arms):
             detector = arms[arm]
             truth = content(fly(mission(), injected, ARMS["published"][arm]()).log)
-            assert content(forward.fly(injected, detector, arm).log) == truth
+            assert content(forward.fly(injected, FlownArm(arm, detector)).log) == truth
     assert forward.share.shown > 0
 
 
@@ -133,16 +130,6 @@ def test_the_octree_is_fast_forwarded_too():
     assert forward.share.flown < forward.share.ticks
 
 
-@pytest.mark.parametrize("watched", [True, False])
-def test_injected_runs_take_checkpoints_only_for_detectors(monkeypatch, watched):
-    forward, taken = FastForward(mission()), []
-    forward.watched = watched
-    forward.fly()
-    monkeypatch.setattr(fast_forward, "take", lambda *given, **named: taken.append(1) or take(*given, **named))
-    assert content(forward.fly(FAULTS[3]).log) == content(fly(mission(), FAULTS[3]).log)
-    assert bool(taken) is watched
-
-
 def test_a_masked_fault_costs_a_second_of_flight():
     forward = FastForward(mission())
     forward.fly()
@@ -158,7 +145,7 @@ def test_a_detector_of_which_no_copy_can_be_made_flies_the_long_way():
             self.stream = (number for number in range(3))
 
     with pytest.raises(TypeError):
-        FastForward(mission()).fly(None, Streaming(), "streaming")
+        FastForward(mission()).fly(None, FlownArm("streaming", Streaming()))
     flights = LocalHost().mission({"streaming": ArmSetup(mission(), Streaming)})
     assert content(flights.golden("streaming").log) == content(golden().log)
 
@@ -172,49 +159,13 @@ def test_other_recovery_without_restarts_is_fast_forwarded_too(recovery):
     for make in (Nervous, ARMS["published"]["gaussian"]):
         for injected in (None, FAULTS[0], FAULTS[3], FAULTS[6], FAULTS[8]):
             detector = make()
-            mine = forward.fly(injected, detector, make.__name__, recovery)
+            mine = forward.fly(injected, FlownArm(make.__name__, detector, recovery))
             assert content(mine.log) == content(fly(mission(), injected, make(), recovery=recovery).log)
     assert forward.share.flown < forward.share.ticks
 
 
 def escalating(**more):
     return RecoveryPolicy(grain="message", same_twice="escalate", answer_s=0.6, **more)
-
-
-class Twice(Scripted):
-    """Stops the vehicle at a command after the fault, and again later, by one of `seconds` (commands)."""
-
-    seconds = (60, 200, 300)
-
-    def __init__(self, second):
-        super().__init__("control.command", n=320, stop=True)
-        self.second = second
-
-    def check(self, state, time_us):
-        alarm = super().check(state, time_us)
-        again = state.spec.name == self.state and self.seen == self.n + self.second
-        return Alarm("scripted", self.stage, stop=True) if again else alarm
-
-
-def alike(forward):
-    """Control periods after the fault that are not simulated, by detector; and runs that differ."""
-    saved, other = [], []
-    for second in Twice.seconds:
-        forward.fly(None, Twice(second), f"twice {second}")
-        before = forward.share.flown
-        mine = forward.fly(FAULTS[1], Twice(second), f"twice {second}")
-        saved.append(len(mine.log.rows) - 300 - (forward.share.flown - before))
-        if content(mine.log) != content(fly(mission(), FAULTS[1], Twice(second)).log):
-            other.append(second)
-    return saved, other
-
-
-def test_detectors_share_flights_between_their_alarms():
-    saved, other = alike(FastForward(mission()))
-    assert other == []
-    assert (
-        saved[1] == 0 and saved[2] > 50
-    )  # the second one has its stop later than the first, the third one than the second
 
 
 ESTIMATED = [FAULTS[number] for number in (0, 6, 16)]
@@ -227,7 +178,7 @@ def under_an_estimator(arm, faults=(None, *ESTIMATED)):
     scenario, other = mission(localization="estimator"), []
     forward = FastForward(scenario)
     for injected in faults:
-        mine = forward.fly(injected, ARMS["published"][arm](), arm)
+        mine = forward.fly(injected, FlownArm(arm, ARMS["published"][arm]()))
         if content(mine.log) != content(fly(scenario, injected, ARMS["published"][arm]()).log):
             other.append(injected)
     return forward, other
@@ -248,7 +199,7 @@ def test_flights_with_jitter_of_latencies_are_fast_forwarded_too():
     for arm, make in (("", lambda: None), ("nervous", Nervous)):
         for injected in (None, FAULTS[0], FAULTS[3], FAULTS[8]):
             direct = fly(scenario, injected, make())
-            assert content(forward.fly(injected, make(), arm).log) == content(direct.log)
+            assert content(forward.fly(injected, FlownArm(arm, make())).log) == content(direct.log)
     assert forward.share.flown < forward.share.ticks
 
 
@@ -269,7 +220,7 @@ def under(name, forward, faults):
     make, recovery = TAKING_PART[name]
     detector, other, logs = make(), [], []
     for number, injected in enumerate(faults):
-        mine = forward.fly(injected, detector, name, recovery)
+        mine = forward.fly(injected, FlownArm(name, detector, recovery))
         logs.append(fly(mission(), injected, make(), recovery=recovery).log)
         if content(mine.log) != content(logs[-1]):
             other.append(number)
@@ -287,21 +238,12 @@ def test_detectors_that_take_part_are_fast_forwarded_too(name):
     faults = STRUCK[:3] if name == "hold" else STRUCK  # which holds its position to the time limit
     other, logs = under(name, forward, faults)
     assert other == []
-    assert forward.share.flights == len(faults) and forward.share.flown < forward.share.ticks
+    assert forward.share.flown < forward.share.ticks
     if name in ("checksum", "oracle", "recommended"):  # a message that is sent again leaves no trace
         assert forward.share.converged > 0
     if name in ("restarts", "hold"):
         kinds = {alarm.action for log in logs for alarm in log.alarms}
         assert kinds >= {"restarts": {"resend", "recompute", "restart"}, "hold": {"hold"}}[name]
-
-
-@pytest.mark.slow
-def test_a_detector_that_takes_part_is_flown_before_and_after_one_that_does_not():
-    forward = FastForward(mission())
-    assert under("recommended", forward, STRUCK[:3])[0] == []
-    assert every_fault("published", "gaussian", forward, ARMS["published"]["gaussian"](), FAULTS[:4]) == []
-    assert under("duplicate", forward, STRUCK[:3])[0] == []
-    assert forward.fly().profile.to_bytes() == golden().profile.to_bytes()
 
 
 @cache

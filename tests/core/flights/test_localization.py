@@ -12,7 +12,13 @@ from mavfi.flight.fly import fly
 from mavfi.levels.memory.fault import MemoryFault
 from mavfi.mission import MissionStatus
 from mavfi.states import ODOMETRY, STATES, floats, states_with
-from tests.core.flights.missions import AUTOPILOTS, Scripted, ends_as_its_status_says, fault, golden, mission
+from tests.core.flights.missions import (
+    each_autopilot,
+    ends_as_its_status_says,
+    fault,
+    golden,
+    mission,
+)
 
 ESTIMATE = ODOMETRY["estimator"]
 
@@ -39,7 +45,7 @@ def flown(autopilot="hardened"):
     return fly(estimating(autopilot), profile=True, recorders=[seen]), seen.rows
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 def test_the_acceptance_test_reads_the_estimate(autopilot):
     scenario = mission(autopilot, localization="estimator")
     detector, _ = detector_for(scenario, "acceptance", "paper")
@@ -57,7 +63,7 @@ def errors(flight, estimates):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 def test_with_an_estimator_it_arrives_and_knows_where_it_is(autopilot):
     flight, rows = flown(autopilot)
     assert flight.log.status is MissionStatus.SUCCESS
@@ -67,7 +73,7 @@ def test_with_an_estimator_it_arrives_and_knows_where_it_is(autopilot):
     assert fly(estimating(autopilot)).log.digest() == flight.log.digest()
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 def test_only_what_exists_is_published_counted_and_profiled(autopilot):
     counts = flown(autopilot)[0].log.meta["publications"]
     assert list(counts) == list(states_with("estimator")) and all(counts.values())
@@ -106,7 +112,7 @@ def test_without_noise_the_estimate_is_the_truth_but_for_the_steps_of_physics():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 @pytest.mark.parametrize(
     ("state", "field", "bit"), [(ESTIMATE, "x", 56), (ESTIMATE, "y", 63), (ESTIMATE, "z", 62), ("sensor.imu", "fx", 54)]
 )
@@ -118,37 +124,10 @@ def test_a_fault_in_what_the_vehicle_believes_changes_the_flight(state, field, b
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("field", "bit"), [("x", 62), ("y", 52), ("heading", 63), ("heading", 62)])
-def test_a_fix_that_is_improbable_is_refused(field, bit):
-    flight = fly(estimating(), fault("sensor.position", field, 5.0, bit))
-    assert flight.log.injections[0].activated and flight.log.status is MissionStatus.SUCCESS
-    estimator = flight.pipeline["state_estimation"]
-    assert np.sqrt(np.diag(estimator.memory.filter.covariance)[:3]).max() < 0.05  # it did not restart
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("field", [f.name for f in STATES[ESTIMATE].fields if f.dead_in("hardened")])
 def test_a_fault_in_a_dead_field_of_the_estimate_is_masked(field):
     flight = fly(estimating(), fault(ESTIMATE, field, 5.0, 62))
     assert flight.log.injections[0].activated and flight.log.digest() == flown()[0].log.digest()
-
-
-def test_a_false_alarm_at_the_estimate_is_recomputed_at_once_to_the_same_value():
-    detector = Scripted(ESTIMATE, 1275, "perception", times=4)  # the filter works a fix in at one of them
-    flight = fly(estimating(), detector=detector)
-    assert [alarm.outcome for alarm in flight.log.alarms] == ["accepted"] * 4
-    assert flight.log.digest() == flown()[0].log.digest()
-    assert flight.log.meta["recompute_us"]["perception"] == 0
-
-
-def test_a_corrupted_estimate_is_repaired_by_running_the_filter_again():
-    number = 1250
-    detector = Scripted(ESTIMATE, number, "perception")
-    at = 1e-6 * flown()[1][ESTIMATE][number - 1][0]
-    flight = fly(estimating(), fault(ESTIMATE, "x", at, 61), detector=detector)
-    assert flight.log.injections[0].activated
-    assert [alarm.outcome for alarm in flight.log.alarms] == ["repaired"]
-    assert flight.log.digest() == flown()[0].log.digest()
 
 
 def watched(autopilot, fault, *recorders):
@@ -160,7 +139,7 @@ def watched(autopilot, fault, *recorders):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 @pytest.mark.parametrize(("field", "bit"), [("x", 52), ("z", 63), ("vy", 62), ("qz", 61), ("qw", 63)])
 def test_a_corrupted_estimate_violates_its_rule_and_is_sent_again(field, bit, autopilot):
     log = watched(autopilot, fault(ESTIMATE, field, 5.0, bit)).log
@@ -171,7 +150,7 @@ def test_a_corrupted_estimate_violates_its_rule_and_is_sent_again(field, bit, au
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 @pytest.mark.parametrize(("word", "bit"), [(0, 56), (2, 63), (4, 60), (10, 62)])
 def test_a_filter_that_remembers_nonsense_is_restarted_where_it_was(word, bit, autopilot):
     seen = Seen(ESTIMATE)
@@ -200,16 +179,6 @@ def test_the_rule_of_the_estimate_knows_the_noise_of_its_sensors(figures):
     detector, _ = detector_for(scenario, "acceptance", "paper")
     log = fly(scenario, detector=detector).log
     assert [alarm for alarm in log.alarms if alarm.state == ESTIMATE] == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-def test_recomputing_the_rest_of_perception_leaves_the_filter_alone(autopilot):
-    seen = Seen(ESTIMATE)
-    flight = fly(estimating(autopilot), detector=Scripted("perception.map_update", 5, "perception"), recorders=[seen])
-    assert [alarm.outcome for alarm in flight.log.alarms] == ["accepted"]
-    assert flight.log.status is MissionStatus.SUCCESS
-    assert errors(flight, seen.rows[ESTIMATE]).max() < 0.25
 
 
 def test_wind_and_estimator_do_not_share_noise_with_anything():

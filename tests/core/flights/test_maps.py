@@ -5,7 +5,7 @@ from mavfi.config import MapConfig
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec
-from tests.core.flights.missions import AUTOPILOTS, Scripted, fault, golden, mission
+from tests.core.flights.missions import AUTOPILOTS, Scripted, each_autopilot, fault, golden, mission
 
 
 def of_kind(scenario, kind, resolution=0.5):
@@ -13,7 +13,7 @@ def of_kind(scenario, kind, resolution=0.5):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 def test_a_flight_with_an_octree_has_the_digest_of_one_with_an_array(autopilot):
     flight = fly(mission(autopilot, map="octree"), profile=True)
     assert flight.log.digest() == golden(autopilot).log.digest()
@@ -26,7 +26,7 @@ def test_a_flight_with_an_octree_has_the_digest_of_one_with_an_array(autopilot):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 def test_a_recomputed_perception_is_the_same_with_both_maps(autopilot):
     logs = []
     for kind in ("dense", "octree"):

@@ -97,14 +97,6 @@ def test_what_was_published_is_not_changed_with_what_a_kernel_keeps_of_it():
     assert "waypoint" not in differing(loop, twin) and "planner" not in differing(loop, twin)
 
 
-@pytest.mark.parametrize("name", ["octomap", "planner"])
-def test_maps_can_be_struck(name):
-    words = next(words for words in words_of(golden().pipeline[name]) if words.name in ("log_odds", "cells"))
-    loop, twin = struck(MemoryFault(name, words.name, 17, words.dtype, AT, 0))
-    mine, its = (next(k.arrays()[words.name] for k in one.kernels[name].keepers) for one in (loop, twin))
-    assert np.flatnonzero(mine.view(f"u{mine.itemsize}") != its.view(f"u{its.itemsize}")).tolist() == [17]
-
-
 def test_everything_that_kernels_remember_has_words():
     known = {words.name.split(".")[0].split("[")[0] for name in golden().pipeline for words in _words(name)}
     for kernel in golden().pipeline.values():
@@ -141,17 +133,6 @@ def test_a_kernel_that_raises_dies_with_its_node(monkeypatch, policy, status):
     log = fly(mission(dead_node=policy), MemoryFault("waypoint", "now.epoch", None, "i4", AT, 20)).log
     assert (log.kernel.effect, log.kernel.detail) == ("exception", "ZeroDivisionError: of such a number")
     assert log.status is status
-
-
-def test_draws_are_those_of_the_instant_and_words_that_do_not_exist_are_named():
-    fault, flown = MemoryRequest("waypoint", "now.epoch", None, AT).draw(ArmSetup(mission()), 3)
-    assert (fault.kernel, fault.field, fault.index, fault.time_us) == ("waypoint", "now.epoch", None, AT)
-    assert flown.log.digest() == golden().log.digest()
-    assert MemoryRequest("waypoint", "now.epoch", None, AT).draw(ArmSetup(mission()), 3)[0] == fault
-    assert MemoryRequest("pid").draw(ArmSetup(mission()), 0)[0].kernel == "pid"
-    for request in (MemoryRequest("pid", "nothing"), MemoryRequest("pid", "fresh", 5)):
-        with pytest.raises(BadInputError, match=r"memory:pid.*no such word.*allowed: law, remaining"):
-            request.draw(ArmSetup(mission()), 0)
 
 
 def test_a_fault_of_another_type_than_the_word_is_refused():

@@ -7,11 +7,9 @@ from mavfi.errors import BadInputError
 from mavfi.flight.compose import new_loop, watch
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
-from mavfi.flight.mission_flights import _starts_at_its_instant
 from mavfi.levels.level import parse
 from mavfi.levels.message import MessageLevel
 from mavfi.levels.message.fault import MessageFault
-from mavfi.levels.state.fault import StateFault
 from tests.core.flights.missions import Scripted, golden, mission
 
 
@@ -113,20 +111,6 @@ def test_a_detector_at_the_producer_is_not_asked_again_when_a_message_arrives_la
     watch(loop, detector, RecoveryPolicy(detector_place="producer"))
     loop.fly()
     assert detector.seen == loop.record.publications.count["control.command"] - 5 * 50
-
-
-def test_equal_faults_give_equal_flights():
-    for text in ("message:sensor.odometry:delay=0.1:share=0.2:times=0@2", "message:planning.waypoint:reorder@3"):
-        logs = [fly(mission(), message_fault(text, seed=3)).log for _ in range(2)]
-        assert logs[0].injections == logs[1].injections
-        assert logs[0].digest() == logs[1].digest() != golden().log.digest()
-
-
-def test_faults_that_count_from_take_off_are_flown_from_there():
-    for text, starts_late in (("drop@3..4", True), ("drop@n=5", False), ("drop:share=0.5@3..4", False)):
-        assert _starts_at_its_instant(message_fault(f"message:control.command:{text}")) is starts_late
-    counting = parse("state:control.command.vx:set=1@n=3").resolve(0, "published")
-    assert not _starts_at_its_instant(counting) and isinstance(counting, StateFault)
 
 
 def test_numbers_in_messages_of_other_programs_are_refused():

@@ -2,16 +2,14 @@
 
 import pytest
 
-from mavfi.flight.compose import new_loop, watch
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
-from mavfi.states import ODOMETRY
-from tests.core.flights.missions import AUTOPILOTS, Scripted, fault, golden, mission
+from tests.core.flights.missions import Scripted, each_autopilot, fault, golden, mission
 
 OBSERVER = RecoveryPolicy("observer")
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 def test_a_detector_that_only_watches_changes_nothing(autopilot):
     flight = fly(mission(autopilot), None, Scripted(), recovery=OBSERVER)
     assert flight.log.digest() == golden(autopilot).log.digest()
@@ -74,33 +72,3 @@ def test_an_alarm_for_another_stage_has_that_stage_run_again():
     (alarm,) = flight.log.alarms
     assert alarm.outcome == "accepted"
     assert flight.log.meta["recompute_us"] == {"perception": 0, "planning": 0, "control": 460}
-
-
-def test_an_alarm_at_the_estimate_has_the_filter_run_again_and_nothing_else():
-    """With the next sample of the IMU; it runs on the flight controller, so nothing is charged."""
-    name, seen = ODOMETRY["estimator"], []
-    detector = Scripted(name, 1275, "perception")
-    scenario = mission("hardened", localization="estimator")
-    loop = new_loop(scenario)
-    watch(loop, detector, OBSERVER)
-    rolled = {kernel: count_rollbacks(loop.kernels[kernel], seen) for kernel in loop.kernels}
-    log = loop.fly().log
-    ((alarmed_us, _),) = detector.alarmed
-    assert rolled and seen == ["state_estimation"]
-    assert log.alarms[0].outcome == "repaired"  # the next sample gives another estimate
-    assert log.meta["recompute_us"] == {"perception": 0, "planning": 0, "control": 0}
-    again = [time_us for time_us, state in detector.accepted if state == name and time_us > alarmed_us]
-    assert again[0] == alarmed_us + 4_000
-    assert log.status.label == "success"
-
-
-def count_rollbacks(kernel, seen):
-    """Note the kernel's name at each rollback."""
-    plain = kernel.rollback
-
-    def rollback():
-        seen.append(kernel.name)
-        plain()
-
-    kernel.rollback = rollback
-    return kernel

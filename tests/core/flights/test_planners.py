@@ -8,12 +8,12 @@ from mavfi.flight.fly import fly
 from mavfi.mission import MissionStatus
 from mavfi.numerics.voxels import Grid
 from mavfi.pipeline.planners import make_search
-from tests.core.flights.missions import AUTOPILOTS, FAR_GOAL, golden, mission
+from tests.core.flights.missions import FAR_GOAL, each_autopilot, golden, mission
 
 NAME = "examples.planner_detour:Detour"
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 def test_a_planner_of_ones_own_flies_the_mission(autopilot):
     flight = fly(mission(autopilot, planner=NAME))
     assert flight.log.status is MissionStatus.SUCCESS
@@ -22,7 +22,7 @@ def test_a_planner_of_ones_own_flies_the_mission(autopilot):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 @pytest.mark.parametrize("planner", ["rrt", "rrt_star"])
 def test_every_shipped_planner_flies_the_mission(autopilot, planner):
     flight = fly(mission(autopilot, FAR_GOAL, planner=planner))

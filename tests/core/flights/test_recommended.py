@@ -8,6 +8,7 @@ import mavfi
 from mavfi.cli import run
 from mavfi.mission import MissionSpec, MissionStatus
 from tests.core.architecture.source import ROOT
+from tests.core.flights.missions import each_autopilot
 
 pytestmark = pytest.mark.slow
 DENSE = MissionSpec(environment="dense", seed=402)
@@ -51,7 +52,7 @@ def test_a_fault_that_strikes_the_copy_too_is_computed_again():
     ]
 
 
-@pytest.mark.parametrize("autopilot", ["published", "hardened"])
+@each_autopilot
 def test_without_a_fault_there_is_no_alarm_and_no_other_flight(autopilot):
     alone, watched = (
         mavfi.fly(DENSE, autopilot=autopilot, detector=detector).log for detector in (None, "recommended")

@@ -4,7 +4,7 @@ import pytest
 from mavfi.config import PlatformConfig, shipped
 from mavfi.flight.fly import fly
 from mavfi.states import STATES, states_with
-from tests.core.flights.missions import AUTOPILOTS, golden, mission
+from tests.core.flights.missions import each_autopilot, golden, mission
 
 CAUSES = {
     "perception.point_cloud": ("sensor.depth",),
@@ -21,7 +21,7 @@ def publications(scenario):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("platform", ["i9-9940x", "cortex-a57"])
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 def test_nothing_is_seen_before_its_latency_has_passed(autopilot, platform):
     seen, _ = publications(mission(autopilot, platform=platform))
     latency = shipped("platforms", PlatformConfig, platform).latency_us
@@ -48,7 +48,7 @@ def test_perception_runs_back_to_back_and_ten_times_a_second_at_most():
     assert (np.diff(seen["sensor.depth"]) == 100_000).all()
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 def test_the_log_counts_what_was_published_and_what_it_cost(autopilot):
     seen, flight = publications(mission(autopilot))
     meta = flight.log.meta

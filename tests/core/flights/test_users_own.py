@@ -5,13 +5,13 @@ from examples.map_forgetting import ForgettingMap
 
 from mavfi.flight.fly import fly
 from mavfi.mission import MissionStatus
-from tests.core.flights.missions import AUTOPILOTS, Scripted, golden, mission
+from tests.core.flights.missions import Scripted, each_autopilot, golden, mission
 
 MAP = "examples.map_forgetting:ForgettingMap"
 VEHICLE = "examples/vehicle/courier.yaml"
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 def test_the_example_of_a_map_flies_the_mission(autopilot, monkeypatch):
     monkeypatch.setattr(ForgettingMap, "memory", 8)  # the mission is short
     flight = fly(mission(autopilot, map=MAP))
@@ -33,7 +33,7 @@ def test_a_recomputed_scan_is_the_same_with_the_example():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 def test_the_example_of_a_vehicle_flies_the_mission(autopilot, pytestconfig):
     vehicle = str(pytestconfig.rootpath / VEHICLE)
     flight = fly(mission(autopilot, vehicle=vehicle))

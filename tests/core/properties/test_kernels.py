@@ -1,41 +1,14 @@
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi.kernels.control import pid
-from mavfi.kernels.perception import octomap
 from mavfi.kernels.planning import waypoint
 from mavfi.pipeline.waypoints import SetpointGenerator
-from tests.core.unit.kernels.cases import FRAME, GAINS, RULE
+from tests.core.unit.kernels.cases import GAINS
 from tests.core.unit.pipeline.parts import AUTOPILOTS, config, odometry, status, tracking, trajectory
 
-seeds = st.integers(0, 2**32)
 anything = st.floats(allow_nan=True, allow_infinity=True)
-
-
-@settings(max_examples=25)
-@given(st.lists(seeds, min_size=1, max_size=4))
-def test_undoing_a_scan_restores_the_map_exactly(scans):
-    size = FRAME.nx * FRAME.ny * FRAME.nz
-    log_odds, stamp = np.zeros(size, np.float32), np.zeros(size, np.int32)
-    touched, before = np.zeros(size + 1, np.int32), np.zeros(size, np.float32)
-    for number, seed in enumerate(scans, start=1):
-        random = np.random.default_rng(seed)
-        cloud = random.uniform(-6.0, 6.0, (40, 3)).astype(np.float32)
-        was = log_odds.tobytes()
-        count = octomap.insert_scan(
-            cloud, random.uniform(-1.0, 1.0, 3), 5.0, FRAME, RULE, log_odds, stamp, 2 * number, touched, before
-        )
-        done = log_odds.tobytes()
-        octomap.undo_scan(log_odds, touched, before, count)
-        assert log_odds.tobytes() == was
-        random = np.random.default_rng(seed)
-        random.uniform(-6.0, 6.0, (40, 3))
-        octomap.insert_scan(
-            cloud, random.uniform(-1.0, 1.0, 3), 5.0, FRAME, RULE, log_odds, stamp, 2 * number + 1, touched, before
-        )
-        assert log_odds.tobytes() == done
-        assert RULE.clamp_min <= log_odds.min() and log_odds.max() <= RULE.clamp_max
 
 
 updates = st.lists(
@@ -81,7 +54,6 @@ events = st.lists(
 )
 
 
-@settings(max_examples=25)
 @given(st.sampled_from(AUTOPILOTS), events, events)
 def test_the_setpoint_generator_repeats_itself_from_the_same_memory(autopilot, before, between):
     kernel = SetpointGenerator(config(autopilot))

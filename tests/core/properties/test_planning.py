@@ -1,12 +1,9 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi.config import PlannerConfig
-from mavfi.kernels.planning import rrt_star
-from mavfi.kernels.planning.tree import trace
-from mavfi.numerics.random import seed_generator
 from mavfi.numerics.voxels import segment_free
 from mavfi.pipeline.planners import make_search
 from tests.core.reference.kernels import naive, scenes
@@ -34,7 +31,6 @@ def search(name, seed, counter, start, goal):
 
 
 @pytest.mark.parametrize("name", PLANNERS)
-@settings(max_examples=25)
 @given(seeds, st.sampled_from([0.0, 0.1, 0.25, 0.4]))
 def test_a_path_is_free_of_collisions_and_joins_start_and_goal(name, seed, share):
     counter, start, goal = problem(seed, share)
@@ -48,30 +44,6 @@ def test_a_path_is_free_of_collisions_and_joins_start_and_goal(name, seed, share
     for a, b in zip(path[:-1], path[1:], strict=True):
         assert naive.first_blocked(counter, GRID, a, b, True) > 1.0
     assert naive.length(path) >= np.linalg.norm(goal - start) - 2e-3
-
-
-@settings(max_examples=25)
-@given(seeds, st.sampled_from([0.05, 0.15, 0.25]), st.sampled_from([0.5, 2.0, 8.0]))
-def test_no_cost_of_rrt_star_ever_grows(seed, share, max_step):
-    counter, start, goal = problem(seed, share)
-    tree, random, path = rrt_star.new_tree(600), seed_generator(seed), np.zeros((600, 3))
-    rrt_star.plant(tree, start, scenes.LOWER, scenes.UPPER)
-    before = np.full(600, np.inf)
-    for _ in range(40):
-        rrt_star.grow(counter, GRID, goal, scenes.LOWER, scenes.UPPER, max_step, 0.1, 15, random, tree)
-        n, goal_node = tree.state[:2]
-        assert (tree.costs[:n] <= before[:n]).all()
-        before[:n] = tree.costs[:n]
-        parents = tree.parents[1:n]
-        edges = np.linalg.norm(tree.nodes[1:n] - tree.nodes[parents], axis=1)
-        np.testing.assert_allclose(tree.costs[1:n], tree.costs[parents] + edges, rtol=1e-12)
-        assert (edges <= max_step * (1.0 + 1e-12)).all()
-    for a, b in zip(tree.nodes[parents], tree.nodes[1:n], strict=True):
-        assert segment_free(counter, GRID, a, b) or segment_free(counter, GRID, b, a)
-    if goal_node >= 0:
-        count = trace(tree.nodes, tree.parents, goal_node, path)
-        assert naive.length(path[:count]) == pytest.approx(tree.costs[goal_node])
-        np.testing.assert_array_equal(path[count - 1], goal)
 
 
 @pytest.mark.parametrize("name", PLANNERS)

@@ -1,5 +1,5 @@
 import numpy as np
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from mavfi.kernels.planning import trajectory
@@ -38,7 +38,6 @@ def mean_acceleration(points, window=10):
     return np.linalg.norm(velocity[window:] - velocity[:-window], axis=1).max() / (0.02 * window)
 
 
-@settings(max_examples=25)
 @given(paths)
 def test_trajectories_keep_to_the_limits_of_speed_and_acceleration(vertices):
     legs = np.diff(vertices, axis=0)
@@ -57,7 +56,6 @@ def test_trajectories_keep_to_the_limits_of_speed_and_acceleration(vertices):
     assert mean_acceleration(points) <= A_TOLERANCE_SHARP * rules.a_max
 
 
-@settings(max_examples=25)
 @given(paths)
 def test_held_points_are_reached_at_the_speed_limit_at_most(vertices):
     assume((np.linalg.norm(np.diff(vertices, axis=0), axis=1) > 0.5).all())
@@ -69,7 +67,6 @@ def test_held_points_are_reached_at_the_speed_limit_at_most(vertices):
     assert speeds.max() <= 0.97 * V_TOLERANCE * rules.v_max
 
 
-@settings(max_examples=25)
 @given(paths, st.integers(0, 1000), st.sampled_from([0.2, 1.0 / 3.0]))
 def test_blends_stay_out_of_what_is_blocked(vertices, seed, inner):
     assume((np.linalg.norm(np.diff(vertices, axis=0), axis=1) > 0.5).all())

@@ -73,15 +73,6 @@ def test_cuboids_leave_gaps_and_halos(law, seed):
         assert (np.abs(centre - end[:2]).max(axis=-1) >= 0.5 * law[1] + HALO).all()
 
 
-@given(seed=seeds)
-def test_a_smaller_gap_lets_more_cuboids_fit(seed):
-    world = cuboids(seed, 0.35, 10.0, gap=2.0)
-    centre = 0.5 * (world.lower + world.upper)[:, :2]
-    apart = np.abs(centre[:, None] - centre[None]).max(axis=-1) + np.diag(np.full(len(centre), np.inf))
-    assert len(centre) == 24 and 12.0 <= apart.min() < 13.0
-    assert cuboids(seed, 0.2, 10.0).digest() == cuboids(seed, 0.2, 10.0, gap=3.0).digest()
-
-
 @pytest.mark.parametrize("gap", (0.5, np.nan, "wide", True))
 def test_a_gap_that_is_none_is_refused(gap):
     with pytest.raises(BadInputError, match="parameter 'gap'"):

@@ -2,8 +2,6 @@
 
 import csv
 import math
-import re
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -312,12 +310,3 @@ def test_the_page_counts_what_public_programs_use_and_what_of_it_is_served():
         assert f"{served} of {len(methods)} ({percent(served / len(methods))})" in page
         refused |= unserved
     assert f"Not served: {', '.join(f'`{method}`' for method in sorted(refused))}." in page
-
-
-def test_no_call_of_the_client_library_is_unknown():
-    path = find_spec("cosysairsim")
-    if path is None:
-        pytest.skip("needs the package cosysairsim (extra dev)")
-    text = Path(path.origin).with_name("client.py").read_text(encoding="utf-8")
-    names = set(re.findall(r"call(?:_async)?\(\s*['\"](\w+)['\"]", text))
-    assert len(names) > 100 and names <= set(CALLS)

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim.boundary import Boundary, parse_fault
+from mavfi.extras.airsim.boundary import parse_fault
 from mavfi.extras.airsim.frames import LEVEL, to_pose, to_vector3r
 from tests.extras.airsim.test_calls import STILL, Client
 
@@ -104,20 +104,6 @@ def test_a_fault_is_in_the_calls_of_one_vehicle(tmp_path, vehicle):
     assert went_north == [vehicle == "", vehicle == "Right"]
 
 
-def test_a_sensor_fails_in_one_vehicle(tmp_path):
-    client = client_of(
-        TWO, tmp_path, boundary=Boundary.of(parse_fault("sensor:position:wrong@0")), fault_vehicle="Right"
-    )
-    client.sleep(0.1)
-    client("getMultirotorState", "Right")
-    wrong = [
-        client("simGetVehiclePose", name)["position"]
-        != client("getMultirotorState", name)["kinematics_estimated"]["position"]
-        for name in ("Left", "Right")
-    ]
-    assert wrong == [False, True]
-
-
 def test_a_pose_keeps_what_is_nan(two):
     two("simSetVehiclePose", to_pose((1.0, 2.0, -5.0), (0.0, 0.0, 0.0, 1.0)), True, "Left")
     two("simSetVehiclePose", to_pose((NAN, 7.0, NAN), (NAN,) * 4), True, "Left")
@@ -128,21 +114,6 @@ def test_a_pose_keeps_what_is_nan(two):
     two("simSetCameraPose", "0", to_pose((NAN,) * 3, (0.0, 0.0, 0.0, 1.0)), "Left")
     camera = two.server.api.cameras["front_center"]
     assert (camera.position, camera.orientation) == ((0.5, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-
-
-def test_a_new_world_and_its_objects_are_those_of_all(two):
-    two("simLoadLevel", "farm")
-    two("simSpawnObject", "wall", "Cube", to_pose((0.0, 9.0, -2.0), LEVEL), to_vector3r((1.0, 1.0, 1.0)))
-    worlds = [api.vehicle.sim.world for api in two.server.api.scene.vehicles.values()]
-    assert (worlds[0].lower == worlds[1].lower).all()
-    assert place_of(two, "Right", "simGetObjectPose") == [4.0, 0.0, 0.0]
-
-
-def test_a_vehicle_stands_beside_one_that_has_its_place(tmp_path):
-    client = client_of({"Vehicles": {"A": {}, "B": {"X": 0.5}}}, tmp_path)
-    assert place_of(client, "B", "simGetObjectPose") == [0.5, 1.0, 0.0] and place_of(client, "B") == [0.0, 0.0, 0.0]
-    client.sleep(0.1)
-    assert not client("simGetCollisionInfo", "B")["has_collided"]
 
 
 def test_a_vehicle_in_an_obstacle_is_refused_in_one_line(tmp_path):

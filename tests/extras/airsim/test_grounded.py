@@ -10,8 +10,6 @@ from mavfi.sim.engine import GRAVITY
 from mavfi.sim.simulator import Simulator
 from tests.core.unit.sim.flights import open_world, room, scenario
 
-LOWER, UPPER = [(5.0, -1.0, 0.0)], [(6.0, 1.0, 4.0)]
-
 
 def grounded(lower=(), upper=(), **changes):
     return Grounded(open_world(10.0, lower, upper), scenario(**changes))
@@ -48,17 +46,6 @@ def test_a_landing_is_no_collision_and_ends_at_rest():
     one.arm(False)
     one.advance(one.time_us + 200_000)
     assert one.resting and not one.odometry[3:6].any() and one.odometry[2] == 0.35
-
-
-def test_a_contact_with_an_obstacle_has_its_time_place_and_name():
-    one = grounded(LOWER, UPPER)
-    one.arm(True)
-    fly(one, (0.0, 0.0, 1.0), 2.0)
-    assert one.touched is None
-    fly(one, (2.0, 0.0, 0.0), 4.0)
-    assert one.touched.obstacle == 0 and one.touched.time_us > 2_000_000
-    np.testing.assert_allclose(one.touched.normal, (-1.0, 0.0, 0.0), atol=1e-6)
-    assert one.touched.point[0] == pytest.approx(5.0, abs=0.05) and 0.0 <= one.touched.depth < 0.1
 
 
 def test_in_the_air_it_is_the_vehicle_of_missions():

@@ -8,7 +8,7 @@ from mavfi.extras.hardening.plan import ModuleSite, ProtectionPlan, load_plan, s
 from mavfi.extras.hardening.protected import SOURCE
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.forks import fly_instruction_faults
+from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.mission_flights import LocalHost
 from mavfi.ir.injection.variant import signature_of

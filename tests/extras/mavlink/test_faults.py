@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega
 
 from mavfi.errors import BadInputError
 from mavfi.extras.mavlink.faults import FaultyStream, MavlinkFault
-from mavfi.extras.mavlink.frames import Frame, FrameSplitter, numbers_of
+from mavfi.extras.shared.mavlink_frames import Frame, FrameSplitter, numbers_of
 from tests.extras.mavlink.frames import KINDS, Peer, received
 
 BY_NAME = {kind.msgname: kind for kind in KINDS}

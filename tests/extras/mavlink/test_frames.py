@@ -5,7 +5,7 @@ import random
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega
 
-from mavfi.extras.mavlink.frames import Frame, FrameSplitter
+from mavfi.extras.shared.mavlink_frames import Frame, FrameSplitter
 from tests.extras.mavlink.frames import KINDS, Peer, received
 
 

@@ -7,7 +7,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from mavfi.config import VehicleConfig, parse
 from mavfi.errors import BadInputError
 from mavfi.extras.models import cli
 from mavfi.extras.models.geometry import lump
@@ -16,8 +15,6 @@ from mavfi.extras.models.vehicles import sdf_vehicle
 from mavfi.plugins import allow_typed
 from mavfi.sim.engine import GRAVITY
 from mavfi.sim.mjcf import find_vehicle
-from mavfi.sim.simulator import Simulator
-from tests.core.unit.sim.flights import fly, open_world, scenario
 from tests.extras.models import models
 
 
@@ -260,17 +257,3 @@ def test_the_printed_vehicle_is_a_file_that_flies_alike(tmp_path, capsys):
     assert "hovers at 67 % of the largest thrust" in text and "# flown as an X: its front is" in text
     assert "mass: 2.2 " in text and "# all links with mass (5) as one rigid body" in text
     assert find_vehicle(written(tmp_path, "same.yaml", text)) == imported(path)[0]
-
-
-@pytest.mark.parametrize("rotors", [models.X, models.PLUS])
-def test_an_imported_vehicle_hovers_and_settles(tmp_path, rotors):
-    keys = sdf_vehicle(tmp_path / written(tmp_path, "quad.sdf", models.sdf(rotors)), {}).keys
-    quad = parse(VehicleConfig, keys, "quad.sdf")
-    flight = Simulator(open_world(), scenario().model_copy(update={"vehicle": quad}))
-    start = flight.odometry.copy()
-    flight.advance(2_000_000)
-    np.testing.assert_allclose(flight.odometry, start, atol=1e-9)
-    rows = fly(flight, (3.0, 0.0, 0.5, 0.3), 5.0)
-    # at rest in its drag: velocity gain x mass x error = drag
-    assert rows[-1, 3] == pytest.approx(3.0 - quad.drag[0] * 8.0 / (quad.mass * quad.velocity_gain), abs=0.1)
-    assert rows[:, 3].max() < 3.3 and rows[-1, 5] == pytest.approx(0.5, abs=0.05)

@@ -12,7 +12,6 @@ from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.store import Store
 from mavfi.cli import run
 from mavfi.extras.paper import overhead_views
-from mavfi.extras.paper.cli_report import StudyBar
 from mavfi.extras.paper.provenance import load_runs
 from mavfi.extras.paper.report import study_report
 from mavfi.extras.paper.study import load_study
@@ -159,31 +158,6 @@ def test_a_damaged_record_of_a_study_is_named(capsys, tmp_path):
         (tmp_path / "study.json").write_text(content, encoding="utf-8")
         assert run(["report", str(tmp_path)]) == 2
         assert message in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_training_that_is_stopped_resumes(capsys, tmp_path, monkeypatch):
-    out, arguments = tmp_path / "out", ["reproduce", study(tmp_path), "--workers", "1"]
-    show, shown = StudyBar.show, []
-
-    def stop(bar, done, total):
-        shown.append((done, total))
-        show(bar, done, total)
-        if done == 2 and len(shown) > 1:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(StudyBar, "show", stop)
-    monkeypatch.setattr("mavfi.campaign.begin.begin", lambda *_, **__: None)
-    monkeypatch.setattr("mavfi.campaign.run.run_campaigns", lambda *_, **__: None)
-    no_report(monkeypatch)
-    assert run([*arguments, "--out", str(out)]) == 130
-    assert "the same command resumes" in capsys.readouterr().err
-    assert shown == [(0, 3), (1, 3), (2, 3)] and not list((out / "models").glob("*.json"))
-    shown.clear()
-    assert run([*arguments, "--out", str(out)]) == 0
-    assert shown == [(2, 3), (3, 3), (1, 1)], "and one training fits its models"
-    assert [path.name for path in (out / "models").glob("*.json")] == ["published-i9-9940x-gaussian-paper.json"]
-    assert not (out / "models" / ".flights").exists()
 
 
 @pytest.fixture

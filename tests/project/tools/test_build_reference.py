@@ -1,37 +1,13 @@
 import re
 from dataclasses import fields
-from typing import Literal
 
 import pytest
 import typer
-from pydantic import Field
 
 from mavfi.cli.commands import app
-from mavfi.config import Config
 from mavfi.faults.fault import find_level, level_names
 from tools import build_commands
 from tools import build_reference as reference
-
-
-class Part(Config):
-    """A part."""
-
-    size: int = Field(3, ge=1, le=9, description="of it")
-
-
-class Whole(Config):
-    """A whole | with a bar."""
-
-    part: Part
-    names: tuple[str, ...] = ("a", "b")
-    mode: Literal["x", "y"] = "x"
-
-
-def test_a_model_becomes_a_list_of_keys():
-    assert "- `size` (integer, `3`): of it; ≥ 1, ≤ 9" in reference.model_section(Part)
-    lines = reference.model_section(Whole)
-    assert lines[:3] == ["## Whole", "", "A whole | with a bar."]
-    assert "- `part` ([Part](#part), required)" in lines and "- `names` (list of text, `[a, b]`)" in lines
 
 
 @pytest.mark.parametrize("level", level_names())

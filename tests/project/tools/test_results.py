@@ -7,7 +7,6 @@ import pytest
 from mavfi.analysis.statistics import wilson
 from mavfi.analysis.table import RATE, Column, Table
 from mavfi.campaign.config import load_campaign
-from mavfi.states import WATCHING
 from tools import results
 from tools.markers import ROOT
 from tools.results import CAMPAIGNS, Excerpt, main, write
@@ -60,17 +59,3 @@ def test_campaigns_and_modules_of_all_pages_exist():
             load_campaign(campaign)
     for module in results.MODULES.values():
         assert (ROOT / f"{module.replace('.', '/')}.py").is_file()
-
-
-def test_whatever_remembers_something_is_a_target_of_one_of_these_campaigns():
-    memory = [load_campaign(name) for name in ("detector_memory", "detector_memory_others")]
-    targets = {name for campaign in memory for name in campaign.sampling.kernels}
-    assert targets == set(WATCHING)
-
-
-def test_every_duration_is_flown_with_every_group_of_fields():
-    fields, durations = zip(
-        *(group.name.split(", ") for group in load_campaign("lasting").sampling.groups), strict=True
-    )
-    assert len(fields) == len(set(fields)) * len(set(durations))
-    assert {"once", "twice", "1 s", "10 s", "for ever", "intermittent", "burst of 4"} == set(durations)

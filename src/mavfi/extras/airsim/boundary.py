@@ -23,11 +23,11 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from mavfi.detectors.foreign import Monitor, NamedNumbers, train
 from mavfi.errors import BadInputError, not_known
 from mavfi.extras.airsim import cameras, flying, scene, sensing
 from mavfi.extras.airsim.calls import RecordedCall
 from mavfi.extras.airsim.table import CALLS
+from mavfi.extras.shared.foreign import Monitor, NamedNumbers, train
 from mavfi.faults.changes import LATEST_S, Change, ChangeInjector, ValueChange, When, parse_change
 from mavfi.faults.operations import Operation
 from mavfi.levels.message.fault import MessageFault

@@ -1,1 +1,1 @@
-"""MAVLink: a link with faults between a program and the autopilot that it flies; frames, also those of logs."""
+"""A MAVLink link with faults, between a program and the autopilot that it flies."""

@@ -63,7 +63,7 @@ def inject(
     check_name("--direction", direction, _DIRECTIONS)
     check_seed("--seed", seed)
     check_number("--duration", duration, 0.0, _MAX_DURATION_S)
-    from mavfi.extras.mavlink.frames import mavlink_dialect
+    from mavfi.extras.shared.mavlink_frames import mavlink_dialect
 
     dialect = mavlink_dialect("mavfi mavlink inject")
     from mavfi.extras.mavlink.faults import FaultyStream, MavlinkFault

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError, not_known
-from mavfi.extras.mavlink.frames import Frame, numbers_of
+from mavfi.extras.shared.mavlink_frames import Frame, numbers_of
+from mavfi.extras.shared.message_definition import Leaf
 from mavfi.faults.changes import Change, ChangeInjector, MessageInjector, parse_text
-from mavfi.faults.levels.message.definition import Leaf
 from mavfi.faults.operations import MESSAGE_OPERATIONS, check_number_operation
 from mavfi.record import Injection
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from mavfi.errors import BadInputError
 from mavfi.extras.mavlink.faults import FaultyStream
-from mavfi.extras.mavlink.frames import FrameSplitter
+from mavfi.extras.shared.mavlink_frames import FrameSplitter
 
 _MOST_BYTES = 65536
 _WAIT_S = 0.5

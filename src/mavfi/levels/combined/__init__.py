@@ -26,8 +26,8 @@ from mavfi.record import Injection
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mavfi.flight.forks import Published
     from mavfi.flight.host import ArmSetup, Flight, MissionFlights
+    from mavfi.flight.instruction_cases import Published
 
 _GIVEN = "given"
 """Row of a table for faults that are given as text."""

@@ -20,9 +20,11 @@ import numpy as np
 from mavfi.detectors.detector import Detector
 from mavfi.faults.combined import Start
 from mavfi.faults.fault import Fault
-from mavfi.flight.fast_forward import CallResult
-from mavfi.flight.forks import WAITING, FaultCase, Forks, FromTakeOff, Published, case_of, split_at_call
+from mavfi.flight.counted_functions import CallResult
+from mavfi.flight.forks import Forks, split_at_call
+from mavfi.flight.from_take_off import FromTakeOff
 from mavfi.flight.host import ArmSetup, Flight
+from mavfi.flight.instruction_cases import WAITING, FaultCase, Published, case_of
 from mavfi.ir.forked import ForkPoint
 from mavfi.ir.injection.variant import changed_nothing, variant_for
 from mavfi.levels.combined.fault import is_in_calls

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from weakref import ref
 
 from mavfi.detectors.detector import Detector
+from mavfi.faults.acted_on import CounterWatch
 from mavfi.faults.combined import Start
 from mavfi.faults.fault import Fault, find_level
 from mavfi.faults.injector import Injector
-from mavfi.flight.acted_on import CounterWatch
 from mavfi.flight.loop import Loop
 from mavfi.levels.level import Begin
 from mavfi.record import Injection, KernelEffect

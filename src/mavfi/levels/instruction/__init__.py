@@ -27,8 +27,8 @@ from mavfi.record import Injection
 from mavfi.states import DETECTORS, INJECTABLE
 
 if TYPE_CHECKING:
-    from mavfi.flight.forks import Published
     from mavfi.flight.host import ArmSetup, Flight
+    from mavfi.flight.instruction_cases import Published
 
 __all__ = [
     "BuildError",

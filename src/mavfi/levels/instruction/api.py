@@ -78,8 +78,8 @@ def draw(
         kernel: A compiled function.
         n: Number of faults.
         *args: Arguments of the call; they are not modified.
-        which: Class of instructions, see `mavfi.faults.levels.instruction.table`.
-        model: One of `fault.MODELS`, see `mavfi.faults.levels.instruction.plan`.
+        which: Class of instructions, see `mavfi.ir.injection.table`.
+        model: One of `fault.MODELS`, see `mavfi.levels.instruction.plan`.
         seed: Seed of the draw.
         bits: Number of bits for the model "bits".
 

@@ -46,7 +46,7 @@ class InstructionRequest:
 
     Attributes:
         kernels: Number of faults in each kernel, by names of targets, see `mavfi.flight.targets`.
-        which: Class of instructions, see `mavfi.faults.levels.instruction.table`.
+        which: Class of instructions, see `mavfi.ir.injection.table`.
         model: How the value is changed.
         restart_s: Time after which a crashed node has restarted (s).
         when: Calls from which they are drawn.

@@ -6,7 +6,7 @@ lost or late.
 """
 
 from dataclasses import replace
-from typing import Any, Protocol, Self
+from typing import Protocol, Self
 from weakref import proxy
 
 from mavfi.faults.changes import MessageInjector
@@ -20,8 +20,8 @@ from mavfi.states import State, find_state
 class EventQueue(Protocol):
     """Where publications that arrive later are put; a `flight.loop.Loop`."""
 
-    def at(self, time_us: int, action: str, *arguments: Any) -> None:  # noqa: ANN401 (as the action wants)
-        """Schedule an action at an instant (us)."""
+    def transmit(self, state: State, time_us: int) -> None:
+        """Let a publication arrive at an instant (us)."""
 
 
 class PublicationInjector(RewindableInjector):
@@ -37,12 +37,8 @@ class PublicationInjector(RewindableInjector):
         self._fault = fault
         self._spec = find_state(fault.topic)
         owner: EventQueue = proxy(queue)  # no cycle, so that maps are freed at once
-
-        def send(state: State, time_us: int) -> None:
-            owner.at(time_us, "transmit", state)
-
         self._messages: MessageInjector[State] = MessageInjector(
-            fault.planned.with_fields(None, fault.time_us), send, fault.seed
+            fault.planned.with_fields(None, fault.time_us), lambda *sent: owner.transmit(*sent), fault.seed
         )
 
     def copy(self) -> Self:

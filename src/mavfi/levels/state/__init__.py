@@ -8,13 +8,13 @@ import re
 from typing import Any, NamedTuple
 
 from mavfi.errors import BadInputError
+from mavfi.faults.acted_on import CounterWatch
 from mavfi.faults.changes import is_change, split_site
 from mavfi.faults.fault import FaultSite, FliesFrom
 from mavfi.faults.fields import find_published
 from mavfi.faults.injector import Injector
 from mavfi.faults.operations import VALUE_OPERATIONS
 from mavfi.faults.strata import EACH_CLASS, WHOLE_WORD, WORD_BITS, WORDS
-from mavfi.flight.acted_on import CounterWatch
 from mavfi.levels.campaign import SampledCampaign
 from mavfi.levels.level import DECIMAL, SECONDS, WHOLE, Level, parse_fields
 from mavfi.levels.smaller import smaller_changes

@@ -165,7 +165,7 @@ def message_bits(state: str, stratum: str, count: int) -> tuple[list[FieldBits],
     """The bits of a stratum in a message whose lists have `count` elements.
 
     Header fields that share their name with a list are left out, as are the standard header and the number of the
-    message (see `faults.levels.transit`).
+    message (see `levels.state.carriers`).
 
     Returns:
         The bits, by field, and the stratum's share of the message.

@@ -9,13 +9,13 @@ from copy import copy
 from dataclasses import replace
 from typing import Any, Self
 
+from mavfi.faults.acted_on import ActedOn, CounterWatch
 from mavfi.faults.changes import MessageSchedule, ValueChange
 from mavfi.faults.fault import FaultSite
 from mavfi.faults.fields import number_in
 from mavfi.faults.injector import RewindableInjector
 from mavfi.faults.operations import Operation
 from mavfi.faults.sampling import stream
-from mavfi.flight.acted_on import ActedOn, CounterWatch
 from mavfi.levels.state.carriers import ListLength, StateField
 from mavfi.levels.state.fault import StateFault
 from mavfi.record import Injection, plain

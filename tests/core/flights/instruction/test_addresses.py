@@ -8,7 +8,7 @@ from dataclasses import asdict
 import pytest
 
 from mavfi.flight.compose import resolve
-from mavfi.flight.forks import fly_instruction_faults
+from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec
 from mavfi.numerics.jit import code_folder
@@ -58,14 +58,6 @@ def test_they_are_faults_in_addresses_that_crash_corrupt_and_are_masked(records)
         assert record["activated"] and record["details"]["value_class"] == "address"
         assert record["details"]["replayable"]
     assert any(record["details"]["type"] == "ptr" for _, record, _ in records)
-
-
-def test_order_and_company_do_not_matter(faults, records):
-    assert flown(faults[::-1]) == records[::-1]
-    crashed = next(i for i, row in enumerate(records) if row[2]["effect"] == "crash")
-    corrupted = next(i for i, row in enumerate(records) if row[2]["effect"] == "sdc")
-    for number in (crashed, corrupted):
-        assert flown([faults[number]]) == [records[number]]
 
 
 def test_another_environment_heap_and_hash_seed_give_the_same_bytes(faults, records, tmp_path):

@@ -1,10 +1,7 @@
 """Campaigns of faults in instructions: the same ledger for any workers and after a stop; arms, shares, replays."""
 
-import html
 import json
 import os
-import re
-import shlex
 import signal
 import subprocess
 import sys
@@ -170,16 +167,3 @@ def test_explain_names_line_and_effect(in_addresses, capsys):
         assert chosen.spec.fault.kernel in shown
         if chosen.record.kernel.effect in DIED:
             assert "".join(chosen.record.kernel.detail.split()) in shown
-
-
-def test_a_command_of_the_page_gives_the_same_flight(in_addresses, tmp_path, capsys):
-    page = tmp_path / "page.html"
-    assert run(["vulnerability", str(in_addresses), "--html", str(page)]) == 0
-    capsys.readouterr()
-    commands = sorted(set(re.findall(r"mavfi replay [^<\n]+", html.unescape(page.read_text(encoding="utf-8")))))
-    assert len(commands) > 1
-    for command in commands[:2]:
-        program, *arguments = shlex.split(command)
-        assert program == "mavfi"
-        assert run([*arguments, "--json"]) == 0
-        assert json.loads(capsys.readouterr().out)["same"]

@@ -1,19 +1,19 @@
 """Instruction faults forked off checkpoints give the records of flights from take-off, bit for bit."""
 
-import mmap
 from dataclasses import replace
 from functools import cache
 
-import numpy as np
 import pytest
 
 from mavfi.faults.fault import NO_SITE
-from mavfi.flight import forks, mission_flights
+from mavfi.flight import from_checkpoints, mission_flights
 from mavfi.flight.decide import INLINE, RecoveryPolicy
-from mavfi.flight.fast_forward import FastForward, FlightBranch, FlownArm
+from mavfi.flight.fast_forward import FastForward
 from mavfi.flight.fly import fly
-from mavfi.flight.forks import fly_from_checkpoints, fly_instruction_faults
+from mavfi.flight.from_checkpoints import fly_from_checkpoints
+from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.flight.host import ArmSetup
+from mavfi.flight.known_flights import FlownArm
 from mavfi.flight.loop import Loop
 from mavfi.flight.mission_flights import LocalHost
 from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
@@ -106,7 +106,7 @@ def test_instructions_are_counted_and_resolved_in_the_flight_that_takes_checkpoi
     alone = draw_instruction_faults(scenario(), request, "test", seed=4)
     flights = LocalHost().mission({"": ArmSetup(scenario())})
     monkeypatch.setattr(mission_flights, "fly", None)
-    monkeypatch.setattr(mission_flights, "fly_until", None)
+    monkeypatch.setattr(Loop, "fly_until", None)
     shared = draw_instruction_faults(scenario(), request, "test", seed=4, flights=flights)
     assert (shared.faults, shared.counts) == (alone.faults, alone.counts)
     assert shared.golden.record() == alone.golden.record()
@@ -118,7 +118,7 @@ def test_what_earlier_scans_left_in_work_arrays_is_there_after_a_jump(monkeypatc
     reading = [drawn[8], drawn[17], drawn[20]]  # their wrong instructions read it
     fast, slow = both_ways(reading, goal=FAR_GOAL)
     assert fast == slow
-    monkeypatch.setattr(forks, "fill", lambda *_: None)
+    monkeypatch.setattr(from_checkpoints, "fill", lambda *_: None)
     assert both_ways(reading, goal=FAR_GOAL)[0] != slow
 
 
@@ -143,46 +143,6 @@ def test_a_fault_without_a_site_or_beyond_the_last_call_is_not_activated():
     assert [record.kernel.effect for record in fast] == ["not_activated"] * 2
 
 
-def test_children_that_converge_end_there(monkeypatch):
-    """Without the reuse of known flights they fly on to the end: the same records, more control periods."""
-    flown, memory = scenario(goal=FAR_GOAL), np.frombuffer(mmap.mmap(-1, 8), np.int64)  # shared with the children
-    run = Loop.run
-
-    def counting(self, *args):
-        before = len(self.record.rows)
-        run(self, *args)
-        memory[0] += len(self.record.rows) - before
-
-    monkeypatch.setattr(Loop, "run", counting)
-    golden, forward = fly(flown), FastForward(flown, scratch=True)
-    faults = [fault for fault in drawn("address", 4, goal=FAR_GOAL) if fault.kernel == "point_cloud"]
-    found, periods = [], []
-    for converges in (True, False):
-        if not converges:
-            monkeypatch.setattr(FlightBranch, "_find_converged", lambda self: None)
-        forward.golden()
-        memory[0] = 0
-        found.append(records(fly_from_checkpoints(forward, faults, golden).flights))
-        periods.append(int(memory[0]))
-    assert found[0] == found[1]
-    assert periods[0] < 0.9 * periods[1]
-
-
-def test_a_campaigns_flights_use_it(monkeypatch):
-    def never(*_, **__):
-        raise AssertionError("flown from take-off")
-
-    monkeypatch.setattr(mission_flights, "fly_instruction_faults", never)
-    faults = drawn("all", 4)[-3:]
-    flights = LocalHost().mission({"": ArmSetup(scenario()), "nervous": ArmSetup(scenario(), Nervous)})
-    flights.count_instructions("", {})
-    assert flights.golden("nervous").log.alarms
-    runs = [(arm, fault) for arm in ("", "nervous") for fault in faults]
-    found = dict(flights.injected(runs))
-    assert sorted(found) == list(range(6))
-    assert all(flight.log.injections for flight in found.values())
-
-
 @pytest.mark.parametrize("case", ["octree", "rrt_star", "restarts", "no fast-forward"])
 def test_what_cannot_be_forwarded_is_flown_from_take_off(case, monkeypatch):
     monkeypatch.setattr(mission_flights, "fly_from_checkpoints", None)
@@ -192,14 +152,3 @@ def test_what_cannot_be_forwarded_is_flown_from_take_off(case, monkeypatch):
     flights.count_instructions("arm", {})
     ((_, flight),) = flights.injected([("arm", drawn("all", 4, 1)[-1])])
     assert flight.log.injections
-
-
-def test_an_input_that_was_changed_forbids_to_converge():
-    from mavfi.flight.forks import _is_contained  # the rule itself, case by case
-
-    before, golden, other = np.zeros(3), np.ones(3), np.full(3, 2.0)
-    assert _is_contained("track", (before,), (before,), (before,))
-    assert not _is_contained("track", (before,), (before,), (other,)), "an input"
-    assert _is_contained("track", (before,), (golden,), (other,)), "an output"
-    assert not _is_contained("insert_scan", (before,), (golden,), (other,)), "a map has more than checkpoints compare"
-    assert not _is_contained("track", ((before, before),), ((golden, before),), ((other, other),))

@@ -9,15 +9,14 @@ import pytest
 from mavfi.campaign import divergence
 from mavfi.campaign.divergence import TimedState
 from mavfi.errors import BadInputError
-from mavfi.extras.registers.fault import RegisterFault
-from mavfi.faults.levels import instruction
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.forks import Output, first_difference, fly_instruction_faults
+from mavfi.flight.from_take_off import fly_instruction_faults
+from mavfi.flight.instruction_cases import Output, first_difference
 from mavfi.flight.mission_flights import fly_recorded
 from mavfi.ir.forked import WILD
-from mavfi.ir.injection.variant import variant_for
-from mavfi.levels.instruction import MismatchError
+from mavfi.ir.injection.variant import MismatchError, variant_for
+from mavfi.levels import instruction
 from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
 from mavfi.levels.instruction.plan import stratum_of
 from mavfi.mission import MissionSpec
@@ -68,13 +67,6 @@ def test_the_same_faults_give_the_same_bytes_alone_and_together(drawn, flown):
         assert plain(asdict(alone.kernel)) == plain(asdict(together.kernel)), "a NaN is not equal to itself"
 
 
-def test_the_draw_is_the_same_twice_and_another_with_another_seed(drawn):
-    again = draw_instruction_faults(scenario(), InstructionRequest({"pid": 12, "point_cloud": 4}, which="data"), seed=3)
-    other = draw_instruction_faults(scenario(), InstructionRequest({"pid": 12}, which="data"), seed=4)
-    assert again.faults == drawn.faults
-    assert other.faults["pid"] != drawn.faults["pid"]
-
-
 def test_every_record_is_of_an_injection_and_names_the_source(drawn, flown):
     for flight in flown.flights:
         (injection,) = flight.log.injections
@@ -118,11 +110,6 @@ def test_publications_of_an_injected_flight_are_recorded_without_a_change_of_it(
                 "published at the end of the injected step"
             )
             assert found.field.startswith(reported["field"])
-
-
-def test_publications_are_recorded_for_levels_of_this_host_only():
-    with pytest.raises(BadInputError, match="host local: faults of level 'register'"):
-        fly_recorded(scenario(), RegisterFault())
 
 
 @pytest.mark.slow

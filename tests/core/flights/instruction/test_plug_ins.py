@@ -1,28 +1,19 @@
 """Faults in the compiled functions, and in the memory, of custom planners, maps, detectors and flight controllers."""
 
-import json
-
 import pytest
 from pydantic import ValidationError
 
-from mavfi.analysis import published
-from mavfi.analysis.runs import describe
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.store import Store
-from mavfi.cli import run
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import fault_from_json
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.forks import fly_instruction_faults
+from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.targets import Targets
 from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
-from mavfi.levels.level import parse, text_of
+from mavfi.levels.level import parse
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.numerics.jit import KernelDispatcher
-from tests.campaigns import run_campaign
 from tests.core.flights import plug_ins
 from tests.core.flights.plug_ins import Largest
 
@@ -77,16 +68,6 @@ def test_functions_are_counted_injected_and_replayed_under_the_names_of_the_plug
     assert all(injection.activated for injection in injections)
     assert {injection.file.rpartition("/")[2] for injection in injections[:4]} == {"plug_ins.py"}
     assert all(type(function) is KernelDispatcher for function in (plug_ins.track, plug_ins.limited))
-
-
-def test_a_fault_is_read_back_from_its_text_and_its_data():
-    mission = scenario(**MISSION)
-    request = parse(f"instruction:{OF}Straight:which=floating_point")
-    fault, _ = request.draw(ArmSetup(mission), 3)
-    assert fault_from_json(json.loads(json.dumps(fault.to_json()))) == fault
-    again, _ = parse(text_of(fault)).draw(ArmSetup(mission), 0)
-    digests = {fly_instruction_faults(mission, [one]).flights[0].log.digest() for one in (fault, again)}
-    assert len(digests) == 1
 
 
 def test_setpoint_generators_and_trackers_are_replaced_and_injected():
@@ -169,23 +150,3 @@ def test_a_plug_in_with_the_name_of_a_kernel_is_called_by_its_key():
 
 def test_a_function_may_make_the_plug_in():
     assert list(Targets(scenario(planner=f"{OF}make_straight")).find("planner").functions) == ["track"]
-
-
-# ---- campaigns ------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("level", "kernels"),
-    [("instruction", ["octomap", "Straight", "pid", "Largest"]), ("memory", ["Wrapped", "Straight", "Largest"])],
-)
-def test_a_campaign_gives_the_same_ledger_on_one_and_two_workers_and_is_replayed(tmp_path, level, kernels, capsys):
-    config = campaign(level, kernels, arms={"mine": {"detector": f"{OF}Largest"}})
-    for workers in (1, 2):
-        assert run_campaign(config, tmp_path / str(workers), executor=LocalExecutor(workers)).complete
-    digests = []
-    for workers in (1, 2):
-        with Store.open(tmp_path / str(workers)) as store:
-            digests.append(store.digest())
-            description = describe(store)
-    assert digests[0] == digests[1]
-    assert description["custom_detectors"] == ["Largest"] and not published.same_missions(description)
-    assert run(["campaign", "verify", str(tmp_path / "1"), "--share", "1"]) == 0
-    assert "all records equal" in capsys.readouterr().out

@@ -37,7 +37,7 @@ def record():
     return acceptance.new_record(LIMITS["published"])
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.lists(st.tuples(st.integers(1, 200_000), st.integers(-(2**31), 2**31 - 1) | st.integers(0, 3)), max_size=12))
 def test_counters_that_a_path_can_answer(record, notes):
     twin, now, state = Twin(), 0, new_state("perception.collision_status")
@@ -51,7 +51,7 @@ def test_counters_that_a_path_can_answer(record, notes):
             assert acceptance.answerable(later, record).tolist() == twin.answerable(later)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.lists(st.tuples(st.integers(1, 6), st.integers(0, 5)), max_size=12))
 def test_points_of_the_last_trajectories(record, notes):
     twin, state, blocks = Twin(), new_state("planning.trajectory"), np.zeros((acceptance.KEPT, 5, 11))

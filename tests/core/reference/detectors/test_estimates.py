@@ -53,7 +53,7 @@ SHIFTS = st.tuples(*[st.floats(-6.0, 6.0) | st.sampled_from([0.0, 0.2, -0.2, np.
 TURNS = st.tuples(*[st.floats(-1.0, 1.0)] * 3)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(
     SHIFTS,
     st.sampled_from([0.0, 0.02, 1.0]),

@@ -113,25 +113,6 @@ def test_rays_walked_side_by_side_meet_the_same_voxels_in_the_same_order(frame, 
     assert len(free) > 300 and len(hits) > 20
 
 
-def test_rays_that_leave_the_grid_or_are_long_are_walked_alone():
-    block = key_sets.Block(
-        np.zeros((12, key_sets.RAYS)),
-        np.zeros(key_sets.RAYS, np.int64),
-        np.empty((key_sets.LONGEST, key_sets.RAYS)),
-        np.empty((key_sets.LONGEST, key_sets.RAYS)),
-    )
-    start = np.array([-2.89, -2.89, -0.29], np.float32)
-    inside, near, beyond, above, far = (
-        [-1.89, -1.89, 0.71],
-        [-2.885, -2.89, -0.29],
-        [3.5, 0, 0],
-        [0, 0, 1.9],
-        [3, 2.9, 1.5],
-    )
-    longest = key_sets._set_out(FINE, start, np.array([inside, near, beyond, above, far], np.float32), 0, 5, block)
-    assert block.steps[:5].tolist() == [longest, 0, -1, -1, -1] and 145 <= longest <= 155
-
-
 def test_each_voxel_is_updated_once_a_scan_and_occupied_wins():
     kernel = Map()
     points = np.array([[2.0, 0.1, 1.1]] * 4 + [[4.0, 0.1, 1.1]], np.float32)

@@ -1,28 +1,14 @@
 import numpy as np
 import pytest
 
-from mavfi.kernels.planning import nearest, trajectory, travel, tree, waypoint
 from mavfi.kernels.planning import path as paths
+from mavfi.kernels.planning import trajectory, travel, waypoint
 from mavfi.numerics.random import seed_generator
 from mavfi.numerics.voxels import segment_free
 from tests.core.reference.kernels import naive, scenes
 
 GRID = scenes.GRID
 LIMITS = trajectory.Limits(3.0, 1.0, 3.5, 2.5, 4.0, 2.0, 3.0)
-
-
-def test_nearest_node_and_steering():
-    random = np.random.default_rng(0)
-    nodes = random.normal(size=(50, 3))
-    for _ in range(50):
-        target, step, result = random.normal(size=3), random.uniform(0.1, 2.0), np.empty(3)
-        best = nearest.scan(nodes, 40, target)
-        assert best == np.argmin(np.linalg.norm(nodes[:40] - target, axis=1))
-        reached = tree.steer(nodes[0], target, step, result)
-        gap = target - nodes[0]
-        away = np.linalg.norm(gap)
-        assert reached == (away <= step)
-        np.testing.assert_allclose(result, nodes[0] + gap * min(1.0, step / away), atol=1e-12)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.97])
@@ -114,22 +100,6 @@ def test_the_curve_is_evenly_sampled_without_corners_and_keeps_its_ends():
     np.testing.assert_array_equal(curve[[0, -1]], path[[0, -1]])
     directions = np.diff(curve, axis=0)[:-1] / gaps[:-1, None]
     assert (directions[:-1] * directions[1:]).sum(1).min() > np.cos(0.6)  # the corners of the path: less than 0
-
-
-@pytest.mark.parametrize("turn", [0.5, 0.8, 1.1, 1.57])
-def test_a_rounder_blend_bends_less_and_as_the_estimate_of_travel_says(turn):
-    corner, before, after = np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([np.cos(turn), np.sin(turn), 0.0])
-    sharpest = {}
-    for inner in (0.2, 1.0 / 3.0):
-        curve = np.empty((401, 3))
-        for k, sample in enumerate(curve):
-            trajectory._blend_point(corner, before, after, 2.0, inner, k / 400, sample)
-        steps = np.diff(curve, axis=0)
-        angles = np.arctan2(steps[:, 1], steps[:, 0])
-        lengths = np.linalg.norm(steps, axis=1)
-        sharpest[inner] = (np.diff(angles) / (0.5 * (lengths[1:] + lengths[:-1]))).max()
-    assert sharpest[1.0 / 3.0] < 0.8 * sharpest[0.2]
-    assert 2.0 * sharpest[1.0 / 3.0] == pytest.approx(1.2 * np.tan(0.5 * turn), rel=0.15)
 
 
 PACE = travel.Pace(5.0, 1.5, 2.5, 3.5, 3.0)
@@ -250,47 +220,3 @@ def test_the_governed_clock_equals_its_twin(seed):
         expected = naive.advance_clock(clock.copy(), *arguments)
         waypoint.advance_clock(clock, *arguments)
         np.testing.assert_allclose(clock, expected, rtol=1e-12, atol=1e-12)
-
-
-def straight(speed=3.0, count=400):
-    points = np.zeros((count, 11))
-    points[:, 0] = speed * 0.02 * np.arange(count)
-    points[:, 4] = speed
-    points[:, 10] = 0.02
-    return points, points[:, 0].copy()
-
-
-def test_the_reference_stops_before_a_block_and_creeps_towards_unknown_space():
-    points, arc = straight()
-    clock = np.array([0.0, 1.0, 0.0])
-    for _ in range(600):
-        waypoint.advance_clock(clock, points, arc, 0.02, 10.0, np.inf, 2.5, 0.5, 1.0)
-    assert clock[1] == 0.0
-    assert 9.0 < 0.06 * clock[0] < 10.0
-    clock[:] = 0.0, 1.0, 0.0
-    for _ in range(300):
-        waypoint.advance_clock(clock, points, arc, 0.02, np.inf, 5.0, 2.5, 0.5, 1.0)
-    assert clock[1] == pytest.approx(0.5 / 3.0)
-    assert 0.06 * clock[0] > 5.0
-
-
-def test_the_clock_ends_at_the_last_point_and_its_reference_is_interpolated():
-    points, arc = straight(count=20)
-    clock = np.array([3.25, 0.8, -0.5])
-    target = np.zeros(11)
-    waypoint.reference(clock, points, target)
-    np.testing.assert_allclose(target[[0, 4, 7, 10]], [0.06 * 3.25, 0.8 * 3.0, -0.5 * 3.0, 0.02])
-    for _ in range(60):
-        waypoint.advance_clock(clock, points, arc, 0.02, np.inf, np.inf, 2.5, 0.5, 1.0)
-    assert clock[0] == 19.0
-    waypoint.reference(clock, points, target)
-    assert target[0] == points[-1, 0]
-
-
-def test_without_a_trajectory_clock_and_reference_stay():
-    clock, target = np.array([1.0, 0.5, 0.0]), np.full(11, 7.0)
-    none = np.zeros((0, 11))
-    waypoint.arc_lengths(none, np.zeros(0))
-    waypoint.advance_clock(clock, none, np.zeros(0), 0.02, np.inf, np.inf, 2.5, 0.5, 1.0)
-    waypoint.reference(clock, none, target)
-    assert clock.tolist() == [1.0, 0.5, 0.0] and (target == 7.0).all()

@@ -1,6 +1,5 @@
 """The state estimator against a plain twin, closed forms, SciPy's Riccati equation and the law of its own errors."""
 
-import numba
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
@@ -38,35 +37,6 @@ def test_many_steps_equal_the_textbook(seed):
         assert twin.difference(nominal) < 1e-8
         np.testing.assert_allclose(covariance, twin.covariance, atol=1e-10)
     assert np.linalg.norm(nominal[6:10]) == pytest.approx(1.0, abs=1e-12)
-
-
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="there is no compiled code to compare")
-def test_the_compiled_code_is_what_python_says():
-    motion = Motion(3)
-    compiled, plain = (start_of(motion, np.full(9, 0.01)) for _ in range(2))
-    first, second = covariance_of(), covariance_of()
-    sample, fix = motion.step(), motion.fix
-    filtering.predict(compiled, first, sample, DT, AIRSIM)
-    filtering.predict.py_func(plain, second, sample, DT, AIRSIM)
-    filtering.correct(compiled, first, fix, AIRSIM)
-    filtering.correct.py_func(plain, second, fix, AIRSIM)
-    np.testing.assert_allclose(compiled, plain, atol=1e-12)
-    np.testing.assert_allclose(first, second, atol=1e-14)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("with_fixes", [False, True])
-@pytest.mark.parametrize("seed", range(3))
-def test_without_noise_it_follows_the_truth(seed, with_fixes):
-    motion = Motion(seed)
-    nominal, covariance = start_of(motion, np.zeros(9)), covariance_of()
-    worst = 0.0
-    for step in range(1, 5001):
-        filtering.predict(nominal, covariance, motion.step(), DT, PERFECT)
-        if with_fixes and step % STEPS_PER_FIX == 0:
-            assert filtering.correct(nominal, covariance, motion.fix, PERFECT) <= filtering.GATE
-        worst = max(worst, np.abs(motion.error(nominal)).max())
-    assert worst < 1e-6
 
 
 def test_without_noise_a_wrong_start_is_found_out():
@@ -117,8 +87,8 @@ def test_at_rest_its_covariance_becomes_that_of_the_riccati_equation(yaw):
 
 @pytest.mark.slow
 def test_its_errors_are_as_large_as_it_says():
-    """NEES (Bar-Shalom, Li & Kirubarajan 2001, section 5.4.2): over 40 flights within the bounds of chi-square."""
-    flights, sums, instants = 40, {}, (250, 500, 1000)
+    """NEES (Bar-Shalom, Li & Kirubarajan 2001, section 5.4.2): over 10 flights within the bounds of chi-square."""
+    flights, sums, instants = 10, {}, (250, 500, 1000)
     n = AIRSIM._replace(force_walk=1e-3, rate_walk=1e-4)
     white = np.repeat([n.force, n.rate], 3) / np.sqrt(DT)
     walk = np.repeat([n.force_walk, n.rate_walk], 3) * np.sqrt(DT)

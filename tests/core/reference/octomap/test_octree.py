@@ -68,24 +68,6 @@ def test_rolling_back_restores_every_bit_and_the_same_updates_give_the_same_bits
         assert held(tree) == before
 
 
-def test_eight_equal_children_are_pruned_and_expanded_again():
-    tree = grown()
-    cube = [((i, j, k), False) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
-    apply(tree, cube[:7])
-    assert tree.counters[octree.NODES] == 1 + octree.DEPTH - 1 + 7
-    apply(tree, cube[7:])
-    assert tree.counters[octree.NODES] == octree.DEPTH
-    assert tree.counters[octree.FREE_COUNT] == 8
-    assert [octree.search(tree, *key) for key, _ in cube] == [RULE.miss] * 8
-    used = tree.counters[octree.USED]
-    apply(tree, [((1, 0, 1), True)])
-    assert tree.counters[octree.NODES] == octree.DEPTH + 8
-    assert tree.counters[octree.USED] == used and tree.counters[octree.FREE_COUNT] == 0
-    assert octree.search(tree, 0, 0, 0) == RULE.miss < octree.search(tree, 1, 0, 1)
-    assert tree.log_odds[0] == octree.search(tree, 1, 0, 1)  # the root holds the largest
-    assert np.isnan(octree.search(tree, 2, 0, 0))
-
-
 def voxels_of(count, seed=0):
     return np.random.default_rng(seed).permutation(SIZE)[:count].astype(np.int32)
 

@@ -175,10 +175,6 @@ def frame_around(lower, upper, resolution):
     return KeyFrame(resolution, half, half, half, *map(int, first), *map(int, number))
 
 
-def voxel_of_key(frame, key):
-    return ((key[0] - frame.kx) * frame.ny + key[1] - frame.ky) * frame.nz + key[2] - frame.kz
-
-
 def depth_of(data):
     """Number of levels below the root, and how many leaves are larger than a voxel."""
     edges = leaves(data)[0][:, 3]

@@ -142,12 +142,6 @@ def test_a_fall_covers_the_closed_form_s_height(vehicle):
     assert -rows[-1, 5] == pytest.approx(terminal, rel=1e-3)
 
 
-def test_without_drag_a_fall_is_galileos():
-    flight = simulator(open_world(height=900.0), max_rotor_thrust=1e-9, drag=(0.0, 0.0, 0.0))
-    time, rows = steps(flight, (0.0, 0.0, 0.0, 0.0), 1000)
-    np.testing.assert_allclose(rows[:, 5], -GRAVITY * time, rtol=1e-6)
-
-
 @pytest.mark.parametrize("axis", [0, 1])
 def test_coasting_decays_as_quadratic_drag_makes_it(axis):
     """v = v0 / (1 + c v0 t / m), on each level axis with its own coefficient, while it falls without turning."""

@@ -63,12 +63,6 @@ def test_alarms_of_nearly_every_flight_are_systematic():
     assert m.systematic(own.where(seed=0)) == [], "one flight shows nothing"
 
 
-def test_the_smallest_difference_that_a_table_shows():
-    own = [golden(seed) for seed in range(30)] + [injected(seed, flown(seed > 3)) for seed in range(30)]
-    [(environment, against_golden, between_arms)] = m.separable(runs(*own))
-    assert environment == "sparse" and against_golden == pytest.approx(between_arms) and 0.1 < between_arms < 0.4
-
-
 def test_recomputations_are_not_counted_as_compute_time():
     record = replace(GOLDEN, compute_us={"octomap": 900, "pid": 400}, recompute_us={"perception": 300, "control": 0})
     own = runs(golden(1, record, arm="g"))

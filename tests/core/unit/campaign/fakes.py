@@ -8,7 +8,6 @@ import contextlib
 import hashlib
 import os
 import signal
-import time
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -139,26 +138,6 @@ class FakeFlights:
                     yield place, error
             else:
                 yield place, fly(setup, self.detector(arm), fault)
-
-
-HURRY = "FAKE_FLIGHTS_HURRY"
-"""Variable of the environment: the file from whose creation on no flight is slow."""
-
-
-class SlowFlights(FakeFlights):
-    """Slow ones between the golden run and the others: the mission is in the air, and seen to be."""
-
-    def injected(self, runs: list[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
-        if not os.path.exists(os.environ.get(HURRY, "")):
-            time.sleep(1.0)
-        yield from super().injected(runs)
-
-
-class SlowHost(FakeHost):
-    """One whose missions take so long that a person can press Ctrl-C."""
-
-    def mission(self, arms: dict[str, ArmSetup], *, fast_forward: bool = True) -> FakeFlights:
-        return SlowFlights(arms, fast_forward)
 
 
 class ProgramRuns(FakeFlights):

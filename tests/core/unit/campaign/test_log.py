@@ -16,7 +16,7 @@ from mavfi.campaign.log import FILE, Log
 from mavfi.campaign.store import Store
 from mavfi.errors import MachineError
 from tests.campaigns import run_campaign
-from tests.core.unit.campaign.fakes import TROUBLE, deaths, failures, small
+from tests.core.unit.campaign.fakes import TROUBLE, failures, small
 
 TOTAL = 2 * (2 * (4 + 18) + 3)
 
@@ -81,15 +81,6 @@ def test_failures_of_the_machine_are_named_with_their_reason(tmp_path, monkeypat
     assert [entry["attempt"] for entry in events(tmp_path / "always", "retry")] == [1, 2, 3, 4]
     (end,) = events(tmp_path / "always", "end")
     assert end["why"] == "failed" and "No space left on device" in end["reason"]
-
-
-def test_lost_workers_are_named_with_their_reason(tmp_path, monkeypatch):
-    monkeypatch.setattr(TROUBLE, "dies", deaths(tmp_path / "deaths", 1))
-    flown_into(tmp_path / "out")
-    (lost,) = events(tmp_path / "out", "worker_lost")
-    assert (lost["mission"], lost["reason"]) == ("sparse-10001", "its worker died (exit code 9)")
-    alone = [entry["mission"] for entry in events(tmp_path / "out", "mission_begin") if entry["alone"]]
-    assert alone == ["sparse-10001"]
 
 
 def test_runs_with_status_unknown_are_named_up_to_a_number(tmp_path, monkeypatch):

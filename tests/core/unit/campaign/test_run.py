@@ -8,11 +8,9 @@ import signal
 import time
 from collections import Counter
 from dataclasses import asdict
-from importlib.resources import files
 from types import SimpleNamespace
 
 import pytest
-import yaml
 
 from mavfi.campaign import fingerprint
 from mavfi.campaign import resolve as resolve_module
@@ -21,7 +19,7 @@ from mavfi.campaign.begin import begin
 from mavfi.campaign.executors.executor import Done
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.ledger import merge, status, stored_campaign
-from mavfi.campaign.plan import Plan, Shard
+from mavfi.campaign.plan import Shard
 from mavfi.campaign.replay import verify
 from mavfi.campaign.resolve import resolve
 from mavfi.campaign.store import Store
@@ -190,14 +188,6 @@ def test_a_file_whose_keys_are_in_another_order_resumes_to_the_same_ledger(tmp_p
         assert list(stored_campaign(store).arms) == list(ARMS)
 
 
-def test_the_keys_that_go_with_a_detector_are_of_the_identity(tmp_path, monkeypatch):
-    with pytest.raises(KeyboardInterrupt):
-        flown_into(tmp_path, progress=stop_at(30))
-    monkeypatch.setattr(run_module, "mission_keys", lambda name: {"answer_s": 0.5} if name else {})
-    with pytest.raises(BadInputError, match=r"holds another campaign \(differs in: mission_keys"):
-        flown_into(tmp_path)
-
-
 def test_runs_know_the_model_that_they_fly_with_and_workers_refuse_another(tmp_path, monkeypatch):
     with_model(monkeypatch)
     flown_into(tmp_path / "out", models_dir=tmp_path / "mine")
@@ -275,21 +265,6 @@ def test_a_process_of_which_all_workers_die_records_nothing(tmp_path, monkeypatc
         flown_into(tmp_path / "out", campaign)
     with Store.open(tmp_path / "out") as store:
         assert [run.record for run in store.runs(done=True)] == []
-
-
-def test_a_mission_that_is_given_up_half_way_is_over_all_the_same(tmp_path, monkeypatch):
-    """Its golden runs died only once its faults were planned: these are counted, as not judged."""
-    campaign = small(environments=["sparse"], null_runs=0)
-    with pytest.raises(KeyboardInterrupt):
-        flown_into(tmp_path / "out", campaign, executor=OneByOne(), progress=stop_at(14 + 2 + 1))
-    monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
-    with Store.open(tmp_path / "out") as store:
-        planned = {run.spec.run_id for run in store.runs(done=False) if run.spec.seed == DEADLY}
-    assert len(planned) == 11
-    assert flown_into(tmp_path / "out", campaign).complete
-    with Store.open(tmp_path / "out") as store:
-        ends = {store.run(run_id).record.end for run_id in planned}
-    assert ends == {End.UNKNOWN}
 
 
 @pytest.mark.slow
@@ -457,37 +432,6 @@ def test_what_is_drawn_together_is_extended_by_missions_only():
     begun = [{"missions": 2, "faults": 2}]
     assert drawn(2, 2) == drawn(4, 4, begun)
     assert drawn(2, 2) != drawn(2, 4, begun), "two faults of one stream are not the one and another"
-
-
-def test_the_campaign_that_init_writes_grows_in_faults_and_missions(tmp_path):
-    template = yaml.safe_load((files("mavfi") / "data/templates/campaign/campaign.yaml").read_text(encoding="utf-8"))
-    sampling = template["sampling"]
-
-    def sized(missions, faults, **changes):
-        return small(missions=missions, faults=faults, sampling=sampling, environments=["sparse"], **changes)
-
-    sizes = [(template["missions"], template["faults"]), (4, 11), (6, 11), (7, 17)]
-    for number, size in enumerate(sizes):
-        flown_into(tmp_path / "grown", sized(*size), extend=number > 0)
-    flown_into(tmp_path / "grown", sized(*sizes[-1]))  # its file does not name the earlier sizes
-
-    grown = [{"missions": missions, "faults": faults} for missions, faults in sizes[:-1]]
-    start = sized(*sizes[-1], grown=grown)
-    flown_into(tmp_path / "start", start)
-    assert digest(tmp_path / "grown") == digest(tmp_path / "start")
-    assert verify(tmp_path / "grown", 1.0).differing == ()
-    with Store.open(tmp_path / "grown") as store:
-        specs = [run.spec for run in store.runs() if run.spec.setting == "fi" and run.spec.target == "planning"]
-    strata = [spec.fault.stratum for spec in sorted(specs, key=lambda spec: spec.index)]
-    seeds = [spec.seed - 10_000 for spec in sorted(specs, key=lambda spec: spec.index)]
-    assert seeds == [0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 6, 0, 1, 2, 3, 4], "new missions come first"
-    assert [strata[a:b].count("mantissa") for a, b in ((0, 8), (8, 11), (11, 17))] == [3, 1, 2]
-    assert len({(spec.seed, spec.fault) for spec in specs}) == 17
-    sampler = resolve(start).sampler
-    keys = [(seed, sampler.repetition(index)) for index, seed in enumerate(seeds)]
-    assert len(set(keys)) == 17, "every fault has a random stream of its own"
-    plan = Plan(resolve(start))
-    assert sum(plan.count(Shard(number, 3)) for number in (1, 2, 3)) == plan.count()
 
 
 def test_a_campaign_with_several_faults_in_a_mission_is_refused_when_it_grows():

@@ -242,14 +242,6 @@ def test_no_flipped_bit_changes_a_ledger_unseen(tmp_path):
     assert refused > 20
 
 
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
-def test_a_ledger_that_was_cut_off_is_refused(tmp_path, share):
-    filled(tmp_path)
-    path = tmp_path / FILE
-    path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
-    assert read(tmp_path) is None
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [

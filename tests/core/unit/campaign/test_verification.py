@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from mavfi.campaign.replay import Verification, verify
+from mavfi.campaign.replay import verify
 from mavfi.cli import run
 from mavfi.errors import BadInputError
 from tests.campaigns import run_campaign
@@ -40,11 +40,3 @@ def test_a_record_that_differs_is_named(directory, capsys, monkeypatch):
     printed = capsys.readouterr()
     assert len(json.loads(printed.out)["differing"]) == 27
     assert "27 of 27 replayed runs have another record: dense-" in printed.err and printed.err.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("flown", "wrong", "bound"), [(59, 0, 0.0495), (100, 0, 0.0295), (100, 3, 0.0757), (5, 5, 1.0)]
-)
-def test_the_bound_is_that_of_clopper_and_pearson(flown, wrong, bound):
-    found = Verification(1000, flown, tuple(map(str, range(wrong))))
-    assert found.upper_bound == pytest.approx(bound, abs=5e-4)

@@ -2,11 +2,7 @@ import errno
 import json
 import os
 import shutil
-import signal
 import sqlite3
-import subprocess
-import sys
-import time
 from contextlib import closing
 from pathlib import Path
 
@@ -14,8 +10,7 @@ import pytest
 
 from mavfi.campaign import run as run_module
 from mavfi.cli import run
-from mavfi.errors import BadInputError
-from tests.core.unit.campaign.fakes import HOST, HURRY, TROUBLE
+from tests.core.unit.campaign.fakes import HOST, TROUBLE
 
 CAMPAIGN = """
 name: tiny
@@ -257,32 +252,3 @@ def test_a_machine_that_fails_is_one_line_and_exit_code_1(capsys, monkeypatch, c
     monkeypatch.setattr(Path, "mkdir", fail)
     assert run(["campaign", "run", str(config), "--out", str(tmp_path / "out")]) == 1
     assert capsys.readouterr().err == f"mavfi: {tmp_path / 'out'}: cannot be written (No space left on device)\n"
-
-
-@pytest.mark.slow
-def test_ctrl_c_stops_cleanly_and_the_same_command_resumes(capsys, tmp_path, monkeypatch):
-    config, out = tmp_path / "many.yaml", tmp_path / "out"
-    config.write_text(FAKE.format(missions=8).replace("FakeHost", "SlowHost"))
-    command = [sys.executable, "-c", "from mavfi.cli import main; main()", "campaign", "run", str(config)]
-    command += ["--out", str(out), "--workers", "1"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    while process.poll() is None and not ((out / "campaign.sqlite").is_file() and _flown(out) >= 2):
-        time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
-    _, error = process.communicate(timeout=120)
-    assert process.returncode == 130
-    assert "Stopped." in error and "Traceback" not in error
-    assert 2 <= _flown(out) < 12
-    monkeypatch.setenv(HURRY, str(tmp_path))
-    assert run(["campaign", "run", str(config), "--out", str(out), "--workers", "1"]) == 0
-    capsys.readouterr()
-    assert _json(capsys, "campaign", "status", str(out))["complete"]
-
-
-def _flown(directory):
-    from mavfi.campaign.ledger import status
-
-    try:
-        return status(directory).done
-    except (BadInputError, TypeError):  # the ledger is being made
-        return 0

@@ -1,7 +1,5 @@
 import json
-import os
 import struct
-from contextlib import nullcontext
 
 import pytest
 
@@ -153,18 +151,6 @@ def test_a_refused_place_keeps_what_is_there(capsys, tmp_path):
     held.write_bytes(b"mine")
     assert run(["fly", "--environment", "nowhere", "--save", str(held)]) == 2
     assert held.read_bytes() == b"mine"
-
-
-def test_an_empty_cache_is_filled_on_all_processors(monkeypatch, capsys):
-    compiled = []
-    monkeypatch.setattr(
-        "mavfi.campaign.warm_up.compile_flight",
-        lambda scenario, executor: compiled.append((scenario.seed, executor.workers)),
-    )
-    for cold in (True, False):
-        monkeypatch.setattr("mavfi.cli.progress.compiling", lambda own=cold, **_: nullcontext(own))
-        assert run(["fly", "--environment", "sparse", "--seed", "7", "--json"]) == 0
-    assert compiled == [(7, os.cpu_count())]
 
 
 def test_a_fault_that_comes_after_the_flight_has_no_effect_and_is_not_called_masked(capsys):

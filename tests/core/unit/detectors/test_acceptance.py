@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavfi.detectors import acceptance, load_detector, rules
+from mavfi.detectors import load_detector, rules
 from mavfi.detectors.acceptance import CHECKED, COMPILED, SOURCE, AcceptanceTest
 from mavfi.detectors.estimates import ESTIMATE
 from mavfi.errors import BadInputError
@@ -250,19 +250,6 @@ def test_nothing_is_left_of_a_way_point_before_there_is_one():
     assert detector.check(make(TRACKING, remaining=0.1), 0).fields == (f"{TRACKING}.remaining",)
 
 
-def test_a_path_answers_the_counter_that_was_known_when_the_planner_began():
-    detector = flying("published", status(2, True, 4.0))
-    late = status(3, True, 2.0)
-    detector.accept(late, NOW - 10_000)
-    assert [detector.check(line("published", epoch=epoch), NOW) is None for epoch in range(5)] == [
-        False,
-        False,
-        True,
-        True,
-        False,
-    ]
-
-
 def naive_spike(vertices):
     for index in range(1, len(vertices) - 1):
         a, b, c = vertices[index - 1 : index + 2]
@@ -307,23 +294,6 @@ def test_judging_changes_nothing_and_memory_is_restored(autopilot):
         assert detector.memory() != memory or detector.check(state, NOW) == alarm
         detector.start()
         assert detector.memory() == AcceptanceTest(LIMITS[autopilot]).memory()
-
-
-def test_a_trajectory_for_which_there_is_no_room_makes_more():
-    detector = flying("published")
-    several = acceptance.CAPACITY + 7
-    long = make(TRAJECTORY, several, trajectory_seq=2, future_collision_seq=1)
-    rows(long.elements, 11)[:] = np.arange(several)[:, None]
-    detector.accept(long, NOW)
-    other = AcceptanceTest(LIMITS["published"])
-    other.restore(detector.memory())
-    followed = make(WAYPOINT, trajectory_seq=2, index=0, future_collision_seq=1)
-    for number in (0, 1):  # of the old trajectory, and of the long one
-        floats(followed.header, 11)[:] = number
-        assert {watching.check(followed, NOW) is None for watching in (detector, other)} == {number == 0}
-    assert other.memory() == detector.memory()
-    detector.start()
-    assert detector.memory() == AcceptanceTest(LIMITS["published"]).memory()
 
 
 def test_it_is_loaded_with_the_limits_of_the_mission():

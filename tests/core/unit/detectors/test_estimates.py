@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mavfi.detectors.acceptance import SOURCE, AcceptanceTest
-from mavfi.detectors.estimates import ATTITUDE, ESTIMATE, FIX, WIDTH
+from mavfi.detectors.estimates import ESTIMATE, FIX, WIDTH
 from mavfi.kernels.perception.state_estimation import Noise
 from mavfi.pipeline.estimation import StateEstimator
 from mavfi.sim import imu
@@ -119,32 +119,6 @@ def test_one_value_that_no_filter_says_is_a_hard_alarm_that_names_it(field, valu
     assert alarm is not None and (alarm.source, alarm.stage, alarm.hard) == (SOURCE, "perception", True)
     assert alarm.fields == (f"{ESTIMATE}.{field}",) and alarm.score > 1.0
     assert detector.check(state, now) is None, "its copy"
-
-
-def test_a_turn_that_leaves_the_quaternion_of_length_one_is_found_and_its_sign_is_none():
-    detector, state, now = flying()
-    values = floats(state.header, WIDTH)[ATTITUDE:]
-    for turned, fine in ((-values, True), (values * (1, -1, -1, -1), False), (values[[3, 1, 2, 0]], False)):
-        corrupted = state.copy()
-        floats(corrupted.header, WIDTH)[ATTITUDE:] = turned
-        assert (detector.check(corrupted, now) is None) == fine
-
-
-def test_velocity_and_attitude_are_free_after_a_new_start_at_a_fix_and_only_then():
-    detector, state, now = flying()
-    fix = HERE + (20.0, 3.0, 0.0, 0.0)
-    start, other = message(ESTIMATE, [*fix[:3], 3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), state.copy()
-    other.header["vy"] = 7.0
-    assert detector.check(start, now) is not None
-    detector.accept(message(FIX, fix), now)
-    assert detector.check(start, now) is None
-    detector.accept(start, now)
-    other = message(ESTIMATE, [*fix[:3] + 1e-3, 3.0, 7.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    assert detector.check(other, now + STEP_US) is None, "the filter does not know them yet"
-    for number in range(1, 1000):
-        detector.accept(message(ESTIMATE, [*fix[:3] + 1e-3, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), now + number * STEP_US)
-    other = message(ESTIMATE, [*fix[:3] + 1e-3, 3.0, 7.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    assert detector.check(other, now + 1000 * STEP_US).fields == (f"{ESTIMATE}.vy",)
 
 
 def test_flights_without_an_estimator_have_neither_rule_nor_memory_of_it():

@@ -36,8 +36,7 @@ class Queue:
         self.entries = []
         self.order = 0
 
-    def at(self, time_us, action, state):
-        assert action == "transmit"
+    def transmit(self, state, time_us):
         self.order += 1
         heapq.heappush(self.entries, (time_us, self.order, state))
 
@@ -225,7 +224,3 @@ def test_stored_faults_have_a_change_as_text_and_published_ones_none():
 def test_changes_that_cannot_be_are_refused(make, message):
     with pytest.raises(BadInputError, match=message):
         make()
-
-
-def test_a_fault_without_a_change_has_the_injector_of_bits():
-    assert type(StateInjector(StateFault(FaultSite(COMMAND, "vx"), 0, 3))) is StateInjector

@@ -37,7 +37,7 @@ def test_what_only_lasting_faults_have_is_left_out_of_the_others():
     assert not once.lasting and not StateFault(FaultSite("control.command", "vx"), width=2).lasting
     stuck = StateFault(FaultSite("control.command", "vx"), 5, 62, lasts_s=float("inf"), times=2)
     vector = replace(once, bit=1, also=(("vy", 60), ("vz", 3)))
-    assert vector.to_json() == {**once.to_json(), "bit": 1, "also": [["vy", 60], ["vz", 3]]}
+    assert vector.to_json() == {**once.to_json(), "bit": 1, "also": (("vy", 60), ("vz", 3))}
     assert fault_from_json(vector.to_json()) == vector
     assert stuck.lasting and stuck.to_json() == {**once.to_json(), "lasts_s": "inf", "times": 2}
 

@@ -13,13 +13,12 @@ from mavfi.flight.decide import (
     INLINE,
     MAX_ALARMS,
     MAX_RESTARTS,
-    MAX_UNCHANGED,
     RESTART_US,
     RecoveryPolicy,
 )
 from mavfi.flight.recovery import DetectorTap
 from mavfi.mission import MissionSpec
-from mavfi.record import LIMITED, SILENCED
+from mavfi.record import SILENCED
 from mavfi.states import PPC_STAGES, new_state
 
 
@@ -139,32 +138,6 @@ def test_a_detector_that_alarms_without_end_is_not_asked_any_more(pause):
     assert [kind for _, kind in flight.events] == ([SILENCED] if endless else [])
     assert (len(flight.outcomes) == MAX_ALARMS) == endless
     assert detector.accepted[-1] == values[-1][0], "it continues to take note"
-
-
-@pytest.mark.parametrize("hard", [True, False])
-def test_recomputations_that_change_nothing_are_limited(hard):
-    flight, second, limit = Flight(), 1_000_000, RecoveryPolicy(same_twice="limit")
-    burst = [(place, status(5)) for place in range(4 * MAX_UNCHANGED)]
-    later = [(ALARMS_WITHIN_US + now, state) for now, state in burst]
-    before, after = [(2 * second, status(5)), (9 * second, status(5))], [(21 * second, status(5))]
-    passed = shown(Always(hard), limit, [*burst, *before, *later, *after], flight)
-    answered = [False, True] * MAX_UNCHANGED + [True] * 2 * MAX_UNCHANGED
-    assert passed == [*answered, True, True, *answered, False]
-    assert flight.events[0] == (2 * (MAX_UNCHANGED - 1), LIMITED) and {kind for _, kind in flight.events} == {LIMITED}
-    assert set(flight.outcomes[:-1]) == {("recompute", "accepted")}
-
-
-def test_after_a_skipped_way_point_there_is_no_response_for_a_minute():
-    class Skipping(Always):
-        def check(self, state, now):
-            return replace(super().check(state, now), stage="control", abandon_waypoint=True)
-
-    flight, second = Flight(), 1_000_000
-    instants = (1, 2, 30 * second, 50 * second, 59 * second, 61 * second, 62 * second, 122 * second)
-    shown(Skipping(hard=False), RecoveryPolicy(same_twice="limit"), [(now, status(5)) for now in instants], flight)
-    assert [round(alarm.time_s) for alarm in flight.record.alarms] == [0, 61, 122]
-    assert {alarm.action for alarm in flight.record.alarms} == {"abandon"}
-    assert flight.events == [(1, LIMITED), (61 * second, LIMITED), (122 * second, LIMITED)]
 
 
 @pytest.mark.parametrize(

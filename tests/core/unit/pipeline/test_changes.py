@@ -15,10 +15,6 @@ class Plain:
         self.array = np.zeros(SIZE, np.float32)
         self.changes = Changes(self.array)
 
-    def put(self, places, values):
-        for place, value in zip(places, values, strict=True):
-            self.array[place] = value
-
     def write(self, writes):
         places = np.array([place for place, _ in writes], np.int32)
         before = []
@@ -31,7 +27,7 @@ class Plain:
         self.array[:] = self.changes.restore(saved)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.lists(WRITES, max_size=8), st.lists(st.tuples(st.integers(0, 99), WRITES), max_size=8))
 def test_every_content_can_be_gone_back_to(first, more):
     plain = Plain()

@@ -20,17 +20,6 @@ def test_the_time_left_of_a_point_runs_down_and_its_overrun_is_taken_from_the_ne
     assert float(kernel.step(0)[1].header["remaining"][0]) == pytest.approx(0.05 - 0.01 - 0.02)
 
 
-def test_saturation_and_a_slow_computer_slow_the_reference_clock_down():
-    kernel = tracker()
-    kernel.receive(waypoint(velocity=(6.0, 0.0, 0.0)), 0)
-    assert float(kernel.step(0)[1].header["remaining"][0]) == pytest.approx(0.5 - 0.02 / 2.0)
-    kernel = tracker(tracker_slowdown=2.6)
-    kernel.receive(waypoint(velocity=(1.0, 0.0, 0.0)), 0)
-    command, tracking = kernel.step(0)
-    assert float(tracking.header["remaining"][0]) == pytest.approx(0.5 - 0.02 / 2.6)
-    assert float(command.header["vx"][0]) == pytest.approx(1.0 / 2.6)
-
-
 @pytest.mark.parametrize("axis", ["x", "y", "z", "vx", "vy", "vz"])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_corrupted_point_is_still_handed_over_in_finite_time(axis, value):

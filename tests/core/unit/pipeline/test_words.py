@@ -102,14 +102,6 @@ def contents(kernel):
     return {place: bits(change(kernel, *place, lambda word: None)[0]) for place in places}
 
 
-def test_the_bit_that_is_named_is_flipped():
-    kernel = Kernel()
-    assert change(kernel, "inner.number", 0, flipping(31)) == (3, 3 - 2**31)
-    assert change(kernel, "clock[0]", 0, flipping(63)) == (1.0, -1.0)
-    assert change(kernel, "cells", 4, flipping(7)) == (0, 128)
-    assert change(kernel, "inner.ready", 0, flipping(0)) == (False, True) and kernel.memory.inner.ready is True
-
-
 def test_what_others_hold_stays_as_it_is():
     kernel = Kernel()
     state, inner, array, saved = kernel.memory.state, kernel.memory.inner, kernel.memory.array, kernel.save()

@@ -2,14 +2,10 @@
 
 from urllib.parse import parse_qs
 
-import polars as pl
 import pytest
 from matplotlib.collections import PathCollection, PolyCollection
 
-from mavfi.analysis.listing import with_flights
-from mavfi.analysis.runs import Runs
 from mavfi.extras.paper import views as v
-from mavfi.extras.paper.figures import path_cases
 from mavfi.report import figures, links
 from tests.core.unit.report.test_figures import golden, runs
 
@@ -80,21 +76,6 @@ def instructions_by_hand():
     return runs(*rows)
 
 
-def test_points_of_success_open_the_missions_of_the_rate(flown_by_hand):
-    judged = flown_by_hand.where("judged", pl.col("population").is_in(["all", "sign_exponent"]))
-    judged = judged.where(pl.col("setting") != "golden_gaussian")
-    [axes] = figures.figure(flown_by_hand, "success").axes
-    assert opened(linked(axes)) == behind(*judged.groups("environment", "setting").values())
-
-
-def test_curves_of_flight_time_open_all_missions_of_which_they_show_the_share(flown_by_hand):
-    panels = figures.figure(flown_by_hand, "flight_time").axes
-    for axes, environment in zip(panels, ("sparse", "dense"), strict=True):
-        own = flown_by_hand.injected.where("judged", environment=environment, population="sign_exponent")
-        assert opened(linked(axes)) == behind(*own.groups("setting").values())
-        assert axes.get_title(loc="left") == f"{environment}, n = {len(ids(linked(axes)[0]))}"
-
-
 @pytest.mark.parametrize(
     ("name", "select", "column"),
     [("kernels", v.by_kernel, "kernel"), ("states", v.by_state, "target"), ("bit_fields", v.by_bits, "bits")],
@@ -127,13 +108,3 @@ def test_dots_name_their_runs_in_order(flown_by_hand, name):
     for line in drawn:
         named = line.get_gid().removeprefix(links.DOTS).split()
         assert list(line.get_ydata() if upright else line.get_xdata()) == [times[run_id] for run_id in named]
-
-
-def test_each_path_opens_its_run(flown):
-    own = Runs.read(flown)
-    own = with_flights(own, flown, figures.drawing("trajectories").cases(own))
-    panels = figures.figure(own, "trajectories").axes
-    for place, case in enumerate(path_cases(own)):
-        drawn = [run_id for run_id in (case.golden, case.fault, case.recovered) if run_id]
-        for axes in panels[2 * place : 2 * place + 2]:
-            assert linked(axes) == [f"#run/{run_id}" for run_id in drawn]

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi.sim.environments.generated import cuboids
@@ -101,7 +101,6 @@ def test_a_restored_snapshot_continues_bit_by_bit(world):
 
 
 @given(st.lists(st.tuples(*[st.floats(width=64)] * 5), min_size=1, max_size=4))
-@settings(max_examples=60)
 def test_no_command_reaches_mujoco_unsaturated(commands):
     flight = simulator()
     largest = flight._airframe.max_thrust

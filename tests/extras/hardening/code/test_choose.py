@@ -1,6 +1,6 @@
 """Greedy choice of values: its costs, what it takes first, and that it keeps to its budget."""
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi.extras.hardening.choose import OUTSIDE, Candidates, Use, Value, choose, total_cost
@@ -34,7 +34,6 @@ def graphs(draw, most=7):
     return Candidates(graph([sorted(own) for own in operands], executions, outside, kinds), benefit, 0.5)
 
 
-@settings(max_examples=30, deadline=None)
 @given(graphs(), graphs(), st.floats(0, 600))
 def test_a_budget_is_never_exceeded_and_a_large_one_buys_all_that_is_worth_anything(first, second, budget):
     functions = [first, second]

@@ -8,6 +8,7 @@ from mavfi.errors import MavfiError
 from mavfi.extras.ros.lockstep.transport import Middleware
 from mavfi.extras.ros.processes import private_network
 from mavfi.extras.ros.ros2.environment import DISTRIBUTIONS, Installation
+from tests.extras.ros.distributions import AT_NIGHT, BY_DAY
 
 NOWHERE = Middleware(Installation("jazzy", "python3", Path("/nowhere"), {}), 1)
 """For plans that are never flown."""
@@ -35,12 +36,16 @@ ANY = next((name for name, why in ABSENT.items() if not why), DISTRIBUTIONS[0])
 """The distribution of tests of what is the same with each."""
 
 
-def flying(*names):
-    """Parameters of a test that flies with each of these."""
-    return [
-        pytest.param(name, marks=[pytest.mark.ros, pytest.mark.skipif(bool(ABSENT[name]), reason=ABSENT[name])])
-        for name in names
-    ]
+def marks(name):
+    """Marks of a test that flies with a distribution."""
+    return [pytest.mark.ros, pytest.mark.skipif(bool(ABSENT[name]), reason=ABSENT[name])]
 
 
-any_ros = [pytest.mark.ros, pytest.mark.skipif(bool(ABSENT[ANY]), reason=ABSENT[ANY])]
+any_ros = marks(ANY)
+each_distribution = pytest.mark.parametrize(
+    "ros",
+    [
+        pytest.param(BY_DAY, marks=marks(BY_DAY)),
+        *(pytest.param(name, marks=[*marks(name), pytest.mark.long]) for name in AT_NIGHT),
+    ],
+)

@@ -26,7 +26,7 @@ from mavfi.levels.sensor.fault import SensorFault
 from mavfi.record import FlightLog
 from tests.core.flights.missions import Scripted, fault
 from tests.extras.ros.lockstep.flights import NODES, plan, same, short, there
-from tests.extras.ros.lockstep.needs import any_ros, flying
+from tests.extras.ros.lockstep.needs import any_ros, each_distribution
 
 pytestmark = [*any_ros, pytest.mark.slow]
 
@@ -75,7 +75,7 @@ def test_a_sensor_or_motor_fails_as_in_one_process(failure, options):
     assert log.digest() != fly_here(scenario).log.digest()
 
 
-@pytest.mark.parametrize("ros", flying("jazzy", "kilted"))
+@each_distribution
 def test_a_flight_with_a_fault_and_a_detector(ros):
     scenario, name = short(), "gaussian"
     wrong = fault("planning.waypoint", "x", 4.0, 62)
@@ -146,7 +146,6 @@ def test_a_hung_node_is_ended_and_restarted():
     assert len(set(log.column("command_vx")[(moment > 1.2) & (moment < 1.9)])) > 1, "it blocks nothing"
 
 
-@pytest.mark.alone
 def test_time_passes_as_on_the_wall_if_wanted():
     scenario = short()
     flight = fly_there(plan(scenario, pace=2.0))
@@ -154,7 +153,6 @@ def test_time_passes_as_on_the_wall_if_wanted():
     assert flight.times["flight"] >= 0.45 * flight.flight.log.column("time")[-1]
 
 
-@pytest.mark.alone
 def test_a_fault_in_a_register_of_a_node():
     scenario = short()
     # On a busy machine the tracer may attach only after a flight of five seconds; in a slow one the node mostly waits.

@@ -13,7 +13,7 @@ from mavfi.flight.compose import new_loop
 from mavfi.levels.state.fault import StateFault
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import PERIODIC, STATES
-from tests.core.flights.missions import AUTOPILOTS, mission
+from tests.core.flights.missions import each_autopilot, mission
 from tests.extras.ros.lockstep.needs import NOWHERE
 
 
@@ -76,7 +76,7 @@ def test_an_injector_sits_at_one_state():
     assert [name for name, other in found.items() if INJECTOR in other.nodes] == ["planning.waypoint"]
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@each_autopilot
 def test_only_triggers_make_steps_due(autopilot):
     seen = set()
 

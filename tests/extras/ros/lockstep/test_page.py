@@ -93,7 +93,6 @@ def joined(folder, *command, **options):
     return done.stdout
 
 
-@pytest.mark.alone
 def test_a_look_into_a_flight(tmp_path):
     with running() as folder:
         assert joined(folder, "python3", "-c", LISTENER) == "map base_link True True True\n"

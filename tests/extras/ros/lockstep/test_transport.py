@@ -10,7 +10,7 @@ import pytest
 from mavfi.errors import BadInputError
 from mavfi.extras.ros.lockstep.transport import Middleware
 from mavfi.extras.ros.ros2.environment import Installation
-from tests.extras.ros.lockstep.needs import find, flying
+from tests.extras.ros.lockstep.needs import each_distribution, find
 
 CODE = """
 from pathlib import Path
@@ -22,7 +22,7 @@ import em
 """
 
 
-@pytest.mark.parametrize("ros", flying("jazzy", "kilted"))
+@each_distribution
 def test_nothing_but_ros_comes_in(ros):
     there = find(ros)
     variables = {**os.environ, **there.variables(Path())}

@@ -1,6 +1,6 @@
 """What tests against real ROS 2 share: a private network, the installed distributions, and nodes in them.
 
-A test that takes `ros2` runs once per distribution of `mavfi ros setup`, and is skipped where it is not installed:
+A test that takes `ros2` is skipped where the distribution is not installed:
 
     def test_it(ros2):
         talker = ros2.start("talker.py", "--clock")      # of tests/extras/ros/ros2/nodes; ended with the module
@@ -23,7 +23,8 @@ from pathlib import Path
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.extras.ros.ros2.environment import DISTRIBUTIONS, ROOT_VARIABLE, find_installation
+from mavfi.extras.ros.ros2.environment import ROOT_VARIABLE, find_installation
+from tests.extras.ros.distributions import EACH
 
 NODES = Path(__file__).with_name("nodes")
 _CLONE_FS = 0x00000200  # of <linux/sched.h>
@@ -78,7 +79,7 @@ class Ros2:
             process.wait()
 
 
-@pytest.fixture(scope="module", params=DISTRIBUTIONS)
+@pytest.fixture(scope="module", params=EACH)
 def ros2(request, private_network, tmp_path_factory):
     """Each distribution, as the only one that mavfi finds."""
     with pytest.MonkeyPatch.context() as patch:

@@ -15,7 +15,7 @@ from tests.core.architecture.source import ROOT
 from tests.extras.ros.ros2.conftest import NODES
 from tests.extras.ros.ros2.messages import Messages
 
-pytestmark = [pytest.mark.ros, pytest.mark.alone]
+pytestmark = pytest.mark.ros
 
 
 @pytest.fixture(scope="module")

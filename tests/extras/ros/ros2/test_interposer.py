@@ -19,7 +19,7 @@ from mavfi.faults.operations import Operation, changed_number
 from tests.extras.ros.ros2.conftest import NODES, until
 from tests.extras.ros.ros2.messages import BASIC, Messages
 
-pytestmark = [pytest.mark.ros, pytest.mark.alone]
+pytestmark = pytest.mark.ros
 
 
 def compiled_relay(installation, folder):

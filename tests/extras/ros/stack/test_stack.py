@@ -6,20 +6,16 @@ import shutil
 import pytest
 import yaml
 
-from mavfi.campaign.config import load_campaign
-from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.store import Store
-from mavfi.cli import run
 from mavfi.errors import BadInputError
 from mavfi.extras.registers.fault import RegisterFault
 from mavfi.extras.ros.processes import private_network
-from mavfi.extras.ros.ros2.environment import DISTRIBUTIONS, find_installation
+from mavfi.extras.ros.ros2.environment import find_installation
 from mavfi.extras.ros.ros2.stack.bench_process import BenchClient
 from mavfi.extras.ros.ros2.stack.config import StackConfig
 from mavfi.faults.changes import parse_text
 from mavfi.levels.message.fault import MessageFault
-from tests.campaigns import run_campaign
 from tests.core.architecture.source import ROOT
+from tests.extras.ros.distributions import BY_DAY, EACH
 
 EXAMPLE = ROOT / "examples" / "ros2"
 SHIPPED = yaml.safe_load((EXAMPLE / "limiter.yaml").read_text())
@@ -37,7 +33,7 @@ def stack(**changes):
     return {**content, "golden_runs": 2, "patience_s": 1.0, **changes}
 
 
-@pytest.fixture(params=DISTRIBUTIONS)
+@pytest.fixture(params=EACH)
 def distribution(request):
     """Each distribution that is installed, where there can be private networks."""
     try:
@@ -67,7 +63,7 @@ def bench(distribution):
 def test_forked_and_cold_trials_have_equal_outputs_and_effects(bench, distribution):
     trials = {}
     modes = (True, False)
-    if distribution != DISTRIBUTIONS[0]:
+    if distribution != BY_DAY:
         modes = (True,)
     for fork in modes:
         client = bench(fork=fork, golden_runs=3 if fork else 1)
@@ -97,7 +93,7 @@ def test_forked_and_cold_trials_have_equal_outputs_and_effects(bench, distributi
 @pytest.fixture
 def jazzy(distribution, tmp_path, monkeypatch):
     """A folder with the example, on one of the distributions."""
-    if distribution != "jazzy":
+    if distribution != BY_DAY:
         pytest.skip("the other distribution is enough")
     shutil.copytree(EXAMPLE, tmp_path / "examples" / "ros2")
     monkeypatch.chdir(tmp_path)
@@ -105,34 +101,6 @@ def jazzy(distribution, tmp_path, monkeypatch):
     content = {**SHIPPED, "stack": {**SHIPPED["stack"], "golden_runs": 1, "patience_s": 1.0}, "faults": 2}
     (tmp_path / "limiter.yaml").write_text(yaml.safe_dump(content))
     return tmp_path
-
-
-@pytest.mark.slow
-def test_a_campaign_stops_and_resumes_and_its_ledger_does_not_show_it(jazzy, capsys):
-    campaign = load_campaign("limiter.yaml")
-
-    def stop(progress):
-        if progress.done == 3:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_campaign(campaign, jazzy / "a", executor=LocalExecutor(1), progress=stop)
-    assert run(["campaign", "run", "limiter.yaml", "--out", "a", "--workers", "1", "--require", "due < 90 %"]) == 0
-    printed = capsys.readouterr().out
-    assert printed.startswith("holds      due < 90 %: ") and "mission lost" in printed and "succe" not in printed
-    assert run_campaign(campaign, jazzy / "b", executor=LocalExecutor(2)).complete
-    with Store.open(jazzy / "a") as one, Store.open(jazzy / "b") as other:
-        assert one.digest() == other.digest()
-        runs = list(one.runs())
-    assert [run.spec.setting for run in runs] == ["golden"] * 2 + ["fi"] * 4 + ["null"]
-    assert all(run.record.injections[0].activated for run in runs[2:])
-    assert runs[-1].record.digest == runs[0].record.digest, "the null run"
-    assert run(["report", "a", "--view", "message_effects"]) == 0
-    table = capsys.readouterr().out
-    assert "/in" in table and "/out" in table and "mission lost" in table
-    (jazzy / "examples" / "ros2" / "limiter.py").write_text("print('another program')\n")
-    with pytest.raises(BadInputError, match="holds another campaign"):
-        run_campaign(campaign, jazzy / "a", executor=LocalExecutor(1))
 
 
 DOUBLE = """

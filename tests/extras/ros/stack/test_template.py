@@ -12,7 +12,6 @@ from mavfi.extras.ros.templates import NODE
 
 
 @pytest.mark.slow
-@pytest.mark.alone
 def test_the_node_is_flown_as_it_is(tmp_path, monkeypatch, capsys):
     try:
         find_installation(DISTRIBUTIONS[0])

@@ -4,6 +4,7 @@ import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import cast
 
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
@@ -199,9 +200,9 @@ class FlightPlan:
     @property
     def state_fault(self) -> StateFault | None:
         """The fault that the injector's node injects."""
-        if isinstance(self.fault, StateFault):
-            return self.fault
-        return None
+        if self.fault is None or not self.fault.changed_state:
+            return None
+        return cast(StateFault, self.fault)
 
     def immediate_states(self) -> frozenset[str]:
         """States whose values a node publishes immediately, which saves one call each.

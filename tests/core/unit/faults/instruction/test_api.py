@@ -138,19 +138,6 @@ def test_draws_are_uniform_over_dynamic_instructions_and_bits():
     assert all(fault.budget == budget_for(total) for fault in faults)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("model", "after"), [("zero", {0}), ("random", None), ("bits", None)])
-def test_models(model, after):
-    values = numbers()
-    for fault in draw(fill, 3, values, 2.0, which="floating_point", model=model, seed=7, bits=3):
-        injection = run_forked(fill, fault, values, 2.0).injection
-        assert injection.activated
-        if after is not None:
-            assert injection.after in after
-        if model == "bits":
-            assert flipped(injection).bit_count() == 3
-
-
 def test_an_injection_names_line_instruction_and_value():
     fault = draw(fill, 1, numbers(), 2.0, which="opcode:fmul", seed=1)[0]
     injection = run_forked(fill, fault, numbers(), 2.0).injection

@@ -5,12 +5,12 @@ from collections import namedtuple
 import numpy as np
 import pytest
 
-from mavfi.faults.levels import instruction
 from mavfi.ir.forked import WILD
 from mavfi.ir.injection.accesses import accesses_of
 from mavfi.ir.injection.arena import BASE, SIZE, arena
 from mavfi.ir.injection.variant import variant_for
 from mavfi.ir.parser import Cursor, parse_instruction, tokens_of
+from mavfi.levels import instruction
 from mavfi.levels.instruction.api import digest
 from mavfi.numerics.jit import kernel_jit
 from tests.core.unit.faults.instruction.kernels import solved

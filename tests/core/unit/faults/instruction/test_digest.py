@@ -19,7 +19,7 @@ from tests.core.unit.kernels.cases import CASES
 COMPILE = """
 import json, sys
 import numba
-from mavfi.faults.levels.instruction.instrument import instrument
+from mavfi.ir.injection.instrument import instrument
 from mavfi.ir.build import source_of
 from tests.core.unit.kernels.cases import CASES
 
@@ -119,47 +119,6 @@ def test_fresh_processes_with_empty_caches_agree_in_any_order(tmp_path):
     ]
     assert set(found[0]) == set(TWO)
     assert found[0] == found[1]
-
-
-PICKLED = """
-define i32 @f(ptr %out) {{
-entry:
-  %size = getelementptr i8, ptr %out, i64 8
-  store ptr @.const.pickledata.{name}, ptr %out, align 8
-  %next = getelementptr i8, ptr %out, i64 {step}
-  store i32 {size}, ptr %size, align 8
-  %sum = add i32 %first, 411
-  ret i32 %sum
-}}
-"""
-
-
-def test_the_digest_does_not_depend_on_the_folder_of_the_installation():
-    """An exception that is raised in two steps is pickled with the path of its source: name and length follow it."""
-
-    def digest(name, size, step=8):
-        return digest_of_text(PICKLED.format(name=name, size=size, step=step))
-
-    assert digest("ef8f37db74", "411") == digest("538f24ddc4", "406")
-    assert digest("ef8f37db74", "411") != digest("ef8f37db74", "411", step=16)
-
-
-CALLING = """
-define i32 @_ZN{module}6kernelB2v{uid}Ed(ptr %out, ptr %record) {{
-entry:
-  %v1 = call i32 @"_ZN{module}6settleB2v5B4c8tJE5ArrayI6RecordILi{record}EELi1E1C7mutable" ( ptr %out )
-  ret i32 %v1
-}}
-"""
-
-
-def test_the_digest_does_not_depend_on_what_else_is_compiled_nor_on_names_of_modules():
-    """Numba numbers functions and record types in the order in which a process first compiles them."""
-
-    def digest(module="5known", uid=1, record=919):
-        return digest_of_text(CALLING.format(module=module, uid=uid, record=record))
-
-    assert digest() == digest(uid=7, record=2410) == digest(module="6mavfi7unknown")
 
 
 def test_the_digest_tells_one_callee_from_another():

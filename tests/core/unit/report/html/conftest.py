@@ -74,12 +74,6 @@ class Browser:
     def click(self, selector):
         self.run("const found = document.querySelector(arguments[0]); found.focus(); found.click()", selector)
 
-    def click_at(self, x, y):
-        """Click at a place of the window (px), as with a mouse."""
-        for kind in ("mousePressed", "mouseReleased"):
-            event = {"type": kind, "x": x, "y": y, "button": "left", "clickCount": 1}
-            self.driver.execute_cdp_cmd("Input.dispatchMouseEvent", event)
-
     def until(self, script, seconds=10.0):
         """Wait until a script gives something true, and give it."""
         end = time.monotonic() + seconds

@@ -5,12 +5,10 @@ import re
 from importlib.resources import files
 
 import pytest
-from matplotlib.figure import Figure
 
 from mavfi.analysis.table import Table
-from mavfi.analysis.views import table as table_of
 from mavfi.errors import BadInputError
-from mavfi.report import links, style
+from mavfi.report import style
 from mavfi.report.campaign_report import report_of
 from mavfi.report.html import page, report_page
 from mavfi.report.html.report_page import (
@@ -21,7 +19,6 @@ from mavfi.report.html.report_page import (
     run_list,
     sections_of,
     svg_of,
-    table_data,
     write_page,
     write_report_page,
 )
@@ -39,21 +36,6 @@ def written(tmp_path, report, flown, sections=None, flights=(), **more):
     chosen = sections_of(report) if sections is None else sections
     count = write_report_page(path, [ReportedCampaign(flown, report)], chosen, COMMANDS, flights, **more)
     return count, path.read_text(encoding="utf-8")
-
-
-def test_a_cell_links_to_the_runs_that_it_counts(runs):
-    found = table_of(runs, "success")
-    sets = RunSets({run_id: place for place, run_id in enumerate(runs["run_id"])})
-    data = table_data(found, sets)
-    place = [column["kind"] for column in data["columns"]].index("number")
-    for row, shown in zip(found.rows, data["rows"], strict=True):
-        ranges = list(sets.texts)[int(shown["cells"][place]["link"].partition("=")[2])]
-        assert sum(_length(part) for part in ranges.split()) == row[place].n
-
-
-def _length(part):
-    low, _, high = part.partition("-")
-    return int(high or low) - int(low) + 1
 
 
 def test_the_same_runs_are_stored_once():
@@ -135,17 +117,6 @@ def test_a_role_has_one_colour_in_pages_and_pictures():
         ("purple", style.ALARM),
     ):
         assert f"--{name}: {colour.lower()};" in light_theme
-
-
-def test_a_point_of_a_figure_links_to_a_set_of_its_runs(runs):
-    figure = Figure()
-    own = runs.where(setting="fi", population="mantissa")
-    links.points(figure.subplots(), [0.0], [0.0], [links.to_runs(own, place="a & b")])
-    sets = RunSets({run_id: place for place, run_id in enumerate(runs["run_id"])})
-    text = svg_of(figure, "one", "caption", sets)
-    assert f'<a href="#runs?set=0" aria-label="{len(own)} runs: place a &amp; b"' in text
-    [ranges] = sets.texts
-    assert sum(_length(part) for part in ranges.split()) == len(own) and own.first("run_id") not in text
 
 
 def test_the_list_of_runs_has_every_run(runs):

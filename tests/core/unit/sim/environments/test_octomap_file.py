@@ -171,23 +171,6 @@ def hall(wall=()):
     return occupied
 
 
-@pytest.mark.parametrize(
-    ("wall", "half_width"),
-    (
-        ((), 1.0),
-        (((0, 20), (24, 42)), 1.0),  # a door in the middle
-        (((0, 32), (36, 42)), 4.0),  # a door 3 m aside
-    ),
-)
-def test_planners_are_kept_to_the_narrowest_box_with_a_way(tmp_path, monkeypatch, wall, half_width):
-    path = tmp_path / "hall.bt"
-    path.write_bytes(b"")
-    monkeypatch.setattr(octomap_file_module, "_read_grid", lambda *_: (hall(wall), np.array([0.0, -5.25, 0.0]), 0.25))
-    world = octomap_file(0, str(path), (5.0, 0.0, 1.5), (15.0, 0.0, 2.0))
-    np.testing.assert_allclose(world.flight_lower, (5.0 - half_width, -half_width, 0.6))
-    np.testing.assert_allclose(world.flight_upper, (15.0 + half_width, half_width, 2.9))
-
-
 def test_ends_without_a_way_between_them_are_refused(tmp_path, monkeypatch):
     path = tmp_path / "hall.bt"
     path.write_bytes(b"")

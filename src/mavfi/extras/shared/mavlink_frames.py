@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mavfi.errors import not_installed
-from mavfi.faults.levels.message.definition import FORMATS, Leaf
+from mavfi.extras.shared.message_definition import FORMATS, Leaf
 
 _MAVLINK_2 = 0xFD
 _HEADERS = {0xFE: 6, _MAVLINK_2: 10}
