@@ -85,8 +85,8 @@ def test_profiles_and_models_that_are_not_there_are_named(model_folder, tmp_path
 
 def test_a_model_of_other_flights_is_used_where_it_is_named(model_folder, tmp_path):
     other = {**FITS, "platform": "slow", "planner": "rrt", "v_max": 5.0}
-    own = load_detector("gaussian", "paper", model_folder, FITS)[1]
-    assert load_detector("gaussian", "paper", model_folder, other, trained_for="published/i9-9940x")[1] == own
+    model = load_detector("gaussian", "paper", model_folder, FITS)[1]
+    assert load_detector("gaussian", "paper", model_folder, other, trained_for="published/i9-9940x")[1] == model
     with pytest.raises(BadInputError, match="'hardened/none': not known"):
         load_detector("gaussian", "paper", None, FITS, trained_for="hardened/none")
     with pytest.raises(SpecMismatchError, match="or fly with this one, key trained_for: published/i9-9940x"):

@@ -15,8 +15,8 @@ def reading(distance, regime=0, unit=1.0):
     return Reading(np.array(distance, float), np.full(len(distance), unit), 1, 3, regime)
 
 
-def judge(threshold, found):
-    return score_of(found, threshold.limit, threshold.ratios)
+def judge(threshold, reading_of):
+    return score_of(reading_of, threshold.limit, threshold.ratios)
 
 
 def test_only_renewed_fields_are_held_against_their_limits():
@@ -31,11 +31,11 @@ def test_only_renewed_fields_are_held_against_their_limits():
 
 def test_a_mean_square_is_of_all_fields_and_the_field_farthest_beyond_its_usual_stands_out():
     threshold = Threshold(np.array([[2.0]]), 3, usual=np.array([10.0, 0.1, 1.0]))
-    found = reading([3.0, 1.0, 2.0])
-    score = judge(threshold, found)
+    measured = reading([3.0, 1.0, 2.0])
+    score = judge(threshold, measured)
     assert score == pytest.approx(14.0 / 3.0 / 2.0)
-    assert threshold.fields_of_alarm(found, np.zeros(0, int)).tolist() == [1]
-    assert threshold.fields_of_alarm(found, np.array([2, 0])).tolist() == [2]
+    assert threshold.fields_of_alarm(measured, np.zeros(0, int)).tolist() == [1]
+    assert threshold.fields_of_alarm(measured, np.array([2, 0])).tolist() == [2]
 
 
 @pytest.mark.parametrize(("name", "profile"), [*DETECTORS, ("acceptance", "paper")])

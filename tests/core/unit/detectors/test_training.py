@@ -16,6 +16,7 @@ def test_both_detectors_are_fitted_in_both_profiles(models):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_same_flights_give_the_same_models(recordings):
     first, second = (fit(MONITORED_FIELDS, recordings[:3], PROVENANCE) for _ in range(2))
     assert {name: model.sha256 for name, model in first.items()} == {

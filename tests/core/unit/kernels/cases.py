@@ -351,29 +351,29 @@ def corrupted(case):
             continue
         else:
             continue
-        for place in places:
+        for target in places:
             for value in SPECIAL:
                 arguments = case.arguments()
-                if place is None:
+                if target is None:
                     arguments[position] = value
-                elif isinstance(place, str):
-                    arguments[position] = argument._replace(**{place: value})
+                elif isinstance(target, str):
+                    arguments[position] = argument._replace(**{target: value})
                 else:
                     with np.errstate(over="ignore"):
-                        arguments[position].reshape(-1)[place] = value
-                yield f"argument {position}, place {place}, value {value}", arguments
+                        arguments[position].reshape(-1)[target] = value
+                yield f"argument {position}, place {target}, value {value}", arguments
 
 
 def struck_memory(case, position):
     """Argument lists in which numbers of a kernel's memory, a tuple of arrays, are as a flipped bit may leave them."""
     for name, array in case.arguments()[position]._asdict().items():
         values = SPECIAL if array.dtype.kind == "f" else (-1, 0, 1, 7, len(array), 2**30, -(2**31), 2**31 - 1)
-        for place in (0, 1, min(9, array.size - 1), slice(None)):
+        for index in (0, 1, min(9, array.size - 1), slice(None)):
             for value in values:
                 arguments = case.arguments()
                 with np.errstate(over="ignore"):
-                    getattr(arguments[position], name).reshape(-1)[place] = value
-                yield f"argument {position}.{name}, place {place}, value {value}", arguments
+                    getattr(arguments[position], name).reshape(-1)[index] = value
+                yield f"argument {position}.{name}, place {index}, value {value}", arguments
 
 
 @kernel_jit

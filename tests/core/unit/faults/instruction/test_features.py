@@ -10,6 +10,7 @@ from mavfi.faults.levels.instruction.api import digest
 from mavfi.faults.levels.instruction.variant import variant_for
 from mavfi.numerics.jit import kernel_jit
 from tests.core.unit.faults.instruction.kernels import solved
+from tests.night import at_night
 
 
 @kernel_jit
@@ -67,7 +68,11 @@ FEATURES = {
 }
 
 
-@pytest.mark.parametrize("kernel", FEATURES, ids=lambda kernel: kernel.py_func.__name__)
+@pytest.mark.parametrize(
+    "kernel",
+    [fibonacci, *at_night(new_array, complex_product, solved, dictionary, vectorised, classic)],
+    ids=lambda kernel: kernel.py_func.__name__,
+)
 def test_results_are_the_same_bits(kernel):
     args = FEATURES[kernel]
     wanted = digest((kernel(*args), args))

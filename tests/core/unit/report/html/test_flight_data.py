@@ -69,12 +69,12 @@ SITE = "planning.waypoint.x"
 
 
 def waypoints(change=lambda time_s: 0.0, period_us=20_000):
-    found = []
+    states = []
     for time_us in range(0, 12_000_000, period_us):
         state = new_state("planning.waypoint")
         state.header["x"], state.header["y"] = 1e-6 * time_us + change(1e-6 * time_us), 2.0
-        found.append(TimedState(time_us, state))
-    return found
+        states.append(TimedState(time_us, state))
+    return states
 
 
 def test_the_injected_field_comes_first_then_what_differs():
